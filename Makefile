@@ -18,7 +18,7 @@
 
 PYTHON ?= python3
 TORCH ?= torch==2.13.0
-# Which build of PyTorch: "auto" asks uv for the one that fits the graphics card that is there, and for the one without CUDA where there is none;
+# Which build of PyTorch `make develop` takes: "auto" asks uv for the one that fits the graphics card that is there, and for the one without CUDA where there is none;
 # "cpu", or another name that uv knows, asks for that; "pip" takes what pip finds, as its own settings (an index of yours, say) tell it.
 TORCH_BACKEND ?= auto
 PROMPT ?= a person walks forward
@@ -51,7 +51,7 @@ develop: $(DEVELOP)
 		echo "bunraku needs Python 3.11 or newer and '$(PYTHON)' is not; name one with: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 2; }
 	$(PYTHON) -m venv .venv || { echo "could not make .venv; on Debian and Ubuntu first install python3-venv" >&2; rm -rf .venv; exit 2; }
 
-# torch comes first and pinned: what PyPI has for Linux brings gigabytes of CUDA that a processor never uses. Its wheel carries its own tests, programs
+# For trainings torch comes first and pinned: what PyPI has for Linux brings gigabytes of CUDA that a processor never uses. Its wheel carries its own tests, programs
 # of 130 MB that nothing loads; they go.
 .venv/.torch: .venv/pyvenv.cfg
 	@if [ '$(TORCH_BACKEND)' != pip ] && $(PIP) 'uv>=0.7' && UV_HTTP_TIMEOUT=30 VIRTUAL_ENV='$(CURDIR)/.venv' \
@@ -61,7 +61,7 @@ develop: $(DEVELOP)
 	@rm -rf $(foreach name,test bin/test_* bin/*Test bin/protoc*,.venv/lib/python3.*/site-packages/torch/$(name))
 	@touch $@
 
-$(READY): .venv/.torch pyproject.toml
+$(READY): .venv/pyvenv.cfg pyproject.toml
 	$(PIP) -e .
 	@touch $@
 

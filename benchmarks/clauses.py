@@ -35,7 +35,7 @@ def main() -> None:
     from bunraku.diffusion.features import encode
     from bunraku.diffusion.generation.generate import generate_motions
     from bunraku.diffusion.generation.networks import load_generator
-    from bunraku.diffusion.matching import embed_motions, embed_sentences, load_extractor
+    from bunraku.diffusion.inference.extractor import embed_motions, embed_sentences, load_extractor
     from bunraku.language.parse import clauses_of, parse
     from bunraku.nn.checkpoints import shipped_checkpoint
 

@@ -100,7 +100,7 @@ def main() -> None:
     def embedded(values: np.ndarray) -> np.ndarray | None:
         if len(values) < 64 or args.extractor is None:
             return None
-        from bunraku.diffusion.matching import embed_motions, load_extractor
+        from bunraku.diffusion.inference.extractor import embed_motions, load_extractor
 
         return np.asarray(embed_motions(load_extractor(args.extractor), [statistics.restore(row) for row in values]))
 

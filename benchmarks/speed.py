@@ -155,10 +155,10 @@ def time_size(size: int) -> dict[str, float]:
     from bunraku.core.animation import Animation
     from bunraku.core.skinning import skin, skin_basis, skin_reference
     from bunraku.geometry.simplify import network_mesh
-    from bunraku.handles.graph import mesh_graph
+    from bunraku.handles.inference.graph import mesh_graph
     from bunraku.handles.predict import _model, predict_handles
     from bunraku.nn.checkpoints import shipped_checkpoint
-    from bunraku.nn.edge_conv import EdgeConv, edge_conv_reference
+    from bunraku_lab.nn.edge_conv import EdgeConv, edge_conv_reference
 
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)

@@ -4,8 +4,8 @@ import os
 import sys
 from pathlib import Path
 
-# Before torch is loaded, here and in every process that tests start. Threads spin while they wait for each other, which
-# was a fifth of the processor time of tests/pipelines; tests of threads set their own number.
+# Before numpy and torch are loaded, here and in every process that tests start. Threads spin while they wait for each
+# other, which was a fifth of the processor time of tests/pipelines; tests of threads set their own number.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 if sys.dont_write_bytecode:  # else each process compiles torch's Python anew, which takes longer than all else it does
     sys.dont_write_bytecode = False
@@ -14,16 +14,15 @@ if sys.dont_write_bytecode:  # else each process compiles torch's Python anew, w
 
 import numpy as np
 import pytest
-import torch
 
 import bunraku.samples
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.features import decode, encode
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_to_6d
 from bunraku.language.encoders import TextBatch
+from bunraku.nn.layers import unit
 
 # Characters are read-only, so tests share those that are made by code; tests/samples makes its own.
 bunraku.samples.sample_character = functools.cache(bunraku.samples.sample_character)
@@ -36,14 +35,14 @@ class WordEncoder:
 
     def encode(self, sentences):
         rows = [
-            [torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))) for word in text.split()]
+            [np.random.default_rng(sum(map(ord, word))).standard_normal(8) for word in text.split()]
             for text in sentences
         ]
         length = max(map(len, rows))
-        tokens, mask = torch.zeros(len(rows), length, 8), torch.zeros(len(rows), length, dtype=torch.bool)
+        tokens, mask = np.zeros((len(rows), length, 8), np.float32), np.zeros((len(rows), length), bool)
         for index, row in enumerate(rows):
-            tokens[index, : len(row)], mask[index, : len(row)] = torch.stack(row), True
-        return TextBatch(tokens, mask, torch.nn.functional.normalize(tokens.sum(1), dim=-1))
+            tokens[index, : len(row)], mask[index, : len(row)] = np.stack(row), True
+        return TextBatch(tokens, mask, unit(tokens.sum(1)))
 
 
 def tiny_config(**changes):
@@ -61,7 +60,10 @@ def tiny_config(**changes):
 
 
 def tiny_denoiser(seed=0, **changes):
-    """A denoiser with random weights everywhere, so that each input has an effect."""
+    """A denoiser of the laboratory with random weights everywhere, so that each input has an effect."""
+    torch = pytest.importorskip("torch", reason="networks are made with PyTorch")
+    from bunraku_lab.nn.diffusion.denoiser import Denoiser
+
     torch.manual_seed(seed)
     model = Denoiser(tiny_config(**changes)).eval().requires_grad_(False)
     for value in model.parameters():
@@ -102,6 +104,19 @@ def encoder():
 @pytest.fixture(scope="session")
 def denoiser():
     return tiny_denoiser
+
+
+@pytest.fixture(scope="session")
+def running():
+    """A denoiser with random weights as `bunraku` runs it."""
+
+    def make(seed=0, **changes):
+        model = tiny_denoiser(seed, **changes)
+        from bunraku_lab.nn.running.networks import running_denoiser
+
+        return running_denoiser(model)
+
+    return make
 
 
 @pytest.fixture
@@ -167,6 +182,8 @@ def bank(bank_path):
 @pytest.fixture
 def gesture():
     """Local rotations (1, N, 30, 3, 3) and translations (1, N, 30, 3) of a swinging handle."""
+
+    torch = pytest.importorskip("torch", reason="trainings need PyTorch")
 
     def make(handle, frames, height=0.9):
         motion = swing(handle, frames, height, period=2 * frames)

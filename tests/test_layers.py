@@ -20,7 +20,7 @@ LAYERS = (
     "pipelines", "bunraku", "studio", "cli", "__main__",
 )  # fmt: skip
 """Rooms of what a user runs, from the ground up. "bunraku" is the package's own face."""
-LABORATORY = ("description", "synthetic", "baselines", "datasets", "training", "evaluation", "cli", "bunraku_lab")
+LABORATORY = ("nn", "description", "synthetic", "baselines", "datasets", "training", "evaluation", "cli", "bunraku_lab")
 """Rooms of the laboratory, which stands on all of the other house."""
 MOST = 16
 """Modules of one folder."""
@@ -142,6 +142,16 @@ def test_nothing_that_a_user_runs_names_the_laboratory():
     ] == []
     texts = [path for path in (SOURCES / "bunraku").rglob("*.py") if "bunraku_lab" in path.read_text(encoding="utf-8")]
     assert texts == []
+
+
+def test_nothing_that_a_user_runs_imports_torch():
+    found = []
+    for path in modules(SOURCES / "bunraku").values():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            found += [path for name in names if name.partition(".")[0] == "torch" or name == "safetensors.torch"]
+    assert found == []
 
 
 def test_no_folders_of_a_room_import_each_other_in_a_circle():

@@ -99,8 +99,8 @@ def bring(options: argparse.Namespace) -> None:
 
 
 def join(options: argparse.Namespace) -> None:
-    from bunraku.diffusion.checkpoint import load_denoiser
     from bunraku.formats.pieces import join_pieces
+    from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
 
     for path in join_pieces(options.folder, options.output):
         notes = load_denoiser(path).notes

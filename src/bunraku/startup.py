@@ -1,9 +1,8 @@
-"""A quick start of the command line: of what torch and scipy load, the parts that hardly a command uses wait until
+"""A quick start of the command line: of what numpy and scipy load, the parts that hardly a command uses wait until
 something touches them.
 
-`import torch` takes a second and a half, half of it for what compiles, exports, quantises and loads data. A module that
-is named here is found and entered in `sys.modules` as ever, and its code runs when an attribute of it is first asked
-for. What Python code sees is the same, only later.
+A module that is named here is found and entered in `sys.modules` as ever, and its code runs when an attribute of it is
+first asked for. What Python code sees is the same, only later.
 """
 
 from __future__ import annotations
@@ -20,17 +19,8 @@ if TYPE_CHECKING:  # the command line imports this before anything else
 __all__ = ["LATER", "QUICK", "end", "hurry"]
 
 QUICK = ("animate", "edit", "inspect", "render", "rig", "samples", "transfer")
-"""Commands of some seconds. Those that train want all of torch."""
-TESTED = "2.13."
-"""The torch whose parts are known not to need one another while they load; another is loaded whole."""
-LATER = frozenset(
-    {
-        "numpy.ctypeslib", "numpy.f2py", "numpy.testing", "scipy.spatial.transform", "torch._meta_registrations",
-        "torch.ao", "torch.distributed._meta_registrations", "torch.distributions", "torch.export", "torch.masked",
-        "torch.nn.intrinsic", "torch.nn.qat", "torch.nn.quantizable", "torch.nn.quantized", "torch.quantization",
-        "torch.utils.data",
-    }
-)  # fmt: skip
+"""Commands of some seconds."""
+LATER = frozenset({"numpy.ctypeslib", "numpy.f2py", "numpy.testing", "scipy.spatial.transform"})
 OBJECTS = 50_000
 """New objects after which Python looks for garbage. The million that imports make would have it look a hundred times,
 for nothing.
@@ -39,8 +29,7 @@ _status: int | None = None
 
 
 def hurry(words: Sequence[str]) -> None:
-    """Make the end of every command quick, and the start of some: let modules wait, and read torch's libraries beside
-    what Python does.
+    """Make the end of every command quick, and the start of some: let modules wait.
 
     Args:
         words: The command line behind the program's name.
@@ -48,7 +37,7 @@ def hurry(words: Sequence[str]) -> None:
     import atexit
 
     atexit.register(_leave)  # the first, which runs as the last
-    if not words or words[0] not in QUICK or "torch" in sys.modules:
+    if not words or words[0] not in QUICK:
         return
     import gc
     import os
@@ -56,13 +45,8 @@ def hurry(words: Sequence[str]) -> None:
     # Products of a few thousand numbers are too short to share, threads that wait for them take half of the processor
     # from who works, and one thread adds in one order on every machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # torch's threads sleep between products
     gc.set_threshold(OBJECTS)
     sys.meta_path.insert(0, _finder())
-    if sys.platform == "linux" and words[0] not in ("inspect", "samples"):
-        from threading import Thread
-
-        Thread(target=_open_libraries, daemon=True).start()
 
 
 def end(status: int) -> NoReturn:
@@ -81,21 +65,6 @@ def _leave() -> None:
             with suppress(OSError, ValueError, AttributeError):  # there is none, or who reads it is gone
                 stream.flush()
         os._exit(_status)
-
-
-def _open_libraries() -> None:
-    """Load torch's libraries, for which `import torch` would hold up all of Python. As a foreign function, `dlopen`
-    does not; whatever goes wrong goes wrong again, and is reported, where torch is imported.
-    """
-    import ctypes
-    import os
-    from importlib.machinery import PathFinder
-
-    spec = PathFinder.find_spec("torch")
-    for folder in (spec.submodule_search_locations or ()) if spec else ():
-        path = os.path.join(folder, "lib", "libtorch_python.so")
-        if os.path.isfile(path):
-            ctypes.CDLL(None).dlopen(path.encode(), os.RTLD_LAZY)
 
 
 def _finder() -> Any:
@@ -148,8 +117,7 @@ def _finder() -> Any:
             parent = sys.modules.get(name.rpartition(".")[0])
             if type(parent) is Waiting:  # a package runs before its parts
                 run(parent)
-            torch = sys.modules.get("torch")
-            if name not in LATER or (torch and not getattr(torch, "__version__", "").startswith(TESTED)):
+            if name not in LATER:
                 return None
             spec = PathFinder.find_spec(name, path, target)
             if spec is not None and spec.loader is not None:

@@ -9,7 +9,6 @@ import torch
 
 from bunraku.apparel.body_depth import Unposed
 from bunraku.apparel.clothed import NORMAL_STIFFNESS, SOFTEST, ClothedCharacter, part_stiffness
-from bunraku.apparel.displacement.anchor import AnchorHead, Inputs
 from bunraku.apparel.displacement.body_points import BodyPoints, body_points, nearest_point
 from bunraku.apparel.displacement.carry import Carrier, node_turns, polar_rotation
 from bunraku.apparel.displacement.features import (
@@ -25,13 +24,12 @@ from bunraku.apparel.displacement.features import (
 )
 from bunraku.apparel.displacement.filters import DAMPING, FREQUENCIES, GRAVITY, PENDULUMS, MotionFilters, Pendulums
 from bunraku.apparel.displacement.folded import FoldedNetwork
-from bunraku.apparel.displacement.graph import EdgeBlock, node_graph, part_pool
+from bunraku.apparel.displacement.folded import past_of_states as folded_past
 from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
-from bunraku.apparel.displacement.network import DisplacementConfig, DisplacementNetwork, load_displacement
-from bunraku.apparel.displacement.network import save_displacement as save
 from bunraku.apparel.displacement.player import ApparelPlayer
-from bunraku.apparel.displacement.recurrent import KEEP, MOST, Past, RecurrentPart, node_state, past_of_states
 from bunraku.apparel.displacement.safety import Safety, SafetySettings, known_share
+from bunraku.apparel.displacement.weights import CHANGE, KEEP, DisplacementConfig
+from bunraku.apparel.node_graph import NodeGraph
 from bunraku.apparel.nodes import apparel_nodes, part_neighbours
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
@@ -39,6 +37,12 @@ from bunraku.body.reference import reference_body
 from bunraku.core.motion import line_up
 from bunraku.errors import CharacterError, WeightsError
 from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku_lab.nn.apparel.anchor import AnchorHead, Inputs
+from bunraku_lab.nn.apparel.graph import EdgeBlock, node_graph, part_pool
+from bunraku_lab.nn.apparel.network import DisplacementNetwork, load_displacement
+from bunraku_lab.nn.apparel.network import save_displacement as save
+from bunraku_lab.nn.apparel.recurrent import Past, RecurrentPart, node_state, past_of_states
+from bunraku_lab.nn.running.networks import running_displacement
 
 
 def curtain(rows=7, columns=4):
@@ -248,7 +252,7 @@ def test_the_recurrent_part_adds_to_the_last_state():
     swing, gate, followed = math.exp(-0.3) / whole, math.exp(0.2) / whole, 1 / (1 + math.exp(-0.7))
     inertia = 2 * 0.53 - 0.51 - 0.35 - 0.13  # from the last displacement to where inertia alone takes the node
     kept = 0.05 + swing * 0.02 + gate * inertia - (1 - followed) * (0.1 - 0.08)
-    wanted = [0.1 + keep * kept + MOST * math.tanh(value / MOST) for value in (0.01, -0.02, 0.03)]
+    wanted = [0.1 + keep * kept + CHANGE * math.tanh(value / CHANGE) for value in (0.01, -0.02, 0.03)]
     assert moved[0].tolist() == pytest.approx(wanted, rel=1e-4)
     assert torch.allclose(after.rest[0] + 0.1, moved) and torch.equal(after.rest[1:], past.rest[:2])
     assert torch.equal(after.whole[0], moved) and torch.equal(after.whole[1], past.whole[0])
@@ -469,9 +473,9 @@ def test_a_player_gives_every_frame_alike():
         torch.nn.init.normal_(value, 0, 0.05)
     poses = still(clothed, 8)
     poses[:, :, :3, :3] = matrix_from_axis_angle(np.linspace(0, 1, 8)[:, None] * [0.0, 1, 0])[:, None]
-    player = ApparelPlayer(clothed, network, nodes=16)
+    player = ApparelPlayer(clothed, running_displacement(network), nodes=16)
     clip = player.clip(poses)
-    again = ApparelPlayer(clothed, network, nodes=16)
+    again = ApparelPlayer(clothed, running_displacement(network), nodes=16)
     again.start(poses[0])
     np.testing.assert_array_equal(np.stack([again.advance(pose) for pose in poses]), clip)
     assert clip.shape == (8, int(clothed.apparel.sum()), 3) and np.isfinite(clip).all()
@@ -493,10 +497,12 @@ def test_the_folded_network_says_what_the_layers_say(frame):
         torch.nn.init.normal_(part.decoder[-1].weight, 0, 0.05)
     poses = still(clothed, 6)
     poses[:, :, :3, :3] = matrix_from_axis_angle(np.linspace(0, 1, 6)[:, None] * [0.3, 1, 0])[:, None]
-    folded = FoldedNetwork(network, *static_features(clothed, nodes), node_graph([nodes.neighbours], [nodes.part]))
+    graph = NodeGraph(nodes.neighbours, nodes.part)
+    folded = FoldedNetwork(running_displacement(network), *static_features(clothed, nodes), graph)
     start = torch.zeros(3, len(nodes), 3)
     past = past_of_states(network.recurrent, start, start, torch.eye(3).expand(3, len(nodes), 3, 3), start + 0.1)
-    arrays = past.rest.numpy(), past.whole.numpy(), past.positions.numpy()
+    zeros, eyes = np.zeros((3, len(nodes), 3), np.float32), np.tile(np.eye(3, dtype=np.float32), (3, len(nodes), 1, 1))
+    arrays = folded_past(running_displacement(network).recurrent, zeros, zeros, eyes, zeros + np.float32(0.1))
     for one in clip_features(clothed, nodes, poses):
         inputs = inputs_of(clothed, nodes, one)
         turns, positions = torch.from_numpy(one.turns), torch.from_numpy(one.positions)
@@ -519,7 +525,7 @@ def test_a_known_difference_fades():
     clothed = curtain()
     network = DisplacementNetwork(DisplacementConfig(16, 1, recurrent=0)).eval()
     poses = still(clothed, 8)
-    plain, told = (ApparelPlayer(clothed, network, nodes=16, safe=False) for _ in range(2))
+    plain, told = (ApparelPlayer(clothed, running_displacement(network), nodes=16, safe=False) for _ in range(2))
     rest = plain.clip(poses)
     told.start(poses[0])
     states = np.zeros((3, len(told.nodes), 3), np.float32)

@@ -117,7 +117,6 @@ def test_doctor_reports_in_words_and_in_json(capsys):
         "bunraku",
         "python",
         "torch",
-        "gpu",
         "preview",
         "handles weights",
         "diffusion weights",

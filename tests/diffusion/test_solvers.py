@@ -1,9 +1,9 @@
 import math
 
+import numpy as np
 import pytest
-import torch
 
-from bunraku.diffusion.sampling.solvers import TRAINING_STEPS, add_noise, alphas_cumprod, sampling_steps
+from bunraku.diffusion.sampling.solvers import TRAINING_STEPS, alphas_cumprod, sampling_steps
 
 
 def test_the_curve_is_the_cosine_of_nichol_and_dhariwal():
@@ -13,17 +13,8 @@ def test_the_curve_is_the_cosine_of_nichol_and_dhariwal():
         assert float(curve[step]) == pytest.approx(
             math.cos(((step + 1) / TRAINING_STEPS + 0.008) / 1.008 * math.pi / 2) ** 2 / start, rel=1e-6
         )
-    assert bool((curve.diff() < 0).all()) and 0 < float(curve[-1]) < 1e-5
+    assert bool((np.diff(curve) < 0).all()) and 0 < float(curve[-1]) < 1e-5
     assert float(curve[-1] / curve[-2]) == pytest.approx(0.001)  # the capped beta
-
-
-def test_noise_keeps_unit_variance():
-    generator = torch.Generator().manual_seed(0)
-    clean, noise = torch.randn(3, 100, 50, generator=generator), torch.randn(3, 100, 50, generator=generator)
-    noisy = add_noise(clean, noise, torch.tensor([0, 500, 999]), alphas_cumprod())
-    torch.testing.assert_close(noisy.var((1, 2)), torch.ones(3), atol=0.05, rtol=0)
-    torch.testing.assert_close(noisy[0], clean[0], atol=0.05, rtol=0)
-    torch.testing.assert_close(noisy[2], noise[2], atol=1e-3, rtol=0)
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 20, 400, 999, 1000])

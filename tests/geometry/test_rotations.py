@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
@@ -27,6 +26,7 @@ def kind(request):
     """A function to the kind of array under test, and one back."""
     if request.param == "numpy":
         return np.asarray, np.asarray
+    torch = pytest.importorskip("torch", reason="tensors are of PyTorch")
     return torch.as_tensor, lambda tensor: tensor.numpy()
 
 
@@ -91,6 +91,7 @@ def test_products_of_quaternions_are_products_of_matrices(values):
 
 
 def test_gradients_are_finite_at_no_rotation_and_at_half_turns():
+    torch = pytest.importorskip("torch", reason="gradients are those of PyTorch")
     six = torch.tensor([[1.0, 0, 0, 0, 1, 0], [-1.0, 0, 0, 0, 1, 0]], dtype=torch.float64, requires_grad=True)
     rot.matrix_from_6d(six).square().sum().backward()
     assert torch.isfinite(six.grad).all()

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-import torch
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.parts import PARTS
@@ -74,9 +73,9 @@ def test_a_twin_owns_its_handles_and_nothing_else():
         and np.array_equal(twin.handles, ARMS)
     )
     assert PartTrack.of(0, [clause_of("walks")]) is None
-    features = twin.follow(torch.zeros(3, 271), torch.ones(3, 271))
+    features = twin.follow(np.zeros((3, 271)), np.ones((3, 271)))
     assert features.sum(1).tolist() == [9.0 * ARMS.sum()] * 3 and features[:, :10].sum() == 0
-    assert twin.adapt(torch.zeros(3, 30, 3), torch.ones(3, 30, 3))[:, :, 0].bool().tolist() == [ARMS.tolist()] * 3
+    assert (twin.adapt(np.zeros((3, 30, 3)), np.ones((3, 30, 3)))[:, :, 0] > 0).tolist() == [ARMS.tolist()] * 3
 
 
 @pytest.mark.skipif(not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there")

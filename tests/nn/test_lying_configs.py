@@ -4,15 +4,15 @@ import json
 
 import pytest
 from safetensors import safe_open
-from safetensors.torch import save_file
+from safetensors.numpy import save_file
 
-from bunraku.apparel.displacement.network import load_displacement
-from bunraku.apparel.segmentation.network import load_segmentation
-from bunraku.diffusion.checkpoint import load_denoiser
-from bunraku.diffusion.matching import load_extractor
+from bunraku.apparel.displacement.weights import load_displacement
+from bunraku.apparel.segmentation.scores import load_segmentation
+from bunraku.diffusion.inference.denoiser import load_denoiser
+from bunraku.diffusion.inference.extractor import load_extractor
 from bunraku.errors import WeightsError
-from bunraku.handles.orientation_net import load_orientation_predictor
-from bunraku.handles.predictor import load_predictor
+from bunraku.handles.inference.orientation import load_orientation_predictor
+from bunraku.handles.inference.predictor import load_predictor
 from bunraku.nn.checkpoints import shipped_checkpoint
 
 LOADERS = {
@@ -27,7 +27,7 @@ LOADERS = {
 
 def rewritten(name, path, change):
     """A shipped checkpoint with another config."""
-    with safe_open(shipped_checkpoint(name), framework="pt") as file:
+    with safe_open(shipped_checkpoint(name), framework="np") as file:
         tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 -- not a dict
         metadata = file.metadata()
     config = json.loads(metadata["config"])

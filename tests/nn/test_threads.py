@@ -1,60 +1,62 @@
-"""Two calls side by side give what one after the other gives, in the same modes, and tell what went wrong."""
+"""Two calls side by side give what one after the other gives, and tell what went wrong."""
 
 import threading
 
+import numpy as np
 import pytest
-import torch
+from threadpoolctl import threadpool_info
 
-from bunraku.nn.threads import fitting_threads, one_thread, side_by_side
+from bunraku.nn.threads import one_thread, side_by_side, usable_threads
 
 
 @pytest.fixture
-def two_threads():
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
+def two_threads(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
 
 
 def here():
-    return threading.get_ident(), torch.is_grad_enabled(), torch.is_inference_mode_enabled(), torch.get_num_threads()
+    return threading.get_ident()
 
 
-def test_second_call_has_a_thread_of_its_own_where_torch_has_one_to_spare(two_threads):
-    assert side_by_side(here, here)[0][0] == side_by_side(here, here)[1][0]
-    with fitting_threads(torch.nn.Linear(2, 2)):
-        first, second = side_by_side(here, here)
-    assert first[0] != second[0] and first[1:] == second[1:] == (True, False, 1)
-    assert torch.get_num_threads() == 2
+def blas():
+    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
 
 
-def test_one_thread_stays_one():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
+def test_second_call_has_a_thread_of_its_own_where_there_is_a_processor_to_spare(two_threads):
+    assert len({*side_by_side(here, here), here()}) == 1
+    before = blas()
     with one_thread():
         first, second = side_by_side(here, here)
-    torch.set_num_threads(before)
-    assert first == second
+        assert first == here() != second and blas() == {1}
+    assert blas() == before
 
 
-def test_modes_go_along(two_threads):
+def test_one_thread_stays_one(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    assert usable_threads() == 1
     with one_thread():
-        with torch.inference_mode():
-            assert {one[2] for one in side_by_side(here, here)} == {True}
-        with torch.no_grad():
-            assert {one[1:3] for one in side_by_side(here, here)} == {(False, False)}
+        assert len({*side_by_side(here, here), here()}) == 1
+
+
+def test_as_many_threads_as_processors_where_nobody_says(monkeypatch):
+    for said in ("", "many", "0"):
+        monkeypatch.setenv("OMP_NUM_THREADS", said)
+        assert usable_threads() >= 1
+    monkeypatch.setenv("OMP_NUM_THREADS", "3,2")
+    assert usable_threads() == 3
 
 
 def test_same_numbers_and_errors(two_threads):
     def fails():
         raise ValueError("the other")
 
-    value = torch.randn(64, 64, generator=torch.Generator().manual_seed(3))
-    alone = value @ value, value @ value.T
+    value = np.random.default_rng(3).standard_normal((64, 64)).astype(np.float32)
     with one_thread():
+        alone = value @ value, value @ value.T
         first, second = side_by_side(lambda: value @ value, lambda: value @ value.T)
         with pytest.raises(ValueError, match="the other"):
             side_by_side(lambda: 1, fails)
         with pytest.raises(ValueError, match="the other"):
             side_by_side(fails, lambda: 1)
-    assert torch.equal(first, alone[0]) and torch.equal(second, alone[1])
+    assert np.array_equal(first, alone[0]) and np.array_equal(second, alone[1])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from bunraku.apparel.displacement.network import DisplacementConfig, DisplacementNetwork, save_displacement
+from bunraku.apparel.displacement.weights import DisplacementConfig
 from bunraku.apparel.fitting import BORDER, eased_border, fitted_clothes, joints_of_handles
-from bunraku.apparel.segmentation.network import SegmentationConfig, SegmentationNetwork, save_segmentation
+from bunraku.apparel.segmentation.scores import SegmentationConfig
 from bunraku.body.reference import reference_body
 from bunraku.cli.options.sampling import ApparelOptions
 from bunraku.core.animation import Animation
@@ -24,6 +24,8 @@ from bunraku.pipelines.requests.constraints import Constraints, Loop
 from bunraku.pipelines.requests.request import Request
 from bunraku.pipelines.transfer import transfer
 from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
+from bunraku_lab.nn.apparel.network import DisplacementNetwork, save_displacement
+from bunraku_lab.nn.apparel.segmentation import SegmentationNetwork, save_segmentation
 
 MOTION = stock_motion("walk", 1.0, 20.0)
 

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-if TYPE_CHECKING:
-    from torch import Tensor
-
-__all__ = ["LOOSE", "LOOSE_ON_PEOPLE", "capped", "capped_on_people"]
+__all__ = ["LOOSE", "LOOSE_ON_PEOPLE", "capped"]
 
 LOOSE = 0.5
 """How far parts of soft bodies, and loose parts, may leave their joints [m of the reference body]."""
@@ -27,9 +22,3 @@ def capped(residual: np.ndarray, soft: bool) -> np.ndarray:
     """
     length = np.linalg.norm(residual, axis=-1, keepdims=True)
     return np.asarray(residual * np.minimum(1, (LOOSE if soft else LOOSE_ON_PEOPLE) / np.maximum(length, 1e-9)))
-
-
-def capped_on_people(residual: Tensor) -> Tensor:
-    """Residuals of people in torch, shape [..., 3]; differentiable."""
-    length = residual.square().sum(-1, keepdim=True).add(1e-18).sqrt()
-    return residual * (LOOSE_ON_PEOPLE / length).clamp(max=1)

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from typing import Any, get_type_hints
 
-from bunraku.errors import BunrakuError, OptionError
+from bunraku.errors import BunrakuError, MissingExtraError, OptionError
 
 __all__ = ["VERBS", "Verbs", "all_verbs", "main"]
 
@@ -234,6 +234,8 @@ def _explain(error: Exception) -> tuple[int, str]:
     """Exit status and sentence for an exception."""
     if isinstance(error, BunrakuError):
         return 2, str(error)
+    if isinstance(error, ModuleNotFoundError) and error.name == "torch":
+        return 2, str(MissingExtraError("PyTorch", "lab", "what trains, measures and builds data"))
     if isinstance(error, MemoryError) or _is_allocation_failure(error):
         return 2, "the memory is not enough for this; close other programs, or give a smaller mesh or fewer seconds"
     if isinstance(error, OSError):

@@ -13,20 +13,18 @@ import numpy as np
 
 __all__ = ["handle_offsets", "posed_points", "skin", "skin_reference"]
 
-Array = Any  # numpy.ndarray or torch.Tensor
+Array = Any  # numpy.ndarray, or a tensor
 
 
 def _product(matrices: Array, points: Array) -> Array:
     if isinstance(matrices, np.ndarray):
         return np.einsum("...ij,...j->...i", matrices, points)
-    import torch
-
-    return torch.einsum("...ij,...j->...i", matrices, points)
+    return (matrices @ points[..., None])[..., 0]
 
 
 def handle_offsets(positions: Array, translations: Array, rotations: Array) -> Array:
     """What a handle's local transform adds to a rotated vertex, `R (v - h) + h + t = R v + (h + t - R h)`; numpy arrays
-    or torch tensors.
+    or tensors.
 
     Args:
         positions: Rest positions h of the handles [m], shape (..., K, 3).
@@ -40,7 +38,7 @@ def handle_offsets(positions: Array, translations: Array, rotations: Array) -> A
 
 
 def posed_points(transforms: Array, points: Array) -> Array:
-    """Where affine transforms take a point each, `A p + b`; numpy arrays or torch tensors.
+    """Where affine transforms take a point each, `A p + b`; numpy arrays or tensors.
 
     Args:
         transforms: [A | b], shape (..., K, 3, 4).

@@ -1,12 +1,14 @@
 """Rotations: the one place that converts between matrices, 6D, quaternions and axis-angle.
 
-Every function takes numpy arrays or torch tensors and answers in kind, keeps the floating type, and works on any
-leading shape. Matrices act on column vectors. Quaternions are xyzw with a non-negative w, as in files. 6D is the first
-two columns of the matrix, column after column (Zhou et al. 2019). A heading is the angle about +Y that one faces.
+Every function takes numpy arrays, or tensors whose library has functions of the same names, answers in kind, keeps the
+floating type, and works on any leading shape. Matrices act on column vectors. Quaternions are xyzw with a non-negative
+w, as in files. 6D is the first two columns of the matrix, column after column (Zhou et al. 2019). A heading is the
+angle about +Y that one faces.
 """
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -27,15 +29,13 @@ __all__ = [
 ]
 
 
-Array = Any  # numpy.ndarray or torch.Tensor
+Array = Any  # numpy.ndarray, or a tensor
 
 
 def _xp(value: Array) -> Any:
     if isinstance(value, np.ndarray):
         return np
-    import torch
-
-    return torch
+    return sys.modules[type(value).__module__.partition(".")[0]]
 
 
 def _stack(xp: Any, parts: list[Array], axis: int) -> Array:

@@ -16,7 +16,7 @@ from bunraku.geometry.surface import surface_points
 from bunraku.handles.orientation_evidence import combined, has_rule, kind_weights
 
 if TYPE_CHECKING:
-    from bunraku.handles.orientation_net import OrientationPredictor
+    from bunraku.handles.inference.orientation import OrientationPredictor
 
 __all__ = ["SURE", "Orientation", "ResolvedAxes", "guess_orientation", "resolve_axes", "resolved_axes", "upright"]
 
@@ -85,7 +85,7 @@ class Orientation:
 
 @lru_cache(maxsize=2)
 def _model(path: Path, changed: int) -> OrientationPredictor:
-    from bunraku.handles.orientation_net import load_orientation_predictor
+    from bunraku.handles.inference.orientation import load_orientation_predictor
 
     return load_orientation_predictor(path)
 
@@ -118,18 +118,16 @@ def guess_orientation(
         OptionError: What is known are no axes at a right angle.
         WeightsError: The checkpoint is missing or does not fit.
     """
-    import torch
-
-    from bunraku.handles.orientation_net import shape_tokens
+    from bunraku.handles.inference.orientation import shape_tokens
     from bunraku.nn.checkpoints import dated_checkpoint
-    from bunraku.nn.threads import fitting_threads
+    from bunraku.nn.threads import one_thread
 
     allowed = _allowed(up, front)
     model = _model(*dated_checkpoint("orientation", checkpoint))
     points, normals = surface_points(character.vertices, character.faces, _POINTS)
-    tokens = torch.from_numpy(shape_tokens(points, normals, np.ones(len(points)), model.config.anchors))
-    with torch.no_grad(), fitting_threads(model):
-        network = model.probabilities(tokens).double().numpy()
+    tokens = shape_tokens(points, normals, np.ones(len(points)), model.config.anchors)
+    with one_thread():
+        network = model.probabilities(tokens)
     if prior is None:
         prior = kind_weights(_suffix(character) if suffix is None else suffix, _moved(character))
     return Orientation.of(combined(network, character.vertices[character.surface], np.where(allowed, prior, 0)))

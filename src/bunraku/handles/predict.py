@@ -20,7 +20,7 @@ from bunraku.handles.loose_parts import seat_parts
 from bunraku.handles.repairs import eased, reunited, without_doubts
 
 if TYPE_CHECKING:
-    from bunraku.handles.predictor import HandlePredictor
+    from bunraku.handles.inference.predictor import HandlePredictor
 
 __all__ = ["VIEWS", "Predictor", "mesh_feature", "predict_handles", "predict_weights", "smooth_weights", "trim_weights"]
 
@@ -59,7 +59,7 @@ def trim_weights(weights: np.ndarray, least: float = 0.01) -> np.ndarray:
 
 @lru_cache(maxsize=2)
 def _model(path: Path, changed: int) -> HandlePredictor:
-    from bunraku.handles.predictor import load_predictor
+    from bunraku.handles.inference.predictor import load_predictor
 
     return load_predictor(path)
 
@@ -70,19 +70,14 @@ def predict_weights(mesh: NetworkMesh, model: HandlePredictor) -> tuple[np.ndarr
     Returns:
         Skinning weights (M, K) and the mesh deformation feature f_phi (448,) of the mesh as it is, float32.
     """
-    import torch
+    from bunraku.handles.inference.graph import mesh_graph
+    from bunraku.nn.threads import one_thread, side_by_side
 
-    from bunraku.handles.graph import mesh_graph
-    from bunraku.nn.threads import fitting_threads, side_by_side
-
-    graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors).to(
-        next(model.parameters()).device
-    )
-    with torch.no_grad(), fitting_threads(model):
-        model.eval()
+    graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors)
+    with one_thread():
         plain, mirrored = side_by_side(lambda: model(graph), lambda: model(graph.mirrored()))
-        weights = 0.5 * (plain.weights + mirrored.weights[:, list(HANDLE_MIRROR)])
-    return weights.float().cpu().numpy(), plain.features.float().cpu().numpy()
+        weights = np.float32(0.5) * (plain.weights + mirrored.weights[:, list(HANDLE_MIRROR)])
+    return weights, plain.features
 
 
 def _load(checkpoint: str | Path | None) -> HandlePredictor:

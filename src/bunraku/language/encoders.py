@@ -6,21 +6,20 @@ all-MiniLM-L6-v2; `CLIPEncoder` reads the user's own CLIP folder. A checkpoint n
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-import torch
-import torch.nn.functional as F
-from torch import Tensor, nn
 
 from bunraku.errors import MissingExtraError, WeightsError
 from bunraku.language.known.tokenizer import WordPieces, encoder_file, read_header
 from bunraku.language.lexicon.cues import CUES, sentence_cues
+from bunraku.nn.layers import Linear, Norm, attended, gelu, split_heads, unit
 
 __all__ = [
     "TEXT_LENGTH",
@@ -47,12 +46,9 @@ class TextBatch:
             they are read.
     """
 
-    tokens: Tensor
-    mask: Tensor
-    pooled: Tensor
-
-    def to(self, device: torch.device | str) -> TextBatch:
-        return TextBatch(self.tokens.to(device), self.mask.to(device), self.pooled.to(device))
+    tokens: np.ndarray
+    mask: np.ndarray
+    pooled: np.ndarray
 
     def some(self, rows: Sequence[int]) -> TextBatch:
         """Some of the sentences, in the order that is given, with no more tokens than the longest of them has."""
@@ -69,8 +65,12 @@ class TextEncoder(Protocol):
     pooled_size: int
 
     def encode(self, sentences: Sequence[str]) -> TextBatch:
-        """Encode sentences, float32, on the CPU."""
+        """Encode sentences, float32."""
         ...
+
+
+_Encoded = tuple[np.ndarray, np.ndarray]
+"""Tokens (L, C) and pooled vector (P,) of a sentence."""
 
 
 class _Cache:
@@ -78,13 +78,13 @@ class _Cache:
 
     def __init__(self, size: int = 512):
         self.size = size
-        self.rows: OrderedDict[str, tuple[Tensor, Tensor]] = OrderedDict()
+        self.rows: OrderedDict[str, _Encoded] = OrderedDict()
 
-    def encode(self, sentences: Sequence[str], compute: Any) -> TextBatch:
+    def encode(self, sentences: Sequence[str], compute: Callable[[str], _Encoded]) -> TextBatch:
         new = [sentence for sentence in dict.fromkeys(sentences) if sentence not in self.rows]
         rows = dict(self.rows) if new else self.rows
         for sentence in new:  # alone, since beside others its sums are rounded otherwise
-            rows[sentence] = compute([sentence])[0]
+            rows[sentence] = compute(sentence)
         found = [rows[sentence] for sentence in sentences]
         for sentence in sentences:
             self.rows[sentence] = rows[sentence]
@@ -92,12 +92,12 @@ class _Cache:
         while len(self.rows) > self.size:
             self.rows.popitem(last=False)
         longest = max(len(tokens) for tokens, _ in found)
-        tokens = torch.zeros(len(found), longest, found[0][0].shape[1])
-        mask = torch.zeros(len(found), longest, dtype=torch.bool)
+        tokens = np.zeros((len(found), longest, found[0][0].shape[1]), np.float32)
+        mask = np.zeros((len(found), longest), bool)
         for row, (values, _) in enumerate(found):
             tokens[row, : len(values)] = values
             mask[row, : len(values)] = True
-        return TextBatch(tokens, mask, torch.stack([pooled for _, pooled in found]))
+        return TextBatch(tokens, mask, np.stack([pooled for _, pooled in found]))
 
 
 class MiniLMEncoder:
@@ -121,7 +121,7 @@ class MiniLMEncoder:
     pooled_size = 384
 
     def __init__(self, folder: str | Path | None = None):
-        from safetensors.torch import load_file
+        from safetensors.numpy import load_file
 
         path = encoder_file() if folder is None else Path(folder) / "model.safetensors"
         try:
@@ -134,7 +134,9 @@ class MiniLMEncoder:
             self._tokenizer = WordPieces(words)
             weights = load_file(path)
             self._words = weights.pop("embeddings.word_embeddings.weight")  # of which each sentence needs a few rows
-            self._weights = {name: value.float() for name, value in weights.items()}
+            self._weights = {
+                name: value.astype(np.float32) for name, value in weights.items() if value.dtype.kind == "f"
+            }
             self._layers, self._heads, self._epsilon = (
                 config["num_hidden_layers"],
                 config["num_attention_heads"],
@@ -152,45 +154,30 @@ class MiniLMEncoder:
         """Encode sentences; those longer than 30 tokens keep their beginning."""
         return self._cache.encode(sentences, self._compute)
 
-    def _linear(self, value: Tensor, name: str) -> Tensor:
-        return F.linear(value, self._weights[f"{name}.weight"], self._weights[f"{name}.bias"])
+    def _linear(self, name: str) -> Linear:
+        return Linear(self._weights[f"{name}.weight"].T, self._weights[f"{name}.bias"])
 
-    def _norm(self, value: Tensor, name: str) -> Tensor:
-        return F.layer_norm(
-            value, value.shape[-1:], self._weights[f"{name}.weight"], self._weights[f"{name}.bias"], self._epsilon
-        )
+    def _norm(self, name: str) -> Norm:
+        return Norm(self._weights[f"{name}.weight"], self._weights[f"{name}.bias"], self._epsilon)
 
-    @torch.inference_mode()
-    def _compute(self, sentences: Sequence[str]) -> list[tuple[Tensor, Tensor]]:
-        numbers = [torch.tensor(self._tokenizer.numbers(sentence, TEXT_LENGTH)) for sentence in sentences]
-        ids = nn.utils.rnn.pad_sequence(numbers, batch_first=True)  # 0 is [PAD]
-        lengths = torch.tensor([len(own) for own in numbers])
-        mask = torch.arange(ids.shape[1]) < lengths[:, None]
+    def _compute(self, sentence: str) -> _Encoded:
+        numbers = self._tokenizer.numbers(sentence, TEXT_LENGTH)
         weights = self._weights
-        x = self._words[ids].float() + weights["embeddings.position_embeddings.weight"][: ids.shape[1]]
-        x = self._norm(x + weights["embeddings.token_type_embeddings.weight"][0], "embeddings.LayerNorm")
+        x = self._words[numbers].astype(np.float32)[None]
+        x += weights["embeddings.position_embeddings.weight"][: len(numbers)]
+        x = self._norm("embeddings.LayerNorm")(x + weights["embeddings.token_type_embeddings.weight"][0])
         penultimate = x
         for index in range(self._layers):
             penultimate, layer = x, f"encoder.layer.{index}"
-            query, key, value = (
-                self._linear(x, f"{layer}.attention.self.{part}").unflatten(-1, (self._heads, -1)).transpose(1, 2)
+            parts = (
+                split_heads(self._linear(f"{layer}.attention.self.{part}")(x), self._heads)[0]
                 for part in ("query", "key", "value")
             )
-            mixed = (
-                F.scaled_dot_product_attention(query, key, value, attn_mask=mask[:, None, None])
-                .transpose(1, 2)
-                .flatten(2)
-            )
-            x = self._norm(
-                x + self._linear(mixed, f"{layer}.attention.output.dense"), f"{layer}.attention.output.LayerNorm"
-            )
-            wide = F.gelu(self._linear(x, f"{layer}.intermediate.dense"))
-            x = self._norm(x + self._linear(wide, f"{layer}.output.dense"), f"{layer}.output.LayerNorm")
-        share = mask[..., None] / mask.sum(1)[:, None, None]
-        pooled = F.normalize((x * share).sum(1), dim=-1)
-        return [
-            (row[keep].clone(), vector.clone()) for row, keep, vector in zip(penultimate, mask, pooled, strict=True)
-        ]
+            said = self._linear(f"{layer}.attention.output.dense")(attended(*parts))
+            x = self._norm(f"{layer}.attention.output.LayerNorm")(x + said)
+            wide = gelu(self._linear(f"{layer}.intermediate.dense")(x))
+            x = self._norm(f"{layer}.output.LayerNorm")(x + self._linear(f"{layer}.output.dense")(wide))
+        return penultimate[0], unit(x[0].mean(0))
 
 
 class CLIPEncoder:
@@ -202,10 +189,12 @@ class CLIPEncoder:
 
     Raises:
         WeightsError: The folder does not hold a CLIP text model.
-        MissingExtraError: transformers is not installed.
+        MissingExtraError: transformers, or the torch that it needs, is not installed.
     """
 
     def __init__(self, folder: str | Path):
+        if importlib.util.find_spec("torch") is None:
+            raise MissingExtraError("torch", "clip", "the CLIP text encoder")
         try:
             from transformers import CLIPTextModel, CLIPTokenizerFast
             from transformers.utils import logging
@@ -232,18 +221,11 @@ class CLIPEncoder:
         """Encode sentences; those longer than 30 tokens keep their beginning."""
         return self._cache.encode(sentences, self._compute)
 
-    @torch.inference_mode()
-    def _compute(self, sentences: Sequence[str]) -> list[tuple[Tensor, Tensor]]:
-        batch = self._tokenizer(
-            list(sentences), padding=True, truncation=True, max_length=TEXT_LENGTH, return_tensors="pt"
-        )
+    def _compute(self, sentence: str) -> _Encoded:
+        batch = self._tokenizer([sentence], truncation=True, max_length=TEXT_LENGTH, return_tensors="pt")
         output = self._model(**batch, output_hidden_states=True)
-        pooled = F.normalize(output.pooler_output, dim=-1)
-        mask = batch["attention_mask"].bool()
-        return [
-            (row[keep].clone(), vector.clone())
-            for row, keep, vector in zip(output.hidden_states[-2], mask, pooled, strict=True)
-        ]
+        tokens, pooled = (value[0].detach().numpy() for value in (output.hidden_states[-2], output.pooler_output))
+        return tokens, unit(pooled)
 
 
 class CuedEncoder:
@@ -264,8 +246,8 @@ class CuedEncoder:
     def encode(self, sentences: Sequence[str]) -> TextBatch:
         """Encode sentences; those longer than 30 tokens keep their beginning, and all their cues."""
         plain = self.inner.encode(sentences)
-        said = torch.from_numpy(np.stack([sentence_cues(sentence) for sentence in sentences]))
-        pooled = torch.cat([plain.pooled, said / self.inner.pooled_size**0.5], dim=-1)
+        said = np.stack([sentence_cues(sentence) for sentence in sentences])
+        pooled = np.concatenate([plain.pooled, said / np.float32(self.inner.pooled_size**0.5)], axis=-1)
         return TextBatch(plain.tokens, plain.mask, pooled)
 
 

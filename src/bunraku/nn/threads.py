@@ -1,72 +1,62 @@
-"""How many CPU threads a small network gets."""
+"""How many threads a small network gets."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-import torch
-from torch import nn
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
-__all__ = ["fitting_threads", "one_thread", "side_by_side"]
+__all__ = ["one_thread", "side_by_side", "usable_threads"]
 
-_SMALL = 30_000_000
 _spare: ContextVar[bool] = ContextVar("spare", default=False)
-"""Whether `one_thread` left a thread of torch's without work."""
+"""Whether `one_thread` left a processor without work."""
 _One = TypeVar("_One")
 _Other = TypeVar("_Other")
 
 
-@contextmanager
-def fitting_threads(model: nn.Module) -> Iterator[None]:
-    """One thread for a model of less than 30 million weights on the CPU, torch's own number for others.
-
-    The products of a small model are too short to share: a second thread gains a fifth where a core is free, and where
-    none is, torch's threads wait for one another and a clip takes twenty times as long. One thread also always adds in
-    one order.
-    """
-    weights = list(model.parameters())
-    small = sum(map(torch.Tensor.numel, weights)) < _SMALL and {value.device.type for value in weights} <= {"cpu"}
-    with one_thread() if small else nullcontext():
-        yield
+def usable_threads() -> int:
+    """How many threads this process may take: as OMP_NUM_THREADS says, else one for each processor."""
+    asked = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0]
+    if asked.isdigit() and int(asked) > 0:
+        return int(asked)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """One thread of torch for what is too short to share (see `fitting_threads`)."""
-    before = torch.get_num_threads()
-    if before == 1:
-        yield
-        return
-    torch.set_num_threads(1)
-    spare = _spare.set(True)
+    """One thread for each matrix product.
+
+    The products of a small network are too short to share: a second thread gains a fifth where a core is free, and
+    where none is, threads wait for one another and a clip takes many times as long. One thread also always adds in one
+    order.
+    """
+    spare = _spare.set(usable_threads() > 1)
     try:
-        yield
+        if os.environ.get("OPENBLAS_NUM_THREADS") == "1":  # as on the command line
+            yield
+        else:
+            with _libraries().limit(limits=1, user_api="blas"):
+                yield
     finally:
         _spare.reset(spare)
-        torch.set_num_threads(before)
 
 
 def side_by_side(first: Callable[[], _One], second: Callable[[], _Other]) -> tuple[_One, _Other]:
-    """What two calls give. Within `one_thread` the second has a thread of its own, where torch had more than one.
+    """What two calls give. Within `one_thread` the second has a thread of its own, where there is a processor for it.
 
     Each adds in its own order, so what comes out does not depend on whether they ran at once. They wait for each other
-    once, and not in each product as torch's own threads do.
+    once, and not in each product as the threads of a library do.
     """
     if not _spare.get():
         return first(), second()
-    grad, inference = torch.is_grad_enabled(), torch.is_inference_mode_enabled()
-
-    def apart() -> _Other:
-        torch.set_num_threads(1)  # of this thread
-        with torch.inference_mode(inference), torch.set_grad_enabled(grad):
-            return second()
-
-    other = _thread().submit(apart)
+    other = _thread().submit(second)
     try:
         one = first()
     finally:
@@ -77,3 +67,11 @@ def side_by_side(first: Callable[[], _One], second: Callable[[], _Other]) -> tup
 @cache
 def _thread() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, "side")
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """The libraries that numpy multiplies with; looking for them takes longer than to set their threads."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()

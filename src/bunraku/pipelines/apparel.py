@@ -14,8 +14,8 @@ import numpy as np
 
 from bunraku.apparel.artist_mask import artist_mask, read_artist_mask
 from bunraku.apparel.clothed import SOFTEST, STIFFEST, ClothedCharacter
-from bunraku.apparel.displacement.network import DisplacementNetwork, load_displacement
 from bunraku.apparel.displacement.player import ApparelPlayer
+from bunraku.apparel.displacement.weights import DisplacementNetwork, load_displacement
 from bunraku.apparel.fitting import eased_border, fitted_clothes, joint_weights_of_handles, joints_of_handles
 from bunraku.apparel.layers import Layers
 from bunraku.apparel.segmentation.predict import find_apparel

@@ -34,8 +34,9 @@ from bunraku.diffusion.examples.pack import (
     read_pack,
     write_pack,
 )  # fmt: skip
+from bunraku.diffusion.extractor_config import RADIUS
 from bunraku.diffusion.features import FeatureStatistics, decode, encode, mirror
-from bunraku.diffusion.matching import RADIUS, Extractor, embed_motions, embed_sentences, load_ranker
+from bunraku.diffusion.inference.extractor import Extractor, embed_motions, embed_sentences, load_ranker
 from bunraku.errors import OptionError
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion

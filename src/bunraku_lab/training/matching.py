@@ -1,4 +1,4 @@
-"""A run that trains a network of `diffusion.matching`, which the judge of the tables and the ranker both are.
+"""A run that trains a network of `nn.diffusion.matching`, which the judge of the tables and the ranker both are.
 
 A run folder holds `state.safetensors` (all that is needed to go on), a checkpoint (the averaged weights), `log.csv` and
 the encoded captions. The same command goes on where a run stopped.
@@ -14,10 +14,11 @@ from typing import Annotated
 import torch
 import tyro
 
+from bunraku.diffusion.extractor_config import ExtractorConfig
 from bunraku.diffusion.features import FeatureStatistics
-from bunraku.diffusion.matching import Extractor, ExtractorConfig, save_extractor
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TextEncoder
+from bunraku_lab.nn.diffusion.matching import Extractor, save_extractor
 from bunraku_lab.training.diffusion.text_bank import TextBank
 from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
 from bunraku_lab.training.runs.settings import StepSettings

@@ -1,11 +1,9 @@
 import numpy as np
 import pytest
-import torch
 
 from bunraku.body.parts import kept_handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.travel import follow, placed_at, put_back
-from bunraku.diffusion.checkpoint import save_denoiser
 from bunraku.diffusion.features import encode
 from bunraku.diffusion.generation.editing import continue_motion, edit_motion, span_frames
 from bunraku.diffusion.generation.generate import generate_motion, generate_motions
@@ -18,10 +16,12 @@ ARRAYS = ("translations", "rotations", "root_translation", "root_rotation")
 
 @pytest.fixture(scope="module")
 def checkpoint(denoiser, tmp_path_factory):
+    from bunraku_lab.nn.diffusion.checkpoint import save_denoiser
+
     model = denoiser(text_encoder="all-MiniLM-L6-v2", text_size=384, pooled_size=384)
     model.motion_out.weight.mul_(0.1)
     model.adaptation_out.weight.mul_(0.01)
-    model.std[:3], model.mean[[4, 8]] = torch.tensor([0.5, 0.5, 0.5]), 1.0
+    model.std[:3], model.mean[[4, 8]] = 0.5, 1.0
     return save_denoiser(tmp_path_factory.mktemp("weights") / "diffusion.safetensors", model, half=False)
 
 

@@ -2,21 +2,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
+from bunraku.diffusion.extractor_config import RADIUS, ExtractorConfig
 from bunraku.diffusion.features import encode
 from bunraku.diffusion.generation.generate import _APART, generate_motions
 from bunraku.diffusion.generation.ranking import ATTEMPTS, CAPTURED, Drawn, choose, script_scores
-from bunraku.diffusion.matching import RADIUS, Extractor, ExtractorConfig, embed_motions, embed_sentences, load_ranker
+from bunraku.diffusion.inference.extractor import embed_motions, embed_sentences, load_ranker
 from bunraku.language.encoders import text_encoder
 from bunraku.language.parse import clause_of, clauses_of
 
 
 @pytest.fixture
 def ranker():
+    torch = pytest.importorskip("torch", reason="networks are made with PyTorch")
+    from bunraku_lab.nn.diffusion.matching import Extractor
+    from bunraku_lab.nn.running.networks import running_extractor
+
     torch.manual_seed(3)
     sizes = {"width": 16, "layers": 1, "heads": 2, "feedforward": 16, "embedding": 8, "text_size": 8, "pooled_size": 8}
-    return Extractor(ExtractorConfig(**sizes, text_encoder="words")).eval().requires_grad_(False)
+    return running_extractor(Extractor(ExtractorConfig(**sizes, text_encoder="words")))
 
 
 def test_a_score_is_the_mean_cosine_over_the_parts_by_their_frames(ranker, encoder, features):

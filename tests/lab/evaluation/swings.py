@@ -1,12 +1,12 @@
 """Motions of one handle each, and an encoder of the sentences that name them."""
 
 import numpy as np
-import torch
 
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.language.encoders import TextBatch
+from bunraku.nn.layers import unit
 
 PARTS = {
     "left_elbow": "waves",
@@ -25,14 +25,14 @@ class WordEncoder:
 
     def encode(self, sentences):
         rows = [
-            torch.stack(
-                [torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))) for word in text.split()]
-            )
+            [np.random.default_rng(sum(map(ord, word))).standard_normal(8) for word in text.split()]
             for text in sentences
         ]
-        tokens = torch.nn.utils.rnn.pad_sequence(rows, batch_first=True)
-        mask = torch.arange(tokens.shape[1]) < torch.tensor([[len(row)] for row in rows])
-        return TextBatch(tokens, mask, torch.nn.functional.normalize(tokens.sum(1), dim=-1))
+        length = max(map(len, rows))
+        tokens, mask = np.zeros((len(rows), length, 8), np.float32), np.zeros((len(rows), length), bool)
+        for index, row in enumerate(rows):
+            tokens[index, : len(row)], mask[index, : len(row)] = row, True
+        return TextBatch(tokens, mask, unit(tokens.sum(1)))
 
 
 def swing(part, frames=60, height=0.9):

@@ -9,12 +9,10 @@ from swings import PARTS, WordEncoder, swing
 
 from bunraku.body.reference import reference_body
 from bunraku.cli import main
-from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
-from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
+from bunraku.diffusion.extractor_config import ExtractorConfig
 from bunraku.diffusion.features import decode, encode
 from bunraku.diffusion.generation import networks
-from bunraku.diffusion.matching import Extractor, ExtractorConfig, save_extractor
 from bunraku.errors import FormatError, OptionError
 from bunraku.geometry.rotations import matrix_y
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
@@ -26,6 +24,10 @@ from bunraku_lab.evaluation.motion.samples import Request, SamplerSettings, make
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows, table_windows
 from bunraku_lab.evaluation.motion.viewer.prompts import VIEWER_BARS
 from bunraku_lab.evaluation.motion.windows import Window, window_features
+from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.denoiser import Denoiser
+from bunraku_lab.nn.diffusion.matching import Extractor, save_extractor
+from bunraku_lab.nn.running.networks import running_denoiser
 
 
 def network(**changes):
@@ -140,17 +142,17 @@ def test_the_same_seed_gives_the_same_table_and_a_cache_is_used(folder, tmp_path
 
 def test_a_broken_batch_is_made_again(tmp_path):
     torch.manual_seed(0)
-    model = Denoiser(network()).eval().requires_grad_(False)
+    model = running_denoiser(Denoiser(network()))
     requests = [Request("walk", 40), Request("jump", 30), Request("run", 40)]
     how = {"folder": tmp_path, "digest": "a"}
-    first = make_motions(model, WordEncoder(), requests, SamplerSettings(2, 2.5, bf16=False), **how)
+    first = make_motions(model, WordEncoder(), requests, SamplerSettings(2, 2.5), **how)
     assert [len(motion) for motion in first] == [40, 30, 40]
     files = sorted(tmp_path.rglob("*.npz"))
     assert len(files) == 2
     files[0].write_bytes(b"not an archive")
-    again = make_motions(model, WordEncoder(), requests, SamplerSettings(2, 2.5, bf16=False), **how)
+    again = make_motions(model, WordEncoder(), requests, SamplerSettings(2, 2.5), **how)
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
-    make_motions(model, WordEncoder(), requests, SamplerSettings(3, 2.5, bf16=False), **how)
+    make_motions(model, WordEncoder(), requests, SamplerSettings(3, 2.5), **how)
     assert len(list(tmp_path.iterdir())) == 2  # other settings, another folder
     assert motion_samples.BATCH > 1
     with pytest.raises(OptionError, match="longer than the 60"):

@@ -5,12 +5,12 @@ import pytest
 from swings import PARTS, WordEncoder
 
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
-from bunraku.diffusion.checkpoint import load_denoiser, save_denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.generation import networks
 from bunraku.errors import FormatError, OptionError
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_to_6d
 from bunraku_lab.evaluation.motion.retrieval import draw_candidates, retrieval, wilson_interval
+from bunraku_lab.nn.diffusion.checkpoint import load_denoiser, save_denoiser
 from bunraku_lab.training.diffusion.train import TrainingConfig, train_diffusion
 
 

@@ -9,11 +9,11 @@ import torch
 from bunraku.anatomy.joints import attach_joints, reference_joints
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.checkpoint import load_denoiser, save_denoiser
-from bunraku.diffusion.denoiser import joint_offsets
 from bunraku.diffusion.features import encode
 from bunraku.errors import OptionError
-from bunraku.nn.checkpoints import load_training_state
+from bunraku_lab.nn.checkpoints import load_training_state
+from bunraku_lab.nn.diffusion.checkpoint import load_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.denoiser import joint_offsets
 from bunraku_lab.training.adaptation.head import AdaptationHead, label_distance, whitening
 from bunraku_lab.training.adaptation.train import AdaptationConfig, _Run, train_adaptation
 

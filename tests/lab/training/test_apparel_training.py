@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from bunraku.apparel.displacement.network import DisplacementConfig, DisplacementNetwork, load_displacement
+from bunraku.apparel.displacement.weights import DisplacementConfig
 from bunraku.apparel.sampled_mesh import point_features
-from bunraku.apparel.segmentation.network import SegmentationConfig, load_segmentation
+from bunraku.apparel.segmentation.scores import SegmentationConfig
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.core.skinning import skin
 from bunraku.errors import OptionError
@@ -17,6 +17,8 @@ from bunraku_lab.datasets.apparel.build import build_apparel
 from bunraku_lab.datasets.apparel.plan import choose_motions, motion_sources, plan_shards, wardrobe_sources
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
+from bunraku_lab.nn.apparel.network import DisplacementNetwork, load_displacement
+from bunraku_lab.nn.apparel.segmentation import load_segmentation
 from bunraku_lab.training.apparel.body import BodyTrainConfig, BodyTrainer, pose_bank, posed_joints, train_body
 from bunraku_lab.training.apparel.displacement import DisplacementTrainConfig, DisplacementTrainer
 from bunraku_lab.training.apparel.mesh_bank import build_meshes

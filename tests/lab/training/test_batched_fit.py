@@ -7,13 +7,14 @@ import pytest
 import torch
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.body.residuals import LOOSE_ON_PEOPLE, capped_on_people
+from bunraku.body.residuals import LOOSE_ON_PEOPLE
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin_reference
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.handles.from_rig import rig_handles
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.samples import sample_character
+from bunraku_lab.nn.residuals import capped_on_people
 from bunraku_lab.training.losses.batched_fit import bone_positions, fit_locals, move_points, posed_positions
 
 

@@ -7,18 +7,13 @@ import pytest
 import torch
 from scipy.sparse.csgraph import dijkstra
 
-from bunraku.apparel.displacement.graph import node_graph
 from bunraku.apparel.parts import apparel_parts
 from bunraku.apparel.sampled_mesh import joint_distances, sampled_mesh
-from bunraku.apparel.segmentation.network import (
-    SegmentationConfig,
-    SegmentationNetwork,
-    load_segmentation,
-    mesh_block,
-    save_segmentation,
-)
+from bunraku.apparel.segmentation.scores import SegmentationConfig
 from bunraku.body.layout import JOINT_COUNT
 from bunraku.body.reference import reference_body
+from bunraku_lab.nn.apparel.graph import node_graph
+from bunraku_lab.nn.apparel.segmentation import SegmentationNetwork, load_segmentation, mesh_block, save_segmentation
 from bunraku_lab.training.apparel.networks.body import BodyConfig, BodyNetwork, load_body, save_body
 from bunraku_lab.training.losses.apparel_losses import edge_loss, mask_loss, smoothness_loss, vertex_loss
 

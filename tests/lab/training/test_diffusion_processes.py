@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from bunraku.diffusion.features import FeatureStatistics
-from bunraku.nn.checkpoints import load_training_state
+from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.training.diffusion.clip_data import load_clips
 from bunraku_lab.training.diffusion.clip_rows import ClipSet
 from bunraku_lab.training.diffusion.text_bank import TextBank

@@ -4,9 +4,9 @@ import signal
 import pytest
 import torch
 
-from bunraku.diffusion.checkpoint import load_denoiser
 from bunraku.errors import FormatError, OptionError
-from bunraku.nn.checkpoints import load_training_state
+from bunraku_lab.nn.checkpoints import load_training_state
+from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
 from bunraku_lab.training.diffusion.train import TrainingConfig, train_diffusion
 from bunraku_lab.training.diffusion.trainer import Trainer
 
@@ -130,7 +130,7 @@ def test_mesh_specific_learning_goes_on_after_a_stop(settings, config, encoder, 
 
 def test_an_older_state_goes_on(settings, config, encoder, bank_path, tmp_path):
     """A state of before the discriminator and the newer fields of the network's config."""
-    from bunraku.nn.checkpoints import save_training_state
+    from bunraku_lab.nn.checkpoints import save_training_state
 
     train_diffusion(settings(steps=1), config(), encoder)
     state = weights(tmp_path / "run")
@@ -179,7 +179,7 @@ def test_the_checkpoint_says_that_creatures_were_trained(settings, config, encod
 
 
 def test_the_encoder_is_trained_in_the_same_way(settings, config, encoder):
-    from bunraku.diffusion.mdm_denoiser import EncoderDenoiser
+    from bunraku_lab.nn.diffusion.mdm_denoiser import EncoderDenoiser
 
     model = load_denoiser(train_diffusion(settings(steps=1), config(architecture="encoder"), encoder))
     assert isinstance(model, EncoderDenoiser) and model.config.architecture == "encoder"

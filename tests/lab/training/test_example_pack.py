@@ -6,21 +6,15 @@ import pytest
 import torch
 
 from bunraku.diffusion.examples.pack import KIND, read_pack, write_pack
+from bunraku.diffusion.extractor_config import RADIUS, RANKER, ExtractorConfig
 from bunraku.diffusion.features import encode, mirror
-from bunraku.diffusion.matching import (
-    RADIUS,
-    RANKER,
-    Extractor,
-    ExtractorConfig,
-    embed_motions,
-    embed_sentences,
-    save_extractor,
-)
+from bunraku.diffusion.inference.extractor import embed_motions, embed_sentences
 from bunraku.errors import OptionError
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
 from bunraku.nn.checkpoints import load_checkpoint
 from bunraku.retarget.body_motion import body_handle_motion
+from bunraku_lab.nn.diffusion.matching import Extractor, save_extractor
 from bunraku_lab.training.example_pack import ExampleSettings, _hovers, _seen, build_examples
 
 
@@ -53,7 +47,7 @@ def test_training_clips_alone_are_packed_with_the_vectors_of_both_sides(swings, 
     assert {one.frames for one in stretches} == {50}
     assert stretches[2].texts == ("a person waves with the left hand", "waves")
 
-    from bunraku.diffusion.matching import load_extractor
+    from bunraku.diffusion.inference.extractor import load_extractor
 
     model = load_extractor(ranker, kind=RANKER)
     said = embed_sentences(model, encoder, ["a person waves with the left hand", "a person waves with the right hand"])

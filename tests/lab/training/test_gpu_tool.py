@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bunraku.diffusion.checkpoint import load_denoiser
+from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
 
 TOOL = Path(__file__).parents[3] / "tools" / "gpu.py"
 

@@ -6,10 +6,10 @@ import torch
 
 from bunraku.errors import OptionError
 from bunraku.geometry.axes import ORIENTATIONS
-from bunraku.handles.orientation_net import OrientationConfig
-from bunraku.nn.checkpoints import load_training_state
+from bunraku.handles.inference.orientation import OrientationConfig
 from bunraku.samples import sample_character
 from bunraku_lab.datasets.characters.build import training_character
+from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.training.orientation.measures import (
     UPRIGHT,
     fitted_temperature,

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 import torch
 
+from bunraku.diffusion.extractor_config import RANKER, ExtractorConfig
 from bunraku.diffusion.features import mirror
-from bunraku.diffusion.matching import RANKER, ExtractorConfig, load_extractor
+from bunraku.diffusion.inference.extractor import load_extractor
 from bunraku.errors import OptionError, WeightsError
 from bunraku.language.lexicon.cues import CUES
-from bunraku.nn.checkpoints import load_training_state
+from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.training.ranker.train import RankerTrainConfig, alike, spoilt, train_ranker
 
 TINY = ExtractorConfig(width=16, layers=1, heads=2, feedforward=16, embedding=8, dropout=0.0)

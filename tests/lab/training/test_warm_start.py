@@ -3,9 +3,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.errors import OptionError
+from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, save_denoiser
 from bunraku_lab.training.diffusion.warm_start import rescaled, start_from
 
 TINY = DenoiserConfig(

@@ -8,7 +8,7 @@ import numpy as np
 
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.geometry.surface import vertex_normals
-from bunraku.handles.graph import farthest_points
+from bunraku.handles.inference.graph import farthest_points
 
 __all__ = ["BodyPoints", "body_points", "nearest_index", "nearest_point"]
 

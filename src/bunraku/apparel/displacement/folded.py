@@ -1,32 +1,49 @@
 """The displacement network for one clothed character, frame by frame: what never changes is worked into its matrices.
 
-It says what `AnchorHead` and `RecurrentPart` say, to float rounding, in less time: the static features and the
-biases are one sum, the pose of the body is one row that is added, no module is called, and what is small is done in
-numpy, each of whose operations costs a fraction of torch's.
+It says what the laboratory's `AnchorHead` and `RecurrentPart` say, to float rounding, in less time: the static features
+and the biases are one sum, and the pose of the body is one row that is added.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import torch
 from scipy.special import erf, expit
-from torch.nn import functional as F
 
-from bunraku.apparel.displacement import anchor as head
-from bunraku.apparel.displacement import recurrent as memory
-from bunraku.apparel.displacement.anchor import AnchorHead
-from bunraku.apparel.displacement.features import BASIS, STATIC_SCALARS, STATIC_VECTORS
-from bunraku.apparel.displacement.graph import EdgeBlock, NodeGraph
-from bunraku.apparel.displacement.network import DisplacementNetwork
-from bunraku.apparel.displacement.recurrent import RecurrentPart
+from bunraku.apparel.displacement.features import BASIS
+from bunraku.apparel.displacement.weights import (
+    CHANGE,
+    KEEP,
+    SHARE,
+    STILL,
+    DisplacementNetwork,
+    DisplacementPart,
+)
+from bunraku.apparel.node_graph import NodeGraph
+from bunraku.nn.layers import gelu
 
-__all__ = ["FoldedNetwork", "FoldedPast"]
+__all__ = ["FoldedNetwork", "FoldedPast", "past_of_states"]
 
-_STILL = 3 * STATIC_VECTORS + STATIC_SCALARS
 FoldedPast = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""`recurrent.Past` as arrays: `rest`, `whole` and `places`."""
+"""The last three states, newest first: differences from the head (in the paper's form positions from the pelvis), shape
+(3, M, 3); the last two displacements that were given out, (2, M, 3); and the positions of these frames, (2, M, 3).
+"""
+
+
+def past_of_states(
+    part: DisplacementPart, states: np.ndarray, heads: np.ndarray, turns: np.ndarray, positions: np.ndarray
+) -> FoldedPast:
+    """The past after three frames whose displacements are known.
+
+    Args:
+        part: The network that goes on from it.
+        states: Displacements, in the frames of the carrying joints, oldest first, shape (3, M, 3).
+        heads: What the head says of these frames, shape (3, M, 3).
+        turns: Frames of the carrying joints, shape (3, M, 3, 3).
+        positions: Carried positions over the character's size; from the pelvis in the paper's form, shape (3, M, 3).
+    """
+    world = positions + np.einsum("fmab,fmb->fma", turns, states)
+    rest = world if part.world else states - heads
+    return rest[::-1], states[::-1][:2], world[::-1][:2]
 
 
 class FoldedNetwork:
@@ -41,14 +58,13 @@ class FoldedNetwork:
     def __init__(
         self, network: DisplacementNetwork, static_vectors: np.ndarray, static_scalars: np.ndarray, graph: NodeGraph
     ):
-        still = torch.from_numpy(np.concatenate([static_vectors.reshape(len(static_scalars), -1), static_scalars], 1))
+        still = np.concatenate([static_vectors.reshape(len(static_scalars), -1), static_scalars], axis=1)
         self.world = network.recurrent is not None and network.recurrent.world
-        with torch.no_grad():
-            self._anchor = _FoldedPart(network.anchor, still, graph)
-            self._recurrent = None if network.recurrent is None else _FoldedPart(network.recurrent, still, graph)
+        self._anchor = _FoldedPart(network.anchor, still, graph)
+        self._recurrent = None if network.recurrent is None else _FoldedPart(network.recurrent, still, graph)
 
     def anchor(self, vectors: np.ndarray, scalars: np.ndarray, whole: np.ndarray) -> np.ndarray:
-        """What the head says (`AnchorHead`), shape (M, 3).
+        """What the head says, shape (M, 3).
 
         Args:
             vectors: Shape (M, VECTORS, 3).
@@ -56,7 +72,7 @@ class FoldedNetwork:
             whole: Shape (GLOBAL,).
         """
         out = self._anchor(_moving(vectors, scalars), whole)
-        share = head.MOST * np.tanh(out[:, :BASIS])
+        share = SHARE * np.tanh(out[:, :BASIS])
         return np.asarray(np.matmul(share[:, None], vectors[:, :BASIS])[:, 0] + out[:, BASIS:])
 
     def recurrent(
@@ -64,7 +80,7 @@ class FoldedNetwork:
         turns: np.ndarray, positions: np.ndarray,
     ) -> tuple[np.ndarray, FoldedPast]:  # fmt: skip
         """The next displacement (M, 3) and the new past; the first three as above, the rest as
-        `RecurrentPart.forward` takes them, whose formula this is.
+        the laboratory's `RecurrentPart.forward` takes them, whose formula this is.
         """
         assert self._recurrent is not None
         rest, given, been = past
@@ -84,7 +100,7 @@ class FoldedNetwork:
         swing, gate = np.exp(out[:, 1:2] - most), np.exp(out[:, 2:3] - most)
         shared = (swing * change + gate * inertia) / (swing + gate + np.exp(-most))
         kept = rest[0] + shared - (1 - expit(out[:, 3:4])) * head_change
-        left = memory.KEEP * expit(out[:, :1]) * kept + memory.MOST * np.tanh(out[:, 4:] / memory.MOST)
+        left = KEEP * expit(out[:, :1]) * kept + CHANGE * np.tanh(out[:, 4:] / CHANGE)
         moved = anchor + left
         now = positions + np.einsum("mab,mb->ma", turns, moved)
         return moved, (np.stack([left, rest[0], rest[1]]), np.stack([moved, given[0]]), np.stack([now, been[0]]))
@@ -93,22 +109,20 @@ class FoldedNetwork:
 class _FoldedPart:
     """Encoder and decoder of the head or of the recurrent part."""
 
-    def __init__(self, part: AnchorHead | RecurrentPart, still: torch.Tensor, graph: NodeGraph):
-        encoder: Any = part.encoder  # whose layers torch knows as modules of any kind
-        first, self.second, self.norm = encoder.enter[0], encoder.enter[2], encoder.enter[3]
-        own = encoder.mean.shape[0]
-        known = ((still - encoder.mean[:_STILL]) / encoder.std[:_STILL]).clamp(-6, 6)
-        still = F.linear(known, first.weight[:, :_STILL], first.bias)
-        self.mean, self.std = encoder.mean[_STILL:].numpy(), encoder.std[_STILL:].numpy()
-        self.moving = first.weight[:, _STILL:own].t().contiguous()
+    def __init__(self, part: DisplacementPart, still: np.ndarray, graph: NodeGraph):
+        first, self.second = part.enter
+        own = len(part.mean)
+        known = np.clip((still - part.mean[:STILL]) / part.std[:STILL], -6, 6)
+        still = known @ first.matrix[:STILL] + first.bias
+        self.mean, self.std = part.mean[STILL:], part.std[STILL:]
+        self.moving = first.matrix[STILL:own]
         # the second map of the motion's MLP and that of its result are one
-        enter, leave = encoder.motion[0], encoder.motion[2]
-        self.motion = enter.weight.numpy(), enter.bias.numpy()
-        pose = first.weight[:, own:]
-        self.pose = (pose @ leave.weight).numpy()
-        self.still = (still + pose @ leave.bias).numpy()
-        self.blocks = [_FoldedBlock(block, graph) for block in encoder.blocks]
-        self.decoder = part.decoder[0], part.decoder[2]
+        enter, leave = part.motion
+        self.motion = enter
+        pose = first.matrix[own:]
+        self.pose = leave.matrix @ pose
+        self.still = (still + leave.bias @ pose).astype(np.float32)
+        self.norm, self.blocks, self.decoder, self.graph = part.norm, part.blocks, part.decoder, graph
 
     def __call__(self, moving: np.ndarray, whole: np.ndarray) -> np.ndarray:
         """What the decoder says of numbers that change from frame to frame, shapes (M, MOVING), which it takes to
@@ -118,36 +132,15 @@ class _FoldedPart:
         moving /= self.std
         np.maximum(moving, -6, out=moving)
         np.minimum(moving, 6, out=moving)
-        hidden = self.motion[0] @ whole + self.motion[1]
-        pose = self.pose @ (0.5 * hidden * (1 + erf(hidden * np.float32(np.sqrt(0.5)))))
-        with torch.inference_mode():
-            x = F.gelu(torch.addmm(torch.from_numpy(self.still + pose), torch.from_numpy(moving), self.moving))
-            x = _normed(self.norm, _linear(self.second, x))
-            for block in self.blocks:
-                x = block(x)
-            return np.asarray(_linear(self.decoder[1], F.gelu(_linear(self.decoder[0], x))))
-
-
-class _FoldedBlock:
-    """`EdgeBlock`, whose edge convolution is (W1 - W2) x_i + b + max_j W2 x_j."""
-
-    def __init__(self, block: EdgeBlock, graph: NodeGraph):
-        self.norm: Any = block.norm
-        self.part, self.pooled = graph.part, block.pooled.weight
-        own, neighbour = block.edge.own, block.edge.neighbour
-        self.own, self.bias, self.neighbour = own.weight - neighbour.weight, own.bias, neighbour.weight
-        # all first neighbours, then all second ones: the maximum over them is one over rows that lie together
-        self.around = graph.around.view(len(graph.position), -1).t().reshape(-1)
-        width = len(self.bias)
-        self.rows, self.least = graph.part[:, None].expand(-1, width), torch.full((graph.parts, width), -1e4)
-
-    def __call__(self, x: torch.Tensor) -> torch.Tensor:
-        values = F.linear(x, self.neighbour)
-        most = values.index_select(0, self.around).view(-1, *x.shape).amax(dim=0)
-        largest = torch.scatter_reduce(self.least, 0, self.rows, x, "amax")
-        pooled = F.linear(largest, self.pooled).index_select(0, self.part)
-        hidden = F.linear(x, self.own, self.bias).add_(pooled).add_(most)
-        return F.gelu(_normed(self.norm, hidden)).add_(x)
+        hidden = self.motion(whole[None])
+        pose = (np.float32(0.5) * hidden * (1 + erf(hidden * np.float32(np.sqrt(0.5))))) @ self.pose
+        x = moving @ self.moving
+        x += self.still
+        x += pose
+        x = self.norm(self.second(gelu(x)))
+        for block in self.blocks:
+            x = block(x, self.graph)
+        return self.decoder[1](gelu(self.decoder[0](x)))
 
 
 def _moving(vectors: np.ndarray, *numbers: np.ndarray) -> np.ndarray:
@@ -158,11 +151,3 @@ def _moving(vectors: np.ndarray, *numbers: np.ndarray) -> np.ndarray:
 def _back(turns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Vectors of the world in the frames of the joints, shapes (M, 3, 3) and (M, 3) -> (M, 3)."""
     return np.asarray(np.einsum("mba,mb->ma", turns, vectors))
-
-
-def _linear(layer: Any, x: torch.Tensor) -> torch.Tensor:
-    return F.linear(x, layer.weight, layer.bias)
-
-
-def _normed(layer: torch.nn.LayerNorm, x: torch.Tensor) -> torch.Tensor:
-    return F.layer_norm(x, layer.normalized_shape, layer.weight, layer.bias, layer.eps)

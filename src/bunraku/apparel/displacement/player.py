@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.displacement.body_points import body_points
 from bunraku.apparel.displacement.carry import Carrier
 from bunraku.apparel.displacement.features import LEAD_IN, Frame, MotionFeatures, static_features
-from bunraku.apparel.displacement.folded import FoldedNetwork, FoldedPast
-from bunraku.apparel.displacement.graph import node_graph
+from bunraku.apparel.displacement.folded import FoldedNetwork, FoldedPast, past_of_states
 from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
-from bunraku.apparel.displacement.network import DisplacementNetwork
-from bunraku.apparel.displacement.recurrent import past_of_states
 from bunraku.apparel.displacement.safety import Safety
+from bunraku.apparel.displacement.weights import DisplacementNetwork
+from bunraku.apparel.node_graph import NodeGraph
 from bunraku.apparel.nodes import apparel_nodes
 from bunraku.apparel.skinning import eq4_transforms
 
@@ -45,7 +43,7 @@ class ApparelPlayer:
         parts = int(clothed.part.max(initial=-1)) + 1
         self.nodes = apparel_nodes(clothed, max(nodes, min(3 * parts, 512)))
         self.carrier = Carrier(clothed, self.nodes)
-        graph = node_graph([self.nodes.neighbours], [self.nodes.part])
+        graph = NodeGraph(self.nodes.neighbours, self.nodes.part)
         self.folded = FoldedNetwork(network, *static_features(clothed, self.nodes), graph)
         self.safety = Safety(clothed, self.nodes, body_points(clothed, SAFE_POINTS), self.carrier) if safe else None
         self.recurrent = network.recurrent if recurrent else None
@@ -81,7 +79,7 @@ class ApparelPlayer:
             kept.append((state.astype(np.float32), self.folded.anchor(*_told(frame)), *self._carried_by(frame, pose)))
         self.known = kept[-1][0] - kept[-1][1]
         if self.recurrent is not None:
-            self.past = self._past(*(np.stack(column) for column in zip(*kept, strict=True)))
+            self.past = past_of_states(self.recurrent, *(np.stack(column) for column in zip(*kept, strict=True)))
 
     def advance(self, transforms: np.ndarray) -> np.ndarray:
         """The next frame, a thirtieth of a second later.
@@ -114,12 +112,6 @@ class ApparelPlayer:
         root = transforms[0, :, 3] if self.network.recurrent is not None and self.network.recurrent.world else 0.0
         return frame.turns, ((frame.positions - root) / self.clothed.scale).astype(np.float32)
 
-    def _past(self, *states: np.ndarray) -> FoldedPast:
-        """`past_of_states` of arrays."""
-        assert self.recurrent is not None
-        past = past_of_states(self.recurrent, *(torch.from_numpy(np.ascontiguousarray(value)) for value in states))
-        return past.rest.numpy(), past.whole.numpy(), past.positions.numpy()
-
     def _moved(self, frame: Frame, transforms: np.ndarray) -> np.ndarray:
         """Displacement of the nodes in the frames of their joints, over the size, shape (M, 3)."""
         inputs = _told(frame)
@@ -132,7 +124,9 @@ class ApparelPlayer:
         turns, positions = self._carried_by(frame, transforms)
         if self.past is None:  # at rest, as far as is known
             first = np.zeros_like(anchor) if self.recurrent.world else anchor
-            self.past = self._past(*(np.stack([value] * 3) for value in (first, anchor, turns, positions)))
+            self.past = past_of_states(
+                self.recurrent, *(np.stack([value] * 3) for value in (first, anchor, turns, positions))
+            )
         moved, self.past = self.folded.recurrent(*inputs, self.past, anchor, turns, positions)
         return moved
 

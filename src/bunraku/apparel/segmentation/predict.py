@@ -7,12 +7,12 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from bunraku.apparel.clothed import SOFTEST, STIFFEST
 from bunraku.apparel.sampled_mesh import POINTS, sampled_mesh
-from bunraku.apparel.segmentation.network import SegmentationNetwork, load_segmentation, mesh_block
+from bunraku.apparel.segmentation.scores import SegmentationNetwork, load_segmentation
 from bunraku.nn.checkpoints import dated_checkpoint
+from bunraku.nn.threads import one_thread
 
 __all__ = ["FoundApparel", "find_apparel"]
 
@@ -66,10 +66,10 @@ def find_apparel(
     """
     model = _model(*dated_checkpoint("apparel-mask", checkpoint))
     total = np.zeros((len(vertices), 3))
-    with torch.no_grad():
+    with one_thread():
         for seed in range(VIEWS):
             mesh = sampled_mesh(vertices, faces, joints, POINTS, seed)
-            scores = model.scores(*mesh_block([mesh])).numpy().astype(np.float64)
+            scores = model.scores(mesh).astype(np.float64)
             scores[:, 0] = 1 / (1 + np.exp(-np.clip(scores[:, 0], -30, 30)))
             total += mesh.spread(scores)
     likely, stiffness, left = (total / VIEWS).T

@@ -16,7 +16,7 @@ from bunraku.cli.output.outputs import size_text
 
 __all__ = ["Doctor", "Finding"]
 
-PACKAGES = ("torch", "numpy", "scipy", "libigl", "fast-simplification", "moderngl", "mujoco-core", "av")
+PACKAGES = ("numpy", "scipy", "libigl", "fast-simplification", "moderngl", "mujoco-core", "av")
 WEIGHTS = {
     "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",
     "orientation": "`bunraku animate` and `bunraku rig` do not see how a mesh stands; they need --up and --front",
@@ -28,6 +28,7 @@ WEIGHTS = {
 EXTRAS = {
     "DracoPy": ("compressed", "GLB packed with Draco is not read"),
     "meshoptimizer": ("compressed", "GLB packed with meshopt is not read"),
+    "torch": ("lab", "nothing is trained or measured, and no data are built; all else needs none"),
     "accelerate": ("train", "a training runs on one process alone"),
     "tensorboard": ("train", "a training draws no curves"),
     "transformers": ("clip", "weights that were trained with CLIP cannot be used; the shipped ones were not"),
@@ -68,7 +69,7 @@ class Doctor:
 
     def run(self) -> int:
         findings: list[Finding] = []
-        for look in (_system, _packages, _processor, _gpu, _preview, _weights, _body, _extras):
+        for look in (_system, _packages, _processor, _preview, _weights, _body, _extras):
             findings.extend(_guarded(look))
         if self.json:
             import json
@@ -124,26 +125,10 @@ def _packages() -> Iterator[Finding]:
 
 
 def _processor() -> Iterator[Finding]:
-    import torch
+    from bunraku.nn.threads import usable_threads
 
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    yield Finding(
-        "processor", "ok", f"{usable} of {os.cpu_count()} threads usable, torch uses {torch.get_num_threads()}"
-    )
-
-
-def _gpu() -> Iterator[Finding]:
-    import torch
-
-    if torch.cuda.is_available():
-        for index in range(torch.cuda.device_count()):
-            values = torch.cuda.get_device_properties(index)
-            yield Finding("gpu", "ok", f"{values.name}, {size_text(values.total_memory)}, CUDA {torch.version.cuda}")
-    else:
-        reason = "torch was built without CUDA" if torch.version.cuda is None else "torch sees no CUDA device"
-        yield Finding(
-            "gpu", "optional", reason, "everything runs on the processor; training takes hours instead of minutes"
-        )
+    yield Finding("processor", "ok", f"{usable} of {os.cpu_count()} threads usable, networks use {usable_threads()}")
 
 
 def _preview() -> Iterator[Finding]:

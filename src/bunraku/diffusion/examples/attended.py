@@ -9,13 +9,13 @@ import functools
 from collections.abc import Collection, Sequence
 
 import numpy as np
-import torch
 
-from bunraku.diffusion.denoiser import Denoiser
-from bunraku.diffusion.denoiser_layers import RetrievedExamples
+from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.examples.pack import ExamplePack, load_examples
+from bunraku.diffusion.extractor_config import RADIUS
 from bunraku.diffusion.features import FeatureStatistics, mirror
-from bunraku.diffusion.matching import RADIUS, Extractor, load_ranker
+from bunraku.diffusion.inference.examples import RetrievedExamples
+from bunraku.diffusion.inference.extractor import Extractor, load_ranker, sentence_vectors
 from bunraku.errors import WeightsError
 from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.encoders import TextBatch, TextEncoder, text_encoder
@@ -56,7 +56,7 @@ class ExampleBank:
         self.count, self.frames = count, frames
         self._takes = [take_of(one.name) for one in pack.examples]
         self._usable = np.array([bool(one.texts) and not one.made for one in pack.examples])
-        self._known: dict[tuple[int, bool], tuple[np.ndarray, torch.Tensor]] = {}
+        self._known: dict[tuple[int, bool], tuple[np.ndarray, np.ndarray]] = {}
 
     def nearest(self, vector: np.ndarray, without: Collection[str] = ()) -> list[tuple[int, bool]]:
         """The nearest examples and whether the mirror image is meant; of an example and its mirror image the nearer.
@@ -78,7 +78,6 @@ class ExampleBank:
         np.maximum.at(near, self.pack.owners, self.pack.texts[side].astype(float) @ vector)
         return np.asarray(0.5 * (near + self.pack.motions[side].astype(float) @ vector))
 
-    @torch.inference_mode()
     def __call__(self, text: TextBatch, without: Sequence[Collection[str]] | None = None) -> RetrievedExamples:
         """Examples of each sentence.
 
@@ -87,24 +86,22 @@ class ExampleBank:
             without: For each sentence the takes that are not looked at.
         """
         size = self.ranker.config.pooled_size
-        device = self.ranker.mean.device
-        plain = TextBatch(text.tokens, text.mask, text.pooled[:, :size]).to(device)
-        vectors = self.ranker.text(plain).double().cpu().numpy() / RADIUS
+        vectors = sentence_vectors(self.ranker, TextBatch(text.tokens, text.mask, text.pooled[:, :size])) / RADIUS
         excluded = [()] * len(vectors) if without is None else without
         rows = [self.nearest(*pair) for pair in zip(vectors, excluded, strict=True)]
         found = [[self._example(*one) for one in row] for row in rows]
-        lengths = torch.zeros(len(rows), self.count, dtype=torch.long)
+        lengths = np.zeros((len(rows), self.count), np.int64)
         longest = max((len(values) for row in found for values, _ in row), default=1)
-        values = torch.zeros(len(rows), self.count, longest, len(self.statistics.mean))
-        pooled = torch.zeros(len(rows), self.count, self.encoder.pooled_size)
+        values = np.zeros((len(rows), self.count, longest, len(self.statistics.mean)), np.float32)
+        pooled = np.zeros((len(rows), self.count, self.encoder.pooled_size), np.float32)
         for row, own in enumerate(found):
             for index, (features, vector) in enumerate(own):
                 lengths[row, index] = len(features)
-                values[row, index, : len(features)] = torch.from_numpy(features.astype(np.float32))
+                values[row, index, : len(features)] = features
                 pooled[row, index] = vector
         return RetrievedExamples(values, lengths, pooled)
 
-    def _example(self, index: int, mirrored: bool) -> tuple[np.ndarray, torch.Tensor]:
+    def _example(self, index: int, mirrored: bool) -> tuple[np.ndarray, np.ndarray]:
         key = (index, mirrored)
         if key not in self._known:
             features, text = self.pack.features(index)[: self.frames], self.pack.examples[index].texts[0]
@@ -115,13 +112,19 @@ class ExampleBank:
         return self._known[key]
 
 
-def example_bank(model: Denoiser, pack: ExamplePack | None = None, encoder: TextEncoder | None = None) -> ExampleBank:
+def example_bank(
+    config: DenoiserConfig,
+    statistics: FeatureStatistics,
+    pack: ExamplePack | None = None,
+    encoder: TextEncoder | None = None,
+) -> ExampleBank:
     """The bank of a denoiser that attends to examples; with the shipped pack it is kept between calls.
 
     Args:
-        model: The denoiser.
+        config: Of the denoiser.
+        statistics: Its units.
         pack: In place of the shipped examples.
-        encoder: In place of the model's own text encoder.
+        encoder: In place of the denoiser's own text encoder.
 
     Raises:
         WeightsError: There are no examples beside the shipped weights.
@@ -132,11 +135,10 @@ def example_bank(model: Denoiser, pack: ExamplePack | None = None, encoder: Text
             "these weights attend to captured examples, but examples.safetensors is missing beside the shipped "
             "weights; install Bunraku again"
         )
-    mean, std = (value.cpu().numpy() for value in (model.mean, model.std))
     if encoder is not None:
-        return ExampleBank(pack, load_ranker(), encoder, FeatureStatistics(mean, std), model.config.examples)
-    key = (mean.tobytes(), std.tobytes())
-    return _bank(pack, model.config.text_encoder, key, model.config.examples)
+        return ExampleBank(pack, load_ranker(), encoder, statistics, config.examples)
+    key = (statistics.mean.tobytes(), statistics.std.tobytes())
+    return _bank(pack, config.text_encoder, key, config.examples)
 
 
 @functools.lru_cache(maxsize=1)

@@ -236,21 +236,18 @@ def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object])
     """Write examples with what is to be known of them: where they are from, and how they were chosen; and beside them
     (`said_path`) what their sentences say.
     """
-    import torch
-
     from bunraku.nn.checkpoints import save_checkpoint
 
     table = [[one.name, list(one.texts), one.frames, list(one.loop or ())] for one in pack.examples]
-    tensors = {
+    tensors: dict[str, np.ndarray] = {
         "data": np.frombuffer(b"".join(pack.data), np.uint8),
         "sizes": np.array([len(part) for part in pack.data], np.int32),
         "owners": pack.owners.astype(np.int32),
         "texts": pack.texts.astype(np.float16),
         "motions": pack.motions.astype(np.float16),
     }
-    state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
     write_said(path, pack.examples)
-    return save_checkpoint(path, state, {"examples": table, "ranker": pack.ranker, "notes": notes}, KIND)
+    return save_checkpoint(path, tensors, {"examples": table, "ranker": pack.ranker, "notes": notes}, KIND)
 
 
 def said_path(path: str | Path) -> Path:
@@ -313,20 +310,20 @@ def read_pack(path: str | Path) -> ExamplePack:
     with fitting_config(path):
         sizes = state["sizes"].tolist()
         ends = np.cumsum([0, *sizes])
-        data = state["data"].numpy().tobytes()
+        data = state["data"].tobytes()
         if min(sizes, default=0) < 0 or ends[-1] != len(data):
             raise ValueError("the sizes of the stretches do not add up")
         examples = [
             Example(str(name), tuple(map(str, texts)), int(frames), (int(loop[0]), int(loop[1])) if loop else None)
             for name, texts, frames, loop in config["examples"]
         ]
-        owners = state["owners"].numpy()
+        owners = state["owners"]
         found = ExamplePack(
             tuple(examples),
             tuple([data[start:stop] for start, stop in zip(ends, ends[1:], strict=False)]),
             owners,
-            state["texts"].numpy(),
-            state["motions"].numpy(),
+            state["texts"],
+            state["motions"],
             str(config["ranker"]),
         )
         fits = found.texts.shape[:2] == (2, len(owners)) and found.motions.shape[:2] == (2, len(examples))

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from bunraku.body.parts import kept_handles
 from bunraku.diffusion.features import feature_mask
@@ -40,13 +38,10 @@ class PartTrack:
         texts = tuple((clause.meanwhile or clause).text for clause in script)
         return cls(motion, texts, np.any(own, axis=0)) if own else None
 
-    def follow(self, first: Tensor, second: Tensor) -> Tensor:
+    def follow(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """The second time line's features, shape (N, 271), with all that is not its own as in the first."""
+        return np.where(feature_mask(self.handles), second, first)
 
-        own = torch.as_tensor(feature_mask(self.handles), device=first.device)
-        return torch.where(own, second, first)
-
-    def adapt(self, first: Tensor, second: Tensor) -> Tensor:
+    def adapt(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """The same of the adaptation, shape (N, K, 3)."""
-
-        return torch.where(torch.as_tensor(self.handles, device=first.device)[:, None], second, first)
+        return np.where(self.handles[:, None], second, first)

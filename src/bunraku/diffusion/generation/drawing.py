@@ -21,12 +21,10 @@ from bunraku.geometry.easing import smooth_step
 from bunraku.language.sentence import Clause
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
-    from bunraku.diffusion.denoiser import Denoiser
     from bunraku.diffusion.examples.guide import GuidanceExample
     from bunraku.diffusion.generation.ranking import Drawn
     from bunraku.diffusion.generation.texts import Texts
+    from bunraku.diffusion.inference.denoiser import Denoiser
     from bunraku.diffusion.sampling.classifier_guidance import Critic
     from bunraku.diffusion.sampling.sampler import Solver
 
@@ -106,16 +104,14 @@ class Drawing:
             progress=(lambda done, total: progress("generate", done / total)) if progress else None,
         )
 
-    def mesh_features(self, model: Denoiser, rows: int) -> Tensor | None:
+    def mesh_features(self, model: Denoiser, rows: int) -> np.ndarray | None:
         """The character's f_phi for this many sentences, shape (rows, 448)."""
-        import torch
-
         if self.mesh_feature is None or not model.knows_meshes:
             return None
-        mesh = torch.as_tensor(np.asarray(self.mesh_feature, np.float32))
-        if mesh.shape != (model.config.mesh_features,) or not bool(torch.isfinite(mesh).all()):
+        mesh = np.asarray(self.mesh_feature, np.float32)
+        if mesh.shape != (model.config.mesh_features,) or not bool(np.isfinite(mesh).all()):
             raise OptionError(f"the mesh feature must be {model.config.mesh_features} finite numbers")
-        return mesh.expand(rows, -1)
+        return np.broadcast_to(mesh, (rows, len(mesh)))
 
 
 def draw_candidates(
@@ -141,13 +137,11 @@ def draw_candidates(
             none.
         critic: What guides them towards their sentences; None for nothing.
     """
-    import torch
-
     from bunraku.diffusion.generation.composition import PartTrack
     from bunraku.diffusion.generation.ranking import Drawn, script_agreement
     from bunraku.diffusion.sampling.sampler import Steering
     from bunraku.diffusion.sampling.windows import plan_windows, sample_plans
-    from bunraku.nn.threads import fitting_threads
+    from bunraku.nn.threads import one_thread
 
     model = how.networks.denoiser
     lengths = [frames_of([clause.seconds for clause in script], model.config.fps) for script in scripts]
@@ -155,7 +149,7 @@ def draw_candidates(
     tracks = [track for index, script in enumerate(scripts) if (track := PartTrack.of(index, script))]
     sentences = [clause.body.text for script in scripts for clause in script]
     text = texts.batch(sentences + [sentence for track in tracks for sentence in track.sentences])
-    statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
+    statistics = FeatureStatistics(model.mean, model.std)
     plans += [plans[track.motion] for track in tracks]
     noise = noise + [noise[track.motion] for track in tracks]
     sizes = [plan.frames for plan in plans]
@@ -177,17 +171,17 @@ def draw_candidates(
         clauses = [[clause.body.text for clause in script] for script in scripts]
         classifier_guidance = critic.guidance(model, clauses, lengths, sizes[: len(scripts)], guide)
 
-    def refine(values: Tensor) -> Tensor:
-        parts = list(values.split(sizes))
+    def refine(values: np.ndarray) -> np.ndarray:
+        parts = np.split(values, np.cumsum(sizes)[:-1])
         for own, track in enumerate(tracks, len(scripts)):
             parts[own] = track.follow(parts[track.motion], parts[own])
-        return torch.cat([closed(part, model) for part in parts] if loop else parts)
+        return np.concatenate([closed(part, model) for part in parts] if loop else parts)
 
     steering, mesh = (
         Steering(classifier_guidance, guide, refine if loop or tracks else None, held),
         how.mesh_features(model, len(text.mask)),
     )
-    with fitting_threads(model):
+    with one_thread():
         found = sample_plans(model, text, plans, how.solver, steering, seeds=noise, mesh_features=mesh)
     for track, own in zip(tracks, found[len(scripts) :], strict=True):
         found[track.motion] = replace(own, adaptation=track.adapt(found[track.motion].adaptation, own.adaptation))
@@ -195,13 +189,13 @@ def draw_candidates(
     for part, script, own_lengths, example in zip(found, scripts, lengths, starts, strict=False):
         frames = np.arange(sum(own_lengths) + loop) % len(part.values)
         timed = list(zip(script, own_lengths, strict=True))
-        features = steadied(statistics.restore(part.values.cpu().numpy()), loop)
+        features = steadied(statistics.restore(part.values), loop)
         if not loop and path is None:
             features = straightened(features, timed, model.config.fps)
             features = turned_as_asked(features, timed, model.config.fps)
         features = features[frames]
         said = script_agreement(features, timed) if how.candidates > 1 and path is None else None
-        drawn.append(Drawn(features, part.adaptation.cpu().numpy()[frames], timed, said, example is not None))
+        drawn.append(Drawn(features, part.adaptation[frames], timed, said, example is not None))
     return drawn
 
 
@@ -217,12 +211,10 @@ def _held(
     sizes: Sequence[int],
     statistics: FeatureStatistics,
     fps: float,
-) -> tuple[Tensor, Tensor]:
+) -> tuple[np.ndarray, np.ndarray]:
     """What is known beforehand, in network units, and which features these are: both (F, D). The root's velocities
     where it follows a path; legs that stand in the first frames of who is about to sit or lie down.
     """
-    import torch
-
     values, share = (np.zeros((sum(sizes), FEATURE_SIZE), np.float32) for _ in range(2))
     pose, legs = standing_legs()
     hold = np.concatenate([np.ones(STANDING), 1 - smooth_step(np.arange(1, GOING_DOWN) / GOING_DOWN)])
@@ -237,7 +229,7 @@ def _held(
             share[first, legs] = hold[:size, None]
         start += size
     known = np.where(share > 0, statistics.normalise(values), 0).astype(np.float32)
-    return torch.from_numpy(known), torch.from_numpy(share)
+    return known, share
 
 
 def _led(
@@ -246,12 +238,10 @@ def _led(
     sizes: Sequence[int],
     statistics: FeatureStatistics,
     loop: bool,
-) -> tuple[Tensor, Tensor, Tensor] | None:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """What candidates start from, in network units, (F, D), how far, (F, 1), and down to which step of the sampler,
     (F, 1); None where no one has an example.
     """
-    import torch
-
     from bunraku.diffusion.sampling.sampler import LED_UNTIL
 
     if not any(examples):
@@ -264,7 +254,7 @@ def _led(
             guide = example.on(own, size, statistics, closed=loop)
             values[stop - size : stop], share[stop - size : stop, 0] = guide.values, guide.share
             until[stop - size : stop, 0] = np.where(guide.made, MADE_UNTIL, LED_UNTIL)
-    return torch.from_numpy(values), torch.from_numpy(share), torch.from_numpy(until)
+    return values, share, until
 
 
 def frames_of(seconds: Sequence[float], fps: float) -> list[int]:
@@ -276,14 +266,12 @@ def frames_of(seconds: Sequence[float], fps: float) -> list[int]:
     return out
 
 
-def closed(values: Tensor, model: Denoiser) -> Tensor:
+def closed(values: np.ndarray, model: Denoiser) -> np.ndarray:
     """Values of a loop, shape (N, D) in network units, whose root ends facing as it starts, and where it starts if it
     hardly travels.
     """
-    import torch
-
     from bunraku.diffusion.sampling.root_path import arrive
 
     mean, std = model.mean[:3], model.std[:3]
     root = arrive(values[:, :3] * std + mean, model.config.fps, None, None)
-    return torch.cat([(root - mean) / std, values[:, 3:]], -1)
+    return np.concatenate([(root - mean) / std, values[:, 3:]], axis=-1)

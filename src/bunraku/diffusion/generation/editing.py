@@ -27,9 +27,7 @@ from bunraku.errors import MotionError, OptionError
 from bunraku.language.sentence import Clause
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
-    from bunraku.diffusion.denoiser import Denoiser
+    from bunraku.diffusion.inference.denoiser import Denoiser
 
 __all__ = ["continue_motion", "edit_motion", "generated_runs", "pose_frames", "span_frames"]
 
@@ -191,11 +189,9 @@ def _generate(
     """All frames of the original with some runs of frames made anew, but for the kept handles; the root's path from x
     = z = 0 facing +Z.
     """
-    import torch
-
     from bunraku.diffusion.sampling.sampler import Steering
     from bunraku.diffusion.sampling.windows import plan_windows, sample_plans
-    from bunraku.nn.threads import fitting_threads
+    from bunraku.nn.threads import one_thread
 
     if how.progress:
         how.progress("generate", 0.0)
@@ -204,7 +200,7 @@ def _generate(
     text = encoder.encode(texts)
     plan = plan_windows(lengths, model.config.frames)
     frames = len(original)
-    statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
+    statistics = FeatureStatistics(model.mean, model.std)
     features = encode(original)
     mask = np.zeros((plan.frames, FEATURE_SIZE), bool)
     mask[:frames] = True
@@ -213,31 +209,31 @@ def _generate(
     mask[:frames, feature_mask(handles)] = True
     values = np.zeros((plan.frames, FEATURE_SIZE), np.float32)
     values[:frames] = statistics.normalise(features)
-    held, share = (torch.as_tensor(array.astype(np.float32), device=model.mean.device) for array in (values, mask))
+    held, share = values, mask.astype(np.float32)
     reaches = [_reach(first, after, frames) for first, after in runs]
     goals = [
         _goal(features, first, after, model.config.fps) if len(reach) == 2 and not handles[0] else None
         for (first, after), reach in zip(runs, reaches, strict=True)
     ]
 
-    def refine(x0: Tensor) -> Tensor:
-        x0 = x0.clone()
+    def refine(x0: np.ndarray) -> np.ndarray:
+        x0 = x0.copy()
         mean, std = model.mean[:3], model.std[:3]
         for (first, after), reach, goal in zip(runs, reaches, goals, strict=True):
             for edge, near in reach:
-                fade = torch.as_tensor(_fade(len(near)), device=x0.device).to(x0)[:, None]
-                x0[torch.as_tensor(near)] += fade * (held[edge] - x0[edge])
+                fade = _fade(len(near)).astype(x0.dtype)[:, None]
+                x0[near] += fade * (held[edge] - x0[edge])
             if goal is not None:
                 x0[first:after, :3] = (arrive(x0[first:after, :3] * std + mean, model.config.fps, *goal) - mean) / std
         return x0
 
-    with fitting_threads(model):
+    with one_thread():
         mesh = how.mesh_features(model, len(text.mask))
         steering = Steering(refine=refine, known=(held, share))
         (found,) = sample_plans(model, text, [plan], how.solver, steering, seeds=seed, mesh_features=mesh)
-    made = statistics.restore(found.values[:frames].cpu().numpy())
+    made = statistics.restore(found.values[:frames])
     made[mask[:frames]] = features[mask[:frames]]
-    adaptation = found.adaptation[:frames].cpu().numpy()
+    adaptation = found.adaptation[:frames].copy()
     made_anew = np.zeros(frames, bool)
     for (first, after), reach in zip(runs, reaches, strict=True):
         made_anew[first:after] = True

@@ -76,13 +76,11 @@ def generate_motions(
     if not scripts:
         return []
 
-    import torch
-
     from bunraku.diffusion.examples.guidance_examples import GuidanceExamples
     from bunraku.diffusion.generation.texts import Texts
     from bunraku.diffusion.sampling.classifier_guidance import Critic
     from bunraku.diffusion.sampling.windows import drawn_noise
-    from bunraku.nn.threads import fitting_threads
+    from bunraku.nn.threads import one_thread
 
     if how.progress:
         how.progress("generate", 0.0)
@@ -102,7 +100,7 @@ def generate_motions(
     guides = (
         None
         if critic is None
-        else Critic(critic, {text: torch.from_numpy(vector).float() for text, vector in texts.guided.items()})
+        else Critic(critic, {text: vector.astype(np.float32) for text, vector in texts.guided.items()})
     )
 
     def example(row: int, index: int) -> tuple[GuidanceExample | None, GuidanceExample | None]:
@@ -131,7 +129,7 @@ def generate_motions(
         from bunraku.diffusion.generation.ranking import choose, script_scores
 
         def score(drawn: Sequence[Drawn]) -> np.ndarray:
-            with fitting_threads(model):
+            with one_thread():
                 motions = [one.motion for one in drawn]
                 return script_scores(networks.ranker, texts.ranked, motions, [one.script for one in drawn])
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 from bunraku.language.encoders import TextEncoder, text_encoder
 
 if TYPE_CHECKING:
-    from bunraku.diffusion.denoiser import Denoiser
     from bunraku.diffusion.examples.pack import ExamplePack
-    from bunraku.diffusion.matching import Extractor
+    from bunraku.diffusion.inference.denoiser import Denoiser
+    from bunraku.diffusion.inference.extractor import Extractor
 
 __all__ = ["Networks", "load_generator"]
 
@@ -45,14 +45,14 @@ class Networks:
     @cached_property
     def ranker(self) -> Extractor:
         """What chooses among candidates."""
-        from bunraku.diffusion.matching import load_ranker
+        from bunraku.diffusion.inference.extractor import load_ranker
 
         return load_ranker()
 
     @cached_property
     def critic(self) -> Extractor | None:
         """What guides motions towards their sentences; None where its file was taken away."""
-        from bunraku.diffusion.matching import load_critic
+        from bunraku.diffusion.inference.extractor import load_critic
 
         return load_critic()
 
@@ -82,7 +82,7 @@ def load_generator(checkpoint: str | Path | None = None) -> tuple[Denoiser, Text
 
 @functools.lru_cache(maxsize=2)
 def _load(path: Path, changed: int) -> tuple[Denoiser, TextEncoder]:
-    from bunraku.diffusion.checkpoint import load_denoiser
+    from bunraku.diffusion.inference.denoiser import load_denoiser
 
     model = load_denoiser(path)
     name = model.config.text_encoder

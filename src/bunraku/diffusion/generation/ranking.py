@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.diffusion.extractor_config import LONGEST, RADIUS, SHORTEST
 from bunraku.diffusion.features import decode
 from bunraku.diffusion.generation.agreement import agreement
 from bunraku.diffusion.generation.finishing import clause_spans
-from bunraku.diffusion.matching import LONGEST, RADIUS, SHORTEST, Extractor, embed_motions
+from bunraku.diffusion.inference.extractor import Extractor, embed_motions
 from bunraku.language.sentence import Clause
 
 __all__ = ["Drawn", "choose", "script_agreement", "script_scores"]

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.diffusion.extractor_config import RADIUS
 from bunraku.diffusion.generation.networks import Networks
-from bunraku.diffusion.matching import RADIUS, Extractor, sentence_vectors
+from bunraku.diffusion.inference.extractor import Extractor, sentence_vectors
 from bunraku.language.encoders import TextBatch, encoder_of
 from bunraku.language.sentence import Clause
-from bunraku.nn.threads import fitting_threads
+from bunraku.nn.threads import one_thread
 
 __all__ = ["Texts"]
 
@@ -60,10 +61,10 @@ class Texts:
             networks.encoder if network is None else encoder_of(network.config.text_encoder, networks.encoder)
             for network in networks_of
         ]
-        with fitting_threads(networks.denoiser):
+        with one_thread():
             batches = [own.encode(texts) if texts else None for own, texts in zip(encoders[:2], wanted, strict=False)]
         tokens = networks.encoder.encode(list(plain))
-        with fitting_threads(networks.denoiser):
+        with one_thread():
             batches.append(encoders[2].encode(wanted[2]) if ranks else None)
             found: list[dict[str, np.ndarray]] = []
             for network, texts, batch in zip(networks_of, wanted, batches, strict=True):

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import torch
-import torch.nn.functional as F
-from torch import Tensor
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
-from bunraku.diffusion.denoiser import Denoiser
-from bunraku.diffusion.matching import LONGEST, RADIUS, SHORTEST, Extractor
+from bunraku.diffusion.extractor_config import LONGEST, SHORTEST
+from bunraku.diffusion.inference.denoiser import Denoiser
+from bunraku.diffusion.inference.extractor import Extractor
 from bunraku.diffusion.sampling.sampler import ROOT
 
 __all__ = ["Critic", "ClassifierGuidance", "Spoken", "smoothed"]
@@ -42,7 +42,7 @@ class Spoken:
     """
 
     frames: tuple[int, int]
-    vector: Tensor
+    vector: np.ndarray
     until: int = 1000
 
 
@@ -50,7 +50,7 @@ class ClassifierGuidance:
     """What `sample_windows` calls with each predicted x0.
 
     Args:
-        network: Trained with motions and sentences (`diffusion.matching`), of people.
+        network: Trained with motions and sentences (`inference.extractor`), of people.
         mean: Of the features, shape (D,).
         std: Their standard deviation, shape (D,).
         stretches: What is guided.
@@ -58,48 +58,45 @@ class ClassifierGuidance:
     """
 
     def __init__(
-        self, network: Extractor, mean: Tensor, std: Tensor, stretches: Sequence[Spoken], strength: float = STRENGTH
+        self,
+        network: Extractor,
+        mean: np.ndarray,
+        std: np.ndarray,
+        stretches: Sequence[Spoken],
+        strength: float = STRENGTH,
     ):
         self.network, self.mean, self.std, self.strength = network, mean, std, strength
         self.stretches = sorted(stretches, key=lambda one: one.frames[1] - one.frames[0])
 
-    def __call__(self, x0: Tensor, step: int) -> Tensor:
+    def __call__(self, x0: np.ndarray, step: int) -> np.ndarray:
         """x0 (F, D) in network units, nearer to the sentences."""
         guided = [one for one in self.stretches if LAST <= step < one.until]
         if not guided:
             return x0
-        out = x0.clone()
+        out = x0.copy()
         for start in range(0, len(guided), GROUP):
             some = guided[start : start + GROUP]
             for one, way in zip(some, self.gradients(x0, some), strict=True):
-                size = way.square().mean().sqrt().clamp(min=1e-9)
-                out[slice(*one.frames)] += self.strength * way / size
+                size = max(float(np.sqrt((way * way).mean())), 1e-9)
+                out[slice(*one.frames)] += np.float32(self.strength / size) * way
         return out
 
-    def gradients(self, x0: Tensor, stretches: Sequence[Spoken]) -> list[Tensor]:
+    def gradients(self, x0: np.ndarray, stretches: Sequence[Spoken]) -> list[np.ndarray]:
         """The smoothed gradient of the cosine of each stretch with its sentence, without the root's, shape (N, D)."""
         parts = [x0[slice(*one.frames)] for one in stretches]
-        lengths = [len(part) for part in parts]
-        with torch.inference_mode(False), torch.enable_grad(), torch.autocast(x0.device.type, enabled=False):
-            values = x0.new_zeros(len(parts), max(lengths), x0.shape[1], dtype=torch.float32)
-            for row, part in zip(values, parts, strict=True):
-                row[: len(part)] = part
-            values.requires_grad_(True)
-            counts = torch.tensor(lengths, device=x0.device)
-            goals = torch.stack([one.vector for one in stretches]).to(values)
-            features = values * self.std.clone() + self.mean.clone()
-            cosine = (self.network.motion(features, counts) * goals).sum(-1) / RADIUS
-            gradient = torch.autograd.grad(cosine.sum(), values)[0]
-            gradient[..., ROOT] = 0
+        lengths = np.array([len(part) for part in parts])
+        values = np.zeros((len(parts), int(lengths.max()), x0.shape[1]), np.float32)
+        for row, part in zip(values, parts, strict=True):
+            row[: len(part)] = part
+        goals = np.stack([one.vector for one in stretches])
+        gradient = self.network.cosine_gradient(values * self.std + self.mean, lengths, goals) * self.std
+        gradient[..., ROOT] = 0
         return [smoothed(row[:length]) for row, length in zip(gradient, lengths, strict=True)]
 
 
-def smoothed(values: Tensor, spread: float = SPREAD) -> Tensor:
+def smoothed(values: np.ndarray, spread: float = SPREAD) -> np.ndarray:
     """Values in time, shape (N, D), convolved with a Gaussian of `spread` frames; the ends are held."""
-    reach = round(4 * spread)
-    kernel = torch.exp(-0.5 * (torch.arange(-reach, reach + 1, device=values.device).to(values) / spread) ** 2)
-    rows = F.pad(values.T[:, None], (reach, reach), mode="replicate")
-    return F.conv1d(rows, (kernel / kernel.sum()).view(1, 1, -1))[:, 0].T
+    return np.asarray(gaussian_filter1d(values, spread, axis=0, mode="nearest"))
 
 
 @dataclass(frozen=True)
@@ -113,7 +110,7 @@ class Critic:
     """
 
     network: Extractor
-    vectors: Mapping[str, Tensor]
+    vectors: Mapping[str, np.ndarray]
     strength: float = STRENGTH
 
     def guidance(
@@ -122,7 +119,7 @@ class Critic:
         scripts: Sequence[Sequence[str]],
         lengths: Sequence[Sequence[int]],
         sizes: Sequence[int],
-        guide: tuple[Tensor, Tensor, Tensor] | None,
+        guide: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
     ) -> ClassifierGuidance:
         """For motions that lie one after the other on the time line.
 
@@ -145,7 +142,7 @@ class Critic:
                         until = 1000
                         if guide is not None:
                             share, down_to = guide[1][low:high], guide[2][low:high]
-                            until = int(torch.where(share >= 1, down_to, 1000).max())
+                            until = int(np.where(share >= 1, down_to, 1000).max())
                         stretches.append(Spoken((low, min(high, end)), self.vectors[sentence], until))
                 first += length
             begin = end

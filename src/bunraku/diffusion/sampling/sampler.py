@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
+from scipy.sparse import csr_matrix
 
-from bunraku.diffusion.denoiser import Denoiser
-from bunraku.diffusion.denoiser_layers import RetrievedExamples
+from bunraku.diffusion.features import FeatureStatistics
+from bunraku.diffusion.inference.denoiser import Denoiser
+from bunraku.diffusion.inference.examples import RetrievedExamples
+from bunraku.diffusion.sampling.noise import generator, starting_noise
 from bunraku.diffusion.sampling.solvers import ancestral, dpm_solver, sampling_steps
 from bunraku.language.encoders import TextBatch
 from bunraku.nn.threads import side_by_side
@@ -20,11 +22,10 @@ __all__ = [
     "Solver",
     "Steering",
     "Window",
+    "between",
     "guided",
-    "row_noise",
     "sample",
     "sample_windows",
-    "starting_noise",
     "token_share",
 ]
 
@@ -51,13 +52,15 @@ class Known:
         share: How far each frame, or each feature of each frame, is held, 1 for fully, shape (N,), (N, D) or (B, N, D).
     """
 
-    values: Tensor
-    share: Tensor
+    values: np.ndarray
+    share: np.ndarray
 
-    def spread(self) -> tuple[Tensor, Tensor]:
+    def spread(self) -> tuple[np.ndarray, np.ndarray]:
         """Values and share on one time line, shapes (B N, D) and (B N, D or 1)."""
         share = self.share[:, None] if self.share.ndim == 1 else self.share
-        return self.values.flatten(0, 1), share.expand(len(self.values), -1, -1).flatten(0, 1)
+        rows, frames, features = self.values.shape
+        spread = np.broadcast_to(share, (rows, frames, share.shape[-1]))
+        return self.values.reshape(-1, features), spread.reshape(rows * frames, -1)
 
 
 @dataclass(frozen=True)
@@ -71,8 +74,8 @@ class Window:
         row: The sentence, and mesh feature, that it is given.
     """
 
-    frames: Tensor
-    share: Tensor
+    frames: np.ndarray
+    share: np.ndarray
     row: int
 
 
@@ -85,50 +88,42 @@ class Sample:
         adaptation: Offsets on the local translations [m], shape (B, N, K, 3).
     """
 
-    values: Tensor
-    adaptation: Tensor
+    values: np.ndarray
+    adaptation: np.ndarray
+
+
+def between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """The first, and the second by its share; where that is 0 or 1, bit for bit what is meant."""
+    way = second - first
+    return np.where(share < 0.5, first + share * way, second - way * (1 - share))
 
 
 def guided(
-    conditional: Tensor, unconditional: Tensor, guidance: float, rescale: float = 0.0, real: Tensor | None = None
-) -> Tensor:
+    conditional: np.ndarray,
+    unconditional: np.ndarray,
+    guidance: float,
+    rescale: float = 0.0,
+    real: np.ndarray | None = None,
+) -> np.ndarray:
     """Classifier-free guidance on x0 (Ho & Salimans 2022), brought back towards the conditional's deviation by the
     share `rescale` (Lin et al. 2023), shape (B, N, D); `real` (B, N) is False in padding, which does not count in the
     deviation.
     """
-    x0 = unconditional + guidance * (conditional - unconditional)
+    x0 = unconditional + np.float32(guidance) * (conditional - unconditional)
     if rescale > 0:
-        factor = _deviation(conditional, real) / _deviation(x0, real).clamp(min=1e-8)
-        x0 = x0 * (rescale * factor + 1 - rescale)
-    return x0
+        factor = _deviation(conditional, real) / np.maximum(_deviation(x0, real), np.float32(1e-8))
+        x0 = x0 * (np.float32(rescale) * factor + np.float32(1 - rescale))
+    return np.asarray(x0)
 
 
-def _deviation(x: Tensor, real: Tensor | None) -> Tensor:
-    if real is None:
-        return x.std((1, 2), keepdim=True)
-    return torch.stack([row[keep].std() for row, keep in zip(x, real, strict=True)]).view(-1, 1, 1)
+def _deviation(x: np.ndarray, real: np.ndarray | None) -> np.ndarray:
+    rows = x if real is None else [row[keep] for row, keep in zip(x, real, strict=True)]
+    return np.array([row.std(ddof=1) for row in rows], np.float32)[:, None, None]
 
 
-def starting_noise(rows: int, frames: int, features: int, seed: int) -> Tensor:
-    """x_T, shape (rows, frames, features): one `row_noise` for each row."""
-    return torch.stack([row_noise(frames, features, seed, row) for row in range(rows)])
-
-
-def row_noise(frames: int, features: int, seed: int, row: int = 0) -> Tensor:
-    """x_T of one row of a batch, shape (frames, features). It is drawn from a generator of (seed, row) of its own, on
-    the CPU on every machine, so a row is the same in any batch.
-    """
-    return torch.randn(frames, features, generator=_generator(seed, row))
-
-
-def _generator(seed: int, row: int) -> torch.Generator:
-    # A copy of torch's own, the same as a new one once it is seeded: making one loads what compiles graphs (0.2 s).
-    return torch.default_generator.clone_state().manual_seed((seed + row * 0x9E3779B97F4A7C15) % 2**63)
-
-
-def token_share(frames: int, patch: int) -> Tensor:
+def token_share(frames: int, patch: int) -> np.ndarray:
     """How far each frame trusts its token, shape (frames,): most in the middle, least at the edges."""
-    return 1 - ((torch.arange(frames) % patch + 0.5) * 2 / patch - 1).abs()
+    return (1 - np.abs((np.arange(frames) % patch + 0.5) * 2 / patch - 1)).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -140,7 +135,6 @@ class Solver:
         guidance: Scale of classifier-free guidance; 1 is the conditional model alone and takes half the time.
         rescale: Share of guidance rescaling, 0 to 1.
         method: "dpm", or "ddpm" for the ancestral reference.
-        bf16: Let matrix products run in bfloat16.
         progress: Called with (done, total) steps.
     """
 
@@ -148,7 +142,6 @@ class Solver:
     guidance: float = 3.0
     rescale: float = 0.0
     method: str = "dpm"
-    bf16: bool = False
     progress: Progress | None = None
 
 
@@ -164,20 +157,19 @@ class Steering:
         known: Values to keep and how far, shapes (F, D) and (F, D) or (F, 1).
     """
 
-    classifier_guidance: Callable[[Tensor, int], Tensor] | None = None
-    guide: tuple[Tensor, Tensor, Tensor] | None = None
-    refine: Callable[[Tensor], Tensor] | None = None
-    known: tuple[Tensor, Tensor] | None = None
+    classifier_guidance: Callable[[np.ndarray, int], np.ndarray] | None = None
+    guide: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    refine: Callable[[np.ndarray], np.ndarray] | None = None
+    known: tuple[np.ndarray, np.ndarray] | None = None
 
 
-@torch.inference_mode()
 def sample(
     model: Denoiser,
     text: TextBatch,
     frames: int | Sequence[int],
     solver: Solver = Solver(),
     *,
-    mesh_features: Tensor | None = None,
+    mesh_features: np.ndarray | None = None,
     seed: int = 0,
     known: Known | None = None,
 ) -> Sample:
@@ -197,25 +189,25 @@ def sample(
     lengths = [frames] * rows if isinstance(frames, int) else list(frames)
     longest = max(lengths)
     windows = [
-        Window(torch.arange(row * longest, row * longest + length), torch.ones(length), row)
+        Window(np.arange(row * longest, row * longest + length), np.ones(length, np.float32), row)
         for row, length in enumerate(lengths)
     ]
-    noise = starting_noise(rows, longest, model.config.features, seed).flatten(0, 1)
+    noise = starting_noise(rows, longest, model.config.features, seed).reshape(rows * longest, -1)
     steering = Steering(known=None if known is None else known.spread())
     found = sample_windows(model, text, windows, noise, solver, steering, mesh_features=mesh_features, seed=seed)
-    return Sample(found.values.unflatten(0, (rows, longest)), found.adaptation.unflatten(0, (rows, longest)))
+    values, adaptation = (part.reshape(rows, longest, *part.shape[1:]) for part in (found.values, found.adaptation))
+    return Sample(values, adaptation)
 
 
-@torch.inference_mode()
 def sample_windows(
     model: Denoiser,
     text: TextBatch,
     windows: Sequence[Window],
-    noise: Tensor,
+    noise: np.ndarray,
     solver: Solver = Solver(),
     steering: Steering = Steering(),
     *,
-    mesh_features: Tensor | None = None,
+    mesh_features: np.ndarray | None = None,
     seed: int = 0,
 ) -> Sample:
     """Denoise a time line through windows, all of them at each step: where they overlap, x0 is the mean of what they
@@ -238,59 +230,50 @@ def sample_windows(
     Returns:
         Values (F, D) and adaptation (F, K, 3); zero in frames that no window counts in.
     """
-    device, config, bf16, guide = model.mean.device, model.config, solver.bf16, steering.guide
-    text, noise = text.to(device), noise.to(device)
+    guide, held = steering.guide, steering.known
     order = sorted(windows, key=lambda window: len(window.frames))  # a group pads to its longest
-    led_whole = [guide is not None and bool((guide[1][window.frames.cpu()] >= 1).all()) for window in order]
+    led_whole = [guide is not None and bool((guide[1][window.frames] >= 1).all()) for window in order]
     examples = None
-    if config.examples:
+    if model.config.examples:
         from bunraku.diffusion.examples.attended import example_bank
 
-        examples = example_bank(model)(text).to(device)
-    with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
-        groups = [
-            _Group(model, text, some[start : start + GROUP], mesh_features, examples, solver, led)
-            for led in (False, True)
-            for some in [[window for window, own in zip(order, led_whole, strict=True) if own == led]]
-            for start in range(0, len(some), GROUP)
-        ]
-    total = torch.zeros(len(noise), 1, device=device)
-    for group in groups:
-        total.index_add_(0, group.frames[group.real], group.share[group.real][:, None])
-    total = total.clamp(min=1e-8)
-    held = None if steering.known is None else tuple(part.to(device) for part in steering.known)
-    led = None if guide is None else tuple(part.to(device) for part in guide)
+        examples = example_bank(model.config, FeatureStatistics(model.mean, model.std))(text)
+    total = np.zeros(len(noise), np.float32)
+    for window in windows:
+        np.add.at(total, window.frames, window.share)
+    groups = [
+        _Group(model, text, some[start : start + GROUP], mesh_features, examples, solver, total, led)
+        for led in (False, True)
+        for some in [[window for window, own in zip(order, led_whole, strict=True) if own == led]]
+        for start in range(0, len(some), GROUP)
+    ]
     visited = sampling_steps(solver.steps)
-    last = torch.zeros(len(noise), config.handles, 3, device=device)
+    handles = model.config.handles
+    last = np.zeros((len(noise), handles, 3), np.float32)
 
-    def predict(x: Tensor, step: int) -> Tensor:
-        x0, adaptation = torch.zeros_like(x), torch.zeros_like(last)
+    def predict(x: np.ndarray, step: int) -> np.ndarray:
+        x0 = np.zeros_like(x)
         for group in groups:
             if group.led and step >= LED_UNTIL and step != visited[-1]:
                 continue  # whatever the network says, the guide overwrites it
-            with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
-                values, offsets = group.predict(model, x, step, final=step == visited[-1])
-            weight = group.share[group.real][:, None]
-            x0.index_add_(0, group.frames[group.real], values[group.real] * weight)
-            if step == visited[-1]:
-                adaptation.index_add_(0, group.frames[group.real], offsets[group.real] * weight[..., None])
-        x0 /= total
-        if step == visited[-1]:
-            last.copy_(adaptation / total[..., None])
+            values, offsets = group.predict(model, x, step, final=step == visited[-1])
+            x0 += group.laid(values)
+            if offsets is not None:
+                last[:] += group.laid(offsets.reshape(*offsets.shape[:2], -1)).reshape(last.shape)
         if steering.classifier_guidance is not None:
             x0 = steering.classifier_guidance(x0, step)
-        if led is not None:
+        if guide is not None:
             pose = slice(ROOT.stop, None)
-            x0[:, ROOT] = torch.lerp(x0[:, ROOT], led[0][:, ROOT], led[1])
-            x0[:, pose] = torch.lerp(x0[:, pose], led[0][:, pose], led[1] * (step >= led[2]))
+            x0[:, ROOT] = between(x0[:, ROOT], guide[0][:, ROOT], guide[1])
+            x0[:, pose] = between(x0[:, pose], guide[0][:, pose], guide[1] * (step >= guide[2]))
         if steering.refine is not None:
             x0 = steering.refine(x0)
-        return x0 if held is None else torch.lerp(x0, *held)
+        return x0 if held is None else between(x0, *held)
 
     if solver.method == "dpm":
         values = dpm_solver(predict, noise, visited, solver.progress)
     elif solver.method == "ddpm":
-        values = ancestral(predict, noise, visited, _generator(seed, -1), solver.progress)
+        values = ancestral(predict, noise, visited, generator(seed, -1), solver.progress)
     else:
         raise ValueError(f"there is no sampler '{solver.method}'; take 'dpm' or 'ddpm'")
     return Sample(values, last)
@@ -306,67 +289,78 @@ class _Group:
         model: Denoiser,
         text: TextBatch,
         windows: Sequence[Window],
-        mesh_features: Tensor | None,
+        mesh_features: np.ndarray | None,
         examples: RetrievedExamples | None,
         solver: Solver,
+        total: np.ndarray,
         led: bool,
     ):
         self.led = led
-        device = model.mean.device
         count, longest = len(windows), max(len(window.frames) for window in windows)
         self.guidance, self.rescale = solver.guidance, solver.rescale
         self.twice = 1 if solver.guidance == 1 else 2
-        self.lengths = torch.tensor([len(window.frames) for window in windows], device=device)
-        self.real = torch.arange(longest, device=device) < self.lengths[:, None]
-        self.frames = torch.zeros(count, longest, dtype=torch.long, device=device)
-        self.share = torch.zeros(count, longest, device=device)
+        self.lengths = np.array([len(window.frames) for window in windows])
+        self.real = np.arange(longest) < self.lengths[:, None]
+        self.frames = np.zeros((count, longest), np.int64)
+        share = np.zeros((count, longest), np.float32)
         for row, window in enumerate(windows):
-            self.frames[row, : len(window.frames)], self.share[row, : len(window.frames)] = (
-                window.frames.to(device),
-                window.share.to(device),
-            )
-        rows = torch.tensor([window.row for window in windows], device=device)
-        tokens, mask, pooled = (
-            part[rows].repeat(self.twice, *[1] * (part.ndim - 1)) for part in (text.tokens, text.mask, text.pooled)
+            self.frames[row, : len(window.frames)], share[row, : len(window.frames)] = window.frames, window.share
+        share /= np.maximum(total[self.frames], np.float32(1e-8))
+        seen = np.flatnonzero(self.real)
+        self._laid = csr_matrix(
+            (share.reshape(-1)[seen], (self.frames.reshape(-1)[seen], seen)), (len(total), share.size)
         )
-        mesh = None if mesh_features is None else mesh_features.to(device).float()[rows].repeat(self.twice, 1)
-        keep_text = torch.arange(self.twice * count, device=device) < count
+        rows = np.array([window.row for window in windows])
+        both = np.tile(rows, self.twice)
+        mesh = None if mesh_features is None else mesh_features.astype(np.float32)[both]
+        keep_text = np.arange(len(both)) < count
         self.condition = model.condition(
-            tokens, mask, pooled, mesh, keep_text, torch.full_like(keep_text, mesh is not None),
-            None if examples is None else examples.rows(rows.repeat(self.twice)),
+            text.tokens[both], text.mask[both], text.pooled[both], mesh, keep_text,
+            np.full_like(keep_text, mesh is not None), None if examples is None else examples.rows(both),
         )  # fmt: skip
 
-    def predict(self, model: Denoiser, x: Tensor, step: int, final: bool) -> tuple[Tensor, Tensor]:
-        """x0 (G, L, D) and adaptation (G, L, K, 3) of each window, from x_t on the time line (F, D)."""
+    def laid(self, values: np.ndarray) -> np.ndarray:
+        """What the windows say (G, L, C) on the time line, each by its share of all that see a frame, shape (F, C)."""
+        return np.asarray(self._laid @ values.reshape(-1, values.shape[-1]))
+
+    def predict(self, model: Denoiser, x: np.ndarray, step: int, final: bool) -> tuple[np.ndarray, np.ndarray | None]:
+        """x0 (G, L, D) of each window, from x_t on the time line (F, D), and at the final step the adaptation (G, L,
+        K, 3).
+        """
         seen, patch = x[self.frames], model.config.frames_per_token
-        x0, adaptation = self._run(model, seen, step, self.lengths)
-        if final and patch > 1:
+        x0, adaptation = self._run(model, seen, step, self.lengths, final)
+        if final and patch > 1 and adaptation is not None:
             # Frames of one token agree better than neighbours across two: a second grid, moved by half a token, heals
             # the seams.
             ahead = patch // 2
-            moved = torch.cat([seen[:, :ahead].flip(1), seen], 1)
-            other, other_adaptation = (part[:, ahead:] for part in self._run(model, moved, step, self.lengths + ahead))
-            share = token_share(seen.shape[1], patch).to(x.device)[:, None]
-            x0, adaptation = torch.lerp(other, x0, share), torch.lerp(other_adaptation, adaptation, share[..., None])
+            moved = np.concatenate([seen[:, :ahead][:, ::-1], seen], axis=1)
+            other, other_adaptation = self._run(model, moved, step, self.lengths + ahead, final)
+            assert other_adaptation is not None
+            share = token_share(seen.shape[1], patch)[:, None]
+            x0 = between(other[:, ahead:], x0, share)
+            adaptation = between(other_adaptation[:, ahead:], adaptation, share[..., None])
         return x0, adaptation
 
-    def _run(self, model: Denoiser, x: Tensor, step: int, lengths: Tensor) -> tuple[Tensor, Tensor]:
+    def _run(
+        self, model: Denoiser, x: np.ndarray, step: int, lengths: np.ndarray, final: bool
+    ) -> tuple[np.ndarray, np.ndarray | None]:
         count, twice = len(x), self.twice if step >= GUIDED_FROM else 1
-        lengths = lengths.repeat(twice)
-        condition = tuple([part[: twice * count] for part in self.condition])
-        seen, steps = x.repeat(twice, 1, 1), torch.full_like(lengths, step)
+        seen, lengths = np.tile(x, (twice, 1, 1)), np.tile(lengths, twice)
 
-        def run(rows: slice) -> tuple[Tensor, Tensor]:
-            return model(seen[rows], steps[rows], lengths[rows], tuple([part[rows] for part in condition]))
+        def run(rows: slice) -> tuple[np.ndarray, np.ndarray | None]:
+            return model(seen[rows], step, lengths[rows], self.condition.rows(rows), final)
 
-        if len(seen) == 1 or x.device.type != "cpu" or torch.is_autocast_enabled("cpu"):
-            motion, adaptation = run(slice(None))
+        if len(seen) == 1:
+            motion, adaptation = run(slice(1))
         else:  # in halves on every processor, whether or not they run at once, so that all give the same
             half = (len(seen) + 1) // 2
-            parts = side_by_side(lambda: run(slice(half)), lambda: run(slice(half, None)))
-            motion, adaptation = map(torch.cat, zip(*parts, strict=True))
-        motion = motion.float()
+            whole = len(seen)
+            first, second = side_by_side(lambda: run(slice(half)), lambda: run(slice(half, whole)))
+            motion = np.concatenate([first[0], second[0]])
+            adaptation = None
+            if first[1] is not None and second[1] is not None:
+                adaptation = np.concatenate([first[1], second[1]])
         if twice == 2:
-            real = torch.arange(x.shape[1], device=x.device) < lengths[:count, None]
+            real = np.arange(x.shape[1]) < lengths[:count, None]
             motion = guided(motion[:count], motion[count:], self.guidance, self.rescale, real)
-        return motion, adaptation[:count].float()
+        return motion, None if adaptation is None else adaptation[:count]

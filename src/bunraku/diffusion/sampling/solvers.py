@@ -13,28 +13,22 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import torch
-from torch import Tensor
 
-__all__ = ["TRAINING_STEPS", "add_noise", "alphas_cumprod", "ancestral", "dpm_solver", "sampling_steps"]
+from bunraku.diffusion.sampling.noise import Noise
+
+__all__ = ["TRAINING_STEPS", "alphas_cumprod", "ancestral", "dpm_solver", "sampling_steps"]
 
 
 TRAINING_STEPS = 1000
 RATIOS = (-6.0, 4.0)  # lambda near the first step that a sampler visits, and at the last: 997 and 5
 
 
-def alphas_cumprod() -> Tensor:
+def alphas_cumprod() -> np.ndarray:
     """Share of signal power left after each step, shape (1000,), float64, falling; betas are capped at 0.999."""
-    time = torch.arange(TRAINING_STEPS + 1, dtype=torch.float64) / TRAINING_STEPS
-    curve = torch.cos((time + 0.008) / 1.008 * math.pi / 2) ** 2
-    betas = (1 - curve[1:] / curve[:-1]).clamp(max=0.999)
-    return torch.cumprod(1 - betas, 0)
-
-
-def add_noise(clean: Tensor, noise: Tensor, step: Tensor, curve: Tensor) -> Tensor:
-    """x_t = sqrt(abar_t) x_0 + sqrt(1 - abar_t) noise, shapes (B, N, D) and (B,) for the step."""
-    share = curve.to(clean.device)[step].view(-1, *[1] * (clean.ndim - 1))
-    return share.sqrt().to(clean.dtype) * clean + (1 - share).sqrt().to(clean.dtype) * noise
+    time = np.arange(TRAINING_STEPS + 1) / TRAINING_STEPS
+    curve = np.cos((time + 0.008) / 1.008 * math.pi / 2) ** 2
+    betas = np.minimum(1 - curve[1:] / curve[:-1], 0.999)
+    return np.cumprod(1 - betas)
 
 
 def sampling_steps(count: int) -> list[int]:
@@ -46,7 +40,7 @@ def sampling_steps(count: int) -> list[int]:
     end nearer to it than 20 that are dense at both ends as a cosine is.
     """
     curve = alphas_cumprod()
-    ratio = 0.5 * torch.log(curve / (1 - curve)).numpy()  # the lambda of DPM-Solver++, falling
+    ratio = 0.5 * np.log(curve / (1 - curve))  # the lambda of DPM-Solver++, falling
     wanted = np.interp(np.linspace(*RATIOS, count), ratio[::-1], np.arange(TRAINING_STEPS)[::-1])
     steps: list[int] = []
     for index, step in enumerate(wanted):
@@ -56,18 +50,18 @@ def sampling_steps(count: int) -> list[int]:
     return steps
 
 
-Predict = Callable[[Tensor, int], Tensor]
+Predict = Callable[[np.ndarray, int], np.ndarray]
 Progress = Callable[[int, int], None]
 
 
-def _moments(step: int, curve: Tensor) -> tuple[float, float, float]:
+def _moments(step: int, curve: np.ndarray) -> tuple[float, float, float]:
     """alpha, sigma and half the log of their ratio's square after `step`; step -1 is the clean motion."""
     share = float(curve[step]) if step >= 0 else 1.0
     alpha, sigma = math.sqrt(share), math.sqrt(1 - share)
     return alpha, sigma, math.log(alpha / sigma) if sigma > 0 else math.inf
 
 
-def dpm_solver(predict: Predict, noise: Tensor, steps: list[int], progress: Progress | None = None) -> Tensor:
+def dpm_solver(predict: Predict, noise: np.ndarray, steps: list[int], progress: Progress | None = None) -> np.ndarray:
     """DPM-Solver++ (2M): from x_T to x_0 with one prediction of x0 a step.
 
     Args:
@@ -77,7 +71,7 @@ def dpm_solver(predict: Predict, noise: Tensor, steps: list[int], progress: Prog
         progress: Called with (done, total).
     """
     curve, x = alphas_cumprod(), noise
-    before: tuple[Tensor, float] | None = None  # the last prediction and its lambda
+    before: tuple[np.ndarray, float] | None = None  # the last prediction and its lambda
     for index, step in enumerate(steps):
         _, sigma, here = _moments(step, curve)
         alpha_next, sigma_next, there = _moments(steps[index + 1] if index + 1 < len(steps) else -1, curve)
@@ -94,8 +88,8 @@ def dpm_solver(predict: Predict, noise: Tensor, steps: list[int], progress: Prog
 
 
 def ancestral(
-    predict: Predict, noise: Tensor, steps: list[int], generator: torch.Generator, progress: Progress | None = None
-) -> Tensor:
+    predict: Predict, noise: np.ndarray, steps: list[int], generator: Noise, progress: Progress | None = None
+) -> np.ndarray:
     """The sampler of DDPM: draws each x_{t-1} from the posterior q(x_{t-1} | x_t, x0); with all 1,000 steps, the
     reference.
 
@@ -117,7 +111,7 @@ def ancestral(
             + math.sqrt(kept) * (1 - share_next) / (1 - share) * x
         )
         variance = (1 - kept) * (1 - share_next) / (1 - share)
-        x = mean + math.sqrt(variance) * torch.randn(x.shape, generator=generator).to(x) if variance > 0 else mean
+        x = mean + math.sqrt(variance) * generator.draw(*x.shape) if variance > 0 else mean
         if progress is not None:
             progress(index + 1, len(steps))
     return x

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from bunraku.diffusion.denoiser import Denoiser
-from bunraku.diffusion.sampling.sampler import Sample, Solver, Steering, Window, row_noise, sample_windows
+from bunraku.diffusion.inference.denoiser import Denoiser
+from bunraku.diffusion.sampling.noise import row_noise
+from bunraku.diffusion.sampling.sampler import Sample, Solver, Steering, Window, sample_windows
 from bunraku.language.encoders import TextBatch
 
 __all__ = ["Plan", "drawn_noise", "plan_windows", "sample_plans"]
@@ -82,17 +82,17 @@ def plan_windows(lengths: Sequence[int], longest: int, *, loop: bool = False, ov
         low, high = first - before - missing // 2, after + behind + missing - missing // 2
         if not loop:
             low, high = max(low - max(high - total, 0), 0), min(high + max(-low, 0), total)
-        frames = torch.arange(low, high)
+        frames = np.arange(low, high)
         share = _rise(frames - (first - before), 2 * before) * (1 - _rise(frames - (after - behind), 2 * behind))
         windows.append(Window(frames % total, share, row))
     seams = tuple(first for first, _, _ in pieces[0 if loop else 1 :])
     return Plan(total, tuple(windows), seams)
 
 
-def _rise(frames: Tensor, length: int) -> Tensor:
+def _rise(frames: np.ndarray, length: int) -> np.ndarray:
     """0 before frame 0, 1 from frame `length` on, and a smooth rise between."""
-    share = ((frames + 0.5) / max(length, 1)).clamp(0, 1) if length else (frames >= 0).float()
-    return share * share * (3 - 2 * share)
+    share = np.clip((frames + 0.5) / max(length, 1), 0, 1) if length else (frames >= 0).astype(float)
+    return np.asarray(share * share * (3 - 2 * share), np.float32)
 
 
 def sample_plans(
@@ -103,7 +103,7 @@ def sample_plans(
     steering: Steering | None = None,
     *,
     seeds: int | Sequence[int] | Sequence[tuple[int, int]] = 0,
-    mesh_features: Tensor | None = None,
+    mesh_features: np.ndarray | None = None,
 ) -> list[Sample]:
     """Make several motions in one batch.
 
@@ -132,13 +132,15 @@ def sample_plans(
         model,
         text,
         windows,
-        torch.cat(noise),
+        np.concatenate(noise),
         solver,
         steering or Steering(),
         mesh_features=mesh_features,
         seed=drawn[0][0],
     )
-    return [Sample(*parts) for parts in zip(found.values.split(lengths), found.adaptation.split(lengths), strict=True)]
+    ends = np.cumsum(lengths)[:-1]
+    parts = np.split(found.values, ends), np.split(found.adaptation, ends)
+    return [Sample(*part) for part in zip(*parts, strict=True)]
 
 
 def drawn_noise(seeds: int | Sequence[int] | Sequence[tuple[int, int]], count: int) -> list[tuple[int, int]]:

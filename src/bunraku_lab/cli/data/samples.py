@@ -179,9 +179,9 @@ class MeshBank:
     def run(self) -> None:
         check_range("--variants", self.variants, 0, 100)
         check_folder(self.output.parent)
-        from bunraku.handles.predictor import load_predictor
         from bunraku.nn.checkpoints import shipped_checkpoint
         from bunraku_lab.datasets.characters.build import HELD_OUT, load_characters, reference_characters
+        from bunraku_lab.nn.handles.predictor import load_predictor
         from bunraku_lab.training.handles.mesh_feature_bank import write_mesh_bank
 
         model = load_predictor(self.checkpoint or shipped_checkpoint("handles"))

@@ -104,8 +104,6 @@ def write_bundle(
         OptionError: `people` is another word.
         FormatError: The data are missing or damaged, or the file cannot be written.
     """
-    import torch
-
     from bunraku.nn.checkpoints import save_checkpoint
 
     if people not in FORMS:
@@ -148,7 +146,7 @@ def write_bundle(
         meshes = _mesh_rows(mesh_bank)
         tensors["features"] = meshes.pop("features").astype(np.float16)
         config["meshes"] = {name: value.tolist() for name, value in meshes.items()}
-    save_checkpoint(path, {name: torch.from_numpy(value.copy()) for name, value in tensors.items()}, config, KIND)
+    save_checkpoint(path, tensors, config, KIND)
     distances = np.concatenate(errors)
     return BundleFacts(
         len(kept),
@@ -191,8 +189,8 @@ def _read(path: Path, changed: int) -> Bundle:
 
     try:
         state, config = load_checkpoint(path, KIND)
-        sizes, data = state["sizes"].numpy(), state["data"].numpy()
-        packed = state["index"].numpy().tobytes()
+        sizes, data = state["sizes"], state["data"]
+        packed = state["index"].tobytes()
         text = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=256 << 20).decompress(packed, MOST_INDEX + 1)
         if len(text) > MOST_INDEX:
             raise ValueError("its index is too large")
@@ -210,7 +208,7 @@ def _read(path: Path, changed: int) -> Bundle:
         parts = {name: data[a:b].tobytes() for name, a, b in zip(clips, ends, ends[1:], strict=False)}
         meshes = None
         if "features" in state:
-            meshes = {"features": state["features"].numpy()}
+            meshes = {"features": state["features"]}
             meshes |= {
                 str(name): np.array(value, bool if name == "humanoid" else str)
                 for name, value in config["meshes"].items()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.apparel.displacement.network import DisplacementNetwork
+from bunraku.apparel.displacement.weights import DisplacementNetwork
 from bunraku.apparel.fitting import fitted_clothes
 from bunraku.apparel.segmentation.predict import find_apparel
 from bunraku.core.skinning import skin

@@ -11,9 +11,9 @@ import numpy as np
 from bunraku.apparel.body_volume import BodyVolume
 from bunraku.apparel.displacement.body_points import body_points
 from bunraku.apparel.displacement.features import clip_features
-from bunraku.apparel.displacement.network import DisplacementNetwork
 from bunraku.apparel.displacement.player import SAFE_POINTS, ApparelPlayer
 from bunraku.apparel.displacement.safety import Safety
+from bunraku.apparel.displacement.weights import DisplacementNetwork
 from bunraku.core.skinning import posed_points
 from bunraku_lab.evaluation.apparel.clips import TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score, oracle_skinning, point_distance

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.apparel.displacement.network import DisplacementNetwork, load_displacement
+from bunraku.apparel.displacement.weights import DisplacementNetwork, load_displacement
 from bunraku.errors import BunrakuError, FormatError, WeightsError
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.datasets.apparel import ApparelData

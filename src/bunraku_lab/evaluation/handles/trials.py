@@ -225,20 +225,13 @@ def resolution_differences(one: Subject, predict: Predict) -> dict[str, float]:
 
 
 def prediction_seconds(count: int, predict: Predict, repeats: int = 3) -> float:
-    """Time of a prediction for the reference body with this many vertices on two threads, best of some [s]."""
-    import torch
-
+    """Time of a prediction for the reference body with this many vertices, best of some [s]."""
     body = reference_body()
     mesh = resampled(Character("reference", body.vertices, body.faces), count)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(2)
-    try:
+    predict(mesh)
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
         predict(mesh)
-        times = []
-        for _ in range(repeats):
-            start = time.perf_counter()
-            predict(mesh)
-            times.append(time.perf_counter() - start)
-    finally:
-        torch.set_num_threads(threads)
+        times.append(time.perf_counter() - start)
     return min(times)

@@ -142,16 +142,14 @@ def measure_adaptation(
         stages: Stages of the fit; all when None.
         progress: Called with a stage's name and the share done.
     """
-    import torch
-
     from bunraku.diffusion.generation.generate import GUIDANCE, STEPS, adapt
     from bunraku.diffusion.generation.networks import load_generator
     from bunraku.diffusion.sampling.sampler import Solver, sample
-    from bunraku.nn.threads import fitting_threads
+    from bunraku.nn.threads import one_thread
 
     model, encoder = load_generator(checkpoint)
     text = encoder.encode(list(prompts))
-    statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
+    statistics = FeatureStatistics(model.mean, model.std)
     stages = stages or Stages(shape=True)
     rows = []
     for done, (name, character, handles) in enumerate(characters):
@@ -159,9 +157,9 @@ def measure_adaptation(
             progress("ARAP-Loss", done / len(characters))
         mesh = None
         if model.knows_meshes and handles.features is not None:
-            mesh = torch.from_numpy(np.array(handles.features, np.float32)).expand(len(prompts), -1)
+            mesh = np.asarray(handles.features, np.float32)[None].repeat(len(prompts), axis=0)
         frames = max(1, round(seconds * model.config.fps))
-        with fitting_threads(model):
+        with one_thread():
             found = sample(
                 model,
                 text,
@@ -171,7 +169,7 @@ def measure_adaptation(
                 seed=seed,
             )
         figures, anatomy = [], Anatomy.of(character, handles)
-        for values, offset in zip(found.values.cpu().numpy(), found.adaptation.cpu().numpy(), strict=True):
+        for values, offset in zip(found.values, found.adaptation, strict=True):
             plain = decode(statistics.restore(values), model.config.fps)
             bare, adapted = replace(stages, shape=False), adapt(plain, offset)
             kinds = ((adapted, stages), (adapted, bare), (plain, bare), (plain, replace(bare, attach=False)))

@@ -9,6 +9,7 @@ error is the answer; a model that ignores its text is right one time in 32.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,13 +17,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
-from bunraku.diffusion.sampling.solvers import add_noise, alphas_cumprod
 from bunraku.errors import OptionError
 from bunraku.language.captions.phrases import caption_group, caption_variants
-from bunraku.language.encoders import TextEncoder
-from bunraku.nn.threads import fitting_threads
+from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
+from bunraku_lab.nn.diffusion.denoiser import Denoiser
+from bunraku_lab.nn.diffusion.noise import add_noise, alphas_cumprod
+from bunraku_lab.nn.text import tensors_of
 from bunraku_lab.training.diffusion.clip_data import load_clips
 from bunraku_lab.training.losses.motion_loss import motion_losses
 from bunraku_lab.training.runs.half_precision import bf16_is_fast
@@ -92,7 +94,7 @@ def candidate_errors(
         Shape (levels, C).
     """
     device, count, curve = model.mean.device, len(sentences), alphas_cumprod()
-    text = encoder.encode(list(sentences)).to(device)
+    text = tensors_of(encoder.encode(list(sentences))).to(device)
     generator = torch.Generator().manual_seed(seed)
     clean = clean[None].to(device)
     lengths = torch.full((count,), clean.shape[1], device=device)
@@ -142,11 +144,13 @@ def retrieval(
         OptionError: There are fewer captions than candidates, or a setting is out of range.
         WeightsError: The weights are missing or broken.
     """
-    from bunraku.diffusion.generation.networks import load_generator
+    from bunraku.nn.checkpoints import shipped_checkpoint
 
     if candidates < 2 or frames < 1 or not levels or any(not 0 <= level < 1000 for level in levels):
         raise OptionError("retrieval needs at least 2 candidates, 1 frame, and diffusion steps from 0 to 999")
-    model, encoder = load_generator(checkpoint)
+    model = load_denoiser(checkpoint or shipped_checkpoint("diffusion"))
+    name = model.config.text_encoder
+    encoder = text_encoder(name, os.environ.get("BUNRAKU_CLIP") if name.startswith("clip") else None)
     clips = load_clips(data, splits={split})
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
     labels = [text for entry in clips.values() for text in entry["texts"]]
@@ -156,15 +160,14 @@ def retrieval(
         start = max(len(features) - min(frames, model.config.frames), 0) // 2
         clean = torch.from_numpy(statistics.normalise(features[start : start + frames]).astype(np.float32)).clamp(-8, 8)
         captions = draw_candidates(entry["texts"], labels, candidates, np.random.default_rng([seed, number]))
-        with fitting_threads(model):
-            errors = candidate_errors(
-                model,
-                encoder,
-                clean,
-                [caption_variants(text)[0] for text in captions],
-                levels,
-                seed * 1_000_003 + number,
-            )
+        errors = candidate_errors(
+            model,
+            encoder,
+            clean,
+            [caption_variants(text)[0] for text in captions],
+            levels,
+            seed * 1_000_003 + number,
+        )
         score = (errors / errors.mean(1, keepdim=True)).mean(0)  # each noise level counts the same
         rank = int((score <= score[0]).sum())  # a draw is lost, so that a model without an opinion is last
         answer = captions[0] if rank == 1 else captions[1 + int(score[1:].argmin())]

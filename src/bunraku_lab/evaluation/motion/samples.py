@@ -18,10 +18,9 @@ import numpy as np
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, encode
 from bunraku.errors import OptionError
 from bunraku.formats.files import atomic_write, weights_file
-from bunraku_lab.training.runs.half_precision import bf16_is_fast
 
 if TYPE_CHECKING:
-    from bunraku.diffusion.denoiser import Denoiser
+    from bunraku.diffusion.inference.denoiser import Denoiser
     from bunraku.language.encoders import TextEncoder
 
 __all__ = ["Request", "SamplerSettings", "checkpoint_digest", "choose_motions", "make_motions"]
@@ -56,7 +55,6 @@ class SamplerSettings:
         candidates: Of how many each motion is chosen, as `animate` does; 1 for none.
         examples: Candidates start from captured examples; where there is but one, it does.
         classifier_guidance: What is predicted is guided towards its sentence; by `choose_motions` alone.
-        bf16: Let matrix products of `make_motions` run in bfloat16; None where the processor has them in hardware.
     """
 
     steps: int
@@ -66,7 +64,6 @@ class SamplerSettings:
     candidates: int = 1
     examples: bool = False
     classifier_guidance: bool = False
-    bf16: bool | None = None
 
 
 def checkpoint_digest(path: Path) -> str:
@@ -109,37 +106,30 @@ def make_motions(
     Raises:
         OptionError: A motion is longer than the model makes at once.
     """
-    import torch
-
     from bunraku.diffusion.sampling.sampler import Solver, sample
-    from bunraku.nn.threads import fitting_threads
+    from bunraku.nn.threads import one_thread
 
     longest = max((request.frames for request in requests), default=0)
     if longest > model.config.frames:
         raise OptionError(
             f"a motion of {longest} frames is longer than the {model.config.frames} that these weights make at once"
         )
-    bf16 = bf16_is_fast(model.mean.device) if sampling.bf16 is None else sampling.bf16
     adapt = mesh_feature is not None
-    home = None if folder is None else folder / _key(digest, requests, sampling, mesh_feature, adapt, bf16)
-    statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
-    mesh = (
-        None
-        if mesh_feature is None or not model.knows_meshes
-        else torch.as_tensor(np.asarray(mesh_feature, np.float32))[None]
-    )
+    home = None if folder is None else folder / _key(digest, requests, sampling, mesh_feature, adapt)
+    statistics = FeatureStatistics(model.mean, model.std)
+    mesh = None if mesh_feature is None or not model.knows_meshes else np.asarray(mesh_feature, np.float32)[None]
 
     def drawn(rows: list[int], number: int) -> np.ndarray:
-        with fitting_threads(model):
+        with one_thread():
             found = sample(
                 model, encoder.encode([requests[row].sentence for row in rows]), requests[rows[0]].frames,
-                Solver(sampling.steps, sampling.guidance, method=sampling.method, bf16=bf16),
-                mesh_features=None if mesh is None else mesh.expand(len(rows), -1),
+                Solver(sampling.steps, sampling.guidance, method=sampling.method),
+                mesh_features=None if mesh is None else mesh.repeat(len(rows), axis=0),
                 seed=sampling.seed + 104_729 * (number + 1),
             )  # fmt: skip
-        values = statistics.restore(found.values.float().cpu().numpy()).astype(np.float32)
+        values = statistics.restore(found.values).astype(np.float32)
         if adapt:
-            local = found.adaptation[:, :, 1:].float().cpu().numpy()
+            local = found.adaptation[:, :, 1:]
             values[..., 10:].reshape(*values.shape[:2], -1, 9)[..., :3] += local
         return np.asarray(values)
 
@@ -167,9 +157,7 @@ def choose_motions(
     from bunraku.diffusion.generation.generate import generate_motions
     from bunraku.language.parse import clauses_of
 
-    home = (
-        None if folder is None else folder / _key(checkpoint_digest(checkpoint), requests, sampling, None, True, False)
-    )
+    home = None if folder is None else folder / _key(checkpoint_digest(checkpoint), requests, sampling, None, True)
 
     def drawn(rows: list[int], number: int) -> np.ndarray:
         motions = generate_motions(
@@ -236,10 +224,9 @@ def _key(
     sampling: SamplerSettings,
     mesh: np.ndarray | None,
     adapt: bool,
-    bf16: bool,
 ) -> str:
     wanted = [[request.sentence, request.frames] for request in requests]
-    how = [sampling.steps, sampling.guidance, sampling.method, sampling.seed, adapt, bf16, BATCH]
+    how = [sampling.steps, sampling.guidance, sampling.method, sampling.seed, adapt, BATCH]
     if sampling.candidates > 1 or sampling.examples or sampling.classifier_guidance:
         files = [path for name in CHOOSING if (path := weights_file(f"{name}.safetensors")).is_file()]
         how += [sampling.candidates, sampling.examples, sampling.classifier_guidance, *map(checkpoint_digest, files)]

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.diffusion.matching import Extractor, embed_motions, embed_sentences, load_extractor
+from bunraku.diffusion.inference.extractor import Extractor, embed_motions, embed_sentences, load_extractor
 from bunraku.errors import OptionError
 from bunraku.language.encoders import encoder_of
 from bunraku_lab.evaluation.motion.metrics import (
@@ -218,7 +218,8 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         WeightsError: Weights are missing or broken.
     """
     from bunraku.diffusion.generation.networks import load_generator
-    from bunraku.nn.checkpoints import shipped_checkpoint
+    from bunraku.diffusion.inference.denoiser import KIND
+    from bunraku.nn.checkpoints import load_checkpoint, shipped_checkpoint
 
     _check(config)
     report = report or (lambda stage, done: None)
@@ -294,7 +295,8 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     }
     result["counts"] |= {"candidates": config.candidates, "steps": sampling.steps, "guidance": sampling.guidance}
     result["parameters"] = {
-        name: sum(value.numel() for value in model.parameters()) for name, (model, _) in loaded.items()
+        name: sum(value.size for part, value in load_checkpoint(path, KIND)[0].items() if part not in ("mean", "std"))
+        for name, path in models.items()
     }
     result["notes"] = {name: model.notes for name, (model, _) in loaded.items()} | {"extractor": extractor.notes}
     result["settings"] = {

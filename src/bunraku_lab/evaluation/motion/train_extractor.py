@@ -16,20 +16,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from bunraku.diffusion.extractor_config import KIND, RADIUS, ExtractorConfig
 from bunraku.diffusion.features import FeatureStatistics
-from bunraku.diffusion.matching import (
-    KIND,
-    RADIUS,
-    Extractor,
-    ExtractorConfig,
-    embed_motions,
-    embed_sentences,
-)
+from bunraku.diffusion.inference.extractor import Extractor, embed_motions, embed_sentences
 from bunraku.errors import OptionError
 from bunraku.language.captions.phrases import caption_variants
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku_lab.evaluation.motion.metrics import r_precision
 from bunraku_lab.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
+from bunraku_lab.nn.running.networks import running_extractor
 from bunraku_lab.training.diffusion.clip_data import ClipEntry, load_people
 from bunraku_lab.training.diffusion.text_bank import TextBank
 from bunraku_lab.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
@@ -126,7 +121,7 @@ class ExtractorTrainer(MatchingRun):
 
     def validate(self) -> dict[str, float]:
         """R-Precision of the windows that are held out."""
-        tops = retrieval_of(self.average, self.encoder, self.held, self.held_out, self.candidates)
+        tops = retrieval_of(running_extractor(self.average), self.encoder, self.held, self.held_out, self.candidates)
         return {"validation_candidates": self.candidates, "validation_top1": tops[0], "validation_top3": tops[2]}
 
 

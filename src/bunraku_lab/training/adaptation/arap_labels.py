@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from bunraku.body.residuals import LOOSE_ON_PEOPLE, capped_on_people
+from bunraku.body.residuals import LOOSE_ON_PEOPLE
 from bunraku.core.skinning import handle_offsets
 from bunraku_lab.datasets.characters.bank_file import CharacterBank
+from bunraku_lab.nn.residuals import capped_on_people
 from bunraku_lab.training.losses.batched_fit import Fitted
 
 __all__ = ["EdgeSystem", "arap_labels", "edge_system"]

@@ -14,12 +14,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bunraku.diffusion.denoiser import Denoiser
-from bunraku.diffusion.sampling.solvers import add_noise, alphas_cumprod, sampling_steps
+from bunraku.diffusion.sampling.solvers import sampling_steps
 from bunraku.formats.files import sweep
 from bunraku.language.encoders import TextEncoder
-from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku_lab.datasets.characters.bank_file import CharacterBank
+from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
+from bunraku_lab.nn.diffusion.denoiser import Denoiser
+from bunraku_lab.nn.diffusion.noise import add_noise, alphas_cumprod
+from bunraku_lab.nn.text import tensors_of
 from bunraku_lab.training.diffusion.clip_rows import ClipSet
 
 __all__ = ["AdaptationPairs", "PairPlan", "collect_pairs"]
@@ -112,7 +114,7 @@ def collect_pairs(
         step = torch.tensor([sampling_steps(int(random.integers(10, 31)))[-1] for _ in range(size)], device=device)
         clean = torch.from_numpy(values).to(device)
         noise = torch.from_numpy(random.standard_normal(values.shape, np.float32)).to(device)
-        text, yes = encoder.encode(sentences).to(device), torch.ones(size, dtype=torch.bool, device=device)
+        text, yes = tensors_of(encoder.encode(sentences)).to(device), torch.ones(size, dtype=torch.bool, device=device)
         row = torch.tensor(chosen)
         condition = model.condition(text.tokens, text.mask, text.pooled, bank.features[row].to(device), yes, yes)
         hidden = model.hidden(

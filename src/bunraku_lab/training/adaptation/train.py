@@ -21,15 +21,15 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from bunraku.body.residuals import capped_on_people
-from bunraku.diffusion.checkpoint import build_denoiser, load_denoiser, save_denoiser
-from bunraku.diffusion.denoiser import Denoiser, joint_offsets
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError
 from bunraku.formats.files import sweep
 from bunraku.language.encoders import TextEncoder, text_encoder
-from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
 from bunraku_lab.datasets.characters.bank_file import CharacterBank, load_character_bank
+from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
+from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, load_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.denoiser import Denoiser, joint_offsets
+from bunraku_lab.nn.residuals import capped_on_people
 from bunraku_lab.training.adaptation.arap_labels import EdgeSystem, arap_labels, edge_system
 from bunraku_lab.training.adaptation.head import AdaptationHead, label_distance, whitening
 from bunraku_lab.training.adaptation.pairs import AdaptationPairs, PairPlan, collect_pairs

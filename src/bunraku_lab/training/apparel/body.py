@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from bunraku.apparel.displacement.graph import NodeGraph, node_graph
 from bunraku.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.errors import OptionError
+from bunraku_lab.nn.apparel.graph import NodeGraph, node_graph
 from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku_lab.training.apparel.networks.body import BodyConfig, BodyNetwork, save_body
 from bunraku_lab.training.losses.apparel_losses import edge_loss, smoothness_loss, vertex_loss

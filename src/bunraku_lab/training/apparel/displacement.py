@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from bunraku.apparel.displacement.anchor import Inputs
 from bunraku.apparel.displacement.features import mirror_global
-from bunraku.apparel.displacement.graph import NodeGraph, node_graph
-from bunraku.apparel.displacement.network import (
-    DisplacementConfig,
+from bunraku.apparel.displacement.weights import DisplacementConfig
+from bunraku.errors import OptionError
+from bunraku_lab.nn.apparel.anchor import Inputs
+from bunraku_lab.nn.apparel.graph import NodeGraph, node_graph
+from bunraku_lab.nn.apparel.network import (
     DisplacementNetwork,
     load_displacement,
     normalize_inputs,
     save_displacement,
 )
-from bunraku.apparel.displacement.recurrent import past_of_states
-from bunraku.errors import OptionError
+from bunraku_lab.nn.apparel.recurrent import past_of_states
 from bunraku_lab.training.apparel.node_bank import HEADS, BankCharacter, build_bank
 from bunraku_lab.training.losses.apparel_losses import edge_loss, vertex_loss
 from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from bunraku.apparel.clothed import ClothedCharacter
-from bunraku.apparel.displacement.network import DisplacementNetwork, load_displacement
+from bunraku.apparel.displacement.weights import DisplacementNetwork, load_displacement
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.formats.files import atomic_write, sweep

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from bunraku.apparel.segmentation.network import (
-    SegmentationConfig,
+from bunraku.apparel.segmentation.scores import SegmentationConfig
+from bunraku.errors import OptionError
+from bunraku_lab.nn.apparel.segmentation import (
     SegmentationNetwork,
     mesh_block,
     save_segmentation,
 )
-from bunraku.errors import OptionError
 from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku_lab.training.apparel.mesh_variation import varied
 from bunraku_lab.training.losses.apparel_losses import mask_loss

@@ -9,8 +9,9 @@ from pathlib import Path
 import torch
 
 from bunraku.errors import WeightsError
-from bunraku.language.encoders import TextBatch, TextEncoder
-from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+from bunraku.language.encoders import TextEncoder
+from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
+from bunraku_lab.nn.text import TextBatch, tensors_of
 
 __all__ = ["TextBank"]
 
@@ -50,7 +51,7 @@ class TextBank:
                 pass  # a broken cache is made again
         tokens, lengths, pooled = [], [], []
         for start in range(0, len(sentences), 256):
-            part = encoder.encode(sentences[start : start + 256])
+            part = tensors_of(encoder.encode(sentences[start : start + 256]))
             tokens.append(part.tokens[part.mask].half())
             lengths.append(part.mask.sum(1))
             pooled.append(part.pooled)
@@ -75,7 +76,9 @@ class TextBank:
     def __call__(self, sentences: Sequence[str]) -> TextBatch:
         """The sentences, encoded, padded to the longest of them."""
         # One by one: beside others, which a run that goes on may have encoded before, sums are rounded otherwise.
-        fresh = {own: self._encoder.encode([own]) for own in dict.fromkeys(sentences) if own not in self._rows}
+        fresh = {
+            own: tensors_of(self._encoder.encode([own])) for own in dict.fromkeys(sentences) if own not in self._rows
+        }
         rows = []
         for sentence in sentences:
             row = self._rows.get(sentence)

@@ -17,18 +17,20 @@ from typing import Any
 
 import torch
 
-from bunraku.diffusion.checkpoint import load_denoiser
 from bunraku.diffusion.denoiser_config import PRESETS, DenoiserConfig
-from bunraku.diffusion.denoiser_layers import RetrievedExamples
 from bunraku.diffusion.examples.attended import ExampleBank, example_bank, take_of
 from bunraku.diffusion.examples.pack import ExamplePack, load_examples, read_pack
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError, WeightsError
 from bunraku.formats.files import sweep
-from bunraku.language.encoders import MiniLMEncoder, TextBatch, TextEncoder, text_encoder
-from bunraku.nn.checkpoints import load_training_state, shipped_checkpoint
+from bunraku.language.encoders import MiniLMEncoder, TextEncoder, text_encoder
+from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.datasets.characters.bank_file import load_character_bank
 from bunraku_lab.datasets.motions.bundle import read_bundle
+from bunraku_lab.nn.checkpoints import load_training_state
+from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
+from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
+from bunraku_lab.nn.text import TextBatch
 from bunraku_lab.training.diffusion.card import training_card, write_card
 from bunraku_lab.training.diffusion.clip_data import load_clips
 from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture, MotionBatch
@@ -65,7 +67,8 @@ class _Sources:
         text = self.text(batch.sentences)
         if self.examples is None:
             return text, None
-        return text, self.examples(text, [{take_of(name) for name in own} for own in batch.clips])
+        found = self.examples(text.arrays(), [{take_of(name) for name in own} for own in batch.clips])
+        return text, RetrievedExamples(*map(torch.from_numpy, (found.values, found.lengths, found.pooled)))
 
 
 def _prefetch(
@@ -201,7 +204,7 @@ def train_diffusion(
         trainer.average.load_state_dict(trainer.model.state_dict())
     sources = _Sources(bank)
     if network.examples:
-        sources = _Sources(bank, example_bank(trainer.model, _pack(config), encoder))
+        sources = _Sources(bank, example_bank(network, statistics, _pack(config), encoder))
     examples = _validation(trainer, val, sources) if processes.main else []
     console.print(
         f"{len(train.clips)} training and {len(val.clips)} validation clips, {len(bank)} sentences, "

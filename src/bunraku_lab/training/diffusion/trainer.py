@@ -10,16 +10,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
-from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
-from bunraku.diffusion.denoiser_layers import RetrievedExamples
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
-from bunraku.diffusion.sampling.solvers import TRAINING_STEPS, add_noise, alphas_cumprod
+from bunraku.diffusion.sampling.solvers import TRAINING_STEPS
 from bunraku.errors import OptionError
-from bunraku.language.encoders import TextBatch
-from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
 from bunraku_lab.datasets.characters.bank_file import CharacterBank
+from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
+from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.denoiser import Denoiser
+from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
+from bunraku_lab.nn.diffusion.noise import add_noise, alphas_cumprod
+from bunraku_lab.nn.text import TextBatch
 from bunraku_lab.training.diffusion.clip_rows import MotionBatch
 from bunraku_lab.training.diffusion.config import TrainingConfig
 from bunraku_lab.training.diffusion.mesh_bank import MeshBank

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import torch
 
-from bunraku.diffusion.checkpoint import load_denoiser
-from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
-from bunraku.diffusion.denoiser_layers import EXAMPLE_TOKENS
+from bunraku.diffusion.inference.examples import EXAMPLE_TOKENS
 from bunraku.errors import OptionError
 from bunraku.language.encoders import CuedEncoder
+from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
+from bunraku_lab.nn.diffusion.denoiser import Denoiser
 
 __all__ = ["rescaled", "start_from"]
 

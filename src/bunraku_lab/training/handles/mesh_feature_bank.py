@@ -11,9 +11,9 @@ import torch
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import handle_positions
 from bunraku.formats.files import atomic_write
-from bunraku.handles.graph import mesh_graph
-from bunraku.handles.predictor import HandlePredictor
 from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter, augment, plain_mesh
+from bunraku_lab.nn.handles.graph import mesh_graph
+from bunraku_lab.nn.handles.predictor import HandlePredictor
 
 __all__ = ["has_human_shape", "write_mesh_bank"]
 

@@ -16,9 +16,7 @@ import torch
 
 from bunraku.body.layout import HANDLE_MIRROR
 from bunraku.errors import OptionError
-from bunraku.handles.graph import MeshGraph, mesh_graph
-from bunraku.handles.predictor import HandlePredictor, PredictorConfig, grow_predictor, save_predictor
-from bunraku.nn.checkpoints import TrainingState
+from bunraku.handles.inference.predictor import PredictorConfig
 from bunraku_lab.datasets.characters.training_character import (
     AugmentConfig,
     TrainingCharacter,
@@ -26,6 +24,9 @@ from bunraku_lab.datasets.characters.training_character import (
     augment,
     plain_mesh,
 )
+from bunraku_lab.nn.checkpoints import TrainingState
+from bunraku_lab.nn.handles.graph import MeshGraph, mesh_graph
+from bunraku_lab.nn.handles.predictor import HandlePredictor, grow_predictor, save_predictor
 from bunraku_lab.training.handles.mesh_augmentation import MeshAugmentation, augment_mesh
 from bunraku_lab.training.handles.mesh_feature_bank import write_mesh_bank
 from bunraku_lab.training.losses import handle_losses as losses

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from bunraku.body.residuals import capped_on_people
 from bunraku.core.skinning import handle_offsets
 from bunraku_lab.datasets.characters.bank_file import CharacterBank
+from bunraku_lab.nn.residuals import capped_on_people
 
 __all__ = ["Fitted", "bone_positions", "fit_locals", "posed_positions", "move_points"]
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 
 from bunraku.core.skinning import handle_offsets
-from bunraku.geometry.registration import register_torch
+from bunraku_lab.nn.registration import register_torch
 
 __all__ = [
     "LossConfig",

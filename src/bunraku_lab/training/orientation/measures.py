@@ -9,9 +9,10 @@ import torch
 
 from bunraku.geometry.axes import ORIENTATIONS
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
-from bunraku.handles.orientation_net import OrientationPredictor, shape_tokens
+from bunraku.handles.inference.orientation import shape_tokens
 from bunraku_lab.datasets.characters.surfaces import SurfaceBank
 from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter, augment
+from bunraku_lab.nn.handles.orientation_net import OrientationPredictor
 
 __all__ = [
     "FRONTS",

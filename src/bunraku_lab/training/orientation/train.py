@@ -13,14 +13,14 @@ import torch
 
 from bunraku.errors import OptionError
 from bunraku.geometry.axes import ORIENTATIONS
-from bunraku.handles.orientation_net import (
-    OrientationConfig,
+from bunraku.handles.inference.orientation import OrientationConfig
+from bunraku_lab.datasets.characters.surfaces import SurfaceBank, load_surfaces
+from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter
+from bunraku_lab.nn.handles.orientation_net import (
     OrientationPredictor,
     load_orientation_predictor,
     save_orientation_predictor,
 )
-from bunraku_lab.datasets.characters.surfaces import SurfaceBank, load_surfaces
-from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter
 from bunraku_lab.training.orientation.measures import (
     FRONTS,
     OTHERS,

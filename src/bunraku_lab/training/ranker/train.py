@@ -1,9 +1,9 @@
 """Training of the ranker, which chooses among the candidates that `animate` makes.
 
-It is the network of `diffusion.matching`, trained on the rows that the denoiser trains on, apart from the judge of the
-tables. A motion finds its sentence among the batch's and the same with left and right exchanged; a sentence finds its
-motion among the batch's and spoilt ones: mirrored, played backwards, too small, trembling, done twice. Those are what
-generators do wrong.
+It is the network of `nn.diffusion.matching`, trained on the rows that the denoiser trains on, apart from the judge of
+the tables. A motion finds its sentence among the batch's and the same with left and right exchanged; a sentence finds
+its motion among the batch's and spoilt ones: mirrored, played backwards, too small, trembling, done twice. Those are
+what generators do wrong.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from bunraku.diffusion.extractor_config import RADIUS, RANKER, ExtractorConfig
 from bunraku.diffusion.features import FeatureStatistics, mirror
-from bunraku.diffusion.matching import RADIUS, RANKER, Extractor, ExtractorConfig
 from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.lexicon.reading import actions_of
+from bunraku_lab.nn.diffusion.matching import Extractor
 from bunraku_lab.training.diffusion.clip_data import load_people
 from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture, MotionBatch
 from bunraku_lab.training.diffusion.text_bank import TextBank

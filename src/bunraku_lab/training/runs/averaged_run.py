@@ -14,7 +14,7 @@ import torch
 
 from bunraku.errors import OptionError
 from bunraku.formats.files import sweep
-from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
+from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
 from bunraku_lab.training.runs.runs import Stop, careful_step, follow_weights, learning_rate, plain_settings
 from bunraku_lab.training.runs.training_run import Progress, Report, TrainingRun
 

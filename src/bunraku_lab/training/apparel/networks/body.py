@@ -12,9 +12,10 @@ from typing import Literal
 import torch
 from torch import nn
 
-from bunraku.apparel.displacement.graph import EdgeBlock, NodeGraph
 from bunraku.body.layout import JOINT_COUNT
-from bunraku.nn.checkpoints import config_of, load_network, save_network
+from bunraku.nn.checkpoints import config_of
+from bunraku_lab.nn.apparel.graph import EdgeBlock, NodeGraph
+from bunraku_lab.nn.checkpoints import load_network, save_network
 
 __all__ = ["BodyConfig", "BodyNetwork", "load_body", "save_body"]
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from bunraku.apparel.displacement.graph import node_graph
 from bunraku.apparel.sampled_mesh import joint_distances, sampled_mesh
 from bunraku.nn.checkpoints import dated_checkpoint
+from bunraku_lab.nn.apparel.graph import node_graph
 from bunraku_lab.training.apparel.networks.body import BodyNetwork, load_body
 
 __all__ = ["body_weights"]

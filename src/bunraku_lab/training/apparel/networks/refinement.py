@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from bunraku.nn.checkpoints import config_of, load_network, save_network
+from bunraku.nn.checkpoints import config_of
+from bunraku_lab.nn.checkpoints import load_network, save_network
 from bunraku_lab.training.apparel.networks.seam import BASIS, INPUTS, Seam
 
 __all__ = ["RefinementConfig", "RefinementNetwork", "load_refinement", "refined", "save_refinement"]

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.apparel.clothed import ClothedCharacter
-from bunraku.apparel.displacement.network import DisplacementNetwork
 from bunraku.apparel.displacement.player import ApparelPlayer
+from bunraku.apparel.displacement.weights import DisplacementNetwork
 from bunraku.apparel.fitting import fitted_clothes
 from bunraku.apparel.segmentation.predict import find_apparel
 from bunraku.apparel.skinning import eq4_transforms

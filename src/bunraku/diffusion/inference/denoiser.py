@@ -1,0 +1,336 @@
+"""The denoiser of Shape-aware Motion Diffusion as it runs (section 3.2 of TapMo), and its checkpoint.
+
+The laboratory has its definition (Eq. 2). What does not depend on the diffusion step is worked out once for a motion:
+the keys and values of sentences, meshes and examples in each layer, which are a seventh of all products, and more with
+examples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.body.layout import HANDLE_PARENTS
+from bunraku.body.residuals import capped
+from bunraku.diffusion.denoiser_config import ARCHITECTURES, DenoiserConfig
+from bunraku.diffusion.features import ROOT_SIZE
+from bunraku.diffusion.inference.examples import EXAMPLE_TOKENS, RetrievedExamples
+from bunraku.diffusion.inference.layers import (
+    Condition,
+    DecoderLayer,
+    EncoderLayer,
+    Memory,
+    Rotary,
+    rotary_positions,
+    waves,
+)
+from bunraku.errors import WeightsError
+from bunraku.geometry.rotations import matrix_from_6d
+from bunraku.nn.checkpoints import config_of, load_checkpoint
+from bunraku.nn.layers import Weights, hidden_by, normed, silu
+
+__all__ = ["Denoiser", "EncoderDenoiser", "build_denoiser", "joint_offsets", "load_denoiser"]
+
+KIND = "diffusion"
+
+
+class Denoiser:
+    """Predicts x0 and the adaptation from a noisy motion, the step, a sentence and a mesh feature.
+
+    Motion enters and leaves in network units (see `FeatureStatistics`); the statistics travel with the weights.
+
+    Args:
+        config: Its sizes.
+        weights: Of a checkpoint.
+        notes: What the checkpoint says of its training.
+
+    Raises:
+        ValueError: The weights have other sizes.
+    """
+
+    def __init__(self, config: DenoiserConfig, weights: Weights, notes: dict[str, Any] | None = None):
+        self.config = config
+        self.notes: dict[str, Any] = notes or {}
+        width, patch = config.width, config.frames_per_token
+        if config.heads < 1 or width % (2 * config.heads) or patch < 1:
+            raise ValueError(f"{width} channels cannot be shared by {config.heads} heads, or {patch} frames by a token")
+        self.mean, self.std = weights.array("mean", config.features), weights.array("std", config.features)
+        self.motion_in = weights.linear("motion_in", config.features * patch, width)
+        self.mesh_in = weights.linear("mesh_in", config.mesh_features, width)
+        self.pooled_in = weights.linear("pooled_in", config.pooled_size, width)
+        self.null_pooled, self.null_mesh = weights.array("null_pooled", width), weights.array("null_mesh", width)
+        self.step_in = weights.linear("step_in.0", width, width), weights.linear("step_in.2", width, width)
+        self.motion_out = weights.linear("motion_out", width, config.features * patch)
+        seen = width * (2 if config.adaptation_mesh else 1)
+        self.adaptation_out = weights.linear("adaptation_out", seen, config.handles * 3 * patch)
+        self._build(weights)
+
+    def _build(self, weights: Weights) -> None:
+        config, width = self.config, self.config.width
+        self.text_in = weights.linear("text_in", config.text_size, width)
+        self.null_text = weights.array("null_text", width)
+        self.steer = weights.linear("steer", width, 9 * width)
+        self.layers = [
+            DecoderLayer(config, weights.part(f"layers.{index}"), examples=config.examples > 0 and index % 2 == 1)
+            for index in range(config.layers)
+        ]
+        self.final = weights.linear("final", width, 2 * width)
+        more = 3 * config.added_blocks
+        self.steer_more = weights.linear("steer_more", width, more * width) if more else None
+        if config.examples:
+            frames = config.features * config.frames_per_token * EXAMPLE_TOKENS
+            self.example_in = weights.linear("example_in", frames, width)
+            self.example_sentence_in = weights.linear("example_sentence_in", config.pooled_size, width)
+            self.null_example = weights.array("null_example", width)
+
+    @property
+    def knows_meshes(self) -> bool:
+        """Whether training saw mesh features; else the mesh token must stay the learned null token."""
+        return bool(self.notes.get("characters"))
+
+    def condition(
+        self,
+        text: np.ndarray | None,
+        text_mask: np.ndarray | None,
+        pooled: np.ndarray | None,
+        mesh: np.ndarray | None,
+        keep_text: np.ndarray,
+        keep_mesh: np.ndarray,
+        examples: RetrievedExamples | None = None,
+    ) -> Condition:
+        """What the layers read beside the motion, which does not depend on the step.
+
+        Args:
+            text: Text tokens, shape (B, L, C); None for none.
+            text_mask: True where real, shape (B, L).
+            pooled: Sentence vectors, shape (B, P).
+            mesh: Mesh features f_phi, shape (B, 448); None for no mesh in particular.
+            keep_text: False where the sentence is dropped for classifier-free guidance, shape (B,).
+            keep_mesh: False where the mesh feature is unknown, shape (B,).
+            examples: Captured examples of the sentences; they are dropped with them. None for none.
+        """
+        batch, width = len(keep_text), self.config.width
+        token = self._mesh_token(mesh, keep_mesh)
+        memory = [token[:, None], np.broadcast_to(self.null_text, (batch, 1, width))]
+        mask = [np.ones((batch, 1), bool), ~keep_text[:, None]]
+        if text is not None and text_mask is not None:
+            memory.append(self.text_in(text))
+            mask.append(text_mask & keep_text[:, None])
+        tokens = np.concatenate(memory, axis=1)
+        memories = [Memory(*layer.memory(tokens)) for layer in self.layers]
+        found: list[Memory | None] = [None] * len(self.layers)
+        hidden = None
+        if self.config.examples:
+            keys, values, real = self._example_tokens(examples, keep_text)
+            hidden = hidden_by(real)
+            rotary = self._example_rotary(keys.shape[1])
+            found = [layer.example_memory(keys, values, rotary) for layer in self.layers]
+        return Condition(
+            memories, hidden_by(np.concatenate(mask, axis=1)), self._sentence(pooled, keep_text), token, found, hidden
+        )
+
+    def _mesh_token(self, mesh: np.ndarray | None, keep: np.ndarray) -> np.ndarray:
+        null = np.broadcast_to(self.null_mesh, (len(keep), len(self.null_mesh)))
+        return null if mesh is None else np.where(keep[:, None], self.mesh_in(mesh), null)
+
+    def _sentence(self, pooled: np.ndarray | None, keep: np.ndarray) -> np.ndarray:
+        null = np.broadcast_to(self.null_pooled, (len(keep), len(self.null_pooled)))
+        if pooled is None:
+            return null
+        return np.where(keep[:, None], self.pooled_in(pooled * np.float32(self.config.pooled_size**0.5)), null)
+
+    def _example_tokens(
+        self, examples: RetrievedExamples | None, keep: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Keys, values and mask of the examples' tokens; token 0 is the learned null example, which is always there."""
+        batch, width = len(keep), self.config.width
+        null, always = np.broadcast_to(self.null_example, (batch, 1, width)), np.ones((batch, 1), bool)
+        if examples is None:
+            return null, null, always
+        size = self.config.frames_per_token * EXAMPLE_TOKENS
+        count, frames, features = examples.values.shape[1:]
+        tokens = -(-frames // size)
+        real = np.arange(tokens * size) < examples.lengths[..., None]
+        padded = np.zeros((batch, count, tokens * size, features), np.float32)
+        padded[:, :, :frames] = examples.values
+        padded *= real[..., None]
+        values = self.example_in(padded.reshape(batch, count, tokens, -1))
+        sentence = self.example_sentence_in(examples.pooled * np.float32(self.config.pooled_size**0.5))
+        keys = values + sentence[:, :, None]
+        mask = real.reshape(batch, count * tokens, size).any(-1) & keep[:, None]
+        return (
+            np.concatenate([null, keys.reshape(batch, -1, width)], axis=1),
+            np.concatenate([null, values.reshape(batch, -1, width)], axis=1),
+            np.concatenate([always, mask], axis=1),
+        )
+
+    def _example_rotary(self, tokens: int) -> Rotary:
+        """Rotary positions of the examples' tokens, each example from its own start; the null example stands there."""
+        own = EXAMPLE_TOKENS * np.arange((tokens - 1) // self.config.examples)
+        places = np.concatenate([[0], np.tile(own, self.config.examples)])[:tokens]
+        return rotary_positions(places, self.config.width // self.config.heads)
+
+    def __call__(
+        self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition, adapts: bool = True
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Clean motion and adaptation.
+
+        Args:
+            x: Noisy motion in network units, shape (B, N, D).
+            step: Diffusion step in 0..999.
+            lengths: Frames that are real in each row, shape (B,).
+            condition: What `condition` returned.
+            adapts: Whether the adaptation is wanted.
+
+        Returns:
+            x0 (B, N, D) in network units and the adaptation of local translations (B, N, K, 3) [m].
+        """
+        batch, frames, features = x.shape
+        h = self.hidden(x, step, lengths, condition)
+        motion = self.motion_out(h).reshape(batch, -1, features)[:, :frames]
+        if not adapts:
+            return motion, None
+        if self.config.adaptation_mesh:
+            token = np.broadcast_to(condition.mesh[:, None], (batch, h.shape[1], condition.mesh.shape[1]))
+            h = np.concatenate([h, token], axis=-1)
+        said = self.adaptation_out(h).reshape(batch, -1, self.config.handles, 3)[:, :frames]
+        if self.config.adaptation_frame == "joints":
+            said = capped(joint_offsets(said, motion * self.std + self.mean), soft=False)
+        return motion, said
+
+    def _tokens(self, x: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """What enters for each token, zero behind a motion's end, shape (B, T, d); and which tokens are real, shape
+        (B, T), None where all are.
+        """
+        batch, frames, features = x.shape
+        patch = self.config.frames_per_token
+        tokens = -(-frames // patch)
+        padded = np.zeros((batch, tokens * patch, features), np.float32)
+        padded[:, :frames] = x
+        whole = bool((lengths >= frames).all())
+        real = np.arange(tokens * patch) < lengths[:, None]
+        if not whole:
+            padded *= real[..., None]
+        entered = self.motion_in(padded.reshape(batch, tokens, patch * features))
+        return entered, None if whole else np.asarray(real.reshape(batch, tokens, patch).any(-1))
+
+    def _step(self, step: int) -> np.ndarray:
+        """The diffusion step as the layers see it, shape (1, d)."""
+        return self.step_in[1](silu(self.step_in[0](waves(np.array([step], np.float32), self.config.width))))
+
+    def hidden(self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition) -> np.ndarray:
+        """The last hidden states, which both heads read, shape (B, T, d) for T tokens; arguments as in `__call__`."""
+        h, real = self._tokens(x, lengths)
+        vector = silu(self._step(step) + condition.sentence)
+        width = self.config.width
+        steer = self.steer(vector).reshape(len(x), 9, width)
+        if self.steer_more is not None:
+            steer = np.concatenate([steer, self.steer_more(vector).reshape(len(x), -1, width)], axis=1)
+        rotary = rotary_positions(np.arange(h.shape[1]), width // self.config.heads)
+        for index, layer in enumerate(self.layers):
+            h = layer(h, steer, rotary, real, condition, index)
+        scale, shift = np.split(self.final(vector)[:, None], 2, axis=-1)
+        h = normed(h)
+        h *= 1 + scale
+        h += shift
+        return h
+
+
+class EncoderDenoiser(Denoiser):
+    """The denoiser that TapMo is compared with, "TapMo (MDM)" of its Table 1: an encoder with one token for all that it
+    is told.
+    """
+
+    def _build(self, weights: Weights) -> None:
+        config = self.config
+        inner = config.feedforward + 2 * config.width
+        self.encoder_layers = [
+            EncoderLayer(config.width, config.heads, inner, weights.part(f"layers.{index}"))
+            for index in range(config.layers)
+        ]
+        self.norm_out = weights.norm("norm_out", config.width)
+
+    def condition(
+        self,
+        text: np.ndarray | None,
+        text_mask: np.ndarray | None,
+        pooled: np.ndarray | None,
+        mesh: np.ndarray | None,
+        keep_text: np.ndarray,
+        keep_mesh: np.ndarray,
+        examples: RetrievedExamples | None = None,
+    ) -> Condition:
+        """The one token, but for the step; arguments as in `Denoiser.condition`."""
+        sentence = self._sentence(pooled, keep_text) + self._mesh_token(mesh, keep_mesh)
+        return Condition([], None, sentence, sentence, [], None)
+
+    def hidden(self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition) -> np.ndarray:
+        """As `Denoiser.hidden`."""
+        entered, real = self._tokens(x, lengths)
+        token = (condition.sentence + self._step(step))[:, None]
+        h = np.concatenate([token, entered], axis=1)
+        h += waves(np.arange(h.shape[1], dtype=np.float32), self.config.width)
+        hidden = None if real is None else hidden_by(np.pad(real, ((0, 0), (1, 0)), constant_values=True))
+        for layer in self.encoder_layers:
+            h = layer(h, hidden)
+        return self.norm_out(h[:, 1:])
+
+
+def joint_offsets(moves: np.ndarray, features: np.ndarray) -> np.ndarray:
+    """The adaptation that moves joints: delta_k = delta_p + (R_p - R_k) d_k for a handle k and its parent p, shape (B,
+    N, K, 3).
+
+    It is what `attach_joints` does to the translations when the joint of k is held d_k farther off. It turns with the
+    body and fades where nothing bends, so one d_k serves all poses.
+
+    Args:
+        moves: d, how far each joint is moved [m], shape (B, N, K, 3).
+        features: Motion features, whose local rotations count, shape (B, N, 271).
+    """
+    local = features[..., ROOT_SIZE:].reshape(*features.shape[:2], -1, 9)
+    still = np.broadcast_to(np.eye(3, dtype=features.dtype), (*features.shape[:2], 1, 3, 3))
+    rotations = np.concatenate([still, matrix_from_6d(local[..., 3:])], axis=2)
+    parents = list(HANDLE_PARENTS[1:])
+    own = ((rotations[:, :, parents] - rotations[:, :, 1:]) @ moves[:, :, 1:, :, None])[..., 0]
+    offsets = [np.zeros_like(own[:, :, 0])]
+    for handle, parent in enumerate(parents, start=1):
+        offsets.append(offsets[parent] + own[:, :, handle - 1])
+    return np.stack(offsets, axis=2)
+
+
+def build_denoiser(config: DenoiserConfig, weights: Weights, notes: dict[str, Any] | None = None) -> Denoiser:
+    """The denoiser that a config describes; both kinds are called alike.
+
+    Raises:
+        WeightsError: The architecture is unknown.
+        ValueError: The weights have other sizes.
+    """
+    if config.architecture == "decoder":
+        return Denoiser(config, weights, notes)
+    if config.architecture == "encoder":
+        plain = replace(config, convolution=0, examples=0)
+        return EncoderDenoiser(plain, weights, notes)
+    raise WeightsError(f"the architecture '{config.architecture}' is unknown; there are {' and '.join(ARCHITECTURES)}")
+
+
+def load_denoiser(path: str | Path) -> Denoiser:
+    """Read a denoiser, ready for sampling.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
+    """
+    state, config = load_checkpoint(path, KIND)
+    notes = config.pop("notes", None)
+    try:
+        weights = Weights(state)
+        model = build_denoiser(config_of(DenoiserConfig, config), weights, dict(notes or {}))
+        weights.done()
+    except Exception as error:
+        raise WeightsError(
+            f"{path}: the config and the weights of this denoiser disagree ({str(error).splitlines()[0]}); train it "
+            "again"
+        ) from error
+    return model

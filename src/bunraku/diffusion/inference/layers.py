@@ -1,0 +1,209 @@
+"""What a layer of the denoiser is made of, as it runs: attention, and blocks that a config may add beside it.
+
+The laboratory has the definitions, and the papers that they are from.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from bunraku.diffusion.denoiser_config import DenoiserConfig
+from bunraku.nn.layers import Weights, attended, gelu, hidden_by, normed, silu, split_heads
+
+__all__ = ["Condition", "DecoderLayer", "EncoderLayer", "Memory", "Rotary", "rotary_positions", "waves"]
+
+Rotary = tuple[np.ndarray, np.ndarray]
+
+
+class Memory(NamedTuple):
+    """Keys and values of what a layer attends to, of each head, shape (B, H, M, d/H)."""
+
+    keys: np.ndarray
+    values: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """What the layers read beside the motion.
+
+    Args:
+        memories: Of sentence and mesh, in each layer.
+        hidden: Of them, as `hidden_by` gives it.
+        sentence: Shape (B, d).
+        mesh: The mesh token, shape (B, d).
+        examples: Of examples, in each layer; None in one that does not look at them.
+        hidden_examples: Of these.
+    """
+
+    memories: Sequence[Memory]
+    hidden: np.ndarray | None
+    sentence: np.ndarray
+    mesh: np.ndarray
+    examples: Sequence[Memory | None]
+    hidden_examples: np.ndarray | None
+
+    def rows(self, rows: slice) -> Condition:
+        """Of some rows of the batch."""
+        return Condition(
+            [Memory(one.keys[rows], one.values[rows]) for one in self.memories],
+            None if self.hidden is None else self.hidden[rows],
+            self.sentence[rows],
+            self.mesh[rows],
+            [None if one is None else Memory(one.keys[rows], one.values[rows]) for one in self.examples],
+            None if self.hidden_examples is None else self.hidden_examples[rows],
+        )
+
+
+def rotary_positions(tokens: np.ndarray, size: int) -> Rotary:
+    """Cosines and sines of rotary positions (Su et al. 2021) of tokens at these places in time, shape (T,), each of
+    shape (T, size / 2).
+    """
+    rates = np.float32(1000.0) ** (-np.arange(0, size, 2, dtype=np.float32) / np.float32(size))
+    angle = tokens[:, None].astype(np.float32) * rates
+    return np.cos(angle), np.sin(angle)
+
+
+def waves(angle: np.ndarray, width: int) -> np.ndarray:
+    """Cosines and sines of numbers of shape (A,), shape (A, width)."""
+    half = width // 2
+    rates = np.exp(np.float32(-math.log(10_000.0)) * np.arange(half, dtype=np.float32) / np.float32(half))
+    turned = angle[:, None] * rates
+    return np.concatenate([np.cos(turned), np.sin(turned)], axis=-1)
+
+
+def _turned(x: np.ndarray, rotary: Rotary) -> np.ndarray:
+    """Queries or keys at their places in time, shape (B, H, T, d/H)."""
+    half = x.shape[-1] // 2
+    first, second = x[..., :half], x[..., half:]
+    cos, sin = rotary
+    out = np.empty(x.shape, np.float32)
+    np.subtract(first * cos, second * sin, out=out[..., :half])
+    np.add(first * sin, second * cos, out=out[..., half:])
+    return out
+
+
+class DecoderLayer:
+    """Self-attention, cross-attention, feed-forward; each behind an adaptive norm and a gate.
+
+    Args:
+        config: Sizes, and which blocks are added.
+        weights: Of the layer.
+        examples: Whether this layer attends to examples.
+    """
+
+    def __init__(self, config: DenoiserConfig, weights: Weights, examples: bool):
+        width = config.width
+        self.heads = config.heads
+        self.offset = weights.array("offset", 9, width)
+        self.self_in = weights.linear("self_in", width, 3 * width)
+        self.self_out = weights.linear("self_out", width, width)
+        self.cross_query = weights.linear("cross_query", width, width)
+        self.cross_memory = weights.linear("cross_memory", width, 2 * width)
+        self.cross_out = weights.linear("cross_out", width, width)
+        self.wide = weights.linear("wide", width, config.feedforward)
+        self.narrow = weights.linear("narrow", config.feedforward, width)
+        if config.added_blocks:
+            self.offset = np.concatenate([self.offset, weights.array("offset_more", 3 * config.added_blocks, width)])
+        self.kernel = None
+        if config.convolution:
+            part = weights.part("convolution")
+            self.kernel = part.array("kernel", config.convolution, width)
+            self.outside = part.linear("outside", width, width)
+        self.examples = None
+        if examples:
+            part = weights.part("examples")
+            self.examples = {name: part.linear(name, width, width) for name in ("query", "key", "value", "out")}
+
+    def memory(self, tokens: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Keys and values of tokens (B, M, d)."""
+        return split_heads(self.cross_memory(tokens), self.heads, 2)
+
+    def example_memory(self, keys: np.ndarray, values: np.ndarray, rotary: Rotary) -> Memory | None:
+        """Keys and values of examples' tokens (B, M, d); None in a layer that does not look at them."""
+        if self.examples is None:
+            return None
+        (key,) = split_heads(self.examples["key"](keys), self.heads)
+        (value,) = split_heads(self.examples["value"](values), self.heads)
+        return Memory(_turned(key, rotary), value)
+
+    def __call__(
+        self, x: np.ndarray, steer: np.ndarray, rotary: Rotary, real: np.ndarray | None, condition: Condition,
+        index: int,
+    ) -> np.ndarray:  # fmt: skip
+        """The next hidden states, shape (B, T, d).
+
+        Args:
+            x: Hidden states, shape (B, T, d), which it takes to write on.
+            steer: Scale, shift and gate of each block, shape (B, 9 and 3 for each added block, d).
+            rotary: Of the tokens.
+            real: Which tokens are real, shape (B, T); None where all are.
+            condition: What they read.
+            index: Of the layer.
+        """
+        parts = (steer + self.offset)[:, :, None].swapaxes(0, 1)
+
+        def norm(first: int) -> np.ndarray:
+            out = normed(x)
+            out *= 1 + parts[first]
+            out += parts[first + 1]
+            return out
+
+        def add(said: np.ndarray, gate: int) -> None:
+            said *= parts[gate]
+            np.add(x, said, out=x)
+
+        query, key, value = split_heads(self.self_in(norm(0)), self.heads, 3)
+        hidden = None if real is None else hidden_by(real)
+        add(self.self_out(attended(_turned(query, rotary), _turned(key, rotary), value, hidden)), 2)
+        if self.kernel is not None:
+            add(self._convolved(norm(9), real), 11)
+        (query,) = split_heads(self.cross_query(norm(3)), self.heads)
+        add(self.cross_out(attended(query, *condition.memories[index], condition.hidden)), 5)
+        examples = condition.examples[index]
+        if self.examples is not None and examples is not None:
+            last = len(parts) - 1
+            (query,) = split_heads(self.examples["query"](norm(last - 2)), self.heads)
+            mixed = attended(_turned(query, rotary), *examples, condition.hidden_examples)
+            add(self.examples["out"](mixed), last)
+        add(self.narrow(gelu(self.wide(norm(6)))), 8)
+        return x
+
+    def _convolved(self, x: np.ndarray, real: np.ndarray | None) -> np.ndarray:
+        """A depthwise convolution over time, then a linear layer over channels; what lies behind the end counts as
+        zero, as what lies before the start does.
+        """
+        assert self.kernel is not None
+        tokens, reach = x.shape[1], len(self.kernel)
+        padded = np.zeros((len(x), tokens + 2 * (reach // 2), x.shape[2]), np.float32)
+        padded[:, reach // 2 : reach // 2 + tokens] = x if real is None else x * real[..., None]
+        mixed = padded[:, :tokens] * self.kernel[0]
+        for shift in range(1, reach):
+            mixed += padded[:, shift : shift + tokens] * self.kernel[shift]
+        return self.outside(silu(mixed))
+
+
+class EncoderLayer:
+    """A pre-norm transformer encoder layer.
+
+    Args:
+        width, heads, inner: Its sizes.
+        weights: Of the layer.
+    """
+
+    def __init__(self, width: int, heads: int, inner: int, weights: Weights):
+        self.heads = heads
+        self.norm_a, self.norm_b = weights.norm("norm_a", width), weights.norm("norm_b", width)
+        self.self_in = weights.linear("self_in", width, 3 * width)
+        self.self_out = weights.linear("self_out", width, width)
+        self.wide, self.narrow = weights.linear("wide", width, inner), weights.linear("narrow", inner, width)
+
+    def __call__(self, x: np.ndarray, hidden: np.ndarray | None) -> np.ndarray:
+        """Shape (B, T, d), with what is hidden as `hidden_by` gives it."""
+        query, key, value = split_heads(self.self_in(self.norm_a(x)), self.heads, 3)
+        x = x + self.self_out(attended(query, key, value, hidden))
+        return x + self.narrow(gelu(self.wide(self.norm_b(x))))

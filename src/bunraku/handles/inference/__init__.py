@@ -1,0 +1,1 @@
+"""The networks of handles and orientation, as they run: in numpy."""

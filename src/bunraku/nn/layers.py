@@ -1,0 +1,216 @@
+"""The layers that networks are made of, for inference, in numpy.
+
+A network is defined and trained in torch, in the laboratory; a test holds each network here to that definition. Most of
+the time goes into matrix products, for which numpy calls the same kind of library as torch does. What is left is
+written so that few passes go over an array, and that they go over pieces that stay in the cache.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+__all__ = [
+    "Linear", "Norm", "Weights", "attended", "gelu", "gelu_slope", "hidden_by", "normed", "sigmoid", "silu", "softmax",
+    "split_heads", "unit",
+]  # fmt: skip
+
+_NEVER = np.float32(-1e30)
+"""Beside a score of attention: what is hidden takes no part."""
+_PIECE = 1 << 14
+"""Numbers of an array that go through all passes of a function at once."""
+_GELU = tuple(np.float32(value) for value in (
+    1.80559369e-09, -1.33445333e-07, 3.96909116e-06, -5.5240016e-05, -3.31305363e-05, 0.0363342845, 0.797884216,
+))  # fmt: skip
+"""P, falling powers, such that tanh(x P(x^2)) is erf(x / sqrt 2), fitted on |x| < 6 for the least error of `gelu`."""
+
+
+class Linear(NamedTuple):
+    """`x @ matrix + bias`.
+
+    Args:
+        matrix: Shape (C, D).
+        bias: Shape (D,), or None.
+    """
+
+    matrix: np.ndarray
+    bias: np.ndarray | None
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Shape (..., C) -> (..., D): one product whatever the leading shape."""
+        out: np.ndarray = x.reshape(-1, x.shape[-1]) @ self.matrix
+        if self.bias is not None:
+            out += self.bias
+        return out.reshape(*x.shape[:-1], -1)
+
+
+class Norm(NamedTuple):
+    """Layer norm with a scale and a shift of each channel.
+
+    Args:
+        scale, shift: Shape (C,).
+        epsilon: Beside the variance.
+    """
+
+    scale: np.ndarray
+    shift: np.ndarray
+    epsilon: float = 1e-5
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Shape (..., C) -> (..., C)."""
+        out = normed(x, self.epsilon)
+        out *= self.scale
+        out += self.shift
+        return out
+
+
+class Weights:
+    """The arrays of a checkpoint, handed to the network that its config describes. Each is compared with the size that
+    the config asks for, before anything of that size is made.
+
+    Args:
+        state: Arrays by name.
+        prefix: Of the names of a part of the network.
+    """
+
+    def __init__(self, state: Mapping[str, np.ndarray], prefix: str = "", left: set[str] | None = None):
+        self._state, self._prefix = state, prefix
+        self._left = set(state) if left is None else left
+
+    def part(self, name: str) -> Weights:
+        """Those of a part of the network."""
+        return Weights(self._state, f"{self._prefix}{name}.", self._left)
+
+    def array(self, name: str, *shape: int) -> np.ndarray:
+        """One of them.
+
+        Raises:
+            ValueError: It is not there, or has another size.
+        """
+        whole = self._prefix + name
+        found = self._state.get(whole)
+        if found is None or found.shape != shape:
+            there = "none" if found is None else str(list(found.shape))
+            raise ValueError(f"its config makes '{whole}' of size {list(shape)}, and the file has {there}")
+        self._left.discard(whole)
+        return found
+
+    def linear(self, name: str, width_in: int, width_out: int, bias: bool = True) -> Linear:
+        """The linear layer of this name; its matrix lies as the product reads it."""
+        matrix = self.array(f"{name}.weight", width_out, width_in)
+        return Linear(np.ascontiguousarray(matrix.T), self.array(f"{name}.bias", width_out) if bias else None)
+
+    def norm(self, name: str, width: int, epsilon: float = 1e-5) -> Norm:
+        """The layer norm of this name."""
+        return Norm(self.array(f"{name}.weight", width), self.array(f"{name}.bias", width), epsilon)
+
+    def done(self) -> None:
+        """All have been handed out.
+
+        Raises:
+            ValueError: The checkpoint holds more.
+        """
+        if self._left:
+            raise ValueError(f"its config makes no '{min(self._left)}', which the file has")
+
+
+def normed(x: np.ndarray, epsilon: float = 1e-5) -> np.ndarray:
+    """Layer norm over the last axis, without scale and shift."""
+    out = x - x.mean(-1, keepdims=True)
+    variance = np.einsum("...i,...i->...", out, out) / np.float32(x.shape[-1])
+    out *= (1 / np.sqrt(variance + np.float32(epsilon)))[..., None]
+    return np.asarray(out)
+
+
+def _twice_below(x: np.ndarray) -> np.ndarray:
+    """Twice the share of a normal distribution below each number."""
+    square = x * x
+    np.minimum(square, np.float32(36), out=square)
+    value = square * _GELU[0]
+    for factor in _GELU[1:-1]:
+        value += factor
+        value *= square
+    value += _GELU[-1]
+    value *= x
+    np.tanh(value, out=value)
+    value += np.float32(1)
+    return np.asarray(value)
+
+
+def gelu(x: np.ndarray) -> np.ndarray:
+    """x times the share of a normal distribution below x (Hendrycks & Gimpel 2016), to 1e-6; takes a contiguous array,
+    and writes on it.
+    """
+    flat = x.reshape(-1)
+    for start in range(0, flat.size, _PIECE):
+        part = flat[start : start + _PIECE]
+        share = _twice_below(part)
+        part *= np.float32(0.5)
+        part *= share
+    return flat.reshape(x.shape)
+
+
+def gelu_slope(x: np.ndarray) -> np.ndarray:
+    """The derivative of `gelu`."""
+    density = np.exp(np.float32(-0.5) * x * x) * np.float32(1 / np.sqrt(2 * np.pi))
+    return np.asarray(np.float32(0.5) * _twice_below(x) + x * density)
+
+
+def sigmoid(x: np.ndarray) -> np.ndarray:
+    """1 / (1 + e^-x), without an overflow."""
+    return np.asarray(np.float32(0.5) * (np.float32(1) + np.tanh(np.float32(0.5) * x)))
+
+
+def silu(x: np.ndarray) -> np.ndarray:
+    """x times its sigmoid."""
+    return np.asarray(x * sigmoid(x))
+
+
+def softmax(scores: np.ndarray) -> np.ndarray:
+    """Shares that sum to 1 over the last axis; writes on its argument."""
+    scores -= scores.max(-1, keepdims=True)
+    np.exp(scores, out=scores)
+    scores /= scores.sum(-1, keepdims=True)
+    return scores
+
+
+def hidden_by(mask: np.ndarray) -> np.ndarray | None:
+    """What is added to scores of attention so that only what is real counts; None where all is.
+
+    Args:
+        mask: True where real, shape (B, M).
+
+    Returns:
+        Shape (B, 1, 1, M).
+    """
+    return None if mask.all() else np.where(mask, np.float32(0), _NEVER)[:, None, None]
+
+
+def split_heads(x: np.ndarray, heads: int, parts: int = 1) -> tuple[np.ndarray, ...]:
+    """Queries, keys or values of each head, shape (B, H, T, d/H), from as many side by side, shape (B, T, parts d)."""
+    return tuple(x.reshape(*x.shape[:2], parts, heads, -1).transpose(2, 0, 3, 1, 4))
+
+
+def attended(query: np.ndarray, key: np.ndarray, value: np.ndarray, hidden: np.ndarray | None = None) -> np.ndarray:
+    """Attention (Vaswani et al. 2017), shapes (B, H, T, d) and (B, H, M, d) -> (B, T, H d).
+
+    Args:
+        query, key, value: Of each head.
+        hidden: As `hidden_by` gives it.
+    """
+    scores = np.matmul(query, key.swapaxes(-1, -2))
+    scores *= np.float32(query.shape[-1] ** -0.5)
+    if hidden is not None:
+        scores += hidden
+    batch, heads, length, size = query.shape
+    out = np.empty((batch, length, heads, size), np.float32)
+    np.matmul(softmax(scores), value, out=out.transpose(0, 2, 1, 3))
+    return out.reshape(batch, length, heads * size)
+
+
+def unit(x: np.ndarray) -> np.ndarray:
+    """Vectors of length 1, shape (..., E); those of no length stay."""
+    length = np.sqrt(np.einsum("...i,...i->...", x, x))[..., None]
+    return np.asarray(x / np.maximum(length, np.float32(1e-12)))

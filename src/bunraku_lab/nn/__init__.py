@@ -1,0 +1,1 @@
+"""Networks and what trains on them, in torch: each is defined here once, and `bunraku` runs it without torch."""

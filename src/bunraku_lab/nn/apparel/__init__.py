@@ -1,0 +1,1 @@
+"""The networks of apparel (section 4 of MMDMC)."""

@@ -1,0 +1,59 @@
+"""Networks of torch as `bunraku` runs them: what a training is judged by, and what tests hold together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from torch import nn
+
+from bunraku.apparel.displacement import weights as displacement
+from bunraku.diffusion.inference import denoiser, examples, extractor
+from bunraku.handles.inference import orientation, predictor
+from bunraku.nn.layers import Weights
+from bunraku_lab.nn.apparel.network import DisplacementNetwork
+from bunraku_lab.nn.diffusion.denoiser import Denoiser
+from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
+from bunraku_lab.nn.diffusion.matching import Extractor
+from bunraku_lab.nn.handles.orientation_net import OrientationPredictor
+from bunraku_lab.nn.handles.predictor import HandlePredictor
+
+__all__ = [
+    "arrays_of", "running_denoiser", "running_displacement", "running_examples", "running_extractor",
+    "running_orientation", "running_predictor",
+]  # fmt: skip
+
+
+def arrays_of(model: nn.Module) -> dict[str, np.ndarray]:
+    """The weights of a network by name, float32 on the CPU; later changes of the network do not change them."""
+    return {name: value.detach().float().cpu().numpy().copy() for name, value in model.state_dict().items()}
+
+
+def running_denoiser(model: Denoiser) -> denoiser.Denoiser:
+    """A denoiser."""
+    return denoiser.build_denoiser(replace(model.config), Weights(arrays_of(model)), dict(model.notes))
+
+
+def running_extractor(model: Extractor) -> extractor.Extractor:
+    """An extractor, a ranker or a critic."""
+    return extractor.Extractor(model.config, Weights(arrays_of(model)), dict(model.notes))
+
+
+def running_orientation(model: OrientationPredictor) -> orientation.OrientationPredictor:
+    """An orientation predictor."""
+    return orientation.OrientationPredictor(model.config, Weights(arrays_of(model)))
+
+
+def running_predictor(model: HandlePredictor) -> predictor.HandlePredictor:
+    """A handle predictor."""
+    return predictor.HandlePredictor(model.config, Weights(arrays_of(model)))
+
+
+def running_displacement(model: DisplacementNetwork) -> displacement.DisplacementNetwork:
+    """A displacement network of apparel."""
+    return displacement.DisplacementNetwork(model.config, Weights(arrays_of(model)))
+
+
+def running_examples(found: RetrievedExamples) -> examples.RetrievedExamples:
+    """Captured examples as arrays."""
+    return examples.RetrievedExamples(*(part.cpu().numpy() for part in (found.values, found.lengths, found.pooled)))
