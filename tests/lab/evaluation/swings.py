@@ -1,6 +1,7 @@
 """Motions of one handle each, and an encoder of the sentences that name them."""
 
 import numpy as np
+import torch
 
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
@@ -25,7 +26,10 @@ class WordEncoder:
 
     def encode(self, sentences):
         rows = [
-            [np.random.default_rng(sum(map(ord, word))).standard_normal(8) for word in text.split()]
+            [
+                torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))).numpy()
+                for word in text.split()
+            ]
             for text in sentences
         ]
         length = max(map(len, rows))

@@ -9,7 +9,6 @@ error is the answer; a model that ignores its text is right one time in 32.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ import torch
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
 from bunraku.errors import OptionError
 from bunraku.language.captions.phrases import caption_group, caption_variants
-from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku.language.encoders import TextEncoder
 from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.nn.diffusion.noise import add_noise, alphas_cumprod
@@ -144,13 +143,13 @@ def retrieval(
         OptionError: There are fewer captions than candidates, or a setting is out of range.
         WeightsError: The weights are missing or broken.
     """
+    from bunraku.diffusion.generation.networks import load_generator
     from bunraku.nn.checkpoints import shipped_checkpoint
 
     if candidates < 2 or frames < 1 or not levels or any(not 0 <= level < 1000 for level in levels):
         raise OptionError("retrieval needs at least 2 candidates, 1 frame, and diffusion steps from 0 to 999")
     model = load_denoiser(checkpoint or shipped_checkpoint("diffusion"))
-    name = model.config.text_encoder
-    encoder = text_encoder(name, os.environ.get("BUNRAKU_CLIP") if name.startswith("clip") else None)
+    _, encoder = load_generator(checkpoint)
     clips = load_clips(data, splits={split})
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
     labels = [text for entry in clips.values() for text in entry["texts"]]
