@@ -26,14 +26,16 @@ def read_gestures(path: Path = FILE) -> tuple[Gesture, ...]:
         FormatError: A row is wrong.
     """
     rows = tomllib.loads(path.read_text(encoding="utf-8"))
+    return tuple(_read(row, rows, path) for row in rows["gesture"])
+
+
+def _read(row: Table, rows: Table, path: Path) -> Gesture:
+    """The gesture of a row, with what all rows of its file share."""
     shared = {kind: rows.get(kind, {}) for kind in ("hands", "feet", "poses")}
-    found = []
-    for row in rows["gesture"]:
-        try:
-            found.append(_gesture(row, {kind: shared[kind] | row.get(kind, {}) for kind in shared}, rows["frames"]))
-        except (KeyError, TypeError, ValueError) as error:
-            raise FormatError(path, f"gesture {row.get('name')!r} is wrong at {error}") from error
-    return tuple(found)
+    try:
+        return _gesture(row, {kind: shared[kind] | row.get(kind, {}) for kind in shared}, rows["frames"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError(path, f"gesture {row.get('name')!r} is wrong at {error}") from error
 
 
 def _gesture(row: Table, named: dict[str, Table], frames: Table) -> Gesture:
@@ -133,9 +135,15 @@ def gestures() -> tuple[Gesture, ...]:
 
 
 @functools.cache
+def _rows() -> Table:
+    return tomllib.loads(FILE.read_text(encoding="utf-8"))
+
+
+@functools.cache
 def gesture_of(texts: tuple[str, ...]) -> Gesture | None:
-    """The gesture that these sentences tell; None for none."""
-    return next((one for one in gestures() if one.texts == texts), None)
+    """The gesture that these sentences tell, the only one whose poses are worked out; None for none."""
+    row = next((row for row in _rows()["gesture"] if tuple(row["texts"]) == texts), None)
+    return None if row is None else _read(row, _rows(), FILE)
 
 
 STANDING = Gesture("standing", (), ((0.0, Pose()), (9.5, Pose())))
