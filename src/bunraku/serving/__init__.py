@@ -1,0 +1,1 @@
+"""What other programs can call: tools in one folder, by the Model Context Protocol."""
