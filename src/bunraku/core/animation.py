@@ -10,7 +10,7 @@ import numpy as np
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.resample import resample
-from bunraku.core.saving import save
+from bunraku.core.saving import Shown, save
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, MotionError
 
@@ -18,7 +18,7 @@ __all__ = ["Animation"]
 
 
 @dataclass(frozen=True)
-class Animation:
+class Animation(Shown):
     """A character driven by a handle motion.
 
     Args:

@@ -10,7 +10,7 @@ import numpy as np
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.core.saving import save
+from bunraku.core.saving import Shown, save
 from bunraku.errors import MotionError
 from bunraku.geometry.resampling import Resampling
 
@@ -18,7 +18,7 @@ __all__ = ["PointAnimation"]
 
 
 @dataclass(frozen=True, eq=False)
-class PointAnimation:
+class PointAnimation(Shown):
     """A skinned animation, and how far each vertex is from where its skin takes it.
 
     Args:

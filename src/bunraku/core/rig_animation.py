@@ -11,7 +11,7 @@ import numpy as np
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.core.saving import save
+from bunraku.core.saving import Shown, save
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, MotionError
 from bunraku.geometry.resampling import Resampling
@@ -20,7 +20,7 @@ __all__ = ["RigAnimation", "bone_order"]
 
 
 @dataclass(frozen=True, eq=False)
-class RigAnimation:
+class RigAnimation(Shown):
     """A character driven by the J bones of its own rig.
 
     A bone's rotation is counted from the rest pose, in axes that are the world's there, as in `SkeletalMotion`:

@@ -1,11 +1,16 @@
-"""How `.save()` of the types finds the writers, which stand above them: one hook, which the package's face sets."""
+"""How `.save()` of the types finds the writers, which stand above them, and how they show themselves in a notebook."""
 
 from __future__ import annotations
 
+import base64
+import html
+import tempfile
 from importlib import import_module
 from pathlib import Path
 
-__all__ = ["save", "set_writer"]
+from bunraku.errors import BunrakuError
+
+__all__ = ["Shown", "save", "set_writer"]
 
 _writers: list[str] = []
 
@@ -29,3 +34,33 @@ def save(thing: object, path: str | Path, **options: object) -> Path:
     module, _, name = _writers[0].partition(":")
     written: Path = getattr(import_module(module), name)(thing, path, **options)
     return written
+
+
+LARGEST_VIEW = 8 << 20
+"""Bytes of a model that a notebook gets as a view; of larger ones it gets a picture."""
+
+
+class Shown:
+    """What shows itself in a notebook: as a view to turn, and where that would be large as a picture."""
+
+    def sheet(self, frames: int = 8, columns: int | None = None) -> bytes:
+        """A contact sheet as a PNG: pictures of moments from the first frame to the last.
+
+        Args:
+            frames: How many, 1 to 400.
+            columns: How many stand in a row.
+        """
+        options = {} if columns is None else {"columns": columns}
+        with tempfile.TemporaryDirectory() as folder:
+            return save(self, Path(folder, "sheet.png"), frames=frames, **options).read_bytes()
+
+    def _repr_html_(self) -> str:
+        try:
+            with tempfile.TemporaryDirectory() as folder:
+                path = save(self, Path(folder, "animation.html"), most=LARGEST_VIEW, name="animation")
+                page = path.read_text(encoding="utf-8")
+        except BunrakuError as error:
+            picture = base64.b64encode(self.sheet()).decode()
+            return f'<img alt="{html.escape(str(error))}" src="data:image/png;base64,{picture}">'
+        given = html.escape(page, quote=True)
+        return f'<iframe style="width:100%;height:420px;border:0" srcdoc="{given}"></iframe>'

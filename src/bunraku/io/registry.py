@@ -251,7 +251,7 @@ def save_animation(animation: Animation, path: str | Path, **options: object) ->
 
     .glb, .fbx, .usd, .usda, .usdc and .usdz hold the character with its skin and motion, .obj and .ply a sequence of
     meshes, .bvh and .vrma what the humanoid skeleton does, .vmd the bones of an MMD model, .npz the handle motion,
-    .mp4, .webp and .gif a video, .png a contact sheet.
+    .mp4, .webp and .gif a video, .png a contact sheet, .html a page that shows it.
 
     Args:
         animation: The animation.

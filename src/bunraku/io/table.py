@@ -133,6 +133,13 @@ FORMATS: tuple[Format, ...] = (
     Format("PMX", (".pmx",), (b"PMX ",), character="bunraku.formats.mmd.pmx:read_pmx"),
     Format("PMD", (".pmd",), (b"Pmd",), character="bunraku.formats.mmd.pmd:read_pmd"),
     Format("RigNet", (".txt",), character="bunraku.formats.mesh.rignet:read_rignet"),
+    Format(
+        "HTML",
+        (".html",),
+        animation="bunraku.render.html:write_html",
+        bones="bunraku.render.html:write_html",
+        points="bunraku.render.html:write_html",
+    ),
     Format("MP4", (".mp4",), animation="bunraku.render.preview:save_preview"),
     Format("WEBP", (".webp",), animation="bunraku.render.preview:save_preview"),
     Format("GIF", (".gif",), animation="bunraku.render.preview:save_preview"),

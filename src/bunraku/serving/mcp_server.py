@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import functools
 from collections.abc import Callable
 from pathlib import Path
@@ -35,7 +36,6 @@ def mcp_server(folder: Path) -> Any:
         MissingExtraError: The SDK is not installed.
     """
     try:
-        import anyio
         from mcp.server.mcpserver import Image, MCPServer
         from mcp.server.mcpserver.exceptions import ToolError
     except ImportError as error:
@@ -43,13 +43,13 @@ def mcp_server(folder: Path) -> Any:
     from bunraku import __version__
 
     server, tools = MCPServer("bunraku", instructions=INSTRUCTIONS, version=__version__), Tools(folder)
-    turn = anyio.Semaphore(1)  # networks and renderer are made for one call at a time
+    turn = asyncio.Lock()  # networks and renderer are made for one call at a time
 
     async def answered(work: Callable[[], Answer]) -> Any:
         """What a tool gives, as facts and a picture; its errors as sentences."""
         try:
             async with turn:
-                found = await anyio.to_thread.run_sync(work)
+                found = await asyncio.to_thread(work)
         except BunrakuError as error:
             raise ToolError(str(error)) from None
         return [found.facts, *([Image(data=found.picture, format="png")] if found.picture else [])]

@@ -52,6 +52,7 @@ OUTPUTS = (
     ".fbx",
     ".obj",
     ".ply",
+    ".html",
     *PREVIEWS,
 )
 
