@@ -44,6 +44,11 @@ VERBS: Verbs = {
         "open a page: drop a character, type a sentence, watch it move",
     ),
     ("serve",): ("bunraku.cli.verbs.serve", "Serve", "let other programs call these tools, by MCP"),
+    ("comfyui-nodes",): (
+        "bunraku.cli.verbs.comfyui_nodes",
+        "ComfyuiNodes",
+        "write the nodes for ComfyUI, which ask the studio",
+    ),
     ("blender-addon",): (
         "bunraku.cli.verbs.blender_addon",
         "BlenderAddon",

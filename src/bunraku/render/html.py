@@ -59,13 +59,9 @@ def write_html(
     script = view.joinpath("view.js").read_text(encoding="utf-8").replace("</script", "<\\/script")
     before, _, rest = page.partition("MODEL")
     middle, _, after = rest.partition("SCRIPT")
-    with atomic_write(path) as file:  # the script in ASCII, for frames that take the encoding of what is around them
-        for part in (
-            before.encode(),
-            base64.b64encode(model),
-            middle.encode(),
-            script.encode("ascii", "backslashreplace"),
-            after.encode(),
-        ):
+    # the script in ASCII, for frames that take the encoding of what is around them
+    parts = before.encode(), base64.b64encode(model), middle.encode(), script.encode("ascii", "backslashreplace")
+    with atomic_write(path) as file:
+        for part in (*parts, after.encode()):
             file.write(part)
     return path

@@ -1,0 +1,21 @@
+# The studio behind a password, for other machines:
+#   docker build -t bunraku .
+#   docker run --rm -p 8734:8734 -e BUNRAKU_STUDIO_PASSWORD='a long password' -v bunraku:/data bunraku
+FROM python:3.12-slim
+
+# what previews draw with: OpenGL without a display, and a compiler for the loops where there is none
+RUN apt-get update && apt-get install --yes --no-install-recommends gcc libc6-dev libegl1 libgl1 libgl1-mesa-dri \
+    && rm -rf /var/lib/apt/lists/*
+
+COPY pyproject.toml README.md LICENSE NOTICE /source/
+COPY src /source/src
+RUN pip install --no-cache-dir uv \
+    && uv pip install --system --no-cache --torch-backend cpu 'torch==2.13.0' \
+    && uv pip install --system --no-cache '/source[compressed,studio]' \
+    && rm -rf /source && pip uninstall --yes uv
+
+RUN useradd --create-home studio && mkdir /data && chown studio /data
+USER studio
+VOLUME /data
+EXPOSE 8734
+CMD ["bunraku", "studio", "--no-browser", "--host", "0.0.0.0", "--folder", "/data"]
