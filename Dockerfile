@@ -9,10 +9,7 @@ RUN apt-get update && apt-get install --yes --no-install-recommends gcc libc6-de
 
 COPY pyproject.toml README.md LICENSE NOTICE /source/
 COPY src /source/src
-RUN pip install --no-cache-dir uv \
-    && uv pip install --system --no-cache --torch-backend cpu 'torch==2.13.0' \
-    && uv pip install --system --no-cache '/source[compressed,studio]' \
-    && rm -rf /source && pip uninstall --yes uv
+RUN pip install --no-cache-dir --no-compile '/source[compressed,studio]' && rm -rf /source
 
 RUN useradd --create-home studio && mkdir /data && chown studio /data
 USER studio

@@ -37,7 +37,7 @@ def test_a_sentence_from_the_node_to_a_moving_character(studio, tmp_path, monkey
     given |= {"model_file": str(mesh), "sentence": "waves", "seconds": 1.0, "format": "fbx", "address": studio.address}
     (path,) = getattr(node(), node.FUNCTION)(**given)
     assert len(node.RETURN_TYPES) == 1 and load_animation(path, 0, 30).vertices().std(axis=0).max() > 0
-    with pytest.raises(ValueError, match="nothing"):
+    with pytest.raises(ValueError, match="type what the character does"):
         node().animate(**{**given, "sentence": " "})
     (folder / "__init__.py").write_text("mine")
     assert main(["comfyui-nodes", "-o", str(folder)]) == 2
