@@ -1,6 +1,6 @@
 """Runs that go on with few clips: what is rehearsed, and what their cards say."""
 
-from itertools import islice
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +19,10 @@ def clips():
     pack = load_examples()
     if pack is None:
         pytest.skip("the shipped examples are not there")
-    known = dict(islice(rehearsal_clips(pack).items(), 20))
+    told = [one for one in pack.examples if one.texts and not one.made]
+    places = [pack.examples.index(one) for one in told[:20]]
+    few = replace(pack, examples=tuple(told[:20]), data=tuple(pack.data[place] for place in places))
+    known = rehearsal_clips(few)
     features = next(iter(known.values()))["features"]
     own = ClipEntry(
         features=features, frames=len(features), texts=["a person yodels"], watched=True, licence="CC BY 4.0",
