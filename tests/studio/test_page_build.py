@@ -50,3 +50,16 @@ def test_building_it_again_gives_the_same_bytes(tmp_path):
     committed = {path.name: path.read_bytes() for path in STATIC.iterdir()}
     assert sorted(built) == sorted(committed)
     assert [name for name in built if built[name] != committed[name]] == []
+
+
+@pytest.mark.skipif(
+    not (ROOT / "studio" / "node_modules" / "vite").is_dir(), reason="the page's tools are not installed: make studio"
+)
+def test_building_the_view_again_gives_the_same_bytes(tmp_path):
+    subprocess.run(
+        ["npx", "vite", "build", "-c", "vite.view.config.js", "--outDir", str(tmp_path)],
+        cwd=ROOT / "studio", check=True, capture_output=True,
+    )  # fmt: skip
+    view = ROOT / "src" / "bunraku" / "render" / "view"
+    assert {path.name for path in tmp_path.iterdir()} == {"view.js", "LICENSE-three.txt"}
+    assert [path.name for path in tmp_path.iterdir() if path.read_bytes() != (view / path.name).read_bytes()] == []
