@@ -1,5 +1,7 @@
 """Training of the orientation network on two tiny characters."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ from bunraku.geometry.axes import ORIENTATIONS
 from bunraku.handles.inference.orientation import OrientationConfig
 from bunraku.samples import sample_character
 from bunraku_lab.datasets.characters.build import training_character
+from bunraku_lab.datasets.characters.surfaces import SurfaceBank
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.training.orientation.measures import (
     UPRIGHT,
@@ -124,3 +127,27 @@ def test_results_and_temperature_against_hand_computed_ones():
     assert fitted_temperature(logs) > 2  # half of it is wrong and sure of it
     sure = logs[[0, 3]]
     assert fitted_temperature(sure) == pytest.approx(0.5)
+
+
+def test_surfaces_are_trained_on_and_validated(characters, tmp_path):
+    random = np.random.default_rng(0)
+    points = random.uniform(-0.5, 0.5, (3, 200, 3)).astype(np.float16)
+    bank = SurfaceBank(("a/one", "a/two", "b/three"), points, points)
+    config = settings(tmp_path, surface_share=1.0)
+    trainer = OrientationTrainer(config, characters, characters, surfaces=bank, held_surfaces=bank)
+    assert trainer.surface_chances == pytest.approx(np.array([1, 1, 2**0.5]) / (2 + 2**0.5))
+    before = [weight.clone() for weight in trainer.model.parameters()]
+    trainer.train_step()
+    assert any(not torch.equal(one, other) for one, other in zip(before, trainer.model.parameters(), strict=True))
+    assert 0 <= trainer.validate()["surface_both"] <= 1
+
+
+def test_a_run_may_begin_with_given_weights(characters, tmp_path):
+    given = OrientationTrainer(settings(tmp_path, out=tmp_path / "given", seed=5), characters)
+    path = given.save({})
+    trainer = OrientationTrainer(settings(tmp_path, start=path), characters)
+    for name, weight in trainer.model.state_dict().items():
+        assert torch.allclose(weight, given.average.state_dict()[name], atol=2e-3)  # stored in half precision
+    wide = OrientationConfig(width=32, layers=1, heads=2, anchors=24)
+    with pytest.raises(OptionError, match="another shape"):
+        OrientationTrainer(replace(settings(tmp_path, start=path), predictor=wide), characters)
