@@ -19,9 +19,9 @@ import numpy as np
 import torch
 
 from bunraku.body.layout import HANDLE_MIRROR
-from bunraku.handles.inference.graph import mesh_graph
 from bunraku_lab.datasets.characters.build import load_characters, reference_characters
 from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter
+from bunraku_lab.nn.handles.graph import mesh_graph
 from bunraku_lab.nn.handles.predictor import load_predictor
 from bunraku_lab.training.handles.mesh_augmentation import MeshAugmentation
 from bunraku_lab.training.handles.train import HandleTrainConfig, HandleTrainer, validate_handles

@@ -50,37 +50,35 @@ def main() -> None:
     os.environ["OMP_NUM_THREADS"] = str(args.threads)  # read when the libraries load, so before any import of them
 
     import numpy as np
-    import torch
 
     from bunraku.diffusion.features import FeatureStatistics, decode
     from bunraku.diffusion.generation.networks import load_generator
     from bunraku.diffusion.sampling.sampler import Solver, sample
-    from bunraku.nn.threads import fitting_threads
+    from bunraku.nn.threads import one_thread
     from bunraku_lab.evaluation.motion.seams import posed_positions
 
-    torch.set_num_threads(args.threads)
     model, encoder = load_generator(args.checkpoint)
     prompts = (
         [line.strip() for line in args.prompts.read_text().splitlines() if line.strip()]
         if args.prompts
         else list(PROMPTS)
     )
-    statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
+    statistics = FeatureStatistics(model.mean, model.std)
     frames = min(args.frames, model.config.frames)
 
     def draw(steps: int, method: str = "dpm") -> tuple[np.ndarray, float]:
         """Values (B, N, D) in network units, and CPU seconds a clip."""
         out, start = [], time.process_time()
-        with fitting_threads(model):
+        with one_thread():
             for first in range(0, len(prompts), BATCH):
                 text = encoder.encode(prompts[first : first + BATCH])
                 found = sample(model, text, frames, Solver(steps, guidance=args.guidance, method=method), seed=first)
-                out.append(found.values.cpu().numpy())
+                out.append(found.values)
         return np.concatenate(out), (time.process_time() - start) / len(prompts)
 
     def alone(steps: int) -> float:
         text, start = encoder.encode(prompts[:1]), time.process_time()
-        with fitting_threads(model):
+        with one_thread():
             sample(model, text, frames, Solver(steps, guidance=args.guidance))
         return time.process_time() - start
 

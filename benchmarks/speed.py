@@ -57,9 +57,7 @@ def main() -> None:
         os.environ[variable] = str(args.threads)
 
     import numpy as np
-    import torch
 
-    torch.set_num_threads(args.threads)
     results: dict[str, object] = {"threads": args.threads, "frames": FRAMES}
     square = np.random.default_rng(0).normal(size=(2048, 2048)).astype(np.float32)
     results["gemm_peak_gflops"] = peak = 2 * 2048**3 / best(lambda: square @ square, 8) / 1e9
@@ -91,28 +89,26 @@ def main() -> None:
 
 def sampling_step() -> tuple[float, float]:
     """Seconds of one guided prediction of x0, ours and the reference's."""
-    import torch
+    import numpy as np
 
     from bunraku.diffusion.generation.networks import load_generator
-    from bunraku.nn.threads import fitting_threads
+    from bunraku.diffusion.inference.layers import Condition
+    from bunraku.diffusion.sampling.noise import row_noise
+    from bunraku.nn.threads import one_thread
 
     model, encoder = load_generator()
     text = encoder.encode(["a person walks forward"])
-    x = torch.randn(1, FRAMES, model.config.features, generator=torch.Generator().manual_seed(0))
+    x = row_noise(FRAMES, model.config.features, 0)[None]
 
-    @torch.inference_mode()
-    def run(rows: list[bool], condition: object = None) -> object:
-        keep = torch.tensor(rows)
+    def run(rows: list[bool], condition: Condition | None = None) -> Condition:
         count = len(rows)
         if condition is None:
-            parts = (text.tokens.repeat(count, 1, 1), text.mask.repeat(count, 1), text.pooled.repeat(count, 1))
-            condition = model.condition(*parts, None, keep, torch.zeros(count, dtype=torch.bool))
-            if x is None:
-                return condition
-        model(x.repeat(count, 1, 1), torch.full((count,), 500), torch.full((count,), FRAMES), condition)
+            parts = (part.repeat(count, axis=0) for part in (text.tokens, text.mask, text.pooled))
+            condition = model.condition(*parts, None, np.array(rows), np.zeros(count, bool))
+        model(x.repeat(count, axis=0), 500, np.full(count, FRAMES), condition, False)
         return condition
 
-    with fitting_threads(model):
+    with one_thread():
         kept = run([True, False])
         ours = best(lambda: run([True, False], kept), 20)
         reference = best(lambda: (run([True]), run([False])), 20)
@@ -155,10 +151,11 @@ def time_size(size: int) -> dict[str, float]:
     from bunraku.core.animation import Animation
     from bunraku.core.skinning import skin, skin_basis, skin_reference
     from bunraku.geometry.simplify import network_mesh
-    from bunraku.handles.inference.graph import mesh_graph
     from bunraku.handles.predict import _model, predict_handles
     from bunraku.nn.checkpoints import shipped_checkpoint
     from bunraku_lab.nn.edge_conv import EdgeConv, edge_conv_reference
+    from bunraku_lab.nn.handles.graph import mesh_graph
+    from bunraku_lab.nn.handles.predictor import load_predictor
 
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -172,11 +169,12 @@ def time_size(size: int) -> dict[str, float]:
         weights_path = shipped_checkpoint("handles")
         network = _model(weights_path.resolve(), weights_path.stat().st_mtime_ns)
         mesh = network_mesh(character.vertices, character.faces, network.config.mesh_vertices)
-        graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, network.config.anchors)
         slow = 0.0
         import torch
 
-        for layer in (module for module in network.modules() if isinstance(module, EdgeConv)):
+        definition = load_predictor(weights_path)
+        graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, network.config.anchors)
+        for layer in (module for module in definition.modules() if isinstance(module, EdgeConv)):
             x = torch.zeros(len(mesh.vertices), layer.own.in_features)
             with torch.inference_mode():
                 fast = best(lambda layer=layer, x=x: layer(x, graph))

@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 from bunraku.core.motion import HandleMotion
 from bunraku.core.request.constraint import Constraint
 from bunraku.errors import OptionError
+from bunraku.geometry.easing import MonotoneCurve
 
 __all__ = ["GroundPath", "bent_to_path"]
 
@@ -80,8 +81,6 @@ class GroundPath(Constraint):
         Raises:
             OptionError: The path's last time is after the end of the clip.
         """
-        from scipy.interpolate import PchipInterpolator  # takes a while, and few clips have a path
-
         points = np.asarray(self.points, float)
         seconds = max((frames - 1) / fps, 1e-9)
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -93,10 +92,10 @@ class GroundPath(Constraint):
                 )
             knots = np.asarray(self.times)
             now = np.minimum(np.arange(frames) / fps, knots[-1])
-            return np.asarray(PchipInterpolator(knots, points)(now))
+            return MonotoneCurve(knots, points)(now)
         points = points[keep]
         along = np.concatenate([[0.0], np.cumsum(steps[steps > 1e-9])])
-        curve = PchipInterpolator(along, points)(np.linspace(0, along[-1], DENSE * len(points)))
+        curve = MonotoneCurve(along, points)(np.linspace(0, along[-1], DENSE * len(points)))
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
         soft = min(0.4, seconds / 4)  # s to set off and to arrive
         time = np.arange(frames) / fps

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.geometry.easing import MonotoneCurve
 from bunraku.gestures.pose import Foot, Hand, Key, Pose
 
 __all__ = ["STEP", "foot_on", "through"]
@@ -53,9 +54,7 @@ def foot_on(out: float, ahead: float, pitch: float = 0.0, turn: float = 8.0) -> 
 
 
 def _passing(times: Sequence[float], poses: Sequence[Pose]) -> Callable[[float], Pose]:
-    from scipy.interpolate import PchipInterpolator
-
-    curve = PchipInterpolator(times, [_numbers(pose) for pose in poses])
+    curve = MonotoneCurve(times, [_numbers(pose) for pose in poses])
     carriers = poses[0].right.on, poses[0].left.on
     return lambda moment: _pose(iter(curve(moment).tolist()), carriers)
 
