@@ -61,13 +61,14 @@ def test_mesh_features_are_trained_when_a_bank_is_given(settings, config, encode
 def test_text_tokens_are_dropped_in_training_alone(settings, config, encoder, swings):
     """Of all tokens about as many as asked for; sentence vectors stay, and noise and steps are those without it."""
     from bunraku.diffusion.features import FeatureStatistics
+    from bunraku_lab.nn.text import tensors_of
     from bunraku_lab.training.diffusion.clip_data import load_clips
     from bunraku_lab.training.diffusion.clip_rows import ClipSet
 
     found = load_clips(swings)
     statistics = FeatureStatistics.measure([entry["features"] for entry in found.values()])
     batch = ClipSet(found, statistics, frames=60).batch(0, 0, 64)
-    text = encoder.encode(batch.sentences)
+    text = tensors_of(encoder.encode(batch.sentences))
     plain, dropping = (Trainer(settings(drop_tokens=share), config(), statistics) for share in (0.0, 0.3))
     whole, less = (trainer.example(batch, text, [0, 1]) for trainer in (plain, dropping))
     assert torch.equal(whole.text.mask, text.mask) and torch.equal(whole.text.pooled, less.text.pooled)
