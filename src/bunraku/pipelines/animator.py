@@ -26,6 +26,7 @@ from bunraku.handles.predict import Predictor
 from bunraku.language.sentence import Sentence, in_stretches
 from bunraku.pipelines.apply import apply_motion, apply_rigged, reference_of, reference_path
 from bunraku.pipelines.bodies import as_bodies_do, moved_ways
+from bunraku.pipelines.notebook import cell_progress
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.constraints import Constraints, InPlace, Loop
 from bunraku.pipelines.requests.request import Request, check_handles
@@ -96,7 +97,7 @@ class Animator:
     @classmethod
     def shipped(cls, progress: Progress | None = None, note: Callable[[str], None] | None = None) -> Animator:
         """One with the networks that come with Bunraku, each loaded when it is first needed."""
-        return cls(progress=progress or _silent, note=note or _silent)
+        return cls(progress=progress or cell_progress() or _silent, note=note or _silent)
 
     def __call__(self, character: Character | Body, request: Request) -> AnimatedCharacter:
         """A character that does what a request says.
