@@ -9,11 +9,11 @@ import functools
 from collections.abc import Collection, Sequence
 
 from bunraku.language.foreign.table import table
-from bunraku.language.known.vocabulary import FUNCTION_WORDS, action_stems, stem
+from bunraku.language.known.vocabulary import FUNCTION_WORDS, action_stems, caption_stems, stem
 from bunraku.language.lexicon.reading import said_phrases, words_of
 from bunraku.language.lexicon.tables import lexicon
 
-__all__ = ["added_words", "count_of", "stems_of", "tells_all"]
+__all__ = ["added_words", "count_of", "stems_of", "tells_all", "unseen_word"]
 
 MOST = 99
 """How often something is done at the most."""
@@ -78,6 +78,21 @@ def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:
         if root in _body() or (root in verbs and root not in own):
             found.append(word)
     return tuple(dict.fromkeys(found))
+
+
+def unseen_word(text: str, action: str) -> str:
+    """The word that says an action in a text, where no watched caption has any that does; "" where one has.
+
+    Args:
+        text: In English.
+        action: In the lexicon's words.
+    """
+    said = [word for word in words_of(text)[0] if word.isalpha() and word not in FUNCTION_WORDS]
+    said = [word for word in said if stem(word) in _own(action)]
+    named = stems_of((action,))
+    if any(stem(word) in named or stem(word) in caption_stems() for word in said):
+        return ""
+    return said[0] if said else ""
 
 
 def tells_all(added: Collection[str], texts: tuple[str, ...]) -> bool:

@@ -101,3 +101,13 @@ def test_what_a_clause_adds():
         "waves at a friend": (), "a person applauds": (), "hugs somebody": (),
     }  # fmt: skip
     assert {text: clause_of(text).added for text in added} == added
+
+
+def test_what_no_motion_shows_is_said(networks):
+    def unseen(prompt):
+        found, clauses = known(networks, prompt)
+        return found.unseen(clauses[0])
+
+    assert unseen("moonwalk") == ("moonwalk", "dance")
+    for prompt in ("dances", "a person limps", "waves", "claps", "runs fast", "plays the guitar", "facepalms"):
+        assert unseen(prompt) == ("", "")

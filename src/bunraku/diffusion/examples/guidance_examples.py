@@ -16,6 +16,7 @@ from bunraku.diffusion.examples.pack import ExamplePack
 from bunraku.diffusion.examples.retrieve import Found, retrieve
 from bunraku.diffusion.features import mirror
 from bunraku.gestures.manner import Manner
+from bunraku.language.details import tells_all, unseen_word
 from bunraku.language.sentence import Clause
 
 __all__ = ["GuidanceExamples"]
@@ -55,6 +56,18 @@ class GuidanceExamples:
     def lacking(self, clause: Clause) -> tuple[str, ...]:
         """What a clause says beyond an action whose gestures leave that out, so that none of them is used."""
         return self._lacking.get(clause.text, ())
+
+    def unseen(self, clause: Clause) -> tuple[str, str]:
+        """A word that says a clause's only action while no caption and no example has it, and that action; "" and ""
+        for none.
+        """
+        found = self._found.get(clause.text, [])
+        if len(clause.actions) != 1 or any(self.pack.examples[one.number].made for one in found):
+            return "", ""
+        word = unseen_word(clause.person, clause.actions[0])
+        if not word or any(tells_all((word,), example.texts) for example in self.pack.examples):
+            return "", ""
+        return word, clause.actions[0]
 
     def unranked(self, script: Sequence[tuple[Clause, int]]) -> bool:
         """Whether a clause requests what the ranker has never seen, a gesture that is made by code or a clip of one's

@@ -148,7 +148,10 @@ def generate_motions(
 
 
 def _left_out(known: GuidanceExamples, clause: Clause) -> str:
-    """What no gesture does of a clause, in a line; "" for nothing."""
+    """What of a clause no motion shows, or no gesture does, in a line; "" for nothing."""
+    word, action = known.unseen(clause)
+    if word:
+        return f"no motion of '{word}' is known; this is one of '{action}'"
     lacking = ", ".join(f"'{word}'" for word in known.lacking(clause))
     if not lacking:
         return ""

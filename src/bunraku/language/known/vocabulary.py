@@ -18,7 +18,17 @@ from bunraku.language.foreign.table import table
 from bunraku.language.lexicon.reading import actions_of
 from bunraku.language.lexicon.tables import lexicon
 
-__all__ = ["FUNCTION_WORDS", "Word", "action_stems", "is_known", "known_words", "says_action", "stem", "words_of"]
+__all__ = [
+    "FUNCTION_WORDS",
+    "Word",
+    "action_stems",
+    "caption_stems",
+    "is_known",
+    "known_words",
+    "says_action",
+    "stem",
+    "words_of",
+]
 
 _WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
 _IRREGULAR = {
@@ -112,6 +122,12 @@ def known_words() -> dict[str, int]:
 @functools.cache
 def _stems() -> frozenset[str]:
     return frozenset(map(stem, known_words()))
+
+
+@functools.cache
+def caption_stems() -> frozenset[str]:
+    """Stems of the words that watched captions share."""
+    return frozenset(map(stem, _written()["words"]))
 
 
 @functools.cache
