@@ -114,11 +114,11 @@ class HandsClear(Stage):
 
     name: ClassVar[str] = "hands_clear"
 
-    points: int = 48
+    points: int = 96
     palm: float = 0.45
     near: float = 0.25
     least: float = 0.004
-    above: float = 0.004
+    above: float = 0.01
     most: float = 0.3
     wide: float = 0.1
     blend: float = 0.1
