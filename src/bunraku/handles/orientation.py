@@ -23,7 +23,9 @@ __all__ = ["SURE", "Orientation", "ResolvedAxes", "guess_orientation", "resolve_
 SURE = 0.85
 """From this probability on nothing is said of a guess."""
 TURN = 0.5
-"""From this probability on a guess overrules the axes of a format that has a rule; below, the file's axes stay."""
+"""From this probability on a guess overrules the axes of a format that has a rule."""
+STANDS = 0.05
+"""Below `TURN` the file's axes stay while they have this probability themselves."""
 _POINTS = 2048
 
 
@@ -198,8 +200,12 @@ def _bare(suffix: str) -> str:
 
 
 def resolved_axes(guess: Orientation, rule: bool = False) -> tuple[str, str]:
-    """Up and front as a guess has them; where the format has a rule, +Y and +Z unless it is at least 50 % sure."""
-    return (guess.up, guess.front) if guess.confidence >= TURN or not rule else default_orientation()
+    """Up and front as a guess has them; where the format has a rule, +Y and +Z while these have 5 % and no guess has
+    50 %.
+    """
+    usual = default_orientation()
+    stays = rule and guess.confidence < TURN and guess.probability(*usual) >= STANDS
+    return usual if stays else (guess.up, guess.front)
 
 
 def upright(character: Character, up: str = "auto", front: str = "auto") -> Character:
