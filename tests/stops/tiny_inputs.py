@@ -27,7 +27,7 @@ def make_characters(folder: Path) -> None:
 
     (folder / "characters").mkdir()
     for name in ("person", "dancer"):
-        save_character(sample_character(name, 0.5, rigged=True), folder / "characters" / f"{name}.glb")
+        save_character(sample_character(name, 0.5, rigged=True), folder / "characters" / f"{name}.glb", rig=True)
 
 
 def make_motions(folder: Path) -> None:
