@@ -1,6 +1,6 @@
 """How long the studio takes from a sentence to a take, over the library's own time; and its memory over many takes.
 
-    python benchmarks/studio.py [--rounds 5] [--takes 50]
+    python benchmarks/studio.py [--rounds 5] [--takes 50] [--detail 1 2] [--subdivided]
 
 The two are timed in turns, so that what else the machine does falls on both, by the clock and in processor time.
 """
@@ -13,16 +13,23 @@ import statistics
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.core.character import Character, Handles
+from bunraku.core.character import Character
 from bunraku.diffusion.generation.drawing import GUIDANCE, STEPS
-from bunraku.io import load_character
+from bunraku.io import load_character, save_character
 from bunraku.pipelines.animate import animate, generate, rig
 from bunraku.pipelines.apply import apply_motion
+from bunraku.samples import sample_character
 from bunraku.studio.tasks.making import DRAFT_STAGES, DRAFT_STEPS
+from bunraku.studio.workspace.opened import Settings, opened_character
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "studio"))
 
@@ -47,17 +54,41 @@ def processor(process: int) -> float:
 
 @dataclass(frozen=True)
 class Times:
-    """Seconds of a draft and of a full take, by the clock and of the processor."""
+    """Seconds of opening, of a draft and of a full take, by the clock and of the processor."""
 
+    open: float
     draft: float
     full: float
+    open_work: float
     draft_work: float
     full_work: float
 
 
-def studio_times(studio: Studio, character: str, seed: int) -> Times:
-    """From the request to the clips of the draft and of the full take, by asking what has changed, as a page does."""
+def told(studio: Studio, event: int, wanted: Callable[[str, dict[str, Any]], bool]) -> int:
+    """Ask what has changed, as a page does, until something that is wanted has; the number to ask with next."""
+    while True:
+        answer = studio.get(f"/api/changes?after={event}")
+        event = answer["event"]
+        if any(wanted(what, said) for what, said in answer["changes"]):
+            return event
+        time.sleep(PAUSE)
+
+
+def studio_times(studio: Studio, file: Path, seed: int) -> Times:
+    """From the request to the mesh with its skin, and to the clips of the draft and of the full take."""
     worker = studio.get("/api/about")["worker"]["process"]
+
+    def spent() -> float:
+        return processor(worker) + processor(studio.process.pid)
+
+    event = studio.get("/api/about")["event"]
+    start, work = time.perf_counter(), spent()
+    opened = studio.post(f"/api/characters?name={file.name}", data=file.read_bytes())
+    character = opened["character"]["id"]
+    told(studio, event, lambda what, said: what == "character" and said["id"] == character and said["state"] == "ready")
+    studio.ask("GET", f"/api/characters/{character}/mesh.glb")
+    opening = time.perf_counter() - start, spent() - work
+    studio.until(lambda: "ends" in studio.get(f"/api/characters/{character}"), "the rest of it")
     event = studio.get("/api/about")["event"]
     start, work = time.perf_counter(), processor(worker) + processor(studio.process.pid)
     made = studio.post(
@@ -65,20 +96,32 @@ def studio_times(studio: Studio, character: str, seed: int) -> Times:
         {"script": [{"text": PROMPT, "seconds": SECONDS}], "seeds": [seed], "steps": STEPS, "guidance": GUIDANCE},
     )
     found: dict[str, tuple[float, float]] = {}
+    states: list[str] = []
+
+    def there(what: str, said: dict[str, Any]) -> bool:
+        if what == "take" and said["id"] == made["takes"][0] and said["state"] in ("draft", "done"):
+            states.append(said["state"])
+        return bool(states)
+
     while "done" not in found:
-        answer = studio.get(f"/api/changes?after={event}")
-        event = answer["event"]
-        for what, said in answer["changes"]:
-            if what == "take" and said["id"] == made["takes"][0] and said["state"] in ("draft", "done"):
-                studio.ask("GET", f"/api/takes/{said['id']}/clip")
-                spent = processor(worker) + processor(studio.process.pid) - work
-                found.setdefault(said["state"], (time.perf_counter() - start, spent))
-        time.sleep(PAUSE)
-    return Times(found["draft"][0], found["done"][0], found["draft"][1], found["done"][1])
+        states.clear()
+        event = told(studio, event, there)
+        studio.ask("GET", f"/api/takes/{made['takes'][0]}/clip")
+        for state in ("draft", *states):
+            found.setdefault(state, (time.perf_counter() - start, spent() - work))
+    studio.ask("DELETE", f"/api/characters/{character}")
+    draft, done = found["draft"], found["done"]
+    return Times(opening[0], draft[0], done[0], opening[1], draft[1], done[1])
 
 
-def library_times(character: Character, handles: Handles, seed: int) -> Times:
-    """What a draft and a full take cost without the studio."""
+def library_times(file: Path, seed: int) -> Times:
+    """What opening (read, stood up, with handles, written), a draft and a full take cost without the studio."""
+    start, work = time.perf_counter(), time.process_time()
+    character, _ = opened_character(file, Settings())
+    handles = rig(character)
+    with tempfile.TemporaryDirectory() as folder:
+        save_character(character, Path(folder) / "mesh.glb", handles)
+    opening = time.perf_counter() - start, time.process_time() - work
     start, work = time.perf_counter(), time.process_time()
     motion = generate(
         PROMPT, seconds=SECONDS, seed=seed, steps=DRAFT_STEPS, candidates=1, mesh_feature=handles.features
@@ -87,7 +130,8 @@ def library_times(character: Character, handles: Handles, seed: int) -> Times:
     draft = time.perf_counter() - start, time.process_time() - work
     start, work = time.perf_counter(), time.process_time()
     animate(character, PROMPT, seconds=SECONDS, seed=seed, handles=handles)
-    return Times(draft[0], time.perf_counter() - start, draft[1], time.process_time() - work)
+    full = time.perf_counter() - start, time.process_time() - work
+    return Times(opening[0], draft[0], full[0], opening[1], draft[1], full[1])
 
 
 def main() -> None:
@@ -95,30 +139,45 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--takes", type=int, default=0, help="so many takes are queued, and memory is told")
+    parser.add_argument("--detail", type=float, nargs="*", default=[1.0], help="of the sample person")
+    parser.add_argument("--subdivided", action="store_true", help="each triangle of the last becomes four")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        studio = Studio(Path(folder) / "studio")
+    with tempfile.TemporaryDirectory() as home:
+        studio = Studio(Path(home) / "studio")
         try:
             studio.until(lambda: studio.get("/api/about")["worker"]["warm"], "a warm worker")
-            record = studio.get("/api/characters")["characters"][0]
-            source = next((studio.folder / "characters" / record["id"] / "source").iterdir())
-            character = load_character(source)
-            handles = rig(character)
-            rounds = []
-            for seed in range(options.rounds + 1):
-                library, ours = library_times(character, handles, seed), studio_times(studio, record["id"], seed)
-                if seed:  # the first round warms both up
-                    rounds.append((ours, library))
-            print(f"{len(character.vertices):,} vertices, {SECONDS:g} s; medians of {options.rounds} rounds")
-            for name in ("draft", "full", "draft_work", "full_work"):
-                pairs = [(getattr(ours, name), getattr(library, name)) for ours, library in rounds]
-                mine, theirs = (statistics.median(column) for column in zip(*pairs, strict=True))
-                ratio = statistics.median(one / other for one, other in pairs)
-                print(f"{name}: studio {mine:.2f} s, library {theirs:.2f} s, ratio {ratio:.2f}")
+            for number, detail in enumerate(options.detail):
+                dense = options.subdivided and number == len(options.detail) - 1
+                file = Path(home) / f"person-{number}.glb"
+                compare(studio, written(file, detail, dense), options.rounds)
             if options.takes:
-                queued(studio, record["id"], options.takes)
+                queued(studio, studio.get("/api/characters")["characters"][0]["id"], options.takes)
         finally:
             studio.stop()
+
+
+def written(file: Path, detail: float, dense: bool) -> Path:
+    """A file with the sample person, without a rig."""
+    person = sample_character("person", detail)
+    vertices, faces = person.vertices, person.faces
+    if dense:
+        vertices, faces = trimesh.remesh.subdivide(vertices, faces)
+    return save_character(Character("person", np.asarray(vertices, np.float32), np.asarray(faces)), file)
+
+
+def compare(studio: Studio, file: Path, rounds: int) -> None:
+    """Time both in turns, and print medians."""
+    found = []
+    for seed in range(rounds + 1):
+        pair = library_times(file, seed), studio_times(studio, file, seed)
+        if seed:  # the first round warms both up
+            found.append(pair)
+    print(f"{len(load_character(file).vertices):,} vertices, {SECONDS:g} s; medians of {rounds} rounds")
+    for name in ("open", "draft", "full", "open_work", "draft_work", "full_work"):
+        pairs = [(getattr(ours, name), getattr(library, name)) for library, ours in found]
+        mine, theirs = (statistics.median(column) for column in zip(*pairs, strict=True))
+        ratio = statistics.median(one / other for one, other in pairs if other)
+        print(f"{name}: studio {mine:.2f} s, library {theirs:.2f} s, ratio {ratio:.2f}", flush=True)
 
 
 def queued(studio: Studio, character: str, count: int) -> None:

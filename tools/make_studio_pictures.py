@@ -68,7 +68,7 @@ def handles(page: Page) -> None:
 
 def directing(page: Page) -> None:
     """A timeline of sentences with a span, poses, pins and a path."""
-    page.page.click(".chips .chip:text-is('person')")
+    page.page.click("#sample-person")
     page.until("studio.character.value?.name === 'person' && studio.take.value?.state === 'done'")
     page.shown()
     page.value(
@@ -90,6 +90,21 @@ def directing(page: Page) -> None:
     page.set(2.0)
 
 
+def clips(page: Page) -> None:
+    """The clip library, and a clip of it that is played."""
+    page.page.click("#tab-clips")
+    page.page.fill("#clip-words", "dance")
+    page.page.wait_for_selector("#clip-charleston")
+    page.page.click("#clip-charleston")
+    page.until("studio.take.value.state === 'done' && studio.take.value.script[0].clip === 'charleston'")
+    page.shown()
+    page.until(
+        "[...document.querySelectorAll('.clip canvas')].slice(0, 6).every((one) => one.getContext('2d')"
+        ".getImageData(0, 0, one.width, one.height).data.some((value) => value > 0))"
+    )
+    page.set(1.0)
+
+
 def export(page: Page) -> None:
     """The ways out."""
     page.set(0.5)
@@ -98,7 +113,7 @@ def export(page: Page) -> None:
 
 def apparel(page: Page) -> None:
     """Learned apparel with its dial."""
-    page.page.click(".chips .chip:text-is('dancer')")
+    page.page.click("#sample-dancer")
     page.until("studio.character.value?.name === 'dancer' && studio.character.value.state === 'ready'")
     page.until("studio.take.value && studio.take.value.state === 'done'")
     page.shown()
@@ -118,6 +133,7 @@ STATES = {  # those of a first visit before those that leave something behind
     "narrow-dark": (sentence, True, 800),
     "handles": (handles, True, 1280),
     "export": (export, True, 1280),
+    "clips": (clips, False, 1280),
     "apparel": (apparel, False, 1280),
     "takes": (takes, False, 1280),
     "directing": (directing, False, 1280),

@@ -301,7 +301,7 @@ export function Characters() {
           </p>
         </>
       )}
-      <h3>Samples</h3>
+      <h2>Samples</h2>
       <ul class="cards">
         {about.value?.samples.map((name) => (
           <li key={name}>

@@ -245,13 +245,13 @@ function App() {
         </Boundary>
         <Warnings />
       </div>
-      <div class="say">
+      <section class="say" aria-label="the sentence">
         <Boundary name="the sentence">
           <Prompt />
         </Boundary>
-      </div>
+      </section>
       <main>
-        <aside class="left">
+        <aside class="left" aria-label="characters and clips">
           <Sides />
         </aside>
         <Boundary name="the view">
@@ -264,7 +264,7 @@ function App() {
             <Legend />
           </Stage>
         </Boundary>
-        <aside class="right">
+        <aside class="right" aria-label="takes of the character">
           <Boundary name="takes">
             <Takes />
           </Boundary>

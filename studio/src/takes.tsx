@@ -1,5 +1,6 @@
 // Takes: chosen, starred, compared, and what is changed of the one that is chosen.
 
+import { signal } from "@preact/signals";
 import { useState } from "preact/hooks";
 import { bend, choose, deleteTake, regenerate, remake, replayLink, star } from "./actions";
 import { send } from "./api";
@@ -60,6 +61,9 @@ function Row({ one }: { one: Take }) {
     </li>
   );
 }
+
+/** Whether what changes a take is unfolded; it stays so from take to take. */
+const changes = signal(false);
 
 /** Pins as numbers: all that dragging a dot in the view does, without a pointer. */
 function Pins() {
@@ -177,7 +181,7 @@ export function Takes() {
         {!all.length && <li class="hint">no takes yet: type a sentence and press Enter</li>}
       </ul>
       {take.value?.state === "done" && (
-        <details open={changing.value}>
+        <details open={changing.value || changes.value} onToggle={(event) => (changes.value = event.currentTarget.open)}>
           <summary>change this take</summary>
           <p class="hint">Keep parts of the body, select a span, or pin poses, hands and feet; the rest is generated anew.</p>
           <div class="chips">

@@ -101,3 +101,30 @@ def test_a_clip_that_loops_ends_where_it_begins(studio):
     motion = take_of(studio, studio.post(f"/api/characters/{owner}/takes", body)).motion
     inner = np.abs(np.diff(motion.rotations, axis=0)).max(axis=(1, 2, 3)).max()
     assert np.abs(motion.rotations[0] - motion.rotations[-1]).max() <= 1.2 * inner
+
+
+def test_a_take_is_mirrored_and_cut(studio):
+    owner = studio.get("/api/characters")["characters"][0]["id"]
+    script = [{"text": "salutes", "seconds": 2.5, "clip": "salute"}]
+    made = studio.post(f"/api/characters/{owner}/takes", {"script": script})
+    motion, name = take_of(studio, made).motion, made["takes"][0]
+    mirrored = studio.post(f"/api/takes/{name}/change", {"mirror": True})
+    other = take_of(studio, mirrored).motion
+    turned = [np.linalg.norm(one.rotations - one.rotations[:1], axis=(2, 3)).max(axis=0) for one in (motion, other)]
+    left, right = 18, 19  # elbows
+    assert turned[0][right] > 2 * turned[0][left] and turned[1][left] > 2 * turned[1][right]
+    cut = take_of(studio, studio.post(f"/api/takes/{name}/change", {"trim": [0.5, 1.5]})).motion
+    np.testing.assert_array_equal(cut.rotations, motion.rotations[10:30])
+    for trim in ([1, 1], [2, 1], [-1, 1], [0], "all"):
+        assert studio.ask("POST", f"/api/takes/{name}/change", {"trim": trim})[0] == 400
+    gone = studio.post(f"/api/takes/{name}/change", {"trim": [100, 110]})
+    assert "nothing is left" in studio.ended(gone["job"])["error"]
+
+
+def test_a_character_has_a_picture_when_the_page_drew_one(client, ready):
+    webp = b"RIFF\x00\x00\x00\x00WEBPVP8 "
+    assert client.put(f"/api/characters/{ready}/picture", content=webp).json()["picture"] == 1
+    answer = client.get(f"/api/characters/{ready}/picture")
+    assert answer.content == webp and answer.headers["content-type"] == "image/webp"
+    for data, status in ((b"<svg onload=alert(1)>", 400), (b"\x89PNG" + bytes(200_000), 413), (b"", 400)):
+        assert client.put(f"/api/characters/{ready}/picture", content=data).status_code == status

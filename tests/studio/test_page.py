@@ -224,11 +224,10 @@ def test_a_hand_is_pinned_and_a_path_is_typed_without_a_pointer(page):
 
 
 def test_four_views_ask_for_the_front(page, tmp_path):
-    from bunraku.core.character import Character
-
-    body = sample_character("mushroom")
-    turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]], np.float32)  # it faces +X
-    save_character(Character("aside", body.vertices @ turn.T, body.faces), tmp_path / "aside.obj")
+    body = sample_character("mushroom", 0.4)
+    lines = ["v {:f} {:f} {:f}".format(*vertex) for vertex in body.vertices]
+    lines += ["f {} {} {}".format(*(face + 1)) for face in body.faces]
+    (tmp_path / "aside.obj").write_text("\n".join(lines))
     page.drop(tmp_path / "aside.obj")
     page.until("studio.character.value?.name === 'aside' && studio.character.value.state === 'ready'")
     axes = page.value("studio.character.value.axes")
