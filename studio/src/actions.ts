@@ -22,7 +22,8 @@ const rigged = (now: Doc): boolean =>
 
 /** What generating is told, of the document. */
 export function asked(now: Doc): Record<string, unknown> {
-  const seeds = Array.from({ length: now.count }, (_, number) => now.seed + number);
+  const count = now.script.every((part) => part.clip) ? 1 : now.count; // clips alone are the same by every seed
+  const seeds = Array.from({ length: count }, (_, number) => now.seed + number);
   return {
     script: now.script,
     seeds,

@@ -8,7 +8,7 @@ import { hashOf, send, setToken } from "./api";
 import { Boundary } from "./boundary";
 import { dropped } from "./drop";
 import { Header, Help, help, theme } from "./header";
-import { Export } from "./export";
+import { Export, exporting } from "./export";
 import { DRAGGED, Library } from "./library";
 import { Characters } from "./characters";
 import { Prompt } from "./prompt";
@@ -24,6 +24,9 @@ import { pinPose, Timeline } from "./timeline";
 import "./style.css";
 
 function keys(event: KeyboardEvent): void {
+  if (exporting.value) {
+    return; // the dialog has the keys
+  }
   const target = event.target as HTMLElement;
   const typing = target.matches("input:not([type=checkbox]):not([type=range]), textarea, select");
   if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z" && !typing) {
@@ -53,8 +56,11 @@ function keys(event: KeyboardEvent): void {
     Escape: () => ((help.value = false), (asking.value = null), (drawing.value = false), (notice.value = null)),
   };
   const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-  if (event.key === " " && target.matches("button, summary, [role=slider]")) {
+  if (event.key === " " && target.matches("button, summary, input, [role=slider]")) {
     return; // it presses what has the focus
+  }
+  if (event.key.startsWith("Arrow") && target.matches("input[type=range]")) {
+    return; // it moves the slider
   }
   if (action) {
     event.preventDefault();

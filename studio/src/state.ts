@@ -38,8 +38,10 @@ export const ownTakes = computed(() =>
     .sort((one, other) => other.created - one.created),
 );
 const open = (job: Job): boolean => ["waiting", "running"].includes(job.state);
-/** What is being made; how clips look is a moment's work and not among it. */
-export const running = computed(() => jobs.value.filter((job) => open(job) && !["preview", "find-out"].includes(job.kind)));
+/** What nobody asked for by itself: how clips look, and what is found out of a character. */
+const QUIET = ["preview", "find-out"];
+/** What is being made. */
+export const running = computed(() => jobs.value.filter((job) => open(job) && !QUIET.includes(job.kind)));
 export const interrupted = computed(() => jobs.value.filter((job) => job.state === "interrupted"));
 export const total = computed(() => doc.value.script.reduce((sum, part) => sum + part.seconds, 0));
 
@@ -146,7 +148,7 @@ function heard(what: string, data: unknown): void {
     } else if (what === "job") {
       const job = data as Job;
       jobs.value = [...jobs.value.filter((one) => one.id !== job.id), job];
-      if (job.state === "failed") {
+      if (job.state === "failed" && !QUIET.includes(job.kind)) {
         say(`${job.title}: ${job.error}`, true);
       }
       waiters.get(job.id)?.(job);

@@ -58,7 +58,7 @@ class State:
                     logging.getLogger(__name__).warning("%s", error)
             elif character["state"] == "ready" and "ends" not in character:
                 with suppress(BunrakuError):
-                    self._find_out(character["id"])
+                    self.find_out(character["id"])
         self.jobs.start()
 
     def stop(self) -> None:
@@ -126,7 +126,7 @@ class State:
         job = self.jobs.submit("open", f"open {record['name']}", params, {"character": name, "opens": name})
         return {"character": record, "job": job["id"]}
 
-    def _find_out(self, name: str) -> None:
+    def find_out(self, name: str) -> None:
         """Queue what is longer looked for of a character, after what waits for it already."""
         self.jobs.submit("find-out", "look at the character", {"character": name}, {"found": name}, passing=True)
 
@@ -190,7 +190,7 @@ class State:
             self.note("characters", about["opens"], version=version, **values)
             if state == "done":
                 with suppress(BunrakuError):  # a full queue or disk: the character is open without it
-                    self._find_out(about["opens"])
+                    self.find_out(about["opens"])
         if "found" in about and state == "done":
             self.note("characters", about["found"], **said)
         for name in about.get("takes", ()):

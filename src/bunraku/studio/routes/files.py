@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -90,7 +91,11 @@ async def opened(request: Request) -> Any:
         found = await run_in_threadpool(unpack_project, state.store, path)
     finally:
         state.store.drop("exports", made["id"])
-    state.jobs.changes.tell("character", state.store.get("characters", found["character"]))
+    record = state.store.get("characters", found["character"])
+    state.jobs.changes.tell("character", record)
+    if "ends" not in record:  # it was saved before they were found
+        with suppress(BunrakuError):
+            state.find_out(record["id"])
     for name in found["takes"].values():
         state.jobs.changes.tell("take", state.store.get("takes", name))
     return JSONResponse(found, 201)
