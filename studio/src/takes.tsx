@@ -5,7 +5,7 @@ import { useState } from "preact/hooks";
 import { bend, choose, deleteTake, regenerate, remake, replayLink, star } from "./actions";
 import { send } from "./api";
 import { changing, instead } from "./prompt";
-import { seconds as shown, viewer } from "./stage";
+import { viewer } from "./stage";
 import { attempt, change, character, comparing, doc, ended, interrupted, ownTakes, running, say, take, time, uploading } from "./state";
 import type { Take, Vec3 } from "./types";
 
@@ -120,7 +120,7 @@ function Pins() {
 function Change() {
   const now = doc.value;
   const [cut, setCut] = useState<[number, number]>([0, 0]);
-  const length = shown();
+  const length = take.value?.seconds ?? 0;
   const [from, to] = now.span ?? cut;
   const span = (values: [number, number]): void => {
     setCut(values);
