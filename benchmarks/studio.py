@@ -36,7 +36,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "studio")
 from conftest import Studio
 
 PROMPT, SECONDS = "walks forward and waves", 4.0
-PAUSE = 0.02
+PAUSE = 0.1
 """Seconds between two questions."""
 
 

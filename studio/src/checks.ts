@@ -9,6 +9,7 @@ import { viewer } from "./stage";
 import {
   change, character, characters, colouring, comparing, doc, drawing, follow, notice, online, ownTakes, playing, take, takes, time,
 } from "./state";
+import { changes } from "./takes";
 import type { Doc } from "./types";
 import type { Viewer } from "./viewer";
 
@@ -69,7 +70,7 @@ Object.assign(window, {
       const newest = done.sort((one, other) => other.created - one.created)[0];
       batch(() => {
         doc.value = { ...EMPTY, character: first?.id ?? null, take: newest?.id ?? null, ...values };
-        comparing.value = drawing.value = playing.value = changing.value = false;
+        comparing.value = drawing.value = playing.value = changing.value = changes.value = false;
         follow.value = true;
         colouring.value = "none";
         notice.value = null;

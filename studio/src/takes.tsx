@@ -63,7 +63,7 @@ function Row({ one }: { one: Take }) {
 }
 
 /** Whether what changes a take is unfolded; it stays so from take to take. */
-const changes = signal(false);
+export const changes = signal(false);
 
 /** Pins as numbers: all that dragging a dot in the view does, without a pointer. */
 function Pins() {

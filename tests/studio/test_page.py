@@ -197,6 +197,7 @@ def test_a_take_is_mirrored_and_cut(page):
     mirrored = take_of(page.studio, owner, page.value("studio.take.value.id")).motion
     assert len(mirrored) == len(before) and np.abs(mirrored.rotations - before.rotations).max() > 0.05
     page.page.fill("label:has-text('from') input", "0.5")
+    page.page.press("label:has-text('from') input", "Tab")
     page.page.fill("label:has-text('to') input", "0.9")
     page.page.press("label:has-text('to') input", "Tab")
     page.page.click("#trim")

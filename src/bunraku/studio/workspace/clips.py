@@ -227,7 +227,7 @@ def save_handles(handles: Handles, path: Path) -> None:
     if handles.rigid:
         arrays["rigid"] = np.ones(1)
     packed = io.BytesIO()
-    np.savez_compressed(packed, allow_pickle=False, **arrays)
+    np.savez(packed, allow_pickle=False, **arrays)  # who opens a large mesh would wait for compressing it
     with atomic_write(path) as file:
         file.write(packed.getvalue())
 
