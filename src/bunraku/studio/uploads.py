@@ -18,6 +18,8 @@ __all__ = ["CHARACTERS", "MOST_BYTES", "MOTIONS", "PROJECTS", "TooLarge", "plain
 
 MOST_BYTES = 200 << 20
 """Bytes of an upload."""
+MOST_REFUSED = 1 << 30
+"""Bytes of what is refused that are read, and not kept, so that who sends them hears why."""
 MOST_UNPACKED = 600 << 20
 MOST_ENTRIES = 2000
 CHARACTERS = tuple(suffix for one in FORMATS if one.character and one.title != "RigNet" for suffix in one.suffixes)
@@ -74,7 +76,7 @@ async def receive(request: Request, path: Path, most: int | None = None) -> int:
             with suppress(ClientDisconnect):  # who still sends would not hear the answer
                 async for chunk in chunks:
                     size += len(chunk)
-                    if size > most:
+                    if size > MOST_REFUSED:
                         break
     return size
 
