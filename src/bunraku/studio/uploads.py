@@ -51,12 +51,12 @@ async def receive(request: Request, path: Path, most: int | None = None) -> int:
     """
     most = MOST_BYTES if most is None else most
     declared = request.headers.get("content-length", "")
-    if declared.isdecimal() and int(declared) > most:
-        raise TooLarge(
-            f"{path.name}: {int(declared) >> 20} MiB are too many, at most {most >> 20} are taken; simplify it"
-        )
     size, whole, chunks = 0, False, request.stream()
     try:
+        if declared.isdecimal() and int(declared) > most:
+            raise TooLarge(
+                f"{path.name}: {int(declared) >> 20} MiB are too many, at most {most >> 20} are taken; simplify it"
+            )
         with writing(path), path.open("wb") as file:
             async for chunk in chunks:
                 size += len(chunk)
