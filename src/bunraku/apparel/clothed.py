@@ -9,7 +9,17 @@ import numpy as np
 from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES
 from bunraku.errors import CharacterError
 
-__all__ = ["LEGS", "NORMAL_STIFFNESS", "SIZE", "SOFTEST", "STIFFEST", "ClothedCharacter", "part_stiffness"]
+__all__ = [
+    "FREE",
+    "LEGS",
+    "NARROW",
+    "NORMAL_STIFFNESS",
+    "SIZE",
+    "SOFTEST",
+    "STIFFEST",
+    "ClothedCharacter",
+    "part_stiffness",
+]
 
 LEGS = tuple(
     JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot") for side in ("left", "right")
@@ -19,24 +29,39 @@ SIZE = 1.6
 """Height that the networks know characters at [m]; others are measured in units of theirs over this."""
 GRAVITY = 7.84  # of MMD files, 98 units / s^2 [m/s^2]
 NORMAL_STIFFNESS = -0.4
-"""Of cloth that hangs, the median of the wardrobe: what a part counts for whose file gives it no springs but limits."""
+"""Of cloth that hangs, the median of the wardrobe: what a part counts for that neither springs nor limits hold."""
 SOFTEST, STIFFEST = -2.2, 2.0
 """What the networks have seen."""
+FREE = np.pi
+"""Limit of a joint that may turn as it likes [rad]."""
+NARROW = 0.01
+"""The narrowest limit that is told from a locked joint [rad]."""
+LOADS = 0.3
+"""log10 of how many times its weight pulls at a part that moves: springs that so much turns as far as the limits let it
+hold as the limits do.
+"""
 
 
-def part_stiffness(spring: np.ndarray, mass: np.ndarray, length: np.ndarray, dial: float = 1.0) -> np.ndarray:
+def part_stiffness(
+    spring: np.ndarray, mass: np.ndarray, length: np.ndarray, dial: float = 1.0, limit: np.ndarray | None = None
+) -> np.ndarray:
     """Stiffness of parts as the networks take it: log10 of a joint's spring over the moment of a body at the part's
-    end, from -2.2, where it hangs freely, to 2, where it stands; shape (P,), float32.
+    end, from -2.2, where it hangs freely, to 2, where it stands; shape (P,), float32. A part that limits hold in its
+    shape is as stiff as one whose springs let it turn no farther.
 
     Args:
         spring: Of a joint [N m / rad], shape (P,).
         mass: Of a body [kg], shape (P,).
         length: Of the part [m], shape (P,).
         dial: Factor that the user requests.
+        limit: How far a joint may turn [rad], shape (P,); None for as far as it likes.
     """
     moment = np.maximum(np.asarray(mass, np.float64), 1e-4) * GRAVITY * np.maximum(length, 1e-3)
     spring = np.asarray(spring, np.float64)
     ratio = np.where(spring > 0, np.log10(np.maximum(spring, 1e-8) / moment), NORMAL_STIFFNESS)
+    if limit is not None:
+        turn = np.clip(np.asarray(limit, np.float64), NARROW, FREE)
+        ratio = np.where(turn < FREE, np.maximum(ratio, LOADS - np.log10(turn)), ratio)
     return np.asarray(np.clip(ratio + np.log10(dial), SOFTEST, STIFFEST), np.float32)
 
 
@@ -53,6 +78,7 @@ class ClothedCharacter:
         part: Number of the apparel part of each vertex, -1 on the body, shape (V,).
         stiffness: Of each part (`part_stiffness`), shape (P,).
         damping: Of each part: share of the velocity that it loses in a second, shape (P,).
+        limit: Of each part: how far a joint of it may turn [rad], shape (P,); as far as it likes when None.
 
     Raises:
         CharacterError: The shapes do not fit.
@@ -66,12 +92,15 @@ class ClothedCharacter:
     part: np.ndarray
     stiffness: np.ndarray
     damping: np.ndarray
+    limit: np.ndarray = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         count, parts = len(self.rest), int(self.part.max(initial=-1)) + 1
+        if self.limit is None:
+            object.__setattr__(self, "limit", np.full(parts, FREE, np.float32))
         good = self.weights.shape == (count, JOINT_COUNT) and self.joints.shape == (JOINT_COUNT, 3)
         good &= self.apparel.shape == self.part.shape == (count,)
-        if not good or len(self.stiffness) != parts or len(self.damping) != parts:
+        if not good or len(self.stiffness) != parts or len(self.damping) != parts or len(self.limit) != parts:
             raise CharacterError("the mesh, its weights and its apparel are not of one character")
 
     @property

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.apparel.clothed import ClothedCharacter, part_stiffness
+from bunraku.apparel.clothed import FREE, NARROW, ClothedCharacter, part_stiffness
 from bunraku.apparel.nodes import part_lengths
 
 __all__ = ["clothed_with_springs"]
 
 
 def clothed_with_springs(
-    clothed: ClothedCharacter, spring: np.ndarray, mass: np.ndarray, dial: float = 1.0
+    clothed: ClothedCharacter, spring: np.ndarray, mass: np.ndarray, limit: np.ndarray, dial: float = 1.0
 ) -> ClothedCharacter:
     """A clothed character whose parts are as stiff as a file says.
 
@@ -21,6 +21,9 @@ def clothed_with_springs(
         clothed: The character, of any stiffness.
         spring: Of a joint of each part [N m / rad], shape (P,).
         mass: Of a body of each [kg], shape (P,).
-        dial: Factor on the springs.
+        limit: How far a joint of each may turn [rad], shape (P,).
+        dial: Factor on the stiffness.
     """
-    return replace(clothed, stiffness=part_stiffness(spring, mass, part_lengths(clothed), dial))
+    limit = np.clip(limit, NARROW, FREE).astype(np.float32)
+    stiffness = part_stiffness(spring, mass, part_lengths(clothed), dial, limit)
+    return replace(clothed, stiffness=stiffness, limit=limit)

@@ -23,6 +23,7 @@ from bunraku.io.table import FORMATS, Format
 from bunraku.io.units import check_unit, in_metres
 
 __all__ = [
+    "check_points_writer",
     "check_writer",
     "detect",
     "load_character",
@@ -303,6 +304,16 @@ def check_writer(path: str | Path) -> None:
     target = detect(path, b"", "animation").animation.partition(":")[0]
     if target in _CHECKED:
         _resolve(f"{target}:check_available")()
+
+
+def check_points_writer(path: str | Path) -> None:
+    """Make sure that files of this suffix hold vertices that move on their own, as learned apparel does, before
+    anything is made that is to be written.
+
+    Raises:
+        FormatError: They do not; the message lists those that do.
+    """
+    detect(Path(path), b"", "points")
 
 
 def save_character(

@@ -46,6 +46,7 @@ class Format:
     largest: int = MAX_BYTES
 
 
+_PREVIEW = "bunraku.render.preview:save_preview"
 FORMATS: tuple[Format, ...] = (
     Format(
         "GLB",
@@ -140,8 +141,8 @@ FORMATS: tuple[Format, ...] = (
         bones="bunraku.render.html:write_html",
         points="bunraku.render.html:write_html",
     ),
-    Format("MP4", (".mp4",), animation="bunraku.render.preview:save_preview"),
-    Format("WEBP", (".webp",), animation="bunraku.render.preview:save_preview"),
-    Format("GIF", (".gif",), animation="bunraku.render.preview:save_preview"),
-    Format("PNG", (".png",), animation="bunraku.render.preview:save_preview"),
+    Format("MP4", (".mp4",), animation=_PREVIEW, points=_PREVIEW),
+    Format("WEBP", (".webp",), animation=_PREVIEW, points=_PREVIEW),
+    Format("GIF", (".gif",), animation=_PREVIEW, points=_PREVIEW),
+    Format("PNG", (".png",), animation=_PREVIEW, points=_PREVIEW),
 )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.apparel.clothed import ClothedCharacter
+from bunraku.apparel.clothed import FREE, ClothedCharacter
 from bunraku.apparel.mask import apparel_mask
 from bunraku.apparel.parts import apparel_parts
 from bunraku.apparel.stiffness import clothed_with_springs
@@ -17,9 +17,10 @@ from bunraku.core.character import Character
 from bunraku.core.mmd_model import MMD_METRE
 from bunraku.errors import CharacterError
 from bunraku.physics.apparel_rig import ApparelRig
+from bunraku.physics.forest import apparel_forest
 from bunraku.physics.from_file import apparel_rig
 
-__all__ = ["PartSprings", "part_springs", "clothed_from_file"]
+__all__ = ["PartSprings", "bending_limits", "clothed_from_file", "part_springs"]
 
 NEWTON_METRE = MMD_METRE**2
 """A spring of 1 in a file [N m / rad]: MMD's forces are in kg unit / s^2."""
@@ -33,11 +34,13 @@ class PartSprings:
         spring: Stiffness of a joint against swinging [N m / rad], shape (P,), float32.
         mass: Of a body, as in the file, shape (P,).
         damping: Share of the velocity that a body loses in a second, shape (P,).
+        limit: How far a joint may bend [rad], shape (P,).
     """
 
     spring: np.ndarray
     mass: np.ndarray
     damping: np.ndarray
+    limit: np.ndarray
 
 
 def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> PartSprings:
@@ -55,18 +58,42 @@ def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> Pa
     for joint in rig.joints:
         for held in joint.bodies:  # the joint that holds a body is the stiffest: ties to neighbours have no springs
             springs[held] = max(springs[held], float(np.mean(np.abs(joint.angle_spring)[[0, 2]])) * NEWTON_METRE)
-    values = np.zeros((len(own.names), 4))
-    for spring, body in zip(springs, rig.bodies, strict=True):
+    values = np.zeros((len(own.names), 5))
+    for spring, limit, body in zip(springs, bending_limits(rig, own.parents), rig.bodies, strict=True):
         if body.dynamic and body.bone >= 0:
-            values[body.bone] += [spring, body.mass, body.linear_damping, 1.0]
-    sums = np.zeros((count, 4))
+            values[body.bone] += [spring, body.mass, body.linear_damping, limit, 1.0]
+    sums = np.zeros((count, 5))
     cloth = parts >= 0
     for bone, share in zip(own.indices[cloth].T, own.weights[cloth].T, strict=True):
-        known = values[bone, 3] > 0
-        mean = values[bone] / np.maximum(values[bone, 3:], 1.0)
+        known = values[bone, 4] > 0
+        mean = values[bone] / np.maximum(values[bone, 4:], 1.0)
         np.add.at(sums, parts[cloth], mean * (share * known)[:, None])
-    means = (sums[:, :3] / np.maximum(sums[:, 3:], 1e-9)).astype(np.float32)
-    return PartSprings(*means.T)
+    means = sums[:, :4] / np.maximum(sums[:, 4:], 1e-9)
+    means[sums[:, 4] <= 0, 3] = FREE
+    return PartSprings(*means.astype(np.float32).T)
+
+
+def bending_limits(rig: ApparelRig, parents: np.ndarray) -> np.ndarray:
+    """How far each dynamic body may bend against what it hangs on, by the limits of its joint about the axes across its
+    length [rad], shape (B,); pi where it hangs freely, and of bodies that follow their bones.
+
+    Args:
+        rig: The bodies and joints.
+        parents: Parent of each bone, shape (J,).
+    """
+    out = np.full(len(rig.bodies), FREE)
+    whole = tuple(joint for joint in rig.joints if min(joint.bodies) >= 0 and max(joint.bodies) < len(rig.bodies))
+    for link in apparel_forest(rig.bodies, whole, parents).links:
+        joint = link.joint
+        if joint is None:
+            continue
+        far = np.maximum(np.abs(joint.angle_lower), np.abs(joint.angle_upper))
+        half = np.where(joint.angle_lower > joint.angle_upper, FREE, np.minimum(far, FREE))
+        along = rig.bodies[link.body].position - joint.position
+        length = float(np.linalg.norm(along))
+        across = 1 - np.square(joint.rotation.T @ along / length) if length > 1e-6 else np.ones(3)
+        out[link.body] = np.sqrt(float((np.square(half) * across).sum() / across.sum()))
+    return out
 
 
 def clothed_from_file(character: Character, body: UnifiedBody | None = None, dial: float = 1.0) -> ClothedCharacter:
@@ -90,4 +117,4 @@ def clothed_from_file(character: Character, body: UnifiedBody | None = None, dia
     clothed = ClothedCharacter(
         character.vertices, character.faces, body.joints, body.weights, mask, part, limp, springs.damping
     )
-    return clothed_with_springs(clothed, springs.spring, springs.mass, dial)
+    return clothed_with_springs(clothed, springs.spring, springs.mass, springs.limit, dial)

@@ -156,6 +156,7 @@ def animate(
     handles: Handles | Literal["predict", "rig"] = "predict",
     apparel: str = "none",
     stiffness: float = 1.0,
+    gravity: float = 1.0,
     loop: bool = False,
     in_place: bool = False,
     after: HandleMotion | AnimatedCharacter | None = None,
@@ -180,10 +181,11 @@ def animate(
         guidance: Classifier-free guidance scale; None takes the default.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `rig`).
         apparel: "none" (or "rigid") moves hair and clothes with the body; "simulate" moves the bones of the character's
-            own rig, and hair and clothes by the rigid bodies or springs of its MMD or VRM file; "learn" moves by a
-            network what it takes to be apparel of any mesh, or what a mask says, named by its file; "auto" simulates
-            where the file has physics and learns where the mesh has apparel.
-        stiffness: Factor on how stiff learned apparel is, 0.001 to 1000.
+            own rig, and hair and clothes by the rigid bodies or springs of its MMD or VRM file, or else by their own
+            bones; "learn" moves by a network what it takes to be apparel of any mesh, or what a mask says, named by its
+            file; "auto" simulates where the file has physics or such bones and learns where the mesh has apparel.
+        stiffness: Factor on how stiff apparel is, 0.001 to 1000.
+        gravity: Factor on the gravity of apparel that is simulated, 0 to 10.
         loop: Make a loop: the last pose is the first again, at another place where the motion travels.
         in_place: Take the travel over the ground out, as game engines want it that move the character themselves.
         after: Start in the last pose of this: an animation of the same character, or a motion of the reference body.
@@ -209,7 +211,8 @@ def animate(
     """
     request = Request(
         prompt, Sampling(seconds, seed, steps, guidance, candidates),
-        Constraints.of(loop=loop, in_place=in_place, after=after, path=path, pins=pins), Apparel(apparel, stiffness),
+        Constraints.of(loop=loop, in_place=in_place, after=after, path=path, pins=pins),
+        Apparel(apparel, stiffness, gravity),
         stages, "predict" if handles is None else handles, force, rig,
     )  # fmt: skip
     return Animator.shipped(progress)(character, request)

@@ -294,7 +294,9 @@ class Animator:
             return moved
         from bunraku.pipelines.apparel import dressed
 
-        return dressed(moved, apparel.motion, stiffness=apparel.stiffness, progress=self.progress)
+        return dressed(
+            moved, apparel.motion, stiffness=apparel.stiffness, gravity=apparel.gravity, progress=self.progress
+        )
 
     def _drawing(self, request: Request, feature: object | None, as_people: bool) -> Drawing:
         how = request.sampling
@@ -347,7 +349,7 @@ def own_rig(character: Character, request: Request) -> RigParts | None:
             it, and there are none, or they are not understood.
     """
     if request.apparel.motion == "simulate":
-        from bunraku.physics.animated import check_apparel
+        from bunraku.physics.chains.animated import check_apparel
         from bunraku.retarget.rig_parts import RigParts
 
         check_apparel(character)  # before the work

@@ -1,7 +1,8 @@
-"""The apparel of an animation, whatever its character is: as it is, simulated by its file's physics, or learned.
+"""The apparel of an animation, whatever its character is: as it is, simulated by its file's physics or by the bones of
+its hair and clothes, or learned.
 
-`auto` simulates where the file has physics and the rig is what moves, and learns where the mesh has apparel; a mask
-says which vertices are apparel.
+`auto` simulates where the rig is what moves and the file has physics or such bones, and learns where the mesh has
+apparel; a mask says which vertices are apparel.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError
 from bunraku.nn.checkpoints import dated_checkpoint
-from bunraku.physics.animated import with_apparel
+from bunraku.physics.chains.animated import with_apparel
+from bunraku.physics.chains.moving import moving_rig
 from bunraku.physics.clothed import clothed_from_file
 from bunraku.physics.from_file import apparel_rig
 from bunraku.pipelines.requests.apparel import Apparel
@@ -59,6 +61,7 @@ def dressed(
     apparel: str | Path = "auto",
     *,
     stiffness: float = 1.0,
+    gravity: float = 1.0,
     progress: Progress | None = None,
 ) -> Animation | RigAnimation | PointAnimation:
     """An animation with its apparel moved.
@@ -66,7 +69,8 @@ def dressed(
     Args:
         animation: Of handles or of bones; its apparel goes with the body.
         apparel: One of `APPAREL`, or a mask of the apparel that is to be learned.
-        stiffness: Factor on how stiff learned apparel is.
+        stiffness: Factor on how stiff apparel is.
+        gravity: Factor on the gravity of what is simulated.
         progress: Called with a stage's name and the share done.
 
     Raises:
@@ -75,15 +79,15 @@ def dressed(
         FormatError: The mask is broken or belongs to another mesh.
         WeightsError: The shipped weights are missing or broken.
     """
-    settings = Apparel(str(apparel), stiffness)
+    settings = Apparel(str(apparel), stiffness, gravity)
     settings.check()
     if not settings.moves:
         return animation
     if str(apparel) == "simulate":
-        return with_apparel(animation, progress)
+        return with_apparel(animation, progress, stiffness, gravity)
     if str(apparel) == "auto":
-        if isinstance(animation, RigAnimation) and apparel_rig(animation.character) is not None:
-            return with_apparel(animation, progress)
+        if isinstance(animation, RigAnimation) and moving_rig(animation.character) is not None:
+            return with_apparel(animation, progress, stiffness, gravity)
         clothed, transforms, moved = animated_clothed(animation, stiffness=stiffness)
         if clothed.apparel.mean() < LEAST:
             return animation

@@ -100,7 +100,7 @@ def apply_simulated(
         CharacterError: There is no physics in the file, or the names of its bones do not tell their parts.
     """
     from bunraku.core.resample import resample
-    from bunraku.physics.animated import simulated
+    from bunraku.physics.chains.animated import simulated
     from bunraku.retarget.rig_parts import RigParts
 
     own = Constraints.of(in_place=in_place)

@@ -22,7 +22,7 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError
 from bunraku.io.motions import Motion, load_motion
 from bunraku.io.play import bones_of
-from bunraku.physics.animated import check_apparel
+from bunraku.physics.chains.animated import check_apparel
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.transfer import RATE, TransferRequest
@@ -120,6 +120,7 @@ def transfer(
     handles: Handles | Literal["predict", "rig"] = "predict",
     apparel: str = "none",
     stiffness: float = 1.0,
+    gravity: float = 1.0,
     stages: Stages | None = None,
     fps: float = RATE,
     names: Mapping[str, str] | None = None,
@@ -136,9 +137,11 @@ def transfer(
             humanoid that has one and handles otherwise.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
         apparel: "none" (or "rigid") moves hair and clothes with the body, "simulate" by the rigid bodies or springs of
-            an MMD or VRM file, "learn" by a network that finds them on any mesh; a file's name is that of a mask of
-            what is to be learned; "auto" simulates where the file has physics and learns where the mesh has apparel.
-        stiffness: Factor on how stiff learned apparel is, 0.001 to 1000.
+            an MMD or VRM file or else by their own bones, "learn" by a network that finds them on any mesh; a file's
+            name is that of a mask of what is to be learned; "auto" simulates where the file has physics or such bones
+            and learns where the mesh has apparel.
+        stiffness: Factor on how stiff apparel is, 0.001 to 1000.
+        gravity: Factor on the gravity of apparel that is simulated, 0 to 10.
         stages: Which stages run; `TRANSFER_STAGES` when None.
         fps: Frames a second of the result [1/s].
         names: The skeleton's joint by SMPL's name, for joints that are not found or found wrongly; "" for none.
@@ -156,7 +159,7 @@ def transfer(
         MotionError: No pelvis and legs are found in the skeleton.
         FormatError: The file cannot be read.
     """
-    request = TransferRequest(onto, Apparel(apparel, stiffness), stages, handles, fps, names, clip)
+    request = TransferRequest(onto, Apparel(apparel, stiffness, gravity), stages, handles, fps, names, clip)
     return transferred(Animator.shipped(progress), character, motion, request)
 
 

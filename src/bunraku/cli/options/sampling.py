@@ -36,7 +36,7 @@ class ApparelOptions(Apparel):
     """`Apparel` on the command line."""
 
     motion: Annotated[str, tyro.conf.arg(name="apparel", metavar="{auto,none,simulate,learn,MASK}")] = "none"
-    """How hair and clothes move: "none" with the body, "simulate" by the physics of an MMD or VRM file, on the bones of
-    its own rig, "learn" by a network that finds them on any mesh, "auto" by the one or the other; or the file of a mask
-    (.npy, .txt, painted .ply or .glb) of what is to be learned.
+    """How hair and clothes move: "none" with the body, "simulate" by the physics of an MMD or VRM file, or else by
+    the bones of hair and clothes of a person's rig, "learn" by a network that finds them on any mesh, "auto" by the
+    first of these that there is; or the file of a mask (.npy, .txt, painted .ply or .glb) of what is to be learned.
     """

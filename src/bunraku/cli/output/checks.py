@@ -21,13 +21,22 @@ if TYPE_CHECKING:
 __all__ = [
     "check_different", "check_folder", "check_input", "check_mask", "check_output", "check_range", "check_seconds",
     "check_sequence",
-    "check_source", "make_folder", "slug", "written_path",
+    "check_source", "check_written", "make_folder", "slug", "written_path",
 ]  # fmt: skip
 
 SEQUENCES = (".obj", ".ply")
 """Outputs that are folders with one mesh a frame."""
 NEEDY = (".usd", ".usda", ".usdc", ".usdz")
 """Outputs that need an optional library or program."""
+
+
+def check_written(apparel: Apparel, outputs: Iterable[Path]) -> None:
+    """Raise FormatError where apparel is to be learned and a file of its kind cannot hold what moves so."""
+    from bunraku.io.registry import check_points_writer
+
+    if apparel.learns:
+        for path in outputs:
+            check_points_writer(path)
 
 
 def check_mask(apparel: Apparel) -> None:

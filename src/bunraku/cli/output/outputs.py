@@ -4,6 +4,7 @@ checked, written and reported.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -14,13 +15,14 @@ import tyro
 from bunraku.cli.output.checks import check_different, check_output, make_folder, written_path
 from bunraku.cli.output.ledger import check_free, note_written
 from bunraku.cli.output.progress import Report
-from bunraku.errors import OptionError
+from bunraku.errors import FormatError, OptionError
 from bunraku.retarget.stages.switches import Stages
 
 if TYPE_CHECKING:
     from bunraku.core.animated import AnimatedCharacter
     from bunraku.io.presets import Preset
 
+_log = logging.getLogger(__name__)
 __all__ = [
     "OutputOption",
     "PREVIEWS",
@@ -117,7 +119,7 @@ def save_all(
         for number, path in enumerate(outputs):
             report("write", number / len(outputs))
             rate = {} if path.suffix.lower() in (".npz", ".vmd") else {"fps": fps}
-            written.append(animation.save(path, **(rate if options is None else options)))
+            written.append(_fitting(animation, path).save(path, **(rate if options is None else options)))
         report("write", 1.0)
         for path in previews:
             from bunraku.core.animation import Animation
@@ -136,6 +138,21 @@ def save_all(
         for path in written:
             wrote(path)
         note_written(written)
+
+
+def _fitting(animation: AnimatedCharacter, path: Path) -> AnimatedCharacter:
+    """The animation, or, where its apparel moves by itself and a file of this kind cannot hold that, the body alone."""
+    from bunraku.core.point_animation import PointAnimation
+    from bunraku.io.registry import check_points_writer
+
+    if not isinstance(animation, PointAnimation):
+        return animation
+    try:
+        check_points_writer(path)
+    except FormatError:
+        _log.warning("%s: files of this kind have no place for apparel; it holds the body's motion alone", path)
+        return animation.animation
+    return animation
 
 
 def save_clips_to(

@@ -14,7 +14,7 @@ import tyro
 from bunraku.cli.options.orientation import AxisOption, UnitOption, check_axes
 from bunraku.cli.options.sampling import ApparelOptions
 from bunraku.cli.output.alone import alone
-from bunraku.cli.output.checks import check_folder, check_input, check_mask, written_path
+from bunraku.cli.output.checks import check_folder, check_input, check_mask, check_written, written_path
 from bunraku.cli.output.ledger import begin, note, still_to_do
 from bunraku.cli.output.outputs import (
     OutputOption,
@@ -162,6 +162,7 @@ class Transfer:
         inputs = [character] if motion.is_dir() else [character, motion]
         with alone(written_path(path) for path in (*outputs, *self.preview)), stages() as report:
             check_outputs(outputs, self.preview, inputs, _outputs(), overwrite=self.overwrite)
+            check_written(self.apparel, outputs)
             animation = animation_of(Pair(character, motion, outputs[0]), settings, report)
             save_all(animation, outputs, self.preview, self.fps, report, settings.saving)
 
@@ -191,6 +192,7 @@ class Transfer:
             raise FormatError(folder, "this is a file; name a folder with -o, where each pair gets a file")
         check_folder(folder)
         check_writer(Path(f"motion{suffix}"))
+        check_written(self.apparel, [Path(f"motion{suffix}")])
         pairs = pairs_of(characters, motions, folder, suffix)
         inputs = {path.resolve() for path in (*characters, *motions)}
         for pair in pairs:

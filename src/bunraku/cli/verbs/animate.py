@@ -23,6 +23,7 @@ from bunraku.cli.output.checks import (
     check_mask,
     check_output,
     check_sequence,
+    check_written,
     slug,
     written_path,
 )
@@ -136,6 +137,7 @@ class Animate(GeneratingOptions):
         with alone(written_path(path) for outputs, previews in takes for path in (*outputs, *previews)):
             for outputs, previews in takes:
                 check_outputs(outputs, previews, inputs, overwrite=self.overwrite)
+                check_written(self.apparel, outputs)
             self._make(replace(self._request(), sentence=prompts[0]), takes)
         return 0
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from bunraku.cli.options.orientation import UnitOption
+from bunraku.cli.output.apparel_facts import apparel_facts, say_chain
 from bunraku.cli.output.checks import check_input, check_output
 from bunraku.cli.output.ledger import check_free, note_written
 from bunraku.cli.output.outputs import size_text, wrote
@@ -193,7 +194,7 @@ def _character(character: Character, unit: str) -> dict[str, Any]:
             "influences": influences,
             "names": list(character.rig.names),
         }
-    return facts
+    return facts | apparel_facts(character)
 
 
 def _digits(value: Any) -> float:
@@ -311,6 +312,8 @@ def _say(key: str, value: Any) -> str:
         )
     if key == "parts":
         return ", ".join(f"{part['name']} ({100 * part['clear']:.0f} % clear)" for part in value)
+    if key == "chains":
+        return _short([say_chain(chain) for chain in value])
     if key == "cannot":
         return "; ".join(value) or "nothing is known that it cannot do"
     if key == "animations":

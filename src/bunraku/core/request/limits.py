@@ -7,7 +7,19 @@ from dataclasses import dataclass
 
 from bunraku.errors import OptionError
 
-__all__ = ["CANDIDATES", "FPS", "GUIDANCE", "SECONDS", "SEED", "STEPS", "STIFFNESS", "TAKES", "WHOLE", "Limit"]
+__all__ = [
+    "CANDIDATES",
+    "FPS",
+    "GRAVITY",
+    "GUIDANCE",
+    "SECONDS",
+    "SEED",
+    "STEPS",
+    "STIFFNESS",
+    "TAKES",
+    "WHOLE",
+    "Limit",
+]
 
 
 @dataclass(frozen=True)
@@ -54,4 +66,6 @@ CANDIDATES = Limit("candidates", 1, 16)
 TAKES = Limit("takes", 1, 100)
 """Takes of one sentence in one run."""
 STIFFNESS = Limit("stiffness", 0.001, 1000)
-"""Factor on how stiff learned apparel is."""
+"""Factor on how stiff apparel is."""
+GRAVITY = Limit("gravity", 0, 10)
+"""Factor on the gravity of apparel that is simulated."""

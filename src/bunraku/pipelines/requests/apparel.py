@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bunraku.core.request.constraint import Constraint
-from bunraku.core.request.limits import STIFFNESS
+from bunraku.core.request.limits import GRAVITY, STIFFNESS
 from bunraku.errors import OptionError
 
 __all__ = ["APPAREL", "Apparel"]
@@ -23,18 +23,26 @@ class Apparel:
 
     Args:
         motion: "none" (or "rigid") moves them with the body; "simulate" by the rigid bodies or springs of an MMD or VRM
-            file, on the bones of its own rig; "learn" by a network that finds them on any mesh; "auto" simulates where
-            the file has physics and learns where the mesh has apparel; or the file of a mask of what is to be learned.
-        stiffness: How stiff learned apparel is, as a factor, 0.001 to 1000.
+            file, or else by the bones of hair and clothes of a person's rig; "learn" by a network that finds them on
+            any mesh; "auto" simulates where the file has physics or such bones, and learns where the mesh has apparel;
+            or the file of a mask of what is to be learned.
+        stiffness: How stiff apparel is, as a factor, 0.001 to 1000.
+        gravity: How strongly what is simulated is drawn downwards, as a factor, 0 to 10.
     """
 
     motion: str = "none"
     stiffness: float = 1.0
+    gravity: float = 1.0
 
     @property
     def moves(self) -> bool:
         """Whether apparel moves on its own by this, or may."""
         return self.motion not in ("none", "rigid")
+
+    @property
+    def learns(self) -> bool:
+        """Whether a network moves apparel by this, whatever the file has."""
+        return self.motion == "learn" or self.mask is not None
 
     @property
     def mask(self) -> Path | None:
@@ -56,6 +64,7 @@ class Apparel:
                 f"not '{self.motion}'; choose one of these"
             )
         STIFFNESS.check(self.stiffness, f"{dashes}stiffness")
+        GRAVITY.check(self.gravity, f"{dashes}gravity")
 
     def check_with(self, constraints: Sequence[Constraint], handles: bool = False, dashes: str = "") -> None:
         """Whether apparel that moves so goes together with what a motion must meet.

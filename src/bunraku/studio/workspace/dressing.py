@@ -37,7 +37,7 @@ def check_fits(apparel: Apparel, character: Character, seconds: float) -> None:
         CharacterError: It is to be simulated, and the file says nothing of physics.
         OptionError: It is to be learned, and the mesh is too large for so long a clip.
     """
-    from bunraku.physics.animated import check_apparel
+    from bunraku.physics.chains.animated import check_apparel
     from bunraku.pipelines.apparel import RATE
 
     if apparel.motion == "simulate":

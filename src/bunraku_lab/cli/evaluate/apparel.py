@@ -8,6 +8,7 @@ from typing import Any
 
 from bunraku.cli.output.checks import check_input, check_range, check_source
 from bunraku.cli.output.progress import stages
+from bunraku.errors import OptionError
 from bunraku_lab.cli.evaluate.printed import Printed
 from bunraku_lab.evaluation.report import Report, Table, bar_table
 
@@ -22,8 +23,8 @@ class EvaluateApparel(Printed):
     Example: bunraku evaluate apparel --data data/apparel --motions data/motions --files gene.pmx --json
     """
 
-    data: Path
-    """Folder that `bunraku data apparel` wrote."""
+    data: Path | None = None
+    """Folder that `bunraku data apparel` wrote; without it only --files are measured."""
     motions: Path | None = None
     """Folder that `bunraku data motions` wrote, for the clips of a minute; without it they are left out."""
     files: tuple[Path, ...] = ()
@@ -45,6 +46,8 @@ class EvaluateApparel(Printed):
 
     def run(self) -> None:
         check_range("--clips", self.clips, 1, 10_000)
+        if self.data is None and not self.files:
+            raise OptionError("there is nothing to measure; name --data, --files, or both")
         networks = (self.weights, self.masks, self.refinement, self.literal)
         for path in (*self.files, *self.bodies, *(p for p in networks if p is not None)):
             check_input(path)

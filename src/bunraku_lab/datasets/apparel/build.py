@@ -212,6 +212,7 @@ def _build(folder: Path, shard: ShardPlan) -> None:
     arrays = {
         "rest": character.vertices, "faces": character.faces, "joints": body.joints, "weights": body.weights,
         "apparel": mask, "part": part, "spring": springs.spring, "mass": springs.mass, "damping": springs.damping,
+        "limit": springs.limit,
         "loose": recording.loose, "transforms": recording.transforms, "offsets": offsets,
         "bone_parents": own.parents,
         "bone_positions": own.positions, "bone_moved": body.moved, "bone_indices": own.indices,

@@ -35,8 +35,8 @@ class ApparelCharacter:
         weights: Skinning weights W of the vertices for the joints, shape (V, 22), rows sum to 1.
         apparel: Vertices that are apparel, shape (V,), bool.
         part: Number of the apparel part of each vertex, -1 on the body, shape (V,).
-        spring, mass, damping: Of each part: stiffness of its joints [N m / rad], mass of its bodies, share of the
-            velocity that they lose in a second, shape (P,).
+        spring, mass, damping, limit: Of each part: stiffness of its joints [N m / rad], mass of its bodies, share of
+            the velocity that they lose in a second, how far its joints bend [rad], shape (P,).
         loose: Vertices with offsets, shape (M,).
         bone_parents: The rig itself, which a network does not see: parents (B,), positions [m] (B, 3), which bones
             physics move (B,), and the bones (V, I) and shares (V, I) of each vertex.
@@ -52,6 +52,7 @@ class ApparelCharacter:
     spring: np.ndarray
     mass: np.ndarray
     damping: np.ndarray
+    limit: np.ndarray
     loose: np.ndarray
     bone_parents: np.ndarray
     bone_positions: np.ndarray
@@ -205,7 +206,17 @@ def _character(path: str, changed: int) -> ApparelCharacter:
     weights = arrays["weights"]
     good = all(
         np.isfinite(arrays[name]).all()
-        for name in ("rest", "joints", "weights", "bone_positions", "bone_weights", "spring", "mass", "damping")
+        for name in (
+            "rest",
+            "joints",
+            "weights",
+            "bone_positions",
+            "bone_weights",
+            "spring",
+            "mass",
+            "damping",
+            "limit",
+        )
     )
     good &= all(_within(arrays[name], 0, count) for name in ("faces", "loose"))
     good &= _within(arrays["part"], -1, len(arrays["spring"]))

@@ -21,7 +21,7 @@ from bunraku.formats.files import atomic_write
 
 __all__ = ["SHARD_ARRAYS", "SHARD_FORMAT", "Shard", "shard_fingerprint", "write_shard"]
 
-SHARD_FORMAT = "bunraku-apparel-2"
+SHARD_FORMAT = "bunraku-apparel-3"
 _KEY = "bunraku"
 SHARD_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "rest": ("F32", ("V", 3)),
@@ -33,6 +33,7 @@ SHARD_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "spring": ("F32", ("P",)),
     "mass": ("F32", ("P",)),
     "damping": ("F32", ("P",)),
+    "limit": ("F32", ("P",)),
     "loose": ("I32", ("M",)),
     "transforms": ("F32", ("N", JOINT_COUNT, 3, 4)),
     "offsets": ("F16", ("N", "M", 3)),

@@ -48,7 +48,7 @@ class ApparelEvalConfig:
     """What is measured.
 
     Args:
-        data: Folder of the data set; its split "test" is measured.
+        data: Folder of the data set; its split "test" is measured. None measures files alone.
         motions: Folder of motions for clips of a minute.
         files: PMX, PMD or VRM files with physics.
         clips: Most clips of the data set.
@@ -60,7 +60,7 @@ class ApparelEvalConfig:
         quick: Leave out what takes long: 60 s, the best static skinning and insides.
     """
 
-    data: Path
+    data: Path | None = None
     motions: Path | None = None
     files: Sequence[Path] = ()
     clips: int = 24
@@ -89,8 +89,8 @@ def evaluate_apparel(config: ApparelEvalConfig, progress: Progress | None = None
     progress = progress or (lambda stage, done: None)
     masks, bodies, quick = config.masks, config.bodies, config.quick
     network = load_displacement(config.weights or shipped_checkpoint("apparel"))
-    found = list(data_clips(ApparelData(config.data, "test"), config.clips))
-    if not found:
+    found = [] if config.data is None else list(data_clips(ApparelData(config.data, "test"), config.clips))
+    if not found and config.data is not None:
         raise FormatError(config.data, "there are no test clips of 6 s; build more of `bunraku data apparel`")
     rows, tens, modules, scores = [], [], [], []
     body = bodies[0] if bodies else None
@@ -117,8 +117,8 @@ def evaluate_apparel(config: ApparelEvalConfig, progress: Progress | None = None
     out = _summary(rows, tens, scores, real)
     drift = [] if quick else _drifts(network, config.motions, found, progress)
     out["drift_60s"] = _over(drift, "last", "second")
-    out["frame_ms"] = frame_milliseconds(min(found, key=_far_from_enough), network)
-    table4 = body_table(found[: 4 if quick else 12], bodies)
+    out["frame_ms"] = frame_milliseconds(min(found, key=_far_from_enough), network) if found else None
+    table4 = body_table(found[: 4 if quick else 12], bodies) if found else {}
     out["body_attention_first"] = _attention_first(table4)
     reached = reached_bars(APPAREL_BARS, out)
     tables = {
@@ -201,12 +201,12 @@ def _summary(
 ) -> dict[str, Any]:
     files = [row["iou"] for row in real]
     return {
-        "mask_iou": float(np.mean([row["iou"] for row in scores])),
+        "mask_iou": float(np.mean([row["iou"] for row in scores])) if scores else None,
         "mask_iou_files": float(np.mean(files)) if files else None,
         "pmd_apparel_rest_6s_over_rigid": _over(rows, "safe", "rigid"),
         "pmd_apparel_10_frames_over_rigid": _over(tens, "learned", "rigid"),
         "pmd_apparel_10_frames_over_frozen": _over(tens, "learned", "frozen"),
-        "els_minus_truth": float(np.mean([row["safe_els"] - row["els_truth"] for row in rows])),
+        "els_minus_truth": float(np.mean([row["safe_els"] - row["els_truth"] for row in rows])) if rows else None,
         "inside_over_truth": _over(rows, "inside_safe", "inside_truth"),
         "inside_over_rigid": _over(rows, "inside_safe", "inside_rigid"),
         "real_over_rigid": max((row["safe"] / max(row["rigid"], 1e-9) for row in real), default=None),

@@ -29,7 +29,7 @@ HEADS = (48, 72, 128)
 """Numbers of nodes that are trained on: heads of the same order, each with neighbours of its own."""
 STANDS_OUT = 0.1
 """Share of its calm frames in which the hem of a clip may stand out for the clip to be trained on."""
-_FORMAT = 3
+_FORMAT = 4
 
 
 def truly_clothed(character: ApparelCharacter) -> ClothedCharacter:
@@ -39,7 +39,7 @@ def truly_clothed(character: ApparelCharacter) -> ClothedCharacter:
         character.rest, character.faces, character.joints, character.weights, character.apparel, character.part, limp,
         character.damping,
     )  # fmt: skip
-    return clothed_with_springs(clothed, character.spring, character.mass)
+    return clothed_with_springs(clothed, character.spring, character.mass, character.limit)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,9 @@ __all__ = ["Chains", "Hang", "add_chains", "band_start"]
 _DEGREE = np.pi / 180
 SPRING = 1 / 0.08**2
 """Stiffness in a file for each N m / rad: MMD's forces are in kg unit / s^2 and its unit is 8 cm."""
+HELD = 0.65  # share of the pieces that narrow limits hold in shape
+SPRINGLESS_HELD, SPRINGLESS = 0.6, 0.25  # share of those, and of the others, without springs
+LOCKED = 0.25  # share of the pieces so held, of several links, whose first one does not turn
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ class Hang:
         meets: Groups that it collides with, bit g for group g.
         give: How far a tie between neighbours lets them come apart, over their distance; 0 keeps their places together.
         friction: Coefficient.
+        locked: Whether the first link of a chain does not turn.
     """
 
     mass: float
@@ -53,6 +57,7 @@ class Hang:
     meets: int
     give: float = 0.0
     friction: float = 0.2
+    locked: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +118,7 @@ def add_chains(
     """
     count, links = nodes.shape[0], nodes.shape[1] - 1
     hang = _varied(hang, _piece_random(costume, names[0]))
+    hang = replace(hang, locked=hang.locked and links > 1)
     above = np.broadcast_to(parent, count).astype(np.int64)
     bones, bodies = np.zeros((count, links), np.int64), np.zeros((count, links), np.int64)
     gaps = _gaps(nodes, closed)
@@ -151,11 +157,15 @@ def _piece_random(costume: Costume, name: str) -> np.random.Generator:
 
 
 def _varied(hang: Hang, random: np.random.Generator) -> Hang:
-    """The same with a spring somewhere in two decades, another mass and damping, and perhaps limits that hold it in
-    shape.
+    """The same with a spring somewhere in two decades, or none, another mass and damping, and limits that hold it in
+    shape or do not: what holds most hair of real files are limits of 10 to 35 degrees without springs, and some of it
+    hangs on a first joint that is locked.
     """
     stiff, heavy, loss = 10 ** random.uniform([-0.7, -0.15, -0.4], [1.3, 0.15, 0.3])
-    hold = float(random.uniform(0.25, 0.7)) if random.random() < 0.25 else 1.0
+    held = random.random() < HELD
+    hold = float(10 ** random.uniform(-0.8, -0.1)) if held else 1.0
+    stiff *= random.random() >= (SPRINGLESS_HELD if held else SPRINGLESS)
+    locked = held and random.random() < LOCKED
     angles = {name: getattr(hang, name) * hold for name in ("out", "inward", "side")}
     damping = tuple(float(np.clip(1 - (1 - value) * loss, 0.05, 0.997)) for value in hang.damping)
     return replace(
@@ -163,6 +173,7 @@ def _varied(hang: Hang, random: np.random.Generator) -> Hang:
         spring=hang.spring * float(stiff),
         mass=hang.mass * float(heavy),
         damping=(damping[0], damping[1]),
+        locked=bool(locked),
         **angles,
     )
 
@@ -201,8 +212,9 @@ def _joint(
     name: str, bodies: tuple[int, int], position: np.ndarray, frame: np.ndarray, hang: Hang, share: float
 ) -> MmdJoint:
     # MMD counts an angle from the second body to the first, so outwards is positive here.
-    low = np.array([-hang.inward, -hang.twist, -hang.side]) * _DEGREE
-    high = np.array([hang.out, hang.twist, hang.side]) * _DEGREE
+    free = 0.0 if hang.locked and share == 1 else _DEGREE
+    low = np.array([-hang.inward, -hang.twist, -hang.side]) * free
+    high = np.array([hang.out, hang.twist, hang.side]) * free
     stiff = hang.spring * share * SPRING * np.array([1.0, 1.5, 1.0])
     return MmdJoint(name, bodies, position, frame, np.zeros(3), np.zeros(3), low, high, np.zeros(3), stiff)
 
