@@ -19,6 +19,7 @@ from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
 from bunraku_lab.nn.apparel.network import DisplacementNetwork, load_displacement
 from bunraku_lab.nn.apparel.segmentation import load_segmentation
+from bunraku_lab.nn.running.networks import running_displacement
 from bunraku_lab.training.apparel.body import BodyTrainConfig, BodyTrainer, pose_bank, posed_joints, train_body
 from bunraku_lab.training.apparel.displacement import DisplacementTrainConfig, DisplacementTrainer
 from bunraku_lab.training.apparel.mesh_bank import build_meshes
@@ -227,7 +228,7 @@ def test_the_refinement_is_learned(data, tmp_path):
     clip = found.clips[0]
     clothed = truly_clothed(found.character(clip))
     frames = np.array([4, 8])
-    network = DisplacementNetwork(DisplacementConfig(8, 1, 0)).eval()
+    network = running_displacement(DisplacementNetwork(DisplacementConfig(8, 1, 0)))
     transforms = found.shard(clip.shard).frames("transforms", clip.first, clip.first + 9)
     truth = found.window(clip, 0, 9).vertices[frames]
     sample = seam_sample(clothed, clothed.weights, transforms, truth, frames, network)

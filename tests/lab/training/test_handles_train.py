@@ -6,7 +6,6 @@ import torch
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.errors import FormatError
-from bunraku.handles.inference.graph import mesh_graph
 from bunraku.handles.inference.predictor import PredictorConfig
 from bunraku_lab.datasets.characters.build import reference_characters
 from bunraku_lab.datasets.characters.training_character import (
@@ -17,6 +16,7 @@ from bunraku_lab.datasets.characters.training_character import (
     handle_target,
     plain_mesh,
 )
+from bunraku_lab.nn.handles.graph import mesh_graph
 from bunraku_lab.nn.handles.predictor import HandlePredictor, load_predictor
 from bunraku_lab.training.handles.mesh_feature_bank import write_mesh_bank
 from bunraku_lab.training.handles.train import HandleTrainConfig, HandleTrainer, train_handles, validate_handles
