@@ -119,8 +119,8 @@ def test_a_loop_ends_as_it_begins():
 
 def test_the_shipped_idles_stand_on_both_feet():
     pack = load_examples()
-    assert pack is not None and len(pack.idles) >= 12
-    assert sum(map(stands_well, pack.idles)) >= 0.8 * len(pack.idles)
+    assert pack is not None and len(pack.idles) >= 8
+    assert all(map(stands_well, pack.idles))
     rest = reference_body().joints
     for one in pack.idles:
         assert abs(np.median(one.root_translation[:, 1]) - rest[0, 1]) < 0.08

@@ -23,6 +23,10 @@ ANKLE = 0.035
 """How far an ankle of a foot that stands is over or under its height at rest, at the most [m]."""
 APART = 0.55
 """How far apart feet stand at the most [m]."""
+BESIDE = 0.12
+"""How far apart they are from side to side at the least, for who sits down [m]."""
+TURNED = 30.0
+"""How far the head is turned from the pelvis at the most: who looks about makes no gesture [degrees]."""
 _STILL = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
 
 
@@ -104,12 +108,19 @@ def swaying(seed: int, moments: np.ndarray) -> Standing:
 
 
 def stands_well(motion: SkeletalMotion) -> bool:
-    """Whether both feet stand flat side by side in all frames, so that somebody could make a gesture there."""
+    """Whether both feet stand flat side by side in all frames and the head looks ahead, so that somebody could make a
+    gesture there.
+    """
     rest = reference_body().joints
-    _, positions = motion.world()
+    rotations, positions = motion.world()
+    across = positions[:, AT["left_hip"]] - positions[:, AT["right_hip"]]
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    looks = (rotations[:, AT["head"], :, 2] * across).sum(axis=1)
     ankles = positions[:, [AT["left_ankle"], AT["right_ankle"]]]
     level = np.abs(ankles[..., 1] - rest[AT["left_ankle"], 1]).max() < ANKLE
-    return bool(level and np.linalg.norm(ankles[:, 0] - ankles[:, 1], axis=1).max() < APART)
+    beside = ((ankles[:, 0] - ankles[:, 1]) * across).sum(axis=1).min() > BESIDE
+    ahead = np.abs(looks).max() < np.sin(np.radians(TURNED))
+    return bool(level and beside and ahead and np.linalg.norm(ankles[:, 0] - ankles[:, 1], axis=1).max() < APART)
 
 
 def mirrored(motion: SkeletalMotion) -> SkeletalMotion:
@@ -164,8 +175,9 @@ def captured(motion: SkeletalMotion, at: np.ndarray) -> Standing:
         )
         palm = where[:, wrist] + PALM * pointing - where[:, chest]
         hands[side] = Hanging((palm[:, None] @ world[:, chest])[:, 0], ways @ world[:, chest])
-        hip, knee, ankle, toes = (AT[f"{side}_{part}"] for part in ("hip", "knee", "ankle", "foot"))
-        bend = _aside(where[:, hip], where[:, knee], where[:, ankle], world[:, hip] @ [0, 0, 1.0])
+        _hip, _knee, ankle, toes = (AT[f"{side}_{part}"] for part in ("hip", "knee", "ankle", "foot"))
+        # who sits down bends the knees over the toes, wherever those of a straight leg happen to point
+        bend = world[:, ankle] @ [0.15 * sign, 0, 1.0] * [1, 0, 1]
         feet[side] = Planted(where[:, ankle], bend, world[:, ankle], world[:, toes])
     still = np.zeros((len(at), 3))
     return Standing(where[:, 0] - rest[0], local, still, still, hands, feet)

@@ -168,12 +168,14 @@ class ExamplePack:
         """People who stand, by whom gestures are made."""
         from bunraku.body.reference import reference_body
         from bunraku.core.motion import SkeletalMotion
+        from bunraku.gestures.standing import stands_well
 
         skeleton = reference_body().skeleton
         stretches = [
             unpacked_stretch(data, one.frames) for one, data in zip(self.examples, self.data, strict=True) if one.idle
         ]
-        return tuple(SkeletalMotion(skeleton, rotations, root, FPS) for root, rotations in stretches)
+        found = [SkeletalMotion(skeleton, rotations, root, FPS) for root, rotations in stretches]
+        return tuple(one for one in found if stands_well(one))
 
     def said(self, index: int) -> Said:
         """What the sentences of an example say."""
