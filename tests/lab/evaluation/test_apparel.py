@@ -56,3 +56,7 @@ def test_the_papers_form_has_rows_of_its_own():
     tens = [{"learned": 0.01, "rigid": 0.1, "frozen": 0.05}]
     assert "the paper's form" not in _ten_table(tens)
     assert _ten_table([tens[0] | {"literal": 0.2}])["the paper's form"]["over rigid"] == pytest.approx(2)
+
+
+def test_without_clips_there_is_no_table_of_them():
+    assert _ten_table([]) == {} and _rest_table([]) == {}

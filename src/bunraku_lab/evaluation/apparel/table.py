@@ -248,7 +248,7 @@ def _ten_table(tens: list[dict[str, float]]) -> dict[str, dict[str, float]]:
             "over rigid": _over(tens, key, "rigid") or 0.0,
         }
         for key, name in names.items()
-        if all(key in row for row in tens)
+        if tens and all(key in row for row in tens)
     }
 
 
