@@ -160,7 +160,7 @@ class ExamplePack:
         return tuple(
             index
             for index, one in enumerate(self.examples)
-            if not (one.texts or one.idle) and not on_one_leg(self.features(index))
+            if not one.texts and not one.idle and not on_one_leg(self.features(index))
         )
 
     @functools.cached_property
@@ -171,9 +171,9 @@ class ExamplePack:
         from bunraku.gestures.standing import stands_well
 
         skeleton = reference_body().skeleton
-        stretches = [
-            unpacked_stretch(data, one.frames) for one, data in zip(self.examples, self.data, strict=True) if one.idle
-        ]
+        wordless = [index for index, one in enumerate(self.examples) if not one.texts]
+        idle = [index for index in wordless if self.examples[index].idle]
+        stretches = [unpacked_stretch(self.data[index], self.examples[index].frames) for index in idle]
         found = [SkeletalMotion(skeleton, rotations, root, FPS) for root, rotations in stretches]
         return tuple(one for one in found if stands_well(one))
 

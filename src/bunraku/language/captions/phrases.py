@@ -15,6 +15,7 @@ import re
 import zlib
 from dataclasses import dataclass
 from importlib import resources
+from itertools import chain
 from typing import Any
 
 from bunraku.language.captions.grammar import conjugate, fill, is_stative, sentence_forms
@@ -92,7 +93,7 @@ def known_verbs() -> frozenset[str]:
 @functools.cache
 def known_phrases() -> tuple[str, ...]:
     """All phrases for people's motions with their verbs in braces, in the order of the file."""
-    return tuple(dict.fromkeys(phrase for group in _groups().values() for phrase in group.phrases))
+    return tuple(dict.fromkeys([phrase for group in _groups().values() for phrase in group.phrases]))
 
 
 @functools.cache
@@ -100,10 +101,10 @@ def creature_words() -> frozenset[str]:
     """Names of creatures and the phrases for what they do: all that sentences about them are made of."""
     table = _table("creature_captions.json")
     kinds = table["kinds"]
-    names = [*table["called"], *(name for called in table["called"].values() for name in called), *table["aliases"]]
+    names = [*table["called"], *chain.from_iterable(table["called"].values()), *table["aliases"]]
     names += [name for kind in kinds for name in (*kind["species"], kind.get("name", ""))]
-    phrases = [*table["actions"].values(), *(own for kind in kinds for own in kind["phrases"].values())]
-    return frozenset([*names, *table["actions"], *(phrase for some in phrases for phrase in some)])
+    phrases = [*table["actions"].values(), *[own for kind in kinds for own in kind["phrases"].values()]]
+    return frozenset([*names, *table["actions"], *chain.from_iterable(phrases)])
 
 
 @functools.cache
