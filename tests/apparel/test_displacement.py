@@ -488,7 +488,9 @@ def test_the_folded_network_says_what_the_layers_say(frame):
     clothed = curtain(13, 9)
     half = (clothed.part == 0) & (clothed.rest[:, 0] > 0.01)  # two parts
     two = np.array([-1.0, 0.0], np.float32)
-    clothed = replace(clothed, part=np.where(half, 1, clothed.part), stiffness=two, damping=np.full(2, 0.9, np.float32))
+    clothed = replace(
+        clothed, part=np.where(half, 1, clothed.part), stiffness=two, damping=np.full(2, 0.9, np.float32), limit=None
+    )
     nodes = apparel_nodes(clothed, 40)
     network = DisplacementNetwork(DisplacementConfig(16, 2, 8, frame)).eval()
     for part in (network.anchor, network.recurrent):

@@ -15,7 +15,8 @@ from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.reference import motion_to_reference
 from bunraku.samples import sample_character
 
-BARE = Stages(feet=False, smooth=False, floor=False)
+BARE = Stages(feet=False, smooth=False, floor=False, hands_clear=False)
+"""What carries a motion over, without what corrects it."""
 
 
 def beast(name):
