@@ -16,6 +16,10 @@ __all__ = ["serve"]
 
 WEAKEST = 8
 """Letters of a password at the least."""
+IDLE = 75
+"""Seconds for which a line stays open on which nothing is asked: a page on a slow machine asks more seldom than each
+five seconds, which is uvicorn's own bound.
+"""
 
 
 def serve(
@@ -83,8 +87,9 @@ def serve(
                 threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
     config = uvicorn.Config(
-        app, log_level="warning", access_log=False, server_header=False, timeout_graceful_shutdown=2, lifespan="on"
-    )
+        app, log_level="warning", access_log=False, server_header=False, timeout_graceful_shutdown=2, lifespan="on",
+        timeout_keep_alive=IDLE,
+    )  # fmt: skip
     try:
         Server(config).run(sockets=[listener])
     except KeyboardInterrupt:  # how it is meant to end
