@@ -207,12 +207,12 @@ def test_a_take_is_mirrored_and_cut(page):
 
 
 def test_a_hand_is_pinned_and_a_path_is_typed_without_a_pointer(page):
-    page.set(0.5)
+    page.set(0.2)  # the take that is open may be a short one
     page.page.click("summary:has-text('change this take')")
     page.page.focus("button:text('pin left hand here')")
     page.page.keyboard.press("Enter")
     (pin,) = page.value("studio.doc.value.pins")
-    assert pin["part"] == "left_hand" and pin["time"] == 0.5
+    assert pin["part"] == "left_hand" and pin["time"] == 0.2
     page.page.fill(".pin input >> nth=1", str(round(pin["position"][1] + 0.05, 2)))
     page.page.press(".pin input >> nth=1", "Tab")
     page.page.focus("button:text('Bend to the pins')")
