@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bunraku.formats.files import SHIPPED, STALE, atomic_write, open_input, open_once, sweep, weights_file
+from bunraku.formats.files import PACKAGE_WEIGHTS, STALE, atomic_write, open_input, open_once, sweep, weights_file
 
 KILLED = """
 import os, signal, sys
@@ -82,8 +82,8 @@ def test_weights_are_found_in_the_first_folder_that_has_them(tmp_path, monkeypat
         (tmp_path / folder / name).write_text("")
     monkeypatch.setenv("BUNRAKU_WEIGHTS", os.pathsep.join([str(tmp_path / "one"), str(tmp_path / "two"), ""]))
     assert [weights_file(name).parent.name for name in "ab"] == ["one", "two"]
-    assert weights_file("diffusion.md").parent == SHIPPED and weights_file("c").parent.name == "one"
+    assert weights_file("diffusion.md").parent == PACKAGE_WEIGHTS and weights_file("c").parent.name == "one"
     monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path / "one"))
     assert weights_file("diffusion.md").parent.name == "one"
     monkeypatch.delenv("BUNRAKU_WEIGHTS")
-    assert weights_file("diffusion.md").parent == SHIPPED
+    assert weights_file("diffusion.md").parent == PACKAGE_WEIGHTS

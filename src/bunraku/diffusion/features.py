@@ -101,7 +101,7 @@ def root_velocities(path: np.ndarray, fps: float) -> np.ndarray:
     """The first three features of a root that goes a way, shape (N, 3).
 
     Args:
-        way: Position (x, z) [m] and heading [rad] in each frame, shape (N, 3).
+        path: Position (x, z) [m] and heading [rad] in each frame, shape (N, 3).
         fps: Frames a second [1/s].
     """
     step, angle = np.diff(path[:, :2], axis=0, prepend=path[:1, :2]), path[:, 2]

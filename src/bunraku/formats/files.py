@@ -275,7 +275,7 @@ def _reason(error: Exception) -> str:
     return (getattr(error, "strerror", None) or str(error)).lower()
 
 
-SHIPPED = Path(__file__).resolve().parents[1] / "weights"
+PACKAGE_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
 """Where the checkpoints lie that Bunraku brings."""
 
 
@@ -287,5 +287,9 @@ def weights_file(name: str) -> Path:
         name: The file, for example "diffusion.safetensors".
     """
     named = os.environ.get("BUNRAKU_WEIGHTS")
-    folders = [Path(folder) if folder else SHIPPED for folder in named.split(os.pathsep)] if named else [SHIPPED]
+    folders = (
+        [Path(folder) if folder else PACKAGE_WEIGHTS for folder in named.split(os.pathsep)]
+        if named
+        else [PACKAGE_WEIGHTS]
+    )
     return next((path for folder in folders if (path := folder / name).is_file()), folders[0] / name)

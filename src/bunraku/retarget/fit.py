@@ -48,7 +48,7 @@ def running(stages: Stages) -> tuple[Stage, ...]:
     return tuple([stage for stage in STAGES if on(stage.name)])
 
 
-POSING = running(Stages(smooth=False, ground=False, support=False, feet=False, floor=False))
+POSING = running(Stages(smooth=False, ground=False, support=False, feet=False, hands_clear=False, floor=False))
 """The stages that turn and join parts."""
 
 

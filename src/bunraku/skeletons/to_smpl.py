@@ -224,7 +224,7 @@ def _hinged(bent: np.ndarray, axis: np.ndarray, direction: int) -> np.ndarray | 
     Args:
         bent: Where the next limb points in the limb's axes, shape (N, 3).
         axis: Where the limb points, shape (3,).
-        way: Elbows bend forward, knees backward.
+        direction: Elbows bend forward, knees backward.
     """
     axis = axis / max(float(np.linalg.norm(axis)), 1e-12)
     square = np.array([0.0, 0, direction]) - axis * (axis[2] * direction)

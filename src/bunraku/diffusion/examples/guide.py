@@ -65,7 +65,7 @@ class Guide:
     Args:
         values: Network units, shape (N, 271).
         share: How far each frame is the example's, shape (N,).
-        made: Whether that is a gesture made by code, shape (N,).
+        made: Whether that is a gesture made by code or a clip of one's own, shape (N,).
     """
 
     values: np.ndarray

@@ -134,8 +134,8 @@ def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tup
     """What a clause adds to its action that a gesture does not do."""
     texts, said, gesture = pack.examples[index].texts, pack.said(index), pack.gesture(index)
     words = [word for word in clause.added if not tells_all((word,), texts)]
-    told = said.mirrored_cues if mirrored else said.cues
-    words += [_SAYS.get(cue, cue) for cue in sorted((clause.cues & _ADDED) - told) if not tells_all((cue,), texts)]
+    cues = said.mirrored_cues if mirrored else said.cues
+    words += [_SAYS.get(cue, cue) for cue in sorted((clause.cues & _ADDED) - cues) if not tells_all((cue,), texts)]
     words += sorted((clause.traits & _ADDED_TRAITS) - said.traits)
     if clause.count and gesture is not None and not gesture.counted:
         words.append(f"{clause.count} times")
@@ -167,5 +167,5 @@ def _fits(said: Said, mirrored: bool, query: Said, wanted: frozenset[str], near:
         return False
     if query.actions <= {"walk", "run"} and "halts" in shown and "halts" not in query.traits:
         return False
-    told = said.mirrored_cues if mirrored else said.cues
-    return wanted <= told and told & _PACE <= query.cues
+    cues = said.mirrored_cues if mirrored else said.cues
+    return wanted <= cues and cues & _PACE <= query.cues

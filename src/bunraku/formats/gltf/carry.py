@@ -59,9 +59,7 @@ def carry_tree(document: Document) -> dict[str, Any]:
 def carry_images(document: Document, builder: GltfBuilder) -> None:
     """Embed the images of a document; one whose file is missing becomes white."""
     for index, image in enumerate(document.items("images")):
-        data: bytes | memoryview | None = document.images.get(index)
-        if data is None and "bufferView" in image:
-            data = document.view(image["bufferView"])
+        data = document.image(index)
         mime = image_type(bytes(data[:16])) if data is not None else None
         if data is not None and mime is None and isinstance(image.get("mimeType"), str):
             mime = image["mimeType"]  # a kind that an extension brings, such as image/ktx2

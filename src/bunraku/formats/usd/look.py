@@ -124,12 +124,9 @@ class Look:
         number = texture.get("source")
         if type(number) is not int:
             return None
-        image = document.item("images", number)
-        data = document.images.get(number)
-        if data is None and "bufferView" in image:
-            data = bytes(document.view(image["bufferView"]))
-        suffix = _SUFFIX.get(image_type(data[:16]) or "") if data else None
-        if data is None or suffix is None:
+        data = bytes(document.image(number) or b"")
+        suffix = _SUFFIX.get(image_type(data[:16]) or "")
+        if suffix is None:
             return None
         name = f"image_{number}{suffix}"
         self.textures[name] = data

@@ -14,7 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from bunraku.errors import WeightsError
-from bunraku.formats.files import SHIPPED, weights_file
+from bunraku.formats.files import PACKAGE_WEIGHTS, weights_file
 
 __all__ = ["WordPieces", "encoder_file", "read_header", "word_pieces"]
 
@@ -110,7 +110,7 @@ def _is_sign(letter: str) -> bool:
 def encoder_file() -> Path:
     """The text encoder's weights: in the folder that BUNRAKU_WEIGHTS names, where they are there, or in the package."""
     path = weights_file("text.safetensors")
-    return path if path.is_file() else SHIPPED / path.name
+    return path if path.is_file() else PACKAGE_WEIGHTS / path.name
 
 
 def read_header(path: Path) -> dict[str, str]:

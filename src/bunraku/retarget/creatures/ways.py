@@ -69,7 +69,7 @@ def moved_so(motion: HandleMotion, locomotion: str, where: slice, anatomy: Anato
 
     Args:
         motion: Of the reference body, generated for this character.
-        way: Of moving.
+        locomotion: How it moves.
         where: The frames.
         anatomy: Of the character.
         loop: Whether the last frame is the first again.

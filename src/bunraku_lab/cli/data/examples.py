@@ -49,9 +49,10 @@ class Examples:
             check_source(self.data, "name the folder that 'bunraku data motions' wrote")
         check_output(self.output, [".safetensors"])
         from bunraku.nn.checkpoints import shipped_checkpoint
+        from bunraku_lab.training.diffusion.config import SHIPPED
         from bunraku_lab.training.example_pack import ExampleSettings, build_examples
 
-        base = shipped_checkpoint("examples") if self.add_to == Path("shipped") else self.add_to
+        base = shipped_checkpoint("examples") if self.add_to == SHIPPED else self.add_to
         with stages() as report:
             pack = build_examples(
                 ExampleSettings(self.data, self.output, self.stretches, self.events, ranker=self.ranker, add_to=base),

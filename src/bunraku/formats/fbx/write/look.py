@@ -135,18 +135,16 @@ def _picture(document: Document, texture: dict[str, Any]) -> tuple[int, bytes, s
         number = webp["EXT_texture_webp"].get("source", number)
     if type(number) is not int:
         return None
-    image = document.item("images", number)
-    data = document.images.get(number)
-    if data is None and "bufferView" in image:
-        data = bytes(document.view(image["bufferView"]))
-    if not data:
+    found = document.image(number)
+    if not found:
         return None
+    data = bytes(found)
     kind = image_type(data[:16])
     if kind == "image/webp":
-        data = _as_png(data)
-        kind = "image/png"
+        png = _as_png(data)
+        return None if png is None else (number, png, ".png")
     suffix = _SUFFIX.get(kind or "")
-    return None if suffix is None or data is None else (number, data, suffix)
+    return None if suffix is None else (number, data, suffix)
 
 
 def _as_png(data: bytes) -> bytes | None:

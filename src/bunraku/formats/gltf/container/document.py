@@ -148,6 +148,12 @@ class Document:
             )
         return data[start : start + length]
 
+    def image(self, index: Any) -> bytes | memoryview | None:
+        """The encoded bytes of an image; None where its file is missing."""
+        entry = self.item("images", index)
+        data = self.images.get(index)
+        return self.view(entry["bufferView"]) if data is None and "bufferView" in entry else data
+
     def count(self, index: Any) -> int:
         """Number of elements of an accessor."""
         return self.integer(self.item("accessors", index), "count", high=MAX_ELEMENTS)

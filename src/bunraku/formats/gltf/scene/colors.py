@@ -151,7 +151,7 @@ def _decode_all(document: Document, parts: tuple[MeshPart, ...]) -> dict[int, np
             if image is not None:
                 document.item("images", image)
                 wanted.add(image)
-    sources = {image: _bytes_of(document, image) for image in sorted(wanted)[:MAX_IMAGES]}
+    sources = {image: document.image(image) or b"" for image in sorted(wanted)[:MAX_IMAGES]}
     first: dict[Any, int] = {}  # images that are the same bytes are decoded once
     same = {image: first.setdefault(_place(data), image) for image, data in sources.items()}
     sizes = {image: _size(sources[image]) for image in first.values()}
@@ -177,15 +177,6 @@ def _decode_all(document: Document, parts: tuple[MeshPart, ...]) -> dict[int, np
         with ThreadPoolExecutor(side_by_side) as pool:
             decoded = dict(zip(chosen, pool.map(lambda image: _decode(sources[image], kept), chosen), strict=True))
     return {image: decoded.get(like) for image, like in same.items()}
-
-
-def _bytes_of(document: Document, index: int) -> Any:
-    """The bytes of an image, empty where there are none."""
-    entry = document.item("images", index)
-    data = document.images.get(index)
-    if data is None and "bufferView" in entry:
-        return document.view(entry["bufferView"])
-    return data or b""
 
 
 def _place(data: Any) -> tuple[int, int]:
