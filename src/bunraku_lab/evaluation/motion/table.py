@@ -229,14 +229,14 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         models["tapmo_mdm"] = config.mdm
     loaded = {name: load_generator(path) for name, path in models.items()}
     clips, windows = table_windows(config, report)
-    others = draw_windows(clips, config.references, np.random.default_rng([config.seed, 12]))
+    elsewhere = draw_windows(clips, config.references, np.random.default_rng([config.seed, 12]))
     named = _distinct(windows, config.prompts)
     sampling = config.sampler()
 
     encoder = encoder_of(extractor.config.text_encoder, loaded["tapmo"][1])
     sentences = embed_sentences(extractor, encoder, [window.sentence for window in windows])
     real, references = (
-        embed_motions(extractor, [window_features(clips, window) for window in part]) for part in (windows, others)
+        embed_motions(extractor, [window_features(clips, window) for window in part]) for part in (windows, elsewhere)
     )
     rows = {"real": Row(real)}
     for name, (model, own_encoder) in loaded.items():
@@ -272,7 +272,7 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     measure_rows(rows, references, windows, clips, sentences, config, report)
 
     result = _summary(rows)
-    result["fid_real_halves"] = _halves(others, references, config.runs, config.seed)
+    result["fid_real_halves"] = _halves(elsewhere, references, config.runs, config.seed)
     result["fid_steps_ratio"] = None
     if config.reference_steps:
         result |= _steps_ratio(extractor, rows["tapmo"].vectors, references, windows, config, report)
