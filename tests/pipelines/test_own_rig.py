@@ -15,6 +15,7 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Rig
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, OptionError
+from bunraku.geometry.rotations import axis_angle_from_matrix
 from bunraku.io import load_character
 from bunraku.io.play import clip_names as clip_names_of
 from bunraku.io.play import load_animation
@@ -25,6 +26,7 @@ from bunraku.pipelines.clips import clip_names, is_cycle, with_loops
 from bunraku.pipelines.requests.constraints import Constraints
 from bunraku.pipelines.requests.request import Request, Sampling
 from bunraku.retarget.stages.pins import Pin
+from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character
 
 FILES = Path(__file__).parents[1] / "formats" / "data"
 QUICK = Sampling(2.0, 1, 4, candidates=1)
@@ -79,6 +81,18 @@ def test_names_that_say_nothing_are_told_by_shape(person):
     known = own_rig(person, Request("walks"))
     limbs = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("hip", "knee", "elbow")]
     assert np.array_equal(parts.leads[limbs], known.leads[limbs])
+
+
+def test_the_wings_of_a_birds_own_bones_beat():
+    bird = code_made_character("bird", EVALUATION_SEED)
+    parts = own_rig(bird, Request("flies"))
+    assert parts is not None and parts.winged and not parts.complete
+    flown = Animator.shipped()(bird, Request("flies", QUICK))
+    assert isinstance(flown, RigAnimation)
+    wings = [bird.rig.names.index(f"{side}Wing") for side in ("Left", "Right")]
+    trunk = flown.world()[0][:, bird.rig.names.index("Spine")]
+    rolled = axis_angle_from_matrix(trunk.transpose(0, 2, 1)[:, None] @ flown.world()[0][:, wings])[..., 2]
+    assert np.ptp(rolled, axis=0).min() > 0.6 and np.corrcoef(rolled.T)[0, 1] < -0.9  # mirrored
 
 
 def test_the_clips_of_an_fbx_file_stay(tmp_path):

@@ -195,7 +195,8 @@ def animate(
         candidates: How many motions are drawn, of which the ranker chooses the best, 1 to 16.
         force: Animate even where no movement of a sentence is understood.
         rig: What moves: "own" the bones of the file's skeleton, "handles" the 30 handles, "auto" the bones where they
-            are understood as those of a person or of four legs and no handles are requested, and handles otherwise.
+            are understood as those of a person, of four legs or of a bird and no handles are requested, and handles
+            otherwise.
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:

@@ -391,8 +391,8 @@ def _not_understood(character: Character) -> str:
     assert character.rig is not None
     some = ", ".join(character.rig.names[:3])
     return (
-        f"its rig of {len(character.rig.names)} bones ({some} ...) is not understood as that of a person or of four "
-        "legs, by names or shape"
+        f"its rig of {len(character.rig.names)} bones ({some} ...) is not understood as that of a person, of four "
+        "legs or of a bird, by names or shape"
     )
 
 

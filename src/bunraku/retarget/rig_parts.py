@@ -39,6 +39,8 @@ HUMANOID = tuple(
     )
 )
 """Parts that a rig must have to take a person's motion bone by bone."""
+_WINGED = (*(HANDLE_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "wing") for side in ("left", "right")), 0)
+"""Parts that a bird's rig must have."""
 _VRM = {
     "hips": "pelvis", "spine": "spine1", "chest": "spine2", "upperChest": "spine3", "neck": "neck", "head": "head",
     "jaw": "face",
@@ -129,6 +131,11 @@ class RigParts:
         return bool((self.leads[list(HUMANOID)] >= 0).all())
 
     @property
+    def winged(self) -> bool:
+        """Whether it has a pelvis, two legs and two wings."""
+        return bool((self.leads[list(_WINGED)] >= 0).all())
+
+    @property
     def humanoid(self) -> bool:
         """Whether it stands upright and has a pelvis, two legs and two arms."""
         return self.complete and upright(self.handles)
@@ -160,8 +167,8 @@ class RigParts:
 
 
 def understood_rig(character: Character) -> RigParts | None:
-    """The rig of a person or of four legs, told by the file, by the names of its bones or by their shape; None where it
-    is neither, or there is none.
+    """The rig of a person, of four legs or of a bird, told by the file, by the names of its bones or by their shape;
+    None where it is none of these, or there is none.
 
     Args:
         character: Facing +Z.
@@ -171,7 +178,7 @@ def understood_rig(character: Character) -> RigParts | None:
             parts = RigParts.of(character, known)
         except CharacterError:
             continue
-        if parts.complete:
+        if parts.complete or parts.winged:
             return parts
     return None
 

@@ -88,8 +88,8 @@ class Animate(GeneratingOptions):
     """How hair and clothes move."""
     rig: Literal["auto", "own", "handles"] = "auto"
     """What is moved: the bones of the file's "own" skeleton, which keeps its names, weights and other clips; the 30
-    "handles"; or by "auto" the bones where they are understood as those of a person or of four legs, and handles
-    otherwise.
+    "handles"; or by "auto" the bones where they are understood as those of a person, of four legs or of a bird, and
+    handles otherwise.
     """
     skeleton: SkeletonOption = None
     """Move a tree of joints in a T-pose with the names of Mixamo, VRM or Unreal, made of the handles, which engines'

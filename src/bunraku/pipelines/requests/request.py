@@ -76,7 +76,8 @@ class Request:
         handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
         force: Go on even where no movement of the sentence is understood.
         rig: What moves: "own" the bones of the file's skeleton, "handles" the 30 handles, "auto" the bones where they
-            are understood as those of a person or of four legs and no handles are requested, and handles otherwise.
+            are understood as those of a person, of four legs or of a bird and no handles are requested, and handles
+            otherwise.
     """
 
     sentence: str | Sentence

@@ -23,13 +23,14 @@ from bunraku.retarget.fit import posed
 from bunraku.retarget.stages.ground import Ground
 from bunraku.retarget.stages.tail import Tail
 
-__all__ = ["HOVER", "in_air", "moved_so", "wing_swing"]
+__all__ = ["HOVER", "in_air", "moved_so", "wing_speed", "wing_swing"]
 
 HOVER = 0.8
 """How high a body flies over where it stands, over the height of its root."""
 RISE = 0.7  # how long what flies takes up and down where something else follows [s]
 BEAT, SPREAD = 2.2, 0.6  # wing beats in a second, and how far a wing swings up and down [rad]
 BEATS = 0.5  # wings that swing through less than this do not beat [rad]
+LIFTS = 2.5  # nor do wings whose swings are slower than this carry a body [rad/s]; captured ones are at 3.9 to 17
 HELD = 0.4  # what changes more slowly than this is how a wing is held, and no beat [s]
 TILT = np.radians(30)  # a body that flies tilts so far at the most, and no part of its trunk bends farther
 BOB = 0.05  # how far a body sinks and rises with the beats, over the height of its root
@@ -49,17 +50,26 @@ _TRUNK = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3", "n
 _HEAD = [HANDLE_NAMES.index(name) for name in ("head", "face", "head_top")]
 
 
-def wing_swing(motion: HandleMotion, held: float | None = None) -> float:
+def wing_swing(motion: HandleMotion) -> float:
     """Through which angle the wings of a body swing, as 5 of 100 frames are beyond it at either end [rad].
 
     Args:
         motion: Of the reference body.
-        held: What changes more slowly than this is how a wing is held, and no swing [s]; None counts all.
     """
     turns = np.asarray(axis_angle_from_matrix(motion.rotations[:, _WINGS].astype(np.float64)))
-    turns -= turns.mean(axis=0) if held is None else gaussian_filter1d(turns, held * motion.fps, axis=0, mode="nearest")
     low, high = np.quantile(turns, [0.05, 0.95], axis=0)
     return float(np.linalg.norm(high - low, axis=-1).max())
+
+
+def wing_speed(motion: HandleMotion) -> float:
+    """Mean speed at which the faster wing of a body swings, apart from how it is held (`HELD`) [rad/s].
+
+    Args:
+        motion: Of the reference body.
+    """
+    turns = np.asarray(axis_angle_from_matrix(motion.rotations[:, _WINGS].astype(np.float64)))
+    swings = turns - gaussian_filter1d(turns, HELD * motion.fps, axis=0, mode="nearest")
+    return float(np.linalg.norm(np.diff(swings, axis=0), axis=-1).mean(axis=0).max() * motion.fps)
 
 
 def moved_so(motion: HandleMotion, locomotion: str, where: slice, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
@@ -152,7 +162,7 @@ def _flown(motion: HandleMotion, frames: np.ndarray, anatomy: Anatomy, loop: boo
     motion = in_air(motion, frames)
     share = _amount(len(motion), frames, motion.fps)
     motion = _righted(motion, share)
-    if wing_swing(HandleMotion.take(motion, frames), HELD) >= BEATS:
+    if wing_speed(HandleMotion.take(motion, frames)) >= LIFTS:
         return motion
     phase = _phase(len(motion), frames, BEAT, motion.fps, loop)
     rotations = motion.rotations.astype(np.float64).copy()
