@@ -9,9 +9,9 @@ from bunraku.apparel.artist_mask import artist_mask_file, read_artist_mask
 from bunraku.apparel.mask import apparel_mask
 from bunraku.core.character import Character
 from bunraku.errors import FormatError
+from bunraku.formats.mmd.export import save_pmx
 from bunraku.io import load_character
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
-from bunraku_lab.synthetic.wardrobe.kit.pmx_write import save_pmx
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ import pytest
 from bunraku.cli.app import main
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, OptionError
+from bunraku.formats.mmd.export import write_pmx
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.physics.from_file import apparel_rig
 from bunraku.pipelines.animate import animate, generate
@@ -13,7 +14,6 @@ from bunraku.pipelines.apply import apply_simulated
 from bunraku.retarget.to_rig import fit_rig
 from bunraku.samples import sample_character
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
-from bunraku_lab.synthetic.wardrobe.kit.pmx_write import write_pmx
 
 pytestmark = pytest.mark.skipif(
     not (shipped_checkpoint("handles").is_file() and shipped_checkpoint("diffusion").is_file()),

@@ -348,8 +348,8 @@ def test_characters_are_dropped(page, tmp_path, kind):
     elif kind == "fbx":
         path.write_bytes(gzip.decompress((FILES / "boxman_y_up_m.fbx.gz").read_bytes()))
     elif kind == "pmx":
+        from bunraku.formats.mmd.export import save_pmx
         from bunraku_lab.synthetic.wardrobe import wardrobe_character
-        from bunraku_lab.synthetic.wardrobe.kit.pmx_write import save_pmx
 
         save_pmx(wardrobe_character(3), path)
     else:

@@ -14,7 +14,15 @@ from scipy.spatial import cKDTree
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.geometry.graph import clean_mesh, unique_edges
 
-__all__ = ["NEIGHBOURS", "ApparelNodes", "apparel_nodes", "held_vertices", "part_lengths", "part_neighbours"]
+__all__ = [
+    "NEIGHBOURS",
+    "ApparelNodes",
+    "apparel_nodes",
+    "held_vertices",
+    "part_lengths",
+    "part_neighbours",
+    "surface_distances",
+]
 
 NEIGHBOURS = 6
 LEAST = 3  # nodes of a part
@@ -77,6 +85,11 @@ def part_lengths(clothed: ClothedCharacter) -> np.ndarray:
     cloth = clothed.part >= 0
     out[clothed.part[cloth]] = _attachment(clothed)[2][cloth]
     return out
+
+
+def surface_distances(clothed: ClothedCharacter) -> np.ndarray:
+    """How far each vertex is from where its part is held, along the surface [m], shape (V,); 0 on the body."""
+    return _attachment(clothed)[1]
 
 
 def held_vertices(clothed: ClothedCharacter) -> np.ndarray:

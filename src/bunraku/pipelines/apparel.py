@@ -1,12 +1,13 @@
-"""The apparel of an animation, whatever its character is: as it is, simulated by its file's physics or by the bones of
-its hair and clothes, or learned.
+"""The apparel of an animation, whatever its character is: as it is, simulated by its file's physics, by the bones of
+its hair and clothes or by chains laid over its mesh, or learned.
 
-`auto` simulates where the rig is what moves and the file has physics or such bones, and learns where the mesh has
-apparel; a mask says which vertices are apparel.
+`auto` takes the file's physics, or else its bones, or else lays chains where the mesh has apparel, or else leaves all
+with the body; a mask says which vertices are apparel.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +22,7 @@ from bunraku.apparel.fitting import eased_border, fitted_clothes, joint_weights_
 from bunraku.apparel.layers import Layers
 from bunraku.apparel.segmentation.predict import find_apparel
 from bunraku.apparel.unified import UnifiedBody
-from bunraku.body.layout import HANDLE_COUNT
+from bunraku.body.layout import HANDLE_COUNT, JOINT_COUNT
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.point_animation import PointAnimation
@@ -29,17 +30,22 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError
 from bunraku.nn.checkpoints import dated_checkpoint
 from bunraku.physics.chains.animated import with_apparel
-from bunraku.physics.chains.moving import moving_rig
+from bunraku.physics.chains.fitted import fitted_rig
+from bunraku.physics.chains.from_shape import shape_chains
+from bunraku.physics.chains.laid import Chained, with_chains
+from bunraku.physics.chains.moving import moving_rig, steady_simulation
+from bunraku.physics.chains.on_handles import on_handle_rig
 from bunraku.physics.clothed import clothed_from_file
 from bunraku.physics.from_file import apparel_rig
 from bunraku.pipelines.requests.apparel import Apparel
 
-__all__ = ["animated_clothed", "dressed", "learned", "shipped_displacement"]
+__all__ = ["animated_clothed", "chained", "dressed", "laid_over", "learned", "shipped_displacement"]
 
 Progress = Callable[[str, float], None]
 LEAST = 0.01
 """Share of the vertices under which `auto` takes a mesh to have no apparel."""
 RATE = 30.0
+_log = logging.getLogger(__name__)
 
 
 @lru_cache(maxsize=2)
@@ -88,10 +94,13 @@ def dressed(
     if str(apparel) == "auto":
         if isinstance(animation, RigAnimation) and moving_rig(animation.character) is not None:
             return with_apparel(animation, progress, stiffness, gravity)
-        clothed, transforms, moved = animated_clothed(animation, stiffness=stiffness)
+        clothed, _, _ = animated_clothed(animation)
         if clothed.apparel.mean() < LEAST:
             return animation
-        return _learned(clothed, transforms, moved, progress)
+        return chained(animation, clothed, stiffness=stiffness, gravity=gravity, progress=progress)
+    if str(apparel) == "chains":
+        clothed, _, _ = animated_clothed(animation)
+        return chained(animation, clothed, stiffness=stiffness, gravity=gravity, progress=progress)
     mask = None if str(apparel) == "learn" else read_artist_mask(apparel, animation.character)
     return learned(animation, mask, stiffness=stiffness, progress=progress)
 
@@ -121,6 +130,64 @@ def learned(
     """
     clothed, transforms, moved = animated_clothed(animation, mask, stiffness=stiffness)
     return _learned(clothed, transforms, moved, progress, network, safe)
+
+
+def chained(
+    animation: Animation | RigAnimation,
+    clothed: ClothedCharacter,
+    *,
+    stiffness: float = 1.0,
+    gravity: float = 1.0,
+    progress: Progress | None = None,
+) -> RigAnimation:
+    """An animation on its bones, or on its handles as bones, with further bones for its apparel, which are simulated.
+
+    Args:
+        animation: Of handles or of bones.
+        clothed: Its character as `animated_clothed` gives it.
+        stiffness: Factor on how stiff apparel is.
+        gravity: Factor on gravity.
+        progress: Called with a stage's name and the share done.
+
+    Raises:
+        CharacterError: No part of the mesh is apparel that chains can be laid over.
+    """
+    progress = progress or (lambda stage, done: None)
+    progress("apparel", 0.0)
+    body = _unified(animation.character) if isinstance(animation, RigAnimation) else None
+    if body is not None and isinstance(animation, RigAnimation):
+        moved, bones = animation.at(RATE), body.bones
+    else:
+        handles = animation.animation() if isinstance(animation, RigAnimation) else animation
+        moved, bones = on_handle_rig(handles.at(RATE)), np.arange(JOINT_COUNT)
+    made = laid_over(moved.character, clothed, bones, stiffness, gravity)
+    found = steady_simulation(made.on(moved), made.rig(), progress=lambda done: progress("apparel", done))
+    for problem in found.report.problems():
+        _log.warning("%s: %s", animation.character.name, problem)
+    return found.animation
+
+
+def laid_over(
+    character: Character, clothed: ClothedCharacter, bones: np.ndarray, stiffness: float = 1.0, gravity: float = 1.0
+) -> Chained:
+    """A character whose rig has chains of bones over its apparel.
+
+    Args:
+        character: With a rig.
+        clothed: The same mesh, told apart.
+        bones: The bone of the rig that each of the 22 joints is, shape (22,).
+        stiffness, gravity: Factors.
+
+    Raises:
+        CharacterError: No part of the mesh is apparel that chains can be laid over.
+    """
+    laid = shape_chains(clothed).turned(stiffness, gravity)
+    if not laid.chains:
+        raise CharacterError(
+            f"{character.name}: no apparel was found on this mesh that could swing; name its vertices in a mask "
+            "(--apparel mask.npy)"
+        )
+    return with_chains(fitted_rig(character, clothed, bones), laid, bones)
 
 
 def animated_clothed(

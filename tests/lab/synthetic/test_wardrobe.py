@@ -15,13 +15,13 @@ from bunraku.core.character import Character
 from bunraku.core.mmd_model import MmdBody, mmd_model
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError
+from bunraku.formats.mmd.export import write_pmx
 from bunraku.physics.simulate import simulate
 from bunraku.skeletons.mmd_names import mmd_skeleton_map
 from bunraku_lab.synthetic.people.figure import Skin
 from bunraku_lab.synthetic.surfaces import strand
 from bunraku_lab.synthetic.wardrobe import build_wardrobe, wardrobe_character, wardrobe_costume
 from bunraku_lab.synthetic.wardrobe.kit.chains import Chains
-from bunraku_lab.synthetic.wardrobe.kit.pmx_write import write_pmx
 from bunraku_lab.synthetic.wardrobe.makehuman import closet
 
 SEEDS = range(8)

@@ -35,8 +35,9 @@ class EditSamplingOptions(SamplingOptions):
 class ApparelOptions(Apparel):
     """`Apparel` on the command line."""
 
-    motion: Annotated[str, tyro.conf.arg(name="apparel", metavar="{auto,none,simulate,learn,MASK}")] = "none"
+    motion: Annotated[str, tyro.conf.arg(name="apparel", metavar="{auto,none,simulate,chains,learn,MASK}")] = "none"
     """How hair and clothes move: "none" with the body, "simulate" by the physics of an MMD or VRM file, or else by
-    the bones of hair and clothes of a person's rig, "learn" by a network that finds them on any mesh, "auto" by the
-    first of these that there is; or the file of a mask (.npy, .txt, painted .ply or .glb) of what is to be learned.
+    the bones of hair and clothes of a person's rig, "chains" by chains of bones that are laid over what a network finds
+    on any mesh, "learn" by a network alone, "auto" by the first of physics, bones and chains that there is; or the file
+    of a mask (.npy, .txt, painted .ply or .glb) of what is to be learned.
     """

@@ -1,12 +1,13 @@
 """Chains as rigid bodies and joints: capsules on every link, hinges with limits and springs between them, and loose
 ties between neighbours of cloth, so that cloth stays cloth.
 
-Nothing of the body is a collider here: `physics.limbs` makes capsules of its mesh for apparel that no collider meets.
+Where no collider is given, `physics.limbs` makes capsules of the body's mesh.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,14 +29,16 @@ NEXT = 1.9  # neighbours are at most so many times as far apart as they are at t
 
 
 def chain_rig(
-    chains: Sequence[Chain], positions: np.ndarray, ties: Sequence[tuple[int, int]] | None = None
-) -> ApparelRig:
+    chains: Sequence[Chain], positions: np.ndarray, ties: Sequence[tuple[int, int]] | None = None,
+    colliders: Sequence[MmdBody] = (),
+) -> ApparelRig:  # fmt: skip
     """The rigid bodies and joints of chains.
 
     Args:
         chains: Each after the one that it hangs on.
         positions: Of the rig's bones [m], shape (J, 3).
         ties: Pairs of chains that are neighbours of one sheet; found by where they are when None (`neighbours_of`).
+        colliders: Bodies that follow bones and keep the chains out.
     """
     bodies: list[MmdBody] = []
     joints: list[MmdJoint] = []
@@ -71,6 +74,9 @@ def chain_rig(
         own.append(numbers)
     for first, second in neighbours_of(chains) if ties is None else ties:
         joints += _ties(chains[first], chains[second], own[first], own[second])
+    for collider in colliders:
+        bodies.append(replace(collider, group=NOBODY, mask=1 << GROUP))
+        gravity.append(1.0)
     pulls = np.array(gravity)[:, None] * np.array([0.0, -GRAVITY, 0.0])
     same = bool(np.allclose(gravity, 1.0))
     return ApparelRig(tuple(bodies), tuple(joints), (), None if same else pulls)

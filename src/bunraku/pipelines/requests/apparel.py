@@ -12,7 +12,7 @@ from bunraku.errors import OptionError
 
 __all__ = ["APPAREL", "Apparel"]
 
-APPAREL = ("auto", "none", "rigid", "simulate", "learn")
+APPAREL = ("auto", "none", "rigid", "simulate", "chains", "learn")
 """How apparel may move, beside a mask; "rigid" is another word for "none"."""
 MASKS = (".npy", ".txt", ".ply", ".glb")
 
@@ -23,9 +23,10 @@ class Apparel:
 
     Args:
         motion: "none" (or "rigid") moves them with the body; "simulate" by the rigid bodies or springs of an MMD or VRM
-            file, or else by the bones of hair and clothes of a person's rig; "learn" by a network that finds them on
-            any mesh; "auto" simulates where the file has physics or such bones, and learns where the mesh has apparel;
-            or the file of a mask of what is to be learned.
+            file, or else by the bones of hair and clothes of a person's rig; "chains" by chains of bones that are laid
+            over what a network finds on any mesh, and simulated; "learn" by a network; "auto" by the file's physics, or
+            else its bones, or else chains where the mesh has apparel; or the file of a mask of what is to be
+            learned.
         stiffness: How stiff apparel is, as a factor, 0.001 to 1000.
         gravity: How strongly what is simulated is drawn downwards, as a factor, 0 to 10.
     """
@@ -60,8 +61,8 @@ class Apparel:
         """
         if self.mask is not None and self.mask.suffix.lower() not in MASKS:
             raise OptionError(
-                f"apparel moves by 'auto', 'none', 'simulate' or 'learn', or is named by a mask ({', '.join(MASKS)}), "
-                f"not '{self.motion}'; choose one of these"
+                f"apparel moves by 'auto', 'none', 'simulate', 'chains' or 'learn', or is named by a mask "
+                f"({', '.join(MASKS)}), not '{self.motion}'; choose one of these"
             )
         STIFFNESS.check(self.stiffness, f"{dashes}stiffness")
         GRAVITY.check(self.gravity, f"{dashes}gravity")

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bunraku.formats.files import atomic_write
+from bunraku.formats.mmd.pmx_write import pmx_bytes
 from bunraku_lab.synthetic.wardrobe.character import wardrobe_costume
-from bunraku_lab.synthetic.wardrobe.kit.pmx_write import pmx_bytes
 
 __all__ = ["INDEX", "build_wardrobe"]
 

@@ -14,8 +14,8 @@ from bunraku.core.mmd_model import MMD_METRE, MmdBody, MmdBone, MmdJoint
 from bunraku.formats.mmd.build import MmdFile, MmdMaterial, mmd_character
 from bunraku.formats.mmd.document import LIGHT
 from bunraku.formats.mmd.pmx import read_pmx_file
+from bunraku.formats.mmd.pmx_write import pmx_bytes
 from bunraku.geometry.surface import vertex_normals
-from bunraku_lab.synthetic.wardrobe.kit.pmx_write import pmx_bytes
 
 __all__ = ["Costume", "Part", "bone_frame"]
 

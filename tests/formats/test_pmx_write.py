@@ -5,15 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bunraku import load_character
+from bunraku import load_character, with_skeleton
 from bunraku.core.character import Character
 from bunraku.core.mmd_model import MmdAppend, MmdBone, MmdIk, MmdIkLink, mmd_model
-from bunraku.errors import FormatError
+from bunraku.errors import CharacterError
 from bunraku.formats.mmd.build import MmdFile, mmd_character
+from bunraku.formats.mmd.export import save_pmx, write_pmx
 from bunraku.formats.mmd.pmx import read_pmx_file
+from bunraku.formats.mmd.pmx_write import pmx_bytes
 from bunraku.samples import sample_character
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
-from bunraku_lab.synthetic.wardrobe.kit.pmx_write import pmx_bytes, save_pmx, write_pmx
 
 
 def _assert_same(first: Character, second: Character) -> None:
@@ -109,6 +110,19 @@ def test_another_reader_agrees() -> None:
     assert len(found.indices) == 3 * len(character.faces)
 
 
-def test_other_characters_are_refused() -> None:
-    with pytest.raises(FormatError, match="no MMD model"):
+def test_a_mesh_without_bones_is_refused() -> None:
+    with pytest.raises(CharacterError, match="no rig"):
         write_pmx(sample_character("person"))
+
+
+def test_a_rig_of_another_file(tmp_path: Path) -> None:
+    """A person on a skeleton becomes a model with the same bones and weights, and its picture lies beside it."""
+    character = with_skeleton(sample_character("person"), "vrm")
+    assert character.rig is not None
+    read = load_character(save_pmx(character, tmp_path / "person.pmx"))
+    assert read.rig is not None and read.rig.names == character.rig.names
+    np.testing.assert_array_equal(read.rig.parents, character.rig.parents)
+    np.testing.assert_allclose(read.rig.positions, character.rig.positions, atol=1e-6)
+    assert len(read.faces) == len(character.faces)
+    corners = np.sort(read.vertices[read.faces].reshape(len(read.faces), -1), axis=0)
+    np.testing.assert_allclose(corners, np.sort(character.vertices[character.faces].reshape(-1, 9), axis=0), atol=1e-5)

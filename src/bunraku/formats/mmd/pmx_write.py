@@ -1,7 +1,5 @@
-"""Write PMX 2.0, the models of MikuMikuDance: mesh, materials, bones with their dependencies, rigid bodies and joints.
-
-`load_character` reads such a file back to the same character. What `MmdModel` does not keep is not written: the offsets
-of morphs and the pictures of textures; materials have their colours.
+"""The bytes of PMX 2.0, the models of MikuMikuDance: mesh, materials, bones with their dependencies, rigid bodies and
+joints. Morphs are not written.
 """
 
 from __future__ import annotations
@@ -11,107 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.core.character import Character
-from bunraku.core.mmd_model import BODY_SHAPES, MMD_METRE, MmdBody, MmdBone, MmdJoint, mmd_angles, mmd_model
+from bunraku.core.mmd_model import BODY_SHAPES, MMD_METRE, MmdBody, MmdBone, MmdJoint, mmd_angles
 from bunraku.errors import FormatError
-from bunraku.formats.files import atomic_write
-from bunraku.formats.gltf.scene.colors import srgb_from_linear
 from bunraku.formats.mmd.build import MAX_BODIES, MAX_BONES, MAX_JOINTS, MmdFile, MmdMaterial
-from bunraku.formats.mmd.document import LIGHT
 
-__all__ = ["pmx_bytes", "save_pmx", "write_pmx"]
+__all__ = ["pmx_bytes"]
 
 _MIRROR = np.array([1.0, 1, -1])
-
-
-def write_pmx(character: Character) -> bytes:
-    """The PMX file of a character that is an MMD model: read from a PMX or PMD file, or of the wardrobe.
-
-    Raises:
-        FormatError: It is no MMD model, or its mesh is not the one that its model was read with.
-    """
-    return pmx_bytes(_file_of(character))
-
-
-def save_pmx(character: Character, path: str | Path) -> Path:
-    """Write `write_pmx` to a file; nothing half-written is left behind. Arguments and errors are those of
-    `write_pmx`.
-    """
-    target = Path(path)
-    data = write_pmx(character)
-    with atomic_write(target) as stream:
-        stream.write(data)
-    return target
-
-
-def _file_of(character: Character) -> MmdFile:
-    """What the file of a character says, in MMD's frame and unit where `MmdFile` wants it."""
-    name = Path(f"{character.name}.pmx")
-    model = mmd_model(character)
-    if model is None or character.rig is None:
-        raise FormatError(
-            name, "this character is no MMD model, so there is nothing to write as PMX; load one from a PMX or PMD file"
-        )
-    document = character.source.document
-    primitives = document.tree["meshes"][0]["primitives"]
-    attributes = primitives[0]["attributes"]
-    positions = document.accessor(attributes["POSITION"], ("VEC3",)).astype(np.float64)
-    if len(positions) != len(model.deforms):
-        raise FormatError(name, "its mesh has other vertices than its model; load it again from its file")
-    out = MmdFile("PMX 2.0", model.name, model.english)
-    out.positions = _units(positions)
-    out.normals = document.accessor(attributes["NORMAL"], ("VEC3",)).astype(np.float64) * _MIRROR
-    out.uvs = document.accessor(attributes["TEXCOORD_0"], ("VEC2",)).astype(np.float64)
-    out.deforms = model.deforms
-    out.indices, out.weights = np.full((len(positions), 4), -1, np.int64), np.zeros((len(positions), 4))
-    columns = min(4, character.rig.indices.shape[1])
-    out.indices[:, :columns], out.weights[:, :columns] = (
-        character.rig.indices[:, :columns],
-        character.rig.weights[:, :columns],
-    )
-    out.sdef = np.zeros((len(positions), 3, 3))
-    out.sdef[model.sdef.vertices] = (
-        np.stack([model.sdef.center, model.sdef.r0, model.sdef.r1], axis=1) * _MIRROR / MMD_METRE
-    )
-    materials, triangles = document.tree.get("materials", []), []
-    for primitive in primitives:
-        if "indices" in primitive:
-            corners = document.accessor(primitive["indices"], ("SCALAR",)).reshape(-1, 3)[:, ::-1].astype(np.int64)
-            number = primitive.get("material")
-            out.materials.append(_material(materials[number] if number is not None else {}, 3 * len(corners)))
-            triangles.append(corners)
-    out.triangles = np.concatenate(triangles) if triangles else np.zeros((0, 3), np.int64)
-    out.bones, out.bodies, out.joints = list(model.bones), list(model.bodies), list(model.joints)
-    return out
-
-
-def _material(entry: dict, corners: int) -> MmdMaterial:
-    """A material of MMD that is seen in the colour of one of glTF."""
-    factor = np.array(entry.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1.0, 1, 1, 1]), float)
-    seen = srgb_from_linear(factor[:3])
-    diffuse = np.array([*seen, factor[3]], np.float32).astype(float)
-    return MmdMaterial(
-        str(entry.get("name", "material")),
-        diffuse,
-        seen - diffuse[:3] * LIGHT,
-        bool(entry.get("doubleSided")),
-        "",
-        corners,
-    )
-
-
-def _units(positions: np.ndarray) -> np.ndarray:
-    """Positions [m] as a file holds them, such that reading gives the same 32-bit numbers wherever there are such."""
-    wanted = positions.astype(np.float32)
-    best = (positions / MMD_METRE).astype(np.float32)
-    for way in (-np.inf, np.inf):
-        other = np.nextafter(best, np.float32(way))
-        best = np.where((_read(best) != wanted) & (_read(other) == wanted), other, best)
-    return best.astype(np.float64) * _MIRROR
-
-
-def _read(values: np.ndarray) -> np.ndarray:
-    return np.asarray(values.astype(np.float64) * MMD_METRE, np.float32)
 
 
 class _Writer:
@@ -120,6 +24,7 @@ class _Writer:
     def __init__(self, file: MmdFile):
         self.parts: list[bytes] = []
         self.bone, self.body = _signed(len(file.bones)), _signed(len(file.bodies))
+        self.texture = _signed(len({material.texture for material in file.materials}))
         self.vertex = 1 if len(file.positions) < 256 else 2 if len(file.positions) < 65536 else 4
 
     def pack(self, layout: str, *values: object) -> None:
@@ -144,7 +49,7 @@ def pmx_bytes(file: MmdFile) -> bytes:
     """The bytes of a PMX file; `read_pmx_file` reads them back.
 
     Args:
-        file: What it shall say. Its textures are not written.
+        file: What it shall say; the pictures of its textures are files of their own.
 
     Raises:
         FormatError: It has more bones, rigid bodies or joints than are read.
@@ -161,16 +66,19 @@ def pmx_bytes(file: MmdFile) -> bytes:
     out = _Writer(file)
     out.parts.append(b"PMX ")
     out.pack("f", 2.1 if (file.deforms == 4).any() else 2.0)
-    out.pack("9B", 8, 0, 0, out.vertex, 1, 1, out.bone, 1, out.body)
+    out.pack("9B", 8, 0, 0, out.vertex, out.texture, 1, out.bone, 1, out.body)
     for text in (file.name, file.english, "", ""):
         out.text(text)
     _vertices(out, file)
     out.pack("i", file.triangles.size)
     out.parts.append(np.asarray(file.triangles, {1: "u1", 2: "<u2", 4: "<i4"}[out.vertex]).tobytes())
-    out.pack("i", 0)  # textures
+    textures = list(dict.fromkeys(material.texture for material in file.materials if material.texture))
+    out.pack("i", len(textures))
+    for name in textures:
+        out.text(name)
     out.pack("i", len(file.materials))
     for material in file.materials:
-        _write_material(out, material)
+        _write_material(out, material, textures.index(material.texture) if material.texture else -1)
     out.pack("i", len(file.bones))
     for number, bone in enumerate(file.bones):
         _bone(out, bone, file.tails.get(number))
@@ -205,13 +113,15 @@ def _vertices(out: _Writer, file: MmdFile) -> None:
         out.parts.append(edge)
 
 
-def _write_material(out: _Writer, material: MmdMaterial) -> None:
+def _write_material(out: _Writer, material: MmdMaterial, texture: int) -> None:
     out.text(material.name)
     out.text("")
     out.floats([*material.diffuse, 0.1, 0.1, 0.1, 5.0, *material.ambient])  # with a faint specular
     out.pack("B", 0x1E | int(material.double_sided))  # shadows and an edge
     out.floats([0.1, 0.1, 0.15, 1, 0.6])
-    out.pack("bbBBB", -1, -1, 0, 1, 0)  # no texture, no sphere map, the first shared toon
+    out.index(texture, out.texture)
+    out.index(-1, out.texture)
+    out.pack("BBB", 0, 1, 0)  # no sphere map, the first shared toon
     out.text("")
     out.pack("i", material.corners)
 
