@@ -4,7 +4,7 @@ import { bytes, send, upload } from "./api";
 import { EMPTY, MOST_LETTERS, readView, writeReplay, type Replay } from "./schema";
 import { scriptOf, tooLong, wrongWith } from "./script";
 import {
-  about, attempt, change, character, characters, comparing, doc, ended, ownTakes, pause, remember, say, take, takes,
+  about, attempt, change, character, characters, comparing, doc, ended, newest, ownTakes, pause, remember, say, take, takes,
   time, uploading,
 } from "./state";
 import type { Character, Doc, LibraryClip, Sentence, Settings, Take } from "./types";
@@ -222,7 +222,7 @@ export const deleteTake = (id: string): Promise<void> => giveUp("takes", id, "de
 export const deleteCharacter = (id: string): Promise<void> => giveUp("characters", id, "delete a character");
 
 function switchTo(id: string | null): void {
-  const first = takes.value.filter((one) => one.character === id).sort((one, other) => other.created - one.created)[0];
+  const first = newest(takes.value, id);
   doc.value = { ...doc.value, character: id, take: first?.id ?? null, ...sentencesOf(first?.id ?? null), pins: [], poses: [], path: [], span: null, apparel: "rigid" };
   comparing.value = false;
   time.value = 0;

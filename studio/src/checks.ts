@@ -1,15 +1,12 @@
 // For tests, in a build of their own: the state, and the view at a time of their choosing.
 
-import { batch } from "@preact/signals";
 import { Color, MeshBasicMaterial, Vector3 } from "three";
 import { pose } from "./model";
-import { changing } from "./prompt";
 import { EMPTY } from "./schema";
 import { viewer } from "./stage";
 import {
-  change, character, characters, colouring, comparing, doc, drawing, follow, notice, online, ownTakes, playing, take, takes, time,
+  change, character, characters, doc, notice, online, ownTakes, playing, take, takes, time,
 } from "./state";
-import { changes } from "./takes";
 import type { Doc } from "./types";
 import type { Viewer } from "./viewer";
 
@@ -63,19 +60,12 @@ function silhouette(view: Viewer, at: number, width: number, height: number, eye
 
 Object.assign(window, {
   studio: {
-    /** As a page that was never used, on the oldest character and its newest take that is done. */
+    /** On the oldest character and its oldest take that is done, which nobody changes, with nothing asked for. */
     fresh: (values: Partial<Doc>) => {
       const first = characters.value.find((one) => one.state === "ready") ?? null;
-      const done = takes.value.filter((one) => one.character === first?.id && one.state === "done");
-      const newest = done.sort((one, other) => other.created - one.created)[0];
-      batch(() => {
-        doc.value = { ...EMPTY, character: first?.id ?? null, take: newest?.id ?? null, ...values };
-        comparing.value = drawing.value = playing.value = changing.value = changes.value = false;
-        follow.value = true;
-        colouring.value = "none";
-        notice.value = null;
-        time.value = 0;
-      });
+      const own = takes.value.filter((one) => one.character === first?.id && one.state === "done");
+      const oldest = own.sort((one, other) => one.created - other.created)[0];
+      doc.value = { ...EMPTY, character: first?.id ?? null, take: oldest?.id ?? null, ...values };
     },
     doc,
     take,
@@ -87,12 +77,6 @@ Object.assign(window, {
     time,
     change,
     view: () => viewer,
-    /** As if the front of the character were this sure. */
-    unsure: (sure: number) => {
-      characters.value = characters.value.map((one) =>
-        one.id === character.value?.id && one.axes ? { ...one, axes: { ...one.axes, sure, other: one.axes.other ?? ["+y", "+x"] } } : one,
-      );
-    },
     silhouette: (at: number, width: number, height: number, eye: number[], target: number[]) =>
       viewer ? silhouette(viewer, at, width, height, eye, target) : [],
     set: (seconds: number) => {

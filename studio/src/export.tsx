@@ -1,7 +1,7 @@
 // Export: which takes, as what, at what rate, each its own file or all as the clips of one.
 
 import { signal } from "@preact/signals";
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useLayoutEffect, useRef, useState } from "preact/hooks";
 import { download, hand, saveProject } from "./actions";
 import { filming, holder, seconds, viewer } from "./stage";
 import { about, attempt, character, ownTakes, playing, say, take, time } from "./state";
@@ -73,8 +73,8 @@ function ExportDialog() {
   const [fps, setFps] = useState(30);
   const [together, setTogether] = useState(true);
   const [chosen, setChosen] = useState<string[]>(take.value ? [take.value.id] : []);
-  useEffect(() => {
-    box.current?.showModal();
+  useLayoutEffect(() => {
+    box.current?.showModal(); // at once: a key that comes right after the click is the dialog's
   }, []);
   const done = ownTakes.value.filter((one) => one.state === "done");
   const some = done.filter((one) => chosen.includes(one.id));

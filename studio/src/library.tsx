@@ -102,6 +102,9 @@ async function wear(one: Character): Promise<void> {
   const data = await bytes(`/characters/${one.id}/mesh.glb?skin=handles`);
   if (key === owner) {
     await thumbs.show(key, data, one.bounds);
+    for (const name of seen.keys()) {
+      show(name); // clips may have come before the mesh
+    }
     soon();
   }
 }

@@ -37,6 +37,11 @@ export const ownTakes = computed(() =>
     .filter((one) => one.character === doc.value.character && !one.deleted)
     .sort((one, other) => other.created - one.created),
 );
+/** The take that a character is shown with: the newest that is done, or the newest of all. */
+export function newest(all: Take[], owner: string | null): Take | null {
+  const own = all.filter((one) => one.character === owner && !one.deleted).sort((one, other) => other.created - one.created);
+  return own.find((one) => one.state === "done") ?? own[0] ?? null;
+}
 const open = (job: Job): boolean => ["waiting", "running"].includes(job.state);
 /** What nobody asked for by itself: how clips look, and what is found out of a character. */
 const QUIET = ["preview", "find-out"];
@@ -235,7 +240,7 @@ export async function start(): Promise<void> {
     doc.value = { ...doc.value, character: first?.id ?? null, take: null };
   }
   if (!take.value) {
-    doc.value = { ...doc.value, take: ownTakes.value[0]?.id ?? null };
+    doc.value = { ...doc.value, take: newest(takes.value, doc.value.character)?.id ?? null };
     if (!before.view) {
       doc.value = { ...doc.value, script: scriptOf(take.value) };
     }

@@ -47,6 +47,16 @@ test("takes of the character, newest first, without those that are given up", ()
   expect(state.ownTakes.value.map((one) => one.id)).toEqual(["b", "a"]);
 });
 
+test("a character is shown with its newest take that is done", () => {
+  const take = (id: string, created: number, values: Partial<Take> = {}): Take => ({
+    id, created, character: "c", state: "done", error: "", how: "animate", star: false, seed: 0, script: [], ...values,
+  });
+  const failed = take("d", 4, { state: "failed" });
+  expect(state.newest([take("a", 1), take("b", 2), failed, take("e", 5, { deleted: true })], "c")?.id).toBe("b");
+  expect(state.newest([failed], "c")?.id).toBe("d");
+  expect(state.newest([take("a", 1)], "other")).toBeNull();
+});
+
 /** A server of projects, as src/bunraku/studio/routes/files.py answers, behind `fetch`. */
 function projects(): Map<string, { view: unknown; revision: number }> {
   const kept = new Map<string, { view: unknown; revision: number }>();

@@ -18,7 +18,7 @@ FLAGS = [
     "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
     "--disable-sync",
 ]  # fmt: skip
-SECONDS = 600  # that anything may take: a browser without a GPU, on a machine that does much else
+SECONDS = 90  # that one wait may take: a browser without a GPU, on a machine that does much else
 SCALE = 0.5  # pixels drawn for each of the page: without a GPU they are what takes the time
 
 
@@ -97,8 +97,10 @@ class Page:
         look = f"(() => {{ try {{ return Boolean({expression}); }} catch {{ return false; }} }})()"
         while not self.value(look):
             if time.monotonic() > end:
-                state = self.value("JSON.stringify([studio.notice.value, studio.take.value, studio.character.value])")
-                raise AssertionError(f"{expression} did not become true; {state[:2000]}; {self.wrong}")
+                state = self.value(
+                    "window.studio && JSON.stringify([studio.notice.value, studio.take.value, studio.character.value])"
+                )
+                raise AssertionError(f"{expression} did not become true; {str(state)[:2000]}; {self.wrong}")
             time.sleep(0.05)
 
     def ready(self):
@@ -111,11 +113,11 @@ class Page:
         self.until("studio.view().panes.some((pane) => pane.clip && pane.label === studio.take.value?.id)")
 
     def reset(self, **doc):
-        """Leave the page as it was at first, with the first character, a done take of it, and takes that are made
-        quickly.
+        """Load the page anew, with the first character, its first take, and takes that are made quickly: nothing that
+        was open, typed or chosen before is left, and what was made before is not shown.
         """
-        self.page.keyboard.press("Escape")
-        self.page.keyboard.press("Escape")
+        self.page.reload()
+        self.until("window.studio && studio.view() && studio.online.value")
         self.value(f"studio.fresh({json.dumps({'steps': 2, **doc})})")
         self.ready()
 

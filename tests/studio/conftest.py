@@ -18,7 +18,7 @@ pytest.importorskip("starlette", reason="the studio needs starlette; install it 
 pytest.importorskip("uvicorn", reason="the studio needs uvicorn; install it with: pip install 'bunraku[studio]'")
 
 ROOT = Path(__file__).resolve().parents[2]
-SECONDS = 600  # that anything may take on a machine that does much else
+SECONDS = 180  # that one wait may take on a machine that does much else
 
 
 class Studio:
