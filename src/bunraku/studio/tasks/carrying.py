@@ -12,7 +12,7 @@ from bunraku.errors import OptionError
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.constraints import Constraints
 from bunraku.studio.forms.drawing import stages_without
-from bunraku.studio.tasks.task import Partly, Report, of_handles
+from bunraku.studio.tasks.task import Partly, Report, of_handles, put_away
 from bunraku.studio.workspace.clips import body_of
 from bunraku.studio.workspace.dressing import check_fits, dressed_anew, put_on
 from bunraku.studio.workspace.workspace import Workspace
@@ -40,7 +40,7 @@ class Bend:
         met = meet_pins(parent.motion, Anatomy.of(parent.character, parent.handles), pins)
         made = Animation(parent.character, parent.handles, met, parent.reference)
         take, (name,) = put_on(made, Apparel(self.apparel, self.stiffness), report), self.takes
-        partly({"take": name, "state": "done", **shop.keep(take, name, self.character)})
+        put_away(take, name, self.character, shop, partly)
         return {"takes": [name]}
 
 
@@ -65,7 +65,7 @@ class Mirror:
         mirrored = decode(mirror(encode(motion)), motion.fps)
         take, (name,) = apply_motion(mirrored, anatomy), self.takes
         dressed = put_on(take, Apparel(self.apparel, self.stiffness), report)
-        partly({"take": name, "state": "done", **shop.keep(dressed, name, self.character)})
+        put_away(dressed, name, self.character, shop, partly)
         return {"takes": [name]}
 
 
@@ -87,7 +87,7 @@ class Trim:
             raise OptionError("nothing is left of the take; choose a longer stretch of it")
         take, (name,) = parent.take(slice(start, stop)), self.takes
         dressed = put_on(take, Apparel(self.apparel, self.stiffness), report)
-        partly({"take": name, "state": "done", **shop.keep(dressed, name, self.character)})
+        put_away(dressed, name, self.character, shop, partly)
         return {"takes": [name]}
 
 
@@ -110,7 +110,7 @@ class Dress:
             stages=stages_without(self.without), report=report,
         )  # fmt: skip
         (name,) = self.takes
-        partly({"take": name, "state": "done", **shop.keep(made, name, self.character)})
+        put_away(made, name, self.character, shop, partly)
         return {"takes": [name]}
 
 
@@ -143,5 +143,5 @@ class Transfer:
             take = transferred(animator, character, source, TransferRequest("handles", handles=handles))
         assert isinstance(take, Animation | RigAnimation)
         apparel = Apparel() if apparel.motion == "simulate" else apparel  # simulated already
-        partly({"take": name, "state": "done", **shop.keep(put_on(take, apparel, report), name, self.character)})
+        put_away(put_on(take, apparel, report), name, self.character, shop, partly)
         return {"takes": [name]}

@@ -16,7 +16,7 @@ from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.constraints import Follow
 from bunraku.pipelines.requests.request import Request
 from bunraku.retarget.fit import Stages
-from bunraku.studio.tasks.task import Partly, Report, of_handles
+from bunraku.studio.tasks.task import Partly, Report, of_handles, put_away
 from bunraku.studio.workspace.clips import Take, body_of
 from bunraku.studio.workspace.dressing import check_fits, put_on
 from bunraku.studio.workspace.workspace import Workspace
@@ -83,7 +83,7 @@ class Animate:
         bodies = Animator(Known(handles=handles), progress=whole).moved(moved, requests)
         for name, made in zip(self.takes, bodies, strict=True):
             take = put_on(made, request.apparel, whole)
-            partly({"take": name, "state": "done", **shop.keep(take, name, self.character)})
+            put_away(take, name, self.character, shop, partly)
         return {"takes": list(self.takes)}
 
 
@@ -125,7 +125,7 @@ class Edit:
 
             made = edited(Animator.shipped(ahead), clip, request.with_seed(seed))
             take = put_on(made, request.apparel, report)
-            partly({"take": name, "state": "done", **shop.keep(take, name, self.character)})
+            put_away(take, name, self.character, shop, partly)
         return {"takes": list(self.takes)}
 
 

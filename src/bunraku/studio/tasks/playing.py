@@ -23,7 +23,7 @@ from bunraku.pipelines.requests.request import Request
 from bunraku.pipelines.requests.transfer import TransferRequest
 from bunraku.pipelines.transfer import TRANSFER_STAGES, transferred
 from bunraku.studio.tasks.making import DRAFT_STAGES, Known
-from bunraku.studio.tasks.task import Partly, Report
+from bunraku.studio.tasks.task import Partly, Report, put_away
 from bunraku.studio.workspace.clips import packed_clip
 from bunraku.studio.workspace.dressing import check_fits, put_on
 from bunraku.studio.workspace.workspace import PREVIEWS, Workspace
@@ -78,7 +78,7 @@ class Play:
                 take: Any = transferred(animator, character, motion, TransferRequest(apparel=apparel))
             else:
                 take = put_on(apply_motion(motion, anatomy, constraints, TRANSFER_STAGES), apparel, ahead)
-            partly({"take": name, "state": "done", **shop.keep(take, name, self.character)})
+            put_away(take, name, self.character, shop, partly)
         return {"takes": list(self.takes)}
 
     def _reference(self, animator: Animator, body: Body, seed: int, loop: bool) -> HandleMotion:

@@ -10,7 +10,7 @@ from bunraku.errors import OptionError
 from bunraku.studio.workspace.clips import Take, body_of
 from bunraku.studio.workspace.workspace import Workspace
 
-__all__ = ["Partly", "Report", "Task", "of_handles"]
+__all__ = ["Partly", "Report", "Task", "of_handles", "put_away"]
 
 Report = Callable[[str, float], None]
 Partly = Callable[[dict[str, Any]], None]
@@ -33,3 +33,15 @@ def of_handles(take: Take) -> Animation:
     if not isinstance(body, Animation):
         raise OptionError("this take moves the bones of the file; make one that moves handles to change it")
     return body
+
+
+def put_away(take: Take, name: str, owner: str, shop: Workspace, partly: Partly) -> None:
+    """Write a take that is finished, and tell so.
+
+    Args:
+        take: The take.
+        name, owner: Ids of the take and of its character.
+        shop: Where it is written.
+        partly: Called with what its record learns.
+    """
+    partly({"take": name, "state": "done", **shop.keep(take, name, owner)})
