@@ -1,4 +1,4 @@
-"""`animate --for`: the file that a program wants."""
+"""`animate --for` and `transfer --for`: the file that a program wants."""
 
 import numpy as np
 import pytest
@@ -53,3 +53,45 @@ def test_what_cannot_be_is_refused(mesh, words, says, capsys):
     assert main(["animate", str(mesh), "waves", *words]) == 2
     said = capsys.readouterr()
     assert says in said.out + said.err
+
+
+@pytest.fixture(scope="module")
+def motions(mesh):
+    """Two motions of files."""
+    files = [mesh.with_name("walk.bvh"), mesh.with_name("wave.bvh")]
+    for sentence, path in zip(("walks", "waves"), files, strict=True):
+        assert main(["animate", str(mesh), sentence, "-o", str(path), *QUICK]) == 0
+    return [str(path) for path in files]
+
+
+def test_motions_become_the_clips_that_a_program_takes(mesh, motions, tmp_path, capsys):
+    out = tmp_path / "moves.fbx"
+    assert main(["transfer", str(mesh), *motions, "--for", "unity", "-o", str(out)]) == 0
+    assert "walk, wave" in capsys.readouterr().out
+    assert "mixamorig:Hips" in load_character(out).rig.names
+    assert clip_names(load_with_clips(out, 30.0).source.document) == ["walk", "wave"]
+    apart = [str(mesh), *motions, "--for", "unreal", "-o", str(tmp_path / "u.fbx")]
+    assert main(["transfer", *apart]) == 0
+    assert sorted(path.name for path in tmp_path.glob("u*.fbx")) == ["u-walk.fbx", "u-wave.fbx"]
+    assert load_animation(tmp_path / "u-walk.fbx", 0, 30.0).vertices().std(axis=0).max() > 0
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--for", "unity", "-o", "a.glb"], ".fbx"),
+        (["--for", "unity", "--preview", "a.mp4"], "--preview"),
+        (["--for", "unity", "--format", "bvh"], "--format"),
+        (["--for", "unity", "--file-unit", "m"], "--file-unit"),
+    ],
+)
+def test_what_a_program_does_not_take_is_refused(mesh, motions, words, says, capsys):
+    assert main(["transfer", str(mesh), *motions, *words]) == 2
+    said = capsys.readouterr()
+    assert says in said.out + said.err
+
+
+def test_a_program_takes_the_clips_of_one_character(mesh, motions, tmp_path, capsys):
+    other = save_character(sample_character("robot"), tmp_path / "robot.glb")
+    assert main(["transfer", str(mesh), str(other), *motions, "--for", "unity"]) == 2
+    assert "one character" in capsys.readouterr().err

@@ -176,19 +176,20 @@ def save_clips_to(
     from bunraku.io.presets import save_for
     from bunraku.io.save_clips import save_clips
 
-    written: list[Path] = []
+    written: dict[Path, list[str]] = {}
     try:
         for number, path in enumerate(outputs):
             report("write", number / len(outputs))
             if preset is not None:
-                written += save_for(preset, clips, path, fps=None if fps == USUAL_FPS else fps)
+                save_for(preset, clips, path, fps=None if fps == USUAL_FPS else fps)
+                written |= preset.files(path, clips)
                 continue
-            written.append(save_clips(clips, path, fps=fps, add=add))
+            written[save_clips(clips, path, fps=fps, add=add)] = list(clips)
         report("write", 1.0)
     finally:  # what is whole stays
-        for path in written:
-            wrote(path, ", ".join(clips))
-        note_written(written)
+        for path, names in written.items():
+            wrote(path, ", ".join(names))
+        note_written(list(written))
 
 
 def check_stages(without: tuple[str, ...]) -> None:

@@ -13,6 +13,7 @@ import tyro
 
 from bunraku.cli.options.orientation import AxisOption, UnitOption, check_axes
 from bunraku.cli.options.sampling import ApparelOptions
+from bunraku.cli.options.skeleton import ProgramOption
 from bunraku.cli.output.alone import alone
 from bunraku.cli.output.checks import check_folder, check_input, check_mask, check_written, written_path
 from bunraku.cli.output.ledger import begin, note, still_to_do
@@ -23,10 +24,12 @@ from bunraku.cli.output.outputs import (
     check_outputs,
     check_stages,
     save_all,
+    save_clips_to,
     wrote,
 )
 from bunraku.cli.output.progress import stages
 from bunraku.cli.transfer.jobs import Pair, Settings, animation_of, holds_character, marks_of, pairs_of
+from bunraku.cli.transfer.programs import clips_for, names_of
 from bunraku.cli.transfer.runs import run_pairs
 from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.formats.files import open_once
@@ -43,6 +46,8 @@ class Transfer:
     A humanoid with a rig keeps its rig; everything else is moved by its 30 handles. One character with one motion
     writes a file, several of either write every pair into a folder. Files are told apart by what they hold; one that
     holds a mesh is a character unless it stands after --motions.
+
+    For an engine, the motions as the clips of one character: bunraku transfer knight.glb walk.bvh run.bvh --for unity
 
     Example: bunraku transfer characters/*.glb motions/*.bvh -o out --jobs 2
     """
@@ -87,6 +92,10 @@ class Transfer:
     """
     format: Annotated[str, tyro.conf.arg(metavar="SUFFIX")] = "glb"
     """What each pair is written as where no file is named: glb, vmd, vrma, bvh, usd, fbx, npz, obj, mp4 ..."""
+    program: ProgramOption = None
+    """Write the file that a program wants (docs/engines.md), with a clip for each motion, named after its file. Of one
+    character; a person without a skeleton of its own gets the one that the program knows.
+    """
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the pairs, or "ray" for a Ray cluster."""
     overwrite: bool = False
@@ -110,6 +119,11 @@ class Transfer:
 
     def _made(self, settings: Settings, jobs: int | str, suffix: str) -> int:
         characters, motions, bad = self._sorted()
+        if self.program is not None:
+            for path, reason in bad.items():
+                raise FormatError(path, reason.removeprefix(f"{path}: "))
+            self._for(self.program, characters, motions, settings)
+            return 0
         single = len(characters) == len(motions) == 1 and not bad and not self._folder()
         if single:
             self._one(characters[0], motions[0], settings, suffix)
@@ -156,6 +170,27 @@ class Transfer:
                 "none of these files is a motion only; put motions that have a character in them after --motions"
             )
         return characters, motions, bad
+
+    def _for(self, program: str, characters: list[Path], motions: list[Path], settings: Settings) -> None:
+        """Write the clips of one character as a program wants them."""
+        from bunraku.io.presets import preset_named
+
+        if len(characters) != 1:
+            raise OptionError(f"--for writes the clips of one character; name one of these {len(characters)} at a time")
+        said = (("--preview", self.preview), ("--file-up", self.file_up), ("--file-unit", self.file_unit))
+        for option, value in (*said, ("--format", self.format != "glb"), ("--jobs", self.jobs != "1")):
+            if value:
+                raise OptionError(f"--for says what is written, and how; leave out {option}")
+        row, (character,) = preset_named(program), characters
+        named = self.output or (Path(f"{character.stem}-{row.name}{row.suffix}"),)
+        names = names_of(motions)
+        files = [file for path in named for file in row.files(path, names)]
+        inputs = [character, *(motion for motion in motions if not motion.is_dir())]
+        with alone(files), stages() as report:
+            check_outputs(named, (), inputs, (row.suffix,), overwrite=True)
+            check_outputs(files, (), inputs, (row.suffix,), overwrite=self.overwrite)
+            check_written(self.apparel, files)
+            save_clips_to(clips_for(row, character, motions, settings, report), named, self.fps, False, report, row)
 
     def _one(self, character: Path, motion: Path, settings: Settings, suffix: str) -> None:
         outputs = self.output or (Path(f"{character.stem}-{motion.stem}{suffix}"),)
