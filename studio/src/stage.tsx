@@ -99,6 +99,7 @@ async function refresh(): Promise<void> {
               model: await model(owner.id, owner.version, each.skin ?? "handles"),
               clip: await clip(each),
               label: each.id,
+              draft: each.state === "draft",
             })),
           )
         : [{ model: await model(owner.id, owner.version, "handles"), clip: null }];

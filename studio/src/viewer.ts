@@ -33,7 +33,9 @@ import type { LimbEnd, Pin } from "./types";
 export interface Pane {
   model: Model;
   clip: Clip | null;
+  /** The take that it shows, and whether that is its draft. */
   label?: string;
+  draft?: boolean;
 }
 
 export interface Marks {

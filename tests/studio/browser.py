@@ -109,8 +109,10 @@ class Page:
         self.shown()
 
     def shown(self):
-        """Wait until the take that is chosen is the one that is drawn."""
-        self.until("studio.view().panes.some((pane) => pane.clip && pane.label === studio.take.value?.id)")
+        """Wait until the take that is chosen is the one that is drawn, and no more its draft."""
+        self.until(
+            "studio.view().panes.some((pane) => pane.clip && !pane.draft && pane.label === studio.take.value?.id)"
+        )
 
     def reset(self, **doc):
         """Load the page anew, with the first character, its first take, and takes that are made quickly: nothing that

@@ -49,6 +49,11 @@ VERBS: Verbs = {
         "ComfyuiNodes",
         "write the nodes for ComfyUI, which ask the studio",
     ),
+    ("godot-addon",): (
+        "bunraku.cli.verbs.godot_addon",
+        "GodotAddon",
+        "write the add-on for Godot 4, which asks the studio",
+    ),
     ("blender-addon",): (
         "bunraku.cli.verbs.blender_addon",
         "BlenderAddon",

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from bunraku.cli.output.checks import check_folder
-from bunraku.cli.output.outputs import wrote
-from bunraku.formats.files import atomic_write
+from bunraku.cli.output.packs import write_pack
 
 __all__ = ["ComfyuiNodes"]
 
@@ -31,14 +28,4 @@ class ComfyuiNodes:
     """Replace a pack that is there already and is another one."""
 
     def run(self) -> None:
-        from bunraku.cli.output.ledger import check_free
-
-        data = files("bunraku.studio").joinpath("addon", "comfyui", "__init__.py").read_bytes()
-        check_folder(self.output.parent)
-        target = self.output / "__init__.py"
-        if not (target.is_file() and target.read_bytes() == data):
-            check_free([target], self.overwrite, ours=False)
-        self.output.mkdir(exist_ok=True)
-        with atomic_write(target) as file:
-            file.write(data)
-        wrote(target)
+        write_pack("comfyui", self.output, self.overwrite)
