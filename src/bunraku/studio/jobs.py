@@ -90,6 +90,7 @@ class Jobs:
         self._lock = threading.RLock()
         self._wake = threading.Condition(self._lock)
         self._waiting: deque[str] = deque()
+        self._coming = 0  # jobs that are being written down
         self._jobs: dict[str, Job] = {}
         self.changes = Changes()
         self._process: Any = None
@@ -158,12 +159,18 @@ class Jobs:
             QueueFull: Too many wait.
             FormatError: It cannot be written down.
         """
-        with self._wake:
-            if len(self._waiting) >= MOST_WAITING:
+        with self._lock:
+            if len(self._waiting) + self._coming >= MOST_WAITING:
                 raise QueueFull(f"{MOST_WAITING} jobs are waiting already; let some finish or cancel them")
-            record = {"kind": kind, "title": title, "params": params, "about": about or {}}
-            passed = {"id": secrets.token_hex(8), "created": time.time()}
+            self._coming += 1
+        record = {"kind": kind, "title": title, "params": params, "about": about or {}}
+        passed = {"id": secrets.token_hex(8), "created": time.time()}
+        try:  # nobody who asks for the queue waits for the disk
             new = {**record, **passed} if passing else self.store.new("jobs", record)
+        finally:
+            with self._lock:
+                self._coming -= 1
+        with self._wake:
             job = cast(Job, {**new, "state": "waiting", "stage": "", "done": 0.0, "error": ""})
             self._jobs[job["id"]] = job
             (self._waiting.appendleft if first else self._waiting.append)(job["id"])
@@ -185,16 +192,16 @@ class Jobs:
         """Take a job out of the queue, or stop it."""
         with self._wake:
             job = self.get(name)
-            if job["state"] == "waiting":
+            waiting = job["state"] == "waiting" and name in self._waiting
+            if waiting:
                 self._waiting.remove(name)
-                self._end(job, "cancelled", {})
             elif job["state"] == "running":
                 self._cancelled_at = time.monotonic()
                 with suppress(OSError, AttributeError):  # a process that is gone needs no bell
                     self._bell.send(name)  # type: ignore[union-attr]
-            elif job["state"] == "interrupted":
-                self._end(job, "cancelled", {})
-            return job
+        if waiting or job["state"] == "interrupted":
+            self._end(job, "cancelled", {})
+        return job
 
     def _spawn(self) -> None:
         ours, theirs = self._context.Pipe()
@@ -295,23 +302,25 @@ class Jobs:
         return True
 
     def _end(self, job: Job, state: str, said: Mapping[str, object]) -> None:
+        """Take in how a job ended: what it made first, so that who sees it done finds that; the disk is waited for
+        outside of the lock.
+        """
+        error = str(said.get("error", ""))
+        try:
+            self._finish(job, state, said)
+        except NotThere:
+            pass  # deleted meanwhile
+        except Exception as wrong:
+            if not isinstance(wrong, BunrakuError):
+                _log.exception("a result could not be taken in")
+            state, error = "failed", sentence_of(wrong)
+        if state in ("done", "cancelled"):
+            self.store.drop("jobs", job["id"])
+        elif job["id"] in {record["id"] for record in self.store.all("jobs")}:
+            with suppress(FormatError):  # the disk is full; it is in memory
+                self.store.change("jobs", job["id"], failed=True)
         with self._lock:
-            job.update(
-                {"state": state, "done": 1.0 if state == "done" else job["done"], "error": str(said.get("error", ""))}
-            )
-            try:
-                self._finish(job, state, said)
-            except NotThere:
-                pass  # deleted meanwhile
-            except Exception as error:
-                if not isinstance(error, BunrakuError):
-                    _log.exception("a result could not be taken in")
-                job.update({"state": "failed", "error": sentence_of(error)})
-            if job["state"] in ("done", "cancelled"):
-                self.store.drop("jobs", job["id"])
-            elif job["id"] in {record["id"] for record in self.store.all("jobs")}:
-                with suppress(FormatError):  # the disk is full; it is in memory
-                    self.store.change("jobs", job["id"], failed=True)
+            job.update({"state": state, "done": 1.0 if state == "done" else job["done"], "error": error})
             finished = [one for one in self._jobs.values() if one["state"] not in OPEN_STATES]
             for old in sorted(finished, key=lambda one: float(one["created"]))[:-REMEMBERED]:
                 self._jobs.pop(old["id"], None)

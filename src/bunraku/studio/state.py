@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -35,6 +36,8 @@ class State:
         self.store = store
         self.session = None if study is None else Session(study)
         self.jobs = Jobs(store, self._finish)
+        self.writing = threading.Lock()
+        """Held by requests that change what there is."""
         store.troubled = lambda trouble: self.jobs.changes.tell("trouble", {"text": trouble})
         for take in store.all("takes"):
             if take["state"] in ("waiting", "draft"):

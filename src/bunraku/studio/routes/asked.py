@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from bunraku.core.request.json_form import read_json
@@ -15,7 +17,7 @@ from bunraku.core.request.limits import Limit
 from bunraku.errors import OptionError
 from bunraku.studio.state import State
 
-__all__ = ["body_of", "choice", "number", "ready_character", "state_of", "text"]
+__all__ = ["beside", "body_of", "choice", "number", "ready_character", "state_of", "text"]
 
 MOST_JSON = 4 << 20
 
@@ -55,6 +57,26 @@ async def body_of(request: Request) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise OptionError("the request is no JSON object")
     return found
+
+
+def beside(handler: Callable[[Request, dict[str, Any]], Any]) -> Callable[[Request], Awaitable[Any]]:
+    """A route that writes to the disk: it is done beside the thread that answers, which goes on however slow the disk
+    is. Such routes are done one after the other, so what one has looked up stays so until it has written.
+
+    Args:
+        handler: Called with the request and the JSON object of its body, empty where it has none.
+    """
+
+    def alone(request: Request, body: dict[str, Any]) -> Any:
+        with state_of(request).writing:
+            return handler(request, body)
+
+    @functools.wraps(handler)
+    async def route(request: Request) -> Any:
+        body = {} if request.method in ("GET", "DELETE") else await body_of(request)
+        return await run_in_threadpool(alone, request, body)
+
+    return route
 
 
 def number(body: dict[str, object], name: str, limit: Limit, default: float) -> float:

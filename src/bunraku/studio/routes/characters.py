@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from pathlib import Path
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -13,7 +12,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from bunraku.errors import FormatError, OptionError
 from bunraku.formats.files import atomic_write
 from bunraku.io.units import CHOICES
-from bunraku.studio.routes.asked import body_of, choice, ready_character, state_of, text
+from bunraku.studio.routes.asked import beside, choice, ready_character, state_of, text
 from bunraku.studio.state import State
 from bunraku.studio.uploads import CHARACTERS, TooLarge, plain_name, receive, unpack
 
@@ -40,7 +39,7 @@ async def characters(request: Request) -> Any:
         raise FormatError(
             f"{title}{suffix}", f"this is no format of characters; they are {', '.join((*CHARACTERS, '.zip'))}"
         )
-    record = state.store.new("characters", _fresh(title, ""))
+    record = await run_in_threadpool(state.store.new, "characters", _fresh(title, ""))
     folder = state.store.folder_of("characters", record["id"])
     try:
         source = folder / "source"
@@ -51,7 +50,7 @@ async def characters(request: Request) -> Any:
         if suffix == ".zip":
             name = f"source/{await run_in_threadpool(unpack, file, source)}"
             file.unlink()
-        return JSONResponse(state.open(record["id"], name), 202)
+        return JSONResponse(await run_in_threadpool(state.open, record["id"], name), 202)
     except BaseException:
         state.store.drop("characters", record["id"])
         raise
@@ -78,7 +77,8 @@ def _sampled(state: State, sample: str) -> dict[str, Any]:
         raise
 
 
-async def character(request: Request) -> Any:
+@beside
+def character(request: Request, body: dict[str, Any]) -> Any:
     """One character; PATCH renames it, turns it, changes its unit or where its handles come from; DELETE gives it up
     until the studio starts again, and PATCH with `deleted` false takes that back.
     """
@@ -88,7 +88,6 @@ async def character(request: Request) -> Any:
         return state.change("characters", name, deleted=True)
     if request.method == "GET":
         return record
-    body = await body_of(request)
     if body.get("deleted") is False:
         record = state.change("characters", name, deleted=False)
     if "name" in body:
@@ -134,21 +133,23 @@ async def picture(request: Request) -> Any:
             raise TooLarge(f"a picture of more than {MOST_PICTURE >> 10} KiB is not taken; draw a smaller one")
     if data[:4] != PNG and (data[:4] != b"RIFF" or data[8:12] != b"WEBP"):
         raise FormatError("picture", "it is neither a PNG nor a WebP; draw it again")
-    path = state.store.folder_of("characters", name) / PICTURE
-    with atomic_write(path) as file:
-        file.write(bytes(data))
-    return state.note("characters", name, picture=record["version"])
+    return await run_in_threadpool(_pictured, state, record, bytes(data))
 
 
-async def copy(request: Request) -> Any:
+def _pictured(state: State, record: dict[str, Any], data: bytes) -> dict[str, Any]:
+    with atomic_write(state.store.folder_of("characters", record["id"]) / PICTURE) as file:
+        file.write(data)
+    return state.note("characters", record["id"], picture=record["version"])
+
+
+@beside
+def copy(request: Request, body: dict[str, Any]) -> Any:
     """The same file as another character, to try other handles or axes beside it."""
     state, name = state_of(request), request.path_params["name"]
     old = state.store.get("characters", name)
     record = state.store.new("characters", {**_fresh(f"{old['name']} copy"[:80], ""), "settings": old["settings"]})
-    await run_in_threadpool(
-        shutil.copytree, state.store.folder_of("characters", name) / "source",
-        Path(state.store.folder_of("characters", record["id"])) / "source",
-    )  # fmt: skip
+    source, target = (state.store.folder_of("characters", one) / "source" for one in (name, record["id"]))
+    shutil.copytree(source, target)
     return JSONResponse(state.open(record["id"], old["file"]), 202)
 
 

@@ -13,7 +13,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from bunraku.errors import BunrakuError
 from bunraku.studio.projects import pack_project, unpack_project
 from bunraku.studio.records import Record
-from bunraku.studio.routes.asked import body_of, state_of
+from bunraku.studio.routes.asked import beside, state_of
 from bunraku.studio.uploads import plain_name, receive
 from bunraku.studio.view import checked_view, read_view
 
@@ -32,25 +32,26 @@ def shown_project(record: Record) -> Record:
     return {**record, "view": read_view(record["view"])}
 
 
-async def projects(request: Request) -> Any:
+@beside
+def projects(request: Request, body: dict[str, Any]) -> Any:
     """All projects; POST adds one for a tab; where there are many, that which was kept longest ago goes."""
     state = state_of(request)
     if request.method == "GET":
         return {"projects": [shown_project(record) for record in state.store.all("projects")]}
-    view = checked_view((await body_of(request)).get("view"))
+    view = checked_view(body.get("view"))
     kept = sorted(state.store.all("projects"), key=lambda record: float(record.get("saved", 0)))
     for old in kept[: max(0, len(kept) + 1 - MOST_PROJECTS)]:
         state.store.drop("projects", old["id"])
     return JSONResponse(state.store.new("projects", {"view": view, "saved": time.time(), "revision": 0}), 201)
 
 
-async def project(request: Request) -> Any:
+@beside
+def project(request: Request, body: dict[str, Any]) -> Any:
     """One project; PUT keeps how the page stands. A page that says which revision it knows is refused where another one
     was faster.
     """
     state, name = state_of(request), request.path_params["name"]
     if request.method == "PUT":
-        body = await body_of(request)
         view = checked_view(body.get("view"))
         record = state.store.get("projects", name)
         revision = record.get("revision", 0)
@@ -64,15 +65,16 @@ async def project(request: Request) -> Any:
     return shown_project(state.store.get("projects", name))
 
 
-async def packed(request: Request) -> Response:
+@beside
+def packed(request: Request, body: dict[str, Any]) -> Response:
     """A character with its takes as one file; the body says how the page stood."""
     state, name = state_of(request), request.path_params["name"]
-    view = checked_view((await body_of(request)).get("view"))
+    view = checked_view(body.get("view"))
     title = state.store.get("characters", name)["name"]
     made = state.new_export("project.bunraku", f"{title}.bunraku")
     path = state.store.folder_of("exports", made["id"]) / made["file"]
     try:
-        await run_in_threadpool(pack_project, state.store, name, view, path)
+        pack_project(state.store, name, view, path)
     except BaseException:
         state.store.drop("exports", made["id"])
         raise
@@ -84,13 +86,13 @@ async def opened(request: Request) -> Any:
     """Open the project file in the body."""
     state = state_of(request)
     title, _ = plain_name(request.query_params.get("name", ""))
-    made = state.new_export("project.bunraku", title)
+    made = await run_in_threadpool(state.new_export, "project.bunraku", title)
     path = state.store.folder_of("exports", made["id"]) / f"{title}.bunraku"
     try:
         await receive(request, path)
         found = await run_in_threadpool(unpack_project, state.store, path)
     finally:
-        state.store.drop("exports", made["id"])
+        await run_in_threadpool(state.store.drop, "exports", made["id"])
     record = state.store.get("characters", found["character"])
     state.jobs.changes.tell("character", record)
     if "ends" not in record:  # it was saved before they were found

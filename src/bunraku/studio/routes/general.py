@@ -119,7 +119,7 @@ async def again(request: Request) -> Any:
     state = state_of(request)
     old = state.jobs.get(request.path_params["name"])
     made = await run_in_threadpool(state.jobs.again, old["id"])
-    state.revive(old["about"])
+    await run_in_threadpool(state.revive, old["about"])
     return public(made)
 
 

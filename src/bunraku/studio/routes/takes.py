@@ -19,7 +19,7 @@ from bunraku.studio.forms.drawing import DressForm
 from bunraku.studio.forms.exports import ClipsForm
 from bunraku.studio.forms.script import read_script, script_json, sequence_of
 from bunraku.studio.forms.takes import TakeForm, TakeRecordForm
-from bunraku.studio.routes.asked import body_of, choice, number, ready_character, state_of
+from bunraku.studio.routes.asked import beside, body_of, choice, number, ready_character, state_of
 from bunraku.studio.state import State
 from bunraku.studio.uploads import CHARACTERS, MOTIONS, plain_name, receive
 
@@ -86,14 +86,14 @@ def _factor(word: str | None) -> float | None:
         raise OptionError("stiffness must be a number") from None
 
 
-async def take(request: Request) -> Any:
+@beside
+def take(request: Request, body: dict[str, Any]) -> Any:
     """One take; PATCH stars or names it; DELETE gives it up, which PATCH with `deleted` false takes back."""
     state, name = state_of(request), request.path_params["name"]
     record = state.store.get("takes", name)
     if request.method == "DELETE":
         return state.change("takes", name, deleted=True)
     if request.method == "PATCH":
-        body = await body_of(request)
         from_json(TakeRecordForm, body, "the request")
         values = {name: value for name, value in body.items() if value is not None}
         return state.change("takes", name, **values) if values else record
@@ -174,9 +174,8 @@ async def transfer(request: Request) -> Any:
     form = from_json(DressForm, {name: value for name, value in told.items() if value is not None})
     apparel = {"apparel": form.apparel, "stiffness": form.stiffness}
     onto = choice(dict(request.query_params), "onto", ("auto", "handles"), "handles")
-    (made,) = state.new_takes(
-        owner, 1, how="transfer", script=[{"text": f"{title}{suffix}", "seconds": 0}], asked={"file": title, **apparel}
-    )
+    about = {"script": [{"text": f"{title}{suffix}", "seconds": 0}], "asked": {"file": title, **apparel}}
+    (made,) = await run_in_threadpool(state.new_takes, owner, 1, how="transfer", **about)
     try:
         file = state.store.folder_of("takes", made["id"]) / f"motion-source{suffix}"
         await receive(request, file)
@@ -184,14 +183,15 @@ async def transfer(request: Request) -> Any:
         state.drop("takes", made["id"])
         raise
     params = {"file": file.name, **apparel, "onto": onto}
-    return JSONResponse(state.make("transfer", f"transfer {title}", owner, [made["id"]], params), 202)
+    queued = await run_in_threadpool(state.make, "transfer", f"transfer {title}", owner, [made["id"]], params)
+    return JSONResponse(queued, 202)
 
 
-async def export(request: Request) -> Any:
+@beside
+def export(request: Request, body: dict[str, Any]) -> Any:
     """Write a take as a file of another program; the job's event says when it is there."""
     state, name = state_of(request), request.path_params["name"]
     record = state.store.get("takes", name)
-    body = await body_of(request)
     suffix = choice(body, "format", SUFFIXES, "glb")
     fps = number(body, "fps", FPS, 30)
     if record["state"] != "done":
@@ -213,13 +213,13 @@ async def export(request: Request) -> Any:
     return JSONResponse({"job": job["id"], "export": made["id"], "title": made["title"]}, 202)
 
 
-async def clips(request: Request) -> Any:
+@beside
+def clips(request: Request, body: dict[str, Any]) -> Any:
     """Write several takes of a character as the clips of one file, each named by its title or its words: a GLB, or what
     the program wants that `preset` names.
     """
     state, owner = state_of(request), request.path_params["name"]
     title = state.store.get("characters", owner)["name"]
-    body = await body_of(request)
     form = from_json(ClipsForm, body, "the request")
     records = [state.store.get("takes", name) for name in form.takes]
     if any(record["character"] != owner or record["state"] != "done" for record in records):
