@@ -637,7 +637,7 @@ def test_several_takes_become_the_clips_of_one_file(brief, tmp_path):
     page = brief
     page.type("jumps")
     page.page.click("#export")
-    page.page.check("dialog .list li:nth-child(2) input")
+    page.page.check("dialog .list li:has-text('waves 0.5 s') >> nth=0 >> input")
     page.page.fill("#fps", "60")
     with page.page.expect_download() as found:
         page.page.click("#write")
