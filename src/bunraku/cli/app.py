@@ -45,17 +45,17 @@ VERBS: Verbs = {
     ),
     ("serve",): ("bunraku.cli.verbs.serve", "Serve", "let other programs call these tools, by MCP"),
     ("comfyui-nodes",): (
-        "bunraku.cli.verbs.comfyui_nodes",
+        "bunraku.cli.addons.comfyui",
         "ComfyuiNodes",
         "write the nodes for ComfyUI, which ask the studio",
     ),
     ("godot-addon",): (
-        "bunraku.cli.verbs.godot_addon",
+        "bunraku.cli.addons.godot",
         "GodotAddon",
         "write the add-on for Godot 4, which asks the studio",
     ),
     ("blender-addon",): (
-        "bunraku.cli.verbs.blender_addon",
+        "bunraku.cli.addons.blender",
         "BlenderAddon",
         "write the add-on for Blender, which asks the studio",
     ),

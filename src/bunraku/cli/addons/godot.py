@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from bunraku.cli.output.packs import write_pack
+from bunraku.cli.addons.packs import write_pack
 
 __all__ = ["GodotAddon"]
 

@@ -1,0 +1,1 @@
+"""Add-ons of other programs, written as files and folders."""
