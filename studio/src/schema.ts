@@ -16,7 +16,7 @@ export const EMPTY: Doc = {
   apparel: "rigid",
   stiffness: 1,
   guidance: 3.5,
-  steps: 20,
+  steps: 4,
   pins: [],
   poses: [],
   path: [],

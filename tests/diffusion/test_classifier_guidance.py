@@ -96,3 +96,15 @@ def test_a_critic_pulls_each_sentence_of_each_motion_in_its_own_frames(network, 
         ((0, 40), 600, True), ((40, 60), 1000, False),
         ((60, 192), 1000, False), ((192, 324), 1000, False), ((324, 456), 1000, False),
     ]  # fmt: skip
+
+
+def test_few_predictions_are_guided_more_than_once(network, running):
+    x0, spoken = np.random.default_rng(3).normal(size=(40, SIZE)).astype(np.float32), [Spoken((0, 40), vector(1))]
+    once, twice = pull_of(network, spoken), pull_of(network, spoken, rounds=2)
+    np.testing.assert_allclose(twice(x0, 500), once(once(x0, 500), 500), atol=1e-6)
+    model = running(features=SIZE, handles=3)
+    rounds = [
+        Critic(network, {"a": vector(1)}).guidance(model, [["a"]], [[40]], [40], None, steps).rounds
+        for steps in (1, 4, 8, 20)
+    ]
+    assert rounds == [8, 2, 1, 1]

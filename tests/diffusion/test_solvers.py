@@ -18,10 +18,19 @@ def test_the_curve_is_the_cosine_of_nichol_and_dhariwal():
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 20, 400, 999, 1000])
-def test_steps_fall_from_the_last_and_never_repeat(count):
+def test_steps_fall_and_never_repeat(count):
     steps = sampling_steps(count)
-    assert len(steps) == count and steps[0] == 999 and all(a > b for a, b in zip(steps, steps[1:], strict=False))
-    assert 0 <= steps[-1] <= (999 if count == 1 else 5)
+    assert len(steps) == count and all(a > b for a, b in zip(steps, steps[1:], strict=False))
+    assert count < 20 or (steps[0] == 999 and 0 <= steps[-1] <= 5)
+
+
+def test_few_steps_are_even_between_ends_of_their_own():
+    """By hand from the cosine curve: its share of signal is cos^2(pi (t + 0.008) / 2), lambda its logit's half."""
+    time = (np.array(sampling_steps(4)) + 1) / 1000
+    ratio = -np.log(np.tan((time + 0.008) / 1.008 * np.pi / 2))
+    np.testing.assert_allclose(ratio, np.linspace(-3.5, 1.6, 4), atol=0.06)
+    begin, end = (abs(sampling_steps(count)[0] - 980) for count in (4, 12)), sampling_steps(12)[-1]
+    assert list(begin) == [0, 13] and 5 < end < 119
 
 
 def test_steps_are_even_in_the_log_of_the_ratio():

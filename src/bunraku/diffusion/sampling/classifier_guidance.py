@@ -27,6 +27,8 @@ LAST = 100
 """Step of the sampler below which nothing is guided: what is left there are details."""
 SPREAD = 2.0
 """Standard deviation of the smoothing [frames]."""
+ROUNDS = 8
+"""Least number of times that a motion is guided; where fewer steps predict it, each prediction is more than once."""
 GROUP = 16
 """Stretches that go through the network at once."""
 
@@ -55,6 +57,7 @@ class ClassifierGuidance:
         std: Their standard deviation, shape (D,).
         stretches: What is guided.
         strength: Root mean square of a step.
+        rounds: How many times each prediction is guided.
     """
 
     def __init__(
@@ -64,8 +67,9 @@ class ClassifierGuidance:
         std: np.ndarray,
         stretches: Sequence[Spoken],
         strength: float = STRENGTH,
+        rounds: int = 1,
     ):
-        self.network, self.mean, self.std, self.strength = network, mean, std, strength
+        self.network, self.mean, self.std, self.strength, self.rounds = network, mean, std, strength, rounds
         self.stretches = sorted(stretches, key=lambda one: one.frames[1] - one.frames[0])
 
     def __call__(self, x0: np.ndarray, step: int) -> np.ndarray:
@@ -76,9 +80,10 @@ class ClassifierGuidance:
         out = x0.copy()
         for start in range(0, len(guided), GROUP):
             some = guided[start : start + GROUP]
-            for one, way in zip(some, self.gradients(x0, some), strict=True):
-                size = max(float(np.sqrt((way * way).mean())), 1e-9)
-                out[slice(*one.frames)] += np.float32(self.strength / size) * way
+            for _ in range(self.rounds):
+                for one, way in zip(some, self.gradients(out, some), strict=True):
+                    size = max(float(np.sqrt((way * way).mean())), 1e-9)
+                    out[slice(*one.frames)] += np.float32(self.strength / size) * way
         return out
 
     def gradients(self, x0: np.ndarray, stretches: Sequence[Spoken]) -> list[np.ndarray]:
@@ -120,6 +125,7 @@ class Critic:
         lengths: Sequence[Sequence[int]],
         sizes: Sequence[int],
         guide: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
+        steps: int = ROUNDS,
     ) -> ClassifierGuidance:
         """For motions that lie one after the other on the time line.
 
@@ -129,6 +135,7 @@ class Critic:
             lengths: Frames of each sentence.
             sizes: Frames of each motion on the time line.
             guide: As for `sample_windows`.
+            steps: Of the sampler.
         """
         stretches: list[Spoken] = []
         begin = 0
@@ -146,4 +153,5 @@ class Critic:
                         stretches.append(Spoken((low, min(high, end)), self.vectors[sentence], until))
                 first += length
             begin = end
-        return ClassifierGuidance(self.network, model.mean, model.std, stretches, self.strength)
+        rounds = max(1, round(ROUNDS / steps))
+        return ClassifierGuidance(self.network, model.mean, model.std, stretches, self.strength, rounds)

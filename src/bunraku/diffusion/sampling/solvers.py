@@ -20,7 +20,10 @@ __all__ = ["TRAINING_STEPS", "alphas_cumprod", "ancestral", "dpm_solver", "sampl
 
 
 TRAINING_STEPS = 1000
-RATIOS = (-6.0, 4.0)  # lambda near the first step that a sampler visits, and at the last: 997 and 5
+FEW, MANY = (4, (-3.5, 1.6)), (20, (-6.0, 4.0))
+"""Of how many steps, the lambda near the first that a sampler visits and at the last: 980 and 122 of four, 999 and 5 of
+twenty. Beyond them little changes from step to step, and few steps are better spent between.
+"""
 
 
 def alphas_cumprod() -> np.ndarray:
@@ -32,20 +35,22 @@ def alphas_cumprod() -> np.ndarray:
 
 
 def sampling_steps(count: int) -> list[int]:
-    """Training steps that a sampler of `count` steps, 1 to 1,000, visits: falling from 999, even in the log of the
+    """Training steps that a sampler of `count` steps, 1 to 1,000, visits: falling, even in the log of the
     signal-to-noise ratio.
 
     The high end decides what happens and the low end how crisply, and both get more of such steps than of even ones: 20
     even steps lose a sixth of the motion's spread and end four times as far from the limit of many steps. 12 of these
-    end nearer to it than 20 that are dense at both ends as a cosine is.
+    end nearer to it than 20 that are dense at both ends as a cosine is. Twenty and more begin with the last training
+    step; fewer end their range earlier at both sides.
     """
     curve = alphas_cumprod()
     ratio = 0.5 * np.log(curve / (1 - curve))  # the lambda of DPM-Solver++, falling
-    wanted = np.interp(np.linspace(*RATIOS, count), ratio[::-1], np.arange(TRAINING_STEPS)[::-1])
+    ends = np.array([np.interp(count, (FEW[0], MANY[0]), pair) for pair in zip(FEW[1], MANY[1], strict=True)])
+    wanted = np.interp(np.linspace(*ends, count), ratio[::-1], np.arange(TRAINING_STEPS)[::-1])
     steps: list[int] = []
     for index, step in enumerate(wanted):
         below = steps[-1] - 1 if steps else TRAINING_STEPS - 1
-        even = round(float(step)) if steps else below
+        even = below if count >= MANY[0] and not steps else round(float(step))
         steps.append(max(min(even, below), count - 1 - index))  # no step twice, and room for those to come
     return steps
 
