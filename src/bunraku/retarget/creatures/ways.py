@@ -23,7 +23,7 @@ from bunraku.retarget.fit import posed
 from bunraku.retarget.stages.ground import Ground
 from bunraku.retarget.stages.tail import Tail
 
-__all__ = ["HOVER", "in_air", "moved_so", "wing_speed", "wing_swing"]
+__all__ = ["HOVER", "in_air", "moved_so", "wing_swing", "wings_carry"]
 
 HOVER = 0.8
 """How high a body flies over where it stands, over the height of its root."""
@@ -56,20 +56,29 @@ def wing_swing(motion: HandleMotion) -> float:
     Args:
         motion: Of the reference body.
     """
-    turns = np.asarray(axis_angle_from_matrix(motion.rotations[:, _WINGS].astype(np.float64)))
-    low, high = np.quantile(turns, [0.05, 0.95], axis=0)
-    return float(np.linalg.norm(high - low, axis=-1).max())
+    return _range(_wing_turns(motion))
 
 
-def wing_speed(motion: HandleMotion) -> float:
-    """Mean speed at which the faster wing of a body swings, apart from how it is held (`HELD`) [rad/s].
+def wings_carry(motion: HandleMotion) -> bool:
+    """Whether the wings of a body beat, through an angle (`BEATS`) and at a speed (`LIFTS`) that carry it; how they are
+    held (`HELD`) is no beat.
 
     Args:
         motion: Of the reference body.
     """
-    turns = np.asarray(axis_angle_from_matrix(motion.rotations[:, _WINGS].astype(np.float64)))
+    turns = _wing_turns(motion)
     swings = turns - gaussian_filter1d(turns, HELD * motion.fps, axis=0, mode="nearest")
-    return float(np.linalg.norm(np.diff(swings, axis=0), axis=-1).mean(axis=0).max() * motion.fps)
+    speed = np.linalg.norm(np.diff(swings, axis=0), axis=-1).mean(axis=0).max() * motion.fps
+    return bool(_range(swings) >= BEATS and speed >= LIFTS)
+
+
+def _wing_turns(motion: HandleMotion) -> np.ndarray:
+    return np.asarray(axis_angle_from_matrix(motion.rotations[:, _WINGS].astype(np.float64)))
+
+
+def _range(turns: np.ndarray) -> float:
+    low, high = np.quantile(turns, [0.05, 0.95], axis=0)
+    return float(np.linalg.norm(high - low, axis=-1).max())
 
 
 def moved_so(motion: HandleMotion, locomotion: str, where: slice, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
@@ -162,7 +171,7 @@ def _flown(motion: HandleMotion, frames: np.ndarray, anatomy: Anatomy, loop: boo
     motion = in_air(motion, frames)
     share = _amount(len(motion), frames, motion.fps)
     motion = _righted(motion, share)
-    if wing_speed(HandleMotion.take(motion, frames)) >= LIFTS:
+    if wings_carry(HandleMotion.take(motion, frames)):
         return motion
     phase = _phase(len(motion), frames, BEAT, motion.fps, loop)
     rotations = motion.rotations.astype(np.float64).copy()
