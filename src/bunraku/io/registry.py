@@ -13,9 +13,11 @@ import numpy as np
 
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
+from bunraku.core.mmd_model import MmdModel
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
+from bunraku.core.vrm_model import VrmModel
 from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionError, OptionError
 from bunraku.formats.files import check_input, check_output_folder, open_input
 from bunraku.geometry.axes import axis_name, default_orientation
@@ -317,15 +319,21 @@ def check_points_writer(path: str | Path) -> None:
 
 
 def save_character(
-    character: Character, path: str | Path, handles: Handles | None = None, *, rig: bool = False
+    character: Character,
+    path: str | Path,
+    handles: Handles | None = None,
+    *,
+    rig: bool = False,
+    avatar: MmdModel | VrmModel | None = None,
 ) -> Path:
-    """Write a character to GLB or FBX, its handles as a skin, without motion.
+    """Write a character to GLB, FBX, VRM or PMX, its handles as a skin, without motion.
 
     Args:
         character: The character.
         path: The file.
         handles: Its handles; without them the mesh alone is written.
         rig: Write the character's own rig as its skin, as `bunraku.with_skeleton` makes one, in place of handles.
+        avatar: What else is to be written, by the bones of that rig: springs for GLB and VRM, rigid bodies for PMX.
 
     Returns:
         The file that was written.
@@ -334,7 +342,10 @@ def save_character(
         FormatError: The suffix is unknown, or the file cannot be written.
         CharacterError: The handles weigh another number of vertices.
     """
-    return _write("rigged", path, {"rig": True} if rig else {}, character, handles)
+    options: dict[str, object] = {"rig": True} if rig else {}
+    if avatar is not None:
+        options["avatar"] = avatar
+    return _write("rigged", path, options, character, handles)
 
 
 def save_points(animation: PointAnimation, path: str | Path, **options: object) -> Path:

@@ -59,7 +59,13 @@ FORMATS: tuple[Format, ...] = (
         points="bunraku.formats.gltf.write_points:write_point_animation",
         rigged="bunraku.formats.gltf.write_rig:write_character",
     ),
-    Format("VRM", (".vrm",), (b"glTF",), character="bunraku.formats.gltf.read:read_gltf"),
+    Format(
+        "VRM",
+        (".vrm",),
+        (b"glTF",),
+        character="bunraku.formats.gltf.read:read_gltf",
+        rigged="bunraku.formats.vrm.write:write_avatar",
+    ),
     Format("glTF", (".gltf",), character="bunraku.formats.gltf.read:read_gltf"),
     Format(
         "PLY",
@@ -131,7 +137,13 @@ FORMATS: tuple[Format, ...] = (
         animation="bunraku.io.mmd_motion:write_character_vmd",
         bones="bunraku.io.mmd_motion:write_character_vmd",
     ),
-    Format("PMX", (".pmx",), (b"PMX ",), character="bunraku.formats.mmd.pmx:read_pmx"),
+    Format(
+        "PMX",
+        (".pmx",),
+        (b"PMX ",),
+        character="bunraku.formats.mmd.pmx:read_pmx",
+        rigged="bunraku.formats.mmd.export:write_character",
+    ),
     Format("PMD", (".pmd",), (b"Pmd",), character="bunraku.formats.mmd.pmd:read_pmd"),
     Format("RigNet", (".txt",), character="bunraku.formats.mesh.rignet:read_rignet"),
     Format(

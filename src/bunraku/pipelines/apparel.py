@@ -15,14 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.apparel.artist_mask import artist_mask, read_artist_mask
-from bunraku.apparel.clothed import SOFTEST, STIFFEST, ClothedCharacter
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.displacement.player import ApparelPlayer
 from bunraku.apparel.displacement.weights import DisplacementNetwork, load_displacement
-from bunraku.apparel.fitting import eased_border, fitted_clothes, joint_weights_of_handles, joints_of_handles
+from bunraku.apparel.fitting import eased_border
 from bunraku.apparel.layers import Layers
-from bunraku.apparel.segmentation.predict import find_apparel
 from bunraku.apparel.unified import UnifiedBody
-from bunraku.body.layout import HANDLE_COUNT, JOINT_COUNT
+from bunraku.body.layout import JOINT_COUNT
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.point_animation import PointAnimation
@@ -30,16 +29,14 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError
 from bunraku.nn.checkpoints import dated_checkpoint
 from bunraku.physics.chains.animated import with_apparel
-from bunraku.physics.chains.fitted import fitted_rig
-from bunraku.physics.chains.from_shape import shape_chains
-from bunraku.physics.chains.laid import Chained, with_chains
 from bunraku.physics.chains.moving import moving_rig, steady_simulation
 from bunraku.physics.chains.on_handles import on_handle_rig
 from bunraku.physics.clothed import clothed_from_file
 from bunraku.physics.from_file import apparel_rig
+from bunraku.pipelines.clothes import body_of_handles, laid_over, told_apart
 from bunraku.pipelines.requests.apparel import Apparel
 
-__all__ = ["animated_clothed", "chained", "dressed", "laid_over", "learned", "shipped_displacement"]
+__all__ = ["animated_clothed", "chained", "dressed", "learned", "shipped_displacement"]
 
 Progress = Callable[[str, float], None]
 LEAST = 0.01
@@ -167,29 +164,6 @@ def chained(
     return found.animation
 
 
-def laid_over(
-    character: Character, clothed: ClothedCharacter, bones: np.ndarray, stiffness: float = 1.0, gravity: float = 1.0
-) -> Chained:
-    """A character whose rig has chains of bones over its apparel.
-
-    Args:
-        character: With a rig.
-        clothed: The same mesh, told apart.
-        bones: The bone of the rig that each of the 22 joints is, shape (22,).
-        stiffness, gravity: Factors.
-
-    Raises:
-        CharacterError: No part of the mesh is apparel that chains can be laid over.
-    """
-    laid = shape_chains(clothed).turned(stiffness, gravity)
-    if not laid.chains:
-        raise CharacterError(
-            f"{character.name}: no apparel was found on this mesh that could swing; name its vertices in a mask "
-            "(--apparel mask.npy)"
-        )
-    return with_chains(fitted_rig(character, clothed, bones), laid, bones)
-
-
 def animated_clothed(
     animation: Animation | RigAnimation, mask: np.ndarray | None = None, *, stiffness: float = 1.0
 ) -> tuple[ClothedCharacter, np.ndarray, Animation]:
@@ -212,19 +186,11 @@ def animated_clothed(
             return clothed_from_file(character, body, stiffness), transforms, moved.animation()
     else:
         moved = moved.animation() if isinstance(moved, RigAnimation) else moved
-        if len(moved.handles.positions) < HANDLE_COUNT:
-            raise CharacterError(f"{character.name}: its handles are not the 30 of a body; let them be predicted")
-        weights = joint_weights_of_handles(moved.handles)
-        joints = joints_of_handles(character.vertices, weights, character.areas, moved.handles.positions)
+        weights, joints = body_of_handles(character, moved.handles)
         affine = moved.motion.transforms(moved.handles.positions)[:, : len(joints)]
         positions = np.einsum("njab,jb->nja", affine[..., :3], joints) + affine[..., 3]
         transforms = np.concatenate([affine[..., :3], positions[..., None]], axis=3).astype(np.float32)
-    found = find_apparel(character.vertices, character.faces, joints)
-    dial = np.float32(np.log10(stiffness))
-    clothed = fitted_clothes(
-        character.vertices, character.faces, joints, weights, found.mask if mask is None else mask,
-        np.clip(found.stiffness + dial, SOFTEST, STIFFEST), found.damping,
-    )  # fmt: skip
+    clothed = told_apart(character, joints, weights, mask, stiffness)
     return clothed, transforms, moved.animation() if isinstance(moved, RigAnimation) else moved
 
 

@@ -19,18 +19,19 @@ from bunraku.errors import CharacterError, OptionError
 from bunraku.formats.gltf.read import Source
 from bunraku.skeletons.engine_names import REQUIRED, ROOTS, SKELETONS, engine_names
 
-__all__ = ["on_skeleton"]
+__all__ = ["on_skeleton", "t_pose"]
 
 LEAST = 1e-4
 """Share of the surface that a part must move to get a joint, unless a humanoid needs it."""
 
 
-def on_skeleton(anatomy: Anatomy, names: str) -> Character:
+def on_skeleton(anatomy: Anatomy, names: str, weights: np.ndarray | None = None) -> Character:
     """A person's mesh in a T-pose on a tree of joints.
 
     Args:
         anatomy: Of the character by its 30 handles.
         names: Whose names the joints get: "mixamo", "vrm" or "unreal".
+        weights: Skinning weights of the vertices for the handles in place of their own, shape (V, 30).
 
     Raises:
         CharacterError: It is no person: a humanoid has two arms and two legs.
@@ -44,6 +45,24 @@ def on_skeleton(anatomy: Anatomy, names: str) -> Character:
             f"{character.name}: it is {anatomy.plan.words}, and a humanoid skeleton has two arms and two legs; leave "
             "the skeleton out"
         )
+    weights = handles.weights if weights is None else weights
+    moved, placed = t_pose(anatomy)
+    vertices = skin(character.vertices, weights, moved[None, :, :3].astype(np.float32))[0]
+    rig = _rig(anatomy, placed, names, weights)
+    source = character.source
+    if isinstance(source, Source):
+        each = np.einsum("vk,kij->vij", weights.astype(np.float64), moved)
+        source = replace(source, moved=each if source.moved is None else each @ source.moved)
+    return replace(
+        character, vertices=vertices.astype(np.float32), rig=rig, source=source, avatar=None
+    )  # springs and bones of the avatar hang on the skeleton that the file had
+
+
+def t_pose(anatomy: Anatomy) -> tuple[np.ndarray, np.ndarray]:
+    """What takes each handle's part from the rest pose into the T-pose, shape (30, 4, 4), and where its joint is there,
+    shape (30, 3) [m]: the hips over the origin, the soles on y = 0.
+    """
+    character, handles = anatomy.character, anatomy.handles
     turns, joints = anatomy.rest
     heads = np.where(joints.present[:, None], joints.positions, handles.positions).astype(np.float64)
     placed = heads.copy()
@@ -57,20 +76,12 @@ def on_skeleton(anatomy: Anatomy, names: str) -> Character:
     middle = (placed[HANDLE_NAMES.index("left_hip")] + placed[HANDLE_NAMES.index("right_hip")]) / 2
     shift = -np.array([middle[0], float(vertices[character.surface, 1].min()), middle[2]])
     moved[:, :3, 3] += shift
-    rig = _rig(anatomy, placed + shift, names)
-    source = character.source
-    if isinstance(source, Source):
-        each = np.einsum("vk,kij->vij", handles.weights.astype(np.float64), moved)
-        source = replace(source, moved=each if source.moved is None else each @ source.moved)
-    return replace(
-        character, vertices=(vertices + shift).astype(np.float32), rig=rig, source=source, avatar=None
-    )  # springs and bones of the avatar hang on the skeleton that the file had
+    return moved, placed + shift
 
 
-def _rig(anatomy: Anatomy, heads: np.ndarray, names: str) -> Rig:
+def _rig(anatomy: Anatomy, heads: np.ndarray, names: str, held: np.ndarray) -> Rig:
     """The joints of the parts that are there, and the weights of the others on the joints above them."""
-    handles = anatomy.handles
-    share = (handles.weights * anatomy.character.areas[:, None]).sum(axis=0) / max(anatomy.character.areas.sum(), 1e-30)
+    share = (held * anatomy.character.areas[:, None]).sum(axis=0) / max(anatomy.character.areas.sum(), 1e-30)
     there = (share > LEAST) | np.isin(HANDLE_NAMES, REQUIRED)
     goes_to = np.arange(len(there))
     for handle, parent in enumerate(HANDLE_PARENTS):
@@ -78,9 +89,9 @@ def _rig(anatomy: Anatomy, heads: np.ndarray, names: str) -> Rig:
             goes_to[handle] = goes_to[parent]
     kept = np.flatnonzero(there)
     place = {int(handle): number for number, handle in enumerate(kept)}
-    weights = np.zeros((len(handles.weights), len(kept)), np.float32)
+    weights = np.zeros((len(held), len(kept)), np.float32)
     for handle, target in enumerate(goes_to):
-        weights[:, place[int(target)]] += handles.weights[:, handle]
+        weights[:, place[int(target)]] += held[:, handle]
     parents = [place[int(goes_to[HANDLE_PARENTS[handle]])] if handle else -1 for handle in kept]
     labels = [engine_names(names)[handle] for handle in kept]
     positions = heads[kept]

@@ -19,6 +19,7 @@ import numpy as np
 from bunraku.core.character import Character, Handles
 from bunraku.core.resample import checked_fps
 from bunraku.core.rig_animation import RigAnimation
+from bunraku.core.vrm_model import VrmModel
 from bunraku.errors import CharacterError, FormatError
 from bunraku.formats.files import check_output_folder
 from bunraku.formats.gltf.builder import ARRAY_BUFFER, GltfBuilder
@@ -29,10 +30,11 @@ from bunraku.formats.gltf.read import Source
 from bunraku.formats.gltf.rig_clip import add_bone_clip
 from bunraku.formats.gltf.scene.mesh import MeshPart
 from bunraku.formats.gltf.scene.nodes import read_nodes
+from bunraku.formats.gltf.scene.spring_write import add_spring_extras
 from bunraku.formats.gltf.scene.vrm_write import add_humanoid
 from bunraku.formats.gltf.write import build_document, document_of, finish_document
 
-__all__ = ["RigDocument", "save_rig_animation", "save_rig_clips", "write_character", "write_rigged"]
+__all__ = ["RigDocument", "plain_rig", "save_rig_animation", "save_rig_clips", "write_character", "write_rigged"]
 
 _KEPT = ("asset", "nodes", "scene", "scenes", "cameras", "extensions", "extras", "extensionsUsed", "extensionsRequired")
 
@@ -59,7 +61,7 @@ class RigDocument:
         source = character.source
         own = source if isinstance(source, Source) and _fits(source, character) else None
         if own is None:
-            return cls(*_plain_rig(character), None, np.eye(4))
+            return cls(*plain_rig(character), None, np.eye(4))
         builder, nodes = _own_rig(own)
         return cls(builder, nodes, own, _above_all(own, builder))
 
@@ -118,15 +120,18 @@ def save_rig_clips(clips: Mapping[str, RigAnimation], path: Path, *, fps: float 
     return finish_document(builder, path)
 
 
-def write_character(character: Character, handles: Handles | None, path: Path, *, rig: bool = False) -> Path:
-    """Write a character as GLB, with its handles, or its own rig, as a skin where there are some.
+def write_character(
+    character: Character, handles: Handles | None, path: Path, *, rig: bool = False, avatar: VrmModel | None = None
+) -> Path:
+    """Write a character as GLB, with its handles, or its own rig, as a skin where there are some; and with springs of
+    its bones in the document's extras.
 
     Raises:
         FormatError: The file cannot be written.
         CharacterError: The handles weigh another number of vertices, or there is no rig to write.
     """
     if rig:
-        return write_rigged(character, path)
+        return write_rigged(character, path, avatar)
     if handles is not None and len(handles.weights) != len(character.vertices):
         raise CharacterError(
             f"the handles weigh {len(handles.weights)} vertices but {character.name} has {len(character.vertices)}"
@@ -134,8 +139,13 @@ def write_character(character: Character, handles: Handles | None, path: Path, *
     return finish_document(build_document(character, handles, path)[0], path)
 
 
-def write_rigged(character: Character, path: Path) -> Path:
+def write_rigged(character: Character, path: Path, avatar: VrmModel | None = None) -> Path:
     """Write a character with its rig as GLB, without motion: joints that are not turned where they rest, in a tree.
+
+    Args:
+        character: With a rig.
+        path: The file.
+        avatar: Springs of its bones.
 
     Raises:
         CharacterError: It has no rig.
@@ -144,7 +154,10 @@ def write_rigged(character: Character, path: Path) -> Path:
     if character.rig is None:
         raise CharacterError(f"{character.name}: there is no rig to write; make one with `bunraku.with_skeleton`")
     check_output_folder(path)
-    return finish_document(_plain_rig(character)[0], path)
+    builder, nodes = plain_rig(character)
+    if avatar is not None:
+        add_spring_extras(builder.tree, avatar, nodes)
+    return finish_document(builder, path)
 
 
 def _fits(source: Source, character: Character) -> bool:
@@ -324,7 +337,7 @@ def _influences(builder: GltfBuilder, joints: np.ndarray, weights: np.ndarray, s
     return out
 
 
-def _plain_rig(character: Character) -> tuple[GltfBuilder, list[int]]:
+def plain_rig(character: Character) -> tuple[GltfBuilder, list[int]]:
     """The meshes with one skin made of the rig, whose bones turn in the world's axes where they rest; also the nodes of
     the bones.
     """

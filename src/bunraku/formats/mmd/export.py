@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.character import Character, Handles, top_influences
-from bunraku.core.mmd_model import MMD_METRE, MmdBone, mmd_model
+from bunraku.core.mmd_model import MMD_METRE, MmdBone, MmdModel, mmd_model
 from bunraku.core.rig_animation import bone_order
 from bunraku.errors import CharacterError, FormatError
 from bunraku.formats.files import atomic_write
@@ -44,8 +44,13 @@ def write_pmx(character: Character) -> bytes:
     return pmx_bytes(pmx_file(character))
 
 
-def save_pmx(character: Character, path: str | Path) -> Path:
+def save_pmx(character: Character, path: str | Path, avatar: MmdModel | None = None) -> Path:
     """Write a character as PMX, and its pictures into a folder beside it; nothing half-written is left behind.
+
+    Args:
+        character: With a rig.
+        path: The file.
+        avatar: Rigid bodies and joints of its bones; those of its model by default.
 
     Raises:
         CharacterError: It has no rig.
@@ -53,6 +58,8 @@ def save_pmx(character: Character, path: str | Path) -> Path:
     """
     target = Path(path)
     file = pmx_file(character)
+    if avatar is not None:
+        file.bodies, file.joints = list(avatar.bodies), list(avatar.joints)
     pictures = _pictures(document_of(character).document, f"{target.stem}-textures")
     file.materials = [
         replace(material, texture=pictures[material.texture][0] if material.texture in pictures else "")
@@ -72,8 +79,10 @@ def save_pmx(character: Character, path: str | Path) -> Path:
     return target
 
 
-def write_character(character: Character, handles: Handles | None, path: Path, *, rig: bool = False) -> Path:
-    """Write a character to PMX with its rig, or with handles as bones.
+def write_character(
+    character: Character, handles: Handles | None, path: Path, *, rig: bool = False, avatar: MmdModel | None = None
+) -> Path:
+    """Write a character to PMX with its rig, and with the rigid bodies and joints of an avatar by its bones.
 
     Raises:
         CharacterError: There is no rig to write.
@@ -83,7 +92,7 @@ def write_character(character: Character, handles: Handles | None, path: Path, *
         raise CharacterError(
             f"{character.name}: a PMX has a tree of bones, and handles are none; name a skeleton (--skeleton vrm)"
         )
-    return save_pmx(character, path)
+    return save_pmx(character, path, avatar)
 
 
 def pmx_file(character: Character) -> MmdFile:

@@ -42,6 +42,21 @@ class LaidChains:
         """How many links there are."""
         return sum(len(chain) for chain in self.chains)
 
+    def moved(self, transforms: np.ndarray) -> LaidChains:
+        """With each chain taken along by what carries it.
+
+        Args:
+            transforms: Of the 22 joints, shape (22, 4, 4).
+        """
+        roots: dict[int, int] = {}
+        chains = []
+        for chain in self.chains:
+            joint = chain.holder if chain.holder < JOINT_COUNT else roots[chain.holder]
+            roots |= dict.fromkeys(chain.bones.tolist(), joint)
+            points = chain.points @ transforms[joint, :3, :3].T + transforms[joint, :3, 3]
+            chains.append(replace(chain, points=points))
+        return replace(self, chains=tuple(chains))
+
     def turned(self, stiffness: float, gravity: float) -> LaidChains:
         """With all manners dialled (`Manner.turned`)."""
         chains = tuple(replace(chain, manner=chain.manner.turned(stiffness, gravity)) for chain in self.chains)

@@ -189,8 +189,8 @@ def _kind(
     width = float(np.hypot(spread[0], spread[2]))
     if joint in _HEAD:
         top = clothed.rest[:, 1].max() - 0.5 * (clothed.rest[:, 1].max() - clothed.joints[_HEAD[0]][1])
-        stands = points[:, 1].max() > top and points[along > 0.5 * length, 1].mean() > points[along <= 0.5 * length,
-                                                                                              1].mean()  # fmt: skip
+        far = along > 0.5 * length
+        stands = bool(far.any()) and points[:, 1].max() > top and points[far, 1].mean() > points[~far, 1].mean()
         return "ear" if stands and length < 0.2 * clothed.scale else "hair"
     if joint in _ARMS:
         return "sleeve" if cover > BROAD else "ribbon"

@@ -1,0 +1,119 @@
+"""What of a character is apparel, and a rig with bones for it, without any motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.apparel.artist_mask import artist_mask
+from bunraku.apparel.clothed import SOFTEST, STIFFEST, ClothedCharacter
+from bunraku.apparel.fitting import eased_border, fitted_clothes, joint_weights_of_handles, joints_of_handles
+from bunraku.apparel.mask import apparel_mask
+from bunraku.apparel.segmentation.predict import find_apparel
+from bunraku.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_PARENTS
+from bunraku.core.character import Character, Handles
+from bunraku.errors import CharacterError
+from bunraku.physics.chains.fitted import fitted_rig
+from bunraku.physics.chains.from_shape import shape_chains
+from bunraku.physics.chains.laid import Chained, LaidChains, with_chains
+from bunraku.physics.chains.on_handles import handle_rig
+from bunraku.retarget.engine_skeleton import on_skeleton, t_pose
+from bunraku.skeletons.engine_names import engine_names
+
+__all__ = ["body_of_handles", "laid_over", "rig_with_chains", "told_apart"]
+
+
+def body_of_handles(character: Character, handles: Handles) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (V, 22) and places (22, 3) of the joints that the 30 handles of a body stand for.
+
+    Raises:
+        CharacterError: The handles are not the 30 of a body.
+    """
+    if len(handles.positions) < HANDLE_COUNT:
+        raise CharacterError(f"{character.name}: its handles are not the 30 of a body; let them be predicted")
+    weights = joint_weights_of_handles(handles)
+    return weights, joints_of_handles(character.vertices, weights, character.areas, handles.positions)
+
+
+def told_apart(
+    character: Character, joints: np.ndarray, weights: np.ndarray, mask: np.ndarray | None, stiffness: float = 1.0
+) -> ClothedCharacter:
+    """A character whose apparel is told from its body, each part on the joint that carries it.
+
+    Args:
+        character: The mesh.
+        joints: Where the 22 joints are [m], shape (22, 3).
+        weights: Of the vertices for them, shape (V, 22).
+        mask: Vertices that are apparel; what the segmentation network finds when None.
+        stiffness: Factor on how stiff they are.
+    """
+    found = find_apparel(character.vertices, character.faces, joints)
+    dial = np.float32(np.log10(stiffness))
+    return fitted_clothes(
+        character.vertices, character.faces, joints, weights, found.mask if mask is None else mask,
+        np.clip(found.stiffness + dial, SOFTEST, STIFFEST), found.damping,
+    )  # fmt: skip
+
+
+def laid_over(
+    character: Character, clothed: ClothedCharacter, bones: np.ndarray, stiffness: float = 1.0, gravity: float = 1.0
+) -> Chained:
+    """A character whose rig has chains of bones over its apparel.
+
+    Args:
+        character: With a rig.
+        clothed: The same mesh, told apart.
+        bones: The bone of the rig that each of the 22 joints is, shape (22,).
+        stiffness, gravity: Factors.
+
+    Raises:
+        CharacterError: No part of the mesh is apparel that chains can be laid over.
+    """
+    laid = _laid(character, clothed, stiffness, gravity)
+    return with_chains(fitted_rig(character, clothed, bones), laid, bones)
+
+
+def rig_with_chains(
+    anatomy: Anatomy, skeleton: str | None = None, mask: np.ndarray | None = None, stiffness: float = 1.0,
+    gravity: float = 1.0,
+) -> Chained:  # fmt: skip
+    """A character with bones for its body, handles or a skeleton in a T-pose, and for its apparel.
+
+    Args:
+        anatomy: Of the character by its 30 handles.
+        skeleton: Whose names the bones get, as of `on_skeleton`; None for the handles.
+        mask: Vertices that are apparel; what the file says, or else what the segmentation network finds, when None.
+        stiffness, gravity: Factors.
+
+    Raises:
+        CharacterError: No part of the mesh is apparel that chains can be laid over, or it is no person.
+    """
+    character, handles = anatomy.character, anatomy.handles
+    weights, joints = body_of_handles(character, handles)
+    if mask is None:
+        mask = artist_mask(character)
+    if mask is None and character.rig is not None:
+        mask = apparel_mask(character)
+    clothed = told_apart(character, joints, weights, mask)
+    if skeleton is None:
+        return laid_over(handle_rig(character, handles), clothed, np.arange(JOINT_COUNT), stiffness, gravity)
+    laid = _laid(character, clothed, stiffness, gravity)
+    share = eased_border(clothed)[:, None]
+    carrier = np.eye(handles.weights.shape[1], dtype=np.float32)[clothed.weights.argmax(axis=1)]
+    shown = on_skeleton(anatomy, skeleton, handles.weights * (1 - share) + carrier * share)
+    assert shown.rig is not None
+    place = {name: bone for bone, name in enumerate(shown.rig.names)}
+    names, bones = engine_names(skeleton), np.zeros(JOINT_COUNT, np.int64)
+    for joint, parent in enumerate(JOINT_PARENTS):
+        bones[joint] = place.get(names[joint], bones[parent] if parent >= 0 else 0)
+    return with_chains(shown, laid.moved(t_pose(anatomy)[0][:JOINT_COUNT]), bones)
+
+
+def _laid(character: Character, clothed: ClothedCharacter, stiffness: float, gravity: float) -> LaidChains:
+    laid = shape_chains(clothed).turned(stiffness, gravity)
+    if not laid.chains:
+        raise CharacterError(
+            f"{character.name}: no apparel was found on this mesh that could swing; name its vertices in a mask "
+            "(--apparel mask.npy)"
+        )
+    return laid
