@@ -12,13 +12,13 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from bunraku.apparel.clothed import LEGS, ClothedCharacter
 from bunraku.apparel.parts import apparel_parts
 from bunraku.geometry.easing import smooth_step
+from bunraku.geometry.filters import gaussian
 from bunraku.geometry.surface import vertex_normals
 
 __all__ = ["Layers"]
@@ -98,7 +98,7 @@ class Layers:
             change[frame] = self(own, whole) - own
             if progress and frame % 16 == 0:
                 progress(frame / len(positions))
-        return np.asarray(positions + gaussian_filter1d(change, SMOOTH, axis=0, mode="nearest"))
+        return np.asarray(positions + gaussian(change, SMOOTH))
 
     def __call__(self, positions: np.ndarray, skinned: np.ndarray) -> np.ndarray:
         """Apparel vertices laid over what they lie on at rest [m], shape (A, 3).

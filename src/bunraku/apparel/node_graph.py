@@ -78,9 +78,6 @@ class EdgeBlock:
         hidden = self.own(x)
         hidden += self.pooled(largest)[part]
         hidden += graph.largest_neighbour(self.neighbour(x))
-        out = normed(hidden, self.norm.epsilon)
-        out *= self.norm.scale
-        out += self.norm.shift
-        out = gelu(out)
+        out = gelu(normed(hidden, self.norm))
         out += x
         return out

@@ -8,13 +8,13 @@ upper arms and thighs are then rolled so that elbows and knees bend the way they
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.body.reference import reference_body
 from bunraku.body.smpl_rest import LIMB_CHILD, smpl_offsets
 from bunraku.core.motion import SkeletalMotion, Skeleton, local_rotations
 from bunraku.errors import MotionError
+from bunraku.geometry.filters import gaussian
 from bunraku.geometry.rotations import matrix_from_axis_angle, nearest_rotation, rotation_between
 
 __all__ = ["motion_from_positions"]
@@ -103,5 +103,5 @@ def _rolled(world: np.ndarray, joint: int, offsets: np.ndarray, bones: np.ndarra
     pair = np.stack(
         [bent @ direction + _PULL, bent @ np.cross(axis, direction)], -1
     )  # the direction that the roll should turn `way` to
-    pair = gaussian_filter1d(pair, _SMOOTH * fps, axis=0, mode="nearest")
+    pair = gaussian(pair, _SMOOTH * fps)
     return np.asarray(world @ matrix_from_axis_angle(np.arctan2(pair[:, 1], pair[:, 0])[:, None] * axis))

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from bunraku.core.motion import HandleMotion
 from bunraku.core.request.constraint import Constraint
 from bunraku.errors import OptionError
 from bunraku.geometry.easing import MonotoneCurve
+from bunraku.geometry.filters import gaussian
 
 __all__ = ["GroundPath", "bent_to_path"]
 
@@ -114,7 +114,7 @@ class GroundPath(Constraint):
         moves = np.flatnonzero(speed > 1e-3 * max(float(speed.max()), 1e-12))
         angle = np.unwrap(np.arctan2(velocity[moves, 0], velocity[moves, 1]))
         whole = np.interp(np.arange(frames), moves, angle)
-        return np.asarray(gaussian_filter1d(whole, 0.15 * fps, mode="nearest") + (math.pi if backwards else 0.0))
+        return np.asarray(gaussian(whole, 0.15 * fps) + (math.pi if backwards else 0.0))
 
 
 def bent_to_path(
@@ -131,7 +131,7 @@ def bent_to_path(
     want = path.positions(len(motion), motion.fps) + np.asarray(start, float)
     root = motion.root_translation.astype(float)
     off = root[:, [0, 2]] - want
-    sway = off - gaussian_filter1d(off, SWAY * motion.fps, axis=0, mode="nearest")
+    sway = off - gaussian(off, SWAY * motion.fps)
     far = np.linalg.norm(sway, axis=1, keepdims=True) / (ASIDE * size)
     sway *= np.tanh(far) / np.maximum(far, 1e-9)
     root[:, [0, 2]] = want + sway

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
+from bunraku.geometry.filters import gaussian
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 
 __all__ = ["closed_loop", "follow", "in_place", "moved", "placed_at", "put_back", "put_back_runs", "repeated"]
@@ -138,7 +138,7 @@ def in_place(motion: HandleMotion, loop: bool = False) -> HandleMotion:
         longer = repeated(motion, margin, margin).root_translation.astype(float)
     else:
         longer = np.pad(path, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    displacement = gaussian_filter1d(longer, SWAY * motion.fps, axis=0, mode="nearest")[margin : margin + len(path)]
+    displacement = gaussian(longer, SWAY * motion.fps)[margin : margin + len(path)]
     out = path - displacement
     out[:, [0, 2]] += path[0, [0, 2]] - out[0, [0, 2]]
     out[:, 1] = path[:, 1]

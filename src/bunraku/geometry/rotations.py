@@ -201,12 +201,12 @@ def heading(root_rotation: np.ndarray, fps: float = 20.0) -> np.ndarray:
     Returns:
         Angles [rad], shape (N,), float64; 0 faces +Z, positive turns towards +X. Always finite.
     """
-    from scipy.ndimage import gaussian_filter1d  # readers of files that have rotations need no scipy
+    from bunraku.geometry.filters import gaussian
 
     quaternion = quaternion_from_matrix(np.asarray(root_rotation, float))
     y, w = quaternion[:, 1], quaternion[:, 3]
     vector = np.stack([w * w - y * y, 2 * w * y], -1)  # (cos, sin) of the twist times w^2 + y^2
-    vector = gaussian_filter1d(vector, 0.1 * fps, axis=0, mode="nearest")
+    vector = gaussian(vector, 0.1 * fps)
     sure = np.hypot(vector[:, 0], vector[:, 1]) > 0.05
     if not sure.any():
         return np.zeros(len(vector))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+
+from bunraku.geometry.filters import running_mean
 
 __all__ = ["tallest_steady"]
 
@@ -24,7 +25,7 @@ def tallest_steady(heights: np.ndarray, fps: float, tall: float = 0.9, fast: flo
         tall: Frames count that have so much of the height that a tenth of the steady ones have.
         fast: In a steady frame the height changes by no larger share of it in a second [1/s].
     """
-    heights = uniform_filter1d(np.asarray(heights, np.float64), max(round(STRIDE * fps), 1), mode="nearest")
+    heights = running_mean(np.asarray(heights, np.float64), max(round(STRIDE * fps), 1))
     change = np.abs(np.gradient(heights)) * fps if len(heights) > 1 else np.zeros(len(heights))
     steady = change <= fast * np.maximum(heights, 0)
     if not steady.any():

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from bunraku.core.animated import AnimatedCharacter
 from bunraku.core.animation import Animation
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.travel import SWAY, in_place
+from bunraku.geometry.filters import gaussian
 from bunraku.geometry.rotations import heading, matrix_y
 
 __all__ = ["on_root_bone", "on_the_spot", "root_bone"]
@@ -83,7 +83,7 @@ def _travel(path: np.ndarray, fps: float) -> np.ndarray:
         return np.zeros_like(path)
     margin = round(4 * SWAY * fps)
     longer = np.pad(path, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    smooth = gaussian_filter1d(longer, SWAY * fps, axis=0, mode="nearest")[margin : margin + len(path)]
+    smooth = gaussian(longer, SWAY * fps)[margin : margin + len(path)]
     out = smooth - smooth[0]
     out[:, 1] = 0
     return np.asarray(out)

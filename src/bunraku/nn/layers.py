@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 __all__ = [
-    "Linear", "Norm", "Weights", "attended", "gelu", "gelu_slope", "hidden_by", "normed", "sigmoid", "silu", "softmax",
-    "split_heads", "unit",
+    "Attention", "FeedForward", "Linear", "Memory", "Norm", "Rotary", "Weights", "attended", "gelu", "gelu_slope",
+    "hidden_by", "normed", "sigmoid", "silu", "softmax", "split_heads", "turned", "unit",
 ]  # fmt: skip
 
 _NEVER = np.float32(-1e30)
@@ -25,6 +25,9 @@ _GELU = tuple(np.float32(value) for value in (
     1.80559369e-09, -1.33445333e-07, 3.96909116e-06, -5.5240016e-05, -3.31305363e-05, 0.0363342845, 0.797884216,
 ))  # fmt: skip
 """P, falling powers, such that tanh(x P(x^2)) is erf(x / sqrt 2), fitted on |x| < 6 for the least error of `gelu`."""
+
+Rotary = tuple[np.ndarray, np.ndarray]
+"""Cosines and sines of rotary positions (Su et al. 2021), shape (T, d/H/2) each."""
 
 
 class Linear(NamedTuple):
@@ -60,10 +63,86 @@ class Norm(NamedTuple):
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Shape (..., C) -> (..., C)."""
-        out = normed(x, self.epsilon)
-        out *= self.scale
-        out += self.shift
-        return out
+        return normed(x, self)
+
+
+class Memory(NamedTuple):
+    """Keys and values of what a layer attends to, of each head, shape (B, H, M, d/H)."""
+
+    keys: np.ndarray
+    values: np.ndarray
+
+
+class Attention(NamedTuple):
+    """Attention behind a norm, added to what came in.
+
+    Args:
+        enter: To queries, keys and values side by side; to queries alone where it attends to a memory.
+        leave: From what was attended to.
+        heads: H.
+    """
+
+    enter: Linear
+    leave: Linear
+    heads: int
+
+    def __call__(
+        self,
+        x: np.ndarray,
+        norm: Norm,
+        memory: Memory | None = None,
+        hidden: np.ndarray | None = None,
+        rotary: Rotary | None = None,
+        gate: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """The next hidden states; writes on `x`, shape (B, T, d).
+
+        Args:
+            x: Hidden states.
+            norm: Before it; scale and shift may differ from row to row.
+            memory: What is attended to; the states themselves where None.
+            hidden: Of that, as `hidden_by` gives it.
+            rotary: Turns queries, and with them the keys that are the states' own; None for no positions.
+            gate: Factor of what is added.
+        """
+        batch, length, width = x.shape
+        said = normed(x, norm).reshape(-1, width) @ self.enter.matrix
+        said += self.enter.bias
+        parts = said.reshape(batch, length, -1, self.heads, width // self.heads).transpose(2, 0, 3, 1, 4)
+        if memory is None:
+            query, key = parts[:2] if rotary is None else turned(parts[:2], rotary)
+            mixed = attended(query, key, parts[2], hidden)
+        else:
+            query = parts[0] if rotary is None else turned(parts[0], rotary)
+            mixed = attended(query, memory.keys, memory.values, hidden)
+        return _added(x, mixed, self.leave, gate)
+
+
+class FeedForward(NamedTuple):
+    """Two linear layers with GELU between them behind a norm, added to what came in.
+
+    Args:
+        wide, narrow: The layers.
+    """
+
+    wide: Linear
+    narrow: Linear
+
+    def __call__(self, x: np.ndarray, norm: Norm, gate: np.ndarray | None = None) -> np.ndarray:
+        """The next hidden states; writes on `x`, shape (..., d)."""
+        said = normed(x, norm).reshape(-1, x.shape[-1]) @ self.wide.matrix
+        said += self.wide.bias
+        return _added(x, gelu(said), self.narrow, gate)
+
+
+def _added(x: np.ndarray, mixed: np.ndarray, leave: Linear, gate: np.ndarray | None) -> np.ndarray:
+    """`x` with what a block says added."""
+    said = (mixed.reshape(-1, mixed.shape[-1]) @ leave.matrix).reshape(x.shape)
+    said += leave.bias
+    if gate is not None:
+        said *= gate
+    x += said
+    return x
 
 
 class Weights:
@@ -106,6 +185,16 @@ class Weights:
         """The layer norm of this name."""
         return Norm(self.array(f"{name}.weight", width), self.array(f"{name}.bias", width), epsilon)
 
+    def attention(self, enter: str, leave: str, width: int, heads: int) -> Attention:
+        """Attention of the states to one another, of two linear layers by name."""
+        if heads < 1 or width % heads:
+            raise ValueError(f"{width} channels cannot be shared by {heads} heads")
+        return Attention(self.linear(enter, width, 3 * width), self.linear(leave, width, width), heads)
+
+    def feed_forward(self, wide: str, narrow: str, width: int, inner: int) -> FeedForward:
+        """Of two linear layers by name."""
+        return FeedForward(self.linear(wide, width, inner), self.linear(narrow, inner, width))
+
     def done(self) -> None:
         """All have been handed out.
 
@@ -116,19 +205,24 @@ class Weights:
             raise ValueError(f"its config makes no '{min(self._left)}', which the file has")
 
 
-def normed(x: np.ndarray, epsilon: float = 1e-5) -> np.ndarray:
-    """Layer norm over the last axis, without scale and shift."""
+def normed(x: np.ndarray, norm: Norm | None = None) -> np.ndarray:
+    """Layer norm over the last axis; without scale and shift where None are given."""
     out = x - x.mean(-1, keepdims=True)
-    variance = np.einsum("...i,...i->...", out, out) / np.float32(x.shape[-1])
-    out *= (1 / np.sqrt(variance + np.float32(epsilon)))[..., None]
+    variance = np.einsum("...i,...i->...", out, out)
+    variance /= np.float32(x.shape[-1])
+    variance += np.float32(1e-5 if norm is None else norm.epsilon)
+    out *= (1 / np.sqrt(variance))[..., None]
+    if norm is not None:
+        out *= norm.scale
+        out += norm.shift
     return np.asarray(out)
 
 
-def _twice_below(x: np.ndarray) -> np.ndarray:
-    """Twice the share of a normal distribution below each number."""
-    square = x * x
+def _twice_below(x: np.ndarray, square: np.ndarray, value: np.ndarray) -> None:
+    """Twice the share of a normal distribution below each number, into `value`; `square` has room for as many."""
+    np.multiply(x, x, out=square)
     np.minimum(square, np.float32(36), out=square)
-    value = square * _GELU[0]
+    np.multiply(square, _GELU[0], out=value)
     for factor in _GELU[1:-1]:
         value += factor
         value *= square
@@ -136,7 +230,6 @@ def _twice_below(x: np.ndarray) -> np.ndarray:
     value *= x
     np.tanh(value, out=value)
     value += np.float32(1)
-    return np.asarray(value)
 
 
 def gelu(x: np.ndarray) -> np.ndarray:
@@ -144,9 +237,11 @@ def gelu(x: np.ndarray) -> np.ndarray:
     and writes on it.
     """
     flat = x.reshape(-1)
+    room = np.empty((2, min(flat.size, _PIECE)), np.float32)
     for start in range(0, flat.size, _PIECE):
         part = flat[start : start + _PIECE]
-        share = _twice_below(part)
+        square, share = room[:, : part.size]
+        _twice_below(part, square, share)
         part *= np.float32(0.5)
         part *= share
     return flat.reshape(x.shape)
@@ -155,7 +250,9 @@ def gelu(x: np.ndarray) -> np.ndarray:
 def gelu_slope(x: np.ndarray) -> np.ndarray:
     """The derivative of `gelu`."""
     density = np.exp(np.float32(-0.5) * x * x) * np.float32(1 / np.sqrt(2 * np.pi))
-    return np.asarray(np.float32(0.5) * _twice_below(x) + x * density)
+    share = np.empty_like(x)
+    _twice_below(x, np.empty_like(x), share)
+    return np.asarray(np.float32(0.5) * share + x * density)
 
 
 def sigmoid(x: np.ndarray) -> np.ndarray:
@@ -191,6 +288,17 @@ def hidden_by(mask: np.ndarray) -> np.ndarray | None:
 def split_heads(x: np.ndarray, heads: int, parts: int = 1) -> tuple[np.ndarray, ...]:
     """Queries, keys or values of each head, shape (B, H, T, d/H), from as many side by side, shape (B, T, parts d)."""
     return tuple(x.reshape(*x.shape[:2], parts, heads, -1).transpose(2, 0, 3, 1, 4))
+
+
+def turned(x: np.ndarray, rotary: Rotary) -> np.ndarray:
+    """Queries or keys at their places in time, shape (..., T, d/H)."""
+    half = x.shape[-1] // 2
+    first, second = x[..., :half], x[..., half:]
+    cos, sin = rotary
+    out = np.empty(x.shape, np.float32)
+    np.subtract(first * cos, second * sin, out=out[..., :half])
+    np.add(first * sin, second * cos, out=out[..., half:])
+    return out
 
 
 def attended(query: np.ndarray, key: np.ndarray, value: np.ndarray, hidden: np.ndarray | None = None) -> np.ndarray:

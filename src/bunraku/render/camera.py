@@ -143,13 +143,13 @@ class Framing:
         path = centre[:, [0, 2]]
         if float(np.ptp(path, axis=0).max(initial=0)) <= FOLLOW * self.extent:
             return out
-        from scipy.ndimage import gaussian_filter1d
+        from bunraku.geometry.filters import gaussian
 
         # Mirrored about its ends the path goes on as it came, so that a straight walk is followed without lag.
         sigma = 0.6 * self._fps
         spare = min(int(4 * sigma) + 1, len(path) - 1)
         longer = np.pad(path, ((spare, spare), (0, 0)), mode="reflect", reflect_type="odd")
-        smooth = gaussian_filter1d(longer, sigma, axis=0, mode="nearest")[spare : spare + len(path)]
+        smooth = gaussian(longer, sigma)[spare : spare + len(path)]
         out[:, [0, 2]] = smooth - path.mean(axis=0)
         return out
 

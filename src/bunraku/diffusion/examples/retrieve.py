@@ -132,13 +132,15 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
 
 def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tuple[str, ...]:
     """What a clause adds to its action that a gesture does not do."""
-    texts, said, gesture = pack.examples[index].texts, pack.said(index), pack.gesture(index)
+    texts, said = pack.examples[index].texts, pack.said(index)
     words = [word for word in clause.added if not tells_all((word,), texts)]
     cues = said.mirrored_cues if mirrored else said.cues
     words += [_SAYS.get(cue, cue) for cue in sorted((clause.cues & _ADDED) - cues) if not tells_all((cue,), texts)]
     words += sorted((clause.traits & _ADDED_TRAITS) - said.traits)
-    if clause.count and gesture is not None and not gesture.counted:
-        words.append(f"{clause.count} times")
+    if clause.count:  # only then is the gesture read
+        gesture = pack.gesture(index)
+        if gesture is not None and not gesture.counted:
+            words.append(f"{clause.count} times")
     return tuple(words)
 
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
-from scipy.ndimage import convolve1d, gaussian_filter1d
 
+from bunraku.geometry.filters import correlated, gaussian
 from bunraku.language.sentence import Clause
 
 __all__ = ["clause_spans", "steadied", "straightened", "turned_as_asked"]
@@ -35,7 +35,7 @@ def steadied(features: np.ndarray, loop: bool = False) -> np.ndarray:
         Shape (N, D), float32.
     """
     pose = features[:, 3:]
-    smooth = convolve1d(pose, _SAVITZKY_GOLAY, axis=0, mode="wrap" if loop else "nearest")
+    smooth = correlated(pose, _SAVITZKY_GOLAY, edge="wrap" if loop else "nearest")
     return np.concatenate([features[:, :3], pose + STRENGTH * (smooth - pose)], axis=1).astype(np.float32)
 
 
@@ -78,7 +78,7 @@ def straightened(features: np.ndarray, script: Sequence[tuple[Clause, int]], fps
     out = features.copy()
     for clause, part in clause_spans(script):
         if clause.straight and len(out[part]):
-            out[part, 0] -= gaussian_filter1d(out[part, 0], SWAY * fps, mode="nearest")
+            out[part, 0] -= gaussian(out[part, 0], SWAY * fps)
     return out
 
 

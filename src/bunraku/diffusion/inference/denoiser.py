@@ -22,15 +22,13 @@ from bunraku.diffusion.inference.layers import (
     Condition,
     DecoderLayer,
     EncoderLayer,
-    Memory,
-    Rotary,
     rotary_positions,
     waves,
 )
 from bunraku.errors import WeightsError
 from bunraku.geometry.rotations import matrix_from_6d
 from bunraku.nn.checkpoints import config_of, load_checkpoint
-from bunraku.nn.layers import Weights, hidden_by, normed, silu
+from bunraku.nn.layers import Memory, Norm, Rotary, Weights, hidden_by, normed, silu
 
 __all__ = ["Denoiser", "EncoderDenoiser", "build_denoiser", "joint_offsets", "load_denoiser"]
 
@@ -233,10 +231,7 @@ class Denoiser:
         for index, layer in enumerate(self.layers):
             h = layer(h, steer, rotary, real, condition, index)
         scale, shift = np.split(self.final(vector)[:, None], 2, axis=-1)
-        h = normed(h)
-        h *= 1 + scale
-        h += shift
-        return h
+        return normed(h, Norm(1 + scale, shift))
 
 
 class EncoderDenoiser(Denoiser):

@@ -8,23 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from bunraku.diffusion.denoiser_config import DenoiserConfig
-from bunraku.nn.layers import Weights, attended, gelu, hidden_by, normed, silu, split_heads
+from bunraku.nn.layers import Attention, Memory, Norm, Rotary, Weights, hidden_by, normed, silu, split_heads, turned
 
-__all__ = ["Condition", "DecoderLayer", "EncoderLayer", "Memory", "Rotary", "rotary_positions", "waves"]
-
-Rotary = tuple[np.ndarray, np.ndarray]
-
-
-class Memory(NamedTuple):
-    """Keys and values of what a layer attends to, of each head, shape (B, H, M, d/H)."""
-
-    keys: np.ndarray
-    values: np.ndarray
+__all__ = ["Condition", "DecoderLayer", "EncoderLayer", "rotary_positions", "waves"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +66,6 @@ def waves(angle: np.ndarray, width: int) -> np.ndarray:
     return np.concatenate([np.cos(turned), np.sin(turned)], axis=-1)
 
 
-def _turned(x: np.ndarray, rotary: Rotary) -> np.ndarray:
-    """Queries or keys at their places in time, shape (B, H, T, d/H)."""
-    half = x.shape[-1] // 2
-    first, second = x[..., :half], x[..., half:]
-    cos, sin = rotary
-    out = np.empty(x.shape, np.float32)
-    np.subtract(first * cos, second * sin, out=out[..., :half])
-    np.add(first * sin, second * cos, out=out[..., half:])
-    return out
-
-
 class DecoderLayer:
     """Self-attention, cross-attention, feed-forward; each behind an adaptive norm and a gate.
 
@@ -100,13 +79,11 @@ class DecoderLayer:
         width = config.width
         self.heads = config.heads
         self.offset = weights.array("offset", 9, width)
-        self.self_in = weights.linear("self_in", width, 3 * width)
-        self.self_out = weights.linear("self_out", width, width)
-        self.cross_query = weights.linear("cross_query", width, width)
+        self.own = weights.attention("self_in", "self_out", width, config.heads)
+        query, out = weights.linear("cross_query", width, width), weights.linear("cross_out", width, width)
+        self.cross = Attention(query, out, config.heads)
         self.cross_memory = weights.linear("cross_memory", width, 2 * width)
-        self.cross_out = weights.linear("cross_out", width, width)
-        self.wide = weights.linear("wide", width, config.feedforward)
-        self.narrow = weights.linear("narrow", config.feedforward, width)
+        self.mix = weights.feed_forward("wide", "narrow", width, config.feedforward)
         if config.added_blocks:
             self.offset = np.concatenate([self.offset, weights.array("offset_more", 3 * config.added_blocks, width)])
         self.kernel = None
@@ -117,7 +94,10 @@ class DecoderLayer:
         self.examples = None
         if examples:
             part = weights.part("examples")
-            self.examples = {name: part.linear(name, width, width) for name in ("query", "key", "value", "out")}
+            query, out, self.example_key, self.example_value = (
+                part.linear(name, width, width) for name in ("query", "out", "key", "value")
+            )
+            self.examples = Attention(query, out, config.heads)
 
     def memory(self, tokens: np.ndarray) -> tuple[np.ndarray, ...]:
         """Keys and values of tokens (B, M, d)."""
@@ -127,9 +107,9 @@ class DecoderLayer:
         """Keys and values of examples' tokens (B, M, d); None in a layer that does not look at them."""
         if self.examples is None:
             return None
-        (key,) = split_heads(self.examples["key"](keys), self.heads)
-        (value,) = split_heads(self.examples["value"](values), self.heads)
-        return Memory(_turned(key, rotary), value)
+        (key,) = split_heads(self.example_key(keys), self.heads)
+        (value,) = split_heads(self.example_value(values), self.heads)
+        return Memory(turned(key, rotary), value)
 
     def __call__(
         self, x: np.ndarray, steer: np.ndarray, rotary: Rotary, real: np.ndarray | None, condition: Condition,
@@ -146,32 +126,16 @@ class DecoderLayer:
             index: Of the layer.
         """
         parts = (steer + self.offset)[:, :, None].swapaxes(0, 1)
-
-        def norm(first: int) -> np.ndarray:
-            out = normed(x)
-            out *= 1 + parts[first]
-            out += parts[first + 1]
-            return out
-
-        def add(said: np.ndarray, gate: int) -> None:
-            said *= parts[gate]
-            np.add(x, said, out=x)
-
-        query, key, value = split_heads(self.self_in(norm(0)), self.heads, 3)
+        norms = [Norm(1 + parts[first], parts[first + 1]) for first in range(0, len(parts), 3)]
         hidden = None if real is None else hidden_by(real)
-        add(self.self_out(attended(_turned(query, rotary), _turned(key, rotary), value, hidden)), 2)
+        x = self.own(x, norms[0], None, hidden, rotary, parts[2])
         if self.kernel is not None:
-            add(self._convolved(norm(9), real), 11)
-        (query,) = split_heads(self.cross_query(norm(3)), self.heads)
-        add(self.cross_out(attended(query, *condition.memories[index], condition.hidden)), 5)
+            x += parts[11] * self._convolved(normed(x, norms[3]), real)
+        x = self.cross(x, norms[1], condition.memories[index], condition.hidden, None, parts[5])
         examples = condition.examples[index]
         if self.examples is not None and examples is not None:
-            last = len(parts) - 1
-            (query,) = split_heads(self.examples["query"](norm(last - 2)), self.heads)
-            mixed = attended(_turned(query, rotary), *examples, condition.hidden_examples)
-            add(self.examples["out"](mixed), last)
-        add(self.narrow(gelu(self.wide(norm(6)))), 8)
-        return x
+            x = self.examples(x, norms[-1], examples, condition.hidden_examples, rotary, parts[-1])
+        return self.mix(x, norms[2], parts[8])
 
     def _convolved(self, x: np.ndarray, real: np.ndarray | None) -> np.ndarray:
         """A depthwise convolution over time, then a linear layer over channels; what lies behind the end counts as
@@ -196,14 +160,10 @@ class EncoderLayer:
     """
 
     def __init__(self, width: int, heads: int, inner: int, weights: Weights):
-        self.heads = heads
         self.norm_a, self.norm_b = weights.norm("norm_a", width), weights.norm("norm_b", width)
-        self.self_in = weights.linear("self_in", width, 3 * width)
-        self.self_out = weights.linear("self_out", width, width)
-        self.wide, self.narrow = weights.linear("wide", width, inner), weights.linear("narrow", inner, width)
+        self.own = weights.attention("self_in", "self_out", width, heads)
+        self.mix = weights.feed_forward("wide", "narrow", width, inner)
 
     def __call__(self, x: np.ndarray, hidden: np.ndarray | None) -> np.ndarray:
-        """Shape (B, T, d), with what is hidden as `hidden_by` gives it."""
-        query, key, value = split_heads(self.self_in(self.norm_a(x)), self.heads, 3)
-        x = x + self.self_out(attended(query, key, value, hidden))
-        return x + self.narrow(gelu(self.wide(self.norm_b(x))))
+        """Shape (B, T, d), with what is hidden as `hidden_by` gives it; writes on `x`."""
+        return self.mix(self.own(x, self.norm_a, None, hidden), self.norm_b)

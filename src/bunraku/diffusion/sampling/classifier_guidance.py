@@ -12,12 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from bunraku.diffusion.extractor_config import LONGEST, SHORTEST
 from bunraku.diffusion.inference.denoiser import Denoiser
 from bunraku.diffusion.inference.extractor import Extractor
 from bunraku.diffusion.sampling.sampler import ROOT
+from bunraku.geometry.filters import gaussian
 
 __all__ = ["Critic", "ClassifierGuidance", "Spoken", "smoothed"]
 
@@ -101,7 +101,7 @@ class ClassifierGuidance:
 
 def smoothed(values: np.ndarray, spread: float = SPREAD) -> np.ndarray:
     """Values in time, shape (N, D), convolved with a Gaussian of `spread` frames; the ends are held."""
-    return np.asarray(gaussian_filter1d(values, spread, axis=0, mode="nearest"))
+    return np.asarray(gaussian(values, spread))
 
 
 @dataclass(frozen=True)

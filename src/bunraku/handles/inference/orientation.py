@@ -13,7 +13,7 @@ import numpy as np
 from bunraku.geometry.axes import right_angle_rotations
 from bunraku.handles.inference.graph import farthest_points
 from bunraku.nn.checkpoints import config_of, load_network
-from bunraku.nn.layers import Weights, attended, gelu, softmax, split_heads
+from bunraku.nn.layers import Weights, gelu, softmax
 
 __all__ = [
     "TOKEN",
@@ -90,25 +90,6 @@ def turned_tokens(tokens: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     return np.concatenate([tokens[:, :3] @ back, tokens[:, 3:6] @ back, tokens[:, 6:9] @ np.abs(back), shares], axis=-1)
 
 
-class _Layer:
-    """Attention and a two-layer MLP, each after a LayerNorm and added to what came in."""
-
-    def __init__(self, width: int, heads: int, weights: Weights):
-        if heads < 1 or width % heads:
-            raise ValueError(f"{width} channels cannot be shared by {heads} heads")
-        self.heads = heads
-        self.norm = weights.norm("norm", width)
-        self.attention = weights.linear("attention", width, 3 * width)
-        self.merge = weights.linear("merge", width, width)
-        self.norm_mix = weights.norm("mix.0", width)
-        self.wide, self.narrow = weights.linear("mix.1", width, 2 * width), weights.linear("mix.3", 2 * width, width)
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Shape (B, M, C)."""
-        x = x + self.merge(attended(*split_heads(self.attention(self.norm(x)), self.heads, 3)))
-        return x + self.narrow(gelu(self.wide(self.norm_mix(x))))
-
-
 class OrientationPredictor:
     """A transformer over the tokens of a mesh, and one number at its end: how upright and forward the mesh stands.
 
@@ -124,7 +105,15 @@ class OrientationPredictor:
         self.config = config
         width = config.width
         self._enter = weights.linear("enter.0", TOKEN, width), weights.linear("enter.2", width, width)
-        self._layers = [_Layer(width, config.heads, weights.part(f"layers.{index}")) for index in range(config.layers)]
+        self._layers = [
+            (
+                part.attention("attention", "merge", width, config.heads),
+                part.norm("norm", width),
+                part.feed_forward("mix.1", "mix.3", width, 2 * width),
+                part.norm("mix.0", width),
+            )
+            for part in (weights.part(f"layers.{index}") for index in range(config.layers))
+        ]
         self._norm = weights.norm("norm", width)
         self._head = weights.linear("head.0", 2 * width, width), weights.linear("head.2", width, 1)
         self._rotations = right_angle_rotations().astype(np.float32)
@@ -132,8 +121,8 @@ class OrientationPredictor:
     def __call__(self, tokens: np.ndarray) -> np.ndarray:
         """Score of each mesh as it stands, shape (B, M, 10) -> (B,)."""
         x = self._enter[1](gelu(self._enter[0](tokens)))
-        for layer in self._layers:
-            x = layer(x)
+        for attention, norm, mix, norm_mix in self._layers:
+            x = mix(attention(x, norm), norm_mix)
         x = self._norm(x)
         pooled = np.concatenate([x.mean(axis=1), x.max(axis=1)], axis=-1)
         return self._head[1](gelu(self._head[0](pooled)))[:, 0]

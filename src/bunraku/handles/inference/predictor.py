@@ -15,7 +15,7 @@ import numpy as np
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.handles.inference.graph import MeshGraph
 from bunraku.nn.checkpoints import config_of, load_network
-from bunraku.nn.layers import Weights, attended, gelu, normed, softmax, split_heads
+from bunraku.nn.layers import Weights, gelu, normed, softmax
 
 __all__ = ["HandlePrediction", "HandlePredictor", "PredictorConfig", "load_predictor", "predictor_config"]
 
@@ -59,25 +59,6 @@ class HandlePrediction(NamedTuple):
     features: np.ndarray
 
 
-class _AnchorBlock:
-    """One round in which the anchors pass messages to one another, shape (M, width) -> (M, width)."""
-
-    def __init__(self, width: int, heads: int, weights: Weights):
-        if heads < 1 or width % heads:
-            raise ValueError(f"{width} channels cannot be shared by {heads} heads")
-        self.heads = heads
-        self.norm_attention = weights.norm("norm_attention", width)
-        self.attention = weights.linear("attention", width, 3 * width)
-        self.merge = weights.linear("merge", width, width)
-        self.norm_mix = weights.norm("norm_mix", width)
-        self.wide, self.narrow = weights.linear("mix.0", width, 2 * width), weights.linear("mix.2", 2 * width, width)
-
-    def __call__(self, tokens: np.ndarray) -> np.ndarray:
-        parts = split_heads(self.attention(self.norm_attention(tokens))[None], self.heads, 3)
-        tokens = tokens + self.merge(attended(*parts)[0])
-        return tokens + self.narrow(gelu(self.wide(self.norm_mix(tokens))))
-
-
 class _GraphLayer:
     """`LayerNorm(EdgeConv(x) + spread(blocks(gather(x))))`, then GELU, shape (V, width_in) -> (V, width_out)."""
 
@@ -85,22 +66,27 @@ class _GraphLayer:
         self.own = weights.linear("fine.own", width_in, width_out)
         self.neighbour = weights.linear("fine.neighbour", width_in, width_out, bias=False)
         self.enter = weights.linear("enter", width_in + 3, width_out)
-        self.blocks = [_AnchorBlock(width_out, heads, weights.part(f"blocks.{index}")) for index in range(depth)]
+        self.blocks = [  # rounds in which the anchors pass messages to one another
+            (
+                part.attention("attention", "merge", width_out, heads),
+                part.norm("norm_attention", width_out),
+                part.feed_forward("mix.0", "mix.2", width_out, 2 * width_out),
+                part.norm("norm_mix", width_out),
+            )
+            for part in (weights.part(f"blocks.{index}") for index in range(depth))
+        ]
         self.norm = weights.norm("norm", width_out)
 
     def __call__(self, x: np.ndarray, graph: MeshGraph) -> np.ndarray:
-        tokens = self.enter(np.concatenate([graph.gather @ x, graph.anchors], axis=-1))
-        for block in self.blocks:
-            tokens = block(tokens)
+        tokens = self.enter(np.concatenate([graph.gather @ x, graph.anchors], axis=-1))[None]
+        for attention, norm, mix, norm_mix in self.blocks:
+            tokens = mix(attention(tokens, norm), norm_mix)
         values = self.neighbour(x)
         both = self.own(x)
         both -= values
         both += graph.largest_neighbour(values)
-        both += graph.spread @ tokens
-        out = normed(both)
-        out *= self.norm.scale
-        out += self.norm.shift
-        return gelu(out)
+        both += graph.spread @ tokens[0]
+        return gelu(normed(both, self.norm))
 
 
 class HandlePredictor:

@@ -8,10 +8,10 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
+from bunraku.geometry.filters import gaussian, running_least
 from bunraku.geometry.rotations import heading, matrix_y
 
 __all__ = ["SIDES", "Phrase", "Track", "runs", "smooth"]
@@ -32,7 +32,7 @@ def _rest() -> tuple[np.ndarray, np.ndarray]:
 
 def smooth(values: np.ndarray, seconds: float, fps: float) -> np.ndarray:
     """Gaussian mean over time with this deviation."""
-    return gaussian_filter1d(values, seconds * fps, axis=0, mode="nearest")
+    return gaussian(values, seconds * fps)
 
 
 def runs(mask: np.ndarray, least: float = 1, bridge: float = 0) -> list[tuple[int, int]]:
@@ -109,7 +109,7 @@ class Track:
             [np.minimum(points[f"{side}_ankle"][:, 1] - 0.046, points[f"{side}_foot"][:, 1] - 0.016) for side in SIDES],
             1,
         )
-        ground = minimum_filter1d(feet.min(1), 2 * int(1.2 * fps) + 1, mode="nearest")
+        ground = running_least(feet.min(1), 2 * int(1.2 * fps) + 1)
         position = motion.root_translation[:, [0, 2]].astype(float)
         angle = smooth(heading(motion.root_rotation, fps), 0.2, fps)
         step = np.gradient(position, axis=0) * fps if len(position) > 1 else np.zeros_like(position)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import attach_joints, reference_joints
@@ -18,6 +17,7 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
+from bunraku.geometry.filters import gaussian
 from bunraku.geometry.rotations import axis_angle_from_matrix, heading, matrix_from_axis_angle, matrix_y
 from bunraku.retarget.fit import posed
 from bunraku.retarget.stages.ground import Ground
@@ -67,7 +67,7 @@ def wings_carry(motion: HandleMotion) -> bool:
         motion: Of the reference body.
     """
     turns = _wing_turns(motion)
-    swings = turns - gaussian_filter1d(turns, HELD * motion.fps, axis=0, mode="nearest")
+    swings = turns - gaussian(turns, HELD * motion.fps)
     speed = np.linalg.norm(np.diff(swings, axis=0), axis=-1).mean(axis=0).max() * motion.fps
     return bool(_range(swings) >= BEATS and speed >= LIFTS)
 
@@ -125,7 +125,7 @@ def _grounded(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy
     share = _amount(len(motion), frames, motion.fps)
     motion = _tail_lowered(motion, share, anatomy)
     hovers = Ground().hovering(posed(motion, anatomy), anatomy, AIR[locomotion])
-    hovers = share * gaussian_filter1d(hovers, AIR[locomotion] / 3 * motion.fps, mode="nearest")
+    hovers = share * gaussian(hovers, AIR[locomotion] / 3 * motion.fps)
     least = Ground().flies[0] if locomotion == "stay" else LEAST  # what `fit_motion` sets down
     if hovers.max() < least * anatomy.mesh.height:
         return motion

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import Joints, downwards
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
+from bunraku.geometry.filters import gaussian
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.retarget.stages.stage import Fitting, Stage
@@ -82,7 +82,7 @@ class Fins(Stage):
 
     def _nearer(self, turned: np.ndarray, fps: float) -> np.ndarray:
         """Turns from rest (N, 3, 3) of which no more than `aside` is left of what lasts."""
-        lasts = gaussian_filter1d(np.asarray(axis_angle_from_matrix(turned)), self.slow * fps, axis=0, mode="nearest")
+        lasts = gaussian(np.asarray(axis_angle_from_matrix(turned)), self.slow * fps)
         angle = np.linalg.norm(lasts, axis=-1, keepdims=True)
         kept = matrix_from_axis_angle(lasts * np.minimum(1, self.aside / np.maximum(angle, 1e-9)))
         return np.asarray(kept @ matrix_from_axis_angle(lasts).transpose(0, 2, 1) @ turned)

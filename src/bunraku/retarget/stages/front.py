@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.ground import lowest
 from bunraku.anatomy.joints import attach_joints
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
+from bunraku.geometry.filters import gaussian, running_least
 from bunraku.geometry.rotations import axis_angle_from_matrix, heading, matrix_from_axis_angle, matrix_y
 from bunraku.retarget.stages.stage import Fitting, Stage
 
@@ -88,8 +88,8 @@ class Front(Stage):
             clear = ~sinks(*bent(np.full(len(motion), step)))
             share = np.where(low & clear, np.maximum(share, step), share)
         reach = max(round(2 * self.soft * motion.fps), 1)
-        share = minimum_filter1d(share, 2 * reach + 1, mode="nearest")
-        return bent(gaussian_filter1d(share, self.soft * motion.fps, mode="nearest"))
+        share = running_least(share, 2 * reach + 1)
+        return bent(gaussian(share, self.soft * motion.fps))
 
 
 def _tilt(motion: HandleMotion) -> tuple[np.ndarray, np.ndarray]:

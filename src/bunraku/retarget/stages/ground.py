@@ -9,7 +9,6 @@ from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import solveh_banded
-from scipy.ndimage import convolve1d, gaussian_filter1d, maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.bending import move_feet
@@ -20,6 +19,7 @@ from bunraku.body.reference import reference_body
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
+from bunraku.geometry.filters import correlated, gaussian, running_least, running_mean, running_most
 from bunraku.retarget.stages.feet import add_bending
 from bunraku.retarget.stages.stage import Contacts, Fitting, Stage
 
@@ -91,7 +91,7 @@ class Ground(Stage):
                 have = np.where(
                     hands_down, lowest(character.vertices[seen], handles.weights[seen], fitted, handles.positions), have
                 )
-        lift = uniform_filter1d(anatomy.floor + (want - drift) * anatomy.scale - have, 5, mode="nearest")
+        lift = running_mean(anatomy.floor + (want - drift) * anatomy.scale - have, 5)
         moved = fitted.root_translation.copy()
         moved[:, 1] += lift
         return replace(fitted, root_translation=moved)
@@ -114,14 +114,14 @@ class Ground(Stage):
         """
         body = reference_body()
         whole = lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
-        carried = minimum_filter1d(stands - whole, self._window(motion.fps), mode="nearest") > self.held
+        carried = running_least(stands - whole, self._window(motion.fps)) > self.held
         ground = np.where(carried, whole, self._local_ground(stands, motion.fps))
         return np.asarray(np.minimum(stands, np.maximum(whole, ground)))
 
     def _local_ground(self, heights: np.ndarray, fps: float) -> np.ndarray:
         """Where the ground is in each frame [m], shape (N,): nobody stays in the air for twice as long as `jump`."""
-        low = minimum_filter1d(heights, self._window(fps), mode="nearest")
-        return np.asarray(gaussian_filter1d(low, self.soft * fps, mode="nearest"))
+        low = running_least(heights, self._window(fps))
+        return np.asarray(gaussian(low, self.soft * fps))
 
     def _window(self, fps: float, air: float | None = None) -> int:
         """Frames in which a body touches the ground once at least, from half of the time in the air [s]."""
@@ -163,7 +163,7 @@ class Ground(Stage):
             hovers = self._local_ground(have, fitted.fps)
         else:
             window = self._window(fitted.fps, air)
-            hovers = maximum_filter1d(minimum_filter1d(have, window, mode="nearest"), window, mode="nearest")
+            hovers = running_most(running_least(have, window), window)
         return np.asarray(np.maximum(hovers, 0))
 
 
@@ -174,9 +174,7 @@ def enough(need: np.ndarray, reach: int) -> np.ndarray:
     if not need.any():
         return np.zeros(len(need))
     window = np.hanning(2 * reach + 3)[1:-1]
-    return np.asarray(
-        convolve1d(maximum_filter1d(need, 2 * reach + 1, mode="nearest"), window / window.sum(), mode="nearest")
-    )
+    return np.asarray(correlated(running_most(need, 2 * reach + 1), window / window.sum()))
 
 
 def _lifted(motion: HandleMotion, lift: np.ndarray) -> HandleMotion:
@@ -232,7 +230,7 @@ class Floor(Stage):
         character, handles, stands, body = anatomy.mesh, anatomy.mesh_handles, anatomy.stands, reference_body()
         have = lowest(character.vertices[stands], handles.weights[stands], motion, handles.positions) - anatomy.floor
         want = lowest(body.vertices, body.handle_weights, source, body.handles.positions)
-        air = want - minimum_filter1d(want, 2 * round(self.air * source.fps) + 1, mode="nearest")
+        air = want - running_least(want, 2 * round(self.air * source.fps) + 1)
         up = air * anatomy.scale - have
         return _lifted(motion, np.where(up < 0, up * (1 - smooth_step(-up / character.height, *self.flies)), up))
 

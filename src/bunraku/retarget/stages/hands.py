@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
 from bunraku.anatomy.anatomy import Anatomy
@@ -23,6 +22,7 @@ from bunraku.body.reference import reference_body
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
+from bunraku.geometry.filters import gaussian
 from bunraku.retarget.stages.stage import Fitting, Stage
 
 __all__ = ["Hands"]
@@ -139,7 +139,7 @@ class Hands(Stage):
         for number, arm in enumerate(arms):
             off = np.linalg.norm(shifts[:, number], axis=1, keepdims=True)
             shifts[:, number] *= np.maximum(1 - self.close * scale / np.maximum(off, 1e-9), 0)
-            smooth = gaussian_filter1d(shifts[:, number], self.blend * fitted.fps, axis=0, mode="nearest")
+            smooth = gaussian(shifts[:, number], self.blend * fitted.fps)
             far = np.linalg.norm(smooth, axis=1, keepdims=True) / (self.most * arm.length)
             shifts[:, number] = smooth * np.tanh(far) / np.maximum(far, 1e-9)
         return move_feet(fitted, handles, joints, arms, shifts)
@@ -167,7 +167,7 @@ class Hands(Stage):
     def _rest(self, local: np.ndarray, fps: float) -> np.ndarray:
         """How much a palm rests on a part, 0 to 1, by its positions in the part's frame (N, 3)."""
         speed = np.linalg.norm(np.gradient(local, axis=0), axis=1) * fps
-        return smooth_step(gaussian_filter1d(speed, self.blend * fps, mode="nearest"), self.passes, self.rests)
+        return smooth_step(gaussian(speed, self.blend * fps), self.passes, self.rests)
 
     def _parts(self, vertices: np.ndarray, weights: np.ndarray, played: np.ndarray) -> dict[str, _Part]:
         out = {}

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from scipy.spatial import cKDTree
 
 from bunraku.anatomy.anatomy import Anatomy
@@ -19,6 +18,7 @@ from bunraku.anatomy.bending import move_feet
 from bunraku.anatomy.legs import Leg
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
+from bunraku.geometry.filters import gaussian, running_most
 from bunraku.retarget.stages.stage import Fitting, Stage
 
 __all__ = ["BodySurface", "HandsClear"]
@@ -30,12 +30,14 @@ _BODY = np.array([not name.endswith(_ARM) for name in HANDLE_NAMES])
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The surface of one handle's part in the rest pose: its points, and which way is out."""
+    """The surface of one handle's part in the rest pose: its points, which way is out, and the box that it fills."""
 
     handle: int
     tree: cKDTree
     points: np.ndarray
     normals: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
 
 
 class BodySurface:
@@ -65,7 +67,8 @@ class BodySurface:
             own = np.flatnonzero(usable & (owner == handle))
             if len(own) >= least:
                 points = vertices[own]
-                self._parts.append(_Part(handle, cKDTree(points), points, normals[own] / size[own, None]))
+                out, low, high = normals[own] / size[own, None], points.min(axis=0), points.max(axis=0)
+                self._parts.append(_Part(handle, cKDTree(points), points, out, low, high))
 
     def depths(self, motion: HandleMotion, hands: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
         """How deep points are in the body, and which way is out.
@@ -85,14 +88,20 @@ class BodySurface:
         out = np.zeros((count, points, 3))
         for part in self._parts:
             turn, shift = world[:, part.handle, :, :3], world[:, part.handle, :, 3]
-            local = np.einsum("nji,nmj->nmi", turn, hands - shift[:, None])
+            local = (hands - shift[:, None]) @ turn
+            beside = np.maximum(np.maximum(part.low - local, local - part.high), 0)
+            close = np.sqrt((beside**2).sum(axis=-1)) <= np.minimum(best, near)  # of others the box is too far already
+            frames, rows = np.nonzero(close)
+            if not len(frames):
+                continue
+            local = local[frames, rows]
             away, index = part.tree.query(local, distance_upper_bound=near)
-            found = (away < best) & np.isfinite(away)
-            index = np.where(found, index, 0)
-            inside = ((part.points[index] - local) * part.normals[index]).sum(axis=-1)
-            directions = np.einsum("nij,nmj->nmi", turn, part.normals[index])
-            depth, best = np.where(found, inside, depth), np.where(found, away, best)
-            out = np.where(found[..., None], directions, out)
+            found = away < best[frames, rows]  # none is at infinity
+            frames, rows, index = frames[found], rows[found], index[found]
+            best[frames, rows] = away[found]
+            normals = part.normals[index]
+            depth[frames, rows] = ((part.points[index] - local[found]) * normals).sum(axis=-1)
+            out[frames, rows] = (turn[frames] @ normals[..., None])[..., 0]
         return depth, out
 
 
@@ -166,10 +175,11 @@ class HandsClear(Stage):
         some = near if len(near) else arm.foot_area
         some = some[np.linspace(0, len(some) - 1, min(self.points, len(some))).astype(int)]
         world = motion.transforms(handles.positions).astype(np.float64)
-        blended = np.einsum("vk,nkij->nvij", handles.weights[some], world)
-        return np.asarray(
-            np.einsum("nvij,vj->nvi", blended[..., :3], mesh.vertices[some].astype(np.float64)) + blended[..., 3]
+        blended = (handles.weights[some].astype(np.float64) @ world.reshape(*world.shape[:2], 12)).reshape(
+            len(world), len(some), 3, 4
         )
+        rest = mesh.vertices[some].astype(np.float64)
+        return np.asarray((blended[..., :3] @ rest[..., None])[..., 0] + blended[..., 3])
 
     def _soft(self, push: np.ndarray, fps: float) -> np.ndarray:
         """Pushes that set in before and fade after, as far as each asks for, shape (N, 3)."""
@@ -177,7 +187,7 @@ class HandsClear(Stage):
         if not size.any():
             return push
         wide = 2 * round(self.wide * fps) + 1
-        held = gaussian_filter1d(maximum_filter1d(size, wide, mode="nearest"), self.blend * fps, mode="nearest")
-        way = gaussian_filter1d(push, 2 * self.blend * fps, axis=0, mode="nearest")
+        held = gaussian(running_most(size, wide), self.blend * fps)
+        way = gaussian(push, 2 * self.blend * fps)
         length = np.linalg.norm(way, axis=1, keepdims=True)
         return np.asarray(way / np.maximum(length, 1e-9) * held[:, None] * (length > 1e-9))

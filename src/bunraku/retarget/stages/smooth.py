@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.ndimage import convolve1d, gaussian_filter1d
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.motion import HandleMotion
+from bunraku.geometry.filters import correlated, gaussian
 from bunraku.geometry.rotations import matrix_from_6d, matrix_to_6d
 from bunraku.retarget.stages.stage import Fitting, Stage
 
@@ -53,9 +53,9 @@ class Smooth(Stage):
 
     def _cored(self, signal: np.ndarray, most: float, fps: float) -> np.ndarray:
         """A signal (N, ..., C) without what is fast and weak in it; the C channels share their power."""
-        slow = convolve1d(signal, KERNEL, axis=0, mode="mirror")
+        slow = correlated(signal, KERNEL, edge="mirror")
         fast = signal - slow
-        power = gaussian_filter1d((fast**2).mean(axis=-1), self.local * fps, axis=0, mode="nearest")
+        power = gaussian((fast**2).mean(axis=-1), self.local * fps)
         floor = np.minimum(np.quantile(power, self.floor, axis=0), most**2)
         gain = np.maximum(0, 1 - self.margin * floor / np.maximum(power, 1e-20))
         return np.asarray(slow + gain[..., None] * fast)

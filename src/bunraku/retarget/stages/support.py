@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.bending import move_feet
 from bunraku.anatomy.legs import Leg, foot_points
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
+from bunraku.geometry.filters import gaussian
 from bunraku.geometry.rotations import axis_angle_from_matrix, heading, matrix_from_axis_angle, matrix_y
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.retarget.stages.stage import Fitting, Stage
@@ -103,7 +103,7 @@ class Support(Stage):
         shifts = np.zeros((len(motion), len(legs), 3))
         slopes = np.tile(np.eye(3), (len(motion), len(legs), 1, 1))
         for end, numbers in enumerate(_ends(handles, legs)):
-            amount = gaussian_filter1d(wanting[:, end].astype(float), self.soft * motion.fps, mode="nearest")[:, None]
+            amount = gaussian(wanting[:, end].astype(float), self.soft * motion.fps)[:, None]
             if not wanting[:, end].any():
                 continue
             for number in numbers:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.bending import carry, local_motion
@@ -19,6 +18,7 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
+from bunraku.geometry.filters import gaussian
 from bunraku.geometry.rotations import heading, matrix_from_axis_angle, matrix_y
 from bunraku.retarget.stages.ground import enough
 from bunraku.retarget.stages.stage import Fitting, Stage
@@ -83,7 +83,7 @@ class Tail(Stage):
             rest = float(np.arctan2(along[1], -along[2]))
             posed = (tilt @ (rotations[:, part] @ along)[..., None])[..., 0]
             turned = np.arctan2(posed[:, 1], -posed[:, 2]) - rest
-            held = gaussian_filter1d(np.unwrap(turned), self.slow * fps, mode="nearest")
+            held = gaussian(np.unwrap(turned), self.slow * fps)
             held -= 2 * np.pi * np.round(held.mean() / (2 * np.pi))
             above = np.maximum(rest + held - max(rest, self.highest), 0)
             if above.any():
