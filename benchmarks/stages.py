@@ -3,10 +3,10 @@
     python benchmarks/stages.py [--sizes 2000 20000 200000 500000] [--runs 3] [--tree ../other] [-o outputs/stages.json]
 
 A sample character, subdivided and simplified to each number of vertices, is animated from its GLB for 6 s by the
-command itself, in a process of its own each time. Each stage is a function (`STAGES`); its time is what passes in it and
-not in a stage that it calls. Printed are medians of the runs in seconds of the processor, all threads together, which
-depends less than the clock on what else a machine does; `other` is all that is left. `--tree` names another checkout,
-which takes turns with this one.
+command itself, in a process of its own each time. Each stage is a function (`STAGES`); its time is what passes in it
+and not in a stage that it calls. Printed are medians of the runs in seconds of the processor, all threads together,
+which depends less than the clock on what else a machine does; `other` is all that is left. `--tree` names another
+checkout, which takes turns with this one.
 
 | row | meaning |
 | --- | --- |
@@ -191,10 +191,9 @@ def table(rows: dict[int, dict[str, float]]) -> str:
         row.get(name, 0.0) for row in rows.values()
     ))  # fmt: skip
     lines = ["| " + " | ".join(["stage", *(f"{size:,}" for size in sizes)]) + " |", "| --- |" + " ---: |" * len(sizes)]
-    lines += [
-        f"| {name} | " + " | ".join(f"{rows[size].get(name, 0.0):.{0 if name == 'memory' else 2}f}" for size in sizes) + " |"
-        for name in (*names, *last)
-    ]
+    for name in (*names, *last):
+        digits = 0 if name == "memory" else 2
+        lines.append(f"| {name} | " + " | ".join(f"{rows[size].get(name, 0.0):.{digits}f}" for size in sizes) + " |")
     more = [
         f"{1e6 * (rows[size]['total'] - rows[before]['total']) / (size - before):.1f}"
         for before, size in zip(sizes, sizes[1:], strict=False)

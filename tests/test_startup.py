@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from bunraku.cli.app import VERBS
-from bunraku.startup import LATER, QUICK
+from bunraku.startup import LATER, PARTS, QUICK
 
 
 def run(code):
@@ -27,6 +27,8 @@ import importlib, sys
 from bunraku.startup import hurry
 hurry(["animate"])
 import numpy, scipy.spatial
+assert type(scipy.spatial).__name__ == "Waiting"
+scipy.spatial.Delaunay
 waiting = [name for name in {names!r} if type(sys.modules.get(name)).__name__ == "Waiting"]
 assert "scipy.spatial.transform" in waiting, waiting
 assert numpy.ones(3).sum() == 3
@@ -48,6 +50,26 @@ for name in {names!r}:
     assert set(quick) == set(names)
     for name in names:
         assert set(eval(ordinary[name])) <= set(eval(quick[name])), name
+
+
+def test_parts_are_had_without_their_packages_and_are_the_same():
+    code = f"""
+import importlib, sys
+from bunraku.startup import hurry
+hurry(["animate"])
+import scipy.sparse
+places = [name.rpartition(".")[::2] for name in {list(PARTS)!r}]
+early = {{place: getattr(importlib.import_module(place[0]), place[1]) for place in places}}
+packages = sorted({{package for package, _ in places}})
+assert all(type(sys.modules[name]).__name__ == "Waiting" for name in packages), packages
+assert "scipy.linalg" not in sys.modules and "scipy.special" not in sys.modules
+for name in packages:
+    dir(sys.modules[name])
+    assert type(sys.modules[name]).__name__ == "module", name
+for (package, name), one in early.items():
+    assert getattr(sys.modules[package], name) is one, name
+"""
+    run(code)
 
 
 def test_a_name_that_is_not_there_is_an_attribute_error():

@@ -16,11 +16,22 @@ if TYPE_CHECKING:  # the command line imports this before anything else
     from types import ModuleType
     from typing import Any, NoReturn
 
-__all__ = ["LATER", "QUICK", "end", "hurry"]
+__all__ = ["LATER", "PARTS", "QUICK", "end", "hurry"]
 
 QUICK = ("animate", "edit", "inspect", "render", "rig", "samples", "transfer")
 """Commands of some seconds."""
-LATER = frozenset({"numpy.ctypeslib", "numpy.f2py", "numpy.testing", "scipy.spatial.transform"})
+LATER = frozenset({
+    "numpy.ctypeslib", "numpy.f2py", "numpy.fft", "numpy.ma", "numpy.polynomial", "numpy.testing",
+    "scipy.sparse.csgraph", "scipy.spatial", "scipy.spatial.transform",
+})  # fmt: skip
+PARTS = {
+    "scipy.sparse.csgraph.connected_components": "scipy.sparse.csgraph._traversal",
+    "scipy.sparse.csgraph.dijkstra": "scipy.sparse.csgraph._shortest_path",
+    "scipy.spatial.cKDTree": "scipy.spatial._ckdtree",
+}
+"""Names of packages that wait, and the modules in them that have these: such a name is had without the package, which
+would load all of `scipy.linalg` and `scipy.special`. Where a version of scipy has it elsewhere, the package runs.
+"""
 OBJECTS = 50_000
 """New objects after which Python looks for garbage. The million that imports make would have it look a hundred times,
 for nothing.
@@ -69,19 +80,24 @@ def _leave() -> None:
 
 def _finder() -> Any:
     """What finds the modules that may wait; classes are made here, since few processes need them."""
+    from importlib import import_module
     from importlib.machinery import PathFinder
     from threading import RLock
     from types import ModuleType
 
     lock = RLock()
     running: set[str] = set()
+    apart: list[str] = []  # packages of which a part is loaded without them
 
     class Waiting(ModuleType):
         def __getattr__(self, name: str) -> Any:
             if name.startswith("__") and name != "__all__":
                 raise AttributeError(f"module '{self.__name__}' has no attribute '{name}'")
-            run(self)
-            return ModuleType.__getattribute__(self, name)
+            found = part(self.__name__, name)
+            if found is None:
+                run(self)
+                return ModuleType.__getattribute__(self, name)
+            return found
 
         def __dir__(self) -> list[str]:
             run(self)
@@ -101,6 +117,20 @@ def _finder() -> Any:
             finally:
                 running.discard(module.__name__)
 
+    def part(package: str, name: str) -> Any:
+        """What a part of a package that waits has by a name; None where the package is needed for it."""
+        place = PARTS.get(f"{package}.{name}")
+        if place is None:
+            return None
+        with lock:
+            apart.append(package)
+            try:
+                return getattr(import_module(place), name, None)
+            except ImportError:
+                return None
+            finally:
+                apart.remove(package)
+
     class Later:
         def __init__(self, real: Any):
             self.real = real
@@ -115,7 +145,7 @@ def _finder() -> Any:
         @staticmethod
         def find_spec(name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> Any:
             parent = sys.modules.get(name.rpartition(".")[0])
-            if type(parent) is Waiting:  # a package runs before its parts
+            if type(parent) is Waiting and parent.__name__ not in apart:  # a package runs before its parts
                 run(parent)
             if name not in LATER:
                 return None

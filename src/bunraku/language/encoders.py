@@ -100,6 +100,9 @@ class _Cache:
         return TextBatch(tokens, mask, np.stack([pooled for _, pooled in found]))
 
 
+_WORDS = "embeddings.word_embeddings.weight"
+
+
 class MiniLMEncoder:
     """all-MiniLM-L6-v2 (Reimers & Gurevych 2019; Wang et al. 2020): six BERT layers of width 384.
 
@@ -121,7 +124,7 @@ class MiniLMEncoder:
     pooled_size = 384
 
     def __init__(self, folder: str | Path | None = None):
-        from safetensors.numpy import load_file
+        from safetensors import safe_open
 
         path = encoder_file() if folder is None else Path(folder) / "model.safetensors"
         try:
@@ -132,17 +135,19 @@ class MiniLMEncoder:
                 config = json.loads((Path(folder) / "config.json").read_text(encoding="utf-8"))
                 words = (Path(folder) / "tokenizer.json").read_text(encoding="utf-8")
             self._tokenizer = WordPieces(words)
-            weights = load_file(path)
-            self._words = weights.pop("embeddings.word_embeddings.weight")  # of which each sentence needs a few rows
-            self._weights = {
-                name: value.astype(np.float32) for name, value in weights.items() if value.dtype.kind == "f"
-            }
+            with safe_open(path, framework="np") as file:
+                tensors = ((name, file.get_tensor(name)) for name in file.keys() if name != _WORDS)  # noqa: SIM118
+                self._weights = {
+                    name: value.astype(np.float32, copy=False) for name, value in tensors if value.dtype.kind == "f"
+                }
+            # More than half of the file, of which each sentence needs a few rows: only these become memory.
+            self._words = safe_open(path, framework="np").get_slice(_WORDS)
             self._layers, self._heads, self._epsilon = (
                 config["num_hidden_layers"],
                 config["num_attention_heads"],
                 config["layer_norm_eps"],
             )
-            if config["hidden_size"] != self.token_size or len(self._words) != len(self._tokenizer):
+            if config["hidden_size"] != self.token_size or self._words.get_shape()[0] != len(self._tokenizer):
                 raise ValueError("it is another model")
         except WeightsError:
             raise
@@ -163,7 +168,7 @@ class MiniLMEncoder:
     def _compute(self, sentence: str) -> _Encoded:
         numbers = self._tokenizer.numbers(sentence, TEXT_LENGTH)
         weights = self._weights
-        x = self._words[numbers].astype(np.float32)[None]
+        x = np.concatenate([self._words[number : number + 1] for number in numbers]).astype(np.float32)[None]
         x += weights["embeddings.position_embeddings.weight"][: len(numbers)]
         x = self._norm("embeddings.LayerNorm")(x + weights["embeddings.token_type_embeddings.weight"][0])
         penultimate = x

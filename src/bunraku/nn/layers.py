@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 __all__ = [
-    "Attention", "FeedForward", "Linear", "Memory", "Norm", "Rotary", "Weights", "attended", "gelu", "gelu_slope",
-    "hidden_by", "normed", "sigmoid", "silu", "softmax", "split_heads", "turned", "unit",
+    "Attention", "FeedForward", "Linear", "Memory", "Norm", "Rotary", "Weights", "as_single", "attended", "gelu",
+    "gelu_slope", "hidden_by", "normed", "sigmoid", "silu", "softmax", "split_heads", "turned", "unit",
 ]  # fmt: skip
 
 _NEVER = np.float32(-1e30)
@@ -150,7 +150,7 @@ class Weights:
     the config asks for, before anything of that size is made.
 
     Args:
-        state: Arrays by name.
+        state: Arrays by name; float16 is handed out as float32.
         prefix: Of the names of a part of the network.
     """
 
@@ -174,7 +174,7 @@ class Weights:
             there = "none" if found is None else str(list(found.shape))
             raise ValueError(f"its config makes '{whole}' of size {list(shape)}, and the file has {there}")
         self._left.discard(whole)
-        return found
+        return as_single(found)
 
     def linear(self, name: str, width_in: int, width_out: int, bias: bool = True) -> Linear:
         """The linear layer of this name; its matrix lies as the product reads it."""
@@ -203,6 +203,11 @@ class Weights:
         """
         if self._left:
             raise ValueError(f"its config makes no '{min(self._left)}', which the file has")
+
+
+def as_single(values: np.ndarray) -> np.ndarray:
+    """float16 as float32, all else as it is."""
+    return values.astype(np.float32) if values.dtype == np.float16 else values
 
 
 def normed(x: np.ndarray, norm: Norm | None = None) -> np.ndarray:

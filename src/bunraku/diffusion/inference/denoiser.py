@@ -317,7 +317,7 @@ def load_denoiser(path: str | Path) -> Denoiser:
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
     """
-    state, config = load_checkpoint(path, KIND)
+    state, config = load_checkpoint(path, KIND, half=True)
     notes = config.pop("notes", None)
     try:
         weights = Weights(state)

@@ -273,7 +273,7 @@ def load_extractor(path: str | Path, kind: str = KIND) -> Extractor:
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
     """
-    state, config = load_checkpoint(path, kind)
+    state, config = load_checkpoint(path, kind, half=True)
     notes = config.pop("notes", None)
     try:
         weights = Weights(state)

@@ -17,12 +17,12 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.linalg import solveh_banded
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.bending import move_feet
 from bunraku.anatomy.legs import foot_points
 from bunraku.core.motion import HandleMotion
+from bunraku.geometry.banded import solve_banded
 from bunraku.geometry.easing import smooth_step
 from bunraku.retarget.stages.stage import Contacts, Fitting, Stage
 
@@ -176,7 +176,7 @@ class Feet(Stage):
         band[1, :-1] += self.root_smooth
         band[1, 1:] += self.root_smooth
         band[0, 1:] = -self.root_smooth
-        return np.asarray(solveh_banded(band, -np.einsum("nl,nli->ni", trust, steps)))
+        return solve_banded(band, -np.einsum("nl,nli->ni", trust, steps))
 
     def _offsets(self, steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
         """Offsets of one foot that cancel its steps where it stands, smooth and small elsewhere, shape (N, 2).
@@ -199,7 +199,7 @@ class Feet(Stage):
         right = np.zeros((count, 2))
         right[:-1] += held[:, None] * steps
         right[1:] -= held[:, None] * steps
-        return np.asarray(solveh_banded(band, right))
+        return solve_banded(band, right)
 
     def locked(self, motion: HandleMotion, anatomy: Anatomy) -> tuple[HandleMotion, Contacts | None]:
         """The motion with standing feet held in place, and its contacts; None of who has no legs.

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.linalg import solveh_banded
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.bending import move_feet
@@ -18,6 +17,7 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
+from bunraku.geometry.banded import solve_banded
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.filters import correlated, gaussian, running_least, running_mean, running_most
 from bunraku.retarget.stages.feet import add_bending
@@ -249,7 +249,7 @@ class Floor(Stage):
         band = np.zeros((3, len(heights)))
         band[2] = self.hold * trust + self.pull * (1 - trust) + 1e-4
         add_bending(band)
-        lifts = solveh_banded(band, self.hold * trust * goal)
+        lifts = solve_banded(band, (self.hold * trust * goal)[:, None])[:, 0]
         return np.asarray(lifts + enough(np.maximum(-(heights + lifts) - depth, 0), reach))
 
     def _solid(self, anatomy: Anatomy) -> np.ndarray:
