@@ -6,6 +6,7 @@ import trimesh
 
 from bunraku.errors import CharacterError
 from bunraku.geometry.graph import (
+    _first_alike,
     bridge_edges,
     canonical_order,
     clean_mesh,
@@ -190,3 +191,11 @@ def test_bridges_join_twenty_parts_with_few_edges():
 def test_one_part_needs_no_bridge(sphere):
     vertices, faces = sphere
     assert bridge_edges(vertices, parts_of(faces, len(vertices))).shape == (0, 2)
+
+
+def test_the_first_place_of_each_key_is_that_of_unique():
+    random = np.random.default_rng(0)
+    for most in (5, 400, 10**9):
+        key = random.integers(0, most, 300)
+        _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
+        np.testing.assert_array_equal(_first_alike(key), first[inverse])

@@ -227,3 +227,27 @@ def test_real_characters():
         network = network_mesh(character.vertices, character.faces)
         distance = np.linalg.norm(network.push(network.vertices) - normalised(character.vertices, network), axis=1)
         assert 1000 <= len(network.vertices) <= 4000 and distance.max() < 0.06, file.name
+
+
+def test_a_very_fine_mesh_becomes_what_a_fine_one_does():
+    """Above so many vertices a mesh is merged in a finer grid first, and nothing else may come of it."""
+    coarse, fine = (network_mesh(*_grown_sphere(rings), 1000) for rings in (120, 300))
+    assert len(fine.clean.vertices) > 60_000 > len(coarse.clean.vertices)
+    assert len(fine.surface.vertices) < 60_000
+    assert 0.9 < len(fine.vertices) / len(coarse.vertices) < 1.1
+    assert np.abs(np.linalg.norm(fine.vertices, axis=1) - 0.5).max() < 0.01
+    np.testing.assert_allclose(fine.areas.sum(), coarse.areas.sum(), rtol=5e-3)
+    places = fine.push(fine.vertices)
+    assert np.abs(places - (_grown_sphere(300)[0] - fine.center) / fine.scale).max() < 0.03
+
+
+def _grown_sphere(rings):
+    """A sphere of so many rings of as many vertices, and its triangles."""
+    up, around = np.meshgrid(
+        np.linspace(0.02, np.pi - 0.02, rings), np.arange(rings) * 2 * np.pi / rings, indexing="ij"
+    )
+    points = np.stack([np.sin(up) * np.cos(around), np.cos(up), np.sin(up) * np.sin(around)], axis=-1).reshape(-1, 3)
+    a = np.arange(rings * (rings - 1)).reshape(rings - 1, rings)
+    b = np.roll(a, -1, axis=1)
+    quads = np.stack([a, b, b + rings, a + rings], axis=-1).reshape(-1, 4)
+    return points, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])

@@ -10,6 +10,7 @@ from bunraku.core.motion import SkeletalMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.stages.hands_clear import BodySurface, HandsClear
 from bunraku_lab.evaluation.motion.viewer.look import hands_in_body
 
 WITHOUT = Stages(ground=False, feet=False, smooth=False, floor=False, hands_clear=False)
@@ -55,3 +56,22 @@ def test_motions_that_were_not_generated_stay(anatomy):
     motion = bent(0.65)
     before, after = (fit_motion(motion, anatomy, stages) for stages in (WITHOUT, WITH))
     np.testing.assert_array_equal(before.rotations, after.rotations)
+
+
+def test_depths_are_those_of_looking_at_every_part(anatomy):
+    motion = bent(1.2).of_own_body()
+    stage, surface = HandsClear(), BodySurface(anatomy)
+    hands = stage.hand(motion, anatomy.arms[0], anatomy)
+    found, out = surface.depths(motion, hands, 0.15)
+    world = motion.transforms(anatomy.handles.positions).astype(float)
+    for frame in range(0, len(motion), 7):
+        for point in range(0, hands.shape[1], 11):
+            best, depth = 0.15, -np.inf
+            for part in surface._parts:
+                local = world[frame, part.handle, :, :3].T @ (hands[frame, point] - world[frame, part.handle, :, 3])
+                away = np.linalg.norm(part.points - local, axis=1)
+                if away.min() < best:
+                    nearest = int(away.argmin())
+                    best, depth = away[nearest], (part.points[nearest] - local) @ part.normals[nearest]
+            assert found[frame, point] == pytest.approx(depth, abs=1e-9)
+            assert np.isinf(depth) or np.linalg.norm(out[frame, point]) == pytest.approx(1, abs=1e-5)

@@ -211,8 +211,13 @@ class Handles:
         """
         indices, shares = top_influences(self.weights, count)
         kept = np.zeros_like(self.weights)
-        np.put_along_axis(kept, indices, shares, axis=1)
+        rows, places = np.nonzero(shares)
+        kept[rows, indices[rows, places]] = shares[rows, places]
         return Handles(self.positions, kept, self.features, self.roles, self.rigid)
+
+
+FEW = 10_000
+"""Vertices of which the largest weights of all are looked for at once."""
 
 
 def top_influences(weights: np.ndarray, count: int = 4) -> tuple[np.ndarray, np.ndarray]:
@@ -223,12 +228,28 @@ def top_influences(weights: np.ndarray, count: int = 4) -> tuple[np.ndarray, np.
         count: How many to keep, C.
 
     Returns:
-        Indices (V, C) int64 and shares (V, C) float32 whose rows sum to 1. Where K < C, both have K columns.
+        Indices (V, C) int64 and shares (V, C) float32 whose rows sum to 1; shares of 0 may be of any index, even of one
+        that is there already. Where K < C, both have K columns.
     """
     count = min(count, weights.shape[1])
-    indices = np.argpartition(weights, weights.shape[1] - count, axis=1)[:, weights.shape[1] - count :]
-    shares = np.take_along_axis(weights, indices, axis=1)
+    many = (weights != 0).sum(axis=1) > count
+    if len(weights) > FEW and not many.all():  # most rows have so few weights that none needs to be chosen
+        rows, columns = np.nonzero(np.where(many[:, None], 0, weights))
+        place = np.arange(len(rows)) - np.searchsorted(rows, rows)
+        indices = np.zeros((len(weights), count), np.int64)
+        indices[rows, place] = columns
+        shares = np.zeros((len(weights), count), weights.dtype)
+        shares[rows, place] = weights[rows, columns]
+        indices[many], shares[many] = _largest(weights[many], count)
+    else:
+        indices, shares = _largest(weights, count)
     order = np.argsort(-shares, axis=1, kind="stable")
     indices, shares = np.take_along_axis(indices, order, axis=1), np.take_along_axis(shares, order, axis=1)
     total = shares.sum(axis=1, keepdims=True)
     return indices, (shares / np.where(total > 0, total, 1)).astype(np.float32)
+
+
+def _largest(weights: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of the largest weights of each row, and these, in no order."""
+    indices = np.argpartition(weights, weights.shape[1] - count, axis=1)[:, weights.shape[1] - count :]
+    return indices, np.take_along_axis(weights, indices, axis=1)

@@ -17,6 +17,8 @@ from bunraku.geometry.surface import vertex_areas, vertex_normals
 __all__ = ["FineMesh", "Patches", "find_patches", "refine", "soft_means"]
 
 _MOST_SPLITS = 150_000
+_MANY = 60_000  # vertices, more than any view needs
+_FINE = 5  # cells of the grid in which so many are merged, over one of a view's
 _CRUMB = 0.25  # area under which a patch joins its neighbour, in cell faces
 _BORDER = 0.15  # half the width of the zone in which a vertex counts in two cells, in cells
 
@@ -50,15 +52,28 @@ class FineMesh:
 
 
 def refine(clean: CleanMesh, cell: float, max_edge: float) -> FineMesh:
-    """Split the edges longer than a part of a cell. A mesh of too many needles is merged in a finer grid first."""
+    """Split the edges longer than a part of a cell. A mesh of too many needles is merged in a finer grid first, and so
+    is one of very many vertices, in a grid so fine that it hardly matters.
+    """
     points, faces = clean.vertices, clean.faces
     length = min(0.45 * cell, max_edge)
     start, steps = np.arange(len(points)), []
-    if split_estimate(points, faces, length) > _MOST_SPLITS:
-        start, _ = _inside_cells(points, unique_edges(faces, len(points)), cell / 2)
-        steps.append(_mean_matrix(start, vertex_areas(points, faces) + 1e-12))
+    edges = unique_edges(faces, len(points))
+
+    def merge(size: float) -> None:
+        nonlocal points, faces, edges, start
+        label, _ = _inside_cells(points, edges, size)
+        steps.append(_mean_matrix(label, vertex_areas(points, faces) + 1e-12))
         points = steps[-1] @ points
-        faces = distinct_faces(points, start[faces])
+        faces = distinct_faces(points, label[faces])
+        edges, start = unique_edges(faces, len(points)), label[start]
+
+    if len(points) > _MANY:
+        merge(cell / _FINE)
+    if _longest(points, edges) <= 2 / 3 * length:  # so short that nothing is split
+        return _fine(points, faces, edges, tuple(steps), start)
+    if split_estimate(points, faces, length) > _MOST_SPLITS:
+        merge(cell / 2)
         while split_estimate(points, faces, length) > _MOST_SPLITS and length < 2:
             length *= 1.3
     whole = len(points)
@@ -72,9 +87,20 @@ def refine(clean: CleanMesh, cell: float, max_edge: float) -> FineMesh:
             )
             grown = vstack([grown, half @ grown], format="csr")
         steps.append(grown)
+    return _fine(points, faces, unique_edges(faces, len(points)), tuple(steps), start)
+
+
+def _longest(points: np.ndarray, edges: np.ndarray) -> float:
+    """Length of the longest edge."""
+    return float(np.sqrt(np.square(points[edges[:, 0]] - points[edges[:, 1]]).sum(axis=1).max(initial=0)))
+
+
+def _fine(
+    points: np.ndarray, faces: np.ndarray, edges: np.ndarray, steps: tuple[csr_matrix, ...], start: np.ndarray
+) -> FineMesh:
     areas = vertex_areas(points, faces) + 1e-12
     normals = vertex_normals(points, faces, unit=False) / areas[:, None]
-    return FineMesh(points, faces, unique_edges(faces, len(points)), areas, normals, tuple(steps), start)
+    return FineMesh(points, faces, edges, areas, normals, steps, start)
 
 
 def _mean_matrix(label: np.ndarray, mass: np.ndarray) -> csr_matrix:

@@ -46,9 +46,13 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray, unit: bool = True) -
 
 def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Surface area that each vertex stands for: a third of each of its triangles [m^2], shape (V,), float64."""
-    corners = np.asarray(vertices, np.float64)[faces]
-    double = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    double = _lengths(face_normals(vertices, faces))
     return np.bincount(faces.ravel(), np.repeat(double / 6, 3), minlength=len(vertices))
+
+
+def _lengths(vectors: np.ndarray) -> np.ndarray:
+    x, y, z = vectors.T
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 _STEPS = 0.7548776662466927, 0.5698402909980532  # the plastic number's powers: two numbers that fill a square evenly
@@ -67,10 +71,8 @@ def surface_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple
     Returns:
         Points (N, 3) and unit normals (N, 3), float64; a normal is 0 where a face has no area.
     """
-    origin = vertices[faces[:, 0]].astype(np.float64)
-    first, second = vertices[faces[:, 1]] - origin, vertices[faces[:, 2]] - origin
-    cross = np.cross(first, second)
-    area = np.linalg.norm(cross, axis=1)
+    cross = face_normals(vertices, faces)
+    area = _lengths(cross)
     total = float(area.sum())
     if not np.isfinite(total) or total <= 0:
         area, total = np.ones(len(faces)), float(len(faces))
@@ -82,6 +84,8 @@ def surface_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple
     along, across = (number * _STEPS[0]) % 1, (number * _STEPS[1]) % 1
     folded = along + across > 1
     along, across = np.where(folded, 1 - along, along), np.where(folded, 1 - across, across)
-    points = origin[face] + along[:, None] * first[face] + across[:, None] * second[face]
+    origin = vertices[faces[face, 0]].astype(np.float64)
+    first, second = vertices[faces[face, 1]] - origin, vertices[faces[face, 2]] - origin
+    points = origin + along[:, None] * first + across[:, None] * second
     length = np.linalg.norm(cross[face], axis=1, keepdims=True)
     return points, cross[face] / np.where(length > 0, length, 1)

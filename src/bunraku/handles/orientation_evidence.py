@@ -32,6 +32,8 @@ _LOW, _MIDDLE = 0.05, 0.25
 """How far from the lowest point the ground may be, and from the middle the origin, as shares of the extent."""
 _ASKED = 2000
 """Vertices whose mirror images are looked for."""
+_HELD = 60_000
+"""Vertices, evenly drawn from more, among which the nearest to a mirror image is looked for."""
 _FAR = 0.05
 """An asymmetry that is as good as none, of the largest extent."""
 _UPS = np.array([AXES.index(up) for up, _ in ORIENTATIONS])
@@ -126,7 +128,7 @@ def asymmetries(vertices: np.ndarray) -> np.ndarray:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = max(float((high - low).max()), 1e-300)
     some = vertices[np.unique(np.linspace(0, len(vertices) - 1, min(len(vertices), _ASKED)).astype(int))]
-    tree = cKDTree(vertices, balanced_tree=False)
+    tree = cKDTree(vertices[:: max(len(vertices) // _HELD, 1)], balanced_tree=False)
     found = []
     for axis in range(3):
         planes = {float(low[axis] + high[axis]) / 2, float(np.median(vertices[:, axis])), 0.0}

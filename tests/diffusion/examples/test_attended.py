@@ -82,5 +82,5 @@ def test_the_sampler_retrieves_for_the_sentence_from_the_shipped_examples(runnin
     assert found.values.shape[:2] == (1, 2) and (found.lengths > 0).all()
     one = sample(model, text, 40, Solver(2), seed=1).values
     assert np.array_equal(one, sample(model, text, 40, Solver(2), seed=1).values)
-    model.layers[1].examples["out"].matrix[:] = 0
+    model.layers[1].examples.leave.matrix[:] = 0
     assert np.abs(one - sample(model, text, 40, Solver(2), seed=1).values).max() > 1e-3

@@ -102,5 +102,6 @@ def _numbered(
         while other >= 0 and other not in number and steps < len(parents):
             other, steps = int(parents[other]), steps + 1
         above.append(number.get(other, -1))
-    blocks = np.array([number.get(int(node), -1) for node in label])
-    return Blocks(blocks, tuple(names[int(node)] for node in used), origins[used], np.array(above))
+    block_of = np.full(max(len(names), 1) + 1, -1)  # the last entry is that of vertices without one
+    block_of[used] = np.arange(len(used))
+    return Blocks(block_of[label], tuple(names[int(node)] for node in used), origins[used], np.array(above))

@@ -23,6 +23,10 @@ from bunraku.retarget.stages.stage import Fitting, Stage
 
 __all__ = ["Shape"]
 
+PIECE = 1 << 15
+"""Edges that are looked at together, few enough for the cache."""
+_FACTORS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+
 
 @dataclass(frozen=True)
 class Shape(Stage):
@@ -101,16 +105,26 @@ class Shape(Stage):
         fine = 2**13 / float(
             np.ptp(used, axis=0).max()
         )  # coarse enough that rounding of coordinates hardly ever matters
-        middle = (character.vertices[edges[:, 0]] + character.vertices[edges[:, 1]]) / 2 - used.min(axis=0)
-        middle = np.floor(middle * fine + 0.37).astype(np.int64).astype(np.uint64)
-        position = (middle * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)).sum(
-            axis=1, dtype=np.uint64
-        )
-        position ^= position >> np.uint64(29)  # as in the finishing steps of splitmix64
-        position *= np.uint64(0xBF58476D1CE4E5B9)
-        position ^= position >> np.uint64(32)
-        first = np.unique(position, return_index=True)[1]
-        return edges[first[: self.looked_at]], len(first)
+        low, position = used.min(axis=0), np.empty(len(edges), np.uint64)
+        for start in range(0, len(edges), PIECE):
+            ends = edges[start : start + PIECE]
+            middle = (character.vertices[ends[:, 0]] + character.vertices[ends[:, 1]]) / 2 - low
+            position[start : start + PIECE] = _hashed(np.floor(middle * fine + 0.37).astype(np.int64))
+        ordered = np.sort(position)
+        fresh = np.ones(len(ordered), bool)
+        fresh[1:] = ordered[1:] != ordered[:-1]
+        ordered = ordered[fresh]
+        some = np.flatnonzero(position <= ordered[: self.looked_at].max(initial=0))
+        return edges[some[np.unique(position[some], return_index=True)[1]]], len(ordered)
+
+
+def _hashed(places: np.ndarray) -> np.ndarray:
+    """A number for each place of a grid, shape (n, 3) -> (n,), as the finishing steps of splitmix64 make it."""
+    out: np.ndarray = places.astype(np.uint64) @ _FACTORS
+    out ^= out >> np.uint64(29)
+    out *= np.uint64(0xBF58476D1CE4E5B9)
+    out ^= out >> np.uint64(32)
+    return out
 
 
 @functools.cache
