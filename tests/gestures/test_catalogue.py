@@ -7,7 +7,7 @@ from bunraku.anatomy.ground import lowest
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.errors import FormatError
-from bunraku.gestures.catalogue import STANDING, gestures, read_gestures
+from bunraku.gestures.catalogue import STANDING, gesture_of, gestures, read_gestures
 from bunraku.gestures.flow import foot_on, through
 from bunraku.gestures.play import gesture_motion
 from bunraku.gestures.pose import HANGING, Gesture, Hand, Pose, Repeat, again
@@ -295,3 +295,10 @@ def test_who_brushes_the_hair_strokes_it_from_the_top_down_beside_the_head():
     hand = palms(motion)["right"][16:-12] - positions[16:-12, AT["head"]]
     assert np.ptp(hand[:, 1]) > 0.25 and np.linalg.norm(hand, axis=1).max() < 0.4
     assert ((hand[1:-1, 1] < hand[:-2, 1]) & (hand[1:-1, 1] <= hand[2:, 1])).sum() == 3
+
+
+def test_a_gesture_alone_is_read_as_it_is_among_all():
+    first = {one.texts: one for one in reversed(gestures())}  # a ladder is climbed in three lengths
+    for texts, one in first.items():
+        assert gesture_of(texts) == one
+    assert gesture_of(()) is None and gesture_of(("nobody tells this",)) is None

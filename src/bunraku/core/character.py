@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,10 @@ __all__ = ["Character", "Handles", "Rig", "top_influences"]
 def _frozen(array: Any, dtype: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
     """The array as a read-only one of this type and shape; None in the shape stands for any length."""
     out = np.ascontiguousarray(array, dtype=dtype)
-    if out.shape != tuple(
-        [have if want is None else want for have, want in zip_longest(out.shape, shape, fillvalue=-1)]
-    ):
+    wrong = out.ndim != len(shape)
+    for have, want in zip(out.shape, shape, strict=False):
+        wrong = wrong or (want is not None and have != want)
+    if wrong:
         raise CharacterError(f"{what} must have shape {shape} with None for any length, not {out.shape}")
     if out is array:
         out = out.view()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -20,9 +19,10 @@ __all__ = ["HandleMotion", "SkeletalMotion", "Skeleton", "line_up", "local_rotat
 
 def _array(value: Any, shape: tuple[int | None, ...], what: str, dtype: Any = np.float32) -> np.ndarray:
     out = np.ascontiguousarray(value, dtype=dtype)
-    if out.shape != tuple(
-        [have if want is None else want for have, want in zip_longest(out.shape, shape, fillvalue=-1)]
-    ):
+    wrong = out.ndim != len(shape)
+    for have, want in zip(out.shape, shape, strict=False):
+        wrong = wrong or (want is not None and have != want)
+    if wrong:
         raise MotionError(f"{what} must have shape {shape} with None for any length, not {out.shape}")
     if not np.isfinite(out).all():
         raise MotionError(f"{what} holds values that are not numbers")

@@ -32,14 +32,8 @@ __all__ = [
 Array = Any  # numpy.ndarray, or a tensor
 
 
-def _xp(value: Array) -> Any:
-    if isinstance(value, np.ndarray):
-        return np
+def _library(value: Array) -> Any:
     return sys.modules[type(value).__module__.partition(".")[0]]
-
-
-def _stack(xp: Any, parts: list[Array], axis: int) -> Array:
-    return np.stack(parts, axis=axis) if xp is np else xp.stack(parts, dim=axis)
 
 
 def _unit(xp: Any, vector: Array) -> Array:
@@ -49,32 +43,22 @@ def _unit(xp: Any, vector: Array) -> Array:
 
 def matrix_to_6d(matrix: Array) -> Array:
     """First two columns of rotation matrices, shape [..., 3, 3] -> [..., 6] (Zhou et al. 2019)."""
-    return _stack(
-        _xp(matrix),
-        [
-            matrix[..., 0, 0],
-            matrix[..., 1, 0],
-            matrix[..., 2, 0],
-            matrix[..., 0, 1],
-            matrix[..., 1, 1],
-            matrix[..., 2, 1],
-        ],
-        -1,
-    )
+    xp = np if isinstance(matrix, np.ndarray) else _library(matrix)
+    return xp.concatenate([matrix[..., 0], matrix[..., 1]], -1)
 
 
 def matrix_from_6d(six: Array) -> Array:
     """Rotation matrices from two columns made orthonormal by Gram-Schmidt, shape [..., 6] -> [..., 3, 3]."""
-    xp = _xp(six)
+    xp = np if isinstance(six, np.ndarray) else _library(six)
     x = _unit(xp, six[..., :3])
     y = _unit(xp, six[..., 3:] - (x * six[..., 3:]).sum(-1)[..., None] * x)
     z = np.cross(x, y) if xp is np else xp.linalg.cross(x, y)
-    return _stack(xp, [x, y, z], -1)
+    return xp.stack([x, y, z], -1)
 
 
 def matrix_from_quaternion(quaternion: Array) -> Array:
     """Rotation matrices from xyzw quaternions of any non-zero length, shape [..., 4] -> [..., 3, 3]."""
-    xp = _xp(quaternion)
+    xp = np if isinstance(quaternion, np.ndarray) else _library(quaternion)
     q = _unit(xp, quaternion)
     x, y, z, w = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     entries = [
@@ -82,7 +66,7 @@ def matrix_from_quaternion(quaternion: Array) -> Array:
         2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
         2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
     ]  # fmt: skip
-    return _stack(xp, entries, -1).reshape(*q.shape[:-1], 3, 3)
+    return xp.stack(entries, -1).reshape(*q.shape[:-1], 3, 3)
 
 
 def quaternion_from_matrix(matrix: Array) -> Array:
@@ -90,15 +74,15 @@ def quaternion_from_matrix(matrix: Array) -> Array:
 
     Of the four ways to divide, each matrix takes the one whose divisor is largest, so half turns lose no precision.
     """
-    xp = _xp(matrix)
+    xp = np if isinstance(matrix, np.ndarray) else _library(matrix)
     m = matrix
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     d, e, f = m[..., 1, 0] + m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0], m[..., 2, 1] + m[..., 1, 2]
     own = [1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz, 1 + xx + yy + zz]
-    diagonal = _stack(xp, own, -1)
+    diagonal = xp.stack(own, -1)
     entries = [own[0], d, e, a, d, own[1], f, b, e, f, own[2], c, a, b, c, own[3]]
-    candidates = _stack(xp, entries, -1).reshape(*diagonal.shape, 4)
+    candidates = xp.stack(entries, -1).reshape(*diagonal.shape, 4)
     best = diagonal.argmax(-1)[..., None, None]
     if xp is np:
         chosen = np.take_along_axis(candidates, np.broadcast_to(best, (*best.shape[:-1], 4)), axis=-2)[..., 0, :]
@@ -110,7 +94,7 @@ def quaternion_from_matrix(matrix: Array) -> Array:
 
 def matrix_from_axis_angle(rotvec: Array) -> Array:
     """Rotation matrices from axis times angle [rad], shape [..., 3] -> [..., 3, 3] (Rodrigues)."""
-    xp = _xp(rotvec)
+    xp = np if isinstance(rotvec, np.ndarray) else _library(rotvec)
     half = 0.5 * xp.sqrt((rotvec * rotvec).sum(-1))[..., None]
     small = half < 1e-6
     scale = xp.where(small, 0.5 - half * half / 12, xp.sin(half) / xp.where(small, xp.ones_like(half), 2 * half))
@@ -122,7 +106,7 @@ def matrix_from_axis_angle(rotvec: Array) -> Array:
 
 def axis_angle_from_matrix(matrix: Array) -> Array:
     """Axis times angle [rad] with the angle in [0, pi], shape [..., 3, 3] -> [..., 3]."""
-    xp = _xp(matrix)
+    xp = np if isinstance(matrix, np.ndarray) else _library(matrix)
     q = quaternion_from_matrix(matrix)
     length = xp.sqrt((q[..., :3] * q[..., :3]).sum(-1))[..., None]
     angle = 2 * (np.arctan2(length, q[..., 3:]) if xp is np else xp.atan2(length, q[..., 3:]))
@@ -132,9 +116,9 @@ def axis_angle_from_matrix(matrix: Array) -> Array:
 
 def matrix_y(angle: Array) -> Array:
     """Rotations about +Y by an angle [rad], shape [...] -> [..., 3, 3]; a positive angle turns +Z towards +X."""
-    xp = _xp(angle)
+    xp = np if isinstance(angle, np.ndarray) else _library(angle)
     c, s, zero, one = xp.cos(angle), xp.sin(angle), xp.zeros_like(angle), xp.ones_like(angle)
-    return _stack(xp, [c, zero, s, zero, one, zero, -s, zero, c], -1).reshape(*c.shape, 3, 3)
+    return xp.stack([c, zero, s, zero, one, zero, -s, zero, c], -1).reshape(*c.shape, 3, 3)
 
 
 def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:

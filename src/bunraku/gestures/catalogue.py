@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import json
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,6 +18,8 @@ from bunraku.gestures.pose import Foot, Gesture, Hand, Key, Pose, Repeat, again,
 __all__ = ["STANDING", "gesture_of", "gestures", "read_gestures"]
 
 FILE = Path(__file__).with_name("gestures.toml")
+_SECTION = re.compile(r"^(?=\[)", re.MULTILINE)
+"""Before each header of a table."""
 Table = Mapping[str, Any]
 
 
@@ -135,15 +139,28 @@ def gestures() -> tuple[Gesture, ...]:
 
 
 @functools.cache
-def _rows() -> Table:
-    return tomllib.loads(FILE.read_text(encoding="utf-8"))
+def _sections() -> tuple[str, ...]:
+    """The sections of the file, each a table of its own that nothing else of the file is needed to parse."""
+    return tuple(_SECTION.split(FILE.read_text(encoding="utf-8"))[1:])
 
 
 @functools.cache
 def gesture_of(texts: tuple[str, ...]) -> Gesture | None:
-    """The gesture that these sentences tell, the only one whose poses are worked out; None for none."""
-    row = next((row for row in _rows()["gesture"] if tuple(row["texts"]) == texts), None)
-    return None if row is None else _read(row, _rows(), FILE)
+    """The gesture that these sentences tell; None for none. Only its own part of the file is parsed, since all of it
+    takes longer than all else that is done for a gesture.
+    """
+    if not texts:
+        return None
+    shared = "".join(one for one in _sections() if not one.startswith(("[[gesture]]", "[frames.")))
+    for section in _sections():
+        if not section.startswith("[[gesture]]") or json.dumps(texts[0], ensure_ascii=False) not in section:
+            continue
+        (row,) = tomllib.loads(section)["gesture"]
+        if tuple(row["texts"]) == texts:
+            of = row.get("frames", {}).get("of")
+            frames = "".join(one for one in _sections() if of is not None and one.startswith(f"[frames.{of}]"))
+            return _read(row, {"frames": {}, **tomllib.loads(shared + frames)}, FILE)
+    return None
 
 
 STANDING = Gesture("standing", (), ((0.0, Pose()), (9.5, Pose())))

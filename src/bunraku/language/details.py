@@ -9,7 +9,7 @@ import functools
 from collections.abc import Collection, Sequence
 
 from bunraku.language.foreign.table import table
-from bunraku.language.known.vocabulary import FUNCTION_WORDS, action_stems, caption_stems, stem
+from bunraku.language.known.vocabulary import FUNCTION_WORDS, action_stems, caption_stems, stem, stems
 from bunraku.language.lexicon.reading import said_phrases, words_of
 from bunraku.language.lexicon.tables import lexicon
 
@@ -41,13 +41,13 @@ def count_of(text: str) -> int | None:
 def _body() -> frozenset[str]:
     """Stems of words for parts of the body."""
     named = [word for row in table()["parts"] for word in row["en"].split("/")]
-    return frozenset(map(stem, [*named, *lexicon().body]))
+    return frozenset(stems([*named, *lexicon().body]))
 
 
 @functools.lru_cache(maxsize=1024)
 def stems_of(texts: tuple[str, ...]) -> frozenset[str]:
     """Stems of all words of some sentences."""
-    return frozenset(stem(word) for text in texts for word in words_of(text)[0])
+    return frozenset(stems(word for text in texts for word in words_of(text)[0]))
 
 
 @functools.lru_cache(maxsize=64)
@@ -58,7 +58,7 @@ def _own(action: str) -> frozenset[str]:
         for one in starting:
             if one.section == "actions" and one.name == action:
                 words.update(*(part for part in one.words if part is not None))
-    return frozenset(map(stem, words))
+    return frozenset(stems(words))
 
 
 def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:

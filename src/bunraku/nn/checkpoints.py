@@ -17,7 +17,7 @@ import numpy as np
 from bunraku.core.request.json_form import from_json
 from bunraku.errors import FormatError, OptionError, WeightsError
 from bunraku.formats.files import atomic_write, weights_file
-from bunraku.nn.layers import Weights, as_single
+from bunraku.nn.layers import Weights
 
 __all__ = [
     "FORMAT",
@@ -145,19 +145,19 @@ def load_checkpoint(path: str | Path, kind: str, half: bool = False) -> tuple[di
     path = Path(path)
     tensors, config = read_tensors(path, kind)
     for name, value in tensors.items():
-        if not _finite(value):
+        if value.dtype == np.float16:  # by its bits, ten times as fast as numpy's way
+            finite = bool((value.view(np.uint16) & _ENDLESS).max(initial=0) < _ENDLESS)
+        else:
+            finite = value.dtype.kind != "f" or bool(np.isfinite(value).all())
+        if not finite:
             raise WeightsError(
                 f"{path}: the weights '{name}' hold values that are not numbers; copy or train them again"
             )
     if half:
         return tensors, config
-    return {name: as_single(value) for name, value in tensors.items()}, config
-
-
-def _finite(values: np.ndarray) -> bool:
-    if values.dtype == np.float16:  # by its bits, ten times as fast as numpy's way
-        return bool((values.view(np.uint16) & _ENDLESS).max(initial=0) < _ENDLESS)
-    return values.dtype.kind != "f" or bool(np.isfinite(values).all())
+    return {
+        name: value.astype(np.float32) if value.dtype == np.float16 else value for name, value in tensors.items()
+    }, config
 
 
 def load_network(

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 __all__ = [
-    "Attention", "FeedForward", "Linear", "Memory", "Norm", "Rotary", "Weights", "as_single", "attended", "gelu",
+    "Attention", "FeedForward", "Linear", "Memory", "Norm", "Rotary", "Weights", "attended", "gelu",
     "gelu_slope", "hidden_by", "normed", "sigmoid", "silu", "softmax", "split_heads", "turned", "unit",
 ]  # fmt: skip
 
@@ -115,7 +115,12 @@ class Attention(NamedTuple):
         else:
             query = parts[0] if rotary is None else turned(parts[0], rotary)
             mixed = attended(query, memory.keys, memory.values, hidden)
-        return _added(x, mixed, self.leave, gate)
+        said = (mixed.reshape(-1, width) @ self.leave.matrix).reshape(x.shape)
+        said += self.leave.bias
+        if gate is not None:
+            said *= gate
+        x += said
+        return x
 
 
 class FeedForward(NamedTuple):
@@ -132,17 +137,12 @@ class FeedForward(NamedTuple):
         """The next hidden states; writes on `x`, shape (..., d)."""
         said = normed(x, norm).reshape(-1, x.shape[-1]) @ self.wide.matrix
         said += self.wide.bias
-        return _added(x, gelu(said), self.narrow, gate)
-
-
-def _added(x: np.ndarray, mixed: np.ndarray, leave: Linear, gate: np.ndarray | None) -> np.ndarray:
-    """`x` with what a block says added."""
-    said = (mixed.reshape(-1, mixed.shape[-1]) @ leave.matrix).reshape(x.shape)
-    said += leave.bias
-    if gate is not None:
-        said *= gate
-    x += said
-    return x
+        said = (gelu(said) @ self.narrow.matrix).reshape(x.shape)
+        said += self.narrow.bias
+        if gate is not None:
+            said *= gate
+        x += said
+        return x
 
 
 class Weights:
@@ -174,7 +174,7 @@ class Weights:
             there = "none" if found is None else str(list(found.shape))
             raise ValueError(f"its config makes '{whole}' of size {list(shape)}, and the file has {there}")
         self._left.discard(whole)
-        return as_single(found)
+        return found.astype(np.float32) if found.dtype == np.float16 else found
 
     def linear(self, name: str, width_in: int, width_out: int, bias: bool = True) -> Linear:
         """The linear layer of this name; its matrix lies as the product reads it."""
@@ -205,11 +205,6 @@ class Weights:
             raise ValueError(f"its config makes no '{min(self._left)}', which the file has")
 
 
-def as_single(values: np.ndarray) -> np.ndarray:
-    """float16 as float32, all else as it is."""
-    return values.astype(np.float32) if values.dtype == np.float16 else values
-
-
 def normed(x: np.ndarray, norm: Norm | None = None) -> np.ndarray:
     """Layer norm over the last axis; without scale and shift where None are given."""
     out = x - x.mean(-1, keepdims=True)
@@ -223,18 +218,29 @@ def normed(x: np.ndarray, norm: Norm | None = None) -> np.ndarray:
     return np.asarray(out)
 
 
-def _twice_below(x: np.ndarray, square: np.ndarray, value: np.ndarray) -> None:
-    """Twice the share of a normal distribution below each number, into `value`; `square` has room for as many."""
-    np.multiply(x, x, out=square)
-    np.minimum(square, np.float32(36), out=square)
-    np.multiply(square, _GELU[0], out=value)
-    for factor in _GELU[1:-1]:
-        value += factor
-        value *= square
-    value += _GELU[-1]
-    value *= x
-    np.tanh(value, out=value)
-    value += np.float32(1)
+def _below(x: np.ndarray, out: np.ndarray, times: bool) -> None:
+    """The share of a normal distribution below each number, or the number times it, piece by piece; `out` may be `x`.
+
+    Args:
+        x, out: Of one axis.
+        times: Which of the two.
+    """
+    room = np.empty((2, min(x.size, _PIECE)), np.float32)
+    for start in range(0, x.size, _PIECE):
+        part = x[start : start + _PIECE]
+        square, value = room[:, : part.size]
+        np.multiply(part, part, out=square)
+        np.minimum(square, np.float32(36), out=square)
+        np.multiply(square, _GELU[0], out=value)
+        for factor in _GELU[1:-1]:
+            value += factor
+            value *= square
+        value += _GELU[-1]
+        value *= part
+        np.tanh(value, out=value)
+        value += np.float32(1)
+        value *= np.float32(0.5)
+        np.multiply(value, part if times else np.float32(1), out=out[start : start + _PIECE])
 
 
 def gelu(x: np.ndarray) -> np.ndarray:
@@ -242,22 +248,17 @@ def gelu(x: np.ndarray) -> np.ndarray:
     and writes on it.
     """
     flat = x.reshape(-1)
-    room = np.empty((2, min(flat.size, _PIECE)), np.float32)
-    for start in range(0, flat.size, _PIECE):
-        part = flat[start : start + _PIECE]
-        square, share = room[:, : part.size]
-        _twice_below(part, square, share)
-        part *= np.float32(0.5)
-        part *= share
+    _below(flat, flat, True)
     return flat.reshape(x.shape)
 
 
 def gelu_slope(x: np.ndarray) -> np.ndarray:
     """The derivative of `gelu`."""
-    density = np.exp(np.float32(-0.5) * x * x) * np.float32(1 / np.sqrt(2 * np.pi))
-    share = np.empty_like(x)
-    _twice_below(x, np.empty_like(x), share)
-    return np.asarray(np.float32(0.5) * share + x * density)
+    out = np.empty(x.size, np.float32)
+    _below(x.reshape(-1), out, False)
+    out = out.reshape(x.shape)
+    out += x * np.exp(np.float32(-0.5) * x * x) * np.float32(1 / np.sqrt(2 * np.pi))
+    return out
 
 
 def sigmoid(x: np.ndarray) -> np.ndarray:
@@ -317,9 +318,12 @@ def attended(query: np.ndarray, key: np.ndarray, value: np.ndarray, hidden: np.n
     scores *= np.float32(query.shape[-1] ** -0.5)
     if hidden is not None:
         scores += hidden
+    scores -= scores.max(-1, keepdims=True)
+    np.exp(scores, out=scores)
+    scores /= scores.sum(-1, keepdims=True)
     batch, heads, length, size = query.shape
     out = np.empty((batch, length, heads, size), np.float32)
-    np.matmul(softmax(scores), value, out=out.transpose(0, 2, 1, 3))
+    np.matmul(scores, value, out=out.transpose(0, 2, 1, 3))
     return out.reshape(batch, length, heads * size)
 
 

@@ -206,11 +206,14 @@ def test_an_example_that_begins_bent_is_passed_over_where_there_is_another(pack)
             return (bent, kick, standing)[position]
 
     axes = np.eye(4)
+    still = skeleton_from_handles(decode(standing))
     examples = (
-        replace(pack.examples[1], name="bent"), pack.examples[1], replace(pack.examples[1], name="stand", texts=()),
+        replace(pack.examples[1], name="bent"), pack.examples[1],
+        replace(pack.examples[1], name="stand", texts=(), frames=40),
     )  # fmt: skip
+    data = (*pack.data[:2], packed_stretch(still.root_translation, still.rotations))
     known = Known(
-        examples, pack.data, np.array([0, 1]), np.stack([axes[[0, 0]], axes[[2, 2]]]),
+        examples, data, np.array([0, 1]), np.stack([axes[[0, 0]], axes[[2, 2]]]),
         np.stack([axes[[0, 0, 1]], axes[[2, 2, 3]]]), "none",
     )  # fmt: skip
     examples = GuidanceExamples(known, {"kicks": (clause_of("a person kicks with the right leg"), axes[0])})

@@ -130,7 +130,7 @@ class GuidanceExamples:
     @functools.cached_property
     def _standing(self) -> np.ndarray:
         """Mean poses of the stretches of standing, shape (S, 268)."""
-        return np.stack([self.pack.features(index)[:, 3:].mean(axis=0) for index in self.pack.standing])
+        return np.stack(list(self.pack.standing_poses.values()))
 
     def _pose(self, found: Found, frame: int) -> np.ndarray:
         features = self.pack.features(found.number)[[frame]]

@@ -153,15 +153,34 @@ class ExamplePack:
     stored: Sequence[Sequence[str]] = ()
 
     @functools.cached_property
-    def standing(self) -> tuple[int, ...]:
-        """Which ones are there for others to be joined to: in which somebody stands, on both legs."""
+    def made(self) -> np.ndarray:
+        """Which ones are gestures made by code, shape (E,), bool."""
+        return np.array([one.name.startswith(MADE) for one in self.examples], bool)
+
+    @functools.cached_property
+    def standing_poses(self) -> dict[int, np.ndarray]:
+        """Those that are there for others to be joined to, in which somebody stands on both legs: their mean poses, as
+        the denoiser sees them but for the root's velocities, shape (268,).
+        """
         from bunraku.diffusion.examples.joins import on_one_leg
 
-        return tuple(
-            index
-            for index, one in enumerate(self.examples)
-            if not one.texts and not one.idle and not on_one_leg(self.features(index))
-        )
+        wordless = [index for index, one in enumerate(self.examples) if not one.texts and not one.idle]
+        if not wordless:
+            return {}
+        lengths = [self.examples[index].frames for index in wordless]
+        packed = zip([self.data[index] for index in wordless], lengths, strict=True)
+        values = np.concatenate([_stretch_values(*one) for one in packed])  # all in one go
+        every = np.split(_encoded(*_as_motion(values)), np.cumsum(lengths)[:-1])
+        return {
+            index: features[:, 3:].mean(axis=0)
+            for index, features in zip(wordless, every, strict=True)
+            if not on_one_leg(features)
+        }
+
+    @property
+    def standing(self) -> tuple[int, ...]:
+        """Which ones are there for others to be joined to: in which somebody stands, on both legs."""
+        return tuple(self.standing_poses)
 
     @functools.cached_property
     def idles(self) -> tuple[SkeletalMotion, ...]:
@@ -198,12 +217,16 @@ class ExamplePack:
 
 @functools.lru_cache(maxsize=128)
 def _features(data: bytes, frames: int) -> np.ndarray:
+    return _encoded(*unpacked_stretch(data, frames))
+
+
+def _encoded(root: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    """Features of a stretch (see `diffusion.features`), shape (N, 271)."""
     from bunraku.body.reference import reference_body
     from bunraku.core.motion import SkeletalMotion
     from bunraku.diffusion.features import encode
     from bunraku.retarget.body_motion import body_handle_motion
 
-    root, rotations = unpacked_stretch(data, frames)
     return encode(body_handle_motion(SkeletalMotion(reference_body().skeleton, rotations, root, FPS)))
 
 
@@ -224,14 +247,22 @@ def unpacked_stretch(data: bytes, frames: int) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         WeightsError: The bytes are none of that.
     """
+    return _as_motion(_stretch_values(data, frames))
+
+
+def _as_motion(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Root (N, 3) and rotations (N, 22, 3, 3) of the numbers that are packed, shape (N, 69)."""
+    turns = (values[:, 3:] * _RADIANS).reshape(len(values), JOINT_COUNT, 3)
+    return values[:, :3] * _METRES, matrix_from_axis_angle(turns)
+
+
+def _stretch_values(data: bytes, frames: int) -> np.ndarray:
     try:
         if not 0 < frames <= MOST_FRAMES:
             raise ValueError
-        values = unpack_steps(data, frames, _NUMBERS, 1, _FILTERS)
+        return unpack_steps(data, frames, _NUMBERS, 1, _FILTERS)
     except ValueError as error:
         raise WeightsError("the examples are damaged; install Bunraku again or build them again") from error
-    turns = (values[:, 3:] * _RADIANS).reshape(frames, JOINT_COUNT, 3)
-    return values[:, :3] * _METRES, matrix_from_axis_angle(turns)
 
 
 def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object]) -> Path:

@@ -107,24 +107,24 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
         np.maximum.at(best, pack.owners, cosines)
         score = 0.5 * (best + pack.motions[int(mirrored)].astype(float) @ vector)
         for index in np.flatnonzero(score >= min(least, LEAST_MADE)).tolist():
-            one = pack.examples[index]
-            if not one.made and score[index] < least:
+            made = bool(pack.made[index])
+            if not made and score[index] < least:
                 continue
-            if one.made and mirrored and not sided:  # made by code with the hand that most people take
+            if made and mirrored and not sided:  # made by code with the hand that most people take
                 continue
-            near = 0.0 if one.made and query.actions != _NOTHING else float(best[index])
-            shown = wanted - _ADDED if one.made else wanted | counts
+            near = 0.0 if made and query.actions != _NOTHING else float(best[index])
+            shown = wanted - _ADDED if made else wanted | counts
             if not _fits(pack.said(index), mirrored, query, shown, near):
                 continue
-            lacks = _lacks(pack, index, mirrored, clause) if one.made else ()
+            lacks = _lacks(pack, index, mirrored, clause) if made else ()
             if lacks:
                 lacking.update(dict.fromkeys(lacks))
             else:
                 found.append(Found(index, mirrored, float(score[index])))
     found.sort(key=lambda one: -one.score)
-    made = bool(found) and pack.examples[found[0].number].made
-    made = made and query.actions != {"stand up"}  # that depends on how somebody sits, kneels or lies
-    away = [NEAR if pack.examples[one.number].made or not made else NEAR_MADE for one in found]
+    best_made = bool(found) and bool(pack.made[found[0].number])
+    best_made = best_made and query.actions != {"stand up"}  # that depends on how somebody sits, kneels or lies
+    away = [NEAR if pack.made[one.number] or not best_made else NEAR_MADE for one in found]
     kept = [one for one, most in zip(found, away, strict=True) if one.score >= found[0].score - most]
     whole = [one for one in kept if tells_all(clause.added, pack.examples[one.number].texts)]
     return Retrieved((whole or kept)[:MOST], () if whole else tuple(lacking))

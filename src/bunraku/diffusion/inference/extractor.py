@@ -156,14 +156,19 @@ class _Layer:
         batch, length, width = x.shape
         scale = np.float32((width // self.heads) ** -0.5)
         first, norm_a = _normed(x, self.norm_a)
-        query, key, value = split_heads(self.inside(first), self.heads, 3)
-        scores = np.matmul(query, key.swapaxes(-1, -2)) * scale
-        share = softmax(np.where(mask[:, None, None], scores, _NEVER))
-        mixed = np.matmul(share, value).swapaxes(1, 2).reshape(batch, length, width)
-        middle = x + self.outside(mixed)
+        inside = first.reshape(-1, width) @ self.inside.matrix
+        inside += self.inside.bias
+        query, key, value = inside.reshape(batch, length, 3, self.heads, -1).transpose(2, 0, 3, 1, 4)
+        share = np.matmul(query, key.swapaxes(-1, -2))
+        share *= scale
+        share = softmax(np.where(mask[:, None, None], share, _NEVER))
+        mixed = np.matmul(share, value).swapaxes(1, 2).reshape(-1, width)
+        middle = x + ((mixed @ self.outside.matrix) + self.outside.bias).reshape(x.shape)
         second, norm_b = _normed(middle, self.norm_b)
-        wide = self.wide(second)
-        out = middle + self.narrow(gelu(wide.copy()))
+        wide = second.reshape(-1, width) @ self.wide.matrix
+        wide += self.wide.bias
+        out = middle + ((gelu(wide.copy()) @ self.narrow.matrix) + self.narrow.bias).reshape(x.shape)
+        wide = wide.reshape(batch, length, -1)
 
         def back(gradient: np.ndarray) -> np.ndarray:
             own = _through(gradient, self.narrow)

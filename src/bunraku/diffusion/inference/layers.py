@@ -126,16 +126,16 @@ class DecoderLayer:
             index: Of the layer.
         """
         parts = (steer + self.offset)[:, :, None].swapaxes(0, 1)
-        norms = [Norm(1 + parts[first], parts[first + 1]) for first in range(0, len(parts), 3)]
+        scales = 1 + parts[::3]
         hidden = None if real is None else hidden_by(real)
-        x = self.own(x, norms[0], None, hidden, rotary, parts[2])
+        x = self.own(x, Norm(scales[0], parts[1]), None, hidden, rotary, parts[2])
         if self.kernel is not None:
-            x += parts[11] * self._convolved(normed(x, norms[3]), real)
-        x = self.cross(x, norms[1], condition.memories[index], condition.hidden, None, parts[5])
+            x += parts[11] * self._convolved(normed(x, Norm(scales[3], parts[10])), real)
+        x = self.cross(x, Norm(scales[1], parts[4]), condition.memories[index], condition.hidden, None, parts[5])
         examples = condition.examples[index]
         if self.examples is not None and examples is not None:
-            x = self.examples(x, norms[-1], examples, condition.hidden_examples, rotary, parts[-1])
-        return self.mix(x, norms[2], parts[8])
+            x = self.examples(x, Norm(scales[-1], parts[-2]), examples, condition.hidden_examples, rotary, parts[-1])
+        return self.mix(x, Norm(scales[2], parts[7]), parts[8])
 
     def _convolved(self, x: np.ndarray, real: np.ndarray | None) -> np.ndarray:
         """A depthwise convolution over time, then a linear layer over channels; what lies behind the end counts as

@@ -96,11 +96,13 @@ class ClassifierGuidance:
         goals = np.stack([one.vector for one in stretches])
         gradient = self.network.cosine_gradient(values * self.std + self.mean, lengths, goals) * self.std
         gradient[..., ROOT] = 0
+        if (lengths == lengths[0]).all():  # as the candidates of one sentence are
+            return list(smoothed(gradient.swapaxes(0, 1)).swapaxes(0, 1))
         return [smoothed(row[:length]) for row, length in zip(gradient, lengths, strict=True)]
 
 
 def smoothed(values: np.ndarray, spread: float = SPREAD) -> np.ndarray:
-    """Values in time, shape (N, D), convolved with a Gaussian of `spread` frames; the ends are held."""
+    """Values in time, shape (N, ...), convolved with a Gaussian of `spread` frames; the ends are held."""
     return np.asarray(gaussian(values, spread))
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import json
 import re
+from collections.abc import Iterable
 from importlib import resources
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ __all__ = [
     "known_words",
     "says_action",
     "stem",
+    "stems",
     "words_of",
 ]
 
@@ -85,19 +87,27 @@ class Word(NamedTuple):
 @functools.lru_cache(maxsize=16384)
 def stem(word: str) -> str:
     """What an English word has in common with its inflections: "waving", "waves" and "waved" are "wav"."""
-    word = word.lower().replace("’", "'").removesuffix("'s").rstrip("'")
-    word = _IRREGULAR.get(word, word)
-    if word.endswith("ly") and len(word) > 4:
-        word = word[:-2]
-    for ending, least in (("ies", 2), ("ied", 2), ("es", 3), ("s", 3), ("ing", 3), ("ed", 3)):
-        if word.endswith(ending) and len(word) - len(ending) >= least and not word.endswith("ss"):
-            word = word[: -len(ending)] + ("y" if ending in ("ies", "ied") else "")
-            break
-    if len(word) > 2 and word[-1] == "e":
-        word = word[:-1]
-    if len(word) > 2 and word[-1] == word[-2] and word[-1] not in "aeiou":
-        word = word[:-1]
-    return word[:-1] + "i" if len(word) > 2 and word[-1] == "y" else word
+    return stems((word,))[0]
+
+
+def stems(words: Iterable[str]) -> list[str]:
+    """The stem of each of some words."""
+    found = []
+    for word in words:
+        word = word.lower().replace("’", "'").removesuffix("'s").rstrip("'")
+        word = _IRREGULAR.get(word, word)
+        if word.endswith("ly") and len(word) > 4:
+            word = word[:-2]
+        for ending, least in (("ies", 2), ("ied", 2), ("es", 3), ("s", 3), ("ing", 3), ("ed", 3)):
+            if word.endswith(ending) and len(word) - len(ending) >= least and not word.endswith("ss"):
+                word = word[: -len(ending)] + ("y" if ending in ("ies", "ied") else "")
+                break
+        if len(word) > 2 and word[-1] == "e":
+            word = word[:-1]
+        if len(word) > 2 and word[-1] == word[-2] and word[-1] not in "aeiou":
+            word = word[:-1]
+        found.append(word[:-1] + "i" if len(word) > 2 and word[-1] == "y" else word)
+    return found
 
 
 @functools.cache
@@ -121,13 +131,13 @@ def known_words() -> dict[str, int]:
 
 @functools.cache
 def _stems() -> frozenset[str]:
-    return frozenset(map(stem, known_words()))
+    return frozenset(stems(known_words()))
 
 
 @functools.cache
 def caption_stems() -> frozenset[str]:
     """Stems of the words that watched captions share."""
-    return frozenset(map(stem, _written()["words"]))
+    return frozenset(stems(_written()["words"]))
 
 
 @functools.cache
@@ -137,7 +147,7 @@ def action_stems() -> frozenset[str]:
     """
     verbs = {*lexicon().verbs, *_written()["verbs"]}
     parts = [name for row in table()["parts"] for name in row["en"].split("/")]
-    return (frozenset(map(stem, verbs)) & _stems()) - frozenset(map(stem, [*parts, *_LIGHT.split()]))
+    return (frozenset(stems(verbs)) & _stems()) - frozenset(stems([*parts, *_LIGHT.split()]))
 
 
 def is_known(word: str) -> bool:
@@ -146,11 +156,11 @@ def is_known(word: str) -> bool:
         return True
     if plain in _written()["words"]:
         return True
-    stems = _stems()
-    if stem(word) in stems or word.isdigit() or word.lower() in FUNCTION_WORDS:
+    known = _stems()
+    if stem(word) in known or word.isdigit() or word.lower() in FUNCTION_WORDS:
         return True
     parts = re.split(r"[-'’]", word)
-    return len(parts) > 1 and all(not part or part.isdigit() or stem(part) in stems or len(part) < 2 for part in parts)
+    return len(parts) > 1 and all(not part or part.isdigit() or stem(part) in known or len(part) < 2 for part in parts)
 
 
 def words_of(sentence: str) -> list[Word]:
@@ -162,9 +172,9 @@ def says_action(sentence: str) -> bool:
     """Whether any word of a sentence is a movement that training shows."""
     if actions_of(sentence):
         return True
-    stems = action_stems()
+    acting = action_stems()
     return any(
-        stem(part) in stems
+        stem(part) in acting
         for word in _WORD.findall(sentence)
         for part in (word, *re.split(r"[-'’]", word))
         if part.lower() not in FUNCTION_WORDS
