@@ -254,9 +254,8 @@ def gelu(x: np.ndarray) -> np.ndarray:
 
 def gelu_slope(x: np.ndarray) -> np.ndarray:
     """The derivative of `gelu`."""
-    out = np.empty(x.size, np.float32)
-    _below(x.reshape(-1), out, False)
-    out = out.reshape(x.shape)
+    out = np.empty(x.shape, np.float32)
+    _below(x.reshape(-1), out.reshape(-1), False)
     out += x * np.exp(np.float32(-0.5) * x * x) * np.float32(1 / np.sqrt(2 * np.pi))
     return out
 
