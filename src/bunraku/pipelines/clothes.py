@@ -20,7 +20,7 @@ from bunraku.physics.chains.on_handles import handle_rig
 from bunraku.retarget.engine_skeleton import on_skeleton, t_pose
 from bunraku.skeletons.engine_names import engine_names
 
-__all__ = ["body_of_handles", "laid_over", "rig_with_chains", "told_apart"]
+__all__ = ["apparel_of", "body_of_handles", "laid_over", "rig_with_chains", "told_apart"]
 
 
 def body_of_handles(character: Character, handles: Handles) -> tuple[np.ndarray, np.ndarray]:
@@ -53,6 +53,18 @@ def told_apart(
         character.vertices, character.faces, joints, weights, found.mask if mask is None else mask,
         np.clip(found.stiffness + dial, SOFTEST, STIFFEST), found.damping,
     )  # fmt: skip
+
+
+def apparel_of(character: Character, handles: Handles, mask: np.ndarray | None = None) -> np.ndarray:
+    """Which vertices of a character are apparel, shape (V,), bool.
+
+    Args:
+        character: The mesh.
+        handles: Its 30 handles.
+        mask: As of `told_apart`.
+    """
+    weights, joints = body_of_handles(character, handles)
+    return told_apart(character, joints, weights, mask).apparel
 
 
 def laid_over(
