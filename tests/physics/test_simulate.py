@@ -245,7 +245,7 @@ def test_transfer_needs_physics_to_simulate(tmp_path):
     doll, _ = chain(2)
     with pytest.raises(CharacterError, match="nothing of this character"):
         transfer(doll, tmp_path / "none.bvh", apparel="simulate")
-    with pytest.raises(OptionError, match="'simulate' or 'learn'"):
+    with pytest.raises(OptionError, match="'simulate', 'chains' or 'learn'"):
         transfer(doll, tmp_path / "none.bvh", apparel="jelly")
 
 

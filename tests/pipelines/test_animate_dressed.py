@@ -53,7 +53,7 @@ def test_what_cannot_be_simulated_is_refused(dressed):
     for wrong in ({"loop": True}, {"after": generate("walks", seconds=1.0, steps=1)}, {"handles": "rig"}):
         with pytest.raises(OptionError, match="apparel"):
             animate(dressed, "walks", apparel="simulate", **wrong)
-    with pytest.raises(OptionError, match="'simulate' or 'learn'"):
+    with pytest.raises(OptionError, match="'simulate', 'chains' or 'learn'"):
         animate(dressed, "walks", apparel="jelly")
     with pytest.raises(CharacterError, match="nothing of this character is moved by physics"):
         animate(sample_character("person", 0.5), "walks", apparel="simulate")

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.apparel.artist_mask import artist_mask, read_artist_mask
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.displacement.player import ApparelPlayer
@@ -33,7 +34,7 @@ from bunraku.physics.chains.moving import moving_rig, steady_simulation
 from bunraku.physics.chains.on_handles import on_handle_rig
 from bunraku.physics.clothed import clothed_from_file
 from bunraku.physics.from_file import apparel_rig
-from bunraku.pipelines.clothes import body_of_handles, laid_over, told_apart
+from bunraku.pipelines.clothes import body_of_handles, laid_over, told_apart, too_much, wears
 from bunraku.pipelines.requests.apparel import Apparel
 
 __all__ = ["animated_clothed", "chained", "dressed", "learned", "shipped_displacement"]
@@ -91,8 +92,14 @@ def dressed(
     if str(apparel) == "auto":
         if isinstance(animation, RigAnimation) and moving_rig(animation.character) is not None:
             return with_apparel(animation, progress, stiffness, gravity)
+        if not _person(animation):
+            return animation
         clothed, _, _ = animated_clothed(animation)
         if clothed.apparel.mean() < LEAST:
+            return animation
+        problem = "" if artist_mask(animation.character) is not None else too_much(animation.character, clothed.apparel)
+        if problem:
+            _log.warning("%s", problem)
             return animation
         return chained(animation, clothed, stiffness=stiffness, gravity=gravity, progress=progress)
     if str(apparel) == "chains":
@@ -192,6 +199,16 @@ def animated_clothed(
         transforms = np.concatenate([affine[..., :3], positions[..., None]], axis=3).astype(np.float32)
     clothed = told_apart(character, joints, weights, mask, stiffness)
     return clothed, transforms, moved.animation() if isinstance(moved, RigAnimation) else moved
+
+
+def _person(animation: Animation | RigAnimation) -> bool:
+    """Whether apparel is looked for on a character that is animated; where an artist says what is, always."""
+    character = animation.character
+    if artist_mask(character) is not None:
+        return True
+    if isinstance(animation, RigAnimation):
+        return _unified(character) is not None
+    return wears(Anatomy.of(character, animation.handles))
 
 
 def _unified(character: Character) -> UnifiedBody | None:

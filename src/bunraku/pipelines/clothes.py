@@ -20,7 +20,10 @@ from bunraku.physics.chains.on_handles import handle_rig
 from bunraku.retarget.engine_skeleton import on_skeleton, t_pose
 from bunraku.skeletons.engine_names import engine_names
 
-__all__ = ["apparel_of", "body_of_handles", "laid_over", "rig_with_chains", "told_apart"]
+__all__ = ["apparel_of", "body_of_handles", "laid_over", "rig_with_chains", "told_apart", "too_much", "wears"]
+
+MOST = 0.45
+"""Of the surface: who wears more is asked about."""
 
 
 def body_of_handles(character: Character, handles: Handles) -> tuple[np.ndarray, np.ndarray]:
@@ -64,7 +67,32 @@ def apparel_of(character: Character, handles: Handles, mask: np.ndarray | None =
         mask: As of `told_apart`.
     """
     weights, joints = body_of_handles(character, handles)
+    if mask is None and not wears(Anatomy.of(character, handles)):
+        return np.zeros(len(character.vertices), bool)
     return told_apart(character, joints, weights, mask).apparel
+
+
+def too_much(character: Character, apparel: np.ndarray) -> str:
+    """What to say where so much of a mesh is taken for apparel that it is hardly true; "" where it is not.
+
+    Args:
+        character: The mesh.
+        apparel: What the network found, shape (V,), bool.
+    """
+    share = float(character.areas[apparel].sum() / max(float(character.areas.sum()), 1e-30))
+    if share <= MOST:
+        return ""
+    return (
+        f"{character.name}: {share:.0%} of this mesh was taken for apparel, which is hardly true; name its vertices in "
+        "a mask (--apparel mask.npy)"
+    )
+
+
+def wears(anatomy: Anatomy) -> bool:
+    """Whether what the segmentation network finds on a body counts: it knows people, and calls the legs of a horse
+    sleeves.
+    """
+    return anatomy.plan.kind == "person"
 
 
 def laid_over(
@@ -106,7 +134,15 @@ def rig_with_chains(
         mask = artist_mask(character)
     if mask is None and character.rig is not None:
         mask = apparel_mask(character)
+    if mask is None and not wears(anatomy):
+        raise CharacterError(
+            f"{character.name}: it is {anatomy.plan.words}, on which no apparel is looked for; name its vertices in a "
+            "mask (--apparel mask.npy)"
+        )
     clothed = told_apart(character, joints, weights, mask)
+    problem = too_much(character, clothed.apparel) if mask is None else ""
+    if problem:
+        raise CharacterError(problem)
     if skeleton is None:
         return laid_over(handle_rig(character, handles), clothed, np.arange(JOINT_COUNT), stiffness, gravity)
     laid = _laid(character, clothed, stiffness, gravity)

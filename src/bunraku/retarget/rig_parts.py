@@ -7,7 +7,7 @@ to where the reference body's rest.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -137,8 +137,17 @@ class RigParts:
 
     @property
     def humanoid(self) -> bool:
-        """Whether it stands upright and has a pelvis, two legs and two arms."""
-        return self.complete and upright(self.handles)
+        """Whether it stands upright and has a pelvis, two legs and two arms.
+
+        The head is where its bone is: what hangs from it, hair to the knees for one, draws the mean of what it holds
+        down.
+        """
+        head, rig = HANDLE_NAMES.index("head"), self.character.rig
+        if not self.complete or self.leads[head] < 0 or rig is None:
+            return self.complete and upright(self.handles)
+        positions = np.array(self.handles.positions)
+        positions[head] = rig.positions[self.leads[head]]
+        return upright(self.handles) or upright(replace(self.handles, positions=positions))
 
     def world(self, transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World rotations (N, J, 3, 3) and heads [m] (N, J, 3) of the bones for transforms of the handles; bones keep

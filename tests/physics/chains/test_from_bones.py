@@ -42,6 +42,12 @@ def test_what_physics_moved_is_found_and_nothing_else(dressed, scrambled):
     assert (found & held).sum() >= 0.95 * held.sum()
 
 
+def test_long_hair_of_unknown_names_hangs_on_a_person():
+    """Hair to the hips, whose bones a map takes along with the head, does not make a person lie down."""
+    parts = RigParts.of(stripped(wardrobe_character(810_038), scrambled=True))
+    assert parts.complete and parts.humanoid
+
+
 def test_names_tell_kinds(dressed):
     kinds = apparel_bones(stripped(dressed))
     assert {kind for bone, kind in kinds.items() if "スカート" in dressed.rig.names[bone]} == {"skirt"}

@@ -97,7 +97,7 @@ def apparel_bones(character: Character, parts: RigParts | None = None) -> dict[i
     """
     rig = character.rig
     parts = parts or understood_rig(character)
-    if rig is None or parts is None or not _person(parts):
+    if rig is None or parts is None or not parts.humanoid:
         return {}
     body = _body_bones(parts)
     held = _Held.of(character, rig, body)
@@ -153,16 +153,6 @@ def bone_chains(character: Character, stiffness: float = 1.0, gravity: float = 1
             out.append(Chain(chain.name, chain.kind, chain.bones, chain.points, chain.holder, chain.width, chain.thick,
                              manner))  # fmt: skip
     return out
-
-
-def _person(parts: RigParts) -> bool:
-    """Whether a rig is that of somebody who stands upright, whatever hangs from the head."""
-    rig = parts.character.rig
-    head = int(parts.leads[_HEAD])
-    if rig is None or not parts.complete or head < 0:
-        return parts.humanoid
-    spine = rig.positions[head] - rig.positions[parts.leads[0]]
-    return bool(spine[1] > abs(spine[2]))
 
 
 def _body_bones(parts: RigParts) -> np.ndarray:

@@ -43,6 +43,8 @@ class EvaluateApparel(Printed):
     """Displacement network of the paper's own form (trained with --network.frame world --head 0), for its rows."""
     quick: bool = False
     """A few clips, and what takes long left out."""
+    chains: bool = False
+    """Measure chains that are laid over the shape of apparel alone, on the clips for validation too."""
 
     def run(self) -> None:
         check_range("--clips", self.clips, 1, 10_000)
@@ -57,7 +59,7 @@ class EvaluateApparel(Printed):
         with stages() as report:
             config = ApparelEvalConfig(
                 self.data, self.motions, self.files, 6 if self.quick else self.clips, self.weights, self.masks,
-                self.bodies, self.refinement, self.literal, self.quick,
+                self.bodies, self.refinement, self.literal, self.quick, self.chains,
             )  # fmt: skip
             result = evaluate_apparel(config, report)
         self.show(result, _report)

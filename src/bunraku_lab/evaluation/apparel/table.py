@@ -13,6 +13,7 @@ from bunraku.apparel.displacement.weights import DisplacementNetwork, load_displ
 from bunraku.errors import BunrakuError, FormatError, WeightsError
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.datasets.apparel import ApparelData
+from bunraku_lab.evaluation.apparel.chained import chain_row, chain_summary
 from bunraku_lab.evaluation.apparel.clips import TrueClip, data_clips, file_clips, long_clip
 from bunraku_lab.evaluation.apparel.modules import body_table, mask_scores, module_row
 from bunraku_lab.evaluation.apparel.rows import clip_row, drift_row, frame_milliseconds, ten_frames
@@ -37,6 +38,9 @@ _BARS = {
     "inside_over_truth": Bar("apparel deeper than 1 cm in the body, over the truth's", most=1.2),
     "inside_over_rigid": Bar("the same over rigid apparel's", most=1 / 3),
     "real_over_rigid": Bar("files: PMD_a over parent-rigid, the worst", most=1.0),
+    "chains_over_rigid": Bar("chains from shape: PMD_a from rest, 6 s, over parent-rigid", most=0.5),
+    "chains_els_minus_truth": Bar("chains: ELS of apparel, less the truth's", least=-0.02),
+    "chains_fly_aways": Bar("chains: clips in which something flies away", most=0.0),
     "body_attention_first": Bar("body: geodesic attention before both variants", least=1.0),
     "frame_ms": Bar("a frame at 2,000 apparel vertices [ms]", most=6.0),
 }
@@ -58,6 +62,7 @@ class ApparelEvalConfig:
         refinement: Joint refinement of Table 3.
         literal: Displacement network of the paper's own form, for rows beside ours.
         quick: Leave out what takes long: 60 s, the best static skinning and insides.
+        chains: Measure chains from shape alone, on the splits "val" and "test".
     """
 
     data: Path | None = None
@@ -70,6 +75,7 @@ class ApparelEvalConfig:
     refinement: Path | None = None
     literal: Path | None = None
     quick: bool = False
+    chains: bool = False
 
 
 def evaluate_apparel(config: ApparelEvalConfig, progress: Progress | None = None) -> dict[str, Any]:
@@ -87,6 +93,8 @@ def evaluate_apparel(config: ApparelEvalConfig, progress: Progress | None = None
         WeightsError: A network is missing or broken.
     """
     progress = progress or (lambda stage, done: None)
+    if config.chains:
+        return _chains(config, progress)
     masks, bodies, quick = config.masks, config.bodies, config.quick
     network = load_displacement(config.weights or shipped_checkpoint("apparel"))
     found = [] if config.data is None else list(data_clips(ApparelData(config.data, "test"), config.clips))
@@ -132,6 +140,44 @@ def evaluate_apparel(config: ApparelEvalConfig, progress: Progress | None = None
     return out | {
         "reached": reached, "tables": {title: table for title, table in tables.items() if table},
         "clips": rows, "ten_frames": tens, "minutes": drift, "files": real, "failed": failed, "masks": scores,
+    }  # fmt: skip
+
+
+def _chains(config: ApparelEvalConfig, progress: Progress) -> dict[str, Any]:
+    """The rows of chains alone."""
+    from bunraku.io import load_character
+
+    clips: list[TrueClip] = []
+    if config.data is not None:
+        for split in ("test", "val"):
+            clips += list(data_clips(ApparelData(config.data, split), config.clips - len(clips)))
+    rows = []
+    for number, clip in enumerate(clips):
+        progress("clips", number / len(clips))
+        rows.append(chain_row(clip))
+    real, failed = [], {}
+    for number, path in enumerate(config.files):
+        progress("files", number / len(config.files))
+        try:
+            real += [chain_row(clip) | {"name": path.stem} for clip in file_clips(load_character(path), FILE_MOTIONS)]
+        except BunrakuError as error:
+            failed[path.name] = str(error)
+    out: dict[str, Any] = dict(chain_summary(rows))
+    bars = {key: bar for key, bar in APPAREL_BARS.items() if key.startswith("chains")}
+    tables = {"Chains from shape, wardrobe": _chain_table(rows), "Chains from shape, files": _chain_table(real)}
+    return out | {
+        "reached": reached_bars(bars, out), "tables": {title: table for title, table in tables.items() if table},
+        "clips": rows, "files": real, "failed": failed,
+    }  # fmt: skip
+
+
+def _chain_table(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
+    return {
+        f"{row['name']} {row['motion']}": {
+            "rigid": 100 * row["rigid"], "chains": 100 * row["chains"], "over rigid": row["chains"] / max(row["rigid"],
+            1e-9), "ELS": row["chains_els"], "truth's": row["els_truth"], "flew": float(row["lost"]),
+        }
+        for row in rows
     }  # fmt: skip
 
 

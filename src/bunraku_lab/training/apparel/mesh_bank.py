@@ -17,7 +17,7 @@ from bunraku.formats.files import atomic_write, sweep
 from bunraku.physics.clothed import clothed_from_file
 from bunraku_lab.datasets.apparel.plan import character_split
 
-__all__ = ["MeshSample", "build_meshes", "mesh_sample"]
+__all__ = ["MeshSample", "bare_meshes", "build_meshes", "mesh_sample"]
 
 _MESH = ("clean", "points", "joints", "features", "part", "neighbours")
 
@@ -97,6 +97,46 @@ def build_meshes(
         if progress:
             progress((seed - first + 1) / count)
     return out
+
+
+def bare_meshes(folder: Path, source: Path) -> list[MeshSample]:
+    """Samples of characters on which nothing is apparel, by predicted handles, computed once.
+
+    Args:
+        folder: Where they are kept.
+        source: Folder of the characters; those that cannot be read are left out.
+    """
+    from bunraku.io import load_character
+    from bunraku.pipelines.animate import rig
+    from bunraku.pipelines.clothes import body_of_handles
+
+    folder.mkdir(parents=True, exist_ok=True)
+    sweep(folder)
+    out = []
+    for number, file in enumerate(sorted(source.glob("*.glb"))):
+        path = folder / f"bare_{file.stem}.npz"
+        if not path.is_file():
+            try:
+                character = load_character(file)
+                weights, joints = body_of_handles(character, rig(character))
+                _write(path, _bare(character, joints, weights, file.stem, number))
+            except BunrakuError:
+                continue
+        out.append(_read(path))
+    return out
+
+
+def _bare(character: Character, joints: np.ndarray, weights: np.ndarray, name: str, seed: int) -> MeshSample:
+    joints = joints.astype(np.float32)
+    mesh = sampled_mesh(character.vertices, character.faces, joints, seed=seed)
+    first = np.zeros(mesh.index.max() + 1, np.int64)
+    first[mesh.index] = np.arange(len(mesh.index))
+    count = len(mesh.clean)
+    none = np.zeros(count, np.float32)
+    return MeshSample(
+        name, mesh, np.zeros(count, bool), none, none, weights[first[mesh.clean]].astype(np.float32),
+        joint_distances(character.vertices, character.faces, joints, mesh.clean),
+    )  # fmt: skip
 
 
 def _write(path: Path, sample: MeshSample) -> None:

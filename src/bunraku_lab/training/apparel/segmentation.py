@@ -13,10 +13,11 @@ from bunraku.apparel.segmentation.scores import SegmentationConfig
 from bunraku.errors import OptionError
 from bunraku_lab.nn.apparel.segmentation import (
     SegmentationNetwork,
+    load_segmentation,
     mesh_block,
     save_segmentation,
 )
-from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
+from bunraku_lab.training.apparel.mesh_bank import MeshSample, bare_meshes, build_meshes
 from bunraku_lab.training.apparel.mesh_variation import varied
 from bunraku_lab.training.losses.apparel_losses import mask_loss
 from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
@@ -35,6 +36,9 @@ class SegmentationTrainConfig(StepSettings):
         overlap: Weight of 1 - (soft intersection over union) beside the cross entropy.
         stiffness: Weight of the error of stiffness and damping.
         varied: Share of the characters that are varied (`mesh_variation`).
+        bare: Folder of characters (.glb) on which nothing is apparel, to learn from as well.
+        bare_share: How many of the characters of a step are of these, as a share.
+        start: Checkpoint to begin with.
         network: Its shape.
     """
 
@@ -45,6 +49,9 @@ class SegmentationTrainConfig(StepSettings):
     overlap: float = 0.5
     stiffness: float = 0.05
     varied: float = 0.7
+    bare: Path | None = None
+    bare_share: float = 0.35
+    start: Path | None = None
     weight_decay: float = 0.02
     network: SegmentationConfig = field(default_factory=SegmentationConfig)
 
@@ -61,14 +68,22 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
     kind = "apparel-mask"
 
     def __init__(
-        self, config: SegmentationTrainConfig, characters: Sequence[MeshSample], held_out: Sequence[MeshSample] = ()
+        self,
+        config: SegmentationTrainConfig,
+        characters: Sequence[MeshSample],
+        held_out: Sequence[MeshSample] = (),
+        bare: Sequence[MeshSample] = (),
     ):
         if not characters:
             raise OptionError("there are no characters to train on; ask for more with --characters")
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
+        self.bare = list(bare)
         self.set_up(lambda: SegmentationNetwork(config.network), self._units)
 
     def _units(self, model: SegmentationNetwork) -> None:
+        if self.config.start is not None:
+            model.load_state_dict(load_segmentation(self.config.start).state_dict())
+            return
         features = torch.from_numpy(np.concatenate([one.mesh.features for one in self.characters[:64]]))
         model.mean[:], model.std[:] = features.mean(dim=0), features.std(dim=0).clamp(min=1e-3)
 
@@ -76,6 +91,8 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
         """Cross entropy, overlap, and the error of stiffness and damping."""
         config = self.config
         chosen = [self.characters[number] for number in self.rng.integers(len(self.characters), size=config.batch)]
+        for place in np.flatnonzero(self.rng.random(config.batch) < config.bare_share) if self.bare else ():
+            chosen[place] = self.bare[int(self.rng.integers(len(self.bare)))]
         chosen = [varied(one, self.rng) if self.rng.random() < config.varied else one for one in chosen]
         features, graph = mesh_block([one.mesh for one in chosen])
         noise = torch.from_numpy(self.rng.normal(0, 0.003, (len(features), 3)).astype(np.float32))
@@ -144,5 +161,7 @@ def train_segmentation(
     """
     config.prepare()
     meshes = build_meshes(config.out.with_name(f"{config.out.name}-meshes"), config.characters)
-    trainer = SegmentationTrainer(config, meshes["train"], meshes["val"])
+    kept = config.out.with_name(f"{config.out.name}-bare")
+    bare = [] if config.bare is None else bare_meshes(kept, config.bare)
+    trainer = SegmentationTrainer(config, meshes["train"], meshes["val"], bare)
     return trainer.learn(report, progress)

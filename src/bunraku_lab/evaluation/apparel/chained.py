@@ -1,0 +1,77 @@
+"""Chains laid over the shape of apparel, measured against the truth of its file's physics; the file's bones and springs
+are not told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.character import Character, Rig, top_influences
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.physics.chains.from_shape import shape_chains
+from bunraku.physics.chains.laid import with_chains
+from bunraku.physics.chains.moving import steady_simulation
+from bunraku_lab.evaluation.apparel.clips import RATE, TrueClip
+from bunraku_lab.evaluation.apparel.measures import edge_score, point_distance
+
+__all__ = ["chain_row", "chain_summary", "chained_clip"]
+
+STRIDE = 10  # frames from one whose edges are measured to the next
+
+
+def chained_clip(clip: TrueClip) -> tuple[np.ndarray, int]:
+    """All vertices of a clip [m], shape (N, V, 3), and how many bodies flew away in what is shown."""
+    clothed = clip.clothed
+    transforms = np.tile(np.eye(4), (JOINT_COUNT, 1, 1))
+    transforms[:, :3, 3] = clothed.joints
+    rig = Rig(JOINT_NAMES, np.array(JOINT_PARENTS), transforms, *top_influences(clothed.weights, 4))
+    character = Character(clip.name, clothed.rest, clothed.faces, rig)
+    body = RigAnimation.of_world(character, clip.transforms[..., :3], clip.transforms[..., 3], RATE)
+    made = with_chains(character, shape_chains(clothed), np.arange(JOINT_COUNT))
+    if not made.chains:
+        return body.vertices(), 0
+    found = steady_simulation(made.on(body), made.rig())
+    return found.animation.vertices(), sum(one.frame >= 0 for one in found.report.recoveries)
+
+
+def chain_row(clip: TrueClip) -> dict[str, Any]:
+    """Mean errors of a clip from rest [m], of chains and of parent-rigid skinning, ELS of both and of the truth, and
+    fly-aways.
+    """
+    clothed, chosen, few = clip.clothed, clip.sample(), slice(0, None, STRIDE)
+    truth = clip.truth(chosen)
+    moved, lost = chained_clip(clip)
+    vertices = np.flatnonzero(clothed.apparel)
+    index = np.full(len(clothed.rest), -1)
+    index[vertices] = np.arange(len(vertices))
+    edges, rest = index[clip.edges()], clothed.rest[vertices]
+    return {
+        "name": clip.name, "motion": clip.motion,
+        "rigid": float(point_distance(clip.carried(chosen), truth).mean()),
+        "chains": float(point_distance(moved[:, chosen], truth).mean()),
+        "chains_els": edge_score(moved[few][:, vertices], rest, edges),
+        "els_truth": edge_score(clip.truth(vertices)[few], rest, edges),
+        "lost": lost,
+    }  # fmt: skip
+
+
+def chain_summary(rows: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+    """Over all clips: error over that of rigid apparel, the mean and the median of the clips' own, ELS less the
+    truth's, and clips in which something flew away.
+    """
+    if not rows:
+        return {}
+    ratios = [row["chains"] / max(row["rigid"], 1e-9) for row in rows]
+    return {
+        "chains_over_rigid": float(sum(row["chains"] for row in rows) / max(sum(row["rigid"] for row in rows), 1e-9)),
+        "chains_mean_ratio": float(np.mean(ratios)),
+        "chains_median_ratio": float(np.median(ratios)),
+        "chains_worst_ratio": float(max(ratios)),
+        "chains_els_minus_truth": float(np.mean([row["chains_els"] - row["els_truth"] for row in rows])),
+        "chains_fly_aways": float(sum(row["lost"] > 0 for row in rows)),
+        "chains_clips": float(len(rows)),
+    }
