@@ -4,6 +4,7 @@ move.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from bunraku.formats.files import read_bounded
 from bunraku.formats.gltf.read import read_gltf
 from bunraku.formats.mesh.ply import read_ply
 
-__all__ = ["artist_mask", "artist_mask_file", "read_artist_mask"]
+__all__ = ["artist_mask", "artist_mask_file", "file_beside", "read_artist_mask"]
 
 SUFFIXES = (".apparel.npy", ".apparel.txt", ".apparel.ply", ".apparel.glb")
 NEAR = 1e-3  # a painted vertex stands for those of the character that are as near, over its extent
@@ -35,11 +36,16 @@ def artist_mask_file(character: Character) -> Path | None:
     """The file of such a mask: for `gene.pmx` the first of `gene.apparel.npy`, `.txt`, `.ply` and `.glb` that is
     there.
     """
+    return file_beside(character, SUFFIXES)
+
+
+def file_beside(character: Character, suffixes: Sequence[str]) -> Path | None:
+    """The first file of a character's own name and one of some suffixes that lies beside its file; None for none."""
     source = character.source
     path = getattr(source, "path", None) or getattr(getattr(source, "document", None), "path", None)
     if not isinstance(path, Path):
         return None
-    beside = (path.with_name(f"{path.stem}{suffix}") for suffix in SUFFIXES)
+    beside = (path.with_name(f"{path.stem}{suffix}") for suffix in suffixes)
     return next((file for file in beside if file.is_file() and file != path), None)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
@@ -16,6 +18,7 @@ from bunraku.errors import CharacterError
 from bunraku.physics.chains.fitted import fitted_rig
 from bunraku.physics.chains.from_shape import shape_chains
 from bunraku.physics.chains.laid import Chained, LaidChains, with_chains
+from bunraku.physics.chains.manners_file import manners_beside, with_manners
 from bunraku.physics.chains.on_handles import handle_rig
 from bunraku.retarget.engine_skeleton import on_skeleton, t_pose
 from bunraku.skeletons.engine_names import engine_names
@@ -158,7 +161,8 @@ def rig_with_chains(
 
 
 def _laid(character: Character, clothed: ClothedCharacter, stiffness: float, gravity: float) -> LaidChains:
-    laid = shape_chains(clothed).turned(stiffness, gravity)
+    laid = shape_chains(clothed)
+    laid = replace(laid, chains=with_manners(laid.chains, manners_beside(character))).turned(stiffness, gravity)
     if not laid.chains:
         raise CharacterError(
             f"{character.name}: no apparel was found on this mesh that could swing; name its vertices in a mask "

@@ -18,6 +18,7 @@ from bunraku.core.character import Character, Rig
 from bunraku.core.rig_animation import bone_order
 from bunraku.geometry.graph import clean_mesh
 from bunraku.physics.chains.chain import Chain, manner_of
+from bunraku.physics.chains.manners_file import manners_beside, with_manners
 from bunraku.retarget.rig_parts import RigParts, understood_rig
 from bunraku.skeletons.apparel_names import apparel_of_name
 from bunraku.skeletons.bone_names import NO_HANDLE
@@ -122,6 +123,9 @@ def bone_chains(character: Character, stiffness: float = 1.0, gravity: float = 1
         character: With a rig.
         stiffness: Factor on how stiff they are.
         gravity: Factor on gravity.
+
+    Raises:
+        FormatError: The file beside the character's that says how they swing is broken (`manners_file`).
     """
     rig = character.rig
     kinds = apparel_bones(character)
@@ -136,6 +140,7 @@ def bone_chains(character: Character, stiffness: float = 1.0, gravity: float = 1
     for bone in reversed(bone_order(rig.parents)):
         if rig.parents[bone] >= 0:
             mass[rig.parents[bone]] += mass[bone]
+    told = manners_beside(character)
     tops = [bone for bone in kinds if int(rig.parents[bone]) not in kinds]
     out = []
     while tops:
@@ -149,6 +154,7 @@ def bone_chains(character: Character, stiffness: float = 1.0, gravity: float = 1
             line.append(after[0])
         chain = _chain(character, rig, held, line, kinds[line[0]], height)
         if chain is not None:
+            (chain,) = with_manners([chain], told)
             manner = chain.manner.turned(stiffness, gravity)
             out.append(Chain(chain.name, chain.kind, chain.bones, chain.points, chain.holder, chain.width, chain.thick,
                              manner))  # fmt: skip

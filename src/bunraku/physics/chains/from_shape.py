@@ -10,7 +10,7 @@ import numpy as np
 
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.body.layout import JOINT_COUNT
-from bunraku.physics.chains.chain import Chain, manner_of
+from bunraku.physics.chains.chain import Chain, laid_manner
 from bunraku.physics.chains.laid import LaidChains
 from bunraku.physics.chains.sheets import Piece, pieces_of
 
@@ -83,7 +83,7 @@ def shape_chains(clothed: ClothedCharacter) -> LaidChains:
                     holders[place],
                     width,
                     float(np.clip(0.25 * column.width, 0.004 * size, 0.015 * size)),
-                    manner_of(piece.kind),
+                    laid_manner(piece.kind, (column.end - column.start) / size),
                 )
             )
         if piece.kind in TIED and len(columns) > 1:

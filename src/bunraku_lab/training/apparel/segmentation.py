@@ -38,7 +38,7 @@ class SegmentationTrainConfig(StepSettings):
         varied: Share of the characters that are varied (`mesh_variation`).
         bare: Folder of characters (.glb) on which nothing is apparel, to learn from as well.
         bare_share: How many of the characters of a step are of these, as a share.
-        start: Checkpoint to begin with.
+        start: Checkpoint to begin with, whose shape counts.
         network: Its shape.
     """
 
@@ -78,7 +78,8 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
             raise OptionError("there are no characters to train on; ask for more with --characters")
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
         self.bare = list(bare)
-        self.set_up(lambda: SegmentationNetwork(config.network), self._units)
+        shape = config.network if config.start is None else load_segmentation(config.start).config
+        self.set_up(lambda: SegmentationNetwork(shape), self._units)
 
     def _units(self, model: SegmentationNetwork) -> None:
         if self.config.start is not None:
