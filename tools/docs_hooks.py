@@ -30,8 +30,10 @@ def on_files(files: Files, config: Any) -> Files:
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
     """Turn links between docs/ and the rest of the repository into links of the site."""
     name = page.file.src_uri
-    if not name.startswith("repository/"):
+    if "/" not in name:  # a page in a folder of docs/ goes up to docs/
         return _UPWARDS.sub(lambda link: f"](repository/{_place(link[1])}", markdown)
+    if not name.startswith("repository/"):
+        return markdown
     up = "../" * name.count("/")
     return re.sub(r"\]\((?:\.\./)*docs/", f"]({up}", markdown)
 

@@ -128,3 +128,12 @@ def test_a_character_has_a_picture_when_the_page_drew_one(client, ready):
     assert answer.content == webp and answer.headers["content-type"] == "image/webp"
     for data, status in ((b"<svg onload=alert(1)>", 400), (b"\x89PNG" + bytes(200_000), 413), (b"", 400)):
         assert client.put(f"/api/characters/{ready}/picture", content=data).status_code == status
+
+
+def test_what_nobody_waits_for_goes_last(client, ready):
+    state = client.app.state.studio
+    state.find_out(ready)
+    made = client.post(f"/api/characters/{ready}/takes", json={"script": [{"text": "walks", "seconds": 2}]}).json()
+    assert list(state.jobs._waiting) == [made["job"]] and len(state.jobs._later) == 1
+    (later,) = state.jobs._later
+    assert client.delete(f"/api/jobs/{later}").json()["state"] == "cancelled" and not state.jobs._later

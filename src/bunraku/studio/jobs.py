@@ -29,6 +29,8 @@ MOST_WAITING = 64
 """Jobs in the queue; more are refused."""
 REMEMBERED = 500
 """Finished jobs that are kept for pages that were away."""
+QUIET = 1.0
+"""Seconds without work before a job is begun that nobody waits for."""
 PATIENCE = 4.0
 """Seconds after which a job that was cancelled and does not stop is stopped by force."""
 KILLED = (
@@ -90,6 +92,8 @@ class Jobs:
         self._lock = threading.RLock()
         self._wake = threading.Condition(self._lock)
         self._waiting: deque[str] = deque()
+        self._later: deque[str] = deque()
+        self._worked = 0.0  # when the last job ended
         self._coming = 0  # jobs that are being written down
         self._jobs: dict[str, Job] = {}
         self.changes = Changes()
@@ -143,7 +147,7 @@ class Jobs:
 
     def submit(
         self, kind: str, title: str, params: Mapping[str, object], about: About | None = None, *,
-        passing: bool = False, first: bool = False,
+        passing: bool = False, first: bool = False, later: bool = False,
     ) -> Job:  # fmt: skip
         """Put a job at the end of the queue.
 
@@ -154,13 +158,14 @@ class Jobs:
             about: Which things it is about, for those that listen.
             passing: It is not kept on disk and not offered again by the next run.
             first: It goes before all that wait: it takes a moment.
+            later: Nobody waits for it: it is begun when nothing was done for `QUIET`.
 
         Raises:
             QueueFull: Too many wait.
             FormatError: It cannot be written down.
         """
         with self._lock:
-            if len(self._waiting) + self._coming >= MOST_WAITING:
+            if len(self._waiting) + len(self._later) + self._coming >= MOST_WAITING:
                 raise QueueFull(f"{MOST_WAITING} jobs are waiting already; let some finish or cancel them")
             self._coming += 1
         record = {"kind": kind, "title": title, "params": params, "about": about or {}}
@@ -173,7 +178,8 @@ class Jobs:
         with self._wake:
             job = cast(Job, {**new, "state": "waiting", "stage": "", "done": 0.0, "error": ""})
             self._jobs[job["id"]] = job
-            (self._waiting.appendleft if first else self._waiting.append)(job["id"])
+            queue = self._later if later else self._waiting
+            (queue.appendleft if first else queue.append)(job["id"])
             self.changes.tell("job", public(job))
             self._wake.notify_all()
             return job
@@ -192,14 +198,14 @@ class Jobs:
         """Take a job out of the queue, or stop it."""
         with self._wake:
             job = self.get(name)
-            waiting = job["state"] == "waiting" and name in self._waiting
-            if waiting:
-                self._waiting.remove(name)
+            queue = next((one for one in (self._waiting, self._later) if name in one), None)
+            if queue is not None:
+                queue.remove(name)
             elif job["state"] == "running":
                 self._cancelled_at = time.monotonic()
                 with suppress(OSError, AttributeError):  # a process that is gone needs no bell
                     self._bell.send(name)  # type: ignore[union-attr]
-        if waiting or job["state"] == "interrupted":
+        if queue is not None or job["state"] == "interrupted":
             self._end(job, "cancelled", {})
         return job
 
@@ -229,16 +235,21 @@ class Jobs:
     def _serve(self) -> None:
         while True:
             with self._wake:
-                while not self._waiting and not self._stopping:
-                    self._wake.wait(1.0)
+                while not self._waiting and not self._stopping and not self._quiet():
+                    self._wake.wait(QUIET)
                     self._look_after()
                 if self._stopping:
                     return
-                job = self._jobs[self._waiting.popleft()]
+                job = self._jobs[(self._waiting or self._later).popleft()]
                 self._cancelled_at = 0.0
                 job.update({"state": "running", "started": time.time()})
                 self.changes.tell("job", public(job))
             self._run(job)
+            self._worked = time.monotonic()
+
+    def _quiet(self) -> bool:
+        """Whether a job is there that nobody waits for, and it is its time."""
+        return bool(self._later) and time.monotonic() - self._worked >= QUIET
 
     def _look_after(self) -> None:
         """While nothing waits: hear that the process is warm, and bring it back where somebody killed it."""

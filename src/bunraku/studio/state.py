@@ -130,8 +130,9 @@ class State:
         return {"character": record, "job": job["id"]}
 
     def find_out(self, name: str) -> None:
-        """Queue what is longer looked for of a character, after what waits for it already."""
-        self.jobs.submit("find-out", "look at the character", {"character": name}, {"found": name}, passing=True)
+        """Queue what is longer looked for of a character, for when nobody waits for anything."""
+        about: About = {"found": name}
+        self.jobs.submit("find-out", "look at the character", {"character": name}, about, passing=True, later=True)
 
     def drop(self, kind: str, name: str) -> None:
         """Remove a thing and tell so."""

@@ -26,7 +26,7 @@ __all__ = ["DRAFT_STAGES", "DRAFT_STEPS", "Animate", "Edit", "Known"]
 FPS = 20.0
 """What the network knows; takes of other rates, carried over from files, are resampled before they are changed."""
 DRAFT_STEPS = 3
-DRAFT_STAGES = Stages(smooth=False, feet=False, floor=False)
+DRAFT_STAGES = Stages(smooth=False, feet=False, hands_clear=False, floor=False)
 """Of a draft, which is there to be seen at once."""
 
 
