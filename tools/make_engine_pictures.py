@@ -30,7 +30,7 @@ WIDE, HIGH = 960, 360
 SEEN = {  # the sample, and its prompts
     "unity": ("person", ["idle", "walks forward", "Attack=kicks with the right leg"]),
     "unreal": ("person", ["walks forward", "runs", "waves"]),
-    "godot": ("robot", ["idle", "walks forward", "jumps"]),
+    "godot": ("person", ["idle", "walks forward", "jumps"]),
     "blender": ("dragon", ["walks forward", "flies", "roars"]),
     "three": ("mushroom", ["walks forward", "dances", "jumps"]),
     "vrchat": ("dancer", ["waves", "dances", "bows"]),
@@ -47,7 +47,8 @@ import * as THREE from "three";
 import { GLTFLoader } from "/three/examples/jsm/loaders/GLTFLoader.js";
 import { FBXLoader } from "/three/examples/jsm/loaders/FBXLoader.js";
 window.shown = async (files, title) => {
-  const renderer = new THREE.WebGLRenderer({ canvas: document.getElementById("view"), antialias: true, preserveDrawingBuffer: true });
+  const canvas = document.getElementById("view");
+  const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
   renderer.setSize(960, 360, false);
   renderer.setScissorTest(true);
   document.querySelector("h1").textContent = title;
