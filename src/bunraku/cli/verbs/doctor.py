@@ -35,6 +35,7 @@ EXTRAS = {
     "ray": ("ray", "`--jobs ray` does not work; `--jobs` with a number needs nothing"),
     "pxr": ("usd", "USD is not written"),
     "mcp": ("serve", "`bunraku serve` does not work"),
+    "motionmcp": ("mmcp", "`bunraku serve --mmcp` does not work"),
     "anny": ("body", "the reference body cannot be built again; the shipped one is all that a user needs"),
 }
 
