@@ -392,7 +392,7 @@ export function replayLink(one: Take): string {
     character: characters.value.find((each) => each.id === one.character)?.name ?? "",
     script: scriptOf(one),
     seed: one.seed,
-    steps: told.steps ?? 4,
+    steps: told.steps ?? 8,
     guidance: told.guidance ?? 3.5,
     loop: told.loop ?? false,
     inPlace: Boolean(one.asked?.["in_place"]),

@@ -16,7 +16,7 @@ export const EMPTY: Doc = {
   apparel: "rigid",
   stiffness: 1,
   guidance: 3.5,
-  steps: 4,
+  steps: 8,
   pins: [],
   poses: [],
   path: [],

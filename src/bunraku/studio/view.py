@@ -63,7 +63,7 @@ class View:
     apparel: Motion = "rigid"
     stiffness: float = 1.0
     guidance: float = 3.5
-    steps: int = 4
+    steps: int = 8
     pins: tuple[object, ...] = ()
     poses: tuple[PoseForm, ...] = ()
     path: tuple[tuple[float, float], ...] = ()

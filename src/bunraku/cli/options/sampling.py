@@ -18,7 +18,7 @@ class SamplingOptions(Sampling):
     """`Sampling` on the command line."""
 
     steps: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
-    """Sampling steps, 1 to 1000; more is slower. Default: 4."""
+    """Sampling steps, 1 to 1000; more is slower. Default: 8."""
     guidance: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
     """How closely to follow the sentence, 0 to 20. Default: 3.5."""
 

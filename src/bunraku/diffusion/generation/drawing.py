@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["GUIDANCE", "STEPS", "Drawing", "draw_candidates", "frames_of", "way_of"]
 
-STEPS = 4
+STEPS = 8
 GUIDANCE = 3.5
 MADE_UNTIL = 0
 """Step of the sampler down to which a gesture made by code stands for what the network predicts. It has seen none:
@@ -45,7 +45,7 @@ class Drawing:
     """How a motion is drawn.
 
     Args:
-        steps: Sampling steps, 1 to 1,000; None takes 4.
+        steps: Sampling steps, 1 to 1,000; None takes 8.
         guidance: Classifier-free guidance scale, 0 to 20; None takes 3.5.
         mesh_feature: f_phi of the character, shape (448,); None, or weights that were trained without characters,
             generate for no mesh in particular.

@@ -27,8 +27,8 @@ LAST = 100
 """Step of the sampler below which nothing is guided: what is left there are details."""
 SPREAD = 2.0
 """Standard deviation of the smoothing [frames]."""
-ROUNDS = 8
-"""Least number of times that a motion is guided; where fewer steps predict it, each prediction is more than once."""
+FEW = 10
+"""Where fewer steps than this predict a motion, each prediction is guided twice."""
 GROUP = 16
 """Stretches that go through the network at once."""
 
@@ -127,7 +127,7 @@ class Critic:
         lengths: Sequence[Sequence[int]],
         sizes: Sequence[int],
         guide: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
-        steps: int = ROUNDS,
+        steps: int = FEW,
     ) -> ClassifierGuidance:
         """For motions that lie one after the other on the time line.
 
@@ -155,5 +155,6 @@ class Critic:
                         stretches.append(Spoken((low, min(high, end)), self.vectors[sentence], until))
                 first += length
             begin = end
-        rounds = max(1, round(ROUNDS / steps))
-        return ClassifierGuidance(self.network, model.mean, model.std, stretches, self.strength, rounds)
+        return ClassifierGuidance(
+            self.network, model.mean, model.std, stretches, self.strength, rounds=2 if steps < FEW else 1
+        )

@@ -138,7 +138,7 @@ class Solver:
         progress: Called with (done, total) steps.
     """
 
-    steps: int = 4
+    steps: int = 8
     guidance: float = 3.0
     rescale: float = 0.0
     method: str = "dpm"
