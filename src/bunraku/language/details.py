@@ -18,6 +18,8 @@ __all__ = ["added_words", "count_of", "stems_of", "tells_all", "unseen_word"]
 MOST = 99
 """How often something is done at the most."""
 _TIMES = frozenset(("time", "times"))
+_LIMBS = {"arms": ("arm", "hand"), "legs": ("leg", "foot"), "head": ("head",)}
+"""Words for the limbs of a part of the body."""
 
 
 def count_of(text: str) -> int | None:
@@ -61,21 +63,29 @@ def _own(action: str) -> frozenset[str]:
     return frozenset(stems(words))
 
 
+@functools.lru_cache(maxsize=64)
+def _limbs(action: str) -> frozenset[str]:
+    """Stems of the words for the limbs that a gesture moves; how other actions hold them is a pose of its own."""
+    moved = lexicon().actions[action].part if lexicon().actions[action].gesture else ""
+    return frozenset(stems(word for part, words in _LIMBS.items() if part in moved for word in words))
+
+
 def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:
-    """Words of a text that say a part of the body or a movement beyond its actions, as they stand there.
+    """Words of a text that say a part of the body or a movement beyond its actions, as they stand there. "Arms" add
+    nothing to a gesture of the arms.
 
     Args:
         text: In English.
         actions: What it says, in the lexicon's words.
     """
-    own = frozenset().union(*map(_own, actions)) if actions else frozenset()
+    own, limbs = (frozenset[str]().union(*map(find, actions)) for find in (_own, _limbs))
     verbs = action_stems()
     found = []
     for word in words_of(text)[0]:
         root = stem(word)
         if word in FUNCTION_WORDS or word.endswith("ly") or not word.isalpha():
             continue
-        if root in _body() or (root in verbs and root not in own):
+        if (root in _body() and root not in limbs) or (root in verbs and root not in own):
             found.append(word)
     return tuple(dict.fromkeys(found))
 

@@ -98,7 +98,8 @@ def test_numbers_that_count_and_those_that_do_not():
 def test_what_a_clause_adds():
     added = {
         "scratches the chin": ("chin",), "sits while crossing legs": ("crossing", "legs"), "claps happily": (),
-        "waves at a friend": (), "a person applauds": (), "hugs somebody": (),
+        "waves at a friend": (), "a person applauds": (), "hugs somebody": (), "flexes both arms": (),
+        "waves with the foot": ("foot",),
     }  # fmt: skip
     assert {text: clause_of(text).added for text in added} == added
 
