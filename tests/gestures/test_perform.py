@@ -124,3 +124,14 @@ def test_the_shipped_idles_stand_on_both_feet():
     rest = reference_body().joints
     for one in pack.idles:
         assert abs(np.median(one.root_translation[:, 1]) - rest[0, 1]) < 0.08
+
+
+def test_who_makes_a_gesture_shifts_as_far_as_captured_people_do():
+    """Calm people are drawn less often, and their shifts are made larger, with their feet where they are."""
+    ranges, feet = [], []
+    for seed in range(12):
+        one = performed(gesture("wave"), 120, load_examples().idles, np.random.default_rng(seed))
+        positions = one.world()[1]
+        ranges.append(np.linalg.norm(np.ptp(positions[:, 0][:, [0, 2]], axis=0)))
+        feet.append(np.ptp(positions[:, AT["left_ankle"]], axis=0).max())
+    assert np.median(ranges) > 0.1 and max(ranges) < 0.3 and max(feet) < 0.06

@@ -69,6 +69,10 @@ TOUCH = 0.17
 """Distance of two palms, or of a palm from the middle of the trunk, with which they touch something [m]."""
 _TRUNK = np.array([0.0, 1.25, 0.0])
 _RISES = 0.03
+SHIFTS, MOST_SHIFTED = 0.12, 2.5
+"""How far the pelvis of who makes a gesture goes to and fro [m]: of a quarter of captured people less; and how many
+times as far as of somebody who only stands at the most.
+"""
 LIES = 20.0
 """Tilt of the pelvis from which on nobody stands [degrees]."""
 
@@ -112,7 +116,8 @@ def _standing(
     """One of those who stand, for so many frames: to and fro where the clip is shorter."""
     if not idles:
         return swaying(int(random.integers(2**31)), moments)
-    idle = idles[int(random.integers(len(idles)))]
+    ways = np.array([_range(idle.root_translation) for idle in idles])
+    idle = idles[int(random.choice(len(idles), p=ways / ways.sum()))]
     if random.random() < 0.5:
         idle = mirrored(idle)
     last = len(idle) - 1
@@ -124,7 +129,15 @@ def _standing(
     else:
         at = (random.uniform(0, 2 * last) + np.arange(frames)) % (2 * last)
         at = np.where(at > last, 2 * last - at, at)
-    return captured(idle, at)
+    standing = captured(idle, at)
+    middle = standing.hips.mean(axis=0)
+    shifts = np.clip(SHIFTS / _range(standing.hips), 1, MOST_SHIFTED) * np.array([1, 0, 1]) + np.array([0, 1, 0])
+    return replace(standing, hips=middle + shifts * (standing.hips - middle))
+
+
+def _range(positions: np.ndarray) -> float:
+    """How far somebody (N, 3) comes over the ground [m]."""
+    return max(float(np.linalg.norm(np.ptp(positions[:, [0, 2]], axis=0))), 1e-3)
 
 
 def _scheduled(
