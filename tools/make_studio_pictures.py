@@ -80,6 +80,7 @@ def directing(page: Page) -> None:
     page.until("studio.take.value.script.length === 2 && studio.take.value.state === 'done'")
     page.shown()
     page.set(1.0)
+    page.page.click("#fold")
     page.page.click("button:has-text('pin pose')")
     page.set(3.2)
     page.page.click("button:has-text('pin pose')")

@@ -1,4 +1,6 @@
 import io
+import threading
+import time
 import zipfile
 
 import pytest
@@ -274,3 +276,27 @@ def test_a_sequence_typed_as_one_text_makes_a_take_of_its_parts(client, ready):
     made = take(client, ready, script=[{"text": "walks:4; jumps:2; waves:3", "seconds": 5}]).json()
     assert made["script"] == parts
     assert client.get(f"/api/takes/{made['takes'][0]}").json()["script"] == parts
+
+
+def test_who_asks_does_not_wait_for_the_disk(client, ready):
+    """While the disk takes nothing, requests that write wait for it, and all others are answered."""
+    state, found = client.app.state.studio, []
+    script = {"script": [{"text": "walks", "seconds": 2}]}
+    writers = [
+        threading.Thread(target=client.patch, args=(f"/api/characters/{ready}",), kwargs={"json": {"name": "other"}}),
+        threading.Thread(target=client.post, args=(f"/api/characters/{ready}/takes",), kwargs={"json": script}),
+        threading.Thread(target=client.post, args=("/api/projects",), kwargs={"json": {"view": {}}}),
+    ]
+    asked = threading.Thread(target=lambda: found.append(client.get("/api/about").json()), daemon=True)
+    with state.store._lock:  # which who writes has until the disk has taken it
+        for one in writers:
+            one.daemon = True
+            one.start()
+        time.sleep(0.5)
+        asked.start()
+        asked.join(30)
+        assert found and found[0]["characters"][0]["name"] == "one"
+    for one in writers:
+        one.join(30)
+    assert client.get("/api/about").json()["characters"][0]["name"] == "other"
+    assert len(client.get("/api/jobs").json()["jobs"]) == 1
