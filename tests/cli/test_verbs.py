@@ -117,6 +117,8 @@ def test_doctor_reports_in_words_and_in_json(capsys):
         "bunraku",
         "python",
         "torch",
+        "numpy",
+        "scipy",
         "preview",
         "handles weights",
         "diffusion weights",

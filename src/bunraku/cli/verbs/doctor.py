@@ -25,7 +25,7 @@ WEIGHTS = {
     "ranker": "`bunraku animate` cannot choose among candidates; say --candidates 1",
     "critic": "`bunraku animate` does not guide motions towards their sentences, and fewer do what these say",
 }
-PACKAGES = {"pxr": "usd-core", "motionmcp": "motionmcp-sdk"}
+DISTRIBUTIONS = {"pxr": "usd-core", "motionmcp": "motionmcp-sdk"}
 """Names of packages that are imported by another."""
 EXTRAS = {
     "DracoPy": ("compressed", "GLB packed with Draco is not read"),
@@ -184,7 +184,7 @@ def _body() -> Iterator[Finding]:
 def _extras() -> Iterator[Finding]:
     for name, (extra, cost) in EXTRAS.items():
         if importlib.util.find_spec(name) is not None:
-            yield Finding(name, "ok", _version(PACKAGES.get(name, name)))
+            yield Finding(name, "ok", _version(DISTRIBUTIONS.get(name, name)))
         else:
             yield Finding(name, "optional", "not installed", f"{cost}; pip install 'bunraku[{extra}]'")
     yield Finding("FBX", "ok", "read and written by Bunraku itself")
