@@ -46,7 +46,7 @@ def sampling_steps(count: int) -> list[int]:
     curve = alphas_cumprod()
     ratio = 0.5 * np.log(curve / (1 - curve))  # the lambda of DPM-Solver++, falling
     ends = np.array([np.interp(count, (FEW[0], MANY[0]), pair) for pair in zip(FEW[1], MANY[1], strict=True)])
-    wanted = np.interp(np.linspace(*ends, count), ratio[::-1], np.arange(TRAINING_STEPS)[::-1])
+    wanted = np.interp(np.linspace(ends[0], ends[1], count), ratio[::-1], np.arange(TRAINING_STEPS)[::-1])
     steps: list[int] = []
     for index, step in enumerate(wanted):
         below = steps[-1] - 1 if steps else TRAINING_STEPS - 1
