@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from bunraku.apparel.fitting import fitted_clothes
+from bunraku.apparel.parts import whole_pieces
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
 
@@ -43,3 +44,26 @@ def test_layers_of_a_skirt_are_one_part(joint, radii, parts):
     assert set(np.unique(clothed.part)) == {-1, *range(parts)}
     assert len(clothed.stiffness) == len(clothed.damping) == parts
     assert (clothed.weights[clothed.part >= 0].argmax(axis=1) == JOINT_NAMES.index(joint)).all()
+
+
+def test_loose_pieces_that_are_mostly_apparel():
+    """A lock of which a half is marked is apparel, one with a speck is not, and a body never."""
+
+    def strip(x, rows):
+        y = np.linspace(1, 0, rows)
+        points = np.stack([np.repeat([[x, x + 0.02]], rows, 0), np.repeat(y[:, None], 2, 1), np.zeros((rows, 2))], -1)
+        first = 2 * np.arange(rows - 1)[:, None]
+        return points.reshape(-1, 3), np.concatenate([first + [0, 1, 2], first + [1, 3, 2]])
+
+    points, faces, start = [], [], 0
+    for x, rows in ((0, 80), (1, 10), (2, 10)):
+        own, triangles = strip(x, rows)
+        points.append(own)
+        faces.append(triangles + start)
+        start += len(own)
+    vertices, faces = np.concatenate(points), np.concatenate(faces)
+    mask = np.zeros(len(vertices), bool)
+    mask[:90], mask[160:170], mask[180:182] = True, True, True
+    found = whole_pieces(vertices, faces, mask)
+    assert len(set(found[160:180])) == 1 and found[160] >= 0
+    assert (found[:160] == -1).all() and (found[180:] == -1).all()

@@ -6,7 +6,35 @@ import numpy as np
 
 from bunraku.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
-__all__ = ["apparel_parts"]
+__all__ = ["apparel_parts", "whole_pieces"]
+
+MOSTLY = 0.4
+"""Of a loose piece's points: a piece of which so many are apparel is apparel."""
+LARGE = 0.3  # of all points: a piece with more may be the body itself
+
+
+def whole_pieces(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> np.ndarray:
+    """Number of the loose piece of the mesh of each vertex where much of that is apparel, -1 elsewhere, shape (V,): a
+    lock of hair whose upper half is not marked hangs on the head all the same, whatever arm lies beside it.
+
+    Args:
+        vertices: Rest mesh [m], shape (V, 3).
+        faces: Shape (F, 3).
+        apparel: The mask, shape (V,), bool.
+
+    Raises:
+        CharacterError: The mesh is broken.
+    """
+    clean = clean_mesh(vertices, faces)
+    count = len(clean.vertices)
+    piece = mesh_parts(unique_edges(clean.faces, count), count)
+    cloth = np.zeros(count, bool)
+    cloth[clean.index[apparel]] = True
+    sizes = np.bincount(piece)
+    share = np.bincount(piece, cloth) / np.maximum(sizes, 1)
+    whole = (share >= MOSTLY) & (sizes < LARGE * count)
+    own = piece[clean.index]
+    return np.asarray(np.where(whole[own], own, -1))
 
 
 def apparel_parts(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> np.ndarray:

@@ -9,13 +9,13 @@ import numpy as np
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.apparel.artist_mask import artist_mask
 from bunraku.apparel.clothed import SOFTEST, STIFFEST, ClothedCharacter
-from bunraku.apparel.fitting import eased_border, fitted_clothes, joint_weights_of_handles, joints_of_handles
+from bunraku.apparel.fitting import fitted_clothes, joint_weights_of_handles, joints_of_handles
 from bunraku.apparel.mask import apparel_mask
 from bunraku.apparel.segmentation.predict import find_apparel
 from bunraku.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError
-from bunraku.physics.chains.fitted import fitted_rig
+from bunraku.physics.chains.fitted import carried, fitted_rig
 from bunraku.physics.chains.from_shape import shape_chains
 from bunraku.physics.chains.laid import Chained, LaidChains, with_chains
 from bunraku.physics.chains.manners_file import manners_beside, with_manners
@@ -56,7 +56,8 @@ def told_apart(
     found = find_apparel(character.vertices, character.faces, joints)
     dial = np.float32(np.log10(stiffness))
     return fitted_clothes(
-        character.vertices, character.faces, joints, weights, found.mask if mask is None else mask,
+        character.vertices, character.faces, joints, weights,
+        found.mask if mask is None else mask,
         np.clip(found.stiffness + dial, SOFTEST, STIFFEST), found.damping,
     )  # fmt: skip
 
@@ -149,14 +150,14 @@ def rig_with_chains(
     if skeleton is None:
         return laid_over(handle_rig(character, handles), clothed, np.arange(JOINT_COUNT), stiffness, gravity)
     laid = _laid(character, clothed, stiffness, gravity)
-    share = eased_border(clothed)[:, None]
-    carrier = np.eye(handles.weights.shape[1], dtype=np.float32)[clothed.weights.argmax(axis=1)]
-    shown = on_skeleton(anatomy, skeleton, handles.weights * (1 - share) + carrier * share)
+    share, joint = carried(clothed)
+    carrier = np.eye(handles.weights.shape[1], dtype=np.float32)[joint]
+    shown = on_skeleton(anatomy, skeleton, handles.weights * (1 - share[:, None]) + carrier * share[:, None])
     assert shown.rig is not None
     place = {name: bone for bone, name in enumerate(shown.rig.names)}
     names, bones = engine_names(skeleton), np.zeros(JOINT_COUNT, np.int64)
-    for joint, parent in enumerate(JOINT_PARENTS):
-        bones[joint] = place.get(names[joint], bones[parent] if parent >= 0 else 0)
+    for number, parent in enumerate(JOINT_PARENTS):
+        bones[number] = place.get(names[number], int(bones[parent]) if parent >= 0 else 0)
     return with_chains(shown, laid.moved(t_pose(anatomy)[0][:JOINT_COUNT]), bones)
 
 
