@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from bunraku.cli.options.orientation import UnitOption
-from bunraku.cli.output.apparel_facts import apparel_facts, say_chain
+from bunraku.cli.output.apparel_facts import apparel_facts, say_chain, shape_facts
 from bunraku.cli.output.checks import check_input, check_output
 from bunraku.cli.output.ledger import check_free, note_written
 from bunraku.cli.output.outputs import size_text, wrote
@@ -109,11 +109,13 @@ def _body(character: Character, up: str, front: str) -> dict[str, Any]:
 
     try:
         standing = turned(character, up, front)
-        found = body_facts(Anatomy.of(standing, predict_handles(standing)))
+        anatomy = Anatomy.of(standing, predict_handles(standing))
+        found = body_facts(anatomy)
     except (WeightsError, CharacterError) as error:
         return {"body": None, "body_note": str(error)}
     parts = [{"name": part.name, "area": round(part.area, 4), "clear": round(part.sure, 3)} for part in found.parts]
-    return {"body": found.plan.words, "parts": parts, "cannot": list(found.cannot)}
+    facts = {"body": found.plan.words, "parts": parts, "cannot": list(found.cannot)}
+    return facts if character.rig is not None else facts | shape_facts(anatomy)
 
 
 def _fbx(path: Path) -> dict[str, Any]:
