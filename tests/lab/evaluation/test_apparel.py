@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
+from bunraku.apparel.unified import UnifiedBody
+from bunraku.physics.clothed import clothed_from_file
+from bunraku_lab.evaluation.apparel.chained import chain_row, chain_summary
+from bunraku_lab.evaluation.apparel.clips import TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score, oracle_skinning, point_distance
 from bunraku_lab.evaluation.apparel.table import APPAREL_BARS, _literal, _rest_table, _ten_table
+from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 
 def test_distance_by_hand():
@@ -60,3 +65,22 @@ def test_the_papers_form_has_rows_of_its_own():
 
 def test_without_clips_there_is_no_table_of_them():
     assert _ten_table([]) == {} and _rest_table([]) == {}
+
+
+def test_chains_of_a_clip_are_measured_against_its_truth():
+    """Chains start where the truth starts, nothing flies, and a clip that stands still is no further off than sagging
+    makes it."""
+    character = wardrobe_character(810_003)
+    body = UnifiedBody.of(character)
+    clothed = clothed_from_file(character, body)
+    transforms = np.concatenate([np.tile(np.eye(3), (22, 1, 1)), body.joints[..., None]], axis=2)
+    frames = np.tile(transforms.astype(np.float32), (12, 1, 1, 1))
+    clip = TrueClip("one", "still", clothed, frames, np.zeros(0, np.int64), np.zeros((12, 0, 3), np.float32))
+    row = chain_row(clip)
+    assert row["rigid"] < 1e-5 and row["lost"] == 0
+    assert row["els_truth"] > 0.999
+    assert row["chains"] < 0.03 * np.ptp(clothed.rest[:, 1])
+    summary = chain_summary([row | {"rigid": 0.02, "chains": 0.01}, row | {"rigid": 0.04, "chains": 0.04, "lost": 2}])
+    assert summary["chains_over_rigid"] == pytest.approx(5 / 6)
+    assert summary["chains_mean_ratio"] == pytest.approx(0.75) and summary["chains_fly_aways"] == 1
+    assert chain_summary([]) == {}
