@@ -15,9 +15,7 @@ from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from bunraku.apparel.body_volume import BodyVolume
-from bunraku.geometry.closest import surface_distances
 from bunraku.geometry.rotations import adjugates
-from bunraku.geometry.winding import winding_numbers
 
 __all__ = ["BodyDepth", "Unposed", "body_depth"]
 
@@ -173,6 +171,8 @@ def body_depth(
         apparel: Its mask, shape (V,), bool.
         scale: The clothed's size.
     """
+    import igl
+
     if not len(faces[~apparel[faces].any(axis=1)]):
         return None
     volume = BodyVolume.of_mesh(vertices, faces, weights, apparel, "the mesh", _FACES)
@@ -191,14 +191,14 @@ def body_depth(
     found = cKDTree(marks).query(points, distance_upper_bound=band + cell)[0]
     near = np.isfinite(found)
     out = np.full(len(points), band, np.float32)
-    gap = surface_distances(points[near], volume.rest, volume.faces, cell)
-    inside = np.abs(winding_numbers(points[near], volume.rest, volume.faces)) > 0.5
+    gap = np.sqrt(igl.point_mesh_squared_distance(points[near], volume.rest, volume.faces)[0])
+    inside = np.abs(igl.fast_winding_number(volume.rest, volume.faces, points[near])) > 0.5
     out[near] = np.minimum(gap, band) * np.where(inside, -1, 1)
     # what is far from all faces is inside or outside as a whole
     regions, count = label(~near.reshape(shape))
     regions = regions.reshape(-1)
     if count:
         first = np.array([np.flatnonzero(regions == number + 1)[0] for number in range(count)])
-        deep = np.abs(winding_numbers(points[first], volume.rest, volume.faces)) > 0.5
+        deep = np.abs(igl.fast_winding_number(volume.rest, volume.faces, points[first])) > 0.5
         out[np.isin(regions, np.flatnonzero(deep) + 1)] = -band
     return BodyDepth(low.astype(np.float32), float(cell), out.reshape(shape))

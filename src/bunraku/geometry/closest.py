@@ -1,6 +1,4 @@
-"""Nearest points on a mesh: near a known position, as one sparse matrix of smooth barycentric weights; and how far the
-surface is from points anywhere.
-"""
+"""Nearest points on a mesh near a known position, as one sparse matrix of smooth barycentric weights."""
 
 from __future__ import annotations
 
@@ -8,15 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
-from scipy.spatial import cKDTree
 
-from bunraku.geometry.subdivision import split_long_edges
-
-__all__ = ["blend_matrix", "surface_distances"]
+__all__ = ["blend_matrix"]
 
 _CHUNK = 60_000  # point-triangle pairs at a time: small enough for the cache
 _MOST_TRIANGLES = 64  # around one vertex
-_NEAREST = 6  # triangles that are looked at for a point anywhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,34 +151,6 @@ def blend_matrix(
             )
     row, column, value = (np.concatenate([block[part] for block in blocks]) for part in range(3))
     return coo_matrix((value, (row, column)), shape=(len(points), len(vertices))).tocsr()
-
-
-def surface_distances(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, length: float) -> np.ndarray:
-    """How far points are from a surface, shape (P,).
-
-    The triangles whose middles are nearest are looked at, once all edges are this short: it may say a hundredth of an
-    edge too much.
-
-    Args:
-        points: Shape (P, 3).
-        vertices: Of the surface, shape (V, 3).
-        faces: Shape (F, 3).
-        length: Of the longest edge.
-    """
-    vertices, faces, _ = split_long_edges(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), length)
-    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
-    u, v = second - first, third - first
-    dots = (u * u).sum(axis=1), (u * v).sum(axis=1), (v * v).sum(axis=1)
-    tree, near = cKDTree((first + second + third) / 3), min(_NEAREST, len(faces))
-    out = np.empty(len(points))
-    for start in range(0, len(points), _CHUNK // near):
-        some = points[start : start + _CHUNK // near]
-        triangle = tree.query(some, near)[1].reshape(len(some), near)
-        p = some[:, None] - first[triangle]
-        pp, pu, pv = ((p * other).sum(axis=-1) for other in (p, u[triangle], v[triangle]))
-        square = _closest(pp, pu, pv, *(dot[triangle] for dot in dots))[0]
-        out[start : start + _CHUNK // near] = np.sqrt(square.min(axis=1))
-    return out
 
 
 def _blend(
