@@ -32,3 +32,9 @@ def test_pieces_meet_where_they_are_nearest():
     for trace in (0.0, 0.02):  # a trace of both anywhere else is no joint
         joint = find_joints(*pieces(trace)).positions[ELBOW]
         assert np.abs(joint - [0.5, 0, 0]).max() < 0.07
+
+
+def test_a_trace_of_an_arm_on_what_lies_elsewhere_is_no_elbow():
+    character, handles = pieces(0.2)  # as much as parts that blend have
+    joint = find_joints(character, handles).positions[ELBOW]
+    assert np.abs(joint - [0.5, 0, 0]).max() < 0.1

@@ -1,11 +1,14 @@
 """The same body in other rest poses: its limbs are turned to where the reference body's are, and it stands up."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.joints import find_joints, refined_joints
+from bunraku.anatomy.joints import find_joints, reference_joints, refined_joints
+from bunraku.anatomy.rest_pose import rest_rotations
 from bunraku.body.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
@@ -48,6 +51,25 @@ def test_limbs_are_turned_back_as_far_as_they_were_turned(pose):
         for side in ("left", "right"):
             left = turns[HANDLE_NAMES.index(f"{side}_{part}")] @ world[0, JOINT_NAMES.index(f"{side}_{part}")]
             assert np.degrees(np.linalg.norm(Rotation.from_matrix(left).as_rotvec())) < 7, f"{side}_{part}"
+
+
+def test_a_straight_arm_turns_as_one_though_its_elbow_is_found_badly():
+    body, joints = reference_body(), reference_joints()
+    shoulder, elbow, wrist = (HANDLE_NAMES.index(f"left_{part}") for part in ("shoulder", "elbow", "wrist"))
+    positions = joints.positions.copy()
+    off = 0.2 * np.linalg.norm(positions[elbow] - positions[shoulder])
+    for move, most in ((0.0, 1e-6), (off, 1.0)):
+        positions[elbow] = joints.positions[elbow] + [0, move, 0]
+        found = replace(joints, positions=positions)
+        turns = rest_rotations(body.handles, found, body.handles, joints, 1.7)
+        for part in (shoulder, elbow):
+            assert np.degrees(np.linalg.norm(Rotation.from_matrix(turns[part]).as_rotvec())) <= most
+    bent = joints.positions.copy()
+    bent[wrist] = bent[elbow] + [0, 0, 0.25]  # the forearm points forward
+    turns = rest_rotations(body.handles, replace(joints, positions=bent), body.handles, joints, 1.7)
+    ahead = turns[elbow] @ [0, 0, 1]
+    straight = joints.positions[wrist] - joints.positions[elbow]
+    assert ahead @ straight > 0.99 * np.linalg.norm(straight)
 
 
 @pytest.mark.parametrize("pose", POSES)

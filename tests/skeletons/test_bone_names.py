@@ -189,3 +189,26 @@ def test_an_upper_arm_that_no_word_tells_of_is_the_bone_between():
     parents = [-1, 0, 1, 2, 1, 4, 5, 6, 0, 8]
     found = handle_of_joints(names, parents)
     assert HANDLE_NAMES[found[5]] == "left_shoulder" and HANDLE_NAMES[found[4]] == "left_collar"
+
+
+def test_rigify_halves_of_a_leg_helpers_of_the_pelvis_and_a_spine_up_to_the_head():
+    found = read(
+        "DEF-spine DEF-spine.001 DEF-spine.003 DEF-spine.004 DEF-spine.006 DEF-shoulder.L<DEF-spine.003 DEF-upper_arm.L DEF-upper_arm.L.001 "
+        "DEF-forearm.L DEF-hand.L DEF-pelvis.L<DEF-spine DEF-thigh.L<DEF-spine DEF-thigh.L.001 DEF-shin.L DEF-shin.L.001 DEF-foot.L DEF-toe.L",
+        mass=np.ones(17),
+    )
+    check(
+        found,
+        "DEF-spine=pelvis DEF-spine.001=spine1 DEF-spine.003=spine3 DEF-spine.004=neck DEF-spine.006=head DEF-upper_arm.L.001=left_shoulder "
+        "DEF-forearm.L=left_elbow DEF-pelvis.L= DEF-thigh.L=left_hip DEF-thigh.L.001=left_hip DEF-shin.L=left_knee DEF-shin.L.001=left_knee "
+        "DEF-foot.L=left_ankle DEF-toe.L=left_foot",
+    )
+    alike = read("hips Leg.L Leg.L.001 Leg.L.002 Foot.L")  # each extruded from the one before
+    check(alike, "Leg.L=left_hip Leg.L.001=left_knee Leg.L.002=left_ankle")
+
+
+def test_controls_that_move_nothing_are_no_limbs():
+    text = "hips spine upperarm.L lowerarm.L hand.L elbow.L<spine upperleg.L<hips lowerleg.L knee.L<hips"
+    moved = [1, 1, 1, 1, 1, 0, 1, 1, 0]
+    check(read(text, mass=np.array(moved, float)), "lowerarm.L=left_elbow elbow.L= lowerleg.L=left_knee knee.L=")
+    check(read(text), "elbow.L=left_elbow")  # without weights there is nothing to tell it by

@@ -27,6 +27,7 @@ __all__ = [
 
 PRESENT = 2e-3  # share of the surface under which a handle counts as absent and follows its parent
 OVERLAP = 5e-3  # share of a part in which its parent has one too, under which the two are pieces that only touch
+ASTRAY = 2.0  # the way from the middle of one part to that of the next by their joint, over the straight one, at most
 TRACE = 0.2  # weight, of a part's largest, under which a vertex is not of the part
 GROUP = 4000  # vertices of a part looked at to find where it meets another
 HIP_BY_THIGH = (
@@ -71,17 +72,32 @@ def find_joints(character: Character, handles: Handles) -> Joints:
         parents[handle] = parent
         if not present[handle]:
             continue
-        overlap = mass[:, handle] * handles.weights[:, parent]
-        total = float(overlap.sum())
-        if total > OVERLAP * float(mass[:, handle].sum()):
-            positions[handle] = overlap @ vertices / total
-        else:
-            own, above = (
-                np.where(handles.weights[:, part] > TRACE * handles.weights[:, part].max(), mass[:, part], 0)
-                for part in (handle, parent)
-            )
-            positions[handle] = _between(vertices, own, above) if above.any() else positions[parent]
+        shared = _shared(vertices, handles, areas, handle, parent)
+        if shared is not None:
+            positions[handle] = (shared * areas) @ vertices / float(shared @ areas)
+            continue
+        own, above = (
+            np.where(handles.weights[:, part] > TRACE * handles.weights[:, part].max(), mass[:, part], 0)
+            for part in (handle, parent)
+        )
+        positions[handle] = _between(vertices, own, above) if above.any() else positions[parent]
     return Joints(positions, parents, present)
+
+
+def _shared(vertices: np.ndarray, handles: Handles, areas: np.ndarray, handle: int, parent: int) -> np.ndarray | None:
+    """How much each vertex is of the place where two handles meet, the product of their shares, shape (V,); None where
+    they hardly overlap, or where what they share lies nowhere between them: a trace of an arm on all fingers is no
+    elbow.
+    """
+    own = handles.weights[:, handle].astype(np.float64)
+    both = own * handles.weights[:, parent]
+    mass = both * areas
+    total = float(mass.sum())
+    if total <= OVERLAP * float(own @ areas):
+        return None
+    middle, part, above = mass @ vertices / total, handles.positions[handle], handles.positions[parent]
+    way = np.linalg.norm(middle - part) + np.linalg.norm(middle - above)
+    return None if way > ASTRAY * np.linalg.norm(part - above) else both
 
 
 def _between(vertices: np.ndarray, mass: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -174,8 +190,8 @@ def _unbent(
     """
     handle, parent = pair
     own, above = handles.weights[:, handle].astype(np.float64), handles.weights[:, parent].astype(np.float64)
-    both = own * above
-    if both @ areas <= OVERLAP * (own @ areas):
+    both = _shared(character.vertices, handles, areas, handle, parent)
+    if both is None:
         return None
     near = both > 1e-3 * both.max()
     share = np.divide(own, own + above, out=np.zeros_like(own), where=near)

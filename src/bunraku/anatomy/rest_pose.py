@@ -30,6 +30,7 @@ _LIMB_ENDS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ank
 _FOLLOWERS = {f"{side}_{part}": f"{side}_elbow" for side in ("left", "right") for part in ("wrist", "fingers")}
 _BUILT_BENT = ([30, 45, 70, 80], [1, 0, 0, 1])  # how far a bent leg is straightened, by its angle [degrees]
 _KNEE = ([20, 40], [0, 1])  # how far the parts of a leg turn on their own, by the bend of the knee [degrees]
+_ELBOW = ([30, 60], [0, 1])  # the same of an arm, by the bend of the elbow; short upper arms are found less exactly
 _SITS, _CROUCHES = (
     ([55, 65], [0, 1]),
     ([30, 40], [0, 1]),
@@ -49,8 +50,9 @@ def rest_rotations(
     3, 3).
 
     Arms, and the front legs of animals, are turned wholly: a forearm goes along with its upper arm and is then
-    straightened, and hands follow their forearms. Legs of upright characters keep their stance, but do not sit or
-    crouch (see `_leg_rotations`); hind legs of animals are left as they are. Everything else keeps the identity.
+    straightened, and hands follow their forearms; an arm whose elbow is hardly bent is turned as one. Legs of upright
+    characters keep their stance, but do not sit or crouch (see `_leg_rotations`); hind legs of animals are left as they
+    are. Everything else keeps the identity.
     """
     out = np.tile(np.eye(3), (len(handles.positions), 1, 1))
     stands = upright(handles)
@@ -78,9 +80,11 @@ def rest_rotations(
         return None if np.linalg.norm(own) < SHORTEST * height else (own, want)
 
     for side in ("left", "right"):
-        above = np.eye(3)
+        above, arm = np.eye(3), _arm(joints, reference_joints, side)
         for part in ("shoulder", "elbow"):
             limb = direction(part, side)
+            if limb is not None and arm is not None:
+                limb = _as_one(limb, *arm)
             if limb is not None:
                 above = rotation_between(above @ limb[0], limb[1]) @ above
             elif part == "elbow" and joints.present[HANDLE_NAMES.index(f"{side}_{part}")]:
@@ -105,6 +109,30 @@ def rest_rotations(
     for name, lead in _FOLLOWERS.items():
         out[HANDLE_NAMES.index(name)] = out[HANDLE_NAMES.index(lead)]
     return out
+
+
+def _arm(joints: Joints, reference_joints: Joints, side: str) -> tuple[_Limb, float] | None:
+    """A whole arm, from shoulder to wrist, and how much of it turns in two parts, 0 to 1; None where a joint of it is
+    absent.
+    """
+    first, middle, last = (HANDLE_NAMES.index(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist"))
+    if not joints.present[[first, middle, last]].all():
+        return None
+    own, want = (some.positions[last] - some.positions[first] for some in (joints, reference_joints))
+    upper, lower = joints.positions[middle] - joints.positions[first], joints.positions[last] - joints.positions[middle]
+    sizes = np.linalg.norm(upper) * np.linalg.norm(lower)
+    bend = np.degrees(np.arccos(np.clip(upper @ lower / max(sizes, 1e-12), -1, 1)))
+    return (own, want), float(np.interp(bend, *_ELBOW))
+
+
+def _as_one(limb: _Limb, arm: _Limb, bent: float) -> _Limb:
+    """A part of an arm, pointing where the whole arm points as far as that is not bent."""
+    lengths = [np.linalg.norm(some) for some in limb]
+    own, want = (
+        (bent * part / np.linalg.norm(part) + (1 - bent) * whole / np.linalg.norm(whole))
+        for part, whole in zip(limb, arm, strict=True)
+    )
+    return own * lengths[0], want * lengths[1]
 
 
 def upright(handles: Handles) -> bool:

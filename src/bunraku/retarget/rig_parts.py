@@ -289,7 +289,8 @@ def _joints(
         above[handle] = known
         if not present[handle]:
             continue
-        positions[handle] = rest[leads[handle]]
+        same = (parts == parts[leads[handle]]) & (parents == parents[leads[handle]])
+        positions[handle] = rest[same].mean(axis=0)  # fingers that stand for a hand begin side by side
         bone = int(parents[leads[handle]])
         while bone >= 0 and (parts[bone] in (NO_HANDLE, handle) or not present[parts[bone]]):
             bone = int(parents[bone])

@@ -20,6 +20,7 @@ __all__ = ["NO_HANDLE", "handle_of_joints", "limb_parents"]
 
 NO_HANDLE = -1
 _H = {name: index for index, name in enumerate(HANDLE_NAMES)}
+_LIMB_KINDS = ("shoulder", "elbow", "leg")
 
 
 class _Tree:
@@ -48,10 +49,12 @@ class _Tree:
                 self.children[parent].append(joint)
         self.positions = None if positions is None else np.asarray(positions, float)
         self._settle_sides(names)
+        self._drop_idle()
+        self.copies = [re.sub(r"\.\d+$", "", name) for name in names]
         for joint, kind in enumerate(self.kinds):  # words that mean one thing alone and another in company
             above = [self.kinds[a] for a in self.above(joint)]
             if kind == "hips" and self.sides[joint]:
-                self.kinds[joint] = "leg"
+                self.kinds[joint] = "leg" if self._bears_a_leg(joint) else "none"
             elif (
                 kind == "collar"
                 and self.words[joint].endswith("shoulder")
@@ -87,6 +90,26 @@ class _Tree:
                 side = 1 if across[members].mean() > (marked.max() + marked.min()) / 2 else -1
             for joint in members:
                 self.sides[joint] = side
+
+    def _drop_idle(self) -> None:
+        """Where a bone of a limb moves vertices, or bones that do, those of its part that move none are controls."""
+        if self.mass is None:
+            return
+        moves = self.mass > 0
+        for joint in np.flatnonzero(moves):
+            moves[self.above(int(joint))] = True
+        limbs = [(kind, side) for kind, side in zip(self.kinds, self.sides, strict=True)]
+        moving = {limb for limb, there in zip(limbs, moves, strict=True) if there}
+        for joint, limb in enumerate(limbs):
+            if limb[0] in _LIMB_KINDS and not moves[joint] and limb in moving:
+                self.kinds[joint] = "none"
+
+    def _bears_a_leg(self, joint: int) -> bool:
+        """Whether a hip of one side is the first bone of its leg: not where a leg of that side begins beside it."""
+        if self.child_kinds(joint) & {"leg", "foot"}:
+            return True
+        beside = self.children[self.parents[joint]] if self.parents[joint] >= 0 else []
+        return not any(self.kinds[other] == "leg" and self.sides[other] == self.sides[joint] for other in beside)
 
     def above(self, joint: int) -> list[int]:
         """Ancestors, nearest first."""
@@ -174,7 +197,8 @@ def _legs(tree: _Tree, out: np.ndarray) -> None:
         for member in line:
             if len(line) > len(chain_of.get(member, [])):
                 chain_of[member] = line
-    for chain in sorted({tuple(c) for c in chain_of.values()}):
+    for whole in sorted({tuple(c) for c in chain_of.values()}):
+        chain = _segments(tree, whole)
         upper = [bool(re.search(r"up(per)?leg|uparm", tree.words[j])) for j in chain]
         capped = any(tree.kinds[a] == "hip_bone" for a in tree.above(chain[0]))
         if chain[0] in front:
@@ -189,11 +213,23 @@ def _legs(tree: _Tree, out: np.ndarray) -> None:
                 long.add(tree.sides[chain[0]])
         if len(chain) == 1 and re.search(r"low|knee|shin|calf|down", tree.words[chain[0]]):
             parts = parts[1:]
-        for rank, joint in enumerate(chain):
+        rank = -1
+        for joint in whole:
+            rank += joint in chain
             out[joint] = tree.sided(joint, parts[min(rank, len(parts) - 1)])
     for joint in tree.of("foot"):
         arm = "front" in tree.words[joint]
         out[joint] = tree.sided(joint, "wrist" if arm else "foot" if tree.sides[joint] in long else "ankle")
+
+
+def _segments(tree: _Tree, chain: tuple[int, ...]) -> list[int]:
+    """The first bone of each segment of a leg: `thigh.L.001` below `thigh.L` is its second half, unless all bones of
+    the leg are called alike.
+    """
+    firsts = [
+        joint for rank, joint in enumerate(chain) if rank == 0 or tree.copies[joint] != tree.copies[chain[rank - 1]]
+    ]
+    return firsts if len(firsts) > 1 else list(chain)
 
 
 def _flippers(tree: _Tree, out: np.ndarray) -> None:
@@ -259,9 +295,10 @@ def _trunk(tree: _Tree, out: np.ndarray) -> None:
                 tree.child_kinds(joint) & {"spine", "hips"} and not (out == pelvis).any()
             ):
                 out[joint] = pelvis
-        _spread(_by_height(tree, spine), out)
+        spine = _without_head(tree, _by_height(tree, spine), out)
+        _spread(spine, out)
         if tree.mass is not None and spine and not (tree.mass[out == pelvis] > 0).any():
-            heavy = [j for j in _by_height(tree, spine) if tree.mass[j] > 0]
+            heavy = [j for j in spine if tree.mass[j] > 0]
             if heavy:
                 out[heavy[0]] = pelvis
                 _spread(heavy[1:], out)
@@ -272,6 +309,21 @@ def _trunk(tree: _Tree, out: np.ndarray) -> None:
         while queue:
             below, queue = below + 1, [c for j in queue for c in tree.children[j] if c in tail]
         out[joint] = _H["tail" if above < (above + below + 1) / 2 else "tail_tip"]
+
+
+def _without_head(tree: _Tree, spine: list[int], out: np.ndarray) -> list[int]:
+    """The spine bones below the arms. Where no name tells of a head or a neck and the spine goes on above the arms, its
+    last bone is the head and those before it the neck, as in Rigify's `spine.004` to `spine.006`.
+    """
+    arms = tree.of("collar", "shoulder")
+    bearing = {above for joint in arms for above in tree.above(joint)}
+    last = [joint for joint in spine if joint in bearing][-1:]
+    over = [joint for joint in spine if joint not in bearing and set(last) & set(tree.above(joint))]
+    if not over or tree.of("head", "neck"):
+        return spine
+    out[over] = _H["neck"]
+    out[over[-1]] = _H["head"]
+    return [joint for joint in spine if joint not in over]
 
 
 def _by_height(tree: _Tree, joints: list[int]) -> list[int]:
