@@ -96,8 +96,8 @@ class _Tree:
         if self.mass is None:
             return
         moves = self.mass > 0
-        for joint in np.flatnonzero(moves):
-            moves[self.above(int(joint))] = True
+        for mover in np.flatnonzero(moves):
+            moves[self.above(int(mover))] = True
         limbs = [(kind, side) for kind, side in zip(self.kinds, self.sides, strict=True)]
         moving = {limb for limb, there in zip(limbs, moves, strict=True) if there}
         for joint, limb in enumerate(limbs):
