@@ -21,6 +21,7 @@ from bunraku.io.play import load_animation
 from bunraku.io.registry import load_character
 from bunraku.pipelines.transfer import TRANSFER_STAGES
 from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.samples import sample_character
 from bunraku_lab.evaluation.handles.rigid_blocks import block_motion
 
 # Low and high corner of each block [m].
@@ -202,6 +203,21 @@ def test_written_handles_stay_rigid(tmp_path):
 
 
 def test_a_person_of_one_surface_has_no_blocks():
-    from bunraku.samples import sample_character
-
     assert find_blocks(sample_character("person")) is None
+
+
+def test_one_surface_cut_into_nodes_is_no_figure_of_blocks(tmp_path):
+    body = sample_character("person")
+    middle = body.vertices[body.faces].mean(axis=1)
+    names = np.select([np.abs(middle[:, 0]) > 0.25, middle[:, 1] < 0.5 * body.height], ["arm", "leg"], "torso").astype(
+        "U16"
+    )
+    limbs = names != "torso"
+    names[limbs] = np.char.add(names[limbs], np.where(middle[limbs, 0] > 0, "-left", "-right"))
+    scene = trimesh.Scene()
+    for name in np.unique(names):
+        scene.add_geometry(trimesh.Trimesh(body.vertices, body.faces[names == name]), node_name=name, geom_name=name)
+    path = tmp_path / "cut.glb"
+    path.write_bytes(scene.export(file_type="glb"))
+    character = load_character(path)
+    assert find_blocks(character) is None  # its author cut it along its limbs, as with a knife

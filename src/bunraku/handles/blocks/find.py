@@ -8,12 +8,14 @@ import numpy as np
 
 from bunraku.core.character import Character
 from bunraku.formats.gltf.read import Source
+from bunraku.geometry.graph import clean_mesh
 from bunraku.skeletons.bone_words import block_of_name
 
 __all__ = ["Blocks", "find_blocks"]
 
 LEAST, MOST = 3, 100  # blocks of a figure
 WHOLE = 0.999  # share of a vertex that is of one joint
+CUT = 0.1  # share of the rims' edges that two blocks have in common, from which on they are cuts through one surface
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +36,33 @@ class Blocks:
 
 
 def find_blocks(character: Character) -> Blocks | None:
-    """The blocks of a character; None where it has too few, or one surface goes over several."""
+    """The blocks of a character; None where it has too few, or one surface goes over several: also where the surface was
+    cut into several nodes, whose rims then fit together.
+    """
     found = _of_joints(character) if character.rig is not None else _of_nodes(character)
     if found is None or not LEAST <= len(found.names) <= MOST:
         return None
     faces = found.label[character.faces]
-    return found if (faces == faces[:, :1]).all() else None
+    return found if (faces == faces[:, :1]).all() and _fitting(character, faces[:, 0]) < CUT else None
+
+
+def _fitting(character: Character, owner: np.ndarray) -> float:
+    """Share of the edges on the rims of blocks that lie on the rims of two; 0 where all blocks are closed.
+
+    Args:
+        character: V vertices, F faces.
+        owner: Block of each face, shape (F,).
+    """
+    clean = clean_mesh(character.vertices, character.faces)
+    corners = clean.index[character.faces]
+    ends = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
+    real = ends[:, 0] != ends[:, 1]
+    key, times = np.unique(
+        np.stack([ends[real, 0] * len(clean.vertices) + ends[real, 1], np.tile(owner, 3)[real]]), axis=1,
+        return_counts=True,
+    )  # fmt: skip
+    sides = np.unique(key[0, times == 1], return_counts=True)[1]
+    return float(sides[sides > 1].sum() / max(sides.sum(), 1))
 
 
 def _of_joints(character: Character) -> Blocks | None:
