@@ -36,7 +36,7 @@ class Blocks:
 
 
 def find_blocks(character: Character) -> Blocks | None:
-    """The blocks of a character; None where it has too few, or one surface goes over several: also where the surface was
+    """The blocks of a character; None where it has too few, or one surface goes over several: also where it was
     cut into several nodes, whose rims then fit together.
     """
     found = _of_joints(character) if character.rig is not None else _of_nodes(character)
