@@ -3,8 +3,9 @@
 import igl
 import numpy as np
 import trimesh
+from scipy.spatial import cKDTree
 
-from bunraku.geometry.closest import blend_matrix
+from bunraku.geometry.closest import blend_matrix, least_distance
 from bunraku.geometry.graph import unique_edges
 
 
@@ -64,3 +65,12 @@ def test_a_hub_is_bounded():
     faces = np.stack([0 * rim, 1 + rim, 1 + (rim + 1) % 2000], axis=1)
     weights = blend_matrix(vertices, np.arange(2001), vertices, faces, unique_edges(faces, 2001), 1e-4)
     np.testing.assert_allclose(weights @ vertices, vertices, atol=1e-3)
+
+
+def test_least_distance_is_that_of_all_pairs():
+    rng = np.random.default_rng(3)
+    for apart in (0.0, 0.5, 30.0):
+        one, other = rng.normal(0, 1, (300, 3)), rng.normal(0, 1, (500, 3)) + [apart, 0, 0]
+        want = np.linalg.norm(one[:, None] - other[None], axis=-1).min()
+        assert abs(least_distance(cKDTree(one), other) - want) < 1e-12
+    assert least_distance(cKDTree(one), one) == 0

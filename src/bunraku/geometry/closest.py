@@ -1,4 +1,6 @@
-"""Nearest points on a mesh near a known position, as one sparse matrix of smooth barycentric weights."""
+"""Nearest points on a mesh near a known position, as one sparse matrix of smooth barycentric weights; and how near two
+sets of points come.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +8,22 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
+from scipy.spatial import cKDTree
 
-__all__ = ["blend_matrix"]
+__all__ = ["blend_matrix", "least_distance"]
 
 _CHUNK = 60_000  # point-triangle pairs at a time: small enough for the cache
 _MOST_TRIANGLES = 64  # around one vertex
+_FIRST = 64  # points that are asked first for the distance beyond which the others need not be looked for
+
+
+def least_distance(tree: cKDTree, points: np.ndarray) -> float:
+    """Least distance of some points to those of a tree, shape (P, 3).
+
+    A few points bound it, so that of all others the tree is only asked near itself: far parts cost next to nothing.
+    """
+    bound = float(tree.query(points[:: max(1, len(points) // _FIRST)])[0].min())
+    return min(bound, float(tree.query(points, distance_upper_bound=bound * (1 + 1e-9) + 1e-12)[0].min()))
 
 
 @dataclass(frozen=True, eq=False)

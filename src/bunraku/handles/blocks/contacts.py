@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bunraku.core.character import Character
+from bunraku.geometry.closest import least_distance
 from bunraku.geometry.surface import surface_points
 from bunraku.handles.blocks.find import Blocks
 
@@ -76,7 +77,7 @@ class BlockShapes:
         out = np.zeros((count, count))
         for one in range(count):
             for other in range(one):
-                out[one, other] = out[other, one] = trees[one].query(self.points[other])[0].min() / self.height
+                out[one, other] = out[other, one] = least_distance(trees[one], self.points[other]) / self.height
         return out
 
     def pivot(self, own: list[int], other: list[int]) -> np.ndarray:

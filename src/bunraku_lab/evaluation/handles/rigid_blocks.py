@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bunraku.core.character import Character
+from bunraku.geometry.closest import least_distance
 from bunraku.geometry.registration import register
 from bunraku.geometry.surface import surface_points
 
@@ -65,7 +66,7 @@ def block_motion(
         for frame in range(len(posed)):
             moved = (first - centers[one]) @ rotations[frame, one].T + centers[one] + translations[frame, one]
             back = (moved - centers[other] - translations[frame, other]) @ rotations[frame, other] + centers[other]
-            widest = max(widest, float(tree.query(back)[0].min() - apart.min()))
+            widest = max(widest, least_distance(tree, back) - float(apart.min()))
         gaps.append(widest / height)
     return BlockMotion(shear, np.array(gaps))
 
@@ -76,4 +77,5 @@ def _points(character: Character, label: np.ndarray, block: int) -> np.ndarray:
     double = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = float(np.linalg.norm(double, axis=1).sum()) / 2
     spread = max(int(area / (SPACING * character.height) ** 2), 200)
-    return np.concatenate([surface_points(character.vertices, faces, spread)[0], corners.reshape(-1, 3)])
+    own = character.vertices[np.unique(faces)].astype(np.float64)
+    return np.concatenate([surface_points(character.vertices, faces, spread)[0], own])
