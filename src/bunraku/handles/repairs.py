@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
@@ -25,7 +24,7 @@ __all__ = ["edge_strain", "eased", "reunited", "without_doubts"]
 
 TOUCH = 1.5  # loose parts nearer than this touch, in cells
 HELD = 0.35  # a vertex belongs to the region of a handle that holds so much of it
-APART = 0.06  # least way along the surface from a stray region to the main one, over the extent; fingers are nearer
+APART = 0.06  # least distance of a stray region from the main one, as a share of the extent; fingers are nearer
 SURELY = 0.5  # a limb is there if it holds so much of some vertex
 LESSER = 0.5  # a region apart is a stray one if it is smaller than this share of the main one
 TURN = np.radians(60)  # a limb turns so far in walks
@@ -61,8 +60,8 @@ def without_doubts(weights: np.ndarray) -> np.ndarray:
 
 
 def reunited(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
-    """Weights in which no limb's handle holds two regions that lie apart along the surface: the lesser ones go back to
-    the handles around them, as where a part touches another that it has grown from elsewhere.
+    """Weights in which no limb's handle holds two regions that do not touch: the lesser ones go back to the handles
+    around them.
 
     What lies apart from a leg and hangs behind the hips in the middle of the body is a tail, and gets the tail's
     handles where they hold nothing yet.
@@ -73,7 +72,6 @@ def reunited(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
     """
     out = np.array(weights, np.float64)
     edges = _touching(mesh)
-    ways = _ways(mesh, edges)
     areas = mesh.areas.astype(np.float64)
     spare_tail = areas @ weights[:, [_TAIL, _TIP]].sum(axis=1) < LEAST_TAIL * areas.sum()
     for handle in _LIMBS:
@@ -87,7 +85,7 @@ def reunited(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
         main = max((piece for piece in pieces if piece not in tails), key=lambda piece: mass[piece], default=-1)
         for piece in pieces:
             stray = label == piece
-            if piece == main or main < 0 or _gap(ways, stray, label == main) < APART:
+            if piece == main or main < 0 or _gap(mesh, stray, label == main) < APART:
                 continue
             if piece in tails:
                 out[stray, _TAIL] += out[stray, handle]
@@ -105,19 +103,9 @@ def _touching(mesh: NetworkMesh) -> np.ndarray:
     return np.concatenate([own, near])
 
 
-def _ways(mesh: NetworkMesh, edges: np.ndarray) -> csr_matrix:
-    """Lengths of edges, as shares of the extent, shape (M, M)."""
-    first, second = edges.T
-    length = np.maximum(np.linalg.norm(mesh.vertices[first] - mesh.vertices[second], axis=1), 1e-6)
-    return csr_matrix((length, (first, second)), shape=(len(mesh.vertices), len(mesh.vertices)))
-
-
-def _gap(ways: csr_matrix, piece: np.ndarray, other: np.ndarray) -> float:
-    """Shortest way along the surface from one set of vertices to another, infinite where there is none: a hand that
-    rests on a hip is near it through the air alone.
-    """
-    sources = np.flatnonzero(other)
-    return float(dijkstra(ways, directed=False, indices=sources, min_only=True, limit=APART)[piece].min())
+def _gap(mesh: NetworkMesh, piece: np.ndarray, other: np.ndarray) -> float:
+    """Least distance of two sets of vertices, as a share of the extent."""
+    return float(cKDTree(mesh.vertices[other]).query(mesh.vertices[piece])[0].min())
 
 
 def _is_tail(mesh: NetworkMesh, weights: np.ndarray, piece: np.ndarray) -> bool:

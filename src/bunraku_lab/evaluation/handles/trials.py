@@ -72,7 +72,7 @@ def measure_subject(
         parts, share = measure.part_meaning(weights, areas, truth.target[keep], reference.accepted)
         row |= {"same_meaning": float(np.mean(list(parts.values()))), "same_meaning_vertices": share, "parts": parts}
         row |= _rest_poses(one, predict)
-    row |= _pose_errors(one, weights, baselines, seed)
+    row |= pose_errors(one, weights, baselines, seed)
     row["top4_error"] = _top4(one, handles)
     return row | _walk(one, handles)
 
@@ -87,7 +87,15 @@ def _random(one: Subject, seed: int) -> np.random.Generator:
     return np.random.default_rng([seed, crc32(one.name.encode())])  # whatever other characters are there
 
 
-def _pose_errors(one: Subject, weights: np.ndarray, baselines: bool, seed: int) -> dict[str, float]:
+def pose_errors(one: Subject, weights: np.ndarray, baselines: bool, seed: int) -> dict[str, float]:
+    """How far random poses by the handles are from those by the rig, over the height (`pose_error` and its rivals).
+
+    Args:
+        one: The character.
+        weights: Of its handles at the vertices of its surface, shape (S, K).
+        baselines: Whether clusters and bone heat are measured too.
+        seed: Of the poses.
+    """
     truth, rng = one.truth, _random(one, seed)
     keep = np.flatnonzero(one.surface)
     some = np.unique(np.linspace(0, len(keep) - 1, min(len(keep), MOST_POSED)).astype(int))
