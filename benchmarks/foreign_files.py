@@ -1,5 +1,5 @@
 """What becomes of files as users have them: `python benchmarks/foreign_files.py FOLDER [--use measure] [--walks]
-[--pictures FOLDER]`.
+[--pictures FOLDER]`, or `... FOLDER --unlisted` for the walks of any meshes, stood up as they are taken to stand.
 
 FOLDER holds the files of `foreign_files.json`, each under its name there: `git cat-file blob BLOB > NAME` in a clone of
 its repository. For each: how it is taken to stand, how sure that is, and whether it is right. Then the shares: right as
@@ -21,7 +21,7 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.errors import BunrakuError
 from bunraku.formats.gltf.turning import turned
-from bunraku.handles.orientation import SURE
+from bunraku.handles.orientation import SURE, upright
 from bunraku.io import load_character
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.requests.request import Request, Sampling
@@ -44,7 +44,7 @@ def stood(character: Character, row: dict[str, Any]) -> tuple[str, bool, bool]:
 
 def walk(character: Character, row: dict[str, Any], animator: Animator, pictures: Path | None) -> float:
     """The edge error of a walk on 30 handles; a strip of its frames is drawn where a folder for it is given."""
-    character = turned(character, row["up"], row["front"][0])
+    character = turned(character, row["up"], row["front"][0]) if row["front"] else upright(character)
     request = Request("walks forward", Sampling(3.0, 1, candidates=1), rig="handles")
     animation = animator(character, request)
     assert isinstance(animation, Animation)
@@ -65,8 +65,18 @@ def main() -> None:
     parser.add_argument("--use", choices=("measure", "prior"), default="measure")
     parser.add_argument("--walks", action="store_true")
     parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--unlisted", action="store_true")
     asked = parser.parse_args()
     animator = Animator.shipped()
+    if asked.unlisted:
+        meshes = sorted(some for some in asked.folder.iterdir() if some.is_file())
+        rows = [{"name": some.stem, "front": []} for some in meshes]
+        found = []
+        for some, row in zip(meshes, rows, strict=True):
+            found.append(walk(load_character(some, unit="m"), row, animator, asked.pictures))
+            print(f"| {some.name} | {100 * found[-1]:.1f} % |", flush=True)
+        print(f"edge error: mean {100 * np.mean(found):.2f} %, median {100 * np.median(found):.2f} %")
+        return
     results, errors = [], []
     print("| file | kind | taken | | edge error |")
     print("| --- | --- | --- | --- | --- |")

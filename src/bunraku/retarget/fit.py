@@ -21,6 +21,7 @@ from bunraku.retarget.stages.gaits.swings import Swings
 from bunraku.retarget.stages.ground import Floor, Ground
 from bunraku.retarget.stages.hands import Hands
 from bunraku.retarget.stages.hands_clear import HandsClear
+from bunraku.retarget.stages.legless import Legless
 from bunraku.retarget.stages.rest_pose import Attach, Level, RestPose
 from bunraku.retarget.stages.shape import Shape
 from bunraku.retarget.stages.smooth import Smooth
@@ -32,8 +33,8 @@ from bunraku.retarget.stages.tail import Tail, TailClear
 __all__ = ["POSING", "STAGES", "Stages", "fit_motion", "posed", "running"]
 
 STAGES: tuple[Stage, ...] = (
-    Smooth(), Gait(), Blocks(), RestPose(), Fins(), Tail(), Front(), Swings(), Attach(), Shape(), Level(), Ground(),
-    Support(), Feet(), Hands(), HandsClear(), TailClear(), Floor(),
+    Smooth(), Gait(), Blocks(), RestPose(), Legless(), Fins(), Tail(), Front(), Swings(), Attach(), Shape(), Level(),
+    Ground(), Support(), Feet(), Hands(), HandsClear(), TailClear(), Floor(),
 )  # fmt: skip
 """All stages, in the order in which they run."""
 _NAMED = {stage.name: stage for stage in STAGES}

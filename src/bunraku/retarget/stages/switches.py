@@ -17,6 +17,7 @@ class Stages:
         gait: Legs beyond those of a person step in turn.
         blocks: Arms and legs of one rigid block point to where a person's hand or foot is.
         rest_pose: Limbs are rotated from the character's rest direction into the reference body's.
+        legless: The foot of a snail takes no steps, and the branches of a tree do not swing as arms.
         fins: Fins, claws and forelegs that nothing was drawn for stay near their rest.
         tail: Tails that are held up higher than they rest are lowered.
         front: Heads of bodies that lie along their spine are kept above the ground.
@@ -37,6 +38,7 @@ class Stages:
     gait: bool = True
     blocks: bool = True
     rest_pose: bool = True
+    legless: bool = True
     fins: bool = True
     tail: bool = True
     front: bool = True
