@@ -41,7 +41,9 @@ def test_the_card_credits_its_sources_as_the_table_does():
     card = resources.files("bunraku").joinpath("weights", "diffusion.md").read_text(encoding="utf-8")
     named = card.partition("## Credits")[2]
     said = [" ".join(part.split()) for part in named.split("\n- ")[1:]]
-    known = credit_lines(["cmu_", "hdm_", "snu_", "dm_", "m2m_", "kk_", "qc_"])
+    known = credit_lines(
+        ["cmu_", "hdm_", "snu_", "dm_", "fair_", "m2m_", "kk_", "qc_", "accad_f_", "g1_", "idle_", "style_", "gdq_"]
+    )
     assert said == known
 
 
