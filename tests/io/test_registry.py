@@ -10,7 +10,7 @@ from gltf_files import CUBE, CUBE_FACES, cube_glb, glb_bytes, made_up_handles, m
 
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
-from bunraku.errors import BunrakuError, FormatError, OptionError
+from bunraku.errors import BunrakuError, CharacterError, FormatError, OptionError
 from bunraku.io import load_character
 from bunraku.io.registry import read_motion
 
@@ -187,7 +187,9 @@ def test_outputs_that_are_not_files(tmp_path):
         save_character(cube, tmp_path / "pipe.glb")
     with pytest.raises(FormatError, match="zero byte"):
         save_character(cube, tmp_path / "a\0b.glb")
-    with pytest.raises(FormatError, match=r"'\.vrm' is not a format for this; characters are written to \.glb"):
+    with pytest.raises(FormatError, match=r"'\.stl' is not a format for this; characters are written to \.glb"):
+        save_character(cube, tmp_path / "cube.stl")
+    with pytest.raises(CharacterError, match="a VRM needs a skeleton with VRM's names"):
         save_character(cube, tmp_path / "cube.vrm")
     with pytest.raises(FormatError, match="cannot be written"):
         save_character(cube, tmp_path / f"{'x' * 300}.glb")
