@@ -26,14 +26,16 @@ class Legless(Stage):
 
     A body has no legs where nothing of it reaches the ground on either side as a leg does, and it is no person's where
     it has no arms either (`Anatomy.plan`). The predictor still shares its lower end between two legs, and a person's
-    steps would tear that apart. Arms of what lies are left to `fins` where the motion was drawn for such a body.
+    steps would tear that apart. Arms of what lies are left to `fins` where the motion was drawn for such a body. Limbs
+    that the bones of a rig name are there, whatever hangs on them.
     """
 
     name: ClassVar[str] = "legless"
     needs: ClassVar[tuple[str, ...]] = ("rest_pose",)
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        return anatomy.plan.kind == "no legs"
+        named = anatomy.known is not None and not anatomy.handles.rigid
+        return not named and anatomy.plan.kind == "no legs"
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         played, rotations = anatomy.handles.played, fitting.rotations.copy()
