@@ -88,6 +88,17 @@ def test_planes_that_hardly_differ_say_little():
     assert unclear < clear
 
 
+def test_few_vertices_tell_little():
+    """The same verdict of the network is worth less of a tetrahedron than of a body, and copies of corners are none."""
+    network = np.where(np.arange(24) == 20, 0.9, 0.1 / 23)
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1.5, 0], [0, 0, 1]], np.float32)
+    of_few = combined(network, corners)
+    assert 1 / 24 < of_few[20] < 0.3
+    np.testing.assert_allclose(combined(network, np.repeat(corners, 500, axis=0)), of_few, rtol=1e-6)
+    dense = np.random.default_rng(0).uniform(0, 1, (3000, 3)).astype(np.float32)
+    assert combined(network, dense)[20] > 0.7
+
+
 def test_a_lying_glb_is_turned_if_the_mesh_says_so():
     lying = ORIENTATIONS.index(("+z", "-y"))
     seen = np.full(24, 0.02 / 23)

@@ -55,6 +55,16 @@ def test_a_body_without_legs_is_not_torn_by_steps():
     assert np.abs(free[:, legs] - np.eye(3)).max() > 0.3
 
 
+def test_bones_that_a_rig_names_are_limbs():
+    """A rig tells its joints, so what its bones are named moves, whatever the mesh looks like."""
+    character, handles = snail()
+    measured = Anatomy.of(character, handles)
+    named = Anatomy.of(character, handles, (measured.rotations, measured.joints))
+    assert named.plan.kind == "no legs"
+    moved, other = fit_motion(steps(), named), fit_motion(steps(), named, Stages(legless=False))
+    np.testing.assert_array_equal(moved.rotations, other.rotations)
+
+
 def test_who_has_legs_steps():
     body = reference_body()
     anatomy = Anatomy.of(body.character(), body.handles)

@@ -28,6 +28,11 @@ MIRROR_DOUBT, MIRROR_POWER, MIRROR_FLOOR = 0.01, 10.0, 1e-4
 """The chance that a plane is the one between left and right goes with its asymmetry to the power of -10: what is nearly
 symmetric across one plane alone has it for sure, and a lion in mid-step, whose planes differ by a fifth, tells little.
 Fitted on those 37 files, where it errs in 3; at most 298 to 1."""
+FEW = 12
+"""A shape of so many vertices has told half of what it could: of 60 characters of the archive, simplified, the network
+is right for 82 % at 1,000 vertices, 77 % at 106, 50 % at 31 and 25 % at 15, and its log-odds have the least
+cross-entropy times 1, 1, 0.8 and 0.35; those of the mirror plane likewise, times 1, 1, 0.45 and 0.35.
+"""
 _LOW, _MIDDLE = 0.05, 0.25
 """How far from the lowest point the ground may be, and from the middle the origin, as shares of the extent."""
 _ASKED = 2000
@@ -89,7 +94,8 @@ def combined(network: np.ndarray, vertices: np.ndarray | None = None, prior: np.
     """
     logs = np.log(_doubted(network, NETWORK_DOUBT))
     if vertices is not None:
-        logs = logs + witnesses(vertices)
+        distinct = len(np.unique(vertices[:: max(len(vertices) // _ASKED, 1)], axis=0))
+        logs = (logs + witnesses(vertices)) * (distinct / (distinct + FEW))
     chances: np.ndarray = np.exp((logs - logs.max()) / CALIBRATION) * (1 if prior is None else prior)
     return chances / chances.sum()
 
