@@ -4,6 +4,7 @@ import { signal } from "@preact/signals";
 import { useRef } from "preact/hooks";
 import { openAll } from "./drop";
 import { exporting, film, stopFilm } from "./export";
+import { Modal } from "./modal";
 import { about, canRedo, canUndo, online, redo, running, take, undo } from "./state";
 
 type Theme = "light" | "dark";
@@ -95,7 +96,7 @@ const KEYS: [string, string][] = [
 
 export function Help() {
   return help.value ? (
-    <dialog open class="help" aria-label="keys">
+    <Modal label="keys" close={() => (help.value = false)}>
       <h2>Keys</h2>
       <dl>
         {KEYS.map(([key, what]) => (
@@ -108,7 +109,7 @@ export function Help() {
       <p class="hint">
         Bunraku {about.value?.version}. Nothing leaves this machine. <a href="LICENSES.txt">Licences of the page</a>
       </p>
-      <button onClick={() => (help.value = false)}>Close</button>
-    </dialog>
+      <button>Close</button>
+    </Modal>
   ) : null;
 }

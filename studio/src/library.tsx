@@ -208,47 +208,49 @@ export function Library() {
   const kinds = [...new Set(all.value.map((one) => one.tags[0] ?? ""))];
   const credit = touched.value;
   return (
-    <section class="panel library" aria-label="clips">
-      <div class="find">
-        <input
-          type="search"
-          id="clip-words"
-          value={words.value}
-          placeholder={`search ${all.value.length || ""} clips`}
-          aria-label="search clips"
-          onInput={(event) => {
-            words.value = event.currentTarget.value;
-            void attempt(look);
-          }}
-          onKeyDown={(event) => {
-            const first = found.value[0];
-            if (event.key === "Enter" && first) {
-              void playClip(first);
-            }
-          }}
-        />
-        <select
-          aria-label="kind"
-          value={kind.value}
-          onChange={(event) => {
-            kind.value = event.currentTarget.value;
-            void attempt(look);
-          }}
-        >
-          <option value="">all kinds</option>
-          {kinds.map((one) => (
-            <option key={one}>{one}</option>
+    <section class="library" aria-label="clips">
+      <div class="panel">
+        <div class="find">
+          <input
+            type="search"
+            id="clip-words"
+            value={words.value}
+            placeholder={`search ${all.value.length || ""} clips`}
+            aria-label="search clips"
+            onInput={(event) => {
+              words.value = event.currentTarget.value;
+              void attempt(look);
+            }}
+            onKeyDown={(event) => {
+              const first = found.value[0];
+              if (event.key === "Enter" && first) {
+                void playClip(first);
+              }
+            }}
+          />
+          <select
+            aria-label="kind"
+            value={kind.value}
+            onChange={(event) => {
+              kind.value = event.currentTarget.value;
+              void attempt(look);
+            }}
+          >
+            <option value="">all kinds</option>
+            {kinds.map((one) => (
+              <option key={one}>{one}</option>
+            ))}
+          </select>
+        </div>
+        <p class="hint" role="status">
+          {found.value.length ? "Click plays one; drag it, or +, onto the timeline." : "no clip is found; type it as a sentence below"}
+        </p>
+        <ul class="cards" ref={list}>
+          {found.value.map((clip) => (
+            <Card key={clip.name} clip={clip} watch={watch.current} />
           ))}
-        </select>
+        </ul>
       </div>
-      <p class="hint" role="status">
-        {found.value.length ? "Click plays one; drag it, or +, onto the timeline." : "no clip is found; type it as a sentence below"}
-      </p>
-      <ul class="cards" ref={list}>
-        {found.value.map((clip) => (
-          <Card key={clip.name} clip={clip} watch={watch.current} />
-        ))}
-      </ul>
       {credit && (
         <p class="hint credit">
           {credit.name}: {credit.credit}; {credit.terms}

@@ -10,6 +10,7 @@ import { dropped } from "./drop";
 import { Header, Help, help, theme } from "./header";
 import { Export, exporting } from "./export";
 import { DRAGGED, Library } from "./library";
+import { Modal } from "./modal";
 import { Characters } from "./characters";
 import { Prompt } from "./prompt";
 import { readReplay, type Replay } from "./schema";
@@ -24,7 +25,7 @@ import { pinPose, Timeline } from "./timeline";
 import "./style.css";
 
 function keys(event: KeyboardEvent): void {
-  if (exporting.value) {
+  if (exporting.value || help.value || asking.value) {
     return; // the dialog has the keys
   }
   const target = event.target as HTMLElement;
@@ -52,8 +53,8 @@ function keys(event: KeyboardEvent): void {
     p: () => (drawing.value = !drawing.value),
     f: () => (follow.value = !follow.value),
     s: () => void (take.value && star(take.value)),
-    "?": () => (help.value = !help.value),
-    Escape: () => ((help.value = false), (asking.value = null), (drawing.value = false), (notice.value = null)),
+    "?": () => (help.value = true),
+    Escape: () => ((drawing.value = false), (notice.value = null)),
   };
   const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
   if (event.key === " " && target.matches("button, summary, input, [role=slider]")) {
@@ -135,23 +136,16 @@ const asking = signal<Replay | null>(null);
 function Asking() {
   const link = asking.value;
   return link ? (
-    <dialog open class="help" aria-label="a link">
+    <Modal label="a link" close={() => (asking.value = null)}>
       <h2>A link asks for a take</h2>
       <p>
         Of {link.character || "the character that is shown"}: {link.script.map((part) => `${part.text} (${part.seconds} s)`).join("; ")}
       </p>
-      <button
-        class="main"
-        id="replay"
-        onClick={() => {
-          asking.value = null;
-          void replay(link);
-        }}
-      >
+      <button class="main" id="replay" onClick={() => void replay(link)}>
         Make it
       </button>{" "}
-      <button onClick={() => (asking.value = null)}>Leave it</button>
-    </dialog>
+      <button>Leave it</button>
+    </Modal>
   ) : null;
 }
 
@@ -194,7 +188,7 @@ function Sides() {
           </button>
         ))}
       </div>
-      <div id="side" role="tabpanel" aria-labelledby={`tab-${side.value}`}>
+      <div id="side" class={side.value} role="tabpanel" aria-labelledby={`tab-${side.value}`}>
         <Boundary name={side.value}>{side.value === "clips" ? <Library /> : <Characters />}</Boundary>
       </div>
     </>
@@ -268,6 +262,7 @@ function App() {
             {character.value?.state === "opening" && <p class="badge" role="status">finding the handles of {character.value.name}…{warm.value ? "" : " the networks are being loaded, once"}</p>}
             {drawing.value && <p class="badge">drag on the floor where it goes, or type its points below; the sentence says how</p>}
             <Legend />
+            <Notice />
           </Stage>
         </Boundary>
         <aside class="right" aria-label="takes of the character">
@@ -284,7 +279,6 @@ function App() {
       <Export />
       <Asking />
       <Help />
-      <Notice />
       <div class="veil" aria-hidden="true">
         drop it anywhere
       </div>

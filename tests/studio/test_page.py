@@ -314,6 +314,29 @@ def test_nothing_is_small_and_axe_finds_nothing(page, width):
         page.page.set_viewport_size({"width": 1280, "height": 800})
 
 
+SCROLLED = """async (selector) => {
+    const list = document.querySelector(selector);
+    const wrong = [];
+    for (let at = 0; at < 160; at += 5) {
+        list.scrollTop = at;
+        const all = await axe.run(document, { runOnly: { type: 'rule', values: ['target-size'] } });
+        wrong.push(...all.violations.flatMap((one) => one.nodes.map((node) => [at, node.html.slice(0, 120)])));
+    }
+    return [list.scrollTop, wrong];
+}"""
+"""How far a list was scrolled at last, and the targets of the page that axe found small on the way there."""
+
+
+def test_nothing_that_stands_still_lies_on_what_is_scrolled(page):
+    axe = (ROOT / "studio" / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
+    page.page.click("#tab-clips")
+    page.page.wait_for_selector("#clip-wave")
+    page.page.hover("#clip-wave")  # its credit is shown
+    page.page.wait_for_selector(".credit")
+    page.value(axe)
+    assert page.page.evaluate(SCROLLED, "#side .panel") == [155, []]
+
+
 def test_the_sentence_comes_right_after_the_header_for_who_tabs(page):
     page.page.focus("[aria-label=keys]")
     page.page.keyboard.press("Tab")
