@@ -103,6 +103,21 @@ def test_a_chain_of_pieces_follows_what_it_sticks_in():
         assert piece.any() and (full[piece].argmax(axis=1) == H["spine3"]).all()
 
 
+def test_an_arm_of_many_small_pieces_keeps_its_hand():
+    """Each touches the one before it, and the hand no larger part."""
+    body = trimesh.creation.box((1, 2, 1)).subdivide().subdivide()
+    balls = [trimesh.creation.icosphere(2, 0.05).apply_translation([0.55 + 0.1 * k, 0.6, 0]) for k in range(8)]
+    whole = trimesh.util.concatenate([body, *balls])
+    mesh = network_mesh(whole.vertices, whole.faces, 1500)
+    position, clean = mesh.vertices * mesh.scale + mesh.center, mesh.clean.vertices * mesh.scale + mesh.center
+    weights = np.zeros((len(position), HANDLE_COUNT), np.float32)
+    weights[:, H["spine3"]] = 1
+    for part, start in (("left_shoulder", 0.505), ("left_elbow", 0.8), ("left_wrist", 1.1)):
+        weights[position[:, 0] > start] = np.eye(HANDLE_COUNT)[H[part]]
+    full = seat_parts(mesh, weights)
+    assert (full[clean[:, 0] > 1.21].argmax(axis=1) == H["left_wrist"]).all()
+
+
 def test_hair_that_the_head_s_handles_share_is_one_with_the_head():
     body = trimesh.creation.box((1, 3, 1)).subdivide().subdivide()
     hair = trimesh.creation.box((0.8, 0.5, 0.5)).subdivide().subdivide().apply_translation([0, 2.0, 0])

@@ -29,7 +29,6 @@ CLEAR = (
 SHARP = 3
 TOUCHES = 0.012  # parts nearer than this touch, as a share of the character's extent
 TINY = 0.008  # share of the surface under which a piece is no limb, however sure its handle is
-CHAIN = 4  # pieces that follow one another
 _HEAD = [HANDLE_NAMES.index(name) for name in ("head", "head_top", "face")]
 _NEAR = 0.01  # how sharply the nearest points of the larger part are preferred
 
@@ -157,9 +156,11 @@ def _follow_contacts(
     label, points = parts.label, mesh.surface.vertices
     areas = np.bincount(label, mesh.surface.areas, len(parts.extent))
     waiting = ~sits & (own.sum(axis=1) > 0) & (areas < PIECE * areas.sum())
-    for _ in range(CHAIN):
-        loose, settled = np.flatnonzero(waiting[label]), np.flatnonzero(~waiting[label])
-        if not len(loose) or not len(settled):
+    fresh = ~waiting
+    while waiting.any():
+        # What touched a piece of an earlier round is settled with it, so only the last ones are asked.
+        loose, settled = np.flatnonzero(waiting[label]), np.flatnonzero(fresh[label])
+        if not len(settled):
             break
         gap, near = cKDTree(points[settled]).query(points[loose], distance_upper_bound=TOUCHES)
         touching = np.isfinite(gap)
@@ -169,13 +170,14 @@ def _follow_contacts(
         found = mesh.push_surface(weights, there)
         stiffened = share[label[there]][:, None]
         found = (1 - stiffened) * found + stiffened * rows[label[there]]
-        for piece in np.unique(pieces):
+        fresh = np.isin(np.arange(len(waiting)), pieces)
+        for piece in np.flatnonzero(fresh):
             row = found[pieces == piece].mean(axis=0)
             unsure = own[piece].max() < CLEAR[1] or areas[piece] < TINY * areas.sum()
             if unsure and not _jointed(int(own[piece].argmax()), int(row.argmax())):
                 row = row**SHARP
                 rows[piece], share[piece] = row / row.sum(), 1.0
-            waiting[piece] = False
+        waiting &= ~fresh
     flecks = waiting & (areas < TINY * areas.sum())
     for piece in np.flatnonzero(flecks):  # it touches nothing, and is no limb: it stays with what it lies nearest to
         on = (label == piece) & (parts.host >= 0)
