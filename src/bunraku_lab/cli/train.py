@@ -70,7 +70,8 @@ def adaptation() -> Verb:
     Example: bunraku train adaptation --diffusion runs/diffusion/diffusion.safetensors --cache data/characters.npz --out
     runs/adaptation
     """
-    from bunraku_lab.training.adaptation.train import AdaptationConfig, train_adaptation
+    from bunraku_lab.training.adaptation.config import AdaptationConfig
+    from bunraku_lab.training.adaptation.train import train_adaptation
 
     return _verb(AdaptationConfig, train_adaptation)
 

@@ -14,8 +14,9 @@ from bunraku.errors import OptionError
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.diffusion.checkpoint import load_denoiser, save_denoiser
 from bunraku_lab.nn.diffusion.denoiser import joint_offsets
+from bunraku_lab.training.adaptation.config import AdaptationConfig
 from bunraku_lab.training.adaptation.head import AdaptationHead, label_distance, whitening
-from bunraku_lab.training.adaptation.train import AdaptationConfig, _Run, train_adaptation
+from bunraku_lab.training.adaptation.train import _Run, train_adaptation
 
 
 @pytest.fixture
@@ -143,8 +144,35 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_weights(settings, encoder, t
     )
 
 
+@pytest.mark.parametrize("which", ["spring_weight", "adversarial_weight"])
+def test_meshes_teach_the_layer_without_labels(settings, encoder, which, tmp_path, monkeypatch):
+    """Eq. 7: springs change less with what was learned than without it; Eq. 8: the discriminator learns and is kept."""
+    found, original = [], _Run.save
+
+    def keep(self, results):
+        found.append(self)
+        return original(self, results)
+
+    monkeypatch.setattr(_Run, "save", keep)
+    how = {"label_weight": 0.0, which: 1.0, "steps": 40, "validate_every": 40, "mesh_frames": 12}
+    how |= {"batch": 8, "learning_rate": 6e-3}
+    rows = []
+    train_adaptation(settings(**how), rows.append, encoder=encoder)
+    state, run = load_training_state(tmp_path / "run" / "state.safetensors"), found[-1]
+    assert "discriminator" in state.models and (state.values["score"] > 0) == (which == "adversarial_weight")
+    assert rows[-1]["delta"] > 0
+    if which == "spring_weight":
+        features = run.pairs.motion.float() * run.model.std + run.model.mean
+        said = run.head(run.pairs.seen.float()[..., : run.inputs]).flatten(1, 2)
+        losses = [
+            float(run.mesh_losses(features, run._moves(scale * said, features), run.pairs.row, random).detach())
+            for scale, random in ((0.0, np.random.default_rng(0)), (1.0, np.random.default_rng(0)))
+        ]
+        assert losses[1] < 0.97 * losses[0]
+
+
 def test_wrong_settings_are_clear(settings, encoder):
-    for how, words in ({"frame": "world"}, "unknown"), ({"steps": 0}, "positive"):
+    for how, words in ({"frame": "world"}, "unknown"), ({"steps": 0}, "positive"), ({"label_weight": 0.0}, "weight"):
         with pytest.raises(OptionError, match=words):
             train_adaptation(settings(**how), encoder=encoder)
     train_adaptation(settings(steps=1), encoder=encoder)

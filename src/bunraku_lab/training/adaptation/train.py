@@ -1,9 +1,11 @@
-"""Fine-tuning of the adaptation on ARAP pseudo-labels (Eq. 10 and 11 of TapMo).
+"""Training of the adaptation's last layer: mesh-specific learning and fine-tuning (Eq. 7 to 11 of TapMo).
 
-Only the linear layer `adaptation_out` learns. At each step the network's adaptation of some motions on some characters
-is improved by the ARAP objective (Eq. 10, `arap_labels`), and the layer is drawn towards the improved one (Eq. 11). The
-layer is trained in whitened coordinates of what it sees, the mesh token's main directions only, and folded back when it
-is saved.
+Only the linear layer `adaptation_out` learns, from what `AdaptationConfig` weighs. With spring and adversarial loss it
+learns how handles and arms move (Eq. 7 and 8). With pseudo-labels the network's adaptation of some motions on some
+characters is improved by the ARAP objective (Eq. 10, `arap_labels`), and the layer is drawn towards the improved one
+(Eq. 11). In the paper the second follows the first: two runs here, the first one's denoiser being what the second
+starts from. The layer is trained in whitened coordinates of what it sees, the mesh token's main directions only, and
+folded back when it is saved.
 
 A run folder holds `pairs` (the layer's inputs), `state.safetensors` (to go on from), `diffusion.safetensors` (the
 denoiser with the new layer), `log.csv` and `events`.
@@ -14,7 +16,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +33,9 @@ from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, load_denoiser, s
 from bunraku_lab.nn.diffusion.denoiser import Denoiser, joint_offsets
 from bunraku_lab.nn.residuals import capped_on_people
 from bunraku_lab.training.adaptation.arap_labels import EdgeSystem, arap_labels, edge_system
+from bunraku_lab.training.adaptation.config import FRAMES, AdaptationConfig
 from bunraku_lab.training.adaptation.head import AdaptationHead, label_distance, whitening
+from bunraku_lab.training.adaptation.mesh_losses import MeshLosses
 from bunraku_lab.training.adaptation.pairs import AdaptationPairs, PairPlan, collect_pairs
 from bunraku_lab.training.diffusion.clip_data import load_clips
 from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture
@@ -39,68 +43,16 @@ from bunraku_lab.training.diffusion.mesh_learning import local_motion
 from bunraku_lab.training.losses.batched_fit import fit_locals
 from bunraku_lab.training.runs.events import EventLog
 from bunraku_lab.training.runs.runs import Stop, learning_rate, plain_settings
-from bunraku_lab.training.runs.settings import RunSettings
 from bunraku_lab.training.runs.training_run import Progress, Report, TrainingRun
 
-__all__ = ["AdaptationConfig", "train_adaptation"]
-
-FRAMES = ("root", "joints")
-
-
-@dataclass(frozen=True, kw_only=True)
-class AdaptationConfig(RunSettings):
-    """Settings of the fine-tuning.
-
-    Args:
-        diffusion: The denoiser, as `bunraku train diffusion` wrote it.
-        cache: The bank of characters that `bunraku data character-bank` wrote.
-        data: Folder that `bunraku data motions` wrote.
-        pairs: Motions on characters to learn from.
-        frames: Frames of each.
-        steps: Optimiser steps.
-        edges: Edges of each character a step.
-        strength: nu_v of Eq. 10, over a mean of the character's own ARAP-Loss and half the usual one [m^2].
-        calm: Weight of delta's own squared length in Eq. 10, so that it stays short where edges do not ask for it.
-        label_steps: Steps of Eq. 10, each held near the one before, for one label.
-        frame: What the layer says: "joints", how far joints should be moved, or "root", offsets as in the paper.
-        mesh: Let the layer see the mesh token beside the hidden state.
-        mesh_size: Main directions of the mesh token that are used.
-        learning_rate: Peak.
-        decay: Weight decay, in whitened coordinates.
-        text_folder: Folder with CLIP, for a denoiser that was trained with it.
-        device: "cuda", "cpu" or another of torch; None takes CUDA when it is there.
-        save_every: Minutes between saved states.
-    """
-
-    diffusion: Path = Path("runs/diffusion/diffusion.safetensors")
-    cache: Path = Path("runs/data/character_bank.npz")
-    data: Path = Path("runs/data/motions")
-    out: Path = Path("runs/adaptation")
-    pairs: int = 2000
-    frames: int = 64
-    steps: int = 2000
-    batch: int = 12
-    edges: int = 500
-    strength: float = 0.02
-    calm: float = 0.03
-    label_steps: int = 1
-    frame: str = "joints"
-    mesh: bool = True
-    mesh_size: int = 64
-    learning_rate: float = 6e-4
-    decay: float = 1e-3
-    text_folder: Path | None = None
-    device: str | None = None
-    save_every: float = 5.0
-    validate_every: int = 100
-    seed: int = 0
+__all__ = ["train_adaptation"]
 
 
 class _Run(TrainingRun):
     """Head, optimiser and data of one run."""
 
     stage = "adaptation"
-    columns = ("label_distance",)
+    columns = ("loss",)
 
     def __init__(
         self,
@@ -126,6 +78,14 @@ class _Run(TrainingRun):
         self.optimizer = torch.optim.AdamW(self.head.parameters(), lr=config.learning_rate, weight_decay=config.decay)
         self.out, self.stop, self.held_out = config.out, Stop(), (pairs, held)
         self.step, self.seconds = 0, 0.0
+        self.mesh_losses: MeshLosses | None = None
+        if config.spring_weight > 0 or config.adversarial_weight > 0:
+            self.mesh_losses = MeshLosses(
+                self.bank, config.mesh_frames, config.spring_weight, config.adversarial_weight
+            )
+            self.armed = self.mesh_losses.able(pairs.row)
+            if not len(self.armed):
+                raise OptionError(f"{config.cache}: no character has arms, so spring and adversarial loss say nothing")
         self.usual = self._usual()
         self.last = time.monotonic()
 
@@ -163,31 +123,53 @@ class _Run(TrainingRun):
 
         def adaptation() -> Tensor:
             said = self.head(seen)[each, torch.arange(tokens, device=self.device), phase]
-            return capped_on_people(joint_offsets(said, features) if self.config.frame == "joints" else said)
+            return self._moves(said, features)
 
         return system, adaptation
 
     def update(self) -> float:
-        """One step of Eq. 11; the squared distance to the labels, in square centimetres a handle."""
+        """One step of the weighted losses; their sum."""
         config = self.config
         random = np.random.default_rng([config.seed, self.step, 5])
         share = self.step / max(config.steps, 1)
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(config.learning_rate, self.step, 20, share)
-        system, adaptation = self.systems(self.pairs, random.integers(0, len(self.pairs.row), config.batch), random)
-        delta = adaptation()
-        with torch.no_grad():  # a character that distorts a lot by nature does not outweigh all others
-            own = system.loss().mean(1)
-        label = arap_labels(
-            system, delta.detach(), config.strength / (own + 0.5 * self.usual), config.label_steps, calm=config.calm
-        )
-        loss = label_distance(delta, label)
+        losses = []
+        if config.label_weight > 0:
+            losses.append(config.label_weight * self._from_labels(random))
+        if self.mesh_losses is not None:
+            losses.append(self._from_meshes(self.mesh_losses, random))
+        loss = torch.stack(losses).sum()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.head.parameters(), 100.0)
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
         self.step += 1
         return float(loss.detach())
+
+    def _from_labels(self, random: np.random.Generator) -> Tensor:
+        """Eq. 11 of some pairs [cm^2 a handle]."""
+        config = self.config
+        system, adaptation = self.systems(self.pairs, random.integers(0, len(self.pairs.row), config.batch), random)
+        delta = adaptation()
+        with torch.no_grad():  # a character that distorts a lot by nature does not outweigh all others
+            own = system.loss().mean(1)
+        strength = config.strength / (own + 0.5 * self.usual)
+        return label_distance(
+            delta, arap_labels(system, delta.detach(), strength, config.label_steps, calm=config.calm)
+        )
+
+    def _from_meshes(self, losses: MeshLosses, random: np.random.Generator) -> Tensor:
+        """nu_h L_h + nu_a L_a of some pairs whose characters have arms."""
+        index = torch.from_numpy(random.choice(self.armed, self.config.batch))
+        seen, row = self.pairs.seen[index].to(self.device).float(), self.pairs.row[index].to(self.device)
+        features = self.pairs.motion[index].to(self.device).float() * self.model.std + self.model.mean
+        said = self.head(seen[..., : self.inputs]).flatten(1, 2)[:, : features.shape[1]]
+        return losses(features, self._moves(said, features), row, random)
+
+    def _moves(self, said: Tensor, features: Tensor) -> Tensor:
+        """The adaptation [m] that the layer's words mean, shape (B, N, K, 3)."""
+        return capped_on_people(joint_offsets(said, features) if self.config.frame == "joints" else said)
 
     @property
     def checkpoint(self) -> Path:
@@ -208,7 +190,7 @@ class _Run(TrainingRun):
         loss = self.update()
         now = time.monotonic()
         self.seconds, self.last = self.seconds + now - self.last, now
-        return {"label_distance": loss}
+        return {"loss": loss}
 
     def due(self) -> bool:
         """Whether it is time to validate; the last step is."""
@@ -247,12 +229,15 @@ class _Run(TrainingRun):
 
     def save(self, results: dict[str, float]) -> Path:
         """Write the state, then the checkpoint."""
-        state = {"head": self.head.state_dict()}
+        state, values = {"head": self.head.state_dict()}, {"seconds": self.seconds}
         optimizers = {"adamw": self.optimizer.state_dict()}
+        if self.mesh_losses is not None:
+            models, others, numbers = self.mesh_losses.state()
+            state, optimizers, values = {**state, **models}, {**optimizers, **others}, {**values, **numbers}
         settings = {"run": plain_settings(asdict(self.config))}
         save_training_state(
             self.out / "state.safetensors",
-            TrainingState(self.step, state, optimizers, settings, {"seconds": self.seconds}),
+            TrainingState(self.step, state, optimizers, settings, values),
         )
         weight, bias = self.head.folded()
         tensors = {**self.model.state_dict(), "adaptation_out.weight": weight, "adaptation_out.bias": bias}
@@ -277,6 +262,8 @@ class _Run(TrainingRun):
                 "this run was started with another denoiser, bank or layer; give the same ones, or another run folder"
             )
             raise OptionError(f"{path}: {problem}") from error
+        if self.mesh_losses is not None:
+            self.mesh_losses.restore(state)
         self.step, self.seconds = state.step, float(state.values["seconds"])
 
 
@@ -303,6 +290,8 @@ def train_adaptation(
         raise OptionError(f"the frame '{config.frame}' is unknown; choose one of: {', '.join(FRAMES)}")
     if min(config.pairs, config.frames, config.steps, config.edges, config.label_steps) < 1:
         raise OptionError("pairs, frames, steps, edges and label steps must be positive")
+    if max(config.label_weight, config.spring_weight, config.adversarial_weight) <= 0:
+        raise OptionError("a label weight, a spring weight or an adversarial weight must be positive")
     config.prepare()
     device = torch.device(config.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     model = load_denoiser(config.diffusion, device)
