@@ -15,7 +15,7 @@ __all__ = ["MeshLosses"]
 
 
 class MeshLosses:
-    """nu_h L_h + nu_a L_a [TapMo 9] of an adaptation, and the discriminator that L_a learns against.
+    """nu_h L_h + nu_a L_a (Eq. 9 of TapMo) of an adaptation, and the discriminator that L_a learns against.
 
     Args:
         bank: The characters.
