@@ -1,4 +1,4 @@
-"""GLBs as three.js and Blender show them; each is skipped where it is not there (see tools/check_viewers)."""
+"""GLBs as three.js, Blender and Godot show them; each is skipped where it is not there (see tools/check_viewers)."""
 
 import sys
 from pathlib import Path
@@ -8,7 +8,14 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools" / "check_viewers"))
 from check import waving
-from viewers import blender_missing, blender_vertices, three_missing, three_vertices
+from viewers import (
+    blender_missing,
+    blender_vertices,
+    godot_missing,
+    godot_vertices,
+    three_missing,
+    three_vertices,
+)
 
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
@@ -84,6 +91,12 @@ def test_blender_shows_each_clip_of_a_file(several):
         compare({number: (several[0], known)}, blender_vertices([(several[0], np.array(FRAMES) / FPS)], FPS, number))
 
 
+@pytest.mark.skipif(bool(godot_missing()), reason=godot_missing())
+def test_godot_shows_each_clip_of_a_file(several):
+    for number, known in enumerate(several[1]):
+        compare({number: (several[0], known)}, godot_vertices([(several[0], np.array(FRAMES) / FPS)], FPS, number))
+
+
 @pytest.mark.skipif(bool(three_missing()), reason=three_missing())
 def test_three_js_shows_what_was_written(made):
     compare(made, three_vertices([(file, np.array(FRAMES) / FPS) for file, _ in made.values()]))
@@ -92,3 +105,8 @@ def test_three_js_shows_what_was_written(made):
 @pytest.mark.skipif(bool(blender_missing()), reason=blender_missing())
 def test_blender_shows_what_was_written(made):
     compare(made, blender_vertices([(file, np.array(FRAMES) / FPS) for file, _ in made.values()], FPS))
+
+
+@pytest.mark.skipif(bool(godot_missing()), reason=godot_missing())
+def test_godot_shows_what_was_written(made):
+    compare(made, godot_vertices([(file, np.array(FRAMES) / FPS) for file, _ in made.values()], FPS))

@@ -17,7 +17,7 @@ from bunraku.formats.gltf.scene.nodes import read_nodes, read_skins
 from bunraku.geometry.surface import vertex_normals
 from bunraku.io import load_character, save_character
 from bunraku.pipelines.requests.request import Request, Sampling
-from bunraku.retarget.engine_skeleton import on_skeleton
+from bunraku.retarget.engine_skeleton import carried, on_skeleton
 from bunraku.retarget.rig_parts import RigParts
 
 # VRM 1.0's table of humanoid bones: each required one, and the nearest required or optional one above it.
@@ -143,6 +143,18 @@ def test_it_is_animated_as_any_skeleton(person, tmp_path):
     names = {document.items("nodes")[channel["target"]["node"]]["name"]
              for channel in document.items("animations")[0]["channels"]}  # fmt: skip
     assert {"pelvis", "thigh_l", "upperarm_r"} <= names
+
+
+def test_what_handles_do_is_carried_onto_it(person):
+    character, anatomy = person
+    moved = bunraku.Animator.shipped()(character, Request("waves", Sampling(1.0, 1, 4, candidates=1)))
+    anatomy = Anatomy.of(moved.character, moved.handles)
+    for names in ("vrm", "unreal"):
+        made = carried(moved, anatomy, on_skeleton(anatomy, names))
+        away = np.linalg.norm(made.vertices() - moved.vertices(), axis=-1)
+        assert away.max() < 1e-3 * character.height and np.ptp(moved.vertices(), axis=0).max() > 0.1
+    with pytest.raises(CharacterError, match="not the skeleton"):
+        carried(moved, anatomy, character)
 
 
 def test_who_is_no_person_is_refused(person):

@@ -63,6 +63,70 @@ func _run() -> void:
 	quit()
 """
 
+# Does in the editor what a user does: chooses a mesh, types into the panel, presses its button, and looks at what Godot
+# imported.
+DRIVER = """
+@tool
+extends EditorPlugin
+
+
+func _enter_tree() -> void:
+	_run.call_deferred()
+
+
+func _run() -> void:
+	var given := OS.get_cmdline_user_args()
+	var files := EditorInterface.get_resource_filesystem()
+	while files.is_scanning() or not ResourceLoader.exists("res://person.glb"):
+		await get_tree().create_timer(0.2).timeout
+	EditorInterface.select_file("res://person.glb")
+	var panel: Node = EditorInterface.get_base_control().find_child("Bunraku", true, false)
+	var fields := panel.find_children("*", "LineEdit", false, false)
+	fields[0].text = given[0]
+	fields[1].text = "waves"
+	panel.find_children("*", "SpinBox", false, false)[0].value = 1.0
+	var button: Button = panel.find_children("*", "Button", false, false)[0]
+	button.pressed.emit()
+	while button.disabled:
+		await get_tree().create_timer(0.2).timeout
+	var found := {"said": panel.find_children("*", "Label", false, false)[0].text}
+	var path := "res://person-waves.glb"
+	for turn in 100:
+		if ResourceLoader.exists(path) and not files.is_scanning():
+			break
+		await get_tree().create_timer(0.2).timeout
+	var scene: Node = load(path).instantiate()
+	var skeleton: Skeleton3D = scene.find_children("*", "Skeleton3D")[0]
+	var player: AnimationPlayer = scene.find_children("*", "AnimationPlayer")[0]
+	found["clips"] = Array(player.get_animation_list())
+	found["bones"] = range(skeleton.get_bone_count()).map(skeleton.get_bone_name)
+	var profile := SkeletonProfileHumanoid.new()
+	found["strange"] = found["bones"].filter(
+		func(bone: String) -> bool: return profile.find_bone(bone[0].to_upper() + bone.substr(1)) < 0
+	)
+	found["meshes"] = scene.find_children("*", "MeshInstance3D").size()
+	scene.free()
+	print("FOUND " + JSON.stringify(found))
+	get_tree().quit()
+"""
+
+
+def godot():
+    """Godot's program, or a reason to skip."""
+    named = os.environ.get("BUNRAKU_GODOT")
+    if not named or shutil.which(named) is None:
+        pytest.skip("BUNRAKU_GODOT names no Godot 4")
+    return named
+
+
+def found_by(folder, *words, given):
+    """What a script in a project says that it found, and all that Godot said."""
+    asked = [godot(), "--headless", "--path", str(folder), *words, "--", *given]
+    done = subprocess.run(asked, capture_output=True, text=True, check=False, timeout=300)
+    lines = [line for line in done.stdout.splitlines() if line.startswith("FOUND ")]
+    assert lines, done.stdout[-2000:] + done.stderr[-2000:]
+    return json.loads(lines[0][6:]), done.stdout + done.stderr
+
 
 def test_the_command_writes_it(tmp_path):
     folder = tmp_path / "addons" / "bunraku"
@@ -102,19 +166,34 @@ def test_it_asks_what_the_studio_answers(client):
 
 
 def test_a_sentence_from_godot_to_a_moving_character(studio, tmp_path):
-    godot = os.environ.get("BUNRAKU_GODOT")
-    if not godot or shutil.which(godot) is None:
-        pytest.skip("BUNRAKU_GODOT names no Godot 4")
+    godot()
     assert main(["godot-addon", "-o", str(tmp_path / "addons" / "bunraku")]) == 0
     (tmp_path / "project.godot").write_text('config_version=5\n\n[application]\n\nconfig/name="test"\n')
     (tmp_path / "script.gd").write_text(SCRIPT)
     mesh = save_character(sample_character("person"), tmp_path / "person.glb")
-    found = subprocess.run(
-        [godot, "--headless", "--path", str(tmp_path), "--script", "script.gd", "--", studio.address, str(mesh)],
-        capture_output=True, text=True, check=False, timeout=300,
-    )  # fmt: skip
-    lines = [line for line in found.stdout.splitlines() if line.startswith("FOUND ")]
-    assert lines, found.stdout[-2000:] + found.stderr[-2000:]
-    said = json.loads(lines[0][6:])
+    said, _ = found_by(tmp_path, "--script", "script.gd", given=[studio.address, str(mesh)])
     assert "start it with: bunraku studio" in said["refused"] and said["wrong"] == ""
     assert said["clips"] == ["waves"] and said["bones"] > 15 and 0.05 < said["moved"] < 2
+
+
+def test_its_panel_makes_a_scene_in_the_editor(studio, tmp_path):
+    godot()
+    assert main(["godot-addon", "-o", str(tmp_path / "addons" / "bunraku")]) == 0
+    driver = tmp_path / "addons" / "driver"
+    driver.mkdir()
+    (driver / "driver.gd").write_text(DRIVER)
+    (driver / "plugin.cfg").write_text(
+        '[plugin]\n\nname="Driver"\ndescription=""\nauthor=""\nversion="1"\nscript="driver.gd"\n'
+    )
+    plugins = ", ".join(f'"res://addons/{name}/plugin.cfg"' for name in ("bunraku", "driver"))
+    (tmp_path / "project.godot").write_text(
+        f'config_version=5\n\n[application]\n\nconfig/name="test"\n\n[editor_plugins]\n\n'
+        f"enabled=PackedStringArray({plugins})\n"
+    )
+    save_character(sample_character("person"), tmp_path / "person.glb")
+    said, all_said = found_by(tmp_path, "--editor", given=[studio.address])
+    assert "SCRIPT ERROR" not in all_said and "Parse Error" not in all_said
+    assert said["said"].startswith("res://person-waves.glb") and (tmp_path / "person-waves.glb").stat().st_size > 1e4
+    assert said["clips"] == ["waves"] and said["meshes"] == 1
+    assert {"hips", "leftUpperArm", "rightLowerLeg", "head"} <= set(said["bones"])
+    assert said["strange"] == []  # Godot's profile of a humanoid knows each, with a capital

@@ -137,6 +137,17 @@ def test_takes_become_the_clips_of_one_file(studio, character, take):
     assert refused[0] == 400 and "unity" in refused[1]["error"]
 
 
+def test_a_program_gets_a_person_with_the_names_that_it_knows(studio):
+    person = studio.sample("person")
+    made = studio.animate(person["id"], "waves", seconds=1, seeds=[1], steps=4, candidates=1)
+    studio.done(made["job"])
+    asked = {"takes": made["takes"], "preset": "godot", "fps": 0}
+    done = studio.post(f"/api/characters/{person['id']}/exports", asked)
+    studio.done(done["job"])
+    names = bunraku.load_character(studio.folder / "exports" / done["export"] / "clips.glb").rig.names
+    assert {"hips", "spine", "leftUpperArm", "rightLowerLeg", "head"} <= set(names)
+
+
 @pytest.mark.parametrize("takes", [[], ["0123456789abcdef"], ["twice", "twice"]])
 def test_what_is_no_set_of_takes_is_refused(studio, character, take, takes):
     names = [take["id"] if name == "twice" else name for name in takes]

@@ -1,4 +1,4 @@
-"""Are GLBs in three.js and in Blender what Bunraku says they are? Vertices at three times, for characters with a
+"""Are GLBs in three.js, Blender and Godot what Bunraku says they are? Vertices at three times, for characters with a
 motion.
 
 python tools/check_viewers/check.py CHARACTER.glb ... --motion walk.bvh
@@ -17,7 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from viewers import blender_missing, blender_vertices, three_missing, three_vertices
+from viewers import (
+    blender_missing,
+    blender_vertices,
+    godot_missing,
+    godot_vertices,
+    three_missing,
+    three_vertices,
+)
 
 import bunraku
 from bunraku.core.point_animation import PointAnimation
@@ -67,7 +74,7 @@ def main() -> None:
     parser.add_argument("characters", nargs="+", type=Path)
     parser.add_argument("--motion", type=Path, required=True)
     arguments = parser.parse_args()
-    asked = {"three.js": three_missing(), "Blender": blender_missing()}
+    asked = {"three.js": three_missing(), "Blender": blender_missing(), "Godot": godot_missing()}
     for name, reason in asked.items():
         if reason:
             print(f"{name} is left out: {reason}")
@@ -86,6 +93,8 @@ def main() -> None:
             found["three.js"] = three_vertices(shots)
         if not asked["Blender"]:
             found["Blender"] = blender_vertices(shots, motion.fps)
+        if not asked["Godot"]:
+            found["Godot"] = godot_vertices(shots, motion.fps)
     print(
         f"{'character':<28} {'moved':<8} {'vertices':>8}"
         + "".join(f"  {name + ' largest':>16} {'mean':>8}" for name in found)

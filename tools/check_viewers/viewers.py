@@ -1,8 +1,8 @@
-"""Written GLBs as three.js and Blender show them: vertices at some times, to compare with Bunraku's own.
+"""Written GLBs as three.js, Blender and Godot show them: vertices at some times, to compare with Bunraku's own.
 
-Both are optional. three.js needs node and `npm install` in this folder (or BUNRAKU_THREE, a folder with
+All are optional. three.js needs node and `npm install` in this folder (or BUNRAKU_THREE, a folder with
 node_modules/three). Blender is the program that BUNRAKU_BLENDER names, or `blender` on the path, or the Python with the
-package `bpy` that BUNRAKU_BLENDER_PYTHON names.
+package `bpy` that BUNRAKU_BLENDER_PYTHON names. Godot is the program that BUNRAKU_GODOT names, 4.4 or newer.
 """
 
 from __future__ import annotations
@@ -18,7 +18,15 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["blender_command", "blender_missing", "blender_vertices", "three_missing", "three_vertices"]
+__all__ = [
+    "blender_command",
+    "blender_missing",
+    "blender_vertices",
+    "godot_missing",
+    "godot_vertices",
+    "three_missing",
+    "three_vertices",
+]
 
 HERE = Path(__file__).parent
 THREE = Path(os.environ.get("BUNRAKU_THREE", HERE)) / "node_modules" / "three"
@@ -48,6 +56,12 @@ def blender_command() -> list[str]:
 def blender_missing() -> str:
     """Why Blender cannot be asked, "" where it can."""
     return "" if blender_command() else "needs Blender on the path, or BUNRAKU_BLENDER or BUNRAKU_BLENDER_PYTHON"
+
+
+def godot_missing() -> str:
+    """Why Godot cannot be asked, "" where it can."""
+    named = os.environ.get("BUNRAKU_GODOT")
+    return "" if named and shutil.which(named) else "needs Godot 4.4, which BUNRAKU_GODOT names"
 
 
 def three_vertices(shots: Shots, clip: int = 0) -> list[np.ndarray]:
@@ -88,6 +102,31 @@ def blender_vertices(shots: Shots, fps: float, clip: int = 0) -> list[np.ndarray
         Path(folder, "jobs.json").write_text(json.dumps(jobs))
         _run([*blender_command(), str(HERE / "blender_play.py"), "--", f"{folder}/jobs.json"])
         return [_blender_order(Path(job["glb"]), Path(job["out"]), len(job["times"])) for job in jobs]
+
+
+def godot_vertices(shots: Shots, fps: float, clip: int = 0) -> list[np.ndarray]:
+    """The same of Godot, whose reader leaves out vertices that no triangle uses: those are not numbers here.
+
+    Args:
+        shots: Files and times [s].
+        fps: Frames a second at which Godot samples the clips as it reads them; the import's own is 30.
+        clip: Which clip of the files is played.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        jobs = [
+            {
+                "glb": str(Path(glb).resolve()),
+                "times": list(map(float, times)),
+                "fps": fps,
+                "out": f"{folder}/{k}",
+                "clip": clip,
+            }
+            for k, (glb, times) in enumerate(shots)
+        ]
+        Path(folder, "jobs.json").write_text(json.dumps(jobs))
+        script = str(HERE / "godot_play.gd")
+        _run([os.environ["BUNRAKU_GODOT"], "--headless", "--script", script, "--", f"{folder}/jobs.json"])
+        return [_godot_order(Path(job["glb"]), Path(job["out"]), len(job["times"])) for job in jobs]
 
 
 def _run(command: list[str], given: str = "") -> None:
@@ -156,3 +195,20 @@ def _used(tree: dict, binary: bytes, primitive: dict) -> np.ndarray:
     view = tree["bufferViews"][entry["bufferView"]]
     start = view.get("byteOffset", 0) + entry.get("byteOffset", 0)
     return np.unique(np.frombuffer(binary, _INTEGERS[entry["componentType"]], entry["count"], start))
+
+
+def _godot_order(glb: Path, out: Path, times: int) -> np.ndarray:
+    tree, binary, meshes = _meshes(glb)
+    counts = [entry["count"] for entry in json.loads(Path(f"{out}.json").read_text())]
+    found = np.fromfile(out, "<f4").reshape(times, -1, 3)
+    starts = iter(np.cumsum([0, *counts]))
+    parts = []
+    for node, members, count in meshes:
+        part = np.full((times, count, 3), np.nan)
+        for member in members:
+            primitive = tree["meshes"][tree["nodes"][node]["mesh"]]["primitives"][member]
+            start, own = next(starts), counts.pop(0)
+            used = np.arange(count) if own == count else _used(tree, binary, primitive)
+            part[:, used] = found[:, start : start + own]
+        parts.append(part)
+    return np.concatenate(parts, axis=1)

@@ -13,13 +13,15 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Rig, top_influences
+from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, OptionError
 from bunraku.formats.gltf.read import Source
 from bunraku.skeletons.engine_names import REQUIRED, ROOTS, SKELETONS, engine_names
 
-__all__ = ["on_skeleton", "t_pose"]
+__all__ = ["carried", "on_skeleton", "t_pose"]
 
 LEAST = 1e-4
 """Share of the surface that a part must move to get a joint, unless a humanoid needs it."""
@@ -56,6 +58,40 @@ def on_skeleton(anatomy: Anatomy, names: str, weights: np.ndarray | None = None)
     return replace(
         character, vertices=vertices.astype(np.float32), rig=rig, source=source, avatar=None
     )  # springs and bones of the avatar hang on the skeleton that the file had
+
+
+def carried(animation: Animation, anatomy: Anatomy, skeleton: Character) -> RigAnimation:
+    """What moves a person's 30 handles, on the tree of joints that it got.
+
+    With M_k(t) what handle k does to its part from the rest pose on, and T_k what took that part into the T-pose, joint
+    k does M_k(t) T_k^-1 to what is bound to it there. Where two parts blend, skin lies between other two rigid motions
+    than before; all else is the same.
+
+    Args:
+        animation: Of the character by its 30 handles.
+        anatomy: Of that character.
+        skeleton: What `on_skeleton` made of it.
+
+    Raises:
+        CharacterError: That is another character.
+    """
+    names = skeleton.rig.names if skeleton.rig is not None else ()
+    known = next((one for one in SKELETONS if set(names) <= {*engine_names(one), ROOTS.get(one, "")}), None)
+    if known is None or not names or len(animation.handles.positions) != len(HANDLE_NAMES):
+        raise CharacterError(f"{skeleton.name}: it is not the skeleton of the handles that move; make it of them")
+    moved, placed = t_pose(anatomy)
+    does = animation.motion.transforms(animation.handles.positions).astype(np.float64)
+    turned = does[..., :3] @ np.swapaxes(moved[:, :3, :3], -1, -2)
+    shift = does[..., 3] - np.einsum("nkij,kj->nki", turned, moved[:, :3, 3])
+    heads = np.einsum("nkij,kj->nki", turned, placed) + shift
+    rotations = np.tile(np.eye(3), (len(does), len(names), 1, 1))
+    positions = np.zeros((len(does), len(names), 3))
+    listed = engine_names(known)
+    for joint, name in enumerate(names):
+        if name in listed:  # the root on the ground stands still
+            handle = listed.index(name)
+            rotations[:, joint], positions[:, joint] = turned[:, handle], heads[:, handle]
+    return RigAnimation.of_world(skeleton, rotations, positions, animation.fps, animation.reference)
 
 
 def t_pose(anatomy: Anatomy) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from bunraku.core.animation import Animation
 from bunraku.core.character import Character
+from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import OptionError
 from bunraku.studio.tasks.task import Partly, Report
 from bunraku.studio.workspace.clips import Dressed
@@ -62,7 +64,8 @@ class ExportClips:
         from bunraku.io.presets import preset_named, save_for
         from bunraku.io.save_clips import save_clips
 
-        target, clips = shop.folder_of("exports", self.export) / self.file, {}
+        target = shop.folder_of("exports", self.export) / self.file
+        clips: dict[str, Animation | RigAnimation] = {}
         character: Character | None = None
         for number, (take, name) in enumerate(zip(self.takes, self.names, strict=True)):
             report("read", number / len(self.takes))
@@ -73,6 +76,8 @@ class ExportClips:
                 )
             character = character or found.character
             clips[name] = replace(found, character=character)  # each was read with a copy of it
+        if self.preset:
+            clips = _named(clips, shop, self.character, preset_named(self.preset).skeleton)
         if not self.preset:
             save_clips(clips, target, fps=self.fps)
         elif target.suffix == ".zip":
@@ -84,3 +89,17 @@ class ExportClips:
         else:
             save_for(self.preset, clips, target, fps=self.fps or None)
         return {"export": self.export, "bytes": target.stat().st_size}
+
+
+def _named(
+    clips: dict[str, Animation | RigAnimation], shop: Workspace, character: str, names: str
+) -> dict[str, Animation | RigAnimation]:
+    """Clips of a person by its handles, on a tree of joints with a program's names; others as they are."""
+    from bunraku.retarget.engine_skeleton import carried, on_skeleton
+
+    moved = {name: clip for name, clip in clips.items() if isinstance(clip, Animation)}
+    body = shop.body(character) if len(moved) == len(clips) else None
+    if body is None or not body.takes_skeleton:
+        return clips
+    skeleton = on_skeleton(body.anatomy, names)
+    return {name: carried(clip, body.anatomy, skeleton) for name, clip in moved.items()}

@@ -63,7 +63,8 @@ func _make(source: Dictionary) -> void:
 		_say(_studio.wrong)
 		return
 	var words := _sentence.text.to_lower().replace(" ", "-").validate_filename()
-	var path := "%s/%s-%s.glb" % [source["folder"], source["name"].get_basename(), words.left(40)]
+	var folder: String = source["folder"]
+	var path := folder.path_join("%s-%s.glb" % [source["name"].get_basename(), words.left(40)])
 	var file := FileAccess.open(path, FileAccess.WRITE)
 	if file == null:
 		_say("%s: %s" % [path, error_string(FileAccess.get_open_error())])
