@@ -1,15 +1,22 @@
 # The studio behind a password, for other machines:
 #   docker build -t bunraku .
 #   docker run --rm -p 8734:8734 -e BUNRAKU_STUDIO_PASSWORD='a long password' -v bunraku:/data bunraku
+FROM python:3.12-slim AS wheels
+
+# some packages come as sources alone, in C++
+RUN apt-get update && apt-get install --yes --no-install-recommends g++
+COPY pyproject.toml README.md LICENSE NOTICE /source/
+COPY src /source/src
+RUN pip wheel --no-cache-dir --wheel-dir /wheels '/source[compressed,studio]'
+
 FROM python:3.12-slim
 
 # what previews draw with: OpenGL without a display, and a compiler for the loops where there is none
 RUN apt-get update && apt-get install --yes --no-install-recommends gcc libc6-dev libegl1 libgl1 libgl1-mesa-dri \
     && rm -rf /var/lib/apt/lists/*
 
-COPY pyproject.toml README.md LICENSE NOTICE /source/
-COPY src /source/src
-RUN pip install --no-cache-dir --no-compile '/source[compressed,studio]' && rm -rf /source
+RUN --mount=type=bind,from=wheels,source=/wheels,target=/wheels \
+    pip install --no-cache-dir --no-compile --no-index --find-links /wheels 'bunraku[compressed,studio]'
 
 RUN useradd --create-home studio && mkdir /data && chown studio /data
 USER studio

@@ -1,6 +1,7 @@
 """What is understood of sentences that people type, and what is said of the rest."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -9,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from bunraku.errors import OptionError
+from bunraku.errors import OptionError, WeightsError
 from bunraku.language.captions.phrases import known_clauses
+from bunraku.language.known.own_words import own_words, write_own_words
 from bunraku.language.known.spelling import corrected, slips
 from bunraku.language.understood import check_understood, understood
 
@@ -190,3 +192,24 @@ def test_reading_a_sentence_is_fast_and_loads_no_network():
             understood(sentence)
         understood.cache_clear()
     assert (time.process_time() - began) / 40 < 0.05  # under 5 ms
+
+
+def test_words_of_clips_of_ones_own_are_understood(tmp_path):
+    """In a process of its own, since words are read once."""
+    write_own_words(tmp_path, ["Florps"])
+    asked = "from bunraku.language.understood import understood as u; print([u(t).ok for t in %r], u('florps').unknown)"
+    sentences = ["florps", "a person is florping", "zorps"]
+    found = []
+    for folders in (f"{tmp_path}{os.pathsep}", ""):
+        run = [sys.executable, "-c", asked % sentences]
+        done = subprocess.run(run, env={**os.environ, "BUNRAKU_WEIGHTS": folders}, capture_output=True, check=True)
+        found.append(done.stdout.decode().split("]")[0])
+    assert found == ["[True, True, False", "[False, False, False"]
+
+
+@pytest.mark.parametrize("text", ['{"florps": 1}', "[1]", "[", "null"])
+def test_a_list_that_is_none_is_refused(tmp_path, monkeypatch, text):
+    (tmp_path / "own_words.json").write_text(text)
+    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))
+    with pytest.raises(WeightsError, match="no list of words"):
+        own_words.__wrapped__()

@@ -42,6 +42,8 @@ from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
 from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku.language.known.own_words import own_words, write_own_words
+from bunraku.language.known.vocabulary import is_known, words_of
 from bunraku.language.lexicon.reading import main_actions
 from bunraku.nn.checkpoints import load_checkpoint, shipped_checkpoint
 from bunraku.retarget.body_motion import body_handle_motion
@@ -173,7 +175,8 @@ def _with_what_it_lacks(
     settings: ExampleSettings, ranker: Extractor, encoder: TextEncoder, progress: Callable[[str, float], None]
 ) -> ExamplePack:
     """The pack of `settings.add_to` with the gestures whose sentences it lacks, idles where it has none and there are
-    captured clips, and all clips of one's own (`datasets.takes.captioned`) that have become data.
+    captured clips, and all clips of one's own (`datasets.takes.captioned`) that have become data. The words that these
+    alone say are written beside it (`language.known.own_words`).
 
     Raises:
         OptionError: The pack was made with another ranker.
@@ -195,6 +198,8 @@ def _with_what_it_lacks(
         if own:
             found += [one for one in _of_ones_own(own) if one.texts not in known]
             licences.update(str(own[one.name].get("licence", "unknown")) for one in found if one.kind == OWN)
+            said = {word.text for entry in own.values() for text in entry["texts"] for word in words_of(text)}
+            write_own_words(settings.out.parent, {word for word in said if not is_known(word)} | own_words())
     texts, motions, owners = _vectors(found, ranker, encoder) if found else (base.texts[:, :0], base.motions[:, :0], [])
     added = [one.skeleton or skeleton_from_handles(decode(one.features), rounds=1) for one in found]
     pack = ExamplePack(

@@ -1,4 +1,5 @@
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from bunraku.diffusion.inference.extractor import embed_motions, embed_sentences
 from bunraku.errors import OptionError
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
+from bunraku.language.known.own_words import FILE
 from bunraku.nn.checkpoints import load_checkpoint
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku_lab.nn.diffusion.matching import Extractor, save_extractor
@@ -129,6 +131,22 @@ def test_a_pack_gets_the_gestures_that_it_lacks(swings, ranker, encoder, tmp_pat
     assert load_checkpoint(more.out, KIND)[1]["notes"] == notes
     with pytest.raises(OptionError, match="another ranker"):
         build_examples(replace(more, ranker=None), encoder)
+
+
+def test_words_that_only_ones_own_clips_say_are_written_beside_the_pack(swings, ranker, encoder, tmp_path):
+    watched(swings)
+    build_examples(ExampleSettings(swings, tmp_path / "base.safetensors", ranker=ranker), encoder)
+    path = swings / "index.json"
+    index = json.loads(path.read_text())
+    shutil.copy(swings / "waves_0.npz", swings / "own_a.npz")
+    entry = index["clips"]["waves_0"] | {"texts": ["a person florps slowly"]}
+    entry["stretches"] = [{"start": 0, "stop": 50, "texts": entry["texts"]}]
+    path.write_text(json.dumps(index | {"clips": {"own_a": entry}}))
+    (tmp_path / "mine").mkdir()
+    more = ExampleSettings(swings, tmp_path / "mine" / "examples.safetensors", ranker=ranker)
+    pack = build_examples(replace(more, add_to=tmp_path / "base.safetensors"), encoder)
+    assert pack.examples[-1].texts == ("a person florps slowly",)
+    assert json.loads((tmp_path / "mine" / FILE).read_text()) == ["florps"]
 
 
 def test_who_goes_somewhere_while_the_hands_are_busy_is_no_example_of_going():

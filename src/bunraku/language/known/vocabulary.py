@@ -1,8 +1,8 @@
 """Words of the training sentences: what the network can have learned the meaning of.
 
 They are those of the captions and their tables, and of `vocabulary.json`: the words that two or more of the watched
-captions share, which `tools/build_vocabulary.py` writes. Words are compared by their stems, so "waved" is known where
-"waves" is.
+captions share, which `tools/build_vocabulary.py` writes; and words of clips of one's own (`own_words`), each of which
+says a movement. Words are compared by their stems, so "waved" is known where "waves" is.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from bunraku.language.captions.phrases import creature_words, known_phrases
 from bunraku.language.foreign.table import table
+from bunraku.language.known.own_words import own_words
 from bunraku.language.lexicon.reading import actions_of
 from bunraku.language.lexicon.tables import lexicon
 
@@ -126,7 +127,12 @@ def known_words() -> dict[str, int]:
     named = [row["en"].replace("/", " ") for section in ("beings", "parts") for row in table()[section]]
     lexical = (*lexicon().words, *lexicon().verbs, _THINGS)
     listed = " ".join((*known_phrases(), *creature_words(), *named, *lexical))
-    return dict.fromkeys(re.findall(r"[a-z]+", listed.lower()), 1) | dict.fromkeys(FUNCTION_WORDS, 1) | written
+    return (
+        dict.fromkeys(own_words(), 1)
+        | dict.fromkeys(re.findall(r"[a-z]+", listed.lower()), 1)
+        | dict.fromkeys(FUNCTION_WORDS, 1)
+        | written
+    )
 
 
 @functools.cache
@@ -145,7 +151,7 @@ def action_stems() -> frozenset[str]:
     """Stems of the verbs that training shows, without those that say no movement by themselves, and without those that
     are a part of the body, too.
     """
-    verbs = {*lexicon().verbs, *_written()["verbs"]}
+    verbs = {*lexicon().verbs, *_written()["verbs"], *own_words()}
     parts = [name for row in table()["parts"] for name in row["en"].split("/")]
     return (frozenset(stems(verbs)) & _stems()) - frozenset(stems([*parts, *_LIGHT.split()]))
 

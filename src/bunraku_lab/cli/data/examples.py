@@ -13,6 +13,8 @@ from bunraku.cli.output.progress import stages
 
 __all__ = ["Examples"]
 
+_DATA = Path("runs/data/motions")
+
 
 @dataclass(frozen=True)
 class Examples:
@@ -28,7 +30,7 @@ class Examples:
 
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """File to write, .safetensors."""
-    data: Path = Path("runs/data/motions")
+    data: Path = _DATA
     """Folder that `bunraku data motions` wrote."""
     stretches: int = 12
     """Of one action at the most, 1 to 1000; of two in a row a quarter of that."""
@@ -45,7 +47,7 @@ class Examples:
     def run(self) -> None:
         check_range("--stretches", self.stretches, 1, 1000)
         check_range("--events", self.events, 0, 1000)
-        if self.add_to is None:
+        if self.add_to is None or self.data != _DATA:
             check_source(self.data, "name the folder that 'bunraku data motions' wrote")
         check_output(self.output, [".safetensors"])
         from bunraku.nn.checkpoints import shipped_checkpoint
