@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from bunraku.nn.layers import Linear, Norm, Weights, gelu, normed
+from bunraku.nn.layers import Linear, Norm, gelu, normed
+from bunraku.nn.weights import Weights
 
 __all__ = ["EdgeBlock", "NodeGraph"]
 

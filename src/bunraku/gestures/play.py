@@ -132,7 +132,7 @@ def _share(rotations: np.ndarray, share: np.ndarray) -> np.ndarray:
 
 def _angles(degrees: np.ndarray) -> np.ndarray:
     """Pitch ahead, yaw to the left, roll to the right side, as one rotation, shape (N, 3) -> (N, 3, 3)."""
-    x, y, z = (matrix_from_axis_angle(np.radians(degrees[:, [axis]]) * np.eye(3)[axis]) for axis in range(3))
+    x, y, z = matrix_from_axis_angle(np.radians(degrees.T)[..., None] * np.eye(3)[:, None])
     return np.asarray(y @ x @ z)
 
 

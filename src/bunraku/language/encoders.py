@@ -19,7 +19,7 @@ import numpy as np
 from bunraku.errors import MissingExtraError, WeightsError
 from bunraku.language.known.tokenizer import WordPieces, encoder_file, read_header
 from bunraku.language.lexicon.cues import CUES, sentence_cues
-from bunraku.nn.layers import Linear, Norm, attended, gelu, split_heads, unit
+from bunraku.nn.layers import Linear, Norm, PostNorm, unit
 
 __all__ = [
     "TEXT_LENGTH",
@@ -142,11 +142,11 @@ class MiniLMEncoder:
                 }
             # More than half of the file, of which each sentence needs a few rows: only these become memory.
             self._words = safe_open(path, framework="np").get_slice(_WORDS)
-            self._layers, self._heads, self._epsilon = (
-                config["num_hidden_layers"],
-                config["num_attention_heads"],
-                config["layer_norm_eps"],
-            )
+            self._epsilon = config["layer_norm_eps"]
+            self._layers = [
+                self._layer(f"encoder.layer.{index}", config["num_attention_heads"])
+                for index in range(config["num_hidden_layers"])
+            ]
             if config["hidden_size"] != self.token_size or self._words.get_shape()[0] != len(self._tokenizer):
                 raise ValueError("it is another model")
         except WeightsError:
@@ -165,6 +165,14 @@ class MiniLMEncoder:
     def _norm(self, name: str) -> Norm:
         return Norm(self._weights[f"{name}.weight"], self._weights[f"{name}.bias"], self._epsilon)
 
+    def _layer(self, name: str, heads: int) -> PostNorm:
+        query, key, value = (self._linear(f"{name}.attention.self.{part}") for part in ("query", "key", "value"))
+        return PostNorm(
+            query, key, value, self._linear(f"{name}.attention.output.dense"), heads,
+            self._norm(f"{name}.attention.output.LayerNorm"), self._linear(f"{name}.intermediate.dense"),
+            self._linear(f"{name}.output.dense"), self._norm(f"{name}.output.LayerNorm"),
+        )  # fmt: skip
+
     def _compute(self, sentence: str) -> _Encoded:
         numbers = self._tokenizer.numbers(sentence, TEXT_LENGTH)
         weights = self._weights
@@ -172,16 +180,8 @@ class MiniLMEncoder:
         x += weights["embeddings.position_embeddings.weight"][: len(numbers)]
         x = self._norm("embeddings.LayerNorm")(x + weights["embeddings.token_type_embeddings.weight"][0])
         penultimate = x
-        for index in range(self._layers):
-            penultimate, layer = x, f"encoder.layer.{index}"
-            parts = (
-                split_heads(self._linear(f"{layer}.attention.self.{part}")(x), self._heads)[0]
-                for part in ("query", "key", "value")
-            )
-            said = self._linear(f"{layer}.attention.output.dense")(attended(*parts))
-            x = self._norm(f"{layer}.attention.output.LayerNorm")(x + said)
-            wide = gelu(self._linear(f"{layer}.intermediate.dense")(x))
-            x = self._norm(f"{layer}.output.LayerNorm")(x + self._linear(f"{layer}.output.dense")(wide))
+        for layer in self._layers:
+            penultimate, x = x, layer(x)
         return penultimate[0], unit(x[0].mean(0))
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from bunraku.core.request.json_form import from_json
 from bunraku.errors import FormatError, OptionError, WeightsError
 from bunraku.formats.files import atomic_write, weights_file
-from bunraku.nn.layers import Weights
+from bunraku.nn.weights import Weights
 
 __all__ = [
     "FORMAT",

@@ -7,13 +7,12 @@ written so that few passes go over an array, and that they go over pieces that s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 __all__ = [
-    "Attention", "FeedForward", "Linear", "Memory", "Norm", "Rotary", "Weights", "attended", "gelu",
+    "Attention", "FeedForward", "Linear", "Memory", "Norm", "PostNorm", "PreNorm", "Rotary", "attended", "gelu",
     "gelu_slope", "hidden_by", "normed", "sigmoid", "silu", "softmax", "split_heads", "turned", "unit",
 ]  # fmt: skip
 
@@ -145,64 +144,53 @@ class FeedForward(NamedTuple):
         return x
 
 
-class Weights:
-    """The arrays of a checkpoint, handed to the network that its config describes. Each is compared with the size that
-    the config asks for, before anything of that size is made.
+class PreNorm(NamedTuple):
+    """A transformer layer whose norms stand before attention and feed-forward.
 
     Args:
-        state: Arrays by name; float16 is handed out as float32.
-        prefix: Of the names of a part of the network.
+        own: Attention of the states to one another.
+        norm_a: Before it.
+        mix: The feed-forward.
+        norm_b: Before it.
     """
 
-    def __init__(self, state: Mapping[str, np.ndarray], prefix: str = "", left: set[str] | None = None):
-        self._state, self._prefix = state, prefix
-        self._left = set(state) if left is None else left
+    own: Attention
+    norm_a: Norm
+    mix: FeedForward
+    norm_b: Norm
 
-    def part(self, name: str) -> Weights:
-        """Those of a part of the network."""
-        return Weights(self._state, f"{self._prefix}{name}.", self._left)
+    def __call__(self, x: np.ndarray, hidden: np.ndarray | None = None) -> np.ndarray:
+        """Shape (B, T, d), with what is hidden as `hidden_by` gives it; writes on `x`."""
+        return self.mix(self.own(x, self.norm_a, None, hidden), self.norm_b)
 
-    def array(self, name: str, *shape: int) -> np.ndarray:
-        """One of them.
 
-        Raises:
-            ValueError: It is not there, or has another size.
-        """
-        whole = self._prefix + name
-        found = self._state.get(whole)
-        if found is None or found.shape != shape:
-            there = "none" if found is None else str(list(found.shape))
-            raise ValueError(f"its config makes '{whole}' of size {list(shape)}, and the file has {there}")
-        self._left.discard(whole)
-        return found.astype(np.float32) if found.dtype == np.float16 else found
+class PostNorm(NamedTuple):
+    """A layer as BERT has it (Devlin et al. 2019): the norms stand behind attention and feed-forward.
 
-    def linear(self, name: str, width_in: int, width_out: int, bias: bool = True) -> Linear:
-        """The linear layer of this name; its matrix lies as the product reads it."""
-        matrix = self.array(f"{name}.weight", width_out, width_in)
-        return Linear(np.ascontiguousarray(matrix.T), self.array(f"{name}.bias", width_out) if bias else None)
+    Args:
+        query, key, value: From the states, all heads side by side.
+        leave: From what was attended to.
+        heads: H.
+        norm_a: Behind attention.
+        wide, narrow: The feed-forward.
+        norm_b: Behind it.
+    """
 
-    def norm(self, name: str, width: int, epsilon: float = 1e-5) -> Norm:
-        """The layer norm of this name."""
-        return Norm(self.array(f"{name}.weight", width), self.array(f"{name}.bias", width), epsilon)
+    query: Linear
+    key: Linear
+    value: Linear
+    leave: Linear
+    heads: int
+    norm_a: Norm
+    wide: Linear
+    narrow: Linear
+    norm_b: Norm
 
-    def attention(self, enter: str, leave: str, width: int, heads: int) -> Attention:
-        """Attention of the states to one another, of two linear layers by name."""
-        if heads < 1 or width % heads:
-            raise ValueError(f"{width} channels cannot be shared by {heads} heads")
-        return Attention(self.linear(enter, width, 3 * width), self.linear(leave, width, width), heads)
-
-    def feed_forward(self, wide: str, narrow: str, width: int, inner: int) -> FeedForward:
-        """Of two linear layers by name."""
-        return FeedForward(self.linear(wide, width, inner), self.linear(narrow, inner, width))
-
-    def done(self) -> None:
-        """All have been handed out.
-
-        Raises:
-            ValueError: The checkpoint holds more.
-        """
-        if self._left:
-            raise ValueError(f"its config makes no '{min(self._left)}', which the file has")
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Shape (B, T, d) -> (B, T, d)."""
+        parts = (split_heads(enter(x), self.heads)[0] for enter in (self.query, self.key, self.value))
+        x = self.norm_a(x + self.leave(attended(*parts)))
+        return self.norm_b(x + self.narrow(gelu(self.wide(x))))
 
 
 def normed(x: np.ndarray, norm: Norm | None = None) -> np.ndarray:

@@ -17,6 +17,7 @@ from bunraku.diffusion.examples.pack import (
     read_pack,
     said_by,
     said_path,
+    stand_well,
     unpacked_stretch,
     write_pack,
 )
@@ -98,11 +99,12 @@ def test_what_the_shipped_examples_say_is_stored_as_it_is_read_today():
     if not path.is_file():
         pytest.skip("the shipped weights are not there")
     pack = read_pack(path)
-    assert len(pack.stored) == len(pack.examples), "write it anew: pack.write_said(path, read_pack(path).examples)"
+    assert len(pack.stored) == len(pack.examples), "write it anew: pack.write_said(path, read_pack(path))"
     for index, one in enumerate(pack.examples):
         assert pack.said(index) == said_by(one.texts), one.texts
         told = frozenset().union(*(said_cues(mirror_words(text)) for text in one.texts))
         assert pack.said(index).mirrored_cues == told, one.texts
+    assert pack.stored_standing == stand_well(pack) and 0 < len(pack.idles) < len(pack.stored_standing)
 
 
 def test_what_is_stored_is_left_alone_where_the_sentences_or_the_lexicon_are_others(pack, tmp_path):
@@ -116,7 +118,10 @@ def test_what_is_stored_is_left_alone_where_the_sentences_or_the_lexicon_are_oth
         else:
             said_path(path).write_text(json.dumps(table | change))
         assert not read_pack(path).stored and read_pack(path).said(0) == said
-    for bad in ("", "[", "3", json.dumps(table | {"rows": [["", 1, ""]] * 2}), json.dumps(table | {"rows": []})):
+    for bad in (
+        "", "[", "3", json.dumps(table | {"rows": [["", 1, ""]] * 2}), json.dumps(table | {"rows": []}),
+        *(json.dumps(table | {"stand": bad}) for bad in ([2], [-1], ["0"], [True], 1)),
+    ):  # fmt: skip
         said_path(path).write_text(bad)
         with pytest.raises(WeightsError, match=r"examples\.json"):
             read_pack(path)

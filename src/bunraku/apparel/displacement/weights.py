@@ -9,7 +9,7 @@ from typing import Literal
 from bunraku.apparel.displacement.features import BASIS, GLOBAL, SCALARS, STATIC_SCALARS, STATIC_VECTORS, VECTORS
 from bunraku.apparel.node_graph import EdgeBlock
 from bunraku.nn.checkpoints import config_of, load_network
-from bunraku.nn.layers import Weights
+from bunraku.nn.weights import Weights
 
 __all__ = [
     "CHANGE", "KEEP", "MOTION", "MOTION_HIDDEN", "NODE_INPUT", "OWN_STATE", "SET", "SHARE", "STILL", "WORLD_STATE",

@@ -13,7 +13,8 @@ import numpy as np
 from bunraku.apparel.node_graph import EdgeBlock, NodeGraph
 from bunraku.apparel.sampled_mesh import POINT_FEATURES, SampledMesh
 from bunraku.nn.checkpoints import config_of, load_network
-from bunraku.nn.layers import Weights, gelu
+from bunraku.nn.layers import gelu
+from bunraku.nn.weights import Weights
 
 __all__ = ["SegmentationConfig", "SegmentationNetwork", "load_segmentation"]
 

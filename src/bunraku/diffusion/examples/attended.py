@@ -55,7 +55,7 @@ class ExampleBank:
         self.pack, self.ranker, self.encoder, self.statistics = pack, ranker, encoder, statistics
         self.count, self.frames = count, frames
         self._takes = [take_of(one.name) for one in pack.examples]
-        self._usable = np.array([bool(one.texts) and not one.made for one in pack.examples])
+        self._usable = ~pack.made & np.array([bool(one.texts) for one in pack.examples], bool)
         self._known: dict[tuple[int, bool], tuple[np.ndarray, np.ndarray]] = {}
 
     def nearest(self, vector: np.ndarray, without: Collection[str] = ()) -> list[tuple[int, bool]]:

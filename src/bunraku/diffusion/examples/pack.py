@@ -2,7 +2,7 @@
 
 A stretch is kept as the motion of a skeleton of 22 joints: the root's position and the joints' rotations at 20 frames a
 second, in steps of half a millimetre and of a milliradian, their differences packed by LZMA: 50 bytes a frame. What the
-sentences say is kept in a JSON file beside it, so that no run reads them again.
+sentences say, and where somebody stands well, is kept in a JSON file beside it, so that no run works it out again.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ __all__ = [
     "read_pack",
     "said_by",
     "said_path",
+    "stand_well",
     "unpacked_stretch",
     "write_pack",
     "write_said",
@@ -142,6 +143,7 @@ class ExamplePack:
         ranker: What tells the ranker's weights that made the vectors.
         stored: Actions, cues and traits that the sentences of each example say, parted by commas; none where nobody
             stored them.
+        stored_standing: What `stand_well` finds; None where nobody stored it.
     """
 
     examples: tuple[Example, ...]
@@ -151,6 +153,7 @@ class ExamplePack:
     motions: np.ndarray
     ranker: str
     stored: Sequence[Sequence[str]] = ()
+    stored_standing: Sequence[int] | None = None
 
     @functools.cached_property
     def made(self) -> np.ndarray:
@@ -162,19 +165,12 @@ class ExamplePack:
         """Those that are there for others to be joined to, in which somebody stands on both legs: their mean poses, as
         the denoiser sees them but for the root's velocities, shape (268,).
         """
-        from bunraku.diffusion.examples.joins import on_one_leg
-
-        wordless = [index for index, one in enumerate(self.examples) if not one.texts and not one.idle]
-        if not wordless:
+        chosen = [index for index in self._standing_well if not self.examples[index].idle]
+        if not chosen:
             return {}
-        lengths = [self.examples[index].frames for index in wordless]
-        packed = zip([self.data[index] for index in wordless], lengths, strict=True)
-        values = np.concatenate([_stretch_values(*one) for one in packed])  # all in one go
-        every = np.split(_encoded(*_as_motion(values)), np.cumsum(lengths)[:-1])
         return {
             index: features[:, 3:].mean(axis=0)
-            for index, features in zip(wordless, every, strict=True)
-            if not on_one_leg(features)
+            for index, features in zip(chosen, _encoded_at_once(self, chosen), strict=True)
         }
 
     @property
@@ -185,16 +181,11 @@ class ExamplePack:
     @functools.cached_property
     def idles(self) -> tuple[SkeletalMotion, ...]:
         """People who stand, by whom gestures are made."""
-        from bunraku.body.reference import reference_body
-        from bunraku.core.motion import SkeletalMotion
-        from bunraku.gestures.standing import stands_well
+        return tuple([_skeletal(self, index) for index in self._standing_well if self.examples[index].idle])
 
-        skeleton = reference_body().skeleton
-        wordless = [index for index, one in enumerate(self.examples) if not one.texts]
-        idle = [index for index in wordless if self.examples[index].idle]
-        stretches = [unpacked_stretch(self.data[index], self.examples[index].frames) for index in idle]
-        found = [SkeletalMotion(skeleton, rotations, root, FPS) for root, rotations in stretches]
-        return tuple(one for one in found if stands_well(one))
+    @functools.cached_property
+    def _standing_well(self) -> Sequence[int]:
+        return stand_well(self) if self.stored_standing is None else self.stored_standing
 
     def said(self, index: int) -> Said:
         """What the sentences of an example say."""
@@ -213,6 +204,43 @@ class ExamplePack:
     def features(self, index: int) -> np.ndarray:
         """What the denoiser sees of an example (see `diffusion.features`), shape (N, 271)."""
         return _features(self.data[index], self.examples[index].frames)
+
+
+def stand_well(pack: ExamplePack) -> list[int]:
+    """Which of those without a sentence serve: others are joined to one in which somebody stands on both legs, and
+    gestures are made by one who stands well.
+    """
+    from bunraku.diffusion.examples.joins import on_one_leg
+    from bunraku.gestures.standing import stands_well
+
+    wordless = [index for index, one in enumerate(pack.examples) if not one.texts]
+    others = [index for index in wordless if not pack.examples[index].idle]
+    lifted = {
+        index for index, features in zip(others, _encoded_at_once(pack, others), strict=True) if on_one_leg(features)
+    }
+    return [
+        index for index in wordless
+        if (stands_well(_skeletal(pack, index)) if pack.examples[index].idle else index not in lifted)
+    ]  # fmt: skip
+
+
+def _encoded_at_once(pack: ExamplePack, indices: Sequence[int]) -> list[np.ndarray]:
+    """Features of some examples but for their first frames' velocities, shape (N, 271) each."""
+    if not indices:
+        return []
+    lengths = [pack.examples[index].frames for index in indices]
+    packed = zip([pack.data[index] for index in indices], lengths, strict=True)
+    values = np.concatenate([_stretch_values(*one) for one in packed])
+    return np.split(_encoded(*_as_motion(values)), np.cumsum(lengths)[:-1])
+
+
+def _skeletal(pack: ExamplePack, index: int) -> SkeletalMotion:
+    """The motion of an example."""
+    from bunraku.body.reference import reference_body
+    from bunraku.core.motion import SkeletalMotion
+
+    root, rotations = unpacked_stretch(pack.data[index], pack.examples[index].frames)
+    return SkeletalMotion(reference_body().skeleton, rotations, root, FPS)
 
 
 @functools.lru_cache(maxsize=128)
@@ -279,7 +307,7 @@ def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object])
         "texts": pack.texts.astype(np.float16),
         "motions": pack.motions.astype(np.float16),
     }
-    write_said(path, pack.examples)
+    write_said(path, pack)
     return save_checkpoint(path, tensors, {"examples": table, "ranker": pack.ranker, "notes": notes}, KIND)
 
 
@@ -288,47 +316,53 @@ def said_path(path: str | Path) -> Path:
     return Path(path).with_suffix(".json")
 
 
-def write_said(path: str | Path, examples: Sequence[Example]) -> None:
-    """Write what the sentences of a pack say beside it.
+def write_said(path: str | Path, pack: ExamplePack) -> None:
+    """Write beside a pack what its sentences say and where somebody stands well.
 
     Args:
         path: Of the pack.
-        examples: In it.
+        pack: It.
     """
     from bunraku.formats.files import atomic_write
 
-    rows = [json.dumps([_AND.join(sorted(names)) for names in said_by(one.texts)]) for one in examples]
-    text = f'{{"of": "{_sentences(examples)}", "rows": [\n' + ",\n".join(rows) + "\n]}\n"
+    rows = [json.dumps([_AND.join(sorted(names)) for names in said_by(one.texts)]) for one in pack.examples]
+    head = f'{{"of": "{_contents(pack)}", "stand": {stand_well(pack)}, "rows": [\n'
     with atomic_write(said_path(path)) as file:
-        file.write(text.encode())
+        file.write((head + ",\n".join(rows) + "\n]}\n").encode())
 
 
-def _sentences(examples: Sequence[Example]) -> str:
-    """What tells the sentences of a pack, and the lexicon that reads them, from others."""
+def _contents(pack: ExamplePack) -> str:
+    """What tells the sentences of a pack, the lexicon that reads them, and those who stand, from others."""
     found = hashlib.sha256(resources.files("bunraku.language.lexicon").joinpath("lexicon.json").read_bytes())
-    found.update(json.dumps([one.texts for one in examples]).encode())
+    found.update(json.dumps([one.texts for one in pack.examples]).encode())
+    for one, data in zip(pack.examples, pack.data, strict=False):  # a pack that is damaged has fewer
+        if not one.texts:
+            found.update(data)
     return found.hexdigest()[:16]
 
 
-def _stored(path: str | Path, examples: Sequence[Example]) -> list[list[str]]:
-    """What the sentences of a pack say; none where it was not stored, or of other sentences or by another lexicon.
+def _with_stored(pack: ExamplePack, path: str | Path) -> ExamplePack:
+    """A pack with what `write_said` stored; as it is where that is missing, or of another pack or by another lexicon.
 
     Raises:
         WeightsError: The file is damaged.
     """
-    file = said_path(path)
+    file, count = said_path(path), len(pack.examples)
     if not file.is_file():
-        return []
+        return pack
     try:
         words = json.loads(file.read_bytes())
-        if words["of"] != _sentences(examples):
-            return []
+        if words["of"] != _contents(pack):
+            return pack
         rows: list[list[str]] = words["rows"]
-        if len(rows) != len(examples) or {(len(row), *map(type, row)) for row in rows} - {(3, str, str, str)}:
+        standing: list[int] = words["stand"]
+        if len(rows) != count or {(len(row), *map(type, row)) for row in rows} - {(3, str, str, str)}:
+            raise ValueError
+        if {type(index) for index in standing} - {int} or not all(0 <= index < count for index in standing):
             raise ValueError
     except (ValueError, TypeError, LookupError, RecursionError) as error:
         raise WeightsError(f"{file}: what the examples say is damaged; take the file away") from error
-    return rows
+    return replace(pack, stored=rows, stored_standing=standing)
 
 
 def read_pack(path: str | Path) -> ExamplePack:
@@ -362,7 +396,7 @@ def read_pack(path: str | Path) -> ExamplePack:
         fits = found.texts.shape[:2] == (2, len(owners)) and found.motions.shape[:2] == (2, len(examples))
         if not fits or len(sizes) != len(examples) or not ((owners >= 0) & (owners < len(examples))).all():
             raise ValueError("its tables have different lengths")
-    return replace(found, stored=_stored(path, examples))
+    return _with_stored(found, path)
 
 
 def load_examples() -> ExamplePack | None:

@@ -21,14 +21,14 @@ from bunraku.diffusion.inference.examples import EXAMPLE_TOKENS, RetrievedExampl
 from bunraku.diffusion.inference.layers import (
     Condition,
     DecoderLayer,
-    EncoderLayer,
     rotary_positions,
     waves,
 )
 from bunraku.errors import WeightsError
 from bunraku.geometry.rotations import matrix_from_6d
 from bunraku.nn.checkpoints import config_of, load_checkpoint
-from bunraku.nn.layers import Memory, Norm, Rotary, Weights, hidden_by, normed, silu
+from bunraku.nn.layers import Memory, Norm, PreNorm, Rotary, hidden_by, normed, silu
+from bunraku.nn.weights import Weights
 
 __all__ = ["Denoiser", "EncoderDenoiser", "build_denoiser", "joint_offsets", "load_denoiser"]
 
@@ -243,8 +243,13 @@ class EncoderDenoiser(Denoiser):
         config = self.config
         inner = config.feedforward + 2 * config.width
         self.encoder_layers = [
-            EncoderLayer(config.width, config.heads, inner, weights.part(f"layers.{index}"))
-            for index in range(config.layers)
+            PreNorm(
+                part.attention("self_in", "self_out", config.width, config.heads),
+                part.norm("norm_a", config.width),
+                part.feed_forward("wide", "narrow", config.width, inner),
+                part.norm("norm_b", config.width),
+            )
+            for part in (weights.part(f"layers.{index}") for index in range(config.layers))
         ]
         self.norm_out = weights.norm("norm_out", config.width)
 

@@ -19,7 +19,8 @@ from bunraku.errors import WeightsError
 from bunraku.formats.files import weights_file
 from bunraku.language.encoders import TextBatch, TextEncoder
 from bunraku.nn.checkpoints import config_of, dated_checkpoint, load_checkpoint
-from bunraku.nn.layers import Linear, Norm, Weights, gelu, gelu_slope, softmax, split_heads
+from bunraku.nn.layers import Linear, Norm, gelu, gelu_slope, softmax, split_heads
+from bunraku.nn.weights import Weights
 
 __all__ = [
     "Extractor",

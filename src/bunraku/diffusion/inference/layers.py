@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bunraku.diffusion.denoiser_config import DenoiserConfig
-from bunraku.nn.layers import Attention, Memory, Norm, Rotary, Weights, hidden_by, normed, silu, split_heads, turned
+from bunraku.nn.layers import Attention, Memory, Norm, Rotary, hidden_by, normed, silu, split_heads, turned
+from bunraku.nn.weights import Weights
 
-__all__ = ["Condition", "DecoderLayer", "EncoderLayer", "rotary_positions", "waves"]
+__all__ = ["Condition", "DecoderLayer", "rotary_positions", "waves"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,21 +150,3 @@ class DecoderLayer:
         for shift in range(1, reach):
             mixed += padded[:, shift : shift + tokens] * self.kernel[shift]
         return self.outside(silu(mixed))
-
-
-class EncoderLayer:
-    """A pre-norm transformer encoder layer.
-
-    Args:
-        width, heads, inner: Its sizes.
-        weights: Of the layer.
-    """
-
-    def __init__(self, width: int, heads: int, inner: int, weights: Weights):
-        self.norm_a, self.norm_b = weights.norm("norm_a", width), weights.norm("norm_b", width)
-        self.own = weights.attention("self_in", "self_out", width, heads)
-        self.mix = weights.feed_forward("wide", "narrow", width, inner)
-
-    def __call__(self, x: np.ndarray, hidden: np.ndarray | None) -> np.ndarray:
-        """Shape (B, T, d), with what is hidden as `hidden_by` gives it; writes on `x`."""
-        return self.mix(self.own(x, self.norm_a, None, hidden), self.norm_b)

@@ -13,7 +13,8 @@ import numpy as np
 from bunraku.geometry.axes import right_angle_rotations
 from bunraku.handles.inference.graph import farthest_points
 from bunraku.nn.checkpoints import config_of, load_network
-from bunraku.nn.layers import Weights, gelu, softmax
+from bunraku.nn.layers import PreNorm, gelu, softmax
+from bunraku.nn.weights import Weights
 
 __all__ = [
     "TOKEN",
@@ -106,7 +107,7 @@ class OrientationPredictor:
         width = config.width
         self._enter = weights.linear("enter.0", TOKEN, width), weights.linear("enter.2", width, width)
         self._layers = [
-            (
+            PreNorm(
                 part.attention("attention", "merge", width, config.heads),
                 part.norm("norm", width),
                 part.feed_forward("mix.1", "mix.3", width, 2 * width),
@@ -121,8 +122,8 @@ class OrientationPredictor:
     def __call__(self, tokens: np.ndarray) -> np.ndarray:
         """Score of each mesh as it stands, shape (B, M, 10) -> (B,)."""
         x = self._enter[1](gelu(self._enter[0](tokens)))
-        for attention, norm, mix, norm_mix in self._layers:
-            x = mix(attention(x, norm), norm_mix)
+        for layer in self._layers:
+            x = layer(x)
         x = self._norm(x)
         pooled = np.concatenate([x.mean(axis=1), x.max(axis=1)], axis=-1)
         return self._head[1](gelu(self._head[0](pooled)))[:, 0]

@@ -15,7 +15,8 @@ import numpy as np
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.handles.inference.graph import MeshGraph
 from bunraku.nn.checkpoints import config_of, load_network
-from bunraku.nn.layers import Weights, gelu, normed, softmax
+from bunraku.nn.layers import PreNorm, gelu, normed, softmax
+from bunraku.nn.weights import Weights
 
 __all__ = ["HandlePrediction", "HandlePredictor", "PredictorConfig", "load_predictor", "predictor_config"]
 
@@ -67,7 +68,7 @@ class _GraphLayer:
         self.neighbour = weights.linear("fine.neighbour", width_in, width_out, bias=False)
         self.enter = weights.linear("enter", width_in + 3, width_out)
         self.blocks = [  # rounds in which the anchors pass messages to one another
-            (
+            PreNorm(
                 part.attention("attention", "merge", width_out, heads),
                 part.norm("norm_attention", width_out),
                 part.feed_forward("mix.0", "mix.2", width_out, 2 * width_out),
@@ -79,8 +80,8 @@ class _GraphLayer:
 
     def __call__(self, x: np.ndarray, graph: MeshGraph) -> np.ndarray:
         tokens = self.enter(np.concatenate([graph.gather @ x, graph.anchors], axis=-1))[None]
-        for attention, norm, mix, norm_mix in self.blocks:
-            tokens = mix(attention(tokens, norm), norm_mix)
+        for block in self.blocks:
+            tokens = block(tokens)
         values = self.neighbour(x)
         both = self.own(x)
         both -= values

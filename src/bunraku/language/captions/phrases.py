@@ -24,7 +24,7 @@ __all__ = [
     "CaptionGroup", "caption", "caption_clauses", "caption_group", "caption_variants",
     "creature_clauses", "creature_names", "creature_variants", "creature_words", "is_known_clause", "known_clauses",
     "known_phrases",
-    "known_verbs", "mirror_words", "normalise_label", "person_phrases",
+    "mirror_words", "normalise_label", "person_phrases",
 ]  # fmt: skip
 
 _MIRRORED = {
@@ -37,7 +37,6 @@ _MIRRORED = {
 }
 _MIRRORED = {value: key for key, value in _MIRRORED.items() if key != "anticlockwise"} | _MIRRORED
 _SIDE = re.compile(r"\b(" + "|".join(sorted(_MIRRORED, key=len, reverse=True)) + r")\b", re.IGNORECASE)
-_BRACED = re.compile(r"\{(\w+)\}")
 _HUMAN = re.compile(r"^(a|the|one) (person|human|man|woman|figure|character|persons|humans)\b|^someone\b")
 
 
@@ -80,14 +79,6 @@ def caption_group(label: str) -> CaptionGroup:
     """The group of a label; a label that the file does not know is a group of its own."""
     label = normalise_label(label)
     return _groups().get(label) or CaptionGroup(label, ())
-
-
-@functools.cache
-def known_verbs() -> frozenset[str]:
-    """All verbs of the phrases, plain: "walk", "gallop"."""
-    return frozenset(
-        verb for name in ("captions.json", "creature_captions.json") for verb in _BRACED.findall(str(_table(name)))
-    )
 
 
 @functools.cache

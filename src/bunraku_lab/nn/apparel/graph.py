@@ -11,7 +11,7 @@ from torch import nn
 
 from bunraku_lab.nn.edge_conv import EdgeConv
 
-__all__ = ["EdgeBlock", "NodeGraph", "node_graph", "part_pool"]
+__all__ = ["EdgeBlock", "NodeGraph", "node_graph"]
 
 
 @dataclass
@@ -62,13 +62,6 @@ def node_graph(neighbours: Sequence[np.ndarray], parts: Sequence[np.ndarray]) ->
         ranks, index, torch.from_numpy(np.concatenate(part)), first, torch.from_numpy(np.concatenate(owner)),
         torch.from_numpy(pairs), torch.from_numpy(np.concatenate([here[:, None], table], axis=1).reshape(-1)),
     )  # fmt: skip
-
-
-def part_pool(x: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
-    """The largest feature in the part of each node, shape (M, C) -> (M, C): what a node gets from its part beyond its
-    neighbours, and nothing of other parts.
-    """
-    return _largest(x, graph).index_select(0, graph.part)
 
 
 def _largest(x: torch.Tensor, graph: NodeGraph) -> torch.Tensor:

@@ -10,7 +10,7 @@ from torch import nn
 from bunraku.apparel.displacement import weights as displacement
 from bunraku.diffusion.inference import denoiser, examples, extractor
 from bunraku.handles.inference import orientation, predictor
-from bunraku.nn.layers import Weights
+from bunraku.nn.weights import Weights
 from bunraku_lab.nn.apparel.network import DisplacementNetwork
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
