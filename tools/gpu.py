@@ -100,9 +100,11 @@ def bring(options: argparse.Namespace) -> None:
 
 def join(options: argparse.Namespace) -> None:
     from bunraku.formats.pieces import join_pieces
-    from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
 
-    for path in join_pieces(options.folder, options.output):
+    joined = join_pieces(options.folder, options.output)
+    from bunraku_lab.nn.diffusion.checkpoint import load_denoiser  # not before: it loads torch
+
+    for path in joined:
         notes = load_denoiser(path).notes
         print(f"wrote {path}: {notes.get('steps')} steps, {notes.get('minutes')} minutes")
     if (options.folder / LOG).is_file():

@@ -67,3 +67,14 @@ def test_what_is_all_apparel_has_no_body():
     count = len(mesh.vertices)
     weights = np.ones((count, JOINT_COUNT), np.float32) / JOINT_COUNT
     assert body_depth(np.asarray(mesh.vertices), np.asarray(mesh.faces), weights, np.ones(count, bool)) is None
+
+
+def test_a_body_is_measured_once_and_another_anew(ball):
+    mesh = trimesh.creation.icosphere(4, RADIUS)
+    weights = np.zeros((len(mesh.vertices), JOINT_COUNT), np.float32)
+    weights[:, 0] = 1
+    none, vertices = np.zeros(len(mesh.vertices), bool), np.asarray(mesh.vertices, np.float32)
+    first = body_depth(vertices, np.asarray(mesh.faces), weights, none)
+    assert body_depth(vertices.copy(), np.asarray(mesh.faces), weights, none) is first
+    larger = body_depth(vertices * np.float32(1.1), np.asarray(mesh.faces), weights, none)
+    assert larger.values.shape != first.values.shape or not np.array_equal(larger.values, first.values)

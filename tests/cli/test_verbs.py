@@ -168,7 +168,7 @@ def test_animate_writes_every_output_and_names_the_default(tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     assert main(["samples", "person"]) == 0
     capsys.readouterr()
-    options = ["--seconds", "1", "--steps", "2", "--fps", "10", "--seed", "7"]
+    options = ["--seconds", "1", "--steps", "2", "--candidates", "1", "--fps", "10", "--seed", "7"]
     outputs = ["-o", "new/walk.glb", "-o", "walk.npz", "-o", "frames.obj", "--preview", "walk.png"]
     assert main(["animate", "person.glb", "a person walks", *options, *outputs]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 4

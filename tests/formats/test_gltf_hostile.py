@@ -215,7 +215,7 @@ CASES = {
     "weights.glb": skins_of_shared_vertices,
     "large image.glb": lambda folder: with_images(picture((8300, 8300), "RGBA", "PNG"), 1, 1),
     "same image.glb": lambda folder: with_images(picture((5000, 4000), "RGBA", "PNG"), 200, 1),
-    "images.glb": lambda folder: with_images(picture((5000, 4000), "RGB", "PNG"), 20, 20),
+    "images.glb": lambda folder: with_images(picture((5000, 4000), "RGB", "PNG"), 10, 10),
     "progressive.glb": lambda folder: with_images(picture((5000, 4000), "RGB", "JPEG", progressive=True), 8, 8),
     "lists.gltf": lists_of_nothing,
     "springs 0.vrm": springs(0),

@@ -121,7 +121,7 @@ def test_a_sentence_encodes_the_same_alone_in_a_batch_and_from_the_cache(encoder
 
 
 def test_a_sentence_has_the_same_bits_whoever_it_is_encoded_with(encoder):
-    fresh = [text_encoder("all-MiniLM-L6-v2") for _ in range(2)]
+    fresh = [MiniLMEncoder() for _ in range(2)]
     alone = fresh[0].encode(["a person waves"])
     beside = fresh[1].encode(["a person walks forward and then turns around to the left", "a person waves", "runs"])
     assert np.array_equal(beside.tokens[1][beside.mask[1]], alone.tokens[0]) and np.array_equal(
@@ -141,6 +141,14 @@ def test_left_and_right_differ_more_in_tokens_than_in_the_pooled_vector(encoder)
 def test_the_name_of_an_encoder_says_whether_cues_are_read():
     assert text_encoder("all-MiniLM-L6-v2+cues").name == "all-MiniLM-L6-v2+cues"
     assert text_encoder("all-MiniLM-L6-v2+cues").pooled_size == 384 + len(CUES)
+
+
+def test_the_shipped_encoder_is_in_memory_once(monkeypatch, tmp_path):
+    one = text_encoder("all-MiniLM-L6-v2")
+    assert text_encoder("all-MiniLM-L6-v2+cues").inner is one is text_encoder("all-MiniLM-L6-v2")
+    (tmp_path / "text.safetensors").write_bytes(encoder_file_of("text"))
+    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))
+    assert text_encoder("all-MiniLM-L6-v2") is not one
 
 
 def test_wrong_folders_and_names_are_clear(tmp_path):

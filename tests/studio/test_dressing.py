@@ -247,7 +247,7 @@ def test_the_worker_makes_and_dresses_and_writes(file, tmp_path):
     second = workspace.take("b", "one")
     np.testing.assert_array_equal(first.body.motion.rotations, second.body.motion.rotations)
     assert told[-1]["stiffness"] == 5.0 and np.abs(first.points.offsets - second.points.offsets).max() > 1e-4
-    asked = Request("waves", Sampling(steps=2), Constraints([Keep(("legs",))]), Apparel("learn", 5.0))
+    asked = Request("waves", Sampling(steps=2, candidates=1), Constraints([Keep(("legs",))]), Apparel("learn", 5.0))
     edit = {**params, "takes": ["c"], "parent": "b", "request": asked.to_json()}
     run_task(workspace, "edit", edit, quiet, told.append)
     assert isinstance(workspace.take("c", "one"), Dressed)

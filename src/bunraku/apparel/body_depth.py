@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import blake2b
 
 import numpy as np
 from scipy.ndimage import label
@@ -25,6 +26,8 @@ BAND = 0.09
 """Distances beyond this are as good as this, over the character's size [m]."""
 _MOST_CELLS = 2_000_000
 _FACES = 6_000
+_KEPT = 3
+"""Grids of the last bodies; one takes up to 8 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,13 +159,15 @@ class BodyDepth:
         return out
 
 
+_grids: dict[bytes, BodyDepth] = {}
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 
 
 def body_depth(
     vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel: np.ndarray, scale: float = 1.0
 ) -> BodyDepth | None:
-    """The grid of a character's body; None where all of it is apparel.
+    """The grid of a character's body; None where all of it is apparel. Those of the last bodies are kept: apparel that
+    is made anew is of the same body.
 
     Args:
         vertices: Rest mesh [m], shape (V, 3).
@@ -171,10 +176,22 @@ def body_depth(
         apparel: Its mask, shape (V,), bool.
         scale: The clothed's size.
     """
-    import igl
-
     if not len(faces[~apparel[faces].any(axis=1)]):
         return None
+    arrays = (vertices, faces, weights, apparel, np.float64(scale))
+    key = b"".join(blake2b(np.ascontiguousarray(part), digest_size=16).digest() for part in arrays)
+    grid = _grids.get(key)
+    if grid is None:
+        grid = _grid(vertices, faces, weights, apparel, scale)
+        while len(_grids) >= _KEPT:
+            _grids.pop(next(iter(_grids)), None)
+        _grids[key] = grid
+    return grid
+
+
+def _grid(vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel: np.ndarray, scale: float) -> BodyDepth:
+    import igl
+
     volume = BodyVolume.of_mesh(vertices, faces, weights, apparel, "the mesh", _FACES)
     band = BAND * scale
     low = volume.rest.min(axis=0) - band

@@ -6,6 +6,7 @@ all-MiniLM-L6-v2; `CLIPEncoder` reads the user's own CLIP folder. A checkpoint n
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import json
 from collections import OrderedDict
@@ -19,6 +20,7 @@ import numpy as np
 from bunraku.errors import MissingExtraError, WeightsError
 from bunraku.language.known.tokenizer import WordPieces, encoder_file, read_header
 from bunraku.language.lexicon.cues import CUES, sentence_cues
+from bunraku.nn.checkpoints import dated
 from bunraku.nn.layers import Linear, Norm, PostNorm, unit
 
 __all__ = [
@@ -257,7 +259,8 @@ class CuedEncoder:
 
 
 def text_encoder(name: str = MiniLMEncoder.name, folder: str | Path | None = None) -> TextEncoder:
-    """The encoder of this name, as checkpoints name it.
+    """The encoder of this name, as checkpoints name it; the shipped one is kept between calls as long as its file does
+    not change.
 
     Args:
         name: "all-MiniLM-L6-v2", or "clip-SIZE" with a folder; with "+cues" behind it for `CuedEncoder`.
@@ -270,7 +273,7 @@ def text_encoder(name: str = MiniLMEncoder.name, folder: str | Path | None = Non
     if name.endswith(CuedEncoder.SUFFIX):
         return CuedEncoder(text_encoder(name.removesuffix(CuedEncoder.SUFFIX), folder))
     if name == MiniLMEncoder.name:
-        encoder = MiniLMEncoder(folder)
+        encoder = MiniLMEncoder(folder) if folder is not None else _shipped(*dated(encoder_file()))
     elif name.startswith("clip"):
         if folder is None:
             raise WeightsError(
@@ -284,6 +287,12 @@ def text_encoder(name: str = MiniLMEncoder.name, folder: str | Path | None = Non
             f"these weights were trained with the text encoder '{name}' but {folder} holds '{encoder.name}'"
         )
     return encoder
+
+
+@functools.lru_cache(maxsize=1)
+def _shipped(path: Path, changed: int) -> MiniLMEncoder:
+    """The encoder that comes with Bunraku: one for all who read sentences with it."""
+    return MiniLMEncoder()
 
 
 def encoder_of(name: str, known: TextEncoder) -> TextEncoder:

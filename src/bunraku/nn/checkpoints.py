@@ -22,6 +22,7 @@ from bunraku.nn.weights import Weights
 __all__ = [
     "FORMAT",
     "config_of",
+    "dated",
     "dated_checkpoint",
     "fitting_config",
     "load_checkpoint",
@@ -228,8 +229,12 @@ def dated_checkpoint(name: str, path: str | Path | None = None) -> tuple[Path, i
     Raises:
         WeightsError: The shipped one is not there.
     """
-    found = shipped_checkpoint(name) if path is None else Path(path)
-    return found.resolve(), found.stat().st_mtime_ns if found.is_file() else 0
+    return dated(shipped_checkpoint(name) if path is None else Path(path))
+
+
+def dated(path: Path) -> tuple[Path, int]:
+    """A file and when it was changed [ns], 0 where there is none."""
+    return path.resolve(), path.stat().st_mtime_ns if path.is_file() else 0
 
 
 def shipped_checkpoint(name: str) -> Path:

@@ -122,6 +122,10 @@ def test_a_character_that_faces_backwards_counts_as_wrong():
 @pytest.fixture
 def folder(tmp_path):
     """A folder like the archive: a held-out character, another one, and files without a rig."""
+    return filled(tmp_path)
+
+
+def filled(tmp_path):
     (tmp_path / "kaykit").mkdir()
     for name in ("kaykit/Rogue_Hooded", "kaykit/Other"):
         body = reference_body().character()
@@ -141,10 +145,11 @@ def test_of_the_archive_only_what_training_never_saw_is_taken(folder):
         find_files(folder / "kaykit" / "none")
 
 
-@needs_weights
-def test_the_table_as_a_whole(folder):
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    """The table of a folder in this process, its progress, and its subjects."""
     calls = []
-    loads = folder_subjects(folder, True)
+    loads = folder_subjects(filled(tmp_path_factory.mktemp("archive")), True)
     person = subject(sample_character("person", 0.3, rigged=True), "person")
     result = evaluate_handles(
         loads,
@@ -152,6 +157,12 @@ def test_the_table_as_a_whole(folder):
         speed=False,
         progress=lambda stage, share: calls.append((stage, share)),
     )
+    return result, calls, loads
+
+
+@needs_weights
+def test_the_table_as_a_whole(table):
+    result, calls, _ = table
     assert json.loads(json.dumps(result)) == result
     assert set(BARS) <= set(result) and result["seconds_5k"] is None and set(result["reached"]) == set(result["bars"])
     assert result["counts"] == {"characters": 2, "humanoids": 2, "resampled": 2, "detailed": 2}
@@ -169,13 +180,17 @@ def test_the_table_as_a_whole(folder):
 
 
 @needs_weights
-def test_processes_give_the_same_table(folder):
-    names = {name: load for name, load in folder_subjects(folder, True).items() if name != "kaykit/Other"}
-    alone, shared = (evaluate_handles(names, baselines=False, speed=False, jobs=jobs) for jobs in (1, 2))
-    assert list(shared["left_out"]) == list(alone["left_out"]) == ["plain"]
-    for row, other in zip(alone["characters"], shared["characters"], strict=True):
+def test_processes_give_the_same_table(table):
+    result, _, loads = table
+    names = {name: load for name, load in loads.items() if name != "kaykit/Other"}
+    shared = evaluate_handles(names, baselines=False, speed=False, jobs=2)
+    assert list(shared["left_out"]) == list(result["left_out"]) == ["plain"]
+    alone = {row["name"]: row for row in result["characters"]}
+    for row in shared["characters"]:
         numbers = {key: value for key, value in row.items() if isinstance(value, float)}
+        other = alone[row["name"]]
         assert len(numbers) > 5 and {key: other[key] for key in numbers} == pytest.approx(numbers, abs=1e-3)
+    assert [row["name"] for row in shared["characters"]] == ["kaykit/Rogue_Hooded"]
 
 
 def test_nothing_to_measure_is_said(tmp_path):
