@@ -3,11 +3,17 @@
 import numpy as np
 import pytest
 
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError
+from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku.samples import sample_character
 from bunraku_lab.datasets.characters.remeshed import blocky_surface, fused_surface, on_plinth
 from bunraku_lab.datasets.characters.surfaces import build_surfaces, clip_poses, load_surfaces, remade
+from bunraku_lab.datasets.motions.clips import write_clip, write_index
+from bunraku_lab.datasets.motions.posed_people import clips_of_people, posed_people
+from bunraku_lab.synthetic.wardrobe.character import wardrobe_character
 
 
 def ball(middle, radius, count=40_000):
@@ -53,10 +59,32 @@ def test_surfaces_of_a_rigged_file_are_read_back(tmp_path):
     assert len(poses) == 2 and np.allclose(*poses, atol=1e-4)  # bind pose and a frame of its clip
     points, normals = remade(poses[0], faces, np.random.default_rng(2))
     assert points.shape == normals.shape == (2048, 3) and np.abs(points).max() == pytest.approx(0.5, abs=0.02)
+    cast = build_surfaces(folder, tmp_path / "cast.npz", 0, 1, people=2, person=lambda number: (faces, poses))
+    assert cast.names == ("robot", "people/0", "people/0", "people/1", "people/1")
     bank = build_surfaces(folder, tmp_path / "bank.npz", forms=2)
     again = load_surfaces(tmp_path / "bank.npz")
     assert again.names == bank.names == ("robot",) * 4 and np.array_equal(again.points, bank.points)
     assert len(again.those(frozenset({"robot"}), True)) == 4 and not len(again.those(frozenset({"robot"}), False))
+
+
+def test_people_in_captured_poses_stand_and_face_ahead(tmp_path):
+    """A person whose clip heads to +X and bows in its last frames: the bows are left out, the heading is taken off."""
+    body = np.tile(matrix_y(np.array(np.pi / 2)), (40, 1, 1))
+    body[20:] = body[20:] @ matrix_from_axis_angle(np.array([np.radians(80), 0, 0]))
+    count = len(HANDLE_NAMES)
+    still = np.zeros((40, count, 3)), np.tile(np.eye(3), (40, count, 1, 1))
+    write_clip(tmp_path / "turn.npz", HandleMotion(*still, np.zeros((40, 3)), body, 20.0))
+    write_index(tmp_path, {"turn": {"texts": ["a person bows"]}, "neigh": {"species": "horse"}})
+    clips = clips_of_people(tmp_path)
+    assert [clip.name for clip in clips] == ["turn.npz"]
+    faces, found = posed_people(3, clips, 24)
+    assert 4 < len(found) < 24 and faces.max() < len(found[0])
+    person = wardrobe_character(3)
+    toes = person.vertices[:, 1] < person.vertices[:, 1].min() + 0.03 * person.height
+    ankles = np.abs(person.vertices[:, 1] - 0.08 * person.height) < 0.02 * person.height
+    for vertices in found:
+        ahead = vertices[toes].mean(axis=0) - vertices[ankles].mean(axis=0)
+        assert np.ptp(vertices[:, 1]) > 0.8 * person.height and ahead[2] > 2 * abs(ahead[0])
 
 
 def test_what_is_no_bank_is_refused(tmp_path):

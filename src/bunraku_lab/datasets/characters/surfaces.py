@@ -1,5 +1,5 @@
 """Surfaces that the orientation network trains on beside the characters themselves: characters in the poses of their
-own clips, with limbs fused, of blocks, on plinths.
+own clips and dressed people in those of captured ones, with limbs fused, of blocks, on plinths.
 
 All stand along +Y and face +Z, in units of their largest extent. What a clip lays down or turns round is left out.
 """
@@ -121,8 +121,10 @@ def build_surfaces(
     forms: int = 2,
     seed: int = 0,
     progress: Callable[[int, int, str], None] | None = None,
+    people: int = 0,
+    person: Callable[[int], tuple[np.ndarray, list[np.ndarray]]] | None = None,
 ) -> SurfaceBank:
-    """Make surfaces of the rigged files of a folder and write them as one NPZ.
+    """Make surfaces of the rigged files of a folder, and of people made by code, and write them as one NPZ.
 
     Args:
         folder: Searched through for GLB files, such as the unpacked character archive.
@@ -131,23 +133,31 @@ def build_surfaces(
         forms: How often each pose is remade.
         seed: Of all choices.
         progress: Called with the number done, of all, and the name.
+        people: How many people made by code are added, each of their poses remade once.
+        person: Faces and poses of the person of a number (`bunraku_lab.datasets.motions.posed_people`).
 
     Raises:
         FormatError: There is no rigged file.
     """
     files = sorted(file for file in folder.rglob("*.glb") if file.is_file())
     names, points, normals = [], [], []
-    for number, file in enumerate(files):
-        name = file.relative_to(folder).with_suffix("").as_posix()
+    people = people if person is not None else 0
+    for number in range(len(files) + people):
+        own = number < len(files)
+        name = files[number].relative_to(folder).with_suffix("").as_posix() if own else f"people/{number - len(files)}"
         if progress:
-            progress(number, len(files), name)
+            progress(number, len(files) + people, name)
         rng = np.random.default_rng([seed, number])
         try:
-            faces, found = clip_poses(file, name, rng, poses)
+            if own:
+                faces, found = clip_poses(files[number], name, rng, poses)
+            else:
+                assert person is not None
+                faces, found = person(number - len(files))
         except BunrakuError:
             continue
         for vertices in found:
-            for _ in range(forms):
+            for _ in range(forms if own else 1):
                 made, straight = remade(vertices, faces, rng)
                 names.append(name)
                 points.append(made.astype(np.float16))
