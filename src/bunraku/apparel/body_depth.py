@@ -178,8 +178,8 @@ def body_depth(
     """
     if not len(faces[~apparel[faces].any(axis=1)]):
         return None
-    arrays = (vertices, faces, weights, apparel, np.float64(scale))
-    key = b"".join(blake2b(np.ascontiguousarray(part), digest_size=16).digest() for part in arrays)
+    arrays = (vertices, faces, weights, apparel, np.array(scale))
+    key = b"".join(blake2b(part.tobytes(), digest_size=16).digest() for part in arrays)
     grid = _grids.get(key)
     if grid is None:
         grid = _grid(vertices, faces, weights, apparel, scale)
