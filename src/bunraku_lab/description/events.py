@@ -10,9 +10,9 @@ from __future__ import annotations
 import re
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from bunraku.language.description.track import SIDES, Phrase, Track, runs, smooth
+from bunraku_lab.description.peaks import peaks
 
 __all__ = ["find_arms", "find_bends", "find_jumps", "find_kicks", "find_punches", "find_seats", "find_stillness"]
 
@@ -162,7 +162,7 @@ def _waves(track: Track, side: str) -> list[Phrase]:
 def _swings(track: Track, swing: np.ndarray, side: str, start: int) -> list[Phrase]:
     """Waves in how far a raised hand is out: three small ways to and fro in a row, or two wide ones."""
     for least, prominence in ((3, 0.05), (2, 0.1)):
-        ends = np.sort(np.concatenate([find_peaks(sign * swing, prominence=prominence)[0] for sign in (1, -1)]))
+        ends = np.sort(np.concatenate([peaks(sign * swing, prominence) for sign in (1, -1)]))
         found = []
         for first, last in runs(np.diff(ends) < track.frames(0.7), least):
             often = {2: "twice", 3: "three times", 4: "four times"}.get((last - first + 1) // 2)
@@ -250,7 +250,7 @@ def find_punches(track: Track) -> list[Phrase]:
         away = wrist - shoulder
         reach = np.linalg.norm(away, axis=1)
         pace = np.gradient(wrist[:, 2]) * track.fps if len(track) > 1 else np.zeros(1)
-        for top in find_peaks(reach, height=0.4, prominence=0.1)[0].tolist():
+        for top in peaks(reach, 0.1, height=0.4).tolist():
             start = max(top - track.frames(0.35), 0)
             if away[top, 2] > 0.25 and abs(away[top, 1]) < 0.3 and pace[start : top + 1].max() > 2.0:
                 punches = ("{punch} with the # hand", "{throw} a # punch", "{throw} a punch with the # hand")

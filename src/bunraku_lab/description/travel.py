@@ -6,9 +6,9 @@ As in `events`, each rule says nothing where it is not sure, and treats left and
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from bunraku.language.description.track import SIDES, Phrase, Track, runs, smooth
+from bunraku_lab.description.peaks import peaks
 
 __all__ = ["find_gaits", "find_turns"]
 
@@ -78,7 +78,7 @@ def _gait(track: Track, start: int, stop: int, side: str | None) -> str | None:
     speed = float(track.speed[part].mean())
     lowest = track.feet[part].min(1)
     stride = (track.relative("left_ankle") - track.relative("right_ankle"))[part, 2]
-    steps = len(find_peaks(stride, prominence=0.2)[0]) + len(find_peaks(-stride, prominence=0.2)[0])
+    steps = len(peaks(stride, 0.2)) + len(peaks(-stride, 0.2))
     strides = steps >= (stop - start) / track.fps / 0.9 - 1 and steps >= 1
     low = track.height[part].mean() < -0.25
     flight = float((lowest > 0.09).mean())  # a walker's foot that rolls over the toes is up to 5 cm off the ground

@@ -6,7 +6,6 @@ from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import friedmanchisquare, spearmanr
 
 from bunraku.studio.study.answers import FROZEN, QUESTIONS, Answer, Study
 
@@ -74,6 +73,8 @@ def left_out(study: Study, answers: list[Answer]) -> dict[str, str]:
 
 def _agreement(study: Study, one: Answer, other: Answer) -> float:
     """Mean correlation of the ranks of two trials with the same methods."""
+    from scipy.stats import spearmanr
+
     found = []
     for question in one.ranks:
         ranks = [
@@ -92,6 +93,8 @@ def outcome(study: Study, answers: list[Answer], seed: int = 0) -> Outcome:
         answers: All answers; of a trial that somebody answered twice the last counts.
         seed: Of the resampling.
     """
+    from scipy.stats import friedmanchisquare  # which takes a second to load, as below
+
     without = left_out(study, answers)
     latest = {(one.participant, one.trial): one for one in answers}
     kept = [one for one in latest.values() if one.participant not in without and not study.is_check(one.trial)]

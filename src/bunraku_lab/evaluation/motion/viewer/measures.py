@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import periodogram
 
 from bunraku.body.layout import HANDLE_NAMES, JOINT_COUNT
 from bunraku.body.reference import reference_body
@@ -78,6 +77,8 @@ def wave_of(motion: HandleMotion, side: str) -> Wave | None:
     stretches = _raised(track, side)
     if not stretches:
         return None
+    from scipy.signal import periodogram  # which loads half of scipy
+
     start, stop = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
     position = track.relative(f"{side}_wrist")[start:stop]
     away = position - position.mean(axis=0)
