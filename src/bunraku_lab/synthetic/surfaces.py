@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["curve_through", "patch", "sheet_faces", "strand", "unit"]
+__all__ = ["curve_through", "nearest_shares", "patch", "sheet_faces", "strand", "unit"]
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -23,6 +23,28 @@ def sheet_faces(rows: int, columns: int, wrap: bool = False) -> np.ndarray:
     a, b = row * columns + column, row * columns + (column + 1) % columns
     quads = np.stack([a, a + columns, b + columns, b], axis=-1).reshape(-1, 4)
     return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def nearest_shares(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where points are on a mesh: the triangle nearest to each and the shares of its corners.
+
+    Args:
+        points: [m], shape (P, 3).
+        vertices: [m], shape (V, 3).
+        faces: Shape (F, 3).
+
+    Returns:
+        Corners (P, 3), vertices of the mesh, and their shares (P, 3), from 0 to 1; they sum to 1 but for rounding.
+    """
+    import igl
+
+    vertices = np.asarray(vertices, np.float64)
+    _, triangle, nearest = igl.point_mesh_squared_distance(points, vertices, faces)
+    corners = faces[triangle]
+    shares = igl.barycentric_coordinates(
+        nearest, *(np.ascontiguousarray(vertices[corners[:, corner]]) for corner in range(3))
+    )
+    return corners, np.clip(np.nan_to_num(shares, nan=1 / 3), 0, 1)
 
 
 def curve_through(points: np.ndarray, count: int) -> np.ndarray:

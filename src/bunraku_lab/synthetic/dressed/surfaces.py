@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from bunraku_lab.synthetic.dressed.wardrobe import Piece
+from bunraku_lab.synthetic.surfaces import nearest_shares
 
 __all__ = ["melted", "simplified"]
 
@@ -75,14 +76,7 @@ def simplified(piece: Piece, faces: int) -> Piece:
 
 
 def _labelled(vertices: np.ndarray, faces: np.ndarray, piece: Piece) -> Piece:
-    import igl
-
-    _, triangle, nearest = igl.point_mesh_squared_distance(vertices, piece.points, piece.faces)
-    corners = piece.faces[triangle]
-    shares = igl.barycentric_coordinates(
-        nearest, *(np.ascontiguousarray(piece.points[corners[:, corner]]) for corner in range(3))
-    )
-    shares = np.clip(np.nan_to_num(shares, nan=1 / 3), 0, 1)
+    corners, shares = nearest_shares(vertices, piece.points, piece.faces)
     shares /= np.maximum(shares.sum(axis=1, keepdims=True), 1e-9)
     joints, handles = (np.einsum("vc,vck->vk", shares, weights[corners]) for weights in (piece.joints, piece.handles))
     return Piece(vertices, faces, joints, handles)

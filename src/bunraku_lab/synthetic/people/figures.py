@@ -15,6 +15,7 @@ from bunraku.geometry.surface import vertex_normals
 from bunraku_lab.synthetic.people.figure import DRAWN, Figure, J, Skin
 from bunraku_lab.synthetic.people.makehuman import limb_rotations, pose_points
 from bunraku_lab.synthetic.people.proportions import random_kind, random_proportions, rest_linear
+from bunraku_lab.synthetic.surfaces import nearest_shares
 
 __all__ = ["figure_of", "random_figure"]
 
@@ -165,16 +166,10 @@ def _tessellation(detail: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     points, faces = body.vertices.astype(np.float64), body.faces
     if detail == "coarse":
         import fast_simplification
-        import igl
 
         near = fast_simplification.simplify(points.astype(np.float32), faces.astype(np.int32), target_count=2200)
         surface, faces = near[0].astype(np.float64), near[1].astype(np.int64)
-        _, triangle, nearest = igl.point_mesh_squared_distance(surface, points, body.faces)
-        corners = body.faces[triangle]
-        shares = igl.barycentric_coordinates(
-            nearest, *(np.ascontiguousarray(points[corners[:, corner]]) for corner in range(3))
-        )
-        shares = np.clip(np.nan_to_num(shares, nan=1 / 3), 0, 1)
+        corners, shares = nearest_shares(surface, points, body.faces)
         return faces, corners, shares / shares.sum(axis=1, keepdims=True)
     corners, shares = np.repeat(np.arange(len(points))[:, None], 3, axis=1), np.tile([1.0, 0, 0], (len(points), 1))
     if detail == "fine":

@@ -24,6 +24,7 @@ from bunraku.errors import FormatError
 from bunraku.formats.files import read_bounded
 from bunraku.formats.mesh.obj import read_obj
 from bunraku.geometry.rotations import rotation_between
+from bunraku_lab.synthetic.surfaces import nearest_shares
 
 __all__ = ["BASE_VERTICES", "BODY_VERTICES", "MakeHumanBody", "limb_rotations", "pose_points"]
 
@@ -145,22 +146,13 @@ class MakeHumanBody:
         The shares of fingers, scalp, face and wings are those at the nearest points of the reference body in its
         T-pose.
         """
-        import igl
-
         vertices = self.shape({})
         joints = self.joints(vertices)
         vertices = pose_points(vertices, joints, self.joint_weights, limb_rotations(joints))[0]
         reference = reference_body()
         vertices[:, 1] -= vertices[:BODY_VERTICES, 1].min()
-        _, triangle, nearest = igl.point_mesh_squared_distance(
-            vertices, np.asarray(reference.vertices, np.float64), np.asarray(reference.faces)
-        )
-        corners = reference.vertices[reference.faces[triangle]].astype(np.float64)
-        shares = igl.barycentric_coordinates(
-            nearest, *(np.ascontiguousarray(corners[:, corner]) for corner in range(3))
-        )
-        shares = np.clip(np.nan_to_num(shares, nan=1 / 3), 0, 1)
-        known = np.einsum("vc,vck->vk", shares, reference.handle_weights[reference.faces[triangle]])
+        corners, shares = nearest_shares(vertices, reference.vertices, np.asarray(reference.faces))
+        known = np.einsum("vc,vck->vk", shares, reference.handle_weights[corners])
         out = np.zeros((BASE_VERTICES, len(HANDLE_PARENTS)))
         out[:, :JOINT_COUNT] = self.joint_weights
         extra = range(JOINT_COUNT, len(HANDLE_PARENTS))
