@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from bunraku.apparel.unified import UnifiedBody
+from bunraku.core.skinning import skin
 from bunraku.physics.clothed import clothed_from_file
+from bunraku_lab.evaluation.apparel.against import best_skinning
 from bunraku_lab.evaluation.apparel.chained import chain_row, chain_summary
 from bunraku_lab.evaluation.apparel.clips import TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score, oracle_skinning, point_distance
@@ -38,6 +40,22 @@ def test_the_best_skinning_finds_what_skinning_made():
     shaken = truth + random.normal(size=truth.shape)
     best = oracle_skinning(rest, shaken, affine, 1)
     assert np.square(best - shaken).sum() <= np.square(truth - shaken).sum() + 1e-6
+
+
+def test_the_best_weights_are_found_for_all_vertices_at_once():
+    """Those that made the vertices; and shaken ones no worse than by another solver."""
+    random = np.random.default_rng(1)
+    rest = random.normal(size=(6, 3))
+    affine = np.tile(np.eye(3, 4), (20, 5, 1, 1)) + 0.4 * random.normal(size=(20, 5, 3, 4))
+    weights = random.dirichlet(np.ones(5) * 0.3, 6)
+    truth = np.asarray(skin(rest, weights, affine), np.float64)
+    np.testing.assert_allclose(best_skinning(rest, truth, affine), weights, atol=1e-3)
+    shaken = truth + 0.3 * random.normal(size=truth.shape)
+    found = best_skinning(rest, shaken, affine)
+    assert found.min() >= 0 and np.allclose(found.sum(axis=1), 1)
+    errors = [np.square(skin(rest, found, affine) - shaken).sum(), np.square(truth - shaken).sum()]
+    errors.append(np.square(oracle_skinning(rest, shaken, affine, 1) - shaken).sum())
+    assert errors[0] <= errors[1] and errors[0] <= 1.001 * errors[2]
 
 
 def test_the_keys_are_those_that_programs_read():

@@ -1,7 +1,10 @@
 """The papers' tables: what is kept, what is said of rows that were not run, and ratios."""
 
 import json
+import math
 import re
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -10,7 +13,15 @@ from bunraku.errors import OptionError
 from bunraku_lab.cli.evaluate.tables import EvaluateTables
 from bunraku_lab.evaluation.report import Report
 from bunraku_lab.evaluation.tables.measured import PAPERS, TablesConfig, measure_tables
-from bunraku_lab.evaluation.tables.paper_table import Group, PaperRow, PaperTable, measured_table, shown_table
+from bunraku_lab.evaluation.tables.paper_table import (
+    EITHER_WAY,
+    Group,
+    PaperRow,
+    PaperTable,
+    half_interval,
+    measured_table,
+    shown_table,
+)
 
 TABLE = PaperTable(
     "tapmo", 9, "a table", ("loss",),
@@ -34,7 +45,7 @@ def test_what_was_measured_is_kept_until_what_it_depends_on_changes(tmp_path):
     weights = tmp_path / "weights"
     weights.write_bytes(b"one")
 
-    def run():
+    def run(parts):
         calls.append(1)
         return {"ours": {"loss": 1.0}}
 
@@ -45,6 +56,42 @@ def test_what_was_measured_is_kept_until_what_it_depends_on_changes(tmp_path):
     Group("some", run, {"weights": weights}).figures(tmp_path / "work")
     Group("some", run, {"weights": weights, "quick": True}).figures(tmp_path / "work")
     assert len(calls) == 3
+
+
+def test_a_measurement_that_was_stopped_goes_on_with_its_parts(tmp_path):
+    measured = []
+
+    def run(parts, stops=True):
+        def part(number):
+            if stops and number == 2:
+                raise KeyboardInterrupt
+            measured.append(number)
+            return {"loss": float(number)}
+
+        rows = [parts(f"part {number}", partial(part, number)) for number in range(4)]
+        return {"ours": {"loss": sum(row["loss"] for row in rows)}}
+
+    with pytest.raises(KeyboardInterrupt):
+        Group("some", run).figures(tmp_path)
+    assert Group("some", partial(run, stops=False)).figures(tmp_path) == {"ours": {"loss": 6.0}}
+    assert measured == [0, 1, 2, 3]  # each once
+    assert [path.suffix for path in tmp_path.iterdir()] == [".json"]  # parts go once the whole is kept
+
+
+def test_intervals_are_those_of_a_mean():
+    values = [1.0, 2.0, 3.0, 6.0]
+    assert half_interval(values) == pytest.approx(1.96 * math.sqrt(14 / 3) / 2) and half_interval([3.0]) == 0
+    found = measured_table(TABLE, {"ours": {"loss": 1.5, f"loss {EITHER_WAY}": 0.25}})
+    assert "| ours | 0.2 / 1.5 ± 0.25 | 0.25 / - |" in Report(shown_table(found)).markdown()
+
+
+def test_a_row_stands_in_for_a_reference_that_is_not_measured():
+    table = replace(TABLE, stand_in="other")
+    found = measured_table(table, {"ours": {"loss": 1.0}, "other": {"loss": 4.0}})
+    assert found["rows"][1]["cells"]["loss"]["ours_over_reference"] == 0.25
+    assert "(ratios to base, ours to other)" in Report(shown_table(found)).markdown()
+    found = measured_table(table, {"ours": {"loss": 1.0}, "other": {"loss": 4.0}, "base": {"loss": 2.0}})
+    assert found["rows"][1]["cells"]["loss"]["ours_over_reference"] == 0.5
 
 
 def test_without_data_every_row_says_what_it_lacks(tmp_path):
@@ -79,9 +126,9 @@ def test_the_command_prints_json(tmp_path, capsys):
 def test_every_number_of_the_page_is_in_the_commands_json():
     docs = Path(__file__).parents[3] / "docs"
     told = json.loads((docs / "tables.json").read_text())
-    known = {f"{value:{form}}" for value in _numbers(told["tables"]) for form in (".3g", "g")}
+    known = {f"{value:{form}}" for value in _numbers(told["tables"]) for form in (".3g", ".2g", "g")}
     rows = [line for line in (docs / "tables.md").read_text().splitlines() if line.startswith("| ")]
-    cells = {part.strip() for line in rows for cell in line.split("|")[2:-1] for part in cell.split("/")}
+    cells = {part.strip() for line in rows for cell in line.split("|")[2:-1] for part in re.split("[/±]", cell)}
     shown = {cell for cell in cells if re.fullmatch(r"-?[\d.]+(e[+-]?\d+)?", cell)}
     assert len(shown) > 50 and shown <= known
 

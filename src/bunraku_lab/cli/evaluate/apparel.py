@@ -42,14 +42,16 @@ class EvaluateApparel(Printed):
     literal: Path | None = None
     """Displacement network of the paper's own form (trained with --network.frame world --head 0), for its rows."""
     quick: bool = False
-    """A few clips, and what takes long left out."""
+    """A few clips, and what takes long left out. Without --data and --files the clips are simulated for it, of
+    characters and motions that are made by code.
+    """
     chains: bool = False
     """Measure chains that are laid over the shape of apparel alone, on the clips for validation too."""
 
     def run(self) -> None:
         check_range("--clips", self.clips, 1, 10_000)
-        if self.data is None and not self.files:
-            raise OptionError("there is nothing to measure; name --data, --files, or both")
+        if self.data is None and not self.files and not self.quick:
+            raise OptionError("there is nothing to measure; name --data, --files, or both, or give --quick")
         networks = (self.weights, self.masks, self.refinement, self.literal)
         for path in (*self.files, *self.bodies, *(p for p in networks if p is not None)):
             check_input(path)
@@ -58,8 +60,9 @@ class EvaluateApparel(Printed):
 
         with stages() as report:
             config = ApparelEvalConfig(
-                self.data, self.motions, self.files, 6 if self.quick else self.clips, self.weights, self.masks,
-                self.bodies, self.refinement, self.literal, self.quick, self.chains,
+                self.data, self.motions, self.files, clips=6 if self.quick else self.clips, weights=self.weights,
+                masks=self.masks, bodies=self.bodies, refinement=self.refinement, literal=self.literal,
+                quick=self.quick, chains=self.chains,
             )  # fmt: skip
             result = evaluate_apparel(config, report)
         self.show(result, _report)

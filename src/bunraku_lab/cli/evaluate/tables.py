@@ -36,7 +36,7 @@ class EvaluateTables(Printed):
     characters: Path | None = None
     """Folder of rigged characters, searched through."""
     apparel: Path | None = None
-    """Folder that `bunraku data apparel` wrote."""
+    """Folder that `bunraku data apparel` wrote; with --quick some clips are simulated without it."""
     mdm: Path | None = None
     """Weights of the encoder-only network, "TapMo (MDM)"."""
     bodies: tuple[Path, ...] = ()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count as counting
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +22,14 @@ from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.simulate import simulate
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.build import body_animation
+from bunraku_lab.datasets.apparel.plan import character_split
 from bunraku_lab.datasets.apparel.push_out import PushOut
 from bunraku_lab.datasets.apparel.recording import record
 
-__all__ = ["TrueClip", "data_clips", "file_clips", "long_clip"]
+__all__ = ["TrueClip", "data_clips", "file_clips", "long_clip", "made_clips"]
 
 RATE = 30.0
+MADE = 900_000  # seed from which characters are made that no data set has
 MOST = 600  # apparel vertices that distances are taken of
 
 
@@ -117,6 +121,22 @@ def file_clips(character: Character, motions: Sequence[str], seconds: float = 6.
     body = UnifiedBody.of(character)
     return [_simulated(character, body, kind, body_animation(body, stock_motion(kind, seconds, RATE)))
             for kind in motions]  # fmt: skip
+
+
+def made_clips(count: int, seconds: float = 6.0) -> Iterator[TrueClip]:
+    """Clips that need no data: characters of the wardrobe that are no data of training by their names, simulated in
+    motions made by code.
+
+    Args:
+        count: How many, each of another character.
+        seconds: Length of each [s].
+    """
+    from bunraku_lab.synthetic.wardrobe import wardrobe_character
+
+    seeds = (seed for seed in counting(MADE) if character_split(f"wardrobe_{seed:06d}") == "test")
+    for number, seed in enumerate(islice(seeds, count)):
+        kind = ("walk", "dance")[number % 2]
+        yield from file_clips(wardrobe_character(seed), (kind,), seconds)
 
 
 def long_clip(seed: int, motion: Path, seconds: float = 60.0) -> TrueClip:

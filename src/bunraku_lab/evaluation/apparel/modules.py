@@ -15,8 +15,10 @@ from bunraku.core.skinning import skin
 from bunraku.errors import WeightsError
 from bunraku.geometry.graph import unique_edges
 from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku_lab.evaluation.apparel.against import best_skinning, part_weights, ten_frame_rows, whole_figures
 from bunraku_lab.evaluation.apparel.clips import TrueClip
-from bunraku_lab.evaluation.apparel.measures import edge_score, point_distance
+from bunraku_lab.evaluation.apparel.measures import edge_score
+from bunraku_lab.evaluation.apparel.names import BEST, OURS, PARTS
 from bunraku_lab.training.apparel.networks.body import load_body
 from bunraku_lab.training.apparel.networks.body_predict import body_weights
 from bunraku_lab.training.apparel.networks.refinement import RefinementNetwork, refined
@@ -43,10 +45,11 @@ def mask_scores(clip: TrueClip, masks: Path | None = None) -> dict[str, float]:
 def module_row(
     clip: TrueClip, network: DisplacementNetwork, masks: Path | None = None, body: Path | None = None,
     refinement: RefinementNetwork | None = None,
-) -> dict[str, dict[str, float]]:  # fmt: skip
-    """Table 3 for a clip: the body module alone, with apparel that is found, with the joint refinement, and with the
-    file's mask. Body and apparel are skinned by predicted weights, and nothing of the file but its joints is used where
-    it does not say so.
+) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, float]]]:  # fmt: skip
+    """Tables 2 and 3 for a clip, from rest: the body module alone, with apparel that is found, with the joint
+    refinement, and with the file's mask; and skinning alone by other weights (`evaluation.apparel.against`). Body and
+    apparel are skinned by predicted weights, and nothing of the file but its joints is used where it does not say so.
+    Then table 2 over ten frames from true states.
     """
     true = clip.clothed
     guessed, weights = clothed_by_mask(true, masks, body)
@@ -58,28 +61,18 @@ def module_row(
     short = replace(clip, transforms=clip.transforms[frames], offsets=clip.offsets[frames])
     truth = short.truth(np.arange(len(true.rest)))
     bare = np.asarray(skin(true.rest, weights, short.affine))
-    rows = {"body module": _whole(clip, bare, truth)}
+    rows = {"body module": whole_figures(clip, bare, truth)}
+    others = {PARTS: part_weights(true), BEST: best_skinning(true.rest, truth, short.affine)}
+    for name, own in others.items():
+        rows[name] = whole_figures(clip, np.asarray(skin(true.rest, own, short.affine)), truth)
     for clothed, name in ((guessed, ""), (given, ", true mask")):
         moved = tiled(clothed, clip.transforms, network, frames)
-        rows[f"body + apparel{name}"] = _whole(clip, moved, truth)
+        rows[f"body + apparel{name}"] = whole_figures(clip, moved, truth)
         if refinement is not None:
             seam = seam_of(clothed, weights)
             merged = np.stack([refined(refinement, seam, *pair) for pair in zip(moved, short.affine, strict=True)])
-            rows[f"with joint refinement{name}"] = _whole(clip, merged, truth)
-    return rows
-
-
-def _whole(clip: TrueClip, moved: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """PMD of all, apparel and body [cm], and ELS of the whole mesh."""
-    clothed = clip.clothed
-    cloth = clothed.apparel
-    edges = unique_edges(np.asarray(clothed.faces, np.int64), len(clothed.rest))
-    return {
-        "PMD": 100 * float(point_distance(moved, truth).mean()),
-        "PMD_a": 100 * float(point_distance(moved[:, cloth], truth[:, cloth]).mean()),
-        "PMD_b": 100 * float(point_distance(moved[:, ~cloth], truth[:, ~cloth]).mean()),
-        "ELS": edge_score(moved, clothed.rest, edges),
-    }
+            rows[f"with joint refinement{name}"] = whole_figures(clip, merged, truth)
+    return rows, ten_frame_rows(clip, guessed, {OURS: weights, **others}, network, refinement)
 
 
 def body_table(clips: Sequence[TrueClip], bodies: Sequence[Path]) -> dict[str, dict[str, float]]:

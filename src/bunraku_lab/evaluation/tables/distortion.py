@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,8 @@ from bunraku_lab.baselines.skeletal_retarget import copied_motion, rig_by_embedd
 from bunraku_lab.datasets.characters.build import HELD_OUT
 from bunraku_lab.evaluation.motion.arap import ARAP_PROMPTS, STRIDE, animation_arap, arap_loss
 from bunraku_lab.evaluation.motion.characters import Named, chosen_files, load_named
+from bunraku_lab.evaluation.parts import Parts, at_once
+from bunraku_lab.evaluation.tables.paper_table import EITHER_WAY, half_interval
 
 __all__ = ["DistortionConfig", "measure_distortion"]
 
@@ -63,7 +66,7 @@ class DistortionConfig:
 
 
 def measure_distortion(
-    config: DistortionConfig, progress: Callable[[str, float], None] | None = None
+    config: DistortionConfig, progress: Callable[[str, float], None] | None = None, parts: Parts = at_once
 ) -> dict[str, dict[str, float]]:
     """Mean ARAP-Loss (Eq. 12) of each row, and how many characters could not be rigged.
 
@@ -77,38 +80,45 @@ def measure_distortion(
     theirs = _motions(config, config.mdm)
     found: dict[str, dict[bool, list[float]]] = {}
     failed = {False: 0, True: 0}
-    for number, (name, character, handles) in enumerate(characters):
+    for number, named in enumerate(characters):
         report("distortion", number / len(characters))
-        unseen = name.partition("~")[0] in HELD_OUT
-
-        def add(row: str, losses: Sequence[float], unseen: bool = unseen) -> None:
-            found.setdefault(row, {}).setdefault(unseen, []).append(float(np.mean(losses)))
-
-        anatomy = Anatomy.of(character, handles)
-        for row, motions, stages in (
-            ("ours", ours, Stages(shape=True)),
-            ("ours, without adaptation", ours, Stages(shape=False)),
-            ("MDM-SFR, floor without training", theirs, NO_STAGES),
-        ):
-            add(row, [_fitted(motion, (name, character, handles), anatomy, stages) for motion in motions])
-        try:
-            rigged = rig_by_embedding(character.vertices, character.faces)
-        except CharacterError:
-            failed[unseen] += 1
-            continue
-        for row, aligned in (("MDM-SR", False), ("MDM-SR, limbs aligned first", True)):
-            add(row, [_posed(copied_motion(rigged, _skeletal(motion), aligned), character) for motion in theirs])
+        unseen = named[0].partition("~")[0] in HELD_OUT
+        losses = parts(named[0], partial(_losses, named, ours, theirs))
+        failed[unseen] += "MDM-SR" not in losses
+        for row, value in losses.items():
+            found.setdefault(row, {}).setdefault(unseen, []).append(value)
     report("distortion", 1.0)
     kinds = ((False, SEEN), (True, UNSEEN))
-    out = {
-        row: {title: float(np.mean(losses[kind])) for kind, title in kinds if kind in losses}
-        for row, losses in found.items()
-    }
+    out: dict[str, dict[str, float]] = {}
+    for row, losses in found.items():
+        out[row] = {title: float(np.mean(losses[kind])) for kind, title in kinds if kind in losses}
+        out[row] |= {f"{title} {EITHER_WAY}": half_interval(losses[kind]) for kind, title in kinds if kind in losses}
     counts = [sum(name.partition("~")[0] in HELD_OUT for name, *_ in characters), len(characters)]
     out["counts"] = {
         "seen": counts[1] - counts[0], "unseen": counts[0],
         "not embedded, seen": failed[False], "not embedded, unseen": failed[True],
     }  # fmt: skip
+    return out
+
+
+def _losses(named: Named, ours: Sequence[HandleMotion], theirs: Sequence[HandleMotion]) -> dict[str, float]:
+    """Mean ARAP-Loss of each row on one character; without those of MDM-SR where it cannot be embedded."""
+    _, character, handles = named
+    anatomy = Anatomy.of(character, handles)
+    out = {}
+    for row, motions, stages in (
+        ("ours", ours, Stages(shape=True)),
+        ("ours, without adaptation", ours, Stages(shape=False)),
+        ("MDM-SFR, floor without training", theirs, NO_STAGES),
+    ):
+        out[row] = float(np.mean([_fitted(motion, named, anatomy, stages) for motion in motions]))
+    try:
+        rigged = rig_by_embedding(character.vertices, character.faces)
+    except CharacterError:
+        return out
+    for row, aligned in (("MDM-SR", False), ("MDM-SR, limbs aligned first", True)):
+        shown = [_posed(copied_motion(rigged, _skeletal(motion), aligned), character) for motion in theirs]
+        out[row] = float(np.mean(shown))
     return out
 
 

@@ -9,8 +9,18 @@ from typing import Any
 
 from bunraku.errors import BunrakuError, OptionError, WeightsError
 from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku_lab.evaluation.apparel.names import BEST, OURS, PARTS
+from bunraku_lab.evaluation.parts import Parts
 from bunraku_lab.evaluation.tables.mmdmc import MMDMC
-from bunraku_lab.evaluation.tables.paper_table import Figures, Group, NotRun, PaperTable, measured_table
+from bunraku_lab.evaluation.tables.paper_table import (
+    EITHER_WAY,
+    Figures,
+    Group,
+    NotRun,
+    PaperTable,
+    half_interval,
+    measured_table,
+)
 from bunraku_lab.evaluation.tables.tapmo import TAPMO
 
 __all__ = ["PAPERS", "TablesConfig", "measure_tables"]
@@ -25,6 +35,7 @@ _MEASURES = {
 _MOTION_ROWS = {
     "real": "real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "ours, one sample", "tapmo_chosen": "ours, as animate chooses",
 }  # fmt: skip
+_OTHERS = {"with joint refinement": OURS, PARTS: PARTS, BEST: BEST, "body module": "our skinning alone"}
 _MODULES = {
     "body module": "body", "body + apparel": "body + apparel", "with joint refinement": "full",
     "with joint refinement, true mask": "full, true mask",
@@ -42,7 +53,7 @@ class TablesConfig:
         number: Of the table; None for all of the paper.
         data: Folder that `bunraku data motions` wrote.
         characters: Folder of rigged characters.
-        apparel: Folder that `bunraku data apparel` wrote.
+        apparel: Folder that `bunraku data apparel` wrote; a quick measurement without it simulates some clips.
         mdm: Weights of the encoder-only network.
         bodies: Body networks of MMDMC's table 4.
         work: Folder that keeps what was measured.
@@ -100,8 +111,9 @@ def _rows(table: PaperTable, figures: Figures) -> Figures:
     """The figures of a group that are this table's."""
     if table.paper == "tapmo":
         return figures
-    first = f"{table.number}: "
-    return {name.removeprefix(first): values for name, values in figures.items() if name.startswith(first)}
+    first = f"{table.key}: "
+    counts = {"counts": figures["counts"]} if "counts" in figures else {}
+    return counts | {name.removeprefix(first): values for name, values in figures.items() if name.startswith(first)}
 
 
 def _needed(path: Path | None, option: str, what: str) -> Path:
@@ -125,7 +137,7 @@ def _motion_group(config: TablesConfig, report: Report) -> Group:
     data = _needed(config.data, "--data", "folder that `bunraku data motions` wrote")
     mdm = _needed(config.mdm, "--mdm", "weights of the encoder-only network")
 
-    def run() -> Figures:
+    def run(parts: Parts) -> Figures:
         from bunraku_lab.evaluation.motion.table import MotionEvalConfig, evaluate_motion
 
         sizes = (
@@ -150,31 +162,47 @@ def _distortion_group(config: TablesConfig, report: Report) -> Group:
     characters = _needed(config.characters, "--characters", "folder of rigged characters")
     mdm = _needed(config.mdm, "--mdm", "weights of the encoder-only network")
 
-    def run() -> Figures:
+    def run(parts: Parts) -> Figures:
         from bunraku_lab.evaluation.tables.distortion import DistortionConfig, measure_distortion
 
         count, prompts = (4, 3) if config.quick else (15, 6)
         how = DistortionConfig(characters, mdm, count=count, prompts=prompts, seed=config.seed)
-        return measure_distortion(how, report)
+        return measure_distortion(how, report, parts)
 
     files = ",".join(sorted(path.name for path in characters.rglob("*") if path.is_file()))
     return Group("distortion", run, {**_seen(config, "diffusion", "handles"), "mdm": mdm, "characters": files})
 
 
 def _apparel_group(config: TablesConfig, report: Report) -> Group:
-    data = _needed(config.apparel, "--apparel", "folder that `bunraku data apparel` wrote")
+    data = config.apparel
+    if not config.quick:
+        data = _needed(data, "--apparel", "folder that `bunraku data apparel` wrote")
 
-    def run() -> Figures:
+    def run(parts: Parts) -> Figures:
         from bunraku_lab.evaluation.apparel.table import ApparelEvalConfig, evaluate_apparel
 
-        clips = 6 if config.quick else 60
-        found = evaluate_apparel(ApparelEvalConfig(data, clips=clips, bodies=config.bodies, quick=True), report)
+        clips, whole = (6, 4) if config.quick else (60, 30)
+        settings = ApparelEvalConfig(data, clips=clips, whole=whole, bodies=config.bodies, quick=True)
+        found = evaluate_apparel(settings, report, parts)
+        rest, ten = _over_characters(found["whole"]), _over_characters(found["whole_ten_frames"])
+        out = {f"3: {title}": rest[name] for name, title in _MODULES.items() if name in rest}
+        out |= {f"2 rest: {title}": rest[name] for name, title in _OTHERS.items() if name in rest}
+        out |= {f"2 ten: {name}": row for name, row in ten.items()}
         tables = {title.partition(" (")[2].partition(")")[0]: rows for title, rows in found["tables"].items()}
-        modules = {_MODULES[name]: row for name, row in tables.get("Table 3", {}).items() if name in _MODULES}
-        out = {f"3: {name}": row for name, row in modules.items()}
         out |= {f"4: {name}": row for name, row in tables.get("Table 4", {}).items()}
-        return out | ({"2: ours": modules["full"]} if "full" in modules else {})
+        names = [row["name"] for row in found["clips"][:whole]]
+        return out | {"counts": {"clips": len(names), "characters": len(set(names))}}
 
     bodies = {f"body {number}": path for number, path in enumerate(config.bodies)}
-    index = next(iter(sorted(data.glob("*.json"))), data)
-    return Group("apparel", run, {**_seen(config, *_APPAREL), **bodies, "data": index})
+    index = "simulated" if data is None else next(iter(sorted(data.glob("*.json"))), data)
+    return Group("apparel", run, {**_seen(config, *_APPAREL, "handles"), **bodies, "data": index})
+
+
+def _over_characters(rows: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:
+    """Means over clips, which are of as many characters, and half of their 95 % intervals."""
+    out: dict[str, dict[str, float]] = {}
+    for name in rows[0] if rows else ():
+        columns = {key: [row[name][key] for row in rows] for key in rows[0][name]}
+        out[name] = {key: sum(values) / len(values) for key, values in columns.items()}
+        out[name] |= {f"{key} {EITHER_WAY}": half_interval(values) for key, values in columns.items()}
+    return out

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bunraku import __version__
 from bunraku.errors import BunrakuError
 from bunraku.formats.files import atomic_write
+from bunraku_lab.evaluation.parts import KeptParts, Parts
 from bunraku_lab.evaluation.report import Table
 
-__all__ = ["Group", "NotRun", "PaperRow", "PaperTable", "measured_table", "shown_table"]
+__all__ = ["EITHER_WAY", "Group", "NotRun", "PaperRow", "PaperTable", "half_interval", "measured_table", "shown_table"]
 
 NAMES = {"tapmo": "TapMo", "mmdmc": "MMDMC"}
 Figures = Mapping[str, Mapping[str, float]]
-"""Of each row, by the names of the columns."""
+"""Of each row, by the names of the columns; half a 95 % interval stands under the name with `EITHER_WAY`."""
+EITHER_WAY = "±"
 
 
 class NotRun(BunrakuError):
@@ -52,6 +57,8 @@ class PaperTable:
         rows: Methods.
         reference: The row that the ratios are to.
         note: What the table cannot say.
+        part: Tells tables that stand under one number, "" where there is one.
+        stand_in: The row that our ratios are to where the reference is not measured here.
     """
 
     paper: str
@@ -61,6 +68,13 @@ class PaperTable:
     rows: Sequence[PaperRow]
     reference: str
     note: str = ""
+    part: str = ""
+    stand_in: str = ""
+
+    @property
+    def key(self) -> str:
+        """What tells it from the paper's other tables."""
+        return f"{self.number} {self.part}".strip()
 
 
 @dataclass(frozen=True)
@@ -69,12 +83,12 @@ class Group:
 
     Args:
         name: Plain, for the file that keeps them.
-        run: Measures them. It raises `NotRun` where something is not there.
+        run: Measures them, part by part. It raises `NotRun` where something is not there.
         of: What the figures depend on beside the version: settings, and files whose bytes count.
     """
 
     name: str
-    run: Callable[[], Figures]
+    run: Callable[[Parts], Figures]
     of: Mapping[str, Any] = field(default_factory=dict)
 
     def figures(self, work: Path) -> Figures:
@@ -87,10 +101,12 @@ class Group:
         if kept.is_file():
             found: Figures = json.loads(kept.read_text(encoding="utf-8"))
             return found
-        measured = {row: dict(values) for row, values in self.run().items()}
+        parts = kept.with_suffix("")
+        measured = {row: dict(values) for row, values in self.run(KeptParts(parts)).items()}
         work.mkdir(parents=True, exist_ok=True)
         with atomic_write(kept) as file:
             file.write(json.dumps(measured, indent=1).encode())
+        shutil.rmtree(parts, ignore_errors=True)  # the whole is known
         return measured
 
     def fingerprint(self) -> str:
@@ -107,6 +123,12 @@ class Group:
         return seen.hexdigest()[:16]
 
 
+def half_interval(values: Sequence[float]) -> float:
+    """Half of the 95 % interval of a mean over characters, by their standard error; 0 of a single one."""
+    count = len(values)
+    return 0.0 if count < 2 else 1.96 * float(np.std(values, ddof=1)) / count**0.5
+
+
 def measured_table(table: PaperTable, figures: Figures, not_run: str = "") -> dict[str, Any]:
     """A table as JSON can say it: of each row and column the paper's figure, ours, and both over the reference row's.
 
@@ -116,6 +138,7 @@ def measured_table(table: PaperTable, figures: Figures, not_run: str = "") -> di
         not_run: Why nothing was.
     """
     paper_of = {row.name: row.paper for row in table.rows}
+    own_reference = table.reference if table.reference in figures or not table.stand_in else table.stand_in
     rows = []
     for row in table.rows:
         cells = {}
@@ -126,13 +149,15 @@ def measured_table(table: PaperTable, figures: Figures, not_run: str = "") -> di
             cells[column] = {
                 "paper": said,
                 "ours": own,
+                "interval": figures.get(row.name, {}).get(f"{column} {EITHER_WAY}"),
                 "paper_over_reference": _over(said, None if base is None else base[index]),
-                "ours_over_reference": _over(own, figures.get(table.reference, {}).get(column)),
+                "ours_over_reference": _over(own, figures.get(own_reference, {}).get(column)),
             }
         reason = "" if row.name in figures else row.missing or not_run or "its group measured no such row"
         rows.append({"name": row.name, "cells": cells, "not_run": reason})
     return {
         "paper": table.paper, "number": table.number, "title": table.title, "reference": table.reference,
+        "our_reference": own_reference,
         "columns": list(table.columns), "rows": rows, "note": table.note,
     }  # fmt: skip
 
@@ -148,11 +173,14 @@ def shown_table(measured: Mapping[str, Any]) -> list[Table | str]:
     rows = [["paper / ours", *(cell for column in measured["columns"] for cell in (column, "ratio"))]]
     for row in measured["rows"]:
         cells = [row["cells"][column] for column in measured["columns"]]
-        shown = [(cell["paper"], cell["ours"]) for cell in cells]
-        ratios = [(cell["paper_over_reference"], cell["ours_over_reference"]) for cell in cells]
+        shown = [(cell["paper"], cell["ours"], cell.get("interval")) for cell in cells]
+        ratios = [(cell["paper_over_reference"], cell["ours_over_reference"], None) for cell in cells]
         rows.append([row["name"], *(_pair(*pair) for both in zip(shown, ratios, strict=True) for pair in both)])
     title = f"{NAMES[measured['paper']]}, table {measured['number']}: {measured['title']}"
-    parts: list[Table | str] = [Table(rows, title=f"{title} (ratios to {measured['reference']})")]
+    to = measured["reference"]
+    if measured.get("our_reference", to) != to:
+        to += f", ours to {measured['our_reference']}"
+    parts: list[Table | str] = [Table(rows, title=f"{title} (ratios to {to})")]
     reasons: dict[str, list[str]] = {}
     for row in measured["rows"]:
         if row["not_run"]:
@@ -161,7 +189,8 @@ def shown_table(measured: Mapping[str, Any]) -> list[Table | str]:
     return parts + ([measured["note"]] if measured["note"] else [])
 
 
-def _pair(paper: float | None, ours: float | None) -> str:
+def _pair(paper: float | None, ours: float | None, interval: float | None) -> str:
     if paper is None and ours is None:
         return "-"
-    return " / ".join("-" if value is None else f"{value:.3g}" for value in (paper, ours))
+    either = "" if interval is None else f" {EITHER_WAY} {interval:.2g}"
+    return " / ".join("-" if value is None else f"{value:.3g}" for value in (paper, ours)) + either
