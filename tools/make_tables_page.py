@@ -17,20 +17,30 @@ from pathlib import Path
 from bunraku_lab.evaluation.report import Report
 from bunraku_lab.evaluation.tables.paper_table import shown_table
 
+PICTURES = {
+    ("tapmo", 1): ("tables-tapmo-1.png", "The same sentence and seed on the reference body"),
+    ("tapmo", 2): ("tables-tapmo-2.png", "The same sentence and seed on Rogue Hooded of KayKit, which no training saw"),
+    ("mmdmc", 2): ("tables-mmdmc.png", "The same dance of a character of the wardrobe, simulated and by each way"),
+}
+"""Of the first table of each number, made by `tools/make_tables_pictures.py`."""
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 HEAD = """# The papers' tables
 
 TapMo's and MMDMC's tables with our figures, by `bunraku evaluate tables`, {day}. The data are not the papers', so what
-compares are the ratios to the same row on both sides. A row that was not run says what it lacks. The page is made by
-`tools/make_tables_page.py`.
+compares are the ratios to the same row on both sides. What stands after ± is half of a 95 % interval over characters. A row
+that was not run says what it lacks. The page is made by `tools/make_tables_page.py`.
 """
 
 
 def page(tables: list[dict[str, object]], day: str) -> str:
     """The page in Markdown."""
     parts = [HEAD.format(day=day)]
+    pictured = dict(PICTURES)
     for table in tables:
         parts.append(Report(shown_table(table)).markdown())
+        name, said = pictured.pop((str(table["paper"]), int(str(table["number"]))), ("", ""))
+        if name:
+            parts.append(f"![{said}](pictures/{name})")
         counts = table.get("counts")  # what it was measured on
         if isinstance(counts, dict) and counts:
             parts.append("Measured on: " + ", ".join(f"{name} {value:g}" for name, value in counts.items()) + ".")

@@ -60,6 +60,7 @@ class ApparelEvalConfig:
         files: PMX, PMD or VRM files with physics.
         clips: Most clips of the data set.
         whole: Of those, how many have all their vertices measured, by each module and beside other methods.
+        least: Characters; where the data set has fewer, one clip of each counts, and others are simulated.
         weights: Displacement network.
         masks: Segmentation network.
         bodies: Body networks; Table 3 takes the first.
@@ -74,6 +75,7 @@ class ApparelEvalConfig:
     files: Sequence[Path] = ()
     clips: int = 24
     whole: int = 8
+    least: int = 0
     weights: Path | None = None
     masks: Path | None = None
     bodies: Sequence[Path] = ()
@@ -108,6 +110,12 @@ def evaluate_apparel(
     found: list[TrueClip] = []
     if config.data is not None:
         found = list(data_clips(ApparelData(config.data, "test"), config.clips))
+        known = len({clip.name for clip in found})
+        if found and known < config.least:
+            progress("simulate", 0.0)
+            found = list({clip.name: clip for clip in reversed(found)}.values()) + list(
+                made_clips(config.least - known)
+            )
     elif quick and not config.files:
         progress("simulate", 0.0)
         found = list(made_clips(config.clips))

@@ -1,0 +1,95 @@
+"""Make the pictures of docs/tables.md: the same sentence and character, or the same character and motion, a row for
+each method.
+
+    python tools/make_tables_pictures.py --character FILE --mdm benchmarks/weights/mdm.safetensors
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import bunraku
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.apparel.displacement.weights import load_displacement
+from bunraku.body.from_handles import skeleton_from_handles
+from bunraku.body.reference import reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import skin
+from bunraku.diffusion.generation.generate import generate_motion
+from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.render import contact_sheet, render_frames
+from bunraku.retarget.fit import Stages, fit_motion
+from bunraku_lab.baselines.skeletal_retarget import copied_motion, rig_by_embedding
+from bunraku_lab.evaluation.apparel.against import best_skinning, part_weights
+from bunraku_lab.evaluation.apparel.clips import made_clips
+from bunraku_lab.evaluation.tables.distortion import NO_STAGES
+from bunraku_lab.training.apparel.networks.tiled import clothed_by_mask, tiled
+
+OUT = Path(__file__).parents[1] / "docs/pictures"
+PROMPT, SECONDS, SEED, MOMENTS, SIZE = "a person kicks with the left leg", 3.0, 3, 6, (180, 220)
+
+
+def rows_of(rows: dict[str, np.ndarray], character: Character, path: Path, title: str) -> None:
+    """A sheet with a row for each method, of its vertices in `MOMENTS` frames."""
+    pictures, labels = [], []
+    for name, vertices in rows.items():
+        shown = vertices[np.linspace(0, len(vertices) - 1, MOMENTS).round().astype(int)]
+        pictures += list(render_frames(shown, character.faces, character.colors, size=SIZE))
+        labels += [name] * MOMENTS
+    contact_sheet(pictures, labels, path, columns=MOMENTS, title=title)
+
+
+def drawn(checkpoint: Path | None) -> HandleMotion:
+    return generate_motion(PROMPT, SECONDS, seed=SEED, candidates=1, checkpoint=checkpoint)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--character", type=Path, required=True, help="of table 2")
+    parser.add_argument("--mdm", type=Path, required=True, help="weights of the encoder-only network")
+    options = parser.parse_args()
+    ours, theirs = drawn(None), drawn(options.mdm)
+
+    body = reference_body()
+    chosen = generate_motion(PROMPT, SECONDS, seed=SEED)
+    shown = {"TapMo (MDM)": theirs, "ours, one sample": ours, "ours, as animate chooses": chosen}
+    figure = body.character()
+    rows = {name: Animation(figure, body.handles, motion).vertices() for name, motion in shown.items()}
+    rows_of(rows, figure, OUT / "tables-tapmo-1.png", f'TapMo, table 1: "{PROMPT}"')
+
+    character = bunraku.load_character(options.character)
+    handles = bunraku.rig(character)
+    anatomy = Anatomy.of(character, handles)
+    copied = copied_motion(rig_by_embedding(character.vertices, character.faces), skeleton_from_handles(theirs))
+    rows = {"MDM-SR": copied}
+    for name, motion, stages in (
+        ("MDM-SFR, floor", theirs, NO_STAGES),
+        ("ours, not adapted", ours, Stages(shape=False)),
+        ("ours", ours, Stages(shape=True)),
+    ):
+        rows[name] = Animation(character, handles, fit_motion(motion, anatomy, stages)).vertices()
+    rows_of(rows, character, OUT / "tables-tapmo-2.png", f'TapMo, table 2: "{PROMPT}"')
+
+    (clip,) = list(made_clips(2))[1:]
+    clothed = clip.clothed
+    frames = np.linspace(60, len(clip.transforms) - 1, MOMENTS).round().astype(int)
+    short = replace(clip, transforms=clip.transforms[frames], offsets=clip.offsets[frames])
+    truth = short.truth(np.arange(len(clothed.rest)))
+    guessed, weights = clothed_by_mask(clothed)
+    best, parts = best_skinning(clothed.rest, truth, short.affine), part_weights(clothed)
+    rows = {"truth": truth}
+    for name, own in (("best skinning", best), ("SPT, floor", parts), ("our skinning", weights)):
+        rows[name] = np.asarray(skin(clothed.rest, own, short.affine))
+    rows["ours"] = tiled(guessed, clip.transforms, load_displacement(shipped_checkpoint("apparel")), frames)
+    dressed = Character(clip.name, clothed.rest, np.asarray(clothed.faces))
+    rows_of(rows, dressed, OUT / "tables-mmdmc.png", "MMDMC, tables 2 and 3: from rest, the same dance")
+
+
+if __name__ == "__main__":
+    main()
