@@ -27,8 +27,8 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 HEAD = """# The papers' tables
 
 TapMo's and MMDMC's tables with our figures, by `bunraku evaluate tables`, {day}. The data are not the papers', so what
-compares are the ratios to the same row on both sides. What stands after ± is half of a 95 % interval over characters. A row
-that was not run says what it lacks. The page is made by `tools/make_tables_page.py`.
+compares are the ratios to the same row on both sides. What stands after ± is half of a 95 % interval over characters. A
+row that was not run says what it lacks. The page is made by `tools/make_tables_page.py`.
 """
 
 

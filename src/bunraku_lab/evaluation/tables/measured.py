@@ -198,10 +198,11 @@ def _apparel_group(config: TablesConfig, report: Report) -> Group:
     if not config.quick:
         data = _needed(data, "--apparel", "folder that `bunraku data apparel` wrote")
 
+    clips, whole, least = (6, 4, 0) if config.quick else (60, 30, CHARACTERS)
+
     def run(parts: Parts) -> Figures:
         from bunraku_lab.evaluation.apparel.table import ApparelEvalConfig, evaluate_apparel
 
-        clips, whole, least = (6, 4, 0) if config.quick else (60, 30, CHARACTERS)
         settings = ApparelEvalConfig(data, clips=clips, whole=whole, least=least, bodies=config.bodies, quick=True)
         found = evaluate_apparel(settings, report, parts)
         rest, ten = _over_characters(found["whole"]), _over_characters(found["whole_ten_frames"])
@@ -215,7 +216,8 @@ def _apparel_group(config: TablesConfig, report: Report) -> Group:
 
     bodies = {f"body {number}": path for number, path in enumerate(config.bodies)}
     index = "simulated" if data is None else next(iter(sorted(data.glob("*.json"))), data)
-    return Group("apparel", run, {**_seen(config, *_APPAREL, "handles"), **bodies, "data": index})
+    sizes = {"clips": clips, "whole": whole, "least": least}
+    return Group("apparel", run, {**_seen(config, *_APPAREL, "handles"), **bodies, **sizes, "data": index})
 
 
 def _over_characters(rows: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:
