@@ -10,7 +10,7 @@ from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.geometry.simplify import network_mesh
-from bunraku.handles.repairs import MOST, TURN, eased, edge_strain, reunited, without_doubts
+from bunraku.handles.repairs import MOST, TURN, eased, edge_strain, grown_from_heads, reunited, without_doubts
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 
@@ -64,6 +64,33 @@ def test_an_ear_that_was_called_a_hand_goes_back_to_the_trunk():
     assert (out[ear(position)].argmax(axis=1) == H["spine2"]).all()
     kept = ~ear(position)
     np.testing.assert_allclose(out[kept], weights[kept], atol=1e-6)
+
+
+def test_ears_are_no_arms():
+    """An ear that was called an arm, as large as one, stands on the head; the arms, which meet the trunk, stay arms."""
+    mesh = box_body()
+    position, weights = hard(
+        mesh,
+        ("head", lambda p: (p[:, 1] > 0.38) & ~ear(p)),
+        ("left_wrist", lambda p: arms(p, 1) | ear(p)),
+        ("right_wrist", lambda p: arms(p, -1)),
+    )
+    held = grown_from_heads(mesh, weights)
+    top = ear(position)
+    assert held[top, H["head_top"]].min() > 0.99 and held[top, H["left_wrist"]].max() < 0.01
+    np.testing.assert_array_equal(held[arms(position, 1)], weights[arms(position, 1)])
+    np.testing.assert_array_equal(held[arms(position, -1)], weights[arms(position, -1)])
+
+
+def test_who_is_all_head_has_its_arms_there():
+    mesh = box_body()
+    _, weights = hard(
+        mesh,
+        ("head", lambda p: np.abs(p[:, 0]) < 2),
+        ("left_wrist", lambda p: arms(p, 1)),
+        ("right_wrist", lambda p: arms(p, -1)),
+    )
+    np.testing.assert_array_equal(grown_from_heads(mesh, weights), weights)
 
 
 def test_a_tail_that_played_a_leg_becomes_a_tail():

@@ -20,7 +20,7 @@ from bunraku.geometry.graph import mean_operator, mesh_parts
 from bunraku.geometry.simplify import NetworkMesh
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 
-__all__ = ["edge_strain", "eased", "reunited", "without_doubts"]
+__all__ = ["edge_strain", "eased", "grown_from_heads", "reunited", "without_doubts"]
 
 TOUCH = 1.5  # loose parts nearer than this touch, in cells
 HELD = 0.35  # a vertex belongs to the region of a handle that holds so much of it
@@ -30,12 +30,17 @@ LESSER = 0.5  # a region apart is a stray one if it is smaller than this share o
 TURN = np.radians(60)  # a limb turns so far in walks
 MOST = 2.0  # an edge may grow by so much of its length in such a turn
 SHARP = 1e-4  # share of the surface under which two parts do not blend where they meet
+ROOTED = 0.9  # so much of what is around a piece of an arm is of the head: it is an ear, a horn, a tusk or a trunk
+TRUNK = 0.15  # least share of the surface of a trunk that would bear arms; what is all head has them on its head
 ROUNDS = 16  # of softening
 LEAST_TAIL = 0.004  # share of the surface from which what hangs behind the hips is a tail, and not a flap
 _LIMBS = [
     i for i, name in enumerate(HANDLE_NAMES) if name.startswith(("left_", "right_")) or name in ("tail", "tail_tip")
 ]
 _LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee", "ankle", "foot"))]
+_HEAD = [HANDLE_NAMES.index(name) for name in ("head", "head_top", "face", "neck")]
+_TOP = HANDLE_NAMES.index("head_top")
+_TRUNK = [HANDLE_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar")]
 _TAIL, _TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
 _WHOLE = [[limb_handles(side, family) for side in SIDES] for family in FAMILIES] + [[[_TAIL, _TIP]]]
 """The handles of each limb, left and right; not wings, of which a trace tells that a body flies."""
@@ -57,6 +62,38 @@ def without_doubts(weights: np.ndarray) -> np.ndarray:
             out[:, np.concatenate(sides)] = 0
     left = out.sum(axis=1, keepdims=True)
     return np.where(left > 0, out / np.maximum(left, 1e-12), weights).astype(np.float32)
+
+
+def grown_from_heads(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
+    """Weights in which what grows from a head is no arm: ears, horns, tusks and a trunk are what stands on the head.
+
+    An arm of a body with a trunk meets that trunk. A piece of an arm's region that meets the head alone goes to the
+    handle of the head's top, so it moves with the head about its own root; beside a larger piece that does meet the
+    trunk it would fly about a joint that is not its own.
+
+    Args:
+        mesh: The network mesh.
+        weights: Of its vertices, rows sum to 1, shape (M, 30).
+    """
+    areas = mesh.areas.astype(np.float64)
+    if areas @ weights[:, _TRUNK].sum(axis=1) < TRUNK * areas.sum():
+        return weights
+    out = np.array(weights, np.float64)
+    edges = _touching(mesh)
+    for side in SIDES:
+        arm = limb_handles(side, FAMILIES[1])
+        held = weights[:, arm].sum(axis=1) > SURELY
+        if not held.any():
+            continue
+        label = np.where(held, mesh_parts(edges[held[edges].all(axis=1)], len(held)), -1)
+        for piece in (label == number for number in np.unique(label[held])):
+            around = out[_rim(edges, piece)].sum(axis=0)
+            around[arm] = 0
+            if around.sum() > 0 and around[_HEAD].sum() > ROOTED * around.sum():
+                near = piece | (np.bincount(edges[piece[edges].any(axis=1)].ravel(), minlength=len(piece)) > 0)
+                out[near, _TOP] += out[near][:, arm].sum(axis=1)
+                out[np.ix_(near, arm)] = 0
+    return (out / out.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
 def reunited(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
@@ -118,10 +155,15 @@ def _is_tail(mesh: NetworkMesh, weights: np.ndarray, piece: np.ndarray) -> bool:
     return bool(behind and middle and areas.sum() > LEAST_TAIL * mesh.areas.sum())
 
 
+def _rim(edges: np.ndarray, piece: np.ndarray) -> np.ndarray:
+    """Vertices beside a piece, as often as edges lead to them."""
+    first, second = edges.T
+    return np.concatenate([second[piece[first] & ~piece[second]], first[piece[second] & ~piece[first]]])
+
+
 def _give_back(mesh: NetworkMesh, weights: np.ndarray, piece: np.ndarray, handle: int) -> None:
     """Give what a handle holds of a piece to the handles that hold the piece's surroundings, in place."""
-    first, second = mesh.edges.T
-    rim = np.concatenate([second[piece[first] & ~piece[second]], first[piece[second] & ~piece[first]]])
+    rim = _rim(mesh.edges, piece)
     around = weights[rim].sum(axis=0) if len(rim) else weights[piece].sum(axis=0)
     around[handle] = 0
     if around.sum() <= 1e-9:
