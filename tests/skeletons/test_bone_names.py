@@ -4,7 +4,7 @@ import pytest
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.skeletons.bone_names import handle_of_joints, limb_parents
-from bunraku.skeletons.bone_words import left_axis, part_of_name
+from bunraku.skeletons.bone_words import left_axis, part_of_name, without_prefix
 
 
 def rig(text: str) -> tuple[list[str], list[int]]:
@@ -157,6 +157,27 @@ def test_left_axis_and_parts():
     np.testing.assert_allclose(left_axis(names, np.array([[0.0, 1, -1], [0, 1, 1], [0, 0, 0]])), [0, 0, -1])
     assert left_axis(["Spine"], np.zeros((1, 3))) is None
     assert part_of_name("L.UpperLeg.001")[:2] == ("leg", 1)
+
+
+def test_the_name_of_the_character_is_no_part_of_its_bones():
+    body = ("Hips", "Spine", "LeftUpLeg", "RightUpLeg", "LeftHand", "Head")
+    assert without_prefix([f"Neo_{name}" for name in body]) == body
+    assert without_prefix([f"LowMan{name}" for name in body]) == body
+    assert without_prefix(body) == body
+    assert without_prefix(("LeftArm", "LeftHand", "LeftLeg", "LeftFoot", "LeftToe")) == (
+        "LeftArm", "LeftHand", "LeftLeg", "LeftFoot", "LeftToe")  # fmt: skip
+    assert without_prefix(["頭", "首", "左腕", "右腕"]) == ("頭", "首", "左腕", "右腕")
+
+
+def test_bones_of_auto_rig_pro():
+    found = read(
+        "root.x spine_01.x arm_stretch.l arm_twist.l<arm_stretch.l forearm_stretch.l<arm_stretch.l "
+        "forearm_twist.l<forearm_stretch.l hand.l<forearm_stretch.l neck.x<spine_01.x head.x thigh_stretch.l<root.x "
+        "leg_stretch.l leg_twist.l<leg_stretch.l foot.l<leg_stretch.l thigh_twist.l<thigh_stretch.l"
+    )
+    check(found, "head.x=head neck.x=neck arm_stretch.l=left_shoulder arm_twist.l= forearm_stretch.l=left_elbow "
+          "forearm_twist.l= hand.l=left_wrist thigh_stretch.l=left_hip leg_stretch.l=left_knee leg_twist.l= thigh_twist.l= "
+          "foot.l=left_ankle")  # fmt: skip
 
 
 def test_what_mmd_models_add_to_the_standard_bones():

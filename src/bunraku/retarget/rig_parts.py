@@ -26,7 +26,7 @@ from bunraku.formats.gltf.read import Source
 from bunraku.geometry.rotations import rotation_between
 from bunraku.handles.from_rig import resolve_joints, rig_handles
 from bunraku.skeletons.bone_names import NO_HANDLE, handle_of_joints, limb_parents
-from bunraku.skeletons.bone_words import part_of_name
+from bunraku.skeletons.bone_words import part_of_name, without_prefix
 from bunraku.skeletons.skeleton_structure import joints_by_structure
 
 __all__ = ["HUMANOID", "RigParts", "is_humanoid_rig", "understood_rig"]
@@ -108,7 +108,7 @@ class RigParts:
             if parts[bone] != NO_HANDLE and leads[parts[bone]] < 0:
                 leads[parts[bone]] = bone
         for wrist in _WRISTS:
-            parts, leads[wrist] = _hand_below(wrist, int(leads[wrist]), rig.names, parts, parents, mass)
+            parts, leads[wrist] = _hand_below(wrist, int(leads[wrist]), without_prefix(rig.names), parts, parents, mass)
         if leads[0] < 0:
             raise CharacterError(
                 f"{character.name}: no bone of its rig is known to be the pelvis; put the motion on its handles instead"
@@ -210,7 +210,8 @@ def _shaped_parts(character: Character) -> np.ndarray | None:
     parents = [place.get(int(rig.parents[bone]), -1) for bone in order]
     rest = rig.positions[order]
     offsets = rest - np.where(np.array(parents)[:, None] >= 0, rest[parents], 0)
-    found = joints_by_structure(Skeleton(tuple(rig.names[bone] for bone in order), np.array(parents), offsets))
+    mass = np.bincount(rig.indices.ravel(), rig.weights.ravel(), minlength=len(rig.names))[order]
+    found = joints_by_structure(Skeleton(tuple(rig.names[bone] for bone in order), np.array(parents), offsets), mass)
     out = np.full(len(rig.names), NO_HANDLE)
     for name, joint in found.items():
         out[order[joint]] = HANDLE_NAMES.index(name)

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
-from bunraku.skeletons.bone_words import left_axis, part_of_name
+from bunraku.skeletons.bone_words import left_axis, part_of_name, without_prefix
 
 __all__ = ["NO_HANDLE", "handle_of_joints", "limb_parents"]
 
@@ -64,6 +64,8 @@ class _Tree:
                 self.kinds[joint] = "shoulder"
             elif kind == "foot" and "foot" in above and "foot" in self.words[joint]:
                 self.kinds[joint] = "toe"
+            elif kind in _LIMB_KINDS and "twist" in self.words[joint] and not self.children[joint] and kind in above:
+                self.kinds[joint] = ""  # a helper beside the limb that goes on below its own parent
 
     def _settle_sides(self, names: Sequence[str]) -> None:
         """Joints without a side take that of the limb above; a limb whose names disagree takes the side where it
@@ -153,7 +155,7 @@ def handle_of_joints(
     whole = len(names) == len(HANDLE_NAMES) or set(JOINT_NAMES) <= set(names)
     if whole and set(own) <= set(HANDLE_NAMES):  # a rig that Bunraku wrote: its "shoulder" is no collar bone
         return np.array([_H[name] for name in own], np.int64)
-    tree = _Tree(names, list(parents), positions, mass)
+    tree = _Tree(without_prefix(names), list(parents), positions, mass)
     out = np.full(len(names), NO_HANDLE, np.int64)
     plain = {"head_top": "head_top", "face": "face", "neck": "neck", "head": "head", "hips": "pelvis"}
     sided = {"fingers": "fingers", "wrist": "wrist", "elbow": "elbow", "shoulder": "shoulder", "collar": "collar",

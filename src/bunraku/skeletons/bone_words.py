@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["block_of_name", "left_axis", "part_of_name", "plain_name"]
+__all__ = ["block_of_name", "left_axis", "part_of_name", "plain_name", "without_prefix"]
 
 # Kinds that name a handle outright; "left" stands for the side that the joint has.
 _KINDS: tuple[tuple[str, str], ...] = (
@@ -94,12 +94,35 @@ _DROP = {
     "cc",
     "base",
     "valvebiped",
+    "stretch",
+    "x",
 }
+SHARED = 0.9  # of the names of a rig begin with its own name, where any do
 
 
 def plain_name(name: str) -> str:
     """A bone's name with the wide letters and digits that only some models use made narrow."""
     return name.translate(_WIDE)
+
+
+def without_prefix(names: Sequence[str]) -> tuple[str, ...]:
+    """Names without the name of the character that they begin with: `Neo_LeftHand` is `LeftHand` where all of them do.
+
+    A prefix ends before a capital or behind a sign, so that it is whole words.
+    """
+    known = sorted(name for name in names if not re.search(r"[\u3040-\u30ff\u4e00-\u9fff]", name))
+    if len(known) < 4:
+        return tuple(names)
+    spare = int((1 - SHARED) * len(known) / 2)
+    first, last = known[spare], known[-1 - spare]  # what nearly all share, those near both ends of the alphabet do
+    length = next((place for place, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), 0)
+    prefix = first[:length]
+    while prefix and not (prefix[-1] in "_-. :" or (prefix[-1].islower() and first[len(prefix) :][:1].isupper())):
+        prefix = prefix[:-1]
+    kind, side, _, _ = part_of_name(prefix)
+    if len(prefix) < 2 or kind or side or sum(name.startswith(prefix) for name in known) < SHARED * len(known):
+        return tuple(names)
+    return tuple(name[len(prefix) :] or name if name.startswith(prefix) else name for name in names)
 
 
 def part_of_name(name: str) -> tuple[str, int, int, bool]:
@@ -183,7 +206,7 @@ def left_axis(names: Sequence[str], positions: np.ndarray) -> np.ndarray | None:
     In glTF's frame a character that faces +Z has its left at +X. Only pairs of the same kind count.
     """
     sums: dict[tuple[str, int, int], list[np.ndarray]] = {}
-    for name, position in zip(names, positions, strict=True):
+    for name, position in zip(without_prefix(names), positions, strict=True):
         kind, side, number, target = part_of_name(name)
         if side and kind and kind != "none" and not target:
             sums.setdefault((kind, number, side), []).append(np.asarray(position, float))

@@ -11,55 +11,89 @@ from bunraku.core.motion import Skeleton
 __all__ = ["joints_by_structure"]
 
 ALIKE = 0.15  # twins differ by less than this share in length
-LONG = 0.3  # of the longest chain: what is shorter is no limb
+LONG = 0.3  # of the longest twins: what is shorter is no limb
+FARTHER = 1.5  # times as far as all others of three and more: what goes on a limb, with twists or sleeves beside it
+LEVEL = 0.1  # of the same: twins that end as low as others do, or begin as high
 SHORT_BONE = 0.55  # a first bone shorter than this share of the next one is a collar bone, or joins a leg to the pelvis
 
 
-def joints_by_structure(skeleton: Skeleton) -> dict[str, int]:
+def joints_by_structure(skeleton: Skeleton, mass: np.ndarray | None = None) -> dict[str, int]:
     """Joints by SMPL's names, as far as legs are found; without legs none.
 
     Sides are those of who faces where the feet point in the rest pose, +Z where there are none.
+
+    Args:
+        skeleton: Each joint after its parent.
+        mass: How much skin each joint holds, shape (J,): what holds none, as targets for the feet do, is no limb.
     """
-    count, parents = len(skeleton.names), skeleton.parents
+    count, parents, positions = len(skeleton.names), skeleton.parents, skeleton.positions
     children = [np.flatnonzero(parents == joint).tolist() for joint in range(count)]
     length = np.linalg.norm(skeleton.offsets, axis=-1)
     reach = np.zeros(count)  # length of the longest chain below, with the bone to it
     sizes = np.ones(count, int)
+    held = np.ones(count) if mass is None else np.array(mass, float)
     for joint in range(count - 1, 0, -1):
         below = max((reach[child] + length[child] for child in children[joint]), default=0.0)
         reach[joint] = below
     for joint in range(count - 1, 0, -1):
         sizes[parents[joint]] += sizes[joint]
+        held[parents[joint]] += held[joint]
     depth = np.zeros(count, int)
     for joint in range(1, count):
         depth[joint] = depth[parents[joint]] + 1
 
     def chain(joint: int) -> list[int]:
         out = [joint]
-        while children[out[-1]] and len(children[out[-1]]) < 3:
-            out.append(max(children[out[-1]], key=lambda child: reach[child] + length[child]))
+        while children[out[-1]]:
+            after = sorted(children[out[-1]], key=lambda child: -(reach[child] + length[child]))
+            whole = [reach[child] + length[child] for child in after]
+            if len(after) > 2 and whole[0] < FARTHER * whole[1]:  # fingers
+                break
+            out.append(after[0])
         return out
 
-    longest = max((reach[j] for j in range(count)), default=0.0)
-    pairs = []
+    def top_of(joint: int) -> float:
+        """How high what hangs on a joint reaches."""
+        out, queue = -np.inf, [joint]
+        while queue:
+            one = queue.pop()
+            out = max(out, float(positions[one, 1]))
+            queue += children[one]
+        return out
+
+    twins = []
     for joint in range(count):
-        for a, b in combinations(children[joint], 2):
+        for a, b in combinations([child for child in children[joint] if held[child] > 0], 2):
             far = min(reach[a], reach[b])
-            if far > LONG * longest and abs(reach[a] - reach[b]) < ALIKE * far and len(chain(a)) == len(chain(b)) >= 3:
-                pairs.append((joint, a, b))
+            if far > 0 and abs(reach[a] - reach[b]) < ALIKE * far and len(chain(a)) == len(chain(b)) >= 3:
+                twins.append((joint, a, b))
+    longest = max((reach[a] for _, a, _ in twins), default=0.0)  # one long plait must not make the arms look short
+    pairs = [pair for pair in twins if min(reach[pair[1]], reach[pair[2]]) > LONG * longest]
     if not pairs:
         return {}
-    positions = skeleton.positions
-    pairs.sort(key=lambda pair: (depth[pair[0]], positions[chain(pair[1])[-1], 1]))
-    legs = pairs[0]
-    arms = next(
-        (
-            pair
-            for pair in pairs[1:]
-            if not {pair[1], pair[2]} & {legs[1], legs[2]} and not _within(pair[0], legs[1:], parents)
-        ),
-        None,
-    )
+    level = LEVEL * longest
+
+    def low(pair: tuple[int, int, int]) -> float:
+        return float(positions[[chain(first)[-1] for first in pair[1:]], 1].mean())
+
+    ground = min(low(pair) for pair in pairs)
+    legs = min(pairs, key=lambda pair: (low(pair) > ground + level, depth[pair[0]], low(pair)))
+    others = [pair for pair in pairs
+              if not {pair[1], pair[2]} & {legs[1], legs[2]} and not _within(pair[0], legs[1:], parents)]  # fmt: skip
+    hips = float(positions[list(legs[1:]), 1].mean())
+
+    def reaches(pair: tuple[int, int, int]) -> tuple[bool, float]:
+        """Whether twins end in hands, and how far apart they end over their length: arms reach to the sides, where
+        hair, skirts and capes hang down.
+        """
+        ends = [chain(first)[-1] for first in pair[1:]]
+        hands = all(len(children[end]) > 2 for end in ends)
+        gap = positions[ends[0]] - positions[ends[1]] - (positions[pair[1]] - positions[pair[2]])
+        return hands, float(np.hypot(gap[0], gap[2])) / (reach[pair[1]] + reach[pair[2]])
+
+    # what hangs about the hips as a skirt does is no arm where there are others
+    higher = [pair for pair in others if positions[list(pair[1:]), 1].mean() > hips + level]
+    arms = max(higher or others, key=reaches, default=None)
     out = {"pelvis": legs[0]}
     lines = [chain(joint) for joint in legs[1:]]
     if len(lines[0]) >= 4 and length[lines[0][1]] < SHORT_BONE * length[lines[0][2]]:
@@ -81,7 +115,7 @@ def joints_by_structure(skeleton: Skeleton) -> dict[str, int]:
             out |= {f"{side}_{part}": joint for part, joint in zip(parts, line, strict=False)}
         upper = [child for child in children[arms[0]] if child not in arms[1:]]
         if upper:
-            line = chain(max(upper, key=lambda child: (sizes[child], reach[child])))
+            line = chain(max(upper, key=lambda child: (top_of(child), sizes[child])))
             out |= {"neck": line[0], "head": line[1]} if len(line) > 1 else {"head": line[0]}
     return out
 

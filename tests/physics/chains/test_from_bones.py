@@ -42,6 +42,30 @@ def test_what_physics_moved_is_found_and_nothing_else(dressed, scrambled):
     assert (found & held).sum() >= 0.95 * held.sum()
 
 
+@pytest.mark.parametrize("seed", [9006, 9012, 9017])
+def test_apparel_is_told_from_limbs_where_no_name_says_anything(seed):
+    """A cape of two long chains beside the arms, a coat and twin tails, and a hem of a row of single bones."""
+    character = wardrobe_character(seed)
+    rig, moved = character.rig, moved_joints(character)
+    held = np.bincount(rig.indices.ravel(), rig.weights.ravel(), minlength=len(rig.names)) > 1
+    nameless = replace(rig, names=tuple(f"Bone.{number:03d}" for number in range(len(rig.names))))
+    found = np.zeros(len(moved), bool)
+    found[list(apparel_bones(replace(character, avatar=None, rig=nameless)))] = True
+    assert not (found & held & ~moved).any()
+    assert (found & moved & held).sum() >= 0.95 * (moved & held).sum()
+
+
+@pytest.mark.parametrize("name", ["NeoHead", "head.x", "Head_End", "leg_scale_1.L"])
+def test_what_is_called_by_a_part_of_the_body_does_not_swing(name):
+    """A head that only its prefix hid, the end of one, and a helper of a leg swung like hair in files of others."""
+    character = wardrobe_character(700_008)
+    rig = character.rig
+    silent = next(bone for bone, kind in apparel_bones(stripped(character)).items() if kind == "hair")
+    names = [f"Neo{own}" if name.startswith("Neo") else own for own in rig.names]
+    names[silent] = name
+    assert silent not in apparel_bones(replace(character, avatar=None, rig=replace(rig, names=tuple(names))))
+
+
 def test_long_hair_of_unknown_names_hangs_on_a_person():
     """Hair to the hips, whose bones a map takes along with the head, does not make a person lie down."""
     parts = RigParts.of(stripped(wardrobe_character(810_038), scrambled=True))

@@ -9,6 +9,7 @@ twists and muscles do, or within the head, as eyes do.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ from bunraku.physics.chains.manners_file import manners_beside, with_manners
 from bunraku.retarget.rig_parts import RigParts, understood_rig
 from bunraku.skeletons.apparel_names import apparel_of_name
 from bunraku.skeletons.bone_names import NO_HANDLE
-from bunraku.skeletons.bone_words import part_of_name
+from bunraku.skeletons.bone_words import part_of_name, without_prefix
 
 __all__ = ["apparel_bones", "bone_chains"]
 
@@ -33,6 +34,9 @@ _ENDS = tuple(
 )
 """Parts whose own bones hang on them like strands: fingers and toes."""
 _HEAD = HANDLE_NAMES.index("head")
+_BODY = ("wrist", "elbow", "shoulder", "collar", "leg", "foot", "hips", "spine", "neck", "head", "arm_leg")
+"""Kinds of bones of the body: what is called by one hangs on it, and swings by nothing."""
+_TRUNK = tuple(HANDLE_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3"))
 _SILENT = ("none", "held", "face", "face_bone", "fingers", "toe")
 """Kinds of bones that move otherwise, whatever their shape, with all that hangs on them or that they hang on."""
 _FACE = re.compile(
@@ -44,7 +48,9 @@ FEWEST = 3  # vertices that a silent bone holds at least
 LIGHTEST = 1.0  # sum of the weights of a bone that holds anything
 OFF_CENTRE = 0.3  # of the extent of what it holds: how far its middle is from a bone that it hangs on
 AROUND = 0.4  # mean of the directions from a limb's axis to what a bone holds: less than this is on all sides of it
-LEAST = 0.025  # of the height: what silent bones hold is larger
+LEAST = 0.018  # of the height: what silent bones hold is larger
+FORWARD = 0.7  # of its distance: how far what a single bone of the head holds lies before it at the most
+ROW = 4  # silent bones that hang side by side on one bone of the trunk: so many are the hem of a skirt
 SHORTEST = 5e-3  # of a link, over the height
 
 
@@ -103,15 +109,16 @@ def apparel_bones(character: Character, parts: RigParts | None = None) -> dict[i
     body = _body_bones(parts)
     held = _Held.of(character, rig, body)
     below = _below(rig.parents)
+    names = without_prefix(rig.names)
     out: dict[int, str] = {}
     for bone in bone_order(rig.parents):
         parent = int(rig.parents[bone])
         if body[bone] or parent < 0:
             continue
-        kind = apparel_of_name(rig.names[bone])
+        kind = apparel_of_name(names[bone])
         if parent in out:
             out[bone] = kind or out[parent]
-        elif kind or _silent(character, parts, held, bone, below[bone], body):
+        elif kind or _silent(character, parts, held, bone, below[bone], body, names):
             out[bone] = kind or _kind_by_place(parts, bone)
     return {bone: kind for bone, kind in out.items() if held.mass[[bone, *below[bone]]].sum() > LIGHTEST}
 
@@ -167,7 +174,9 @@ def _body_bones(parts: RigParts) -> np.ndarray:
     assert rig is not None
     out = np.array([part != NO_HANDLE and part not in _SPARE for part in parts.parts])
     leads = set(parts.leads.tolist())
-    for bone, name in enumerate(rig.names):  # what a map takes along with the head, without a word for it, may be hair
+    for bone, name in enumerate(
+        without_prefix(rig.names)
+    ):  # what a map takes along with the head, without a word for it, may be hair
         known = bone in leads or part_of_name(name)[0] not in ("", "root")
         out[bone] &= known and not apparel_of_name(name)
     for bone in reversed(bone_order(rig.parents)):
@@ -184,15 +193,18 @@ def _below(parents: np.ndarray) -> list[list[int]]:
     return out
 
 
-def _silent(character: Character, parts: RigParts, held: _Held, bone: int, below: list[int], body: np.ndarray) -> bool:
+def _silent(
+    character: Character, parts: RigParts, held: _Held, bone: int, below: list[int], body: np.ndarray,
+    names: Sequence[str],
+) -> bool:  # fmt: skip
     """Whether a bone whose name says nothing, and those below it, hold the end of something that hangs."""
     rig = character.rig
     assert rig is not None
-    kind, _, _, target = part_of_name(rig.names[bone])
+    kind, _, _, target = part_of_name(names[bone])
     part = int(parts.parts[bone])
-    if target or (part in _SPARE and kind) or body[below].any():
+    if target or (part in _SPARE and kind) or body[below].any() or _of_body(names[bone]):
         return False
-    around = [rig.names[one] for one in (bone, *below, *(one for one in _line_up(rig.parents, bone) if not body[one]))]
+    around = [names[one] for one in (bone, *below, *(one for one in _line_up(rig.parents, bone) if not body[one]))]
     if any(part_of_name(name)[0] in _SILENT or _FACE.search(name.lower()) for name in around):
         return False
     above = _carrier(parts, bone, body)
@@ -207,13 +219,24 @@ def _silent(character: Character, parts: RigParts, held: _Held, bone: int, below
     if extent < LEAST * character.height:
         return False
     away = points.mean(axis=0) - rig.positions[bone]
-    if np.linalg.norm(away) < OFF_CENTRE * 0.5 * extent:  # a piece about its bone: an eye, a muscle
+    links = sum(held.mass[one] > LIGHTEST for one in [bone, *below])
+    if links < 2 and np.linalg.norm(away) < OFF_CENTRE * 0.5 * extent:  # a piece about its bone: an eye, a muscle
+        return False
+    if carried == _HEAD and links < 2 and away[2] > FORWARD * np.linalg.norm(away):  # eyes and brows lie before theirs
         return False
     if carried != _HEAD and _surrounds(parts, above, carried, points):
         return False
     # a strand ends in the air: what it holds has an edge of its own, or touches the body in few places
-    links = sum(held.mass[one] > LIGHTEST for one in [bone, *below])
-    return links > 1 or bool(held.rim[mine].any()) or held.touches(mine) < TOUCHES
+    if links > 1 or bool(held.rim[mine].any()) or held.touches(mine) < TOUCHES:
+        return True
+    beside = (rig.parents == rig.parents[bone]) & ~body & (held.mass > LIGHTEST)
+    return carried in _TRUNK and int(beside.sum()) >= ROW
+
+
+def _of_body(name: str) -> bool:
+    """Whether a word of a name is one of the body's: `leg_scale.L`, `Head_End`."""
+    words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name.split(":")[-1].split("|")[-1])
+    return any(part_of_name(word)[0] in _BODY for word in words) or part_of_name(name)[0] in _BODY
 
 
 def _line_up(parents: np.ndarray, bone: int) -> list[int]:
