@@ -63,7 +63,8 @@ def train(options: argparse.Namespace) -> None:
     begun = time.monotonic()
 
     def late(number: int, frame: object) -> None:
-        raise SystemExit("the limit came before the first step; give more minutes")
+        print("the limit came before the first step; give more minutes", file=sys.stderr, flush=True)
+        os._exit(1)  # an exception that comes out of a library half loaded may never arrive
 
     signal.signal(signal.SIGTERM, late)
     alarm = threading.Timer(max(60 * options.limit - RESERVE, 1.0), os.kill, (os.getpid(), signal.SIGTERM))

@@ -51,7 +51,7 @@ class Studio:
             found = look()
             if found:
                 return found
-            time.sleep(0.05)
+            time.sleep(0.15)
         raise AssertionError(f"{what} did not come within {SECONDS} s")
 
     def ask(self, method, path, body=None, data=None, headers=None, token=None):
