@@ -12,7 +12,8 @@ _HEADS = "its adaptation has to be trained on the shipped network: bunraku train
 _JUDGES = (
     "Networks judge networks here: critic, ranker and extractor are of one kind, trained apart on the same sentences, "
     "and a ratio over 1 to real is no proof of better than captured. TapMo (MDM) has had 5,000 steps of 32 clips where "
-    "its weights are those of this repository, and the shipped network 30,140 of 64, so its row is in our favour."
+    "its weights are those of this repository, and the shipped network 30,140 of 64 and 11,305 of 32, so its row is in "
+    "our favour."
 )
 
 _PEOPLE = "people rank them: bunraku study make, then bunraku evaluate study"
