@@ -109,6 +109,13 @@ def test_every_gesture_is_performed_whole_in_any_time(number):
         assert positions[:, [AT["left_ankle"], AT["right_ankle"]], 1].min() > 0.04
 
 
+@pytest.mark.parametrize("name", ["crawl", "march in place", "swim"])
+def test_who_is_in_the_midst_of_it_does_not_stop_there(name):
+    for seed in range(4):
+        speed = np.linalg.norm(np.diff(world(name, seed), axis=0), axis=-1).max(axis=1)
+        assert speed.reshape(-1, 7).max(axis=1).min() > 0.01
+
+
 def test_a_loop_ends_as_it_begins():
     for name in ("clap", "wave", "march in place"):
         there = world(name, 2, closed=True)

@@ -1,4 +1,4 @@
-"""What a sentence says of how a gesture is made."""
+"""What a sentence says of how a gesture is made, or another example is laid."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ class Manner:
         count: How often; None where it says nothing of that.
         pace: Factor of its tempo.
         closed: It is a loop, whose last frame is followed by the first.
+        lasts: Who does it goes somewhere, for all of its time, and does not stand before or after.
     """
 
     count: int | None = None
     pace: float = 1.0
     closed: bool = False
+    lasts: bool = False
 
 
 AS_USUAL = Manner()

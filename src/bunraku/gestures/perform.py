@@ -203,7 +203,8 @@ def _times_of(
             start += timed[-1][0] / tempo + random.uniform(*variation.pause)
         return parts, False
     head = [key for key in keys if key[0] < repeat.start - 1e-6]
-    tail = [key for key in keys if key[0] > repeat.stop - 1e-6]
+    ends = keys[-1][0] > repeat.stop + 1e-6  # otherwise nothing follows it: who crawls does not stop in mid-crawl
+    tail = [key for key in keys if ends and key[0] > repeat.stop - 1e-6]
     once = [key for key in keys if repeat.start - 1e-6 <= key[0] < repeat.start + repeat.period - 1e-6]
     if manner.closed:
         count = max(round(span * tempo / repeat.period), 1)

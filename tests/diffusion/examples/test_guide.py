@@ -56,6 +56,22 @@ def test_around_what_stops_in_midmotion_the_sampler_is_left_to_itself(pack, unit
     assert (laid(pack, KICK, 100, units, np.random.default_rng(0)).share == 1).all()  # it can be held
 
 
+def test_who_goes_on_does_not_stand_before_or_after(pack, units):
+    """What could be held is left to the sampler where the sentence says that it lasts."""
+    guide = laid(pack, KICK, 100, units, np.random.default_rng(0), Manner(lasts=True))
+    led = np.flatnonzero(guide.share == 1)
+    assert led[0] > 0 and len(led) == 30 and guide.share[-1] == 0
+    examples = GuidanceExamples(pack, {})
+    for sentence, lasts in (
+        ("a person walks backward", True),
+        ("a person waves", False),
+        ("a person walks and stops", False),
+    ):
+        clause = clause_of(sentence)
+        examples._found = {clause.text: [KICK]}
+        assert examples.of([(clause, 100)], (0, 0), 0).manners[0].lasts is lasts
+
+
 def test_what_fills_the_time_is_told_from_what_is_over_soon(pack):
     assert fills(pack, WAVE, 1000) and fills(pack, KICK, 50) and not fills(pack, KICK, 51)
 

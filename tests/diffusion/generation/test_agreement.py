@@ -59,11 +59,19 @@ def test_the_other_side_does_not(sentence):
         ("a person turns around", turning(60)),
         ("a person walks backwards", MOTIONS["a person walks forward"]),
         ("a person walks forward", person(60)),
+        ("a person walks as if very tired", person(60)),
+        ("a person runs in a circle", person(60, speed=0.1)),
         ("a person sits down", person(80)),
     ],
 )
 def test_what_is_not_done_or_too_much_of_it(sentence, motion):
     assert agreement(sentence, motion) < 0.25
+
+
+def test_who_walks_goes_somewhere_but_not_in_place():
+    assert agreement("a person walks as if very tired", person(60, speed=0.4, steps=0.1)) == 1
+    assert agreement("a person walks in place", person(60)) is None
+    assert agreement("a person walks and stops", person(60)) is None
 
 
 def test_who_sits_down_stood_before():

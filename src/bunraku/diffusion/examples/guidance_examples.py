@@ -17,6 +17,7 @@ from bunraku.diffusion.examples.retrieve import Found, retrieve
 from bunraku.diffusion.features import mirror
 from bunraku.gestures.manner import Manner
 from bunraku.language.details import tells_all, unseen_word
+from bunraku.language.lexicon.reading import goes_ahead, is_cyclic
 from bunraku.language.sentence import Clause
 
 __all__ = ["GuidanceExamples"]
@@ -140,4 +141,6 @@ class GuidanceExamples:
 def _manner(clause: Clause) -> Manner:
     """How a clause says that something is done."""
     said = [pace for cue, pace in PACES.items() if cue in clause.cues]
-    return Manner(clause.count, said[0] if len(said) == 1 else 1.0)
+    goes = "goes" in clause.traits or goes_ahead(clause.actions)
+    lasts = goes and all(map(is_cyclic, clause.actions)) and clause.count is None and "halts" not in clause.traits
+    return Manner(clause.count, said[0] if len(said) == 1 else 1.0, lasts=lasts)

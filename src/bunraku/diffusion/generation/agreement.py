@@ -21,6 +21,7 @@ _RISES = 0.15  # m; a hand or foot that is so much higher than the other is the 
 _FAST = 1.0  # m/s
 _STEP = 0.3  # m
 _WALK = 0.6  # m
+_ON_FOOT, _PACE = ("walk", "run"), 0.3  # m/s; slower than any walk: who is not half as fast stays where he is
 _SLACK = np.radians(30)
 _SEAT = 0.2  # m
 _CLEAR = 0.1  # m
@@ -91,7 +92,7 @@ def _turn(clause: Clause, track: Track) -> float | None:
 
 
 def _way(clause: Clause, track: Track) -> float | None:
-    """Forward, backwards or to a side, seen from the heading at each time."""
+    """Forward, backwards or to a side, seen from the heading at each time; where none is said, anywhere at all."""
     if "goes" not in clause.traits or "in place" in clause.cues or "to and fro" in clause.traits:
         return None
     ahead, aside = (track.velocity.mean(axis=0) * len(track) / track.fps).tolist()
@@ -100,7 +101,10 @@ def _way(clause: Clause, track: Track) -> float | None:
         return None if "forward" in clause.cues else -ahead / _WALK
     if side:
         return side * aside / _STEP if "aside" in clause.traits and "winding" not in clause.traits else None
-    return ahead / _WALK if "forward" in clause.cues else None
+    if "forward" in clause.cues:
+        return ahead / _WALK
+    on_foot = clause.locomotion in _ON_FOOT and "halts" not in clause.traits
+    return 2 * float(np.linalg.norm(track.velocity, axis=1).mean()) / _PACE - 1 if on_foot else None
 
 
 def _posture(clause: Clause, track: Track) -> float | None:
