@@ -67,3 +67,20 @@ def test_loose_pieces_that_are_mostly_apparel():
     found = whole_pieces(vertices, faces, mask)
     assert len(set(found[160:180])) == 1 and found[160] >= 0
     assert (found[:160] == -1).all() and (found[180:] == -1).all()
+
+
+def test_a_tip_hangs_on_what_its_surface_goes_on_as():
+    """The lower half of a lock is apparel and lies on an arm: it goes with the head, as the upper half does."""
+    lock, lock_faces = tube(0.01, 0.8, 1.6)
+    arm, arm_faces = tube(0.03, 0.7, 1.2)
+    vertices = np.concatenate([lock + [0.045, 0, 0], arm]).astype(np.float32)
+    faces = np.concatenate([lock_faces, arm_faces + len(lock)])
+    weights = np.zeros((len(vertices), 22), np.float32)
+    weights[: len(lock), JOINT_NAMES.index("head")] = 1
+    weights[len(lock) :, JOINT_NAMES.index("left_elbow")] = 1
+    apparel = (np.arange(len(vertices)) < len(lock)) & (vertices[:, 1] < 1.15)
+    blank = np.zeros(len(vertices), np.float32)
+    joints = np.array(reference_body().joints[:22], np.float32)
+    clothed = fitted_clothes(vertices, faces, joints, weights, apparel, blank, blank)
+    assert clothed.apparel.any()
+    assert (clothed.weights[clothed.apparel].argmax(axis=1) == JOINT_NAMES.index("head")).all()

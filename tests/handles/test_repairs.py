@@ -10,7 +10,16 @@ from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.geometry.simplify import network_mesh
-from bunraku.handles.repairs import MOST, TURN, eased, edge_strain, grown_from_heads, reunited, without_doubts
+from bunraku.handles.repairs import (
+    MOST,
+    TURN,
+    eased,
+    edge_strain,
+    grown_from_heads,
+    hung_from_heads,
+    reunited,
+    without_doubts,
+)
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 
@@ -174,3 +183,26 @@ def test_a_limb_that_holds_no_vertex_surely_is_not_there(left, right, there):
         np.testing.assert_allclose(found, weights, atol=1e-6)
     else:
         np.testing.assert_allclose(found[:, H["head"]], 1)
+
+
+def test_hair_that_lies_on_an_arm_goes_with_the_head():
+    """A loose tail from the crown down to the hand, which the network gives half to the arm; a sleeve stays with it."""
+    trunk = trimesh.creation.box((1, 2, 0.5))
+    head = trimesh.creation.box((0.8, 0.8, 0.8)).apply_translation([0, 1.5, 0])
+    arm = trimesh.creation.box((0.3, 1.6, 0.3)).apply_translation([0.8, 0.1, 0])
+    tail = trimesh.creation.box((0.1, 2.6, 0.1)).apply_translation([1.1, 0.6, 0])
+    pieces = [piece.subdivide().subdivide().subdivide() for piece in (trunk, head, arm, tail)]
+    whole = trimesh.util.concatenate(pieces)
+    mesh = network_mesh(whole.vertices, whole.faces, 2500)
+    position = mesh.vertices * mesh.scale + mesh.center
+    owner = np.array([H["spine2"], H["head"], H["left_shoulder"]])
+    hair = position[:, 0] > 1.0
+    nearest = np.where(np.abs(position[:, 0]) > 0.6, 2, np.where(position[:, 1] > 1.05, 1, 0))
+    hard_weights = np.eye(HANDLE_COUNT, dtype=np.float32)[owner[nearest]]
+    hard_weights[hair] = 0
+    hard_weights[hair, H["left_wrist"]] = position[hair, 1] <= 0.9
+    hard_weights[hair, H["head"]] = position[hair, 1] > 0.9
+    found = hung_from_heads(mesh, hard_weights)
+    np.testing.assert_allclose(found.sum(axis=1), 1, atol=1e-6)
+    np.testing.assert_allclose(found[~hair], hard_weights[~hair])
+    assert found[hair][:, [H["head"], H["head_top"]]].sum(axis=1).min() > 0.999

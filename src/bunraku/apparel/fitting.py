@@ -18,6 +18,7 @@ __all__ = ["eased_border", "fitted_clothes", "joint_weights_of_handles", "joints
 _HIPS = tuple(JOINT_NAMES.index(name) for name in ("left_hip", "right_hip"))
 _ABOVE_COLLARS = tuple(JOINT_NAMES.index(name) for name in ("left_collar", "right_collar"))
 _SMALL = 0.002  # of the apparel's vertices: parts with fewer stay with the body
+SPECK = 0.045  # of the height: what is no longer than this stays with the body
 _NEAR = 12
 LAYER = 0.04  # of the size [m]: how far two layers of a skirt are from each other at the most
 MOSTLY = 0.5  # share of a part that must lie so near another
@@ -64,7 +65,7 @@ def fitted_clothes(
         apparel: The mask, shape (V,), bool.
         stiffness, damping: Of each vertex, shape (V,).
     """
-    apparel = _without_specks(vertices, faces, apparel)
+    apparel = _without_specks(vertices, faces, apparel, SPECK * float(np.ptp(vertices[:, 1])))
     part = apparel_parts(vertices, faces, apparel)
     count = int(part.max(initial=-1)) + 1
     blank = np.zeros(count, np.float32)
@@ -73,10 +74,14 @@ def fitted_clothes(
     out = np.array(weights, np.float32)
     body = np.flatnonzero(~apparel)
     tree = cKDTree(vertices[body]) if len(body) else None
+    inner, outer = _joined(bare)
     for number in range(count):
         rows = np.flatnonzero(part == number)
         own = held[part[held] == number]
-        if tree is None or not len(own):
+        sewn = outer[part[inner] == number]
+        if len(sewn):  # it goes on as the body on the same surface: hair beside an arm as the hair above it
+            share = weights[sewn].mean(axis=0)
+        elif tree is None or not len(own):
             share = weights[rows].mean(axis=0)
         else:
             near = body[tree.query(vertices[own], min(_NEAR, len(body)))[1].reshape(-1)]
@@ -92,6 +97,17 @@ def fitted_clothes(
     if not count:
         return bare
     return ClothedCharacter(vertices, faces, joints, out, apparel, part, mean(stiffness), mean(damping))
+
+
+def _joined(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
+    """Apparel vertices, and vertices of the body that an edge of the surface joins each to, both shape (E,)."""
+    clean = clean_mesh(clothed.rest, clothed.faces)
+    first = np.unique(clean.index, return_index=True)[1]
+    edges = first[unique_edges(clean.faces, len(clean.vertices))]
+    edges = np.concatenate([edges, edges[:, ::-1]])
+    cloth = clothed.part >= 0
+    edges = edges[cloth[edges[:, 0]] & ~cloth[edges[:, 1]]]
+    return edges[:, 0], edges[:, 1]
 
 
 def _layers_as_one(clothed: ClothedCharacter, weights: np.ndarray) -> np.ndarray:
@@ -145,10 +161,13 @@ def _carrying(share: np.ndarray) -> int:
     return joint
 
 
-def _without_specks(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> np.ndarray:
+def _without_specks(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray, least: float) -> np.ndarray:
+    """The mask without parts of few vertices, and without those too short to swing: eyes, bolts and buttons."""
     part = apparel_parts(vertices, faces, apparel)
     sizes = np.bincount(part[apparel], minlength=1)
     small = sizes < max(4, _SMALL * apparel.sum())
+    for number in np.flatnonzero(~small):
+        small[number] = np.linalg.norm(np.ptp(vertices[part == number], axis=0)) < least
     out = apparel.copy()
     out[apparel] = ~small[part[apparel]]
     return out

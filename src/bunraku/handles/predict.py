@@ -17,7 +17,7 @@ from bunraku.geometry.simplify import NetworkMesh, network_mesh, network_views
 from bunraku.handles.blocks.rigid import rigid_handles
 from bunraku.handles.extra_limbs import split_limbs
 from bunraku.handles.loose_parts import seat_parts
-from bunraku.handles.repairs import eased, grown_from_heads, reunited, without_doubts
+from bunraku.handles.repairs import eased, grown_from_heads, hung_from_heads, reunited, without_doubts
 
 if TYPE_CHECKING:
     from bunraku.handles.inference.predictor import HandlePredictor
@@ -113,7 +113,8 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
     weights = np.mean([weights, *(mesh.carry(predict_weights(view, model)[0], view) for view in others)], axis=0)
     weights, roles = split_limbs(mesh, trim_weights(smooth_weights(weights, mesh.edges)))
     if roles is None:  # of many legs one handle holds several regions before they are told apart
-        weights = eased(mesh, reunited(mesh, grown_from_heads(mesh, without_doubts(weights))))
+        weights = grown_from_heads(mesh, hung_from_heads(mesh, without_doubts(weights)))
+        weights = eased(mesh, reunited(mesh, weights))
     positions = handle_positions(mesh.vertices, weights, mesh.areas) * mesh.scale + mesh.center
     full = seat_parts(mesh, weights, stiff=roles is None)
     rigid = rigid_handles(character, full[mesh.clean.index])

@@ -20,7 +20,7 @@ from bunraku.geometry.graph import mean_operator, mesh_parts
 from bunraku.geometry.simplify import NetworkMesh
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 
-__all__ = ["edge_strain", "eased", "grown_from_heads", "reunited", "without_doubts"]
+__all__ = ["edge_strain", "eased", "grown_from_heads", "hung_from_heads", "reunited", "without_doubts"]
 
 TOUCH = 1.5  # loose parts nearer than this touch, in cells
 HELD = 0.35  # a vertex belongs to the region of a handle that holds so much of it
@@ -32,6 +32,10 @@ MOST = 2.0  # an edge may grow by so much of its length in such a turn
 SHARP = 1e-4  # share of the surface under which two parts do not blend where they meet
 ROOTED = 0.9  # so much of what is around a piece of an arm is of the head: it is an ear, a horn, a tusk or a trunk
 TRUNK = 0.15  # least share of the surface of a trunk that would bear arms; what is all head has them on its head
+HUNG = 0.05  # of a loose part that the head holds: it is hair, or a veil, and not a sleeve
+ROOT, ROOTS = 0.15, 0.5  # of its height, that is its root; share of that which the head holds
+OTHER = 0.3  # of the trunk that such a part is: more is the body itself
+LIMB = 0.7  # the same of a limb, of which long hair takes more than is left
 ROUNDS = 16  # of softening
 LEAST_TAIL = 0.004  # share of the surface from which what hangs behind the hips is a tail, and not a flap
 _LIMBS = [
@@ -94,6 +98,37 @@ def grown_from_heads(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
                 out[near, _TOP] += out[near][:, arm].sum(axis=1)
                 out[np.ix_(near, arm)] = 0
     return (out / out.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
+def hung_from_heads(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
+    """Weights in which no loose part that hangs from the head goes with a limb that it lies on: twin tails and long
+    hair are not dragged by hands and knees.
+
+    Args:
+        mesh: The network mesh.
+        weights: Of its vertices, rows sum to 1, shape (M, 30).
+    """
+    areas = mesh.areas.astype(np.float64)
+    part = mesh.components
+
+    def held(handles: list[int], share: np.ndarray = areas) -> np.ndarray:
+        return np.bincount(part, share * weights[:, handles].sum(axis=1), part.max() + 1)
+
+    height = mesh.vertices[:, 1]
+    low, high = np.full(part.max() + 1, np.inf), np.full(part.max() + 1, -np.inf)
+    np.minimum.at(low, part, height)
+    np.maximum.at(high, part, height)
+    top = height >= (high - ROOT * (high - low))[part]
+    trunk, everywhere = held(_TRUNK), list(range(weights.shape[1]))
+    hangs = held(_HEAD, areas * top) > ROOTS * held(everywhere, areas * top)
+    loose = hangs & (held(_HEAD) > HUNG * held(everywhere)) & (trunk < OTHER * trunk.sum())
+    out = np.array(weights, np.float64)
+    for limb in (limb_handles(side, family) for side in SIDES for family in FAMILIES):
+        own = held(limb)
+        rows = np.flatnonzero((loose & (own < LIMB * own.sum()))[part])
+        out[rows, _TOP] += out[rows][:, limb].sum(axis=1)
+        out[rows[:, None], limb] = 0
+    return out.astype(np.float32)
 
 
 def reunited(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:

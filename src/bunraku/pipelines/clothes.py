@@ -27,6 +27,8 @@ __all__ = ["apparel_of", "body_of_handles", "laid_over", "rig_with_chains", "tol
 
 MOST = 0.45
 """Of the surface: who wears more is asked about."""
+ONE, STIFF = 0.99, 0.8
+"""A machine or a skeleton: so much of its surface moves with one handle alone, which holds so much of it."""
 
 
 def body_of_handles(character: Character, handles: Handles) -> tuple[np.ndarray, np.ndarray]:
@@ -94,9 +96,11 @@ def too_much(character: Character, apparel: np.ndarray) -> str:
 
 def wears(anatomy: Anatomy) -> bool:
     """Whether what the segmentation network finds on a body counts: it knows people, and calls the legs of a horse
-    sleeves.
+    sleeves, and the plates of a machine skirts.
     """
-    return anatomy.plan.kind == "person"
+    areas = anatomy.character.areas
+    stiff = float(areas[anatomy.handles.weights.max(axis=1) > ONE].sum()) > STIFF * float(areas.sum())
+    return anatomy.plan.kind == "person" and not stiff
 
 
 def laid_over(
