@@ -1,4 +1,5 @@
 import functools
+import gc
 import json
 import os
 import sys
@@ -94,6 +95,11 @@ def write_motions(folder, motions):
         index[name] = {"texts": [text], "split": split, "frames": len(motion)}
     (folder / "index.json").write_text(json.dumps({"fps": 20, "clips": index}))
     return folder
+
+
+def pytest_collection_finish():
+    """What importing all tests made stays to the end, so the collector need not walk through it again and again."""
+    gc.freeze()
 
 
 @pytest.fixture

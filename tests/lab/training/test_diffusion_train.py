@@ -1,5 +1,7 @@
 import os
 import signal
+import threading
+import time
 
 import pytest
 import torch
@@ -97,6 +99,21 @@ def test_training_learns(settings, config, encoder):
         rows = list(csv.DictReader(file))
     assert [row["step"] for row in rows] == ["20", "60", "120", "180"]
     assert float(rows[-1]["motion"]) < 0.5 * float(rows[0]["motion"])
+
+
+def test_no_thread_outlives_a_run(settings, config, encoder, monkeypatch):
+    """One that is inside torch when the process ends would abort it."""
+    from bunraku_lab.training.diffusion.clip_rows import ClipSet
+
+    batch = ClipSet.batch
+
+    def slow(*words):
+        time.sleep(0.3)
+        return batch(*words)
+
+    monkeypatch.setattr(ClipSet, "batch", slow)
+    train_diffusion(settings(steps=1, batch=2, bf16=False), config(), encoder)
+    assert "batches" not in {thread.name for thread in threading.enumerate()}
 
 
 def test_wrong_settings_are_clear(settings, config, encoder, tmp_path):

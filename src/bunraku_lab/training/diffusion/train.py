@@ -73,28 +73,32 @@ class _Sources:
 
 def _prefetch(
     clips: ClipSet, sources: _Sources, config: TrainingConfig, processes: Processes, first: int, stop: threading.Event
-) -> queue.Queue[Any]:
-    """Batches from step `first` on, made ahead by a thread. Of P processes, number i takes batch P * step + i."""
+) -> tuple[queue.Queue[Any], threading.Thread]:
+    """Batches from step `first` on, and the thread that makes them ahead. Of P processes, number i takes batch
+    P * step + i.
+    """
     ready: queue.Queue[Any] = queue.Queue(maxsize=3)
+
+    def put(item: object) -> None:
+        while not stop.is_set():
+            try:
+                return ready.put(item, timeout=0.2)
+            except queue.Full:
+                continue
 
     def work() -> None:
         number = processes.count * first + processes.index
         try:
             while not stop.is_set():
                 batch = clips.batch(config.seed, number, config.batch, config.compose)
-                item = (number, batch, *sources(batch))
-                while not stop.is_set():
-                    try:
-                        ready.put(item, timeout=0.2)
-                        break
-                    except queue.Full:
-                        continue
+                put((number, batch, *sources(batch)))
                 number += processes.count
         except Exception as error:  # handed to the training loop
-            ready.put(error)
+            put(error)
 
-    threading.Thread(target=work, daemon=True).start()
-    return ready
+    thread = threading.Thread(target=work, name="batches", daemon=True)
+    thread.start()
+    return ready, thread
 
 
 def _pack(config: TrainingConfig) -> ExamplePack:
@@ -212,12 +216,13 @@ def train_diffusion(
         f"{processes.count} process{'es' if processes.count > 1 else ''}, from step {trainer.step}"
     )
     ended = threading.Event()
-    ready = _prefetch(train, sources, config, processes, trainer.step, ended)
+    ready, thread = _prefetch(train, sources, config, processes, trainer.step, ended)
     run = _Run(trainer, network, ready, examples, console)
     try:
         path = run.learn(run.tell)
     finally:
         ended.set()
+        thread.join()  # a process that ends while a thread is inside torch is aborted
     if processes.main:
         write_card(path, card)
     console.print(
