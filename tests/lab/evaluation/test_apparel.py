@@ -98,6 +98,9 @@ def test_chains_of_a_clip_are_measured_against_its_truth():
     assert row["rigid"] < 1e-5 and row["lost"] == 0
     assert row["els_truth"] > 0.999
     assert row["chains"] < 0.03 * np.ptp(clothed.rest[:, 1])
+    assert 0 <= row["inside_chains"] <= 1 and 0 <= row["inside_rigid"] <= 1
+    some = {"inside_chains": 0.02, "inside_rigid": 0.04, "inside_truth": 0.01}
+    assert chain_summary([row | some, row | some])["chains_inside_over_rigid"] == pytest.approx(0.5)
     summary = chain_summary([row | {"rigid": 0.02, "chains": 0.01}, row | {"rigid": 0.04, "chains": 0.04, "lost": 2}])
     assert summary["chains_over_rigid"] == pytest.approx(5 / 6)
     assert summary["chains_mean_ratio"] == pytest.approx(0.75) and summary["chains_fly_aways"] == 1

@@ -17,6 +17,7 @@ from bunraku.physics.chains.laid import with_chains
 from bunraku.physics.chains.moving import steady_simulation
 from bunraku_lab.evaluation.apparel.clips import RATE, TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score, point_distance
+from bunraku_lab.evaluation.apparel.rows import insides
 
 __all__ = ["chain_row", "chain_summary", "chained_clip"]
 
@@ -40,7 +41,7 @@ def chained_clip(clip: TrueClip) -> tuple[np.ndarray, int]:
 
 def chain_row(clip: TrueClip) -> dict[str, Any]:
     """Mean errors of a clip from rest [m], of chains and of parent-rigid skinning, ELS of both and of the truth, and
-    fly-aways.
+    fly-aways, and the shares of all three that are deep in the body.
     """
     clothed, chosen, few = clip.clothed, clip.sample(), slice(0, None, STRIDE)
     truth = clip.truth(chosen)
@@ -49,7 +50,12 @@ def chain_row(clip: TrueClip) -> dict[str, Any]:
     index = np.full(len(clothed.rest), -1)
     index[vertices] = np.arange(len(vertices))
     edges, rest = index[clip.edges()], clothed.rest[vertices]
-    return {
+    shown = {
+        "rigid": clip.carried(vertices)[few],
+        "chains": moved[few][:, vertices],
+        "truth": clip.truth(vertices)[few],
+    }
+    return insides(clip, vertices, few, shown) | {
         "name": clip.name, "motion": clip.motion,
         "rigid": float(point_distance(clip.carried(chosen), truth).mean()),
         "chains": float(point_distance(moved[:, chosen], truth).mean()),
@@ -74,4 +80,10 @@ def chain_summary(rows: Sequence[dict[str, Any]]) -> dict[str, float | None]:
         "chains_els_minus_truth": float(np.mean([row["chains_els"] - row["els_truth"] for row in rows])),
         "chains_fly_aways": float(sum(row["lost"] > 0 for row in rows)),
         "chains_clips": float(len(rows)),
+        "chains_inside_over_rigid": _inside(rows, "chains") / max(_inside(rows, "rigid"), 1e-9),
+        "chains_inside_over_truth": _inside(rows, "chains") / max(_inside(rows, "truth"), 1e-9),
     }
+
+
+def _inside(rows: Sequence[dict[str, Any]], which: str) -> float:
+    return float(sum(row.get(f"inside_{which}", 0.0) for row in rows))

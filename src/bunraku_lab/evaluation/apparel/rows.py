@@ -18,7 +18,7 @@ from bunraku.core.skinning import posed_points
 from bunraku_lab.evaluation.apparel.clips import TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score, oracle_skinning, point_distance
 
-__all__ = ["clip_row", "drift_row", "frame_milliseconds", "safe_truth", "ten_frames"]
+__all__ = ["clip_row", "drift_row", "frame_milliseconds", "insides", "safe_truth", "ten_frames"]
 
 STRIDE = 10  # frames from one whose edges and insides are measured to the next
 ORACLE = 60  # vertices that the best skinning is fitted for
@@ -68,12 +68,19 @@ def clip_row(clip: TrueClip, network: DisplacementNetwork, *, nodes: int = 256, 
         best = oracle_skinning(clothed.rest[chosen[some]], truth[:, some], clip.affine)
         row["oracle_skinning"] = float(point_distance(best, truth[:, some]).mean())
         shown["truth_safe"] = safe_truth(clip, nodes)[few]
-        row |= _insides(clip, vertices, few, shown)
+        row |= insides(clip, vertices, few, shown)
     return row
 
 
-def _insides(clip: TrueClip, vertices: np.ndarray, few: slice, shown: dict[str, np.ndarray]) -> dict[str, float]:
-    """Share of the apparel deeper than 1 cm in the body, of what is not there at rest."""
+def insides(clip: TrueClip, vertices: np.ndarray, few: slice, shown: dict[str, np.ndarray]) -> dict[str, float]:
+    """Share of the apparel deeper than 1 cm in the body, of what is not there at rest.
+
+    Args:
+        clip: The clip.
+        vertices: Of the apparel, shape (A,).
+        few: The frames that are looked at.
+        shown: By name, where these vertices are in these frames [m], each of shape (F, A, 3).
+    """
     clothed = clip.clothed
     volume = BodyVolume.of_mesh(clothed.rest, clothed.faces, clothed.weights, clothed.apparel, clip.name)
     some = np.linspace(0, len(vertices) - 1, min(DEEPEST, len(vertices))).astype(np.int64)

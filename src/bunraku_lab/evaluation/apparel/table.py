@@ -43,6 +43,7 @@ _BARS = {
     "chains_over_rigid": Bar("chains from shape: PMD_a from rest, 6 s, over parent-rigid", most=0.5),
     "chains_els_minus_truth": Bar("chains: ELS of apparel, less the truth's", least=-0.02),
     "chains_fly_aways": Bar("chains: clips in which something flies away", most=0.0),
+    "chains_inside_over_rigid": Bar("chains: deeper than 1 cm in the body, over rigid apparel's", most=1 / 3),
     "body_attention_first": Bar("body: geodesic attention before both variants", least=1.0),
     "frame_ms": Bar("a frame at 2,000 apparel vertices [ms]", most=6.0),
 }
