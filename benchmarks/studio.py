@@ -1,6 +1,7 @@
-"""How long the studio takes from a sentence to a take, over the library's own time; and its memory over many takes.
+"""How long the studio takes from a sentence to a take, over the library's own time; from words to a clip of the library
+on a character; and its memory over many takes.
 
-    python benchmarks/studio.py [--rounds 5] [--takes 50] [--detail 1 2] [--subdivided]
+    python benchmarks/studio.py [--rounds 5] [--takes 50] [--clips 20] [--detail 1 2] [--subdivided]
 
 The two are timed in turns, so that what else the machine does falls on both, by the clock and in processor time.
 """
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import random
 import statistics
 import sys
 import tempfile
@@ -17,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
 import numpy as np
 import trimesh
@@ -139,6 +142,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--takes", type=int, default=0, help="so many takes are queued, and memory is told")
+    parser.add_argument("--clips", type=int, default=0, help="so many clips are searched and shown, drawn by lot")
     parser.add_argument("--detail", type=float, nargs="*", default=[1.0], help="of the sample person")
     parser.add_argument("--subdivided", action="store_true", help="each triangle of the last becomes four")
     options = parser.parse_args()
@@ -149,7 +153,11 @@ def main() -> None:
             for number, detail in enumerate(options.detail):
                 dense = options.subdivided and number == len(options.detail) - 1
                 file = Path(home) / f"person-{number}.glb"
-                compare(studio, written(file, detail, dense), options.rounds)
+                written(file, detail, dense)
+                if options.rounds:
+                    compare(studio, file, options.rounds)
+                if options.clips:
+                    searched(studio, file, options.clips)
             if options.takes:
                 queued(studio, studio.get("/api/characters")["characters"][0]["id"], options.takes)
         finally:
@@ -178,6 +186,29 @@ def compare(studio: Studio, file: Path, rounds: int) -> None:
         mine, theirs = (statistics.median(column) for column in zip(*pairs, strict=True))
         ratio = statistics.median(one / other for one, other in pairs if other)
         print(f"{name}: studio {mine:.2f} s, library {theirs:.2f} s, ratio {ratio:.2f}", flush=True)
+
+
+def searched(studio: Studio, file: Path, count: int) -> None:
+    """Search clips by their sentences and get the first that is found on a character, as a card of the page does."""
+    opened = studio.post(f"/api/characters?name={file.name}", data=file.read_bytes())
+    studio.done(opened["job"])
+    character = opened["character"]["id"]
+    sentences = sorted(one["sentence"] for one in studio.get("/api/clips")["clips"])
+    times = []
+    for sentence in random.Random(1).sample(sentences, count):
+        start = time.perf_counter()
+        name = studio.get(f"/api/clips?{urlencode({'q': sentence})}")["clips"][0]["name"]
+        made = studio.post(f"/api/characters/{character}/clips", {"clips": [name]})
+        if made["job"]:
+            studio.done(made["job"])
+        studio.ask("GET", f"/api/characters/{character}/clips/{name}")
+        times.append(time.perf_counter() - start)
+    vertices = len(load_character(file).vertices)
+    print(
+        f"{count} clips searched and shown on {vertices:,} vertices: the first {times[0]:.2f} s, "
+        f"median {statistics.median(times):.2f}, slowest {max(times):.2f}", flush=True
+    )  # fmt: skip
+    studio.ask("DELETE", f"/api/characters/{character}")
 
 
 def queued(studio: Studio, character: str, count: int) -> None:

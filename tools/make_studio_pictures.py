@@ -38,6 +38,7 @@ def shot(page: Page, name: str) -> None:
 
 def first(page: Page) -> None:
     """What somebody sees who starts it for the first time."""
+    page.page.wait_for_selector(".pictured img")
     page.set(1.6)
 
 

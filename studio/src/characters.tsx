@@ -212,106 +212,110 @@ export function Characters() {
   const motion = useRef<HTMLInputElement>(null);
   const now = character.value;
   return (
-    <section class="panel" aria-label="characters">
-      <p class="hint">
-        Drop a mesh, a VRM, a PMX (as ZIP or folder), a motion (BVH, VMD, VRMA, AMASS) or a project anywhere.
-      </p>
-      <ul class="list">
-        {characters.value.map((one) => (
-          <li key={one.id} class={one.id === doc.value.character ? "chosen" : ""}>
-            <button class="name pictured" aria-pressed={one.id === doc.value.character} onClick={() => select(one.id)}>
-              <Picture one={one} />
-              <span>{one.name}</span>
-              <small>
-                {one.state === "ready"
-                  ? `${one.vertices?.toLocaleString()} vertices · ${one.height?.toPrecision(3)} m`
-                  : one.state === "opening"
-                    ? "opening…"
-                    : one.error || one.state}
-              </small>
-            </button>
-            <button class="icon" aria-label={`delete ${one.name}`} onClick={() => void deleteCharacter(one.id)}>
-              ×
-            </button>
-          </li>
-        ))}
-      </ul>
-      {now?.state === "ready" && (
-        <>
-          <Chips one={now} />
-          <Fit one={now} />
-          <div class="fields">
-            <label class="field">
-              <span>show</span>
-              <select
-                id="colouring"
-                value={colouring.value}
-                onChange={(event) => (colouring.value = event.currentTarget.value as typeof colouring.value)}
-              >
-                <option value="none">as it is</option>
-                <option value="handles">handles in colour</option>
-                <option value="weights">weights of one handle</option>
-                <option value="skeleton">skeleton</option>
-              </select>
-            </label>
-            {colouring.value === "weights" && (
+    <section class="cast" aria-label="characters">
+      <div class="panel">
+        <p class="hint">
+          Drop a mesh, a VRM, a PMX (as ZIP or folder), a motion (BVH, VMD, VRMA, AMASS) or a project anywhere.
+        </p>
+        <ul class="list">
+          {characters.value.map((one) => (
+            <li key={one.id} class={one.id === doc.value.character ? "chosen" : ""}>
+              <button class="name pictured" aria-pressed={one.id === doc.value.character} onClick={() => select(one.id)}>
+                <Picture one={one} />
+                <span>{one.name}</span>
+                <small>
+                  {one.state === "ready"
+                    ? `${one.vertices?.toLocaleString()} vertices · ${one.height?.toPrecision(3)} m`
+                    : one.state === "opening"
+                      ? "opening…"
+                      : one.error || one.state}
+                </small>
+              </button>
+              <button class="icon" aria-label={`delete ${one.name}`} onClick={() => void deleteCharacter(one.id)}>
+                ×
+              </button>
+            </li>
+          ))}
+        </ul>
+        {now?.state === "ready" && (
+          <>
+            <Chips one={now} />
+            <Fit one={now} />
+            <div class="fields">
               <label class="field">
-                <span>handle</span>
-                <select value={String(weightOf.value)} onChange={(event) => (weightOf.value = Number(event.currentTarget.value))}>
-                  {(now.used ?? []).map((handle) => (
-                    <option key={handle} value={String(handle)}>
-                      {HANDLES[now.roles?.[handle] ?? handle] ?? `handle ${handle}`}
-                      {now.roles?.[handle] !== handle ? ` (${handle})` : ""}
-                    </option>
-                  ))}
+                <span>show</span>
+                <select
+                  id="colouring"
+                  value={colouring.value}
+                  onChange={(event) => (colouring.value = event.currentTarget.value as typeof colouring.value)}
+                >
+                  <option value="none">as it is</option>
+                  <option value="handles">handles in colour</option>
+                  <option value="weights">weights of one handle</option>
+                  <option value="skeleton">skeleton</option>
+                </select>
+              </label>
+              {colouring.value === "weights" && (
+                <label class="field">
+                  <span>handle</span>
+                  <select value={String(weightOf.value)} onChange={(event) => (weightOf.value = Number(event.currentTarget.value))}>
+                    {(now.used ?? []).map((handle) => (
+                      <option key={handle} value={String(handle)}>
+                        {HANDLES[now.roles?.[handle] ?? handle] ?? `handle ${handle}`}
+                        {now.roles?.[handle] !== handle ? ` (${handle})` : ""}
+                      </option>
+                    ))}
+                  </select>
+                </label>
+              )}
+            </div>
+            {now.skeleton && (
+              <label class="field">
+                <span>what moves</span>
+                <select
+                  id="rig"
+                  value={doc.value.rig}
+                  onChange={(event) => change("", { rig: event.currentTarget.value as "handles" | "own" })}
+                >
+                  <option value="handles">30 handles, which can be pinned and changed</option>
+                  <option value="own">its own skeleton of {now.joints} bones</option>
                 </select>
               </label>
             )}
-          </div>
-          {now.skeleton && (
-            <label class="field">
-              <span>what moves</span>
-              <select
-                id="rig"
-                value={doc.value.rig}
-                onChange={(event) => change("", { rig: event.currentTarget.value as "handles" | "own" })}
-              >
-                <option value="handles">30 handles, which can be pinned and changed</option>
-                <option value="own">its own skeleton of {now.joints} bones</option>
-              </select>
-            </label>
-          )}
-          {(now.physics || now.apparel) && <Apparel one={now} />}
-          <p class="hint">
-            <button class="link" onClick={() => motion.current?.click()}>
-              take the motion of a GLB or FBX…
-            </button>
-            <input
-              ref={motion}
-              type="file"
-              hidden
-              onChange={(event) => {
-                const file = event.currentTarget.files?.[0];
-                event.currentTarget.value = "";
-                if (file) {
-                  void openAsMotion(file);
-                }
-              }}
-            />
-          </p>
-        </>
-      )}
-      <h2>Samples</h2>
-      <ul class="cards">
-        {about.value?.samples.map((name) => (
-          <li key={name}>
-            <button class="card" id={`sample-${name}`} onClick={() => void sample(name)}>
-              <img src={`sample-${name}.webp`} alt="" width={96} height={72} />
-              <span>{name}</span>
-            </button>
-          </li>
-        ))}
-      </ul>
+            {(now.physics || now.apparel) && <Apparel one={now} />}
+            <p class="hint">
+              <button class="link" onClick={() => motion.current?.click()}>
+                take the motion of a GLB or FBX…
+              </button>
+              <input
+                ref={motion}
+                type="file"
+                hidden
+                onChange={(event) => {
+                  const file = event.currentTarget.files?.[0];
+                  event.currentTarget.value = "";
+                  if (file) {
+                    void openAsMotion(file);
+                  }
+                }}
+              />
+            </p>
+          </>
+        )}
+      </div>
+      <div class="samples">
+        <h2>Samples</h2>
+        <ul class="cards">
+          {about.value?.samples.map((name) => (
+            <li key={name}>
+              <button class="card" id={`sample-${name}`} onClick={() => void sample(name)}>
+                <img src={`sample-${name}.webp`} alt="" width={96} height={72} />
+                <span>{name}</span>
+              </button>
+            </li>
+          ))}
+        </ul>
+      </div>
     </section>
   );
 }

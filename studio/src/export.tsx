@@ -3,6 +3,7 @@
 import { signal } from "@preact/signals";
 import { useLayoutEffect, useRef, useState } from "preact/hooks";
 import { download, hand, saveProject } from "./actions";
+import { beside } from "./modal";
 import { filming, holder, seconds, viewer } from "./stage";
 import { about, attempt, character, ownTakes, playing, say, take, time } from "./state";
 import { titleOf } from "./takes";
@@ -88,7 +89,7 @@ function ExportDialog() {
     setFps(presets.find((one) => `for ${one.name}` === value)?.fps ?? 30);
   };
   const [low, high] = about.value?.fps ?? [1, 240];
-  const close = (): void => void (exporting.value = false);
+  const close = (): void => box.current?.close(); // which gives the focus back; taking it off the page would not
   const go = (): void => {
     close();
     if (format === "bunraku") {
@@ -101,7 +102,7 @@ function ExportDialog() {
     }
   };
   return (
-    <dialog ref={box} class="export" aria-labelledby="export-title" onClose={close}>
+    <dialog ref={box} class="export" aria-labelledby="export-title" onClose={() => (exporting.value = false)} onMouseDown={beside}>
       <form
         method="dialog"
         onSubmit={(event) => {

@@ -83,6 +83,8 @@ export function Header() {
 const KEYS: [string, string][] = [
   ["Space", "play, pause"],
   ["← →", "a frame back, on"],
+  ["Shift with ← → ↑ ↓", "turn the camera"],
+  ["+ −", "nearer, farther"],
   ["Enter in the sentence", "animate"],
   ["/", "to the sentence"],
   ["1 … 4", "take by place in the list"],

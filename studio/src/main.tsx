@@ -53,10 +53,18 @@ function keys(event: KeyboardEvent): void {
     p: () => (drawing.value = !drawing.value),
     f: () => (follow.value = !follow.value),
     s: () => void (take.value && star(take.value)),
+    "+": () => viewer?.turn(0, 0, 1.15),
+    "-": () => viewer?.turn(0, 0, 1 / 1.15),
     "?": () => (help.value = true),
     Escape: () => ((drawing.value = false), (notice.value = null)),
   };
-  const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+  const turns: Record<string, () => void> = {
+    ArrowLeft: () => viewer?.turn(-0.15, 0),
+    ArrowRight: () => viewer?.turn(0.15, 0),
+    ArrowUp: () => viewer?.turn(0, 0.15),
+    ArrowDown: () => viewer?.turn(0, -0.15),
+  };
+  const action = (event.shiftKey && turns[event.key]) || actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
   if (event.key === " " && target.matches("button, summary, input, [role=slider]")) {
     return; // it presses what has the focus
   }

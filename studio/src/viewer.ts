@@ -21,6 +21,7 @@ import {
   Scene,
   ShadowMaterial,
   SphereGeometry,
+  Spherical,
   Vector2,
   Vector3,
   WebGLRenderer,
@@ -165,6 +166,17 @@ export class Viewer {
     this.sun.shadow.camera.updateProjectionMatrix();
     this.controls.update();
     this.touch();
+  }
+
+  /** Turn the camera about what it looks at [rad], and go `nearer` times as near. */
+  turn(sideways: number, up: number, nearer = 1): void {
+    const { target, minPolarAngle, maxPolarAngle } = this.controls;
+    const seen = new Spherical().setFromVector3(this.camera.position.clone().sub(target));
+    seen.theta += sideways;
+    seen.phi = Math.min(Math.max(seen.phi - up, minPolarAngle), maxPolarAngle);
+    seen.radius /= nearer;
+    this.camera.position.setFromSpherical(seen.makeSafe()).add(target);
+    this.controls.update();
   }
 
   private root(pane = this.panes[0]): [number, number] {

@@ -129,11 +129,16 @@ def test_an_empty_and_a_long_sentence_are_answered_in_words_of_the_page(page):
 
 
 def test_the_export_dialog_closes_and_gives_the_focus_back(page):
-    for close in (lambda: page.page.keyboard.press("Escape"), lambda: page.page.click("dialog button:text('Cancel')")):
+    for close in (
+        lambda: page.page.keyboard.press("Escape"),
+        lambda: page.page.click("dialog button:text('Cancel')"),
+        lambda: page.page.mouse.click(5, 400),  # beside it
+    ):
         page.page.click("#export")
+        page.page.click("dialog.export h2")  # a press inside leaves it open
         assert page.page.locator("dialog.export").count() == 1
         close()
-        page.until("!document.querySelector('dialog.export') && document.activeElement.id !== 'format'")
+        page.until("!document.querySelector('dialog.export') && document.activeElement.id === 'export'")
 
 
 def test_what_is_shipped_holds_nothing_of_tests(browser, studio):
@@ -792,6 +797,35 @@ def test_the_keyboard_is_enough_and_everything_has_a_name(page):
         }).map((one) => one.outerHTML)"""
     )
     assert nameless == []
+
+
+def test_the_camera_is_turned_by_keys(page):
+    eye = "studio.view().camera.position.clone().sub(studio.view().controls.target).toArray()"
+    page.page.keyboard.press("Escape")
+    before, time = np.array(page.value(eye)), page.value("studio.time.value")
+    for there, back in (("Shift+ArrowLeft", "Shift+ArrowRight"), ("Shift+ArrowUp", "Shift+ArrowDown"), ("+", "-")):
+        page.page.keyboard.press(there)
+        turned = np.array(page.value(eye))
+        assert np.linalg.norm(turned - before) > 0.05 * np.linalg.norm(before), there
+        nearer = np.linalg.norm(before) / np.linalg.norm(turned)
+        assert abs(nearer - (1.15 if there == "+" else 1)) < 1e-6
+        page.page.keyboard.press(back)
+        np.testing.assert_allclose(page.value(eye), before, atol=1e-6)
+    assert page.value("studio.time.value") == time  # the arrows alone step
+
+
+def test_samples_are_in_sight_beside_many_characters(page):
+    made = [page.studio.ask("POST", "/api/characters?sample=mushroom", {})[1] for _ in range(4)]
+    for one in made:
+        page.studio.done(one["job"])
+    page.until("document.querySelectorAll('.cast .list > li').length >= 5")
+    hidden = page.value("""[...document.querySelectorAll('.samples .card')].filter((one) => {
+        const box = one.getBoundingClientRect();
+        return document.elementFromPoint(box.x + box.width / 2, box.y + box.height - 4)?.closest('.card') !== one;
+    }).map((one) => one.id)""")
+    assert page.page.locator(".samples .card").count() == 6 and hidden == []
+    for one in made:
+        page.studio.ask("DELETE", f"/api/characters/{one['character']['id']}")
 
 
 @pytest.mark.parametrize("width", [1280, 800, 420])
