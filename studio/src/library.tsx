@@ -25,7 +25,9 @@ export const clipOf = (name: string): LibraryClip | undefined => all.value.find(
 export async function knowClips(): Promise<void> {
   if (!all.value.length) {
     all.value = (await get<{ clips: LibraryClip[] }>("/clips")).clips;
-    found.value = all.value;
+    if (!words.value.trim() && !kind.value) {
+      found.value = all.value; // what was asked for meanwhile stays
+    }
   }
 }
 

@@ -176,6 +176,21 @@ DRAWN = """(name) => {
 """Whether the card of a clip shows something."""
 
 
+def test_words_that_are_typed_before_the_library_is_there_find_what_they_say(page):
+    held = []
+    page.page.route("**/api/clips", lambda route: held.append(route))
+    try:
+        page.page.click("#tab-clips")
+        page.page.fill("#clip-words", "applauds")
+        page.page.wait_for_selector("#clip-clap")
+        found = page.page.locator(".clip").count()
+        held[0].continue_()
+        page.page.wait_for_selector("#clip-words[placeholder^='search 2']")
+        assert page.page.locator(".clip").count() == found < 100
+    finally:
+        page.page.unroute("**/api/clips")
+
+
 def test_clips_are_dragged_and_added_onto_the_timeline(page):
     page.page.click("#tab-clips")
     page.page.fill("#clip-words", "bow")
