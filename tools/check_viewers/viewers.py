@@ -13,7 +13,7 @@ import shutil
 import struct
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -88,20 +88,7 @@ def blender_vertices(shots: Shots, fps: float, clip: int = 0) -> list[np.ndarray
         fps: Frames a second of the scene; between frames Blender's turns are a little off the shortest way.
         clip: Which clip of the files is played.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        jobs = [
-            {
-                "glb": str(Path(glb).resolve()),
-                "times": list(map(float, times)),
-                "fps": fps,
-                "out": f"{folder}/{k}",
-                "clip": clip,
-            }
-            for k, (glb, times) in enumerate(shots)
-        ]
-        Path(folder, "jobs.json").write_text(json.dumps(jobs))
-        _run([*blender_command(), str(HERE / "blender_play.py"), "--", f"{folder}/jobs.json"])
-        return [_blender_order(Path(job["glb"]), Path(job["out"]), len(job["times"])) for job in jobs]
+    return _played([*blender_command(), str(HERE / "blender_play.py")], _blender_order, shots, fps, clip)
 
 
 def godot_vertices(shots: Shots, fps: float, clip: int = 0) -> list[np.ndarray]:
@@ -110,6 +97,22 @@ def godot_vertices(shots: Shots, fps: float, clip: int = 0) -> list[np.ndarray]:
     Args:
         shots: Files and times [s].
         fps: Frames a second at which Godot samples the clips as it reads them; the import's own is 30.
+        clip: Which clip of the files is played.
+    """
+    command = [os.environ["BUNRAKU_GODOT"], "--headless", "--script", str(HERE / "godot_play.gd")]
+    return _played(command, _godot_order, shots, fps, clip)
+
+
+def _played(
+    command: Sequence[str], order: Callable[[Path, Path, int], np.ndarray], shots: Shots, fps: float, clip: int
+) -> list[np.ndarray]:
+    """What a program's script writes of each file, with its vertices in the order of the file.
+
+    Args:
+        command: The program and its script, which takes a file of jobs.
+        order: Puts what was written into the file's order, from the GLB, what was written, and the number of times.
+        shots: Files and times [s].
+        fps: Frames a second.
         clip: Which clip of the files is played.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -124,9 +127,8 @@ def godot_vertices(shots: Shots, fps: float, clip: int = 0) -> list[np.ndarray]:
             for k, (glb, times) in enumerate(shots)
         ]
         Path(folder, "jobs.json").write_text(json.dumps(jobs))
-        script = str(HERE / "godot_play.gd")
-        _run([os.environ["BUNRAKU_GODOT"], "--headless", "--script", script, "--", f"{folder}/jobs.json"])
-        return [_godot_order(Path(job["glb"]), Path(job["out"]), len(job["times"])) for job in jobs]
+        _run([*command, "--", f"{folder}/jobs.json"])
+        return [order(Path(job["glb"]), Path(job["out"]), len(job["times"])) for job in jobs]
 
 
 def _run(command: list[str], given: str = "") -> None:

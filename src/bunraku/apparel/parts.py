@@ -25,15 +25,13 @@ def whole_pieces(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -
     Raises:
         CharacterError: The mesh is broken.
     """
-    clean = clean_mesh(vertices, faces)
-    count = len(clean.vertices)
-    piece = mesh_parts(unique_edges(clean.faces, count), count)
-    cloth = np.zeros(count, bool)
-    cloth[clean.index[apparel]] = True
+    index, edges, cloth = _welded(vertices, faces, apparel)
+    count = len(cloth)
+    piece = mesh_parts(edges, count)
     sizes = np.bincount(piece)
     share = np.bincount(piece, cloth) / np.maximum(sizes, 1)
     whole = (share >= MOSTLY) & (sizes < LARGE * count)
-    own = piece[clean.index]
+    own = piece[index]
     return np.asarray(np.where(whole[own], own, -1))
 
 
@@ -51,13 +49,19 @@ def apparel_parts(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) 
     Raises:
         CharacterError: The mesh is broken.
     """
-    clean = clean_mesh(vertices, faces)
-    count = len(clean.vertices)
-    cloth = np.zeros(count, bool)
-    cloth[clean.index[apparel]] = True
-    edges = unique_edges(clean.faces, count)
-    own = mesh_parts(edges[cloth[edges].all(axis=1)], count)[clean.index]
+    index, edges, cloth = _welded(vertices, faces, apparel)
+    own = mesh_parts(edges[cloth[edges].all(axis=1)], len(cloth))[index]
     out = np.full(len(vertices), -1, np.int32)
     _, first, number = np.unique(own[apparel], return_index=True, return_inverse=True)
     out[apparel] = np.argsort(np.argsort(first))[number.reshape(-1)]
     return out
+
+
+def _welded(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The point of each vertex (V,), where vertices at one position are one; the edges between points (E, 2); and
+    which points are apparel, shape (P,).
+    """
+    clean = clean_mesh(vertices, faces)
+    cloth = np.zeros(len(clean.vertices), bool)
+    cloth[clean.index[apparel]] = True
+    return clean.index, unique_edges(clean.faces, len(cloth)), cloth

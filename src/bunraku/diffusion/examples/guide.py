@@ -136,7 +136,7 @@ def laid(
         last = _end(features[-END:], values[-END:], features[0, 3], statistics, example.made)
     still = statistics.normalise(np.zeros(FEATURE_SIZE, np.float32))[:3]
     led = longer = values
-    if len(values) < frames and pack.standing:
+    if len(values) < frames and (first, last) != ("free", "free") and pack.standing:
         own = [index for index in pack.standing if pack.examples[index].made == example.made] or pack.standing
         standing = [statistics.normalise(pack.features(index)).astype(np.float32) for index in own]
         before, after = (Joins(standing, near=NEAR if end == "stays" else np.inf) for end in (first, last))

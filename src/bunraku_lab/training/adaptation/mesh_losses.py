@@ -7,7 +7,6 @@ import torch
 from torch import Tensor
 
 from bunraku_lab.datasets.characters.bank_file import CharacterBank
-from bunraku_lab.nn.checkpoints import TrainingState
 from bunraku_lab.training.diffusion.mesh_learning import MeshDraw, MeshLearning
 from bunraku_lab.training.losses.adversarial_loss import ARM_VERTICES
 
@@ -53,16 +52,3 @@ class MeshLosses:
             if learns:
                 learning.step()
         return self.spring * spring + self.adversarial * adversarial
-
-    def state(self) -> tuple[dict[str, dict[str, Tensor]], dict[str, dict[str, object]], dict[str, float]]:
-        """Models, optimisers and values to go on from."""
-        learning = self.learning
-        models = {"discriminator": learning.discriminator.state_dict()}
-        return models, {"discriminator": learning.optimizer.state_dict()}, {"score": learning.score}
-
-    def restore(self, state: TrainingState) -> None:
-        """Go on from a saved state; one without a discriminator leaves a fresh one."""
-        if "discriminator" in state.models:
-            self.learning.discriminator.load_state_dict(state.models["discriminator"])
-            self.learning.optimizer.load_state_dict(state.optimizers["discriminator"])
-            self.learning.score = float(state.values.get("score", 0.0))

@@ -229,16 +229,12 @@ class _Run(TrainingRun):
 
     def save(self, results: dict[str, float]) -> Path:
         """Write the state, then the checkpoint."""
-        state, values = {"head": self.head.state_dict()}, {"seconds": self.seconds}
-        optimizers = {"adamw": self.optimizer.state_dict()}
-        if self.mesh_losses is not None:
-            models, others, numbers = self.mesh_losses.state()
-            state, optimizers, values = {**state, **models}, {**optimizers, **others}, {**values, **numbers}
+        models, optimizers = {"head": self.head.state_dict()}, {"adamw": self.optimizer.state_dict()}
         settings = {"run": plain_settings(asdict(self.config))}
-        save_training_state(
-            self.out / "state.safetensors",
-            TrainingState(self.step, state, optimizers, settings, values),
-        )
+        state = TrainingState(self.step, models, optimizers, settings, {"seconds": self.seconds})
+        if self.mesh_losses is not None:
+            self.mesh_losses.learning.add_to(state)
+        save_training_state(self.out / "state.safetensors", state)
         weight, bias = self.head.folded()
         tensors = {**self.model.state_dict(), "adaptation_out.weight": weight, "adaptation_out.bias": bias}
         built = build_denoiser(
@@ -263,7 +259,7 @@ class _Run(TrainingRun):
             )
             raise OptionError(f"{path}: {problem}") from error
         if self.mesh_losses is not None:
-            self.mesh_losses.restore(state)
+            self.mesh_losses.learning.restore(state)
         self.step, self.seconds = state.step, float(state.values["seconds"])
 
 

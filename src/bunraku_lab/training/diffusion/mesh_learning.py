@@ -18,6 +18,7 @@ from bunraku.body.layout import HANDLE_COUNT
 from bunraku.diffusion.features import ROOT_SIZE
 from bunraku.geometry.rotations import matrix_from_6d
 from bunraku_lab.datasets.characters.bank_file import CharacterBank
+from bunraku_lab.nn.checkpoints import TrainingState
 from bunraku_lab.training.losses.adversarial_loss import (
     ARM_VERTICES,
     MARGIN,
@@ -172,6 +173,19 @@ class MeshLearning:
         """One step of the discriminator's optimiser."""
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
+
+    def add_to(self, state: TrainingState) -> None:
+        """Add the discriminator to what a run goes on from."""
+        state.models["discriminator"] = self.discriminator.state_dict()
+        state.optimizers["discriminator"] = self.optimizer.state_dict()
+        state.values["score"] = self.score
+
+    def restore(self, state: TrainingState) -> None:
+        """Go on from a saved state; one of before there was a discriminator leaves a fresh one."""
+        if "discriminator" in state.models:
+            self.discriminator.load_state_dict(state.models["discriminator"])
+            self.optimizer.load_state_dict(state.optimizers["discriminator"])
+            self.score = float(state.values.get("score", 0.0))
 
     @property
     def learns(self) -> bool:

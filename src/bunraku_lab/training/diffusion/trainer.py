@@ -258,15 +258,11 @@ class Trainer:
         """The state to go on from, then the averaged weights to use."""
         models = {"model": self.model.state_dict(), "average": self.average.state_dict()}
         optimizers = {"adamw": self.optimizer.state_dict()}
-        values = {"seconds": self.seconds}
-        if self.learning is not None:
-            models["discriminator"] = self.learning.discriminator.state_dict()
-            optimizers["discriminator"] = self.learning.optimizer.state_dict()
-            values["score"] = self.learning.score
         settings = {"network": asdict(config), "run": {key: str(value) for key, value in asdict(self.config).items()}}
-        save_training_state(
-            folder / "state.safetensors", TrainingState(self.step, models, optimizers, settings, values)
-        )
+        state = TrainingState(self.step, models, optimizers, settings, {"seconds": self.seconds})
+        if self.learning is not None:
+            self.learning.add_to(state)
+        save_training_state(folder / "state.safetensors", state)
         notes = {
             "steps": self.step,
             "minutes": round(self.seconds / 60, 1),
@@ -298,8 +294,6 @@ class Trainer:
         self.model.load_state_dict(state.models["model"])
         self.average.load_state_dict(state.models["average"])
         self.optimizer.load_state_dict(state.optimizers["adamw"])
-        if self.learning is not None and "discriminator" in state.models:
-            self.learning.discriminator.load_state_dict(state.models["discriminator"])
-            self.learning.optimizer.load_state_dict(state.optimizers["discriminator"])
-            self.learning.score = float(state.values.get("score", 0.0))
+        if self.learning is not None:
+            self.learning.restore(state)
         self.step, self.seconds = state.step, float(state.values["seconds"])
