@@ -17,6 +17,7 @@ __all__ = [
     "apparel_refinement",
     "diffusion",
     "extractor",
+    "few_steps",
     "handles",
     "orientation",
     "ranker",
@@ -60,6 +61,19 @@ def diffusion() -> Verb:
     from bunraku_lab.training.diffusion.train import TrainingConfig, train_diffusion
 
     return TrainingConfig, lambda config: print(f"wrote {train_diffusion(config)}")
+
+
+def few_steps() -> Verb:
+    """Distil the denoiser into four steps, with guidance by sentences and by the critic in the weights.
+
+    What is learned is a small file beside the denoiser, which keeps its many steps. The same command goes on where a
+    run stopped.
+
+    Example: bunraku train few-steps --data data/motions --mesh-bank data/mesh_bank.npz --out runs/few-steps
+    """
+    from bunraku_lab.training.few_steps.train import FewStepsConfig, train_few_steps
+
+    return _verb(FewStepsConfig, train_few_steps)
 
 
 def adaptation() -> Verb:

@@ -88,6 +88,7 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "train what merges body and apparel",
     ),
     ("train", "apparel"): ("bunraku_lab.cli.train", "apparel", "train the network that moves apparel"),
+    ("train", "few-steps"): ("bunraku_lab.cli.train", "few_steps", "distil the denoiser into four steps"),
     ("train", "adaptation"): ("bunraku_lab.cli.train", "adaptation", "fine-tune the adaptation of motions to meshes"),
     ("evaluate", "handles"): (
         "bunraku_lab.cli.evaluate.handles",

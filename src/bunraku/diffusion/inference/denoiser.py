@@ -18,6 +18,7 @@ from bunraku.body.residuals import capped
 from bunraku.diffusion.denoiser_config import ARCHITECTURES, DenoiserConfig
 from bunraku.diffusion.features import ROOT_SIZE
 from bunraku.diffusion.inference.examples import EXAMPLE_TOKENS, RetrievedExamples
+from bunraku.diffusion.inference.few_steps import load_few_steps
 from bunraku.diffusion.inference.layers import (
     Condition,
     DecoderLayer,
@@ -44,13 +45,20 @@ class Denoiser:
         config: Its sizes.
         weights: Of a checkpoint.
         notes: What the checkpoint says of its training.
+        visited: The few steps that the weights were distilled for, falling; none of others.
 
     Raises:
         ValueError: The weights have other sizes.
     """
 
-    def __init__(self, config: DenoiserConfig, weights: Weights, notes: dict[str, Any] | None = None):
-        self.config = config
+    def __init__(
+        self,
+        config: DenoiserConfig,
+        weights: Weights,
+        notes: dict[str, Any] | None = None,
+        visited: tuple[int, ...] = (),
+    ):
+        self.config, self.visited = config, visited
         self.notes: dict[str, Any] = notes or {}
         width, patch = config.width, config.frames_per_token
         if config.heads < 1 or width % (2 * config.heads) or patch < 1:
@@ -301,7 +309,9 @@ def joint_offsets(moves: np.ndarray, features: np.ndarray) -> np.ndarray:
     return np.stack(offsets, axis=2)
 
 
-def build_denoiser(config: DenoiserConfig, weights: Weights, notes: dict[str, Any] | None = None) -> Denoiser:
+def build_denoiser(
+    config: DenoiserConfig, weights: Weights, notes: dict[str, Any] | None = None, visited: tuple[int, ...] = ()
+) -> Denoiser:
     """The denoiser that a config describes; both kinds are called alike.
 
     Raises:
@@ -309,24 +319,33 @@ def build_denoiser(config: DenoiserConfig, weights: Weights, notes: dict[str, An
         ValueError: The weights have other sizes.
     """
     if config.architecture == "decoder":
-        return Denoiser(config, weights, notes)
+        return Denoiser(config, weights, notes, visited)
     if config.architecture == "encoder":
         plain = replace(config, convolution=0, examples=0)
-        return EncoderDenoiser(plain, weights, notes)
+        return EncoderDenoiser(plain, weights, notes, visited)
     raise WeightsError(f"the architecture '{config.architecture}' is unknown; there are {' and '.join(ARCHITECTURES)}")
 
 
-def load_denoiser(path: str | Path) -> Denoiser:
+def load_denoiser(path: str | Path, few: str | Path | None = None) -> Denoiser:
     """Read a denoiser, ready for sampling.
 
+    Args:
+        path: The checkpoint.
+        few: What `bunraku train few-steps` made of it: the denoiser for few steps.
+
     Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
+        WeightsError: A file is missing, damaged, of another kind, its config and weights disagree, or the few steps are
+            another denoiser's.
     """
+    changes = None if few is None else load_few_steps(few)
     state, config = load_checkpoint(path, KIND, half=True)
+    if changes is not None and not changes.fits(state):
+        raise WeightsError(f"{few}: it was distilled of another denoiser than {path}; distil this one")
     notes = config.pop("notes", None)
     try:
-        weights = Weights(state)
-        model = build_denoiser(config_of(DenoiserConfig, config), weights, dict(notes or {}))
+        weights = Weights(state if changes is None else changes.on(state))
+        visited = () if changes is None else changes.visited
+        model = build_denoiser(config_of(DenoiserConfig, config), weights, dict(notes or {}), visited)
         weights.done()
     except Exception as error:
         raise WeightsError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -18,6 +18,7 @@ from bunraku.nn.threads import side_by_side
 
 __all__ = [
     "Known",
+    "Predictor",
     "Sample",
     "Solver",
     "Steering",
@@ -230,53 +231,88 @@ def sample_windows(
     Returns:
         Values (F, D) and adaptation (F, K, 3); zero in frames that no window counts in.
     """
-    guide, held = steering.guide, steering.known
-    order = sorted(windows, key=lambda window: len(window.frames))  # a group pads to its longest
-    led_whole = [guide is not None and bool((guide[1][window.frames] >= 1).all()) for window in order]
-    examples = None
-    if model.config.examples:
-        from bunraku.diffusion.examples.attended import example_bank
-
-        examples = example_bank(model.config, FeatureStatistics(model.mean, model.std))(text)
-    total = np.zeros(len(noise), np.float32)
-    for window in windows:
-        np.add.at(total, window.frames, window.share)
-    groups = [
-        _Group(model, text, some[start : start + GROUP], mesh_features, examples, solver, total, led)
-        for led in (False, True)
-        for some in [[window for window, own in zip(order, led_whole, strict=True) if own == led]]
-        for start in range(0, len(some), GROUP)
-    ]
-    visited = sampling_steps(solver.steps)
-    handles = model.config.handles
-    last = np.zeros((len(noise), handles, 3), np.float32)
-
-    def predict(x: np.ndarray, step: int) -> np.ndarray:
-        x0 = np.zeros_like(x)
-        for group in groups:
-            if group.led and step >= LED_UNTIL and step != visited[-1]:
-                continue  # whatever the network says, the guide overwrites it
-            values, offsets = group.predict(model, x, step, final=step == visited[-1])
-            x0 += group.laid(values)
-            if offsets is not None:
-                last[:] += group.laid(offsets.reshape(*offsets.shape[:2], -1)).reshape(last.shape)
-        if steering.classifier_guidance is not None:
-            x0 = steering.classifier_guidance(x0, step)
-        if guide is not None:
-            pose = slice(ROOT.stop, None)
-            x0[:, ROOT] = between(x0[:, ROOT], guide[0][:, ROOT], guide[1])
-            x0[:, pose] = between(x0[:, pose], guide[0][:, pose], guide[1] * (step >= guide[2]))
-        if steering.refine is not None:
-            x0 = steering.refine(x0)
-        return x0 if held is None else between(x0, *held)
-
+    predictor = Predictor(model, text, windows, len(noise), solver, steering, mesh_features)
     if solver.method == "dpm":
-        values = dpm_solver(predict, noise, visited, solver.progress)
+        values = dpm_solver(predictor, noise, predictor.visited, solver.progress, 1 if model.visited else 2)
     elif solver.method == "ddpm":
-        values = ancestral(predict, noise, visited, generator(seed, -1), solver.progress)
+        values = ancestral(predictor, noise, predictor.visited, generator(seed, -1), solver.progress)
     else:
         raise ValueError(f"there is no sampler '{solver.method}'; take 'dpm' or 'ddpm'")
-    return Sample(values, last)
+    return Sample(values, predictor.adaptation)
+
+
+class Predictor:
+    """What a solver asks for: x0 of a time line at a step, as all windows and all that steers say.
+
+    Args:
+        model: The denoiser; one that learned few steps visits those and takes its guidance from its weights.
+        text: Encoded sentences, which the windows name by their rows.
+        windows: What the denoiser sees at once.
+        frames: Of the time line, F.
+        solver: How it is denoised.
+        steering: What acts on the predictions.
+        mesh_features: f_phi of each sentence's character, shape (B, 448).
+
+    Attributes:
+        visited: The steps, falling; the last one tells the adaptation.
+        adaptation: Of the last step, shape (F, K, 3).
+    """
+
+    def __init__(
+        self,
+        model: Denoiser,
+        text: TextBatch,
+        windows: Sequence[Window],
+        frames: int,
+        solver: Solver = Solver(),
+        steering: Steering = Steering(),
+        mesh_features: np.ndarray | None = None,
+    ):
+        self.model, self.steering = model, steering
+        self.visited = list(model.visited) or sampling_steps(solver.steps)
+        guide = steering.guide
+        order = sorted(windows, key=lambda window: len(window.frames))  # a group pads to its longest
+        led_whole = [guide is not None and bool((guide[1][window.frames] >= 1).all()) for window in order]
+        examples = None
+        if model.config.examples:
+            from bunraku.diffusion.examples.attended import example_bank
+
+            examples = example_bank(model.config, FeatureStatistics(model.mean, model.std))(text)
+        total = np.zeros(frames, np.float32)
+        for window in windows:
+            np.add.at(total, window.frames, window.share)
+        if model.visited:
+            solver = replace(solver, guidance=1.0)
+        self._groups = [
+            _Group(model, text, some[start : start + GROUP], mesh_features, examples, solver, total, led)
+            for led in (False, True)
+            for some in [[window for window, own in zip(order, led_whole, strict=True) if own == led]]
+            for start in range(0, len(some), GROUP)
+        ]
+        self.adaptation = np.zeros((frames, model.config.handles, 3), np.float32)
+
+    def __call__(self, x: np.ndarray, step: int) -> np.ndarray:
+        """x0 (F, D) from x_t on the time line (F, D)."""
+        x0, final = np.zeros_like(x), step == self.visited[-1]
+        for group in self._groups:
+            if group.led and step >= LED_UNTIL and not final:
+                continue  # whatever the network says, the guide overwrites it
+            values, offsets = group.predict(self.model, x, step, final)
+            x0 += group.laid(values)
+            if offsets is not None:
+                laid = group.laid(offsets.reshape(*offsets.shape[:2], -1))
+                self.adaptation += laid.reshape(self.adaptation.shape)
+        steering = self.steering
+        if steering.classifier_guidance is not None:
+            x0 = steering.classifier_guidance(x0, step)
+        if steering.guide is not None:
+            values, share, until = steering.guide
+            pose = slice(ROOT.stop, None)
+            x0[:, ROOT] = between(x0[:, ROOT], values[:, ROOT], share)
+            x0[:, pose] = between(x0[:, pose], values[:, pose], share * (step >= until))
+        if steering.refine is not None:
+            x0 = steering.refine(x0)
+        return x0 if steering.known is None else between(x0, *steering.known)
 
 
 class _Group:

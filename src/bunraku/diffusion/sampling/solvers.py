@@ -66,7 +66,9 @@ def _moments(step: int, curve: np.ndarray) -> tuple[float, float, float]:
     return alpha, sigma, math.log(alpha / sigma) if sigma > 0 else math.inf
 
 
-def dpm_solver(predict: Predict, noise: np.ndarray, steps: list[int], progress: Progress | None = None) -> np.ndarray:
+def dpm_solver(
+    predict: Predict, noise: np.ndarray, steps: list[int], progress: Progress | None = None, order: int = 2
+) -> np.ndarray:
     """DPM-Solver++ (2M): from x_T to x_0 with one prediction of x0 a step.
 
     Args:
@@ -74,6 +76,7 @@ def dpm_solver(predict: Predict, noise: np.ndarray, steps: list[int], progress: 
         noise: x_T, of any shape.
         steps: Training steps to visit, falling.
         progress: Called with (done, total).
+        order: 2; of order 1 it is DDIM (Song et al. 2021), which networks learn few steps by.
     """
     curve, x = alphas_cumprod(), noise
     before: tuple[np.ndarray, float] | None = None  # the last prediction and its lambda
@@ -82,7 +85,7 @@ def dpm_solver(predict: Predict, noise: np.ndarray, steps: list[int], progress: 
         alpha_next, sigma_next, there = _moments(steps[index + 1] if index + 1 < len(steps) else -1, curve)
         clean = predict(x, step)
         direction = clean
-        if before is not None and math.isfinite(there):  # second order: extrapolate in lambda
+        if order > 1 and before is not None and math.isfinite(there):  # second order: extrapolate in lambda
             ratio = (there - here) / (here - before[1])
             direction = clean + 0.5 * ratio * (clean - before[0])
         x = (sigma_next / sigma) * x - alpha_next * math.expm1(here - there) * direction
