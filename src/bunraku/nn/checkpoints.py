@@ -27,6 +27,7 @@ __all__ = [
     "fitting_config",
     "load_checkpoint",
     "load_network",
+    "read_config",
     "read_tensors",
     "save_checkpoint",
     "shipped_checkpoint",
@@ -68,6 +69,23 @@ def read_tensors(path: Path, kind: str, framework: str = "np") -> tuple[dict[str
     Raises:
         WeightsError: The file is missing, of another kind, damaged or cut short.
     """
+    with _opened(path, kind, framework) as (file, config):
+        return {name: file.get_tensor(name) for name in file.keys()}, config  # noqa: SIM118 - not a dict
+
+
+def read_config(path: Path, kind: str) -> dict[str, Any]:
+    """The config alone.
+
+    Raises:
+        WeightsError: As `read_tensors`.
+    """
+    with _opened(path, kind) as (_, config):
+        return config
+
+
+@contextmanager
+def _opened(path: Path, kind: str, framework: str = "np") -> Iterator[tuple[Any, dict[str, Any]]]:
+    """A checkpoint, open, and its config; what goes wrong meanwhile as one sentence."""
     from safetensors import safe_open
 
     if not path.is_file():
@@ -87,14 +105,13 @@ def read_tensors(path: Path, kind: str, framework: str = "np") -> tuple[dict[str
             config = json.loads(metadata["config"])
             if not isinstance(config, dict):
                 raise ValueError("the config is not an object")
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
+            yield file, config
     except WeightsError:
         raise
     except Exception as error:
         raise WeightsError(
             f"{path}: the checkpoint is damaged or cut short ({error}); copy or train it again"
         ) from error
-    return tensors, config
 
 
 def stored_as_half(count: int, largest: float) -> bool:

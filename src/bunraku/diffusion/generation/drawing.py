@@ -45,8 +45,8 @@ class Drawing:
     """How a motion is drawn.
 
     Args:
-        steps: Sampling steps, 1 to 1,000; None takes 8.
-        guidance: Classifier-free guidance scale, 0 to 20; None takes 3.5.
+        steps: Sampling steps, 1 to 1,000; None takes the few that the denoiser was distilled into, or 8.
+        guidance: Classifier-free guidance scale, 0 to 20; None takes 3.5, which few steps hold in their weights.
         mesh_feature: f_phi of the character, shape (448,); None, or weights that were trained without characters,
             generate for no mesh in particular.
         progress: Called with a stage's name and the share done.
@@ -87,6 +87,12 @@ class Drawing:
     def networks(self) -> Networks:
         """The networks that draw."""
         return self.held or Networks(self.checkpoint)
+
+    @property
+    def denoiser(self) -> Denoiser:
+        """What predicts: the denoiser of few steps where no other number of steps or guidance is asked for."""
+        few = self.networks.few_steps if self.steps is None and self.guidance is None else None
+        return few or self.networks.denoiser
 
     def of_body(self, model: Denoiser) -> bool:
         """Whether what is drawn is a body's own motion: see `HandleMotion`."""
@@ -143,7 +149,7 @@ def draw_candidates(
     from bunraku.diffusion.sampling.windows import plan_windows, sample_plans
     from bunraku.nn.threads import one_thread
 
-    model = how.networks.denoiser
+    model = how.denoiser
     lengths = [frames_of([clause.seconds for clause in script], model.config.fps) for script in scripts]
     plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
     tracks = [track for index, script in enumerate(scripts) if (track := PartTrack.of(index, script))]

@@ -86,7 +86,7 @@ def generate_motions(
         how.progress("generate", 0.0)
     networks = how.networks
     how = replace(how, held=networks)
-    model = networks.denoiser
+    model = how.denoiser
     noise = drawn_noise(seeds, len(scripts))
     plain = 0 if how.all_led else 1  # candidates of a turn that start from no example
     pack = networks.examples if how.candidates > plain and how.examples else None

@@ -9,7 +9,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bunraku.formats.files import weights_file
 from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku.nn.checkpoints import dated, dated_checkpoint
 
 if TYPE_CHECKING:
     from bunraku.diffusion.examples.pack import ExamplePack
@@ -35,12 +37,21 @@ class Networks:
     @cached_property
     def denoiser(self) -> Denoiser:
         """What predicts the clean motion (section 3.2 of TapMo)."""
-        return load_generator(self.checkpoint)[0]
+        return _denoiser(*dated_checkpoint("diffusion", self.checkpoint))
 
     @cached_property
     def encoder(self) -> TextEncoder:
         """The denoiser's text encoder."""
-        return load_generator(self.checkpoint)[1]
+        return _encoder(*dated_checkpoint("diffusion", self.checkpoint))
+
+    @cached_property
+    def few_steps(self) -> Denoiser | None:
+        """The denoiser for the few steps that it was distilled into, which holds its guidance; None where it was not.
+        The changes are a file beside its weights, or the shipped ones where they are of these weights.
+        """
+        path, changed = dated_checkpoint("diffusion", self.checkpoint)
+        beside = path.with_name("few-steps.safetensors")
+        return _load_few(path, changed, *dated(beside if beside.is_file() else weights_file("few-steps.safetensors")))
 
     @cached_property
     def ranker(self) -> Extractor:
@@ -75,15 +86,27 @@ def load_generator(checkpoint: str | Path | None = None) -> tuple[Denoiser, Text
     Raises:
         WeightsError: The weights are missing or broken.
     """
-    from bunraku.nn.checkpoints import dated_checkpoint
-
-    return _load(*dated_checkpoint("diffusion", checkpoint))
+    found = dated_checkpoint("diffusion", checkpoint)
+    return _denoiser(*found), _encoder(*found)
 
 
 @functools.lru_cache(maxsize=2)
-def _load(path: Path, changed: int) -> tuple[Denoiser, TextEncoder]:
+def _denoiser(path: Path, changed: int) -> Denoiser:
     from bunraku.diffusion.inference.denoiser import load_denoiser
 
-    model = load_denoiser(path)
-    name = model.config.text_encoder
-    return model, text_encoder(name, os.environ.get("BUNRAKU_CLIP") if name.startswith("clip") else None)
+    return load_denoiser(path)
+
+
+@functools.lru_cache(maxsize=2)
+def _encoder(path: Path, changed: int) -> TextEncoder:
+    from bunraku.diffusion.inference.denoiser import text_encoder_name
+
+    name = text_encoder_name(path)
+    return text_encoder(name, os.environ.get("BUNRAKU_CLIP") if name.startswith("clip") else None)
+
+
+@functools.lru_cache(maxsize=1)
+def _load_few(path: Path, changed: int, few: Path, few_changed: int) -> Denoiser | None:
+    from bunraku.diffusion.inference.denoiser import load_denoiser_of_few_steps
+
+    return load_denoiser_of_few_steps(path, few) if few.is_file() else None

@@ -7,6 +7,7 @@ examples.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,11 +28,19 @@ from bunraku.diffusion.inference.layers import (
 )
 from bunraku.errors import WeightsError
 from bunraku.geometry.rotations import matrix_from_6d
-from bunraku.nn.checkpoints import config_of, load_checkpoint
+from bunraku.nn.checkpoints import config_of, load_checkpoint, read_config
 from bunraku.nn.layers import Memory, Norm, PreNorm, Rotary, hidden_by, normed, silu
 from bunraku.nn.weights import Weights
 
-__all__ = ["Denoiser", "EncoderDenoiser", "build_denoiser", "joint_offsets", "load_denoiser"]
+__all__ = [
+    "Denoiser",
+    "EncoderDenoiser",
+    "build_denoiser",
+    "joint_offsets",
+    "load_denoiser",
+    "load_denoiser_of_few_steps",
+    "text_encoder_name",
+]
 
 KIND = "diffusion"
 
@@ -326,25 +335,42 @@ def build_denoiser(
     raise WeightsError(f"the architecture '{config.architecture}' is unknown; there are {' and '.join(ARCHITECTURES)}")
 
 
-def load_denoiser(path: str | Path, few: str | Path | None = None) -> Denoiser:
+def load_denoiser(path: str | Path) -> Denoiser:
     """Read a denoiser, ready for sampling.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
+    """
+    return _built(path, *load_checkpoint(path, KIND, half=True))
+
+
+def load_denoiser_of_few_steps(path: str | Path, few: str | Path) -> Denoiser | None:
+    """Read a denoiser as `bunraku train few-steps` changed it; None where the changes are another denoiser's.
 
     Args:
         path: The checkpoint.
-        few: What `bunraku train few-steps` made of it: the denoiser for few steps.
+        few: The changes.
 
     Raises:
-        WeightsError: A file is missing, damaged, of another kind, its config and weights disagree, or the few steps are
-            another denoiser's.
+        WeightsError: A file is missing, damaged, of another kind, or its config and weights disagree.
     """
-    changes = None if few is None else load_few_steps(few)
+    changes = load_few_steps(few)
     state, config = load_checkpoint(path, KIND, half=True)
-    if changes is not None and not changes.fits(state):
-        raise WeightsError(f"{few}: it was distilled of another denoiser than {path}; distil this one")
+    if not changes.fits(state):
+        return None
+    try:
+        changed = changes.on(state)
+    except ValueError as error:
+        raise WeightsError(f"{few}: {error}; distil the denoiser again") from error
+    return _built(path, changed, config, changes.visited)
+
+
+def _built(
+    path: str | Path, state: Mapping[str, np.ndarray], config: dict[str, Any], visited: tuple[int, ...] = ()
+) -> Denoiser:
     notes = config.pop("notes", None)
     try:
-        weights = Weights(state if changes is None else changes.on(state))
-        visited = () if changes is None else changes.visited
+        weights = Weights(state)
         model = build_denoiser(config_of(DenoiserConfig, config), weights, dict(notes or {}), visited)
         weights.done()
     except Exception as error:
@@ -353,3 +379,12 @@ def load_denoiser(path: str | Path, few: str | Path | None = None) -> Denoiser:
             "again"
         ) from error
     return model
+
+
+def text_encoder_name(path: str | Path) -> str:
+    """Of the text encoder that a denoiser was trained with.
+
+    Raises:
+        WeightsError: The file is missing, damaged or of another kind.
+    """
+    return str(read_config(Path(path), KIND).get("text_encoder", DenoiserConfig.text_encoder))

@@ -7,7 +7,7 @@ take a tenth of the teacher's room, and the teacher stays beside them.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,19 +50,35 @@ class FewSteps:
         """Whether these are the teacher's weights."""
         return self.of == fingerprint(state)
 
-    def on(self, state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The teacher's weights, changed.
+    def on(self, state: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+        """The teacher's weights, each changed when it is asked for, so that they are never all there twice.
 
         Raises:
             ValueError: A change is of no matrix of theirs.
         """
-        out = dict(state)
         for name, (up, down) in self.changes.items():
             matrix = state.get(name)
-            if matrix is None or up.ndim != 2 or matrix.shape != (len(up), down.shape[-1]):
-                raise ValueError(f"'{name}' is no matrix of {len(up)} x {down.shape[-1]} in the denoiser")
-            out[name] = matrix.astype(np.float32) + up.astype(np.float32) @ down.astype(np.float32)
-        return out
+            if matrix is None or up.ndim != 2 or down.ndim != 2 or matrix.shape != (len(up), down.shape[1]):
+                raise ValueError(f"'{name}' is no matrix of the denoiser that has this change's size")
+        return _Changed(state, self.changes)
+
+
+class _Changed(Mapping[str, np.ndarray]):
+    def __init__(self, state: Mapping[str, np.ndarray], changes: Mapping[str, tuple[np.ndarray, np.ndarray]]):
+        self._state, self._changes = state, changes
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        matrix, change = self._state[name], self._changes.get(name)
+        if change is None:
+            return matrix
+        up, down = (part.astype(np.float32) for part in change)
+        return np.asarray(matrix.astype(np.float32) + up @ down)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._state)
+
+    def __len__(self) -> int:
+        return len(self._state)
 
 
 def load_few_steps(path: str | Path) -> FewSteps:

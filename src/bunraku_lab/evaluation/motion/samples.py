@@ -48,8 +48,8 @@ class SamplerSettings:
     """Settings of the sampler.
 
     Args:
-        steps: Predictions of x0.
-        guidance: Scale of classifier-free guidance.
+        steps: Predictions of x0; None takes those that `animate` makes, by `choose_motions` alone.
+        guidance: Scale of classifier-free guidance; None likewise.
         method: "dpm", or "ddpm" for the ancestral reference.
         seed: Of the noise.
         candidates: Of how many each motion is chosen, as `animate` does; 1 for none.
@@ -57,8 +57,8 @@ class SamplerSettings:
         classifier_guidance: What is predicted is guided towards its sentence; by `choose_motions` alone.
     """
 
-    steps: int
-    guidance: float
+    steps: int | None
+    guidance: float | None
     method: str = "dpm"
     seed: int = 0
     candidates: int = 1
@@ -109,6 +109,9 @@ def make_motions(
     from bunraku.diffusion.sampling.sampler import Solver, sample
     from bunraku.nn.threads import one_thread
 
+    if sampling.steps is None or sampling.guidance is None:
+        raise ValueError("what the network says alone needs a number of steps and a guidance")
+    solver = Solver(sampling.steps, sampling.guidance, method=sampling.method)
     longest = max((request.frames for request in requests), default=0)
     if longest > model.config.frames:
         raise OptionError(
@@ -123,7 +126,7 @@ def make_motions(
         with one_thread():
             found = sample(
                 model, encoder.encode([requests[row].sentence for row in rows]), requests[rows[0]].frames,
-                Solver(sampling.steps, sampling.guidance, method=sampling.method),
+                solver,
                 mesh_features=None if mesh is None else mesh.repeat(len(rows), axis=0),
                 seed=sampling.seed + 104_729 * (number + 1),
             )  # fmt: skip
@@ -228,7 +231,8 @@ def _key(
     wanted = [[request.sentence, request.frames] for request in requests]
     how = [sampling.steps, sampling.guidance, sampling.method, sampling.seed, adapt, BATCH]
     if sampling.candidates > 1 or sampling.examples or sampling.classifier_guidance:
-        files = [path for name in CHOOSING if (path := weights_file(f"{name}.safetensors")).is_file()]
+        few = ("few-steps",) if sampling.steps is None and sampling.guidance is None else ()
+        files = [path for name in (*CHOOSING, *few) if (path := weights_file(f"{name}.safetensors")).is_file()]
         how += [sampling.candidates, sampling.examples, sampling.classifier_guidance, *map(checkpoint_digest, files)]
     say = [digest, wanted, how, None if mesh is None else np.asarray(mesh, float).round(4).tolist()]
     return hashlib.sha256(json.dumps(say).encode()).hexdigest()[:20]

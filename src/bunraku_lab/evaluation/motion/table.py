@@ -66,7 +66,7 @@ class MotionEvalConfig:
         candidates: Sentences that a motion is tried with, its own included.
         prompts: Sentences of MModality.
         repeats: Motions of each of them.
-        steps: Steps of the default sampler; None takes the default.
+        steps: Steps of the sampler; None takes those of `animate`, and 8 of the network alone.
         guidance: Scale of classifier-free guidance; None takes the default.
         best_of: Of how many the ranker chooses each motion of the second table, and of a row of the first, as `animate`
             does; 1 for none, and no such row.
@@ -102,7 +102,7 @@ class MotionEvalConfig:
     seed: int = 0
 
     def sampler(self) -> SamplerSettings:
-        """The sampler that is measured."""
+        """The sampler of what the network says alone."""
         from bunraku.diffusion.generation.generate import GUIDANCE, STEPS
 
         steps, guidance = (
@@ -261,7 +261,8 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         found = choose_motions(
             [Request(window.sentence, window.frames) for window in windows],
             replace(
-                sampling, candidates=candidates, examples=examples, classifier_guidance=config.classifier_guidance
+                sampling, steps=config.steps, guidance=config.guidance, candidates=candidates, examples=examples,
+                classifier_guidance=config.classifier_guidance,
             ), models["tapmo"],
             folder=config.work, progress=partial(_told, report, f"motions of {name}"),
         )  # fmt: skip

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -24,8 +24,9 @@ from bunraku.diffusion.inference.extractor import load_critic
 from bunraku.diffusion.inference.few_steps import KIND, fingerprint
 from bunraku.errors import OptionError
 from bunraku.formats.files import weights_file
-from bunraku.language.encoders import text_encoder
+from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint, shipped_checkpoint
+from bunraku_lab.nn.checkpoints import TrainingState
 from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
@@ -128,6 +129,16 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
         if self.bank is None:
             return None
         return self.bank.draw(names, len(names), random)[0].numpy()
+
+    def extras(self) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+        """Also how many batches were drawn: who goes on draws lessons anew, from the next one on."""
+        values, generators = super().extras()
+        return {**values, "drawn": self.drawn}, generators
+
+    def take_extras(self, state: TrainingState) -> None:
+        """See `extras`."""
+        super().take_extras(state)
+        self.drawn = int(state.values["drawn"])
 
     def draw(self) -> None:
         """Trajectories of a further batch of rows."""
@@ -240,21 +251,32 @@ def _batched(told: Sequence[Told]) -> tuple[tuple[Tensor, Tensor, Tensor], Retri
     for row, one in enumerate(told):
         size = one.text.mask.shape[1]
         tokens[row, :size], mask[row, :size] = one.text.tokens[0], one.text.mask[0]
-    text = (*map(torch.from_numpy, (tokens, mask, np.concatenate([one.text.pooled for one in told]))),)
-    examples = [one.examples for one in told]
-    if examples[0] is None:
+    pooled = np.concatenate([one.text.pooled for one in told])
+    text = torch.from_numpy(tokens), torch.from_numpy(mask), torch.from_numpy(pooled)
+    found = [one.examples for one in told if one.examples is not None]
+    if not found:
         return text, None
-    found = [one for one in examples if one is not None]
     frames = max(one.values.shape[2] for one in found)
     values = np.zeros((len(found), found[0].values.shape[1], frames, found[0].values.shape[3]), np.float32)
-    for row, one in enumerate(found):
-        values[row, :, : one.values.shape[2]] = one.values[0]
+    for row, example in enumerate(found):
+        values[row, :, : example.values.shape[2]] = example.values[0]
     parts = values, np.concatenate([one.lengths for one in found]), np.concatenate([one.pooled for one in found])
     return text, RetrievedExamples(*map(torch.from_numpy, parts))
 
 
-def train_few_steps(config: FewStepsConfig, report: Report | None = None, progress: Progress | None = None) -> Path:
+def train_few_steps(
+    config: FewStepsConfig,
+    report: Report | None = None,
+    progress: Progress | None = None,
+    encoder: TextEncoder | None = None,
+) -> Path:
     """Distil, or go on, and return the path of the changes.
+
+    Args:
+        config: The run.
+        report: Called with each row of the log.
+        progress: Called with a stage's name and the share done.
+        encoder: In place of the denoiser's own text encoder.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another run.
@@ -280,6 +302,6 @@ def train_few_steps(config: FewStepsConfig, report: Report | None = None, progre
             f"{config.data}: there are no training clips; build the data again with 'bunraku data motions'"
         )
     critic = load_critic() if config.critic and weights_file("critic.safetensors").is_file() else None
-    lessons = Lessons(teacher, text_encoder(teacher.config.text_encoder), critic, config.guidance)
+    lessons = Lessons(teacher, encoder or text_encoder(teacher.config.text_encoder), critic, config.guidance)
     bank = None if config.mesh_bank is None else load_mesh_bank(config.mesh_bank, teacher.config.mesh_features)
     return FewStepsRun(config, diffusion, lessons, (train, held), bank).learn(report, progress)

@@ -156,8 +156,8 @@ class Lessons:
             own, clean = places(self.visited)[node].astype(np.float32)
             target = (there - own * here) / clean
             for row, length in enumerate(batch.lengths):
-                pair = (part[row, :length].astype(np.float16) for part in (here, target))
-                lessons.append(Lesson(*pair, node, told[row]))
+                noisy, aim = (part[row, :length].astype(np.float16) for part in (here, target))
+                lessons.append(Lesson(noisy, aim, node, told[row]))
         return lessons
 
     def _run(
