@@ -47,14 +47,14 @@ def still(frames=30):
     )
 
 
-def posed(frames, **angles):
-    """Joints turned about x by so many degrees, each a number or one for every frame; the lowest point of all frames is
-    on the ground.
+def posed(frames, axis=(1, 0, 0), **angles):
+    """Joints turned about an axis by so many degrees, each a number or one for every frame; the lowest point of all
+    frames is on the ground.
     """
     body = reference_body()
     rotations = np.tile(np.eye(3), (frames, JOINT_COUNT, 1, 1))
     for name, degrees in angles.items():
-        turn = np.radians(np.broadcast_to(degrees, frames))[:, None] * [1, 0, 0]
+        turn = np.radians(np.broadcast_to(degrees, frames))[:, None] * axis
         rotations[:, JOINT_NAMES.index(name)] = Rotation.from_rotvec(turn).as_matrix()
     motion = handle_motion_of_body(SkeletalMotion(body.skeleton, rotations, np.tile(body.joints[0], (frames, 1))))
     lowest = Animation(body.character(), body.handles, motion).vertices()[..., 1].min()
@@ -191,6 +191,24 @@ def test_one_foot_that_stands_keeps_the_body_while_the_other_swings(person):
     assert contacts.stands[:, 0].mean() < 0.2 < 0.9 < contacts.stands[:, 1].mean()
     assert np.abs(after.root_translation - motion.root_translation).max() < 0.01
     np.testing.assert_allclose(soles(after, person)[0], soles(motion, person)[0], atol=0.04)
+
+
+def test_feet_that_jump_apart_and_back_again_go_all_the_way(person):
+    """A jumping jack so low that the soles hardly leave the ground: two feet whose distance changes do not both stand,
+    and at the ends of their way they do. Where both might, two thirds of the way are left.
+    """
+    angle = 9 - 9 * np.cos(np.arange(44) * 2 * np.pi / 20)  # out and back in a second
+    motion = posed(44, (0, 0, 1), left_hip=angle, right_hip=-angle)
+    lift = 0.01 - np.minimum(*(points[..., 1].min(axis=1) for points in soles(motion, person)))
+    motion = replace(motion, root_translation=motion.root_translation + lift[:, None] * [0, 1, 0])
+
+    def apart(motion):
+        left, right = (points[..., 0].mean(axis=1) for points in soles(motion, person))
+        return np.ptp(np.abs(left - right))
+
+    after, contacts = Feet().locked(motion, reference_anatomy())
+    assert apart(motion) > 0.4 and apart(after) > 0.75 * apart(motion)
+    assert contacts.stands.max() > 0.9
 
 
 def test_nobody_stands_on_the_feet_when_kneeling():

@@ -58,6 +58,10 @@ class Feet(Stage):
         slow: Speed along the ground of a foot that comes to stand, in leg lengths a second.
         fast: Speed of one that no longer does.
         roll: Points of a sole so much higher than its lowest, over the leg's length, count half for where it is.
+        parts: Two feet whose distance changes so slowly may both stand, and where it changes so fast they do not, in leg
+            lengths a second. Who makes up to the first share of that change stands, and who makes up the second or more
+            does not: of two feet that jump apart neither does, whatever the root's path.
+        makes: Shares of the change that the slower one makes, between which it no longer stands; both make a half.
         short: Shorter contacts are none, and shorter gaps between them are closed [pairs of frames].
         apart: A foot that is so much faster than the slowest that stands counts half for the path.
         hurry: Likewise one that is so fast itself, in leg lengths a second.
@@ -79,6 +83,8 @@ class Feet(Stage):
     slow: float = 0.5
     fast: float = 1.0
     roll: float = 0.012
+    parts: tuple[float, float] = (0.1, 0.3)
+    makes: tuple[float, float] = (0.15, 0.35)
     short: int = 3
     apart: float = 0.25
     hurry: float = 2.0
@@ -132,6 +138,7 @@ class Feet(Stage):
         unit = motion.fps / lengths
         share = height / lengths
         trust = np.exp(-((np.maximum(share, 0) / self.low) ** 2)) * standing
+        near = (share < self.high) & standing
         missing = np.zeros((len(step), 2))
         for number in range(self.rounds):
             speed = np.linalg.norm(step + missing[:, None], axis=-1) * unit
@@ -144,11 +151,32 @@ class Feet(Stage):
                     np.stack([self._held(enters[:, leg], stays[:, leg]) for leg in range(len(legs))], axis=1)
                     * smooth_step(speed, self.fast, self.slow)
                     * smooth_step(share, self.high, self.low)
+                    * (1 - self._parting(step, speed, near, unit))
                 )
             slowest = np.take_along_axis(step, (speed + self.hurry * (1 - trust)).argmin(axis=1)[:, None, None], axis=1)
             beside = np.linalg.norm(step - slowest, axis=-1) * unit
             missing = self._root_steps(step, trust / (1 + (beside / self.apart) ** 4) / (1 + (speed / self.hurry) ** 2))
         return Contacts(step, height, trust), missing
+
+    def _parting(self, step: np.ndarray, speed: np.ndarray, near: np.ndarray, unit: np.ndarray) -> np.ndarray:
+        """How far each foot is known not to stand because its distance from another one near the ground changes, shape
+        (N - 1, L): two feet that stand stay as far from one another as they are.
+
+        Args:
+            step: Of each foot [m], shape (N - 1, L, 2).
+            speed: Of each foot along the ground, in leg lengths a second, shape (N - 1, L).
+            near: Whether it is near the ground, shape (N - 1, L).
+            unit: Leg lengths a second of a metre a frame, shape (L,).
+        """
+        out = np.zeros(speed.shape)
+        for foot in range(speed.shape[1]):
+            for other in range(speed.shape[1]):
+                if other != foot:
+                    change = np.linalg.norm(step[:, foot] - step[:, other], axis=-1) * unit[foot]
+                    share = np.minimum(speed[:, foot], speed[:, other]) / np.maximum(change, 1e-9)
+                    doubt = smooth_step(change, *self.parts) * smooth_step(share, *self.makes) * near[:, other]
+                    out[:, foot] = np.maximum(out[:, foot], doubt * near[:, foot])
+        return out
 
     def _held(self, enters: np.ndarray, stays: np.ndarray) -> np.ndarray:
         """Where a foot stands, shape (n,), bool: from where it enters until it no longer stays, forwards and backwards

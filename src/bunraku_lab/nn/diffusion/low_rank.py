@@ -42,7 +42,6 @@ def with_changes(model: nn.Module, rank: int, without: tuple[str, ...] = ()) -> 
         if isinstance(layer, nn.Linear) and name not in without:
             change = LowRank(layer.weight, min(rank, *layer.weight.shape))
             parametrize.register_parametrization(layer, "weight", change)
-            layer.parametrizations.weight.original.requires_grad_(False)
     return model
 
 
