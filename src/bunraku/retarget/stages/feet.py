@@ -58,10 +58,10 @@ class Feet(Stage):
         slow: Speed along the ground of a foot that comes to stand, in leg lengths a second.
         fast: Speed of one that no longer does.
         roll: Points of a sole so much higher than its lowest, over the leg's length, count half for where it is.
-        parts: Two feet whose distance changes so slowly may both stand, and where it changes so fast they do not, in leg
-            lengths a second. Who makes up to the first share of that change stands, and who makes up the second or more
-            does not: of two feet that jump apart neither does, whatever the root's path.
-        makes: Shares of the change that the slower one makes, between which it no longer stands; both make a half.
+        parts: Two feet near the ground whose distance changes so slowly may both stand, and where it changes so fast
+            they do not, in leg lengths a second. Where one of them makes nearly all of the change, the other stands.
+        makes: Shares of the change that the slower one makes, between which it no longer stands; who jumps apart makes
+            half of it with each foot.
         short: Shorter contacts are none, and shorter gaps between them are closed [pairs of frames].
         apart: A foot that is so much faster than the slowest that stands counts half for the path.
         hurry: Likewise one that is so fast itself, in leg lengths a second.
