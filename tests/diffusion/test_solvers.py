@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from bunraku.diffusion.sampling.solvers import TRAINING_STEPS, alphas_cumprod, sampling_steps
+from bunraku.diffusion.denoiser_config import TRAINING_STEPS
+from bunraku.diffusion.sampling.solvers import alphas_cumprod, sampling_steps
 
 
 def test_the_curve_is_the_cosine_of_nichol_and_dhariwal():

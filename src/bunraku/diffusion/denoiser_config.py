@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.diffusion.features import FEATURE_SIZE
 
-__all__ = ["ARCHITECTURES", "PRESETS", "DenoiserConfig"]
+__all__ = ["ARCHITECTURES", "PRESETS", "TRAINING_STEPS", "DenoiserConfig"]
+
+TRAINING_STEPS = 1000
+"""Of noise, from the clean motion on; a sampler visits some of them."""
 
 ARCHITECTURES = ("decoder", "encoder")
 

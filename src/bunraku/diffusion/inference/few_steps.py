@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.diffusion.sampling.solvers import TRAINING_STEPS
+from bunraku.diffusion.denoiser_config import TRAINING_STEPS
 from bunraku.errors import WeightsError
 from bunraku.nn.checkpoints import load_checkpoint
 

@@ -14,12 +14,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from bunraku.diffusion.denoiser_config import TRAINING_STEPS
 from bunraku.diffusion.sampling.noise import Noise
 
-__all__ = ["TRAINING_STEPS", "alphas_cumprod", "ancestral", "dpm_solver", "sampling_steps"]
+__all__ = ["alphas_cumprod", "ancestral", "dpm_solver", "sampling_steps"]
 
 
-TRAINING_STEPS = 1000
 FEW, MANY = (4, (-3.5, 2.0)), (20, (-6.0, 4.0))
 """Of how many steps, the lambda near the first that a sampler visits and at the last: 980 and 78 of four, 999 and 5 of
 twenty. Beyond them little changes from step to step, and few steps are better spent between.

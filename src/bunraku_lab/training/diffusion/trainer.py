@@ -10,9 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bunraku.diffusion.denoiser_config import DenoiserConfig
+from bunraku.diffusion.denoiser_config import TRAINING_STEPS, DenoiserConfig
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
-from bunraku.diffusion.sampling.solvers import TRAINING_STEPS
 from bunraku.errors import OptionError
 from bunraku_lab.datasets.characters.bank_file import CharacterBank
 from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
