@@ -4,10 +4,10 @@
     python benchmarks/blind.py make benchmarks/blind_prompts_3.txt --pool POOL --data data/motions -o SHEETS --key KEY
     python benchmarks/blind.py score KEY --answers ONE TWO --marks ONE TWO
 
-A pool has a sentence a line, before it, after a tab, the place that printed it: "owner/name@commit:path:line". `draw`
-shuffles it by --seed and takes the first sentences that no rule below leaves out; none is chosen by hand. The list
-names the place of each, and a digest of its words in place of the words, which are of others. Commit it before
-anything is made of it. `make` takes such a list with its pool, or a file with a sentence a line.
+Each line of a pool is the place that printed a sentence, "owner/name@commit:path:line", a tab and the sentence. `draw`
+shuffles the lines by --seed and takes the first that no rule below leaves out; none is chosen by hand. The list that it
+writes names the places, each with a digest of the words, which are of others. Commit it before anything is made of it.
+`make` takes such a list with its pool, or a file with a sentence a line.
 
 `make` draws captured stretches of held-out clips by lot, one of a clip at the most, and plays all on the reference
 body: sentences as `bunraku animate` does with its defaults, stretches as captured, turned so that they begin where
@@ -205,7 +205,7 @@ def write_sheet(animation: Any, path: Path, number: int) -> None:
 
 
 def from_above(motion: Any, frames: Any, width: int, height: int = 300) -> Any:
-    """The way over the ground, which a camera that follows hides: a numbered dot for each picture, and where it faces."""
+    """The way over the ground, which a camera that follows hides: a numbered dot for each picture, and its facing."""
     import numpy as np
     from PIL import Image, ImageDraw, ImageFont
 
