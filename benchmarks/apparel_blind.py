@@ -1,0 +1,155 @@
+"""Bare meshes that move with and without apparel, side by side in a hidden order, for people to judge.
+
+    python benchmarks/apparel_blind.py ARCHIVE --draw                   the list of meshes, by lot: apparel_blind.txt
+    python benchmarks/apparel_blind.py ARCHIVE FOLDER --key KEY         a sheet for each, and which is which
+    python benchmarks/apparel_blind.py ARCHIVE --key KEY --answers A B  counts answers
+
+ARCHIVE holds MakeHuman's clothes and hair (`makehuman/`), and the files of the list's third part (`files/`). A sheet
+has two rows of moments for A and two for B: one moves with `--apparel auto`, the other without. Each mesh moves by one
+clip of the library, drawn by lot too. Answers are lines "NUMBER A" or "NUMBER B"; "=" stands for no difference.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from bunraku import transfer
+from bunraku.clips import all_clips, clip
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character
+from bunraku.formats.gltf.turning import turned
+from bunraku.io import load_character
+from bunraku.io.units import in_metres
+from bunraku.pipelines.animate import rig
+from bunraku.pipelines.apparel import dressed
+from bunraku.pipelines.standing import file_standing
+from bunraku.render.frames import render_animation
+from bunraku.render.sheets import assemble
+from bunraku.render.video import write_png
+
+LIST = Path(__file__).with_suffix(".txt")
+EACH = 10
+FIRST = 830_000
+SECONDS, MOMENTS = 4.0, 16
+MOVING = ("walk & run", "dance", "fight")  # kinds of clips of which apparel feels something
+SIZE = (250, 320)
+WORDS = ("skirt", "gown", "cape", "ears", "tail", "dress", "hair", "ponytail", "braid", "bob")
+POOL = (  # meshes of public repositories that wear a skirt, a cape, long hair, ears or a tail: looked at at rest alone
+    "BabylonJS/SummerFestival 4731f69e player.glb", "Norsninja/siege_bakery 1ad76d4a cloudgiant.glb",
+    "Norsninja/siege_bakery caa64bde frostgiant.glb", "Norsninja/siege_bakery 780d2370 cyclops.glb",
+    "SergeBressloff/SpeakAndSee3D 6e144d98 viking.glb", "alecjacobson/common-3d-test-models 39cc2181 cheburashka.obj",
+    "chenjd/Render-Crowd-Of-Animated-Characters c373a280 Cat.fbx",
+    "doppl3r/kinematic-character-controller-example 4b2162bf player.glb",
+    "gdquest-demos/godot-4-3D-Characters d8ecb0d5 sophia.glb", "joeywu321/trellis_character 67e15235 sample.glb",
+    "r44336742-ctrl/vrm-character-controller 1ef3df9d nami_idle.fbx", "sayograi24/IRIS 02ce9ced mascot.glb",
+    "noufali/website-cover 48659e26 idle.fbx", "wolfxxx/rpg-grok 0c4e5ffd seris.glb",
+    "wolfxxx/rpg-grok 556f7df3 wraith.glb", "wolfxxx/rpg-grok ad9ce83c devil.glb", "wolfxxx/rpg-grok bef3cbf9 nyra.glb",
+    "wolfxxx/rpg-grok f92f688c goblin.glb", "shriyanangia/Website b7670f92 678597c3de70b99d94453ace.glb",
+    "zhan-xu/RigNet 01156e9d 9477_ori.obj",
+)  # fmt: skip
+
+
+def draw(archive: Path) -> None:
+    """Write the list: kind, what, and the clip that it moves by."""
+    from bunraku_lab.synthetic.dressed.people import dressed_person
+    from bunraku_lab.synthetic.wardrobe.makehuman import closet
+
+    rng = np.random.default_rng(2830)
+    rows = [("wardrobe", str(FIRST + number)) for number in range(EACH)]
+    seed, clothes = FIRST, closet(str(archive / "makehuman"))
+    while len(rows) < 2 * EACH:
+        outfit = dressed_person(clothes, seed).outfit
+        if any(word in outfit for word in WORDS):
+            rows.append(("makehuman", str(seed)))
+        seed += 1
+    rows += [("file", POOL[number]) for number in sorted(rng.choice(len(POOL), EACH, replace=False))]
+    known = sorted(one.name for one in all_clips() if one.tags[0] in MOVING and (one.loops or one.seconds >= SECONDS))
+    clips = [known[number] for number in rng.choice(len(known), len(rows), replace=False)]
+    lines = ["\t".join((kind, what, name)) for (kind, what), name in zip(rows, clips, strict=True)]
+    LIST.write_text("\n".join(lines) + "\n")
+
+
+def bare(kind: str, what: str, archive: Path) -> Character:
+    """A mesh of the list, without a rig."""
+    if kind == "wardrobe":
+        from bunraku_lab.synthetic.wardrobe import wardrobe_character
+
+        found = wardrobe_character(int(what))
+    elif kind == "makehuman":
+        from bunraku_lab.synthetic.dressed.people import dressed_person
+        from bunraku_lab.synthetic.wardrobe.makehuman import closet
+
+        found = dressed_person(closet(str(archive / "makehuman")), int(what)).character(what)
+    else:
+        _, blob, name = what.split(" ")
+        found = load_character(archive / "files" / f"{blob}_{name}", unit="m")
+        stands = file_standing(found).resolved
+        found, _ = in_metres(turned(found, stands.up, stands.front), "auto", "+y")
+    return replace(found, rig=None, avatar=None, source=None)
+
+
+def sheet(with_it: Animation, without: Animation, first: bool) -> np.ndarray:
+    """Two rows of moments of A and two of B; `first` says whether A is the one with apparel."""
+    times = np.linspace(0.3, SECONDS - 0.05, MOMENTS)
+    pictures, labels = [], []
+    for letter, shown in zip("AB", (with_it, without) if first else (without, with_it), strict=True):
+        pictures += list(render_animation(shown, size=SIZE, times=times))
+        labels += [f"{letter} {at:.1f} s" for at in times]
+    return assemble(pictures, labels, columns=MOMENTS // 2)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("archive", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--key", type=Path)
+    parser.add_argument("--answers", type=Path, nargs="+")
+    parser.add_argument("--draw", action="store_true")
+    asked = parser.parse_args()
+    if asked.draw:
+        draw(asked.archive)
+        return
+    rows = [line.split("\t") for line in LIST.read_text().splitlines()]
+    if asked.answers:
+        count(rows, json.loads(asked.key.read_text()), asked.answers)
+        return
+    order = np.random.default_rng(time.time_ns()).permutation(len(rows) * 2) % 2
+    numbers = np.random.default_rng(time.time_ns()).permutation(len(rows))
+    asked.folder.mkdir(parents=True, exist_ok=True)
+    key = {}
+    for place, row in enumerate(numbers):
+        kind, what, name = rows[row]
+        mesh = bare(kind, what, asked.archive)
+        motion = clip(name).motion(SECONDS)
+        moved = transfer(mesh, motion, handles=rig(mesh))
+        first = bool(order[place])
+        worn = dressed(moved, "auto")
+        key[place + 1] = {"row": int(row), "with": "A" if first else "B", "alike": worn is moved}
+        write_png(sheet(worn, moved.at(30.0), first), asked.folder / f"{place + 1:02d}.png")
+        asked.key.write_text(json.dumps(key, indent=1))
+        print(place + 1, "alike" if worn is moved else "", flush=True)
+
+
+def count(rows: list[list[str]], key: dict[str, dict[str, object]], files: list[Path]) -> None:
+    """How often the one with apparel was preferred."""
+    for file in files:
+        said = dict(line.split()[:2] for line in file.read_text().splitlines() if line.strip())
+        kinds: dict[str, list[float]] = {}
+        for number, entry in key.items():
+            answer = said[number]
+            kinds.setdefault(rows[int(str(entry["row"]))][0], []).append(
+                0.5 if answer == "=" or entry["alike"] else float(answer == entry["with"])
+            )
+        every = [share for some in kinds.values() for share in some]
+        parts = ", ".join(f"{kind} {sum(some):g} of {len(some)}" for kind, some in kinds.items())
+        print(f"{file.name}: {sum(every):g} of {len(every)} ({np.mean(every):.0%}); {parts}")
+
+
+if __name__ == "__main__":
+    main()
