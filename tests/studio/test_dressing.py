@@ -38,7 +38,7 @@ from bunraku.studio.workspace.clips import (
     unpacked_apparel,
     unpacked_clip,
 )
-from bunraku.studio.workspace.dressing import check_fits, dressed_anew, has_apparel
+from bunraku.studio.workspace.dressing import check_fits, dressed_anew, found_apparel, has_apparel
 from bunraku.studio.workspace.opened import Settings, opened_character
 from bunraku.studio.workspace.workspace import Workspace
 from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
@@ -180,21 +180,15 @@ def test_a_dressed_take_of_bones_comes_back_with_what_it_was_fitted_from(tmp_pat
 
 def test_what_is_worn_is_found(file):
     dragon, _ = opened_character(file, Settings())
-    assert has_apparel(dragon, rig(dragon))
+    assert has_apparel(found_apparel(dragon, rig(dragon)))
     girl = wardrobe_character(3)
-    assert has_apparel(girl, rig(girl))
+    assert has_apparel(found_apparel(girl, rig(girl)))
     bare = replace(girl, rig=None, source=None)  # neither physics nor a network that could look
     handles = rig(bare)
-    assert not has_apparel(
-        bare,
-        replace(
-            handles,
-            positions=handles.positions[:9],
-            weights=np.ones((len(bare.vertices), 9)) / 9,
-            features=None,
-            roles=None,
-        ),
-    )
+    few = replace(
+        handles, positions=handles.positions[:9], weights=np.ones((len(bare.vertices), 9)) / 9, features=None, roles=None
+    )  # fmt: skip
+    assert found_apparel(bare, few) is None
 
 
 def test_too_many_places_are_refused_before_the_work(monkeypatch):

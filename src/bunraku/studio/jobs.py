@@ -41,14 +41,15 @@ OPEN_STATES = ("waiting", "running")
 
 
 class About(TypedDict, total=False):
-    """Which things a job is about: takes of a character that it makes, a character that it opens or finds out more of,
-    a take that it exports.
+    """Which things a job is about: takes of a character that it makes, a character that it opens, finds out more of or
+    lays chains over, a take that it exports.
     """
 
     character: str
     takes: list[str]
     opens: str
     found: str
+    laid: str
     export: str
     take: str
 

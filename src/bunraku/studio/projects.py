@@ -23,7 +23,7 @@ MOST_UNPACKED = 1 << 30
 MOST_ENTRIES = 8000
 MOST_JSON = 8 << 20
 """Bytes of what a project says of itself."""
-_FILES = ("mesh.glb", "handles.npz", "bones.glb")
+_FILES = ("mesh.glb", "handles.npz", "bones.glb", "chains.glb", "worn.bin")
 _TAKE_FILES = ("clip.bin", "motion.npz")
 _MAY_HAVE = "apparel.npz"
 """Of takes whose apparel is learned."""

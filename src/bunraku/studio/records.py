@@ -44,6 +44,14 @@ class _End:
 
 
 @dataclass(frozen=True)
+class _Chain:
+    name: str
+    kind: str
+    joint: int
+    points: tuple[_Point, ...]
+
+
+@dataclass(frozen=True)
 class _CharacterFacts:
     """What is known of a character (`opened.told`)."""
 
@@ -68,6 +76,10 @@ class _CharacterFacts:
     used: tuple[int, ...] = ()
     ends: tuple[_End, ...] = ()
     clips: tuple[str, ...] = ()
+    chains: tuple[_Chain, ...] = ()
+    unchained: str = ""
+    laid: int = 0
+    painted: bool = False
 
 
 @dataclass(frozen=True)
@@ -96,6 +108,8 @@ class _TakeFacts:
     seconds: float = 0.0
     clip: Literal["clip.bin", "draft.bin"] = "clip.bin"
     stiffness: float | None = None
+    gravity: float | None = None
+    worn: Literal["learn", "chains"] | None = None
 
     def __post_init__(self) -> None:
         if not self.script:

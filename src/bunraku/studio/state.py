@@ -59,7 +59,7 @@ class State:
                     self.open(character["id"], character["file"])
                 except BunrakuError as error:
                     logging.getLogger(__name__).warning("%s", error)
-            elif character["state"] == "ready" and "ends" not in character:
+            elif character["state"] == "ready" and not {"ends", "laid"} <= set(character):
                 with suppress(BunrakuError):
                     self.find_out(character["id"])
         self.jobs.start()
@@ -134,6 +134,14 @@ class State:
         about: About = {"found": name}
         self.jobs.submit("find-out", "look at the character", {"character": name}, about, passing=True, later=True)
 
+    def lay_chains(self, name: str) -> None:
+        """Queue the chains of a character's hair and clothes, for when nobody waits for anything; once, however often
+        they are asked for before they are begun.
+        """
+        about: About = {"laid": name}
+        if not any(job["state"] == "waiting" and job["about"].get("laid") == name for job in self.jobs.all()):
+            self.jobs.submit("lay-chains", "lay chains of bones", {"character": name}, about, passing=True, later=True)
+
     def drop(self, kind: str, name: str) -> None:
         """Remove a thing and tell so."""
         self.store.drop(kind, name)
@@ -197,6 +205,12 @@ class State:
                     self.find_out(about["opens"])
         if "found" in about and state == "done":
             self.note("characters", about["found"], **said)
+            with suppress(BunrakuError):
+                self.lay_chains(about["found"])
+        if "laid" in about and state == "done":
+            with suppress(NotThere):
+                times = int(self.store.get("characters", about["laid"]).get("laid", 0)) + 1
+                self.note("characters", about["laid"], laid=times, **said)
         for name in about.get("takes", ()):
             with suppress(NotThere):
                 if self.store.get("takes", name)["state"] == "done":

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from bunraku.core.ground_path import LONGEST
 from bunraku.core.request.json_form import from_json
-from bunraku.core.request.limits import GUIDANCE, SECONDS, STEPS, STIFFNESS, Limit
+from bunraku.core.request.limits import GRAVITY, GUIDANCE, SECONDS, STEPS, STIFFNESS, Limit
 from bunraku.errors import OptionError
 from bunraku.studio.forms.changes import PoseForm
 from bunraku.studio.forms.drawing import MOST_SEED, TIME, Motion, check_pins
@@ -42,7 +42,8 @@ class View:
         loop: Make loops.
         inPlace: Take the path over the ground out.
         apparel: How hair and clothes move.
-        stiffness: How stiff learned ones are.
+        stiffness, gravity: How stiff they are, and how strongly they are drawn downwards, as factors.
+        live: Whether their springs swing in the page.
         guidance, steps: Of the sampler.
         pins: JSON forms of pins.
         poses: Poses that stay.
@@ -62,6 +63,8 @@ class View:
     inPlace: bool = False
     apparel: Motion = "rigid"
     stiffness: float = 1.0
+    gravity: float = 1.0
+    live: bool = False
     guidance: float = 3.5
     steps: int = 8
     pins: tuple[object, ...] = ()
@@ -77,6 +80,7 @@ class View:
         Limit("sentence", 0, MOST_PARTS - 1).check(self.sentence)
         Limit("seed", 0, MOST_SEED - 1).check(self.seed)
         STIFFNESS.check(self.stiffness)
+        GRAVITY.check(self.gravity)
         GUIDANCE.check(self.guidance)
         STEPS.check(self.steps)
         for point in self.path:

@@ -45,7 +45,8 @@ class ChangeForm(Drawn):
         span: Seconds from and to which is generated.
         poses: Poses that stay.
         apparel: How apparel moves, where that is to change.
-        stiffness: How stiff learned apparel is.
+        stiffness: How stiff apparel is.
+        gravity: How strongly what is simulated is drawn downwards.
         mirror: Left and right are exchanged; nothing else is then changed.
         trim: Seconds from and to of what stays; all else goes.
     """
@@ -56,6 +57,7 @@ class ChangeForm(Drawn):
     poses: tuple[PoseForm, ...] = ()
     apparel: Motion | None = None
     stiffness: float = 1.0
+    gravity: float = 1.0
     mirror: bool = False
     trim: tuple[float, float] | None = None
 
@@ -105,4 +107,4 @@ class ChangeForm(Drawn):
         """What a take's record keeps of it."""
         kept = ("seeds", "keep", "span", "poses", "pins", "prompt")
         return {**{name: to_json(getattr(self, name)) for name in kept}, "apparel": apparel.motion,
-                "stiffness": apparel.stiffness}  # fmt: skip
+                "stiffness": apparel.stiffness, "gravity": apparel.gravity}  # fmt: skip

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Literal
 
-from bunraku.core.request.limits import CANDIDATES, GUIDANCE, SECONDS, STEPS, STIFFNESS, Limit
+from bunraku.core.request.limits import CANDIDATES, GRAVITY, GUIDANCE, SECONDS, STEPS, STIFFNESS, Limit
 from bunraku.errors import OptionError
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.request import Sampling
@@ -24,7 +24,7 @@ MOST_SEEDS = 8
 MOST_SEED = 2**53
 """Seeds are less, so that a browser knows them exactly."""
 TIME = Limit("time", 0, SECONDS.high)
-Motion = Literal["rigid", "simulate", "learn"]
+Motion = Literal["rigid", "simulate", "chains", "learn"]
 """How apparel moves."""
 
 
@@ -130,17 +130,20 @@ class DressForm:
     """How the apparel of takes moves.
 
     Args:
-        apparel: With the body, by the physics of the file, or as it is learned.
-        stiffness: Factor on how stiff learned apparel is.
+        apparel: With the body, by the physics of the file, by chains of bones, or as it is learned.
+        stiffness: Factor on how stiff apparel is.
+        gravity: Factor on the gravity of what is simulated.
     """
 
     apparel: Motion = "rigid"
     stiffness: float = 1.0
+    gravity: float = 1.0
 
     def __post_init__(self) -> None:
         STIFFNESS.check(self.stiffness, "stiffness")
+        GRAVITY.check(self.gravity, "gravity")
 
     @property
     def apparel_request(self) -> Apparel:
         """The same as a part of a request."""
-        return Apparel(self.apparel, self.stiffness)
+        return Apparel(self.apparel, self.stiffness, self.gravity)

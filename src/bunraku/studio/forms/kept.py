@@ -33,4 +33,4 @@ def check_asked(how: object, script: object, asked: object) -> None:
     elif how == "edit":
         read_pins(from_json(ChangeForm, kept).pins)
     else:
-        from_json(DressForm, {name: kept[name] for name in ("apparel", "stiffness") if name in kept})
+        from_json(DressForm, {name: kept[name] for name in ("apparel", "stiffness", "gravity") if name in kept})

@@ -28,7 +28,8 @@ class TakeForm(Drawn):
         loop: Make loops.
         in_place: Take the path over the ground out.
         apparel: How apparel moves.
-        stiffness: How stiff learned apparel is.
+        stiffness: How stiff apparel is.
+        gravity: How strongly what is simulated is drawn downwards.
         path: Points that the root passes, x and z [m].
         after: The take in whose last pose these start.
         rig: What moves: handles, or the bones of the file's own skeleton.
@@ -40,6 +41,7 @@ class TakeForm(Drawn):
     in_place: bool = False
     apparel: Motion = "rigid"
     stiffness: float = 1.0
+    gravity: float = 1.0
     path: tuple[object, ...] | None = None
     after: str | None = None
     rig: Literal["handles", "own"] = "handles"
@@ -60,12 +62,17 @@ class TakeForm(Drawn):
                 loop=self.loop, in_place=self.in_place, after=self.after or None, path=read_path(self.path or ()),
                 pins=read_pins(self.pins),
             ),
-            DressForm(apparel=self.apparel, stiffness=self.stiffness).apparel_request, stages_without(self.without),
+            self.dress.apparel_request, stages_without(self.without),
             "predict" if self.apparel == "simulate" else handles, self.force,
             self.rig if self.rig == "own" else "auto" if self.apparel in ("simulate", "learn") else "handles",
         )  # fmt: skip
         found.check()
         return found.with_parsed()
+
+    @property
+    def dress(self) -> DressForm:
+        """How apparel moves."""
+        return DressForm(apparel=self.apparel, stiffness=self.stiffness, gravity=self.gravity)
 
     def pieces(self, handles: Literal["predict", "rig"] = "predict") -> list[dict[str, Any]]:
         """The JSON forms of clips and of requests of the sentences between them, of a script with clips.
@@ -95,7 +102,19 @@ class TakeForm(Drawn):
 
     def asked(self) -> dict[str, Any]:
         """What a take's record keeps of it, for links."""
-        kept = ("seeds", "steps", "guidance", "loop", "in_place", "apparel", "stiffness", "path", "pins", "rig")
+        kept = (
+            "seeds",
+            "steps",
+            "guidance",
+            "loop",
+            "in_place",
+            "apparel",
+            "stiffness",
+            "gravity",
+            "path",
+            "pins",
+            "rig",
+        )
         return {name: to_json(getattr(self, name)) for name in kept}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from pathlib import Path
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -15,6 +16,8 @@ from bunraku.io.units import CHOICES
 from bunraku.studio.routes.asked import beside, choice, ready_character, state_of, text
 from bunraku.studio.state import State
 from bunraku.studio.uploads import CHARACTERS, TooLarge, plain_name, receive, unpack
+from bunraku.studio.workspace.dressing import has_apparel
+from bunraku.studio.workspace.mask import WORN, clean_mask, paint, painted_file, shown_mask
 
 __all__ = ["ROUTES"]
 
@@ -22,6 +25,9 @@ AXES = ("auto", "+x", "-x", "+y", "-y", "+z", "-z")
 PICTURE = "picture"
 """The file of a character's picture."""
 PNG = b"\x89PNG"
+SKINS = {"bones": "bones.glb", "chains": "chains.glb"}
+MOST_MASK = 1 << 20
+"""Bytes of a painted mask, which has a bit for each vertex."""
 MOST_PICTURE = 128 << 10
 UNTOUCHED = {"up": "auto", "front": "auto", "unit": "auto", "handles": "predict"}
 
@@ -112,9 +118,11 @@ def character(request: Request, body: dict[str, Any]) -> Any:
 
 
 async def mesh(request: Request) -> Response:
-    """The mesh with its skin, and no clip; `?skin=bones` for takes that move the file's own bones."""
+    """The mesh with its skin, and no clip; `?skin=bones` for takes that move the file's own bones, `?skin=chains` with
+    chains of bones for hair and clothes, whose springs stand in the extras.
+    """
     state, name = state_of(request), request.path_params["name"]
-    file = "bones.glb" if request.query_params.get("skin") == "bones" else "mesh.glb"
+    file = SKINS.get(request.query_params.get("skin", ""), "mesh.glb")
     return FileResponse(state.store.file("characters", name, file), media_type="model/gltf-binary")
 
 
@@ -142,6 +150,40 @@ def _pictured(state: State, record: dict[str, Any], data: bytes) -> dict[str, An
     return state.note("characters", record["id"], picture=record["version"])
 
 
+async def mask(request: Request) -> Any:
+    """Which vertices are hair and clothes (`workspace.mask`): GET gives what was found, or what was painted; PUT takes
+    bits that were painted, which all takes from then on go by; DELETE takes back what was found.
+    """
+    state, name = state_of(request), request.path_params["name"]
+    record = ready_character(state, name)
+    worn = state.store.file("characters", name, WORN)
+    painted = painted_file(state.store.folder_of("characters", name) / record["file"])
+    if request.method == "GET":
+        data = await run_in_threadpool(shown_mask, worn, painted)
+        return Response(data, media_type="application/octet-stream")
+    bits = bytearray()
+    async for chunk in request.stream():
+        bits += chunk
+        if len(bits) > MOST_MASK:
+            raise TooLarge(f"a mask of more than {MOST_MASK >> 20} MiB is not taken; reload the page")
+    return await run_in_threadpool(_painted, state, record, worn, painted, bytes(bits), request.method == "DELETE")
+
+
+def _painted(
+    state: State, record: dict[str, Any], worn: Path, painted: Path, bits: bytes, back: bool
+) -> dict[str, Any]:  # fmt: skip
+    with state.writing:
+        if back:
+            painted.unlink(missing_ok=True)
+            found = state.note("characters", record["id"], painted=False)
+        else:
+            chosen = clean_mask(worn, bits)
+            paint(chosen, painted)
+            found = state.note("characters", record["id"], painted=True, apparel=has_apparel(chosen))
+        state.find_out(record["id"]) if back else state.lay_chains(record["id"])
+    return found
+
+
 @beside
 def copy(request: Request, body: dict[str, Any]) -> Any:
     """The same file as another character, to try other handles or axes beside it."""
@@ -158,5 +200,6 @@ ROUTES = [
     ("/characters/{name}", ("GET", "PATCH", "DELETE"), character),
     ("/characters/{name}/mesh.glb", ("GET",), mesh),
     ("/characters/{name}/picture", ("GET", "PUT"), picture),
+    ("/characters/{name}/mask", ("GET", "PUT", "DELETE"), mask),
     ("/characters/{name}/copy", ("POST",), copy),
 ]

@@ -8,7 +8,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
-from bunraku.core.request.json_form import from_json
+from bunraku.core.request.json_form import from_json, to_json
 from bunraku.core.request.limits import FPS
 from bunraku.errors import FormatError, OptionError
 from bunraku.io.presets import preset_named
@@ -69,7 +69,7 @@ def _play(state: State, owner: str, form: TakeForm, handles: Literal["predict", 
     )
     params = {
         "seeds": list(form.seeds), "pieces": pieces, "constraints": constraints.to_json(), "apparel": apparel,
-        "stiffness": form.stiffness,
+        "stiffness": form.stiffness, "gravity": form.gravity,
     }  # fmt: skip
     return {**state.make("play", sequence_of(script), owner, _ids(made), params), "script": script_json(script)}
 
@@ -78,12 +78,21 @@ def _ids(takes: list[dict[str, Any]]) -> list[str]:
     return [take["id"] for take in takes]
 
 
-def _factor(word: str | None) -> float | None:
+def _factor(name: str, word: str | None) -> Any:
     """A number of an address."""
     try:
         return None if word is None else float(word)
     except ValueError:
-        raise OptionError("stiffness must be a number") from None
+        raise OptionError(f"{name} must be a number") from None
+
+
+def _worn(take: dict[str, Any]) -> Apparel:
+    """How the apparel of a take moves on its own; what is simulated by the file's physics goes with the body."""
+    stiffness = take.get("stiffness")
+    if not stiffness:
+        return Apparel("rigid")
+    gravity = take.get("gravity")
+    return Apparel(take.get("worn") or "learn", stiffness, 1.0 if gravity is None else gravity)
 
 
 @beside
@@ -121,14 +130,13 @@ def _change(state: State, name: str, body: dict[str, object]) -> Any:
     owner = parent["character"]
     ready_character(state, owner)
     form = from_json(ChangeForm, body, "the request")
-    stiffness = parent.get("stiffness")
-    apparel = Apparel("learn" if stiffness else "rigid", stiffness or 1.0)
+    apparel = _worn(parent)
     if form.prompt.strip():
         return _edit(state, name, form, apparel)
     seeds = [parent.get("seed", 0)]
     asked: dict[str, Any]
     params: dict[str, Any]
-    own: dict[str, Any] = {"apparel": apparel.motion, "stiffness": apparel.stiffness}
+    own: dict[str, Any] = {"apparel": apparel.motion, "stiffness": apparel.stiffness, "gravity": apparel.gravity}
     if form.mirror:
         kind, title, asked, params = "mirror", "mirror", own, own
     elif form.trim:
@@ -136,7 +144,10 @@ def _change(state: State, name: str, body: dict[str, object]) -> Any:
     elif form.apparel is not None:
         kind, title = "dress", "dress anew"
         old = parent.get("asked") or {}
-        changed = {"apparel": form.apparel, "stiffness": form.stiffness, "in_place": bool(old.get("in_place"))}
+        changed = {
+            "apparel": form.apparel, "stiffness": form.stiffness, "gravity": form.gravity,
+            "in_place": bool(old.get("in_place")),
+        }  # fmt: skip
         asked, params = {**old, **changed}, {**changed, "without": list(form.without)}
     elif form.pins:
         kind, title = "bend", "bend to the pins"
@@ -170,9 +181,10 @@ async def transfer(request: Request) -> Any:
     title, suffix = plain_name(request.query_params.get("name", ""))
     if suffix not in (*MOTIONS, *CHARACTERS):
         raise FormatError(f"{title}{suffix}", f"this is no format of motions; they are {', '.join(MOTIONS)} and .fbx")
-    told = {"apparel": request.query_params.get("apparel"), "stiffness": _factor(request.query_params.get("stiffness"))}
+    told = {name: _factor(name, request.query_params.get(name)) for name in ("stiffness", "gravity")}
+    told["apparel"] = request.query_params.get("apparel")
     form = from_json(DressForm, {name: value for name, value in told.items() if value is not None})
-    apparel = {"apparel": form.apparel, "stiffness": form.stiffness}
+    apparel = to_json(form)
     onto = choice(dict(request.query_params), "onto", ("auto", "handles"), "handles")
     about = {"script": [{"text": f"{title}{suffix}", "seconds": 0}], "asked": {"file": title, **apparel}}
     (made,) = await run_in_threadpool(state.new_takes, owner, 1, how="transfer", **about)

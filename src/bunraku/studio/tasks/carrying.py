@@ -11,7 +11,7 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import OptionError
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.constraints import Constraints
-from bunraku.studio.forms.drawing import stages_without
+from bunraku.studio.forms.drawing import DressForm, stages_without
 from bunraku.studio.tasks.task import Partly, Report, of_handles, put_away
 from bunraku.studio.workspace.clips import body_of
 from bunraku.studio.workspace.dressing import check_fits, dressed_anew, put_on
@@ -21,15 +21,13 @@ __all__ = ["Bend", "Dress", "Mirror", "Transfer", "Trim"]
 
 
 @dataclass(frozen=True)
-class Bend:
+class Bend(DressForm):
     """A take bent to its pins, with nothing generated."""
 
     character: str
     takes: tuple[str]
     parent: str
     constraints: tuple[object, ...]
-    apparel: str = "rigid"
-    stiffness: float = 1.0
 
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
         from bunraku.retarget.stages.pins import meet_pins
@@ -39,20 +37,18 @@ class Bend:
         pins = Constraints.from_json(self.constraints).pins
         met = meet_pins(parent.motion, Anatomy.of(parent.character, parent.handles), pins)
         made = Animation(parent.character, parent.handles, met, parent.reference)
-        take, (name,) = put_on(made, Apparel(self.apparel, self.stiffness), report), self.takes
+        take, (name,) = put_on(made, self.apparel_request, report), self.takes
         put_away(take, name, self.character, shop, partly)
         return {"takes": [name]}
 
 
 @dataclass(frozen=True)
-class Mirror:
+class Mirror(DressForm):
     """A take with left and right exchanged, fitted anew."""
 
     character: str
     takes: tuple[str]
     parent: str
-    apparel: str = "rigid"
-    stiffness: float = 1.0
 
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
         from bunraku.diffusion.features import decode, encode, mirror
@@ -64,21 +60,19 @@ class Mirror:
         motion = reference_of(parent, anatomy)
         mirrored = decode(mirror(encode(motion)), motion.fps)
         take, (name,) = apply_motion(mirrored, anatomy), self.takes
-        dressed = put_on(take, Apparel(self.apparel, self.stiffness), report)
+        dressed = put_on(take, self.apparel_request, report)
         put_away(dressed, name, self.character, shop, partly)
         return {"takes": [name]}
 
 
 @dataclass(frozen=True)
-class Trim:
+class Trim(DressForm):
     """A stretch of a take, as it is there."""
 
     character: str
     takes: tuple[str]
     parent: str
     trim: tuple[float, float]
-    apparel: str = "rigid"
-    stiffness: float = 1.0
 
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
         parent = body_of(shop.take(self.parent, self.character))
@@ -86,27 +80,25 @@ class Trim:
         if stop - start < 2 or start >= len(parent.motion):
             raise OptionError("nothing is left of the take; choose a longer stretch of it")
         take, (name,) = parent.take(slice(start, stop)), self.takes
-        dressed = put_on(take, Apparel(self.apparel, self.stiffness), report)
+        dressed = put_on(take, self.apparel_request, report)
         put_away(dressed, name, self.character, shop, partly)
         return {"takes": [name]}
 
 
 @dataclass(frozen=True)
-class Dress:
+class Dress(DressForm):
     """A take of the same motion whose apparel moves otherwise."""
 
     character: str
     takes: tuple[str]
     parent: str
-    apparel: str = "rigid"
-    stiffness: float = 1.0
     in_place: bool = False
     without: tuple[str, ...] = ()
 
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
         parent, (_, handles) = shop.take(self.parent, self.character), shop.character(self.character)
         made = dressed_anew(
-            parent, Apparel(self.apparel, self.stiffness), handles, in_place=self.in_place,
+            parent, self.apparel_request, handles, in_place=self.in_place,
             stages=stages_without(self.without), report=report,
         )  # fmt: skip
         (name,) = self.takes
@@ -115,14 +107,12 @@ class Dress:
 
 
 @dataclass(frozen=True)
-class Transfer:
+class Transfer(DressForm):
     """A take from a motion of a file."""
 
     character: str
     takes: tuple[str]
     file: str
-    apparel: str = "rigid"
-    stiffness: float = 1.0
     onto: Literal["auto", "handles"] = "handles"
 
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
@@ -133,7 +123,7 @@ class Transfer:
         (name,) = self.takes
         character, handles = shop.character(self.character)
         source = Source(shop.folder_of("takes", name) / self.file)
-        apparel, animator = Apparel(self.apparel, self.stiffness), Animator.shipped(report)
+        apparel, animator = self.apparel_request, Animator.shipped(report)
         check_fits(apparel, character, 0)
         take = None
         if apparel.moves or self.onto == "auto":

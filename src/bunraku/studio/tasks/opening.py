@@ -9,10 +9,15 @@ from typing import Any
 from bunraku.core.character import Character
 from bunraku.studio.tasks.task import Partly, Report
 from bunraku.studio.workspace.clips import save_handles
+from bunraku.studio.workspace.dressing import chains_of, told_chains
+from bunraku.studio.workspace.mask import WORN
 from bunraku.studio.workspace.opened import Settings, found_out, opened_character, told
 from bunraku.studio.workspace.workspace import PREVIEWS, Workspace
 
-__all__ = ["FindOut", "Open"]
+__all__ = ["CHAINED", "FindOut", "LayChains", "Open"]
+
+CHAINED = "chains.glb"
+"""The mesh of a character with chains of bones for its apparel, and their springs in the extras."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +39,11 @@ class Open:
         handles = rig(character, handles=self.settings.handles)
         report("write", 0.8)
         save_character(character, folder / "mesh.glb", handles)
-        (folder / "bones.glb").unlink(missing_ok=True)
+        for made in ("bones.glb", CHAINED):
+            (folder / made).unlink(missing_ok=True)
         shutil.rmtree(folder / PREVIEWS, ignore_errors=True)
         save_handles(handles, folder / "handles.npz")
-        return {**taken, **told(character, handles), "clips": _clips_of(character)}
+        return {**taken, **told(character, handles), "clips": _clips_of(character), "chains": []}
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,27 @@ class FindOut:
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
         body = shop.body(self.character)
         report("look", 0.1)
-        return found_out(body.character, body.anatomy)
+        return found_out(body.character, body.anatomy, shop.folder_of("characters", self.character) / WORN)
+
+
+@dataclass(frozen=True)
+class LayChains:
+    """Chains of bones over the hair and clothes of a character that is open, with springs for the page."""
+
+    character: str
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.io import save_character
+        from bunraku.physics.chains.avatars import vrm_avatar
+
+        report("look", 0.1)
+        made, why = chains_of(shop.body(self.character).anatomy)
+        if made is None:
+            return {"chains": [], "unchained": why}
+        report("springs", 0.4)
+        path = shop.folder_of("characters", self.character) / CHAINED
+        save_character(made.character, path, rig=True, avatar=vrm_avatar(made))
+        return {"chains": told_chains(made), "unchained": ""}
 
 
 def _clips_of(character: Character) -> list[str]:

@@ -17,11 +17,11 @@ from bunraku.diffusion.splicing import splice
 from bunraku.formats.files import atomic_write
 from bunraku.pipelines.animator import Animator, Body
 from bunraku.pipelines.apply import apply_motion, reference_of
-from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.constraints import Constraints
 from bunraku.pipelines.requests.request import Request
 from bunraku.pipelines.requests.transfer import TransferRequest
 from bunraku.pipelines.transfer import TRANSFER_STAGES, transferred
+from bunraku.studio.forms.drawing import DressForm
 from bunraku.studio.tasks.making import DRAFT_STAGES, Known
 from bunraku.studio.tasks.task import Partly, Report, put_away
 from bunraku.studio.workspace.clips import packed_clip
@@ -51,7 +51,7 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Play:
+class Play(DressForm):
     """Takes in which clips and sentences follow each other, each from where the one before ends."""
 
     character: str
@@ -59,13 +59,11 @@ class Play:
     seeds: tuple[int, ...]
     pieces: tuple[Piece, ...]
     constraints: tuple[object, ...] = ()
-    apparel: str = "rigid"
-    stiffness: float = 1.0
 
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
         body = shop.body(self.character)
         character, handles, anatomy = body.character, body.anatomy.handles, body.anatomy
-        apparel, constraints = Apparel(self.apparel, self.stiffness), Constraints.from_json(self.constraints)
+        apparel, constraints = self.apparel_request, Constraints.from_json(self.constraints)
         check_fits(apparel, character, sum(piece.seconds for piece in self.pieces))
         for number, (name, seed) in enumerate(zip(self.takes, self.seeds, strict=True)):
 

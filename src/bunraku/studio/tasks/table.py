@@ -12,7 +12,7 @@ from bunraku.core.request.json_form import from_json
 from bunraku.errors import OptionError
 from bunraku.studio.tasks.carrying import Bend, Dress, Mirror, Transfer, Trim
 from bunraku.studio.tasks.making import Animate, Edit
-from bunraku.studio.tasks.opening import FindOut, Open
+from bunraku.studio.tasks.opening import FindOut, LayChains, Open
 from bunraku.studio.tasks.playing import Play, Preview
 from bunraku.studio.tasks.task import Partly, Report, Task
 from bunraku.studio.tasks.writing import Export, ExportClips
@@ -23,6 +23,7 @@ __all__ = ["TASKS", "run_task"]
 TASKS: dict[str, type[Task]] = {
     "open": Open,
     "find-out": FindOut,
+    "lay-chains": LayChains,
     "animate": Animate,
     "edit": Edit,
     "bend": Bend,

@@ -41,7 +41,8 @@ class Export:
         take = shop.take(self.take, self.character)
         options = {} if target.suffix in (".npz", ".vmd") else {"fps": self.fps}
         if isinstance(take, Dressed):
-            (take.body if target.suffix in BODIES else take.points).save(target, **options)
+            shown = take.points if take.bones is None else take.bones
+            (take.body if target.suffix in BODIES else shown).save(target, **options)
         else:
             take.save(target, **options)
         return {"export": self.export, "bytes": target.stat().st_size}

@@ -10,17 +10,17 @@ from __future__ import annotations
 import io
 import json
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from bunraku.core.animation import Animation
-from bunraku.core.character import Character, Handles
+from bunraku.core.character import Character, Handles, Rig
 from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
-from bunraku.errors import FormatError
+from bunraku.errors import CharacterError, FormatError, MotionError
 from bunraku.formats.arrays.npy import npz_names, open_npz, read_member
 from bunraku.formats.arrays.npz import (
     REFERENCE,
@@ -40,22 +40,50 @@ __all__ = [
 ]  # fmt: skip
 
 APPAREL = "apparel.npz"
-"""The file beside a take's motion that says where its learned apparel is."""
+"""The file beside a take's motion that says where apparel is that moves on its own."""
+NOTHING = 1e-5
+"""Share of the height by which a vertex that chains do not move may differ."""
 
 
 @dataclass(frozen=True, eq=False)
 class Dressed:
-    """A take whose apparel is learned.
+    """A take whose apparel is learned, or swings on chains of bones.
 
     Args:
         body: What moves the body.
         points: The same at the rate of apparel, with where that is.
         stiffness: Factor on how stiff it was taken to be.
+        gravity: Factor on how strongly it was drawn downwards.
+        bones: The same on a rig with chains, where it swings on them.
     """
 
     body: Animation | RigAnimation
     points: PointAnimation
     stiffness: float
+    gravity: float = 1.0
+    bones: RigAnimation | None = None
+
+    @classmethod
+    def of_chains(
+        cls, body: Animation | RigAnimation, bones: RigAnimation, stiffness: float, gravity: float
+    ) -> Dressed:
+        """A take of what chains made of a body's motion.
+
+        Args:
+            body: What moves the body.
+            bones: The same on a rig with chains.
+            stiffness, gravity: Factors.
+        """
+        moved = body.at(bones.fps)
+        skinned = moved.animation() if isinstance(moved, RigAnimation) else moved
+        offsets = bones.vertices() - skinned.vertices()
+        offsets[:, np.abs(offsets).max(axis=(0, 2)) < NOTHING * body.character.height] = 0
+        return cls(body, PointAnimation(skinned, offsets.astype(np.float32)), stiffness, gravity, bones)
+
+    @property
+    def motion(self) -> Literal["learn", "chains"]:
+        """How its apparel moves."""
+        return "learn" if self.bones is None else "chains"
 
     @property
     def handles(self) -> Handles:
@@ -154,8 +182,9 @@ def save_take(take: Take, path: Path) -> None:
         moving = np.flatnonzero(offsets.any(axis=(0, 2)))
         packed = io.BytesIO()
         np.savez_compressed(
-            packed, vertices=moving.astype(np.int32), offsets=offsets[:, moving], stiffness=np.float32(take.stiffness)
-        )
+            packed, vertices=moving.astype(np.int32), offsets=offsets[:, moving], stiffness=np.float32(take.stiffness),
+            gravity=np.float32(take.gravity), **({} if take.bones is None else _packed_bones(take.bones)),
+        )  # fmt: skip
         with atomic_write(path.with_name(APPAREL)) as file:
             file.write(packed.getvalue())
         take = take.body
@@ -188,9 +217,8 @@ def load_take(path: Path, character: Character, handles: Handles) -> Take:
     with open_npz(beside, data) as archive:
         if not {"vertices", "offsets", "stiffness"} <= npz_names(archive):
             raise FormatError(beside, "it holds no apparel; make the take again")
-        moving, offsets, stiffness = (
-            read_member(beside, archive, name, len(data)) for name in ("vertices", "offsets", "stiffness")
-        )
+        found = {name: read_member(beside, archive, name, len(data)) for name in sorted(npz_names(archive))}
+    moving, offsets, stiffness = (found[name] for name in ("vertices", "offsets", "stiffness"))
     moved = body.at(RATE)
     skinned = moved.animation() if isinstance(moved, RigAnimation) else moved
     shape = len(skinned.motion), len(moving), 3
@@ -198,7 +226,38 @@ def load_take(path: Path, character: Character, handles: Handles) -> Take:
         raise FormatError(beside, "its apparel is of another mesh or clip; make the take again")
     everywhere = np.zeros((len(offsets), len(character.vertices), 3), np.float32)
     everywhere[:, moving.astype(np.int64)] = offsets
-    return Dressed(body, PointAnimation(skinned, everywhere), float(stiffness))
+    bones = _bones_of(found, beside, skinned) if "rig_names" in found else None
+    gravity = float(found.get("gravity", 1.0))
+    return Dressed(body, PointAnimation(skinned, everywhere), float(stiffness), gravity, bones)
+
+
+def _packed_bones(bones: RigAnimation) -> dict[str, Any]:
+    """The rig with chains and what it does."""
+    rig = bones.character.rig
+    assert rig is not None
+    return {
+        "rig_names": np.array(rig.names), "rig_parents": rig.parents, "rig_transforms": rig.transforms,
+        "rig_indices": rig.indices, "rig_weights": rig.weights, "rig_fps": np.float32(bones.fps),
+        "rig_rotations": bones.rotations, "rig_translations": bones.translations,
+    }  # fmt: skip
+
+
+def _bones_of(found: dict[str, np.ndarray], path: Path, skinned: Animation) -> RigAnimation:
+    """The inverse of `_packed_bones`.
+
+    Raises:
+        FormatError: Its rig is of another mesh, or none.
+    """
+    try:
+        names = tuple(str(name) for name in found["rig_names"].ravel())
+        rig = Rig(names, *(found[f"rig_{name}"] for name in ("parents", "transforms", "indices", "weights")))
+        character = replace(skinned.character, rig=rig, avatar=None)
+        if len(rig.indices) != len(character.vertices):
+            raise FormatError(path, "its chains are of another mesh; make the take again")
+        turns, shifts = found["rig_rotations"], found["rig_translations"]
+        return RigAnimation(character, turns, shifts, float(found["rig_fps"]))
+    except (KeyError, TypeError, ValueError, CharacterError, MotionError):
+        raise FormatError(path, "it holds no chains that can be read; make the take again") from None
 
 
 def _load_body(path: Path, character: Character, handles: Handles) -> Animation | RigAnimation:

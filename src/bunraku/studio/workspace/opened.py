@@ -95,20 +95,31 @@ def _has_skeleton(character: Character) -> bool:
         return False
 
 
-def found_out(character: Character, anatomy: Anatomy) -> dict[str, Any]:
-    """What a page shows of a character and is longer looked for: apparel, and where hands and feet are."""
+def found_out(character: Character, anatomy: Anatomy, worn: Path) -> dict[str, Any]:
+    """What a page shows of a character and is longer looked for: apparel, and where hands and feet are.
+
+    Args:
+        character: The character.
+        anatomy: Of it.
+        worn: The file that gets which vertices are apparel.
+
+    Raises:
+        FormatError: That cannot be written.
+    """
     from bunraku.retarget.stages.pins import limb_ends
-    from bunraku.studio.workspace.dressing import has_apparel
+    from bunraku.studio.workspace.dressing import found_apparel, has_apparel
+    from bunraku.studio.workspace.mask import save_worn
 
     try:
-        apparel = has_apparel(character, anatomy.handles)
+        mask = found_apparel(character, anatomy.handles)
     except Exception:  # clothes that nobody finds are no reason not to open a character
         _log.exception("apparel could not be looked for")
-        apparel = False
+        mask = None
+    save_worn(character, mask, worn)
     ends = [
         {"part": end.part, "handle": end.handle, "point": np.round(end.point, 5).tolist()} for end in limb_ends(anatomy)
     ]
-    return {"apparel": apparel, "ends": ends}
+    return {"apparel": has_apparel(mask), "ends": ends}
 
 
 def told(character: Character, handles: Handles) -> dict[str, Any]:

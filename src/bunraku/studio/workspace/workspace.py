@@ -110,4 +110,6 @@ class Workspace:
             "frames": len(shown.motion),
             "seconds": round(len(shown.motion) / take.fps, 4),
             "stiffness": take.stiffness if isinstance(take, Dressed) else None,
+            "gravity": take.gravity if isinstance(take, Dressed) else None,
+            "worn": take.motion if isinstance(take, Dressed) else None,
         }
