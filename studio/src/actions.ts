@@ -5,7 +5,7 @@ import { EMPTY, MOST_LETTERS, readView, writeReplay, type Replay } from "./schem
 import { scriptOf, tooLong, wrongWith } from "./script";
 import {
   about, attempt, change, character, characters, comparing, doc, ended, newest, ownTakes, pause, remember, say, take, takes,
-  time, uploading,
+  time, uploading, painting,
 } from "./state";
 import type { Character, Doc, LibraryClip, Sentence, Settings, Take } from "./types";
 
@@ -33,6 +33,7 @@ export function asked(now: Doc): Record<string, unknown> {
     in_place: now.inPlace,
     apparel: now.apparel,
     stiffness: now.stiffness,
+    gravity: now.gravity,
     rig: now.rig === "own" && rigged(now) ? "own" : "handles",
     path: now.path.length > 1 ? now.path : [],
     pins: now.apparel !== "simulate" ? now.pins.filter((pin) => pin.time < now.script.reduce((sum, part) => sum + part.seconds, 0)) : [],
@@ -129,10 +130,10 @@ export async function dress(): Promise<void> {
   if (!one || one.state !== "done") {
     return;
   }
-  const { apparel, stiffness } = doc.value;
+  const { apparel, stiffness, gravity } = doc.value;
   const parent = one.how === "dress" && one.parent ? one.parent : one.id;
   await attempt(async () => {
-    const made = await send<Made>("POST", `/takes/${parent}/change`, { prompt: "", apparel, stiffness });
+    const made = await send<Made>("POST", `/takes/${parent}/change`, { prompt: "", apparel, stiffness, gravity });
     settle("dress the take", made, scriptOf(one));
     if (one.how === "dress") {
       await send("DELETE", `/takes/${one.id}`);
@@ -225,6 +226,7 @@ function switchTo(id: string | null): void {
   const first = newest(takes.value, id);
   doc.value = { ...doc.value, character: id, take: first?.id ?? null, ...sentencesOf(first?.id ?? null), pins: [], poses: [], path: [], span: null, apparel: "rigid" };
   comparing.value = false;
+  painting.value = false;
   time.value = 0;
 }
 
@@ -271,7 +273,7 @@ export async function sample(name: string): Promise<void> {
 }
 
 /** How apparel moves, as an address says it. */
-const worn = (): string => `&apparel=${doc.value.apparel}&stiffness=${doc.value.stiffness}`;
+const worn = (): string => `&apparel=${doc.value.apparel}&stiffness=${doc.value.stiffness}&gravity=${doc.value.gravity}`;
 
 function suffixOf(name: string): string {
   return /\.[a-z0-9]+$/i.exec(name)?.[0].toLowerCase() ?? "";
@@ -399,6 +401,7 @@ export function replayLink(one: Take): string {
     path: told.path ?? [],
     apparel: told.apparel ?? "rigid",
     stiffness: told.stiffness ?? 1,
+    gravity: told.gravity ?? 1,
     rig: told.rig ?? "handles",
   });
   return `${location.origin}/#replay=${text}`;

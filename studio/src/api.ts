@@ -111,6 +111,9 @@ const HIDDEN = 5000;
 
 let poke = (): void => undefined;
 
+/** Something was changed: ask at once what has. */
+export const poked = (): void => poke();
+
 function pause(length: number): Promise<void> {
   return new Promise((resolve) => {
     const timer = setTimeout(resolve, length);

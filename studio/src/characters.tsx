@@ -1,11 +1,31 @@
 // Characters as cards, what was guessed of the one that is shown, and the samples.
 
 import { useEffect, useRef, useState } from "preact/hooks";
-import { deleteCharacter, dress, openAsMotion, repair, sample, select } from "./actions";
+import { deleteCharacter, openAsMotion, repair, sample, select } from "./actions";
+import { Apparel } from "./apparel";
 import { bytes } from "./api";
-import { about, attempt, change, character, characters, colouring, doc, running, take, weightOf } from "./state";
+import { about, attempt, change, character, characters, colouring, doc, running, weightOf } from "./state";
 import { Thumbs } from "./thumbs";
-import type { Apparel as ApparelWay, Character } from "./types";
+import { kindColour } from "./skeleton";
+import type { Character } from "./types";
+
+/** Which chains there are, in the colours that they are shown in. */
+function Kinds({ one }: { one: Character }) {
+  const counts = new Map<string, number>();
+  one.chains?.forEach((chain) => counts.set(chain.kind, (counts.get(chain.kind) ?? 0) + 1));
+  return (
+    <ul class="kinds">
+      {[...counts].map(([kind, count]) => (
+        <li key={kind}>
+          <svg width="10" height="10" aria-hidden="true">
+            <circle cx="5" cy="5" r="5" fill={`#${kindColour(kind).getHexString()}`} />
+          </svg>{" "}
+          {count} {kind}
+        </li>
+      ))}
+    </ul>
+  );
+}
 
 const UNITS: Record<string, string> = { m: "metres", cm: "centimetres", mm: "millimetres", in: "inches" };
 const HANDLES =
@@ -137,59 +157,6 @@ function Fit({ one }: { one: Character }) {
   );
 }
 
-/** How hair and clothes move, and the dial of learned ones. */
-function Apparel({ one }: { one: Character }) {
-  const now = doc.value;
-  const shown = take.value?.state === "done" ? take.value : null;
-  const ways: [ApparelWay, string, boolean][] = [
-    ["rigid", "move with the body", true],
-    ["simulate", "simulated by the file's physics", Boolean(one.physics)],
-    ["learn", "learned from cloth", Boolean(one.apparel)],
-  ];
-  return (
-    <>
-      <label class="field">
-        <span>hair and clothes</span>
-        <select id="apparel" value={now.apparel} onChange={(event) => change("", { apparel: event.currentTarget.value as ApparelWay })}>
-          {ways.map(
-            ([way, text, there]) =>
-              there && (
-                <option key={way} value={way}>
-                  {text}
-                </option>
-              ),
-          )}
-        </select>
-      </label>
-      {now.apparel === "learn" && (
-        <label class="field">
-          <span>stiffness ×{factor(now.stiffness)}</span>
-          <input
-            id="stiffness"
-            type="range"
-            min={-2}
-            max={2}
-            step={0.1}
-            value={Math.log10(now.stiffness)}
-            aria-valuetext={`${factor(now.stiffness)} times as stiff`}
-            onInput={(event) => change("stiffness", { stiffness: Number((10 ** Number(event.currentTarget.value)).toPrecision(3)) })}
-            onChange={() => shown?.stiffness && void dress()}
-          />
-        </label>
-      )}
-      {shown && (now.apparel === "learn" ? shown.stiffness !== now.stiffness : (shown.asked?.["apparel"] ?? "rigid") !== now.apparel) && (
-        <p class="hint">
-          <button class="link" id="dress" disabled={running.value.length > 0} onClick={() => void dress()}>
-            dress this take so
-          </button>
-        </p>
-      )}
-    </>
-  );
-}
-
-const factor = (stiffness: number): string => String(Number(stiffness.toPrecision(2)));
-
 /** Whether its front was guessed and might be another. */
 const unsure = (one: Character): boolean => Boolean(one.axes?.other) && (one.axes?.sure ?? 1) < 0.97 && one.settings.front === "auto";
 
@@ -253,6 +220,7 @@ export function Characters() {
                   <option value="handles">handles in colour</option>
                   <option value="weights">weights of one handle</option>
                   <option value="skeleton">skeleton</option>
+                  {Boolean(now.chains?.length) && <option value="chains">chains of hair and clothes</option>}
                 </select>
               </label>
               {colouring.value === "weights" && (
@@ -282,7 +250,8 @@ export function Characters() {
                 </select>
               </label>
             )}
-            {(now.physics || now.apparel) && <Apparel one={now} />}
+            <Apparel one={now} />
+            {colouring.value === "chains" && <Kinds one={now} />}
             <p class="hint">
               <button class="link" onClick={() => motion.current?.click()}>
                 take the motion of a GLB or FBX…

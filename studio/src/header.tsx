@@ -92,6 +92,8 @@ const KEYS: [string, string][] = [
   ["I", "pin this pose"],
   ["P", "draw a path on the floor"],
   ["F", "follow the character"],
+  ["K", "shake the character, where its springs are live"],
+  ["X", "touch the middle of the view with the brush"],
   ["S", "star the take"],
   ["Ctrl Z, Ctrl Shift Z", "undo, redo"],
 ];

@@ -4,6 +4,7 @@ import { effect, signal } from "@preact/signals";
 import { render } from "preact";
 import { useEffect } from "preact/hooks";
 import { choose, replay, star } from "./actions";
+import { dab } from "./apparel";
 import { hashOf, send, setToken } from "./api";
 import { Boundary } from "./boundary";
 import { dropped } from "./drop";
@@ -12,11 +13,12 @@ import { Export, exporting } from "./export";
 import { DRAGGED, Library } from "./library";
 import { Modal } from "./modal";
 import { Characters } from "./characters";
+import { endPainting } from "./painting";
 import { Prompt } from "./prompt";
 import { readReplay, type Replay } from "./schema";
 import { Stage, viewer } from "./stage";
 import {
-  about, aside, attempt, character, comparing, drawing, follow, locked, notice, ownTakes, playing, redo, start, take, time,
+  about, aside, attempt, character, comparing, doc, drawing, follow, locked, notice, ownTakes, painting, playing, redo, start, take, time,
   trouble, undo, warm,
 } from "./state";
 import { Study } from "./study";
@@ -52,12 +54,16 @@ function keys(event: KeyboardEvent): void {
     i: pinPose,
     p: () => (drawing.value = !drawing.value),
     f: () => (follow.value = !follow.value),
+    k: () => doc.value.live && viewer?.shake(),
     s: () => void (take.value && star(take.value)),
     "+": () => viewer?.turn(0, 0, 1.15),
     "-": () => viewer?.turn(0, 0, 1 / 1.15),
     "?": () => (help.value = true),
     Escape: () => ((drawing.value = false), (notice.value = null)),
   };
+  if (painting.value) {
+    Object.assign(actions, { x: dab, Escape: endPainting });
+  }
   const turns: Record<string, () => void> = {
     ArrowLeft: () => viewer?.turn(-0.15, 0),
     ArrowRight: () => viewer?.turn(0.15, 0),
@@ -268,6 +274,7 @@ function App() {
               <p class="empty">Drop a character here, or choose a sample.</p>
             )}
             {character.value?.state === "opening" && <p class="badge" role="status">finding the handles of {character.value.name}…{warm.value ? "" : " the networks are being loaded, once"}</p>}
+            {painting.value && <p class="badge">drag over hair and clothes; drag beside the character to turn it</p>}
             {drawing.value && <p class="badge">drag on the floor where it goes, or type its points below; the sentence says how</p>}
             <Legend />
             <Notice />

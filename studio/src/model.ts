@@ -15,7 +15,9 @@ import {
   type Object3D,
 } from "three";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
+import type { Worn } from "./brush";
 import { between, poseBones, type Clip } from "./clip";
+import { Springs, type SpringDocument } from "./springs";
 
 export interface Model {
   key: string;
@@ -27,11 +29,14 @@ export interface Model {
   primitives: Map<SkinnedMesh, string>;
   /** The geometry of each as it is without apparel that moves on its own. */
   bare: Map<SkinnedMesh, BufferGeometry>;
+  /** What swings, where the document says so. */
+  springs: Springs | null;
 }
 
 const loader = new GLTFLoader();
 
-export async function loadModel(key: string, data: ArrayBuffer): Promise<Model> {
+/** The model of a GLB; `springy` where what its extras say of springs is to swing. */
+export async function loadModel(key: string, data: ArrayBuffer, springy = false): Promise<Model> {
   const found = await loader.parseAsync(data, "");
   const skins: SkinnedMesh[] = [];
   found.scene.traverse((node: Object3D) => {
@@ -51,7 +56,11 @@ export async function loadModel(key: string, data: ArrayBuffer): Promise<Model> 
     }),
   );
   const bare = new Map(skins.map((skin) => [skin, skin.geometry as BufferGeometry]));
-  return { key, group: found.scene, bones: skins[0]?.skeleton.bones ?? [], skins, plain, primitives, bare };
+  const bones = skins[0]?.skeleton.bones ?? [];
+  const told = found.userData["springs"] as SpringDocument | undefined;
+  const numbers = new Map(bones.map((bone, number) => [found.parser.associations.get(bone)?.nodes, number]));
+  const springs = springy && told?.springs ? new Springs(bones, (node) => numbers.get(node) ?? -1, told) : null;
+  return { key, group: found.scene, bones, skins, plain, primitives, bare, springs };
 }
 
 /** Hues far apart for neighbouring numbers, by the golden angle. */
@@ -63,19 +72,30 @@ const painted = new MeshStandardMaterial({ vertexColors: true, roughness: 0.85 }
 
 const glass = new MeshStandardMaterial({ color: 0x9aa3ad, transparent: true, opacity: 0.22, depthWrite: false, side: 2 });
 
-/** Show the character as it is, each vertex in the colours of its handles, how far one handle moves it, or its skeleton through it. */
-export function colour(model: Model, way: "none" | "handles" | "weights" | "skeleton", handle: number): void {
+export type Colouring = "none" | "handles" | "weights" | "skeleton" | "chains" | "mask";
+const BARE = new Color(0xb9b4ac);
+const WORN = new Color(0xd9622b);
+
+/** Show the character as it is, each vertex in the colours of its handles, how far one handle moves it, what of it is hair
+ * and clothes, or its skeleton or chains through it. */
+export function colour(model: Model, way: Colouring, handle: number, worn: Worn | null = null): void {
+  const through = way === "skeleton" || way === "chains";
   for (const skin of model.skins) {
-    if (way === "none" || way === "skeleton") {
-      skin.material = way === "none" ? (model.plain.get(skin) ?? painted) : glass;
+    if (way === "none" || through) {
+      skin.material = through ? glass : (model.plain.get(skin) ?? painted);
       continue;
     }
+    const rows = worn?.rows.get(model.primitives.get(skin) ?? "");
     const geometry = model.bare.get(skin) ?? skin.geometry;
     const joints = geometry.getAttribute("skinIndex");
     const weights = geometry.getAttribute("skinWeight");
     const colours = new Float32Array(joints.count * 3);
     const mixed = new Color();
     for (let vertex = 0; vertex < joints.count; vertex += 1) {
+      if (way === "mask") {
+        (worn?.mask[rows?.[vertex] ?? -1] ? WORN : BARE).toArray(colours, vertex * 3);
+        continue;
+      }
       mixed.setRGB(0, 0, 0);
       let share = 0;
       for (let slot = 0; slot < 4; slot += 1) {
@@ -101,7 +121,7 @@ export function colour(model: Model, way: "none" | "handles" | "weights" | "skel
     material.side = Array.isArray(own) ? 2 : (own?.side ?? 2);
     skin.material = material;
   }
-  if (way === "none" || way === "skeleton") {
+  if (way === "none" || through) {
     for (const geometry of model.bare.values()) {
       const before = geometry.userData["colour"] as BufferAttribute | null | undefined;
       if (before) {
@@ -188,7 +208,21 @@ export function pose(model: Model, clip: Clip | null, time: number): void {
   if (clip) {
     poseBones(clip, model.bones, time);
   }
-  wear(model, clip, time);
+  wear(model, model.springs ? null : clip, time);
+  model.group.updateMatrixWorld(true);
+}
+
+/** Let hair and clothes swing on for a time [s] where the body is now. */
+export function swing(model: Model, seconds: number): void {
+  model.springs?.swing(seconds);
+  model.group.updateMatrixWorld(true);
+}
+
+/** Take a model back to the pose in which it was bound. */
+export function rest(model: Model): void {
+  for (const skin of model.skins) {
+    skin.skeleton.pose();
+  }
   model.group.updateMatrixWorld(true);
 }
 

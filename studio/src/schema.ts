@@ -15,6 +15,8 @@ export const EMPTY: Doc = {
   inPlace: false,
   apparel: "rigid",
   stiffness: 1,
+  gravity: 1,
+  live: false,
   guidance: 3.5,
   steps: 8,
   pins: [],
@@ -29,7 +31,7 @@ export const MOST_LETTERS = 1000;
 const MOST_PARTS = 20;
 const MOST_ENTRIES = 1000;
 const LONGEST_TEXT = 10_000;
-const APPAREL: readonly string[] = ["rigid", "simulate", "learn"];
+const APPAREL: readonly string[] = ["rigid", "simulate", "chains", "learn"];
 const PINNED: readonly string[] = ["left_hand", "right_hand", "left_foot", "right_foot"];
 
 type Read<T> = (value: unknown) => T | undefined;
@@ -120,6 +122,8 @@ const FIELDS: { [Key in keyof Doc]: Read<Doc[Key]> } = {
   inPlace: flag,
   apparel: choice<Apparel>(APPAREL),
   stiffness: number(0.001, 1000),
+  gravity: number(0, 10),
+  live: flag,
   guidance: number(0, 20),
   steps: number(1, 1000, true),
   pins: list(pin),
@@ -150,7 +154,7 @@ export function readDoc(value: unknown): Doc {
 }
 
 /** What a link says: on which character what is done, and how it is drawn. */
-export interface Replay extends Pick<Doc, "script" | "seed" | "steps" | "guidance" | "loop" | "inPlace" | "path" | "apparel" | "stiffness" | "rig"> {
+export interface Replay extends Pick<Doc, "script" | "seed" | "steps" | "guidance" | "loop" | "inPlace" | "path" | "apparel" | "stiffness" | "gravity" | "rig"> {
   character: string;
 }
 
@@ -173,9 +177,9 @@ export function readReplay(link: string): Replay {
   const found = record<Replay>(
     {
       character: text(80), script, seed: FIELDS.seed, steps: FIELDS.steps, guidance: FIELDS.guidance, loop: flag,
-      inPlace: flag, path: FIELDS.path, apparel: FIELDS.apparel, stiffness: FIELDS.stiffness, rig: FIELDS.rig,
+      inPlace: flag, path: FIELDS.path, apparel: FIELDS.apparel, stiffness: FIELDS.stiffness, gravity: FIELDS.gravity, rig: FIELDS.rig,
     },
-    { apparel: "rigid", stiffness: 1, path: [], rig: "handles" },
+    { apparel: "rigid", stiffness: 1, gravity: 1, path: [], rig: "handles" },
   )(given);
   if (!found || found.script.some((part) => part.text.length > MOST_LETTERS)) {
     throw new Error("the link asks for what cannot be; copy it again from the studio");

@@ -1,7 +1,7 @@
 // Which joints of a character its bones are between.
 
-import type { Bone } from "three";
-import type { Character } from "./types";
+import { Color, type Bone } from "three";
+import type { Chain, Character } from "./types";
 
 /** The parent of each of the 30 handles (src/bunraku/body/layout.py). */
 export const PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21, 15, 15, 9, 9, 0, 28];
@@ -23,5 +23,31 @@ export function skeletonOf(one: Character, skin: "handles" | "bones", bones: rea
     }
     const from = plays.get(role);
     return from === undefined || from === joint ? [] : [[from, joint]];
+  });
+}
+
+const KINDS = ["hair", "skirt", "cape", "sleeve", "tail", "ear", "ribbon", "strand"];
+
+export const kindColour = (kind: string): Color => new Color().setHSL(((Math.max(KINDS.indexOf(kind), 0) * 137.508) % 360) / 360, 0.75, 0.45);
+
+/** A chain as it is drawn: the bones that it is made of, where the model has them, and how it lies at rest. */
+export interface Strand {
+  bones: number[];
+  chain: Chain;
+  colour: Color;
+}
+
+/** The chains of a character; `count` bones of its model are there, of which the handles are first, then the links of all
+ * chains, then their ends (src/bunraku/physics/chains/laid.py). */
+export function strandsOf(one: Character, count: number): Strand[] {
+  const chains = one.chains ?? [];
+  const handles = one.positions?.length ?? 0;
+  const links = chains.reduce((sum, chain) => sum + chain.points.length - 1, 0);
+  let at = handles;
+  return chains.map((chain, number) => {
+    const own = chain.points.length - 1;
+    const bones = Array.from({ length: own }, (_, link) => at + link).concat(handles + links + number);
+    at += own;
+    return { bones: count === handles + links + chains.length ? bones : [], chain, colour: kindColour(chain.kind) };
   });
 }

@@ -7,10 +7,11 @@ import { bytes } from "./api";
 import { parseClip, type Clip } from "./clip";
 import { colour, dispose, forget, handleColour, loadModel, type Model } from "./model";
 import {
-  attempt, change, character, characters, colouring, comparing, doc, drawing, follow, ownTakes, playing, running, speed,
+  attempt, change, character, characters, colouring, comparing, doc, drawing, follow, ownTakes, painting, playing, running, speed,
   take, takes, time, warm, weightOf,
 } from "./state";
-import { skeletonOf } from "./skeleton";
+import { lift, touch, worn } from "./painting";
+import { skeletonOf, strandsOf } from "./skeleton";
 import type { Character, Take } from "./types";
 import { Viewer, type Pane } from "./viewer";
 
@@ -23,11 +24,11 @@ const models = new Map<string, Promise<Model>>();
 const clips = new Map<string, Promise<Clip>>();
 const KEPT = 24;
 
-function model(owner: string, version: number, skin: string): Promise<Model> {
-  const key = `${owner}:${version}:${skin}`;
+function model(owner: string, version: number, skin: string, laid = 0): Promise<Model> {
+  const key = `${owner}:${version}:${skin}:${laid}`;
   let found = models.get(key);
   if (!found) {
-    found = bytes(`/characters/${owner}/mesh.glb?skin=${skin}`).then((data) => loadModel(key, data));
+    found = bytes(`/characters/${owner}/mesh.glb?skin=${skin}`).then((data) => loadModel(key, data, skin === "chains"));
     found.catch(() => models.delete(key));
     models.set(key, found);
     for (const [old, value] of [...models].slice(0, -4)) {
@@ -80,12 +81,15 @@ async function refresh(): Promise<void> {
     return;
   }
   const one = take.value;
-  const several = comparing.value ? compared() : [];
-  const wanted = several.length > 1 ? several : one && one.state !== "waiting" && one.fps ? [one] : [];
-  if (!wanted.length && doc.value.take && shown.startsWith(`["${owner.id}",${owner.version},`)) {
+  const live = lively();
+  const several = painting.value ? [] : comparing.value ? compared() : [];
+  const wanted = several.length > 1 ? several : one && one.state !== "waiting" && one.fps && !painting.value ? [one] : [];
+  if (!wanted.length && !painting.value && doc.value.take && shown.startsWith(`["${owner.id}",${owner.version},`)) {
     return; // what is shown stays until the new take is there
   }
-  const key = JSON.stringify([owner.id, owner.version, wanted.map((each) => [each.id, each.state, each.skin])]);
+  const skins = wanted.map((each) => (live && several.length < 2 && each.skin !== "bones" ? "chains" : (each.skin ?? "handles")));
+  const laid = skins.includes("chains") ? (owner.laid ?? 0) : 0;
+  const key = JSON.stringify([owner.id, owner.version, wanted.map((each, number) => [each.id, each.state, skins[number]]), laid, painting.value]);
   if (key === shown || owner.state !== "ready") {
     return;
   }
@@ -95,14 +99,14 @@ async function refresh(): Promise<void> {
     try {
       const panes: Pane[] = wanted.length
         ? await Promise.all(
-            wanted.map(async (each) => ({
-              model: await model(owner.id, owner.version, each.skin ?? "handles"),
+            wanted.map(async (each, number) => ({
+              model: await model(owner.id, owner.version, skins[number] ?? "handles", laid),
               clip: await clip(each),
               label: each.id,
               draft: each.state === "draft",
             })),
           )
-        : [{ model: await model(owner.id, owner.version, "handles"), clip: null }];
+        : [{ model: await model(owner.id, owner.version, "handles"), clip: null, bound: painting.value }];
       if (key !== shown) {
         return; // something else was chosen meanwhile
       }
@@ -138,9 +142,16 @@ async function photograph(owner: Character, view: Viewer): Promise<void> {
   }
 }
 
+/** Whether springs swing in the page: where there are chains, and one take alone is shown. */
+const lively = (): boolean => doc.value.live && Boolean(character.value?.chains?.length) && !comparing.value;
+
 function paint(): void {
+  const mask = painting.value && worn.value?.owner === character.value?.id ? (worn.value?.worn ?? null) : null;
   for (const pane of new Set(viewer?.panes.map((each) => each.model) ?? [])) {
-    colour(pane, colouring.value, weightOf.value);
+    colour(pane, mask ? "mask" : colouring.value, weightOf.value, mask);
+    if (pane.springs) {
+      Object.assign(pane.springs, { stiffness: doc.value.stiffness, gravity: doc.value.gravity });
+    }
   }
   viewer?.touch();
 }
@@ -161,6 +172,7 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
       change("pin", { pins: [...rest, { part, time: at, position, hold: 0 }].sort((a, b) => a.time - b.time) });
       void bend();
     };
+    view.painted = () => void lift();
     view.drew = (path) => {
       drawing.value = false;
       change("draw a path", { path });
@@ -173,11 +185,11 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
     };
     const stops = [
       effect(() => {
-        void [character.value, take.value, comparing.value, takes.value, characters.value];
+        void [character.value, take.value, comparing.value, takes.value, characters.value, doc.value.live, painting.value];
         void refresh();
       }),
       effect(() => {
-        void [colouring.value, weightOf.value];
+        void [colouring.value, weightOf.value, painting.value, worn.value, doc.value.stiffness, doc.value.gravity];
         paint();
       }),
       effect(() => {
@@ -186,6 +198,7 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
         const shownModel = view.panes[0]?.model;
         view.marks = {
           skeleton: colouring.value === "skeleton" && owner ? skeletonOf(owner, one?.skin ?? "handles", shownModel?.bones ?? []) : [],
+          chains: colouring.value === "chains" && owner && one?.skin !== "bones" ? strandsOf(owner, shownModel?.bones.length ?? 0) : [],
           ends: owner?.ends ?? [],
           pins: doc.value.pins,
           path: doc.value.path,
@@ -198,7 +211,9 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
                   colour: handleColour(joint),
                 })),
         };
-        view.directing = !playing.value && one?.state === "done" && one.skin !== "bones" && !comparing.value;
+        view.live = lively();
+        view.paint = painting.value ? (ray) => Boolean(view.panes[0] && touch(view.panes[0].model, ray, view.extent)) : null;
+        view.directing = !painting.value && !playing.value && one?.state === "done" && one.skin !== "bones" && !comparing.value;
         view.drawing = drawing.value;
         view.follow = follow.value;
         view.touch();
@@ -221,6 +236,7 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
       if (playing.value && length > 0) {
         time.value = (time.value + passed * speed.value) % length;
       }
+      view.pass(passed);
       view.draw();
     };
     frame = requestAnimationFrame(tick);

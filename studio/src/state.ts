@@ -1,6 +1,7 @@
 // What the page knows and what the user has set, as signals; undo and redo of everything; saving it as it changes.
 
 import { batch, computed, effect, signal } from "@preact/signals";
+import type { Colouring } from "./model";
 import { get, listen, send, ServerError } from "./api";
 import { EMPTY, readDoc } from "./schema";
 import { scriptOf } from "./script";
@@ -23,10 +24,13 @@ export const time = signal(0);
 export const playing = signal(true);
 export const speed = signal(1);
 export const follow = signal(true);
-export const colouring = signal<"none" | "handles" | "weights" | "skeleton">("none");
+export const colouring = signal<Exclude<Colouring, "mask">>("none");
 export const weightOf = signal(0);
 export const comparing = signal(false);
 export const drawing = signal(false);
+/** Whether hair and clothes are being painted on the mesh, and how. */
+export const painting = signal(false);
+export const brush = signal({ add: true, size: 0.05 });
 
 export const doc = signal<Doc>(EMPTY);
 
@@ -43,8 +47,8 @@ export function newest(all: Take[], owner: string | null): Take | null {
   return own.find((one) => one.state === "done") ?? own[0] ?? null;
 }
 const open = (job: Job): boolean => ["waiting", "running"].includes(job.state);
-/** What nobody asked for by itself: how clips look, and what is found out of a character. */
-const QUIET = ["preview", "find-out"];
+/** What nobody asked for by itself: how clips look, what is found out of a character, chains over it. */
+const QUIET = ["preview", "find-out", "lay-chains"];
 /** What is being made. */
 export const running = computed(() => jobs.value.filter((job) => open(job) && !QUIET.includes(job.kind)));
 export const interrupted = computed(() => jobs.value.filter((job) => job.state === "interrupted"));

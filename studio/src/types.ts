@@ -43,9 +43,23 @@ export interface Character {
   used?: number[];
   ends?: LimbEnd[];
   clips?: string[];
+  /** Chains of bones over its hair and clothes, how often they were laid, and why there are none. */
+  chains?: Chain[];
+  laid?: number;
+  unchained?: string;
+  /** Whether somebody painted what its hair and clothes are. */
+  painted?: boolean;
 }
 
-export type Apparel = "rigid" | "simulate" | "learn";
+export type Apparel = "rigid" | "simulate" | "chains" | "learn";
+
+/** A chain of bones over hair or clothes: its points at rest [m], and the handle that carries it. */
+export interface Chain {
+  name: string;
+  kind: string;
+  joint: number;
+  points: Vec3[];
+}
 
 export interface Sentence {
   text: string;
@@ -79,8 +93,10 @@ export interface Take {
   parent?: string;
   asked?: Record<string, unknown>;
   skin?: "handles" | "bones";
-  /** Of learned apparel; null where it is not learned. */
+  /** Of apparel that moves on its own, and how; null where it does not. */
   stiffness?: number | null;
+  gravity?: number | null;
+  worn?: "learn" | "chains" | null;
   fps?: number;
   frames?: number;
   seconds?: number;
@@ -175,6 +191,9 @@ export interface Doc {
   inPlace: boolean;
   apparel: Apparel;
   stiffness: number;
+  gravity: number;
+  /** Whether springs swing in the page, in place of what the take says of hair and clothes. */
+  live: boolean;
   guidance: number;
   steps: number;
   pins: Pin[];

@@ -17,6 +17,7 @@ import {
   PCFShadowMap,
   PerspectiveCamera,
   Plane,
+  Ray,
   Raycaster,
   Scene,
   ShadowMaterial,
@@ -28,7 +29,8 @@ import {
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { rootAt, type Clip } from "./clip";
-import { carried, pose, type Model } from "./model";
+import { carried, pose, rest, swing, type Model } from "./model";
+import type { Strand } from "./skeleton";
 import type { LimbEnd, Pin } from "./types";
 
 export interface Pane {
@@ -36,6 +38,8 @@ export interface Pane {
   clip: Clip | null;
   /** The take that it shows, and whether that is its draft. */
   label?: string;
+  /** Without a clip: as it was bound, whatever it was shown doing before. */
+  bound?: boolean;
   draft?: boolean;
 }
 
@@ -46,12 +50,17 @@ export interface Marks {
   handles: { place: [number, number, number]; joint: number; colour: Color }[];
   /** Joints that bones are drawn between. */
   skeleton: [number, number][];
+  /** Chains of hair and clothes. */
+  chains: Strand[];
 }
 
 const ACCENT = 0xd9622b;
 const FOV = 26; // degrees, that of the library's own renderer
 const MOST_PIXELS = 1.5;
 const BONES = new LineBasicMaterial({ color: ACCENT, depthTest: false, transparent: true });
+const STRANDS = new LineBasicMaterial({ vertexColors: true, depthTest: false, transparent: true });
+const SHAKE = { seconds: 1.4, rounds: 1.6, reach: 0.22 }; // how a character is shaken; reach over its size
+const HOME = 0.12; // [s] in which what was dragged aside goes back by a factor of e
 
 export class Viewer {
   readonly renderer: WebGLRenderer;
@@ -60,7 +69,7 @@ export class Viewer {
   readonly controls: OrbitControls;
   readonly canvas: HTMLCanvasElement;
   panes: Pane[] = [];
-  marks: Marks = { ends: [], pins: [], path: [], handles: [], skeleton: [] };
+  marks: Marks = { ends: [], pins: [], path: [], handles: [], skeleton: [], chains: [] };
   time = 0;
   follow = true;
   dragged: ((part: string, place: [number, number, number]) => void) | null = null;
@@ -74,8 +83,19 @@ export class Viewer {
   private readonly sun: DirectionalLight;
   private readonly gizmos: Mesh[] = [];
   private readonly dots: Mesh[] = [];
+  /** Paints where a ray goes; whether it met something. */
+  paint: ((ray: Ray) => boolean) | null = null;
+  painted: (() => void) | null = null;
+  /** Whether springs of models swing. */
+  live = false;
+  private stroking = false;
+  private readonly aside = new Vector3(); // how far the character is dragged or shaken from its place [m]
+  private grip: { plane: Plane; from: Vector3 } | null = null;
+  private shaken = Infinity; // seconds since it was
+  private passed = 0; // seconds to swing on
   private line: Line | null = null;
   private bones: LineSegments | null = null;
+  private strands: LineSegments | null = null;
   private followed: [number, number] = [0, 0];
   private held: { gizmo: Mesh; plane: Plane } | null = null;
   private stroke: [number, number][] = [];
@@ -116,6 +136,40 @@ export class Viewer {
 
   touch(): void {
     this.dirty = true;
+  }
+
+  /** How large the character is [m]. */
+  get extent(): number {
+    return this.size;
+  }
+
+  /** The ray through the middle of the view. */
+  middle(): Ray {
+    this.ray.setFromCamera(new Vector2(0, 0), this.camera);
+    return this.ray.ray;
+  }
+
+  /** Let time pass for what swings [s]. */
+  pass(seconds: number): void {
+    const swings = this.live && this.panes.length === 1 && Boolean(this.panes[0]?.model.springs);
+    if (!swings) {
+      this.aside.set(0, 0, 0);
+      return;
+    }
+    this.passed += seconds;
+    this.shaken += seconds;
+    if (this.shaken < SHAKE.seconds) {
+      const left = 1 - this.shaken / SHAKE.seconds;
+      this.aside.set(SHAKE.reach * this.size * left * Math.sin((2 * Math.PI * SHAKE.rounds * this.shaken) / SHAKE.seconds), 0, 0);
+    } else if (!this.grip) {
+      this.aside.multiplyScalar(Math.exp(-seconds / HOME));
+    }
+    this.touch();
+  }
+
+  /** Move the character to and fro once, for its hair and clothes to swing. */
+  shake(): void {
+    this.shaken = 0;
   }
 
   theme(dark: boolean): void {
@@ -237,7 +291,15 @@ export class Viewer {
       const high = height / rows;
       this.camera.aspect = wide / high;
       this.camera.updateProjectionMatrix();
+      if (!pane.clip && pane.bound) {
+        rest(pane.model);
+      }
+      pane.model.group.position.copy(this.aside);
       pose(pane.model, pane.clip, this.time);
+      if (pane.model.springs) {
+        swing(pane.model, this.passed);
+        this.passed = 0;
+      }
       const own = this.follow ? this.root(pane) : [x, z];
       const aside = new Vector3((own[0] ?? 0) - x, 0, (own[1] ?? 0) - z);
       this.camera.position.add(aside);
@@ -302,6 +364,7 @@ export class Viewer {
       });
     }
     this.joined(pane, single ? this.marks.skeleton : []);
+    this.laid(pane, single ? this.marks.chains : []);
     this.line?.removeFromParent();
     const path = this.stroke.length > 1 ? this.stroke : this.marks.path;
     if (path.length > 1) {
@@ -323,6 +386,33 @@ export class Viewer {
       this.bones.renderOrder = 9;
       this.bones.frustumCulled = false;
       this.scene.add(this.bones);
+    }
+  }
+
+  /** Chains of hair and clothes, seen through the mesh: where its bones are, or with the handles that carry them. */
+  private laid(pane: Pane, chains: Marks["chains"]): void {
+    this.strands?.removeFromParent();
+    this.strands?.geometry.dispose();
+    this.strands = null;
+    const points: Vector3[] = [];
+    const colours: number[] = [];
+    for (const { bones, chain, colour } of chains) {
+      const spots = chain.points.map((place, number) => {
+        const bone = pane.model.bones[bones[number] ?? -1];
+        return bone ? bone.getWorldPosition(new Vector3()) : carried(pane.model, chain.joint, place);
+      });
+      spots.slice(1).forEach((spot, number) => {
+        points.push(spots[number] as Vector3, spot);
+        colours.push(...colour.toArray(), ...colour.toArray());
+      });
+    }
+    if (points.length) {
+      const geometry = new BufferGeometry().setFromPoints(points);
+      geometry.setAttribute("color", new Float32BufferAttribute(colours, 3));
+      this.strands = new LineSegments(geometry, STRANDS);
+      this.strands.renderOrder = 9;
+      this.strands.frustumCulled = false;
+      this.scene.add(this.strands);
     }
   }
 
@@ -365,6 +455,15 @@ export class Viewer {
       this.chosen?.(row * columns + column);
       return;
     }
+    if (this.paint) {
+      this.aim(event);
+      if (this.paint(this.ray.ray)) {
+        this.stroking = true;
+        this.controls.enabled = false;
+        this.canvas.setPointerCapture(event.pointerId);
+      }
+      return;
+    }
     if (this.drawing) {
       const place = this.ground(event);
       this.stroke = place ? [place] : [];
@@ -372,10 +471,11 @@ export class Viewer {
       this.canvas.setPointerCapture(event.pointerId);
       return;
     }
+    this.aim(event);
     if (!this.directing) {
+      this.gripped(event);
       return;
     }
-    this.aim(event);
     const near = this.gizmos.filter((gizmo) => gizmo.visible);
     for (const gizmo of near) {
       gizmo.geometry.computeBoundingSphere();
@@ -387,11 +487,43 @@ export class Viewer {
       this.held = { gizmo, plane: new Plane().setFromNormalAndCoplanarPoint(normal, gizmo.position) };
       this.controls.enabled = false;
       this.canvas.setPointerCapture(event.pointerId);
+    } else {
+      this.gripped(event);
+    }
+  }
+
+  /** Take hold of a character whose springs are live, where the ray passes near its middle. */
+  private gripped(event: PointerEvent): void {
+    const body = this.panes[0]?.model.bones[0];
+    if (!this.live || !this.panes[0]?.model.springs || !body) {
+      return;
+    }
+    const place = body.getWorldPosition(new Vector3());
+    const up = new Vector3(place.x, this.size, place.z);
+    if (this.ray.ray.distanceSqToSegment(new Vector3(place.x, 0, place.z), up) > (0.16 * this.size) ** 2) {
+      return;
+    }
+    const plane = new Plane().setFromNormalAndCoplanarPoint(this.camera.getWorldDirection(new Vector3()).negate(), place);
+    const from = this.ray.ray.intersectPlane(plane, new Vector3());
+    if (from) {
+      this.grip = { plane, from: from.sub(this.aside) };
+      this.shaken = Infinity;
+      this.controls.enabled = false;
+      this.canvas.setPointerCapture(event.pointerId);
     }
   }
 
   private move(event: PointerEvent): void {
-    if (this.stroke.length) {
+    if (this.stroking) {
+      this.aim(event);
+      this.paint?.(this.ray.ray);
+    } else if (this.grip) {
+      this.aim(event);
+      const place = this.ray.ray.intersectPlane(this.grip.plane, new Vector3());
+      if (place) {
+        this.aside.copy(place.sub(this.grip.from)).clampLength(0, 2 * this.size);
+      }
+    } else if (this.stroke.length) {
       const place = this.ground(event);
       const before = this.stroke.at(-1);
       if (place && before && Math.hypot(place[0] - before[0], place[1] - before[1]) > this.size * 0.06) {
@@ -409,7 +541,12 @@ export class Viewer {
   }
 
   private up(event: PointerEvent): void {
-    if (this.stroke.length) {
+    if (this.stroking) {
+      this.stroking = false;
+      this.painted?.();
+    } else if (this.grip) {
+      this.grip = null;
+    } else if (this.stroke.length) {
       const path = this.stroke;
       this.stroke = [];
       if (path.length > 2) {
@@ -436,7 +573,7 @@ export class Viewer {
     const before = this.time;
     const { directing, marks } = this;
     this.directing = false;
-    this.marks = { ...marks, handles: [], path: [], skeleton: [] };
+    this.marks = { ...marks, handles: [], path: [], skeleton: [], chains: [] };
     this.time = time;
     this.renderer.setPixelRatio(1);
     this.renderer.setSize(width, height, false);

@@ -25,7 +25,7 @@ test("the chosen sentence is one that there is", () => {
 
 const LINK = {
   character: "läufer", script: [{ text: "läuft", seconds: 2 }], seed: 3, steps: 5, guidance: 2, loop: false,
-  inPlace: true, path: [[0, 1]] as [number, number][], apparel: "rigid" as const, stiffness: 1, rig: "handles" as const,
+  inPlace: true, path: [[0, 1]] as [number, number][], apparel: "rigid" as const, stiffness: 1, gravity: 1, rig: "handles" as const,
 };
 
 test("a link comes back as it went", () => {

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bunraku.core.animation import Animation
+from bunraku.core.character import Character
 from bunraku.core.mmd_model import mmd_model
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError, MotionError, OptionError
@@ -13,7 +14,17 @@ from bunraku.formats.mmd.vmd_write import write_vmd
 from bunraku.io.humanoid import humanoid_motion
 from bunraku.retarget.mmd.retarget import mmd_clip, mmd_motion
 
-__all__ = ["write_character_vmd"]
+__all__ = ["check_character", "write_character_vmd"]
+
+
+def check_character(character: Character, path: Path) -> None:
+    """Raise FormatError unless a VMD can hold what a character does."""
+    if mmd_model(character) is None:
+        raise FormatError(
+            path,
+            f"a VMD moves the bones of an MMD model, and {character.name} is none; transfer onto a .pmx or .pmd, or "
+            "write a .bvh or .vrma",
+        )
 
 
 def write_character_vmd(animation: Animation | RigAnimation, path: Path, *, fps: float | None = None) -> Path:
@@ -36,12 +47,7 @@ def write_character_vmd(animation: Animation | RigAnimation, path: Path, *, fps:
     if fps not in (None, VMD_FPS):
         raise OptionError(f"VMD files have 30 frames a second, not {fps:g}; leave fps out, and the motion is resampled")
     character = animation.character
-    if mmd_model(character) is None:
-        raise FormatError(
-            path,
-            f"a VMD moves the bones of an MMD model, and {character.name} is none; transfer onto a .pmx or .pmd, or "
-            "write a .bvh or .vrma",
-        )
+    check_character(character, path)
     if isinstance(animation, RigAnimation):
         return write_vmd(mmd_clip(animation), path)
     try:

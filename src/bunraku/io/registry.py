@@ -27,6 +27,7 @@ from bunraku.io.units import check_unit, in_metres
 __all__ = [
     "check_points_writer",
     "check_writer",
+    "check_writes",
     "detect",
     "load_character",
     "read_motion",
@@ -41,6 +42,8 @@ __all__ = [
 
 _log = logging.getLogger(__name__)
 _CHECKED = ("bunraku.formats.usd.write",)
+_OF_SOME = ("bunraku.io.mmd_motion",)
+"""What writes the animations of some characters alone."""
 _ABILITIES = {
     "character": "characters are read from",
     "motion": "motions are read from",
@@ -306,6 +309,18 @@ def check_writer(path: str | Path) -> None:
     target = detect(path, b"", "animation").animation.partition(":")[0]
     if target in _CHECKED:
         _resolve(f"{target}:check_available")()
+
+
+def check_writes(path: str | Path, character: Character) -> None:
+    """Make sure that files of this suffix can hold what a character does, before anything is made to be written.
+
+    Raises:
+        FormatError: They cannot: a VMD is of MMD models alone; or the suffix is unknown.
+    """
+    path = Path(path)
+    target = detect(path, b"", "animation").animation.partition(":")[0]
+    if target in _OF_SOME:
+        _resolve(f"{target}:check_character")(character, path)
 
 
 def check_points_writer(path: str | Path) -> None:

@@ -129,10 +129,12 @@ def animation_of(
     Raises:
         BunrakuError: A file cannot be read, the two do not go together, or there is nothing to simulate.
     """
+    from bunraku.io.registry import check_writes
     from bunraku.pipelines.animator import Animator
     from bunraku.pipelines.transfer import transferred
 
     character, handles = character_of(pair.character, settings)
+    check_writes(pair.output, character)
     request = replace(settings.request(handles), stages=stages_of(settings))
     return transferred(Animator.shipped(progress), character, source_of(pair.motion, settings), request)
 

@@ -323,9 +323,13 @@ def _kept(verb: Animate, path: Path) -> tuple[Body, Request]:
 def _ready(verb: Animate, request: Request, path: Path, report: Report) -> tuple[Body, Request]:
     """A character as it is to be animated, and what is requested of it."""
     from bunraku.io import load_character
+    from bunraku.io.registry import check_writes
 
     report("load", 0.0)
     character = stand_up(load_character(path, unit="m", clips=verb.fps), path, verb.up, verb.front, verb.unit)
+    for output in verb.output:
+        if output.suffix:
+            check_writes(output, character)
     report("load", 1.0)
 
     from bunraku.pipelines.animator import Animator

@@ -69,9 +69,11 @@ class LayChains:
         from bunraku.physics.chains.avatars import vrm_avatar
 
         report("look", 0.1)
-        made, why = chains_of(shop.body(self.character).anatomy)
+        body = shop.body(self.character)
+        made, why = chains_of(body.anatomy)
         if made is None:
-            return {"chains": [], "unchained": why}
+            reason = why.removeprefix(f"{body.character.name}: ").partition(";")[0]
+            return {"chains": [], "unchained": f"{reason}; paint what is hair and clothes"}
         report("springs", 0.4)
         path = shop.folder_of("characters", self.character) / CHAINED
         save_character(made.character, path, rig=True, avatar=vrm_avatar(made))
