@@ -11,6 +11,7 @@ import { attempt, brush, character, painting, remember } from "./state";
 export const worn = signal<{ owner: string; worn: Worn; strokes: number } | null>(null);
 let surface: { model: Model; worn: Worn; surface: Surface } | null = null;
 let before: Uint8Array | null = null; // the mask as it was when the stroke began
+let own = false; // whether somebody painted it, as far as this page knows
 
 function shown(): void {
   if (worn.value) {
@@ -26,6 +27,7 @@ export async function startPainting(): Promise<void> {
   }
   await attempt(async () => {
     worn.value = { owner: owner.id, worn: parseWorn(await bytes(`/characters/${owner.id}/mask`)), strokes: 0 };
+    own = Boolean(owner.painted);
     painting.value = true;
   });
 }
@@ -35,35 +37,36 @@ export function endPainting(): void {
   surface = null;
 }
 
+let keeping: Promise<unknown> = Promise.resolve(); // masks reach the server in the order in which they were painted
+
 /** Keep a mask; null takes back what is found without one. */
-async function keep(owner: string, mask: Uint8Array | null): Promise<void> {
+function keep(owner: string, mask: Uint8Array | null): Promise<unknown> {
   const path = `/characters/${owner}/mask`;
-  await bytes(path, mask ? { method: "PUT", body: packMask(mask) } : { method: "DELETE" });
-  poked();
+  const options = mask ? { method: "PUT", body: packMask(mask) } : { method: "DELETE" };
+  keeping = keeping.catch(() => undefined).then(() => bytes(path, options));
+  return keeping.then(poked);
 }
 
 /** Show a mask and keep it. */
 async function put(owner: string, mask: Uint8Array | null): Promise<void> {
+  own = Boolean(mask);
+  if (mask && worn.value?.owner === owner) {
+    worn.value.worn.mask.set(mask);
+    shown();
+  }
   await keep(owner, mask);
-  if (worn.value?.owner === owner) {
-    if (mask) {
-      worn.value.worn.mask.set(mask);
-    } else {
-      worn.value = { ...worn.value, worn: parseWorn(await bytes(`/characters/${owner}/mask`)) };
-      surface = null;
-    }
+  if (!mask && worn.value?.owner === owner) {
+    worn.value = { ...worn.value, worn: parseWorn(await bytes(`/characters/${owner}/mask`)) };
     shown();
   }
 }
 
-/** A step that undo takes back. */
+/** A step that undo takes back, from a mask that was painted or found to another. */
 async function step(name: string, after: Uint8Array | null, old: Uint8Array, painted: boolean): Promise<void> {
   const owner = worn.value?.owner ?? "";
   const back = painted ? old : null;
-  await attempt(async () => {
-    await put(owner, after);
-    remember({ name, undo: () => put(owner, back), redo: () => put(owner, after) });
-  });
+  remember({ name, undo: () => put(owner, back), redo: () => put(owner, after) });
+  await attempt(() => put(owner, after));
 }
 
 function surfaceOf(model: Model): Surface | null {
@@ -99,7 +102,7 @@ export async function lift(): Promise<void> {
   before = null;
   const now = worn.value?.worn.mask;
   if (old && now && old.some((one, vertex) => one !== now[vertex])) {
-    await step(brush.value.add ? "paint hair and clothes" : "wipe hair and clothes", now.slice(), old, Boolean(character.value?.painted));
+    await step(brush.value.add ? "paint hair and clothes" : "wipe hair and clothes", now.slice(), old, own);
   }
 }
 

@@ -185,9 +185,8 @@ def test_what_is_worn_is_found(file):
     assert has_apparel(found_apparel(girl, rig(girl)))
     bare = replace(girl, rig=None, source=None)  # neither physics nor a network that could look
     handles = rig(bare)
-    few = replace(
-        handles, positions=handles.positions[:9], weights=np.ones((len(bare.vertices), 9)) / 9, features=None, roles=None
-    )  # fmt: skip
+    weights = np.ones((len(bare.vertices), 9)) / 9
+    few = replace(handles, positions=handles.positions[:9], weights=weights, features=None, roles=None)
     assert found_apparel(bare, few) is None
 
 

@@ -42,7 +42,7 @@ def test_rows_of_the_page_are_vertices_of_the_character(tmp_path):
     save_character(character, tmp_path / "mesh.glb")
     document = read_gltf(tmp_path / "mesh.glb", (tmp_path / "mesh.glb").read_bytes()).source.document
     drawn = {
-        (mesh, primitive): document.accessor(entry["attributes"]["POSITION"])
+        (mesh, primitive): document.accessor(entry["attributes"]["POSITION"], ("VEC3",))
         for mesh, one in enumerate(document.tree["meshes"])
         for primitive, entry in enumerate(one["primitives"])
     }
@@ -121,7 +121,9 @@ def test_a_painted_skirt_swings_on_chains(tmp_path):
     assert laid["chains"] and {chain["kind"] for chain in laid["chains"]} <= {"skirt", "ribbon", "cape"}
     springs = read_gltf(folder / "chains.glb", (folder / "chains.glb").read_bytes()).source.document.tree["extras"]
     assert len(springs["springs"]["springs"]) == len(laid["chains"])
-    run("play", takes=["a"], seeds=[0], pieces=[{"seconds": 1.0, "clip": "walk"}], apparel="chains", gravity=2.0)
+    run(
+        "play", takes=["a"], seeds=[0], pieces=[{"seconds": 1.0, "clip": "walk-catwalk"}], apparel="chains", gravity=2.0
+    )
     assert (told[-1]["worn"], told[-1]["gravity"], told[-1]["stiffness"]) == ("chains", 2.0, 1.0)
     take = shop.take("a", "one")
     assert isinstance(take, Dressed) and isinstance(take.bones, RigAnimation) and take.motion == "chains"

@@ -236,7 +236,7 @@ def _packed_bones(bones: RigAnimation) -> dict[str, Any]:
     rig = bones.character.rig
     assert rig is not None
     return {
-        "rig_names": np.array(rig.names), "rig_parents": rig.parents, "rig_transforms": rig.transforms,
+        "rig_names": np.frombuffer(json.dumps(rig.names).encode(), np.uint8), "rig_parents": rig.parents, "rig_transforms": rig.transforms,
         "rig_indices": rig.indices, "rig_weights": rig.weights, "rig_fps": np.float32(bones.fps),
         "rig_rotations": bones.rotations, "rig_translations": bones.translations,
     }  # fmt: skip
@@ -249,7 +249,7 @@ def _bones_of(found: dict[str, np.ndarray], path: Path, skinned: Animation) -> R
         FormatError: Its rig is of another mesh, or none.
     """
     try:
-        names = tuple(str(name) for name in found["rig_names"].ravel())
+        names = tuple(str(name) for name in json.loads(found["rig_names"].astype(np.uint8).tobytes()))
         rig = Rig(names, *(found[f"rig_{name}"] for name in ("parents", "transforms", "indices", "weights")))
         character = replace(skinned.character, rig=rig, avatar=None)
         if len(rig.indices) != len(character.vertices):

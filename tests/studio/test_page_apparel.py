@@ -1,0 +1,89 @@
+"""Hair and clothes in the page, in a real browser: painted, taken back, swinging live, dressed on chains."""
+
+import pytest
+from browser import CHROMIUM, VITE, Page, chromium
+from conftest import Studio
+
+pytest.importorskip("playwright", reason="the page is tested with playwright: make browser")
+if CHROMIUM is None or not VITE.exists():
+    pytest.skip("there is no Chromium, or the page's tools are not installed", allow_module_level=True)
+
+LEGEND = "document.querySelector('.painting legend').textContent"
+TIP = """(() => {
+    const { bones } = studio.view().panes[0].model;
+    return bones.at(-1).getWorldPosition(bones[0].position.clone()).toArray();
+})()"""
+
+
+@pytest.fixture(scope="module")
+def dancer(tmp_path_factory):
+    """A page with the dancer, a take of it in it, and its id."""
+    studio = Studio(tmp_path_factory.mktemp("apparel") / "folder")
+    try:
+        one = studio.sample("dancer")["id"]
+        made = studio.animate(one, "walks", 1)
+        studio.done(made["job"])
+        studio.until(lambda: "laid" in studio.get(f"/api/characters/{one}"), "a look for chains")
+        with chromium() as browser, Page(browser, studio) as page:
+            page.until("window.studio && studio.view() && studio.online.value")
+            page.value(f"studio.change('', {{ character: '{one}', take: '{made['takes'][0]}' }})")
+            page.shown()
+            yield page, one
+    finally:
+        studio.stop()
+
+
+def test_hair_and_clothes_are_painted_and_swing(dancer):
+    page, one = dancer
+    record = f"/api/characters/{one}"
+    page.page.click("#paint")
+    page.until("document.getElementById('dab')")
+    before, laid = page.value(LEGEND), page.studio.get(record)["laid"]
+
+    page.page.select_option("#brush", "remove")  # a stroke over the skirt, and one by a key in the middle of the view
+    box = page.page.locator(".stage canvas").bounding_box()
+    x, y = box["x"] + box["width"] * 0.455, box["y"] + box["height"] * 0.62
+    page.page.mouse.move(x, y)
+    page.page.mouse.down()
+    page.page.mouse.move(x + 30, y + 8, steps=3)
+    page.page.mouse.up()
+    page.until(f"studio.character.value.painted && {LEGEND} !== '{before}'")
+    page.page.keyboard.press("Control+z")
+    page.until(f"!studio.character.value.painted && {LEGEND} === '{before}'")
+    page.page.keyboard.press("Control+Shift+z")
+    page.until(f"studio.character.value.painted && {LEGEND} !== '{before}'")
+    stroke = page.value(LEGEND)
+    page.value("(() => { const d = document.getElementById('brush-size'); d.value = '0.2'; "
+               "d.dispatchEvent(new Event('input', { bubbles: true })); })()")  # fmt: skip
+    page.page.locator(".stage canvas").hover()
+    page.page.click("#painted", trial=True)
+    page.page.keyboard.press("x")
+    page.until(f"{LEGEND} !== '{stroke}'")
+    page.page.keyboard.press("Control+z")
+    page.until(f"{LEGEND} === '{stroke}'")
+    page.page.click("#painted")
+
+    page.studio.until(lambda: page.studio.get(record)["laid"] > laid, "chains over what was painted")
+    page.until("studio.character.value.chains.length")
+    page.page.select_option("#colouring", "chains")
+    page.page.click("#live")
+    page.until("studio.view().panes[0].model.springs")
+    page.set(0.5)
+    page.until(f"{TIP}.every(Number.isFinite)")
+    still = page.value(TIP)
+    page.page.keyboard.press("k")
+    page.until(f"Math.abs({TIP}[0] - {still[0]}) > 0.05")
+    page.page.select_option("#apparel", "chains")
+    page.page.click("#live")
+    page.page.click("#dress")
+    page.until("studio.take.value.how === 'dress' && studio.take.value.state === 'done'")
+    page.shown()
+    assert page.value("[studio.take.value.worn, studio.take.value.stiffness, studio.take.value.gravity]") == [
+        "chains", 1, 1,
+    ]  # fmt: skip
+    page.page.click("#paint")
+    page.page.click("#as-found")
+    page.until(f"!studio.character.value.painted && {LEGEND} === '{before}'")
+    page.page.keyboard.press("Escape")
+    page.until("!document.getElementById('dab')")
+    page.check()
