@@ -127,6 +127,37 @@ def apparel(page: Page) -> None:
     page.set(1.2)
 
 
+def paint(page: Page) -> None:
+    """The mask of the dancer, some of it wiped off with the brush."""
+    page.page.click("#sample-dancer")
+    page.until("studio.character.value?.name === 'dancer' && studio.character.value.state === 'ready'")
+    page.until("studio.character.value.laid && studio.take.value?.state === 'done'")
+    page.page.click("#paint")
+    page.until("document.getElementById('dab')")
+    page.page.select_option("#brush", "remove")
+    box = page.page.locator(".stage canvas").bounding_box()
+    assert box is not None
+    x, y = box["x"] + 0.455 * box["width"], box["y"] + 0.62 * box["height"]
+    page.page.mouse.move(x, y)
+    page.page.mouse.down()
+    page.page.mouse.move(x + 40, y + 10, steps=4)
+    page.page.mouse.up()
+    page.until("studio.character.value.painted")
+
+
+def chains(page: Page) -> None:
+    """Chains over what was painted, swinging."""
+    paint(page)
+    page.page.click("#painted")
+    page.until("studio.character.value.chains?.length")
+    page.page.select_option("#colouring", "chains")
+    page.page.click("#live")
+    page.until("studio.view().panes[0].model.springs")
+    page.set(0.6)
+    page.page.click("#shake")
+    page.page.wait_for_timeout(700)
+
+
 STATES = {  # those of a first visit before those that leave something behind
     "first": (first, False, 1280),
     "dark": (first, True, 1280),
@@ -137,6 +168,8 @@ STATES = {  # those of a first visit before those that leave something behind
     "export": (export, True, 1280),
     "clips": (clips, False, 1280),
     "apparel": (apparel, False, 1280),
+    "paint": (paint, False, 1280),
+    "chains": (chains, False, 1280),
     "takes": (takes, False, 1280),
     "directing": (directing, False, 1280),
 }

@@ -14,7 +14,7 @@ from bunraku.io import load_character, save_character
 from bunraku.samples import sample_character
 from bunraku.studio.tasks.table import run_task
 from bunraku.studio.workspace.clips import Dressed, load_take
-from bunraku.studio.workspace.mask import WORN, clean_mask, packed_bits, paint, painted_file, save_worn, shown_mask
+from bunraku.studio.workspace.mask import WORN, clean_mask, found_mask, packed_bits, paint, painted_file, save_worn, shown_mask
 from bunraku.studio.workspace.workspace import Workspace
 
 
@@ -111,6 +111,8 @@ def test_a_painted_skirt_swings_on_chains(tmp_path):
 
     run("open", file=record["file"], settings=settings)
     run("find-out")
+    found = found_mask(folder / WORN)
+    assert found.any()
     nothing = np.zeros(len(shop.character("one")[0].vertices), bool)
     paint(nothing, painted_file(folder / "source" / "dancer.glb"))
     assert run("lay-chains")["chains"] == [] and not (folder / "chains.glb").exists()
@@ -121,6 +123,8 @@ def test_a_painted_skirt_swings_on_chains(tmp_path):
     assert laid["chains"] and {chain["kind"] for chain in laid["chains"]} <= {"skirt", "ribbon", "cape"}
     springs = read_gltf(folder / "chains.glb", (folder / "chains.glb").read_bytes()).source.document.tree["extras"]
     assert len(springs["springs"]["springs"]) == len(laid["chains"])
+    assert run("find-out")["painted"]
+    np.testing.assert_array_equal(found_mask(folder / WORN), found)  # what is painted is not what was found
     run(
         "play", takes=["a"], seeds=[0], pieces=[{"seconds": 1.0, "clip": "walk-catwalk"}], apparel="chains", gravity=2.0
     )

@@ -17,7 +17,7 @@ from bunraku.studio.routes.asked import beside, choice, ready_character, state_o
 from bunraku.studio.state import State
 from bunraku.studio.uploads import CHARACTERS, TooLarge, plain_name, receive, unpack
 from bunraku.studio.workspace.dressing import has_apparel
-from bunraku.studio.workspace.mask import WORN, clean_mask, paint, painted_file, shown_mask
+from bunraku.studio.workspace.mask import WORN, clean_mask, found_mask, paint, painted_file, shown_mask
 
 __all__ = ["ROUTES"]
 
@@ -173,15 +173,13 @@ def _painted(
     state: State, record: dict[str, Any], worn: Path, painted: Path, bits: bytes, back: bool
 ) -> dict[str, Any]:  # fmt: skip
     with state.writing:
+        chosen = found_mask(worn) if back else clean_mask(worn, bits)
         if back:
             painted.unlink(missing_ok=True)
-            found = state.note("characters", record["id"], painted=False)
         else:
-            chosen = clean_mask(worn, bits)
             paint(chosen, painted)
-            found = state.note("characters", record["id"], painted=True, apparel=has_apparel(chosen))
-        state.find_out(record["id"]) if back else state.lay_chains(record["id"])
-    return found
+        state.lay_chains(record["id"])
+        return state.note("characters", record["id"], painted=not back, apparel=has_apparel(chosen))
 
 
 @beside

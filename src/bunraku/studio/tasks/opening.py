@@ -55,7 +55,9 @@ class FindOut:
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
         body = shop.body(self.character)
         report("look", 0.1)
-        return found_out(body.character, body.anatomy, shop.folder_of("characters", self.character) / WORN)
+        worn = shop.folder_of("characters", self.character) / WORN
+        painted = shop.painted(self.character)
+        return {**found_out(body.character, body.anatomy, worn, painted), "painted": painted}
 
 
 @dataclass(frozen=True)

@@ -235,10 +235,11 @@ def _packed_bones(bones: RigAnimation) -> dict[str, Any]:
     """The rig with chains and what it does."""
     rig = bones.character.rig
     assert rig is not None
+    names = np.frombuffer(json.dumps(rig.names).encode(), np.uint8)
     return {
-        "rig_names": np.frombuffer(json.dumps(rig.names).encode(), np.uint8), "rig_parents": rig.parents, "rig_transforms": rig.transforms,
-        "rig_indices": rig.indices, "rig_weights": rig.weights, "rig_fps": np.float32(bones.fps),
-        "rig_rotations": bones.rotations, "rig_translations": bones.translations,
+        "rig_names": names, "rig_parents": rig.parents, "rig_transforms": rig.transforms, "rig_indices": rig.indices,
+        "rig_weights": rig.weights, "rig_fps": np.float32(bones.fps), "rig_rotations": bones.rotations,
+        "rig_translations": bones.translations,
     }  # fmt: skip
 
 

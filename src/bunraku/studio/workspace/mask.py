@@ -21,7 +21,7 @@ from bunraku.formats.arrays.npy import read_npy
 from bunraku.formats.files import atomic_write, read_bounded
 from bunraku.formats.gltf.write import document_of
 
-__all__ = ["WORN", "clean_mask", "paint", "painted_file", "save_worn", "shown_mask"]
+__all__ = ["WORN", "clean_mask", "found_mask", "paint", "painted_file", "save_worn", "shown_mask"]
 
 WORN = "worn.bin"
 """What is found of a character, beside its mesh."""
@@ -91,6 +91,17 @@ def shown_mask(worn: Path, painted: Path) -> bytes:
         raise FormatError(painted.name, f"it is no mask of {count:,} vertices; paint it again")
     bits = packed_bits(mask > 0.5)
     return data[:start] + bits + data[start + len(bits) :]
+
+
+def found_mask(worn: Path) -> np.ndarray:
+    """What was found, shape (V,), bool.
+
+    Raises:
+        FormatError: The file is broken.
+    """
+    data = read_bounded(worn)
+    start, count = _head(worn, data)
+    return np.unpackbits(np.frombuffer(data[start:], np.uint8), count=count, bitorder="little").astype(bool)
 
 
 def _head(worn: Path, data: bytes) -> tuple[int, int]:

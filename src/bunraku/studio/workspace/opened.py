@@ -95,13 +95,14 @@ def _has_skeleton(character: Character) -> bool:
         return False
 
 
-def found_out(character: Character, anatomy: Anatomy, worn: Path) -> dict[str, Any]:
+def found_out(character: Character, anatomy: Anatomy, worn: Path, painted: bool = False) -> dict[str, Any]:
     """What a page shows of a character and is longer looked for: apparel, and where hands and feet are.
 
     Args:
         character: The character.
         anatomy: Of it.
         worn: The file that gets which vertices are apparel.
+        painted: Whether somebody painted them, so that they are not what is found.
 
     Raises:
         FormatError: That cannot be written.
@@ -115,7 +116,8 @@ def found_out(character: Character, anatomy: Anatomy, worn: Path) -> dict[str, A
     except Exception:  # clothes that nobody finds are no reason not to open a character
         _log.exception("apparel could not be looked for")
         mask = None
-    save_worn(character, mask, worn)
+    if not worn.is_file() or not painted:
+        save_worn(character, mask, worn)  # what is painted is not what was found
     ends = [
         {"part": end.part, "handle": end.handle, "point": np.round(end.point, 5).tolist()} for end in limb_ends(anatomy)
     ]

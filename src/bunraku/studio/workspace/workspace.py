@@ -16,6 +16,7 @@ from bunraku.errors import BunrakuError, OptionError
 from bunraku.formats.files import atomic_write
 from bunraku.pipelines.animator import Body
 from bunraku.studio.workspace.clips import Dressed, Take, body_of, load_handles, load_take, packed_clip, save_take
+from bunraku.studio.workspace.mask import painted_file
 from bunraku.studio.workspace.opened import Settings, opened_character
 
 __all__ = ["PREVIEWS", "Workspace"]
@@ -70,6 +71,12 @@ class Workspace:
                 self._open.popitem(last=False)
         self._open.move_to_end(key)
         return self._open[key]
+
+    def painted(self, name: str) -> bool:
+        """Whether somebody painted what of a character is hair and clothes."""
+        folder = self.folder_of("characters", name)
+        record = json.loads((folder / "record.json").read_text(encoding="utf-8"))
+        return painted_file(folder / record["file"]).is_file()
 
     def body(self, name: str) -> Body:
         """A character that was opened, with what is known of its handles' anatomy worked out once."""
