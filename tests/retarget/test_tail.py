@@ -14,7 +14,7 @@ from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.stages.tail import Tail, TailClear
+from bunraku.retarget.stages.trailing.tail import Tail, TailClear
 from bunraku.samples import sample_character
 
 FPS, FRAMES = 20.0, 60

@@ -26,6 +26,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.errors import CharacterError
 from bunraku.geometry.extremes import extreme_points, part_extremes
 from bunraku.geometry.surface import vertex_areas
+from bunraku.handles.limbs import LIMB_HANDLES
 
 __all__ = ["Anatomy", "decimated", "reference_anatomy"]
 
@@ -140,11 +141,28 @@ class Anatomy:
     @cached_property
     def further(self) -> list[list[int]]:
         """The handles of each limb beyond those of a person, from the body outwards."""
+        return [limb for limb in self._beyond if limb[0] not in self.appendages]
+
+    @cached_property
+    def appendages(self) -> list[int]:
+        """The handles of what stands out from the head, such as ears, horns and a trunk: they play the head's top."""
+        played = self.handles.played
+        beside = np.flatnonzero(played != np.arange(len(played)))
+        return [handle for handle in beside.tolist() if int(played[handle]) not in LIMB_HANDLES]
+
+    @cached_property
+    def own(self) -> np.ndarray:
+        """Which handles are there and play their own parts, shape (K,), bool."""
+        played = self.handles.played
+        return np.asarray(self.joints.present & (played == np.arange(len(played))))
+
+    @cached_property
+    def _beyond(self) -> list[list[int]]:
         return further_limbs(self.mesh_handles) if self.handles.roles is not None else []
 
     @cached_property
     def _views(self) -> list[LimbView]:
-        return [] if self.handles.roles is None else limb_views(self.mesh_handles, self.further)
+        return [] if self.handles.roles is None else limb_views(self.mesh_handles, self._beyond)
 
     @cached_property
     def _estimates(self) -> list[Joints]:
@@ -252,7 +270,7 @@ class Anatomy:
         return self._extremes(_TAIL)
 
     def _extremes(self, names: tuple[str, ...]) -> np.ndarray:
-        columns = [HANDLE_NAMES.index(name) for name in names]
+        columns = np.isin(self.handles.played, [HANDLE_NAMES.index(name) for name in names])
         held = np.flatnonzero(self.mesh.surface & (self.mesh_handles.weights[:, columns].sum(axis=1) > 0.5))
         if len(held) < 4:
             return held[:0]

@@ -13,7 +13,7 @@ import numpy as np
 from bunraku.anatomy.joints import Joints
 from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.core.character import Handles
-from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
+from bunraku.handles.limbs import FAMILIES, SIDES, further_legged, limb_handles
 
 __all__ = ["LimbView", "by_limb", "further_limbs", "limb_views", "reference_parts"]
 
@@ -28,8 +28,8 @@ class LimbView:
     """A character as if it had one limb of each kind.
 
     Args:
-        handles: Handles that all play their own parts, as their `roles` say. What other limbs weigh is on one that the
-            character lacks.
+        handles: Handles that all play their own parts, as their `roles` say where it has further limbs. What other
+            limbs weigh is on one that the character lacks.
         members: Handle of the character that plays each of them, -1 for none, shape (K,).
         own: Which of them this view speaks for.
     """
@@ -89,7 +89,8 @@ def _view(handles: Handles, members: np.ndarray, own: list[int]) -> LimbView:
         positions[handle] = positions[HANDLE_PARENTS[handle]]
     idle = next((leaf for leaf in reversed(_LEAVES) if not there[leaf]), 0)
     weights[:, idle] += 1 - weights.sum(axis=1)
-    return LimbView(Handles(positions, weights, roles=np.arange(len(members))), members, own)
+    roles = np.arange(len(members)) if further_legged(handles) else None
+    return LimbView(Handles(positions, weights, roles=roles), members, own)
 
 
 def by_limb(

@@ -22,6 +22,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.geometry.rotations import matrix_from_axis_angle, rotation_between
 from bunraku.geometry.surface import vertex_areas
+from bunraku.handles.limbs import further_legged
 
 __all__ = ["flat_feet", "rest_of_limbs", "rest_rotations", "stance_of", "upright"]
 
@@ -139,7 +140,7 @@ def upright(handles: Handles) -> bool:
     """Whether the head is over the hips rather than before them; never of who has further limbs, and so many legs to
     stand on, nor of who carries the head high on a level trunk over four legs, as a llama does.
     """
-    if handles.roles is not None:
+    if further_legged(handles):
         return False
     spine = handles.positions[HANDLE_NAMES.index("head")] - handles.positions[0]
     return bool(spine[1] > abs(spine[2])) and not _on_all_fours(handles)

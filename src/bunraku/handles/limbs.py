@@ -12,10 +12,21 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from bunraku.body.layout import HANDLE_NAMES
+from bunraku.core.character import Handles
 from bunraku.geometry.graph import mesh_parts
 from bunraku.geometry.simplify import NetworkMesh
 
-__all__ = ["FAMILIES", "LIMB_HANDLES", "SIDES", "Limb", "edge_lengths", "find_limbs", "limb_handles", "stands"]
+__all__ = [
+    "FAMILIES",
+    "LIMB_HANDLES",
+    "SIDES",
+    "Limb",
+    "edge_lengths",
+    "find_limbs",
+    "further_legged",
+    "limb_handles",
+    "stands",
+]
 
 FAMILIES: tuple[tuple[str, ...], ...] = (("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist", "fingers"))
 """Parts of a limb, from the body outwards; a limb is found by all but the first."""
@@ -55,6 +66,15 @@ def limb_handles(side: str, family: tuple[str, ...]) -> list[int]:
 
 
 LIMB_HANDLES = [column for side in SIDES for family in FAMILIES for column in limb_handles(side, family)]
+
+
+def further_legged(handles: Handles) -> bool:
+    """Whether some handles play parts of further limbs; what stands on a head is no limb. One limb of such a body in
+    place of all of them (`anatomy.limbs.LimbView`), which has roles that are all its own, is a part of it.
+    """
+    played = handles.played
+    beside = played[played != np.arange(len(played))]
+    return handles.roles is not None and bool(not len(beside) or np.isin(beside, LIMB_HANDLES).any())
 
 
 def edge_lengths(mesh: NetworkMesh) -> csr_matrix:

@@ -14,6 +14,7 @@ from bunraku.body.layout import HANDLE_MIRROR
 from bunraku.body.reference import handle_positions
 from bunraku.core.character import Character, Handles
 from bunraku.geometry.simplify import NetworkMesh, network_mesh, network_views
+from bunraku.handles.appendages import with_appendages
 from bunraku.handles.blocks.rigid import rigid_handles
 from bunraku.handles.extra_limbs import split_limbs
 from bunraku.handles.loose_parts import seat_parts
@@ -115,11 +116,13 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
     if roles is None:  # of many legs one handle holds several regions before they are told apart
         weights = grown_from_heads(mesh, hung_from_heads(mesh, without_doubts(weights)))
         weights = eased(mesh, reunited(mesh, weights))
-    positions = handle_positions(mesh.vertices, weights, mesh.areas) * mesh.scale + mesh.center
     full = seat_parts(mesh, weights, stiff=roles is None)
     rigid = rigid_handles(character, full[mesh.clean.index])
     if rigid is not None:
         return replace(rigid, features=features)
+    if roles is None:
+        weights, full, roles = with_appendages(mesh, weights, full)
+    positions = handle_positions(mesh.vertices, weights, mesh.areas) * mesh.scale + mesh.center
     return Handles(positions, trim_weights(full)[mesh.clean.index], features, roles)
 
 

@@ -22,6 +22,7 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.diffusion.generation.drawing import Drawing
 from bunraku.diffusion.generation.networks import Networks
 from bunraku.errors import CharacterError, FormatError, OptionError
+from bunraku.handles.limbs import further_legged
 from bunraku.handles.predict import Predictor
 from bunraku.language.sentence import Sentence, in_stretches
 from bunraku.pipelines.apply import apply_motion, apply_rigged, reference_of, reference_path
@@ -71,7 +72,7 @@ class Body:
         move.
         """
         anatomy = self.anatomy
-        return self.parts is None and anatomy.plan.kind == "person" and anatomy.handles.roles is None
+        return self.parts is None and anatomy.plan.kind == "person" and not further_legged(anatomy.handles)
 
 
 def _silent(*messages: object) -> None:

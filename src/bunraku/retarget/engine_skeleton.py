@@ -14,11 +14,12 @@ import numpy as np
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.core.animation import Animation
-from bunraku.core.character import Character, Rig, top_influences
+from bunraku.core.character import Character, Handles, Rig, top_influences
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, OptionError
 from bunraku.formats.gltf.read import Source
+from bunraku.handles.limbs import further_legged
 from bunraku.skeletons.engine_names import REQUIRED, ROOTS, SKELETONS, engine_names
 
 __all__ = ["carried", "on_skeleton", "t_pose"]
@@ -42,12 +43,13 @@ def on_skeleton(anatomy: Anatomy, names: str, weights: np.ndarray | None = None)
     if names not in SKELETONS:
         raise OptionError(f"the names of a skeleton are those of {', '.join(SKELETONS)}, not '{names}'; choose one")
     character, handles = anatomy.character, anatomy.handles
-    if anatomy.plan.kind != "person" or handles.roles is not None:
+    if anatomy.plan.kind != "person" or further_legged(handles):
         raise CharacterError(
             f"{character.name}: it is {anatomy.plan.words}, and a humanoid skeleton has two arms and two legs; leave "
             "the skeleton out"
         )
-    weights = handles.weights if weights is None else weights
+    anatomy = _plain(anatomy)
+    weights = anatomy.handles.weights if weights is None else weights
     moved, placed = t_pose(anatomy)
     vertices = skin(character.vertices, weights, moved[None, :, :3].astype(np.float32))[0]
     rig = _rig(anatomy, placed, names, weights)
@@ -79,7 +81,7 @@ def carried(animation: Animation, anatomy: Anatomy, skeleton: Character) -> RigA
     known = next((one for one in SKELETONS if set(names) <= {*engine_names(one), ROOTS.get(one, "")}), None)
     if known is None or not names or len(animation.handles.positions) != len(HANDLE_NAMES):
         raise CharacterError(f"{skeleton.name}: it is not the skeleton of the handles that move; make it of them")
-    moved, placed = t_pose(anatomy)
+    moved, placed = t_pose(_plain(anatomy))
     does = animation.motion.transforms(animation.handles.positions).astype(np.float64)
     turned = does[..., :3] @ np.swapaxes(moved[:, :3, :3], -1, -2)
     shift = does[..., 3] - np.einsum("nkij,kj->nki", turned, moved[:, :3, 3])
@@ -92,6 +94,16 @@ def carried(animation: Animation, anatomy: Anatomy, skeleton: Character) -> RigA
             handle = listed.index(name)
             rotations[:, joint], positions[:, joint] = turned[:, handle], heads[:, handle]
     return RigAnimation.of_world(skeleton, rotations, positions, animation.fps, animation.reference)
+
+
+def _plain(anatomy: Anatomy) -> Anatomy:
+    """The body with what stands out from its head as part of the head's top: a humanoid has no joints for it."""
+    if anatomy.handles.roles is None:
+        return anatomy
+    handles = anatomy.handles
+    weights = np.zeros_like(handles.weights)
+    np.add.at(weights.T, handles.played, handles.weights.T)
+    return Anatomy.of(anatomy.character, Handles(handles.positions, weights, handles.features))
 
 
 def t_pose(anatomy: Anatomy) -> tuple[np.ndarray, np.ndarray]:

@@ -28,13 +28,14 @@ from bunraku.retarget.stages.smooth import Smooth
 from bunraku.retarget.stages.stage import Fitting, Stage
 from bunraku.retarget.stages.support import Support
 from bunraku.retarget.stages.switches import Stages
-from bunraku.retarget.stages.tail import Tail, TailClear
+from bunraku.retarget.stages.trailing.lag import Lag
+from bunraku.retarget.stages.trailing.tail import Tail, TailClear
 
 __all__ = ["POSING", "STAGES", "Stages", "fit_motion", "posed", "running"]
 
 STAGES: tuple[Stage, ...] = (
     Smooth(), Gait(), Blocks(), RestPose(), Legless(), Fins(), Tail(), Front(), Swings(), Attach(), Shape(), Level(),
-    Ground(), Support(), Feet(), Hands(), HandsClear(), TailClear(), Floor(),
+    Ground(), Support(), Feet(), Hands(), HandsClear(), Lag(), TailClear(), Floor(),
 )  # fmt: skip
 """All stages, in the order in which they run."""
 _NAMED = {stage.name: stage for stage in STAGES}

@@ -21,7 +21,7 @@ from bunraku.geometry.filters import gaussian
 from bunraku.geometry.rotations import axis_angle_from_matrix, heading, matrix_from_axis_angle, matrix_y
 from bunraku.retarget.fit import posed
 from bunraku.retarget.stages.ground import Ground
-from bunraku.retarget.stages.tail import Tail
+from bunraku.retarget.stages.trailing.tail import Tail
 
 __all__ = ["HOVER", "in_air", "moved_so", "wing_swing", "wings_carry"]
 

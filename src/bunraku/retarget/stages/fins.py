@@ -17,7 +17,7 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.geometry.filters import gaussian
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
+from bunraku.handles.limbs import FAMILIES, SIDES, further_legged, limb_handles
 from bunraku.retarget.stages.stage import Fitting, Stage
 
 __all__ = ["Fins"]
@@ -47,7 +47,7 @@ class Fins(Stage):
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         if not fitting.source.own_kind or anatomy.upright:
             return False
-        return not anatomy.legs or anatomy.handles.roles is not None or not self.drawn(fitting.source.rotations)
+        return not anatomy.legs or further_legged(anatomy.handles) or not self.drawn(fitting.source.rotations)
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         drawn = self.drawn(fitting.source.rotations)

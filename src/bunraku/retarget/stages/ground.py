@@ -55,7 +55,7 @@ class Ground(Stage):
         motion = fitting.motion
         if not fitting.source.own_height or fitting.heights is not None:
             return fitting.moved(self.followed(fitting.source, motion, anatomy, fitting.heights))
-        wings = bool(anatomy.joints.present[_WINGS].all())
+        wings = bool(anatomy.own[_WINGS].all())
         flies = not anatomy.legs or anatomy.upright or wings  # who is upright may climb or hang
         return fitting.moved(self.grounded(motion, anatomy, flies))
 

@@ -30,6 +30,7 @@ class Stages:
         feet: Standing feet do not slide.
         hands: Hands that touch the body stay near it.
         hands_clear: Hands stay out of the body.
+        lag: Ears, horns, a trunk and a tail that nothing moves follow what they grow from with a damped lag.
         tail_clear: A tail that would sink into the ground is turned up.
         floor: Nothing sinks into the ground, and feet that stand are on it.
     """
@@ -51,5 +52,6 @@ class Stages:
     feet: bool = True
     hands: bool = False
     hands_clear: bool = True
+    lag: bool = True
     tail_clear: bool = True
     floor: bool = True

@@ -19,7 +19,7 @@ from bunraku.geometry.rotations import (
     quaternion_from_matrix,
     quaternion_slerp,
 )
-from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
+from bunraku.handles.limbs import FAMILIES, SIDES, further_legged, limb_handles
 from bunraku.retarget.stages.stage import Fitting, Stage
 
 __all__ = ["Gait"]
@@ -56,7 +56,7 @@ class Gait(Stage):
     plain: float = 0.15
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        return anatomy.handles.roles is not None
+        return further_legged(anatomy.handles)
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         return replace(fitting, rotations=self.stepping(fitting.source, anatomy.handles))
@@ -117,7 +117,7 @@ class Gait(Stage):
             handles: The character's.
         """
         rotations = motion.rotations[:, handles.played].astype(np.float64)
-        cycle = self.cycle(motion) if handles.roles is not None else 0.0
+        cycle = self.cycle(motion) if further_legged(handles) else 0.0
         if not cycle:
             return rotations
         count, frames = len(motion), np.arange(len(motion))

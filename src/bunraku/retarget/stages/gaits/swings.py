@@ -14,6 +14,7 @@ import numpy as np
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.legs import Leg
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, nearest_rotation
+from bunraku.handles.limbs import further_legged
 from bunraku.retarget.stages.stage import Fitting, Stage
 
 __all__ = ["Swings", "pairs_of"]
@@ -62,7 +63,7 @@ class Swings(Stage):
     rounds: int = 4
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        return fitting.source.own_kind and bool(anatomy.plan.front) and anatomy.handles.roles is None
+        return fitting.source.own_kind and bool(anatomy.plan.front) and not further_legged(anatomy.handles)
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         rotations = fitting.rotations.copy()

@@ -69,14 +69,15 @@ class Tail(Stage):
             root_rotation: Of the root, shape (N, 3, 3); None for a root that does not turn.
         """
         out, tilt = rotations, np.eye(3)[None]
+        there = joints.present & (handles.played == np.arange(len(handles.positions)))
         if root_rotation is not None:
             facing = np.asarray(matrix_y(heading(root_rotation, fps)), np.float64)
             tilt = facing.transpose(0, 2, 1) @ root_rotation
         for part in (_TAIL, _TIP):
-            if not joints.present[part]:
+            if not there[part]:
                 continue
             along = handles.positions[part].astype(np.float64) - joints.positions[part]
-            if part == _TAIL and joints.present[_TIP]:
+            if part == _TAIL and there[_TIP]:
                 along = joints.positions[_TIP] - joints.positions[part]
             if np.hypot(along[1], along[2]) < 0.5 * np.linalg.norm(along):  # it lies across the body
                 continue
@@ -123,10 +124,10 @@ class TailClear(Stage):
             motion: Of the character.
             anatomy: Of the character.
         """
-        character, handles, joints = anatomy.mesh, anatomy.mesh_handles, anatomy.joints
+        character, handles, joints, there = anatomy.mesh, anatomy.mesh_handles, anatomy.joints, anatomy.own
         held, floor = anatomy.tail, anatomy.floor
-        base = _TAIL if joints.present[_TAIL] else _TIP
-        if not joints.present[base] or not len(held):
+        base = _TAIL if there[_TAIL] else _TIP
+        if not there[base] or not len(held):
             return motion
         world = motion.transforms(handles.positions).astype(np.float64)
         points = skin(character.vertices[held], handles.weights[held], world).astype(np.float64)
@@ -145,6 +146,6 @@ class TailClear(Stage):
         angle = enough(need, max(1, round(self.soft * motion.fps)))
         turn = facing @ matrix_from_axis_angle(angle[:, None] * np.array([1.0, 0, 0])) @ facing.transpose(0, 2, 1)
         for part in (_TAIL, _TIP) if base == _TAIL else (_TIP,):
-            if joints.present[part]:
+            if there[part]:
                 carry(world, part, joints, pivot, pivot, turn)
         return local_motion(world, motion, handles)
