@@ -233,3 +233,29 @@ def test_controls_that_move_nothing_are_no_limbs():
     moved = [1, 1, 1, 1, 1, 0, 1, 1, 0]
     check(read(text, mass=np.array(moved, float)), "lowerarm.L=left_elbow elbow.L= lowerleg.L=left_knee knee.L=")
     check(read(text), "elbow.L=left_elbow")  # without weights there is nothing to tell it by
+
+
+def test_a_part_may_be_named_after_its_limb():
+    """`Front_Leg_Upper_L` and `Back_Leg_Pelvis_L` (a fox of mesh2motion); a foot of a front leg is no hind toe."""
+    names = ["Hips", "Spine_1", "Head"]
+    parents, positions = [-1, 0, 1], [[0, 1.0, -0.7], [0, 1.0, 0], [0, 1.3, 0.9]]
+    for side, x in (("L", 0.15), ("R", -0.15)):
+        first = len(names)
+        for where, above, z, chain in (
+            ("Front_Leg", 1, 0.4, ("Shoulder", "Upper", "Lower", "Ankle", "Foot")),
+            ("Back_Leg", 0, -0.6, ("Pelvis", "Upper", "Lower", "Ankle", "Foot")),
+        ):
+            for rank, part in enumerate(chain):
+                parents.append(above if rank == 0 else len(names) - 1)
+                names.append(f"{where}_{part}_{side}")
+                positions.append([x, 1.0 - 0.24 * rank, z])
+        assert len(names) == first + 10
+    found = handle_of_joints(names, parents, np.array(positions), np.ones(len(names)))
+    said = {name: HANDLE_NAMES[handle] for name, handle in zip(names, found, strict=True) if handle >= 0}
+    for side, word in (("L", "left"), ("R", "right")):
+        assert [said[f"Front_Leg_{part}_{side}"] for part in ("Shoulder", "Upper", "Lower", "Ankle", "Foot")] == [
+            f"{word}_{part}" for part in ("collar", "shoulder", "elbow", "wrist", "wrist")
+        ]
+        assert [said[f"Back_Leg_{part}_{side}"] for part in ("Pelvis", "Upper", "Lower", "Ankle", "Foot")] == [
+            f"{word}_{part}" for part in ("hip", "hip", "knee", "ankle", "foot")
+        ]

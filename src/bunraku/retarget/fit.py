@@ -25,6 +25,7 @@ from bunraku.retarget.stages.legless import Legless
 from bunraku.retarget.stages.rest_pose import Attach, Level, RestPose
 from bunraku.retarget.stages.shape import Shape
 from bunraku.retarget.stages.smooth import Smooth
+from bunraku.retarget.stages.soles import Soles
 from bunraku.retarget.stages.stage import Fitting, Stage
 from bunraku.retarget.stages.support import Support
 from bunraku.retarget.stages.switches import Stages
@@ -35,7 +36,7 @@ __all__ = ["POSING", "STAGES", "Stages", "fit_motion", "posed", "running"]
 
 STAGES: tuple[Stage, ...] = (
     Smooth(), Gait(), Blocks(), RestPose(), Legless(), Fins(), Tail(), Front(), Swings(), Attach(), Shape(), Level(),
-    Ground(), Support(), Feet(), Hands(), HandsClear(), Lag(), TailClear(), Floor(),
+    Ground(), Soles(), Support(), Feet(), Hands(), HandsClear(), Lag(), TailClear(), Floor(),
 )  # fmt: skip
 """All stages, in the order in which they run."""
 _NAMED = {stage.name: stage for stage in STAGES}

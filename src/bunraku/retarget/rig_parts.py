@@ -48,6 +48,7 @@ _VRM = {
     "LowerLeg": "knee", "Foot": "ankle",
     "Toes": "foot",
 }  # fmt: skip
+_HIPS = (HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip"))
 _WRISTS = (HANDLE_NAMES.index("left_wrist"), HANDLE_NAMES.index("right_wrist"))
 _FEET = tuple(HANDLE_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot") for side in ("left", "right"))
 
@@ -109,6 +110,8 @@ class RigParts:
                 leads[parts[bone]] = bone
         for wrist in _WRISTS:
             parts, leads[wrist] = _hand_below(wrist, int(leads[wrist]), without_prefix(rig.names), parts, parents, mass)
+        for hip in _HIPS:
+            parts, leads[hip] = _thigh_below(hip, int(leads[hip]), without_prefix(rig.names), parts, parents)
         if leads[0] < 0:
             raise CharacterError(
                 f"{character.name}: no bone of its rig is known to be the pelvis; put the motion on its handles instead"
@@ -273,6 +276,16 @@ def _hand_below(
     if lead < 0 or len(below) != 1 or mass[below[0]] <= mass[lead]:
         return parts, lead
     return np.where(np.arange(len(parts)) == lead, NO_HANDLE, parts), int(below[0])
+
+
+def _thigh_below(
+    hip: int, lead: int, names: Sequence[str], parts: np.ndarray, parents: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Parts and the first bone of a leg whose thigh hangs on half of a pelvis: that goes along with the pelvis."""
+    below = [int(bone) for bone in np.flatnonzero(parents == lead) if parts[bone] == hip]
+    if lead < 0 or len(below) != 1 or part_of_name(names[lead])[0] != "hips":
+        return parts, lead
+    return np.where(np.arange(len(parts)) == lead, NO_HANDLE, parts), below[0]
 
 
 def _joints(

@@ -62,7 +62,9 @@ class _Tree:
                 and "front" not in self.words[joint]
             ):
                 self.kinds[joint] = "shoulder"
-            elif kind == "foot" and "foot" in above and "foot" in self.words[joint]:
+            elif (
+                kind == "foot" and "foot" in above and "foot" in self.words[joint] and "front" not in self.words[joint]
+            ):
                 self.kinds[joint] = "toe"
             elif kind in _LIMB_KINDS and "twist" in self.words[joint] and not self.children[joint] and kind in above:
                 self.kinds[joint] = ""  # a helper beside the limb that goes on below its own parent
@@ -201,7 +203,7 @@ def _legs(tree: _Tree, out: np.ndarray) -> None:
                 chain_of[member] = line
     for whole in sorted({tuple(c) for c in chain_of.values()}):
         chain = _segments(tree, whole)
-        upper = [bool(re.search(r"up(per)?leg|uparm", tree.words[j])) for j in chain]
+        upper = [bool(re.search(r"up(per)?leg|legup|uparm|armup", tree.words[j])) for j in chain]
         capped = any(tree.kinds[a] == "hip_bone" for a in tree.above(chain[0]))
         if chain[0] in front:
             parts = (

@@ -165,14 +165,27 @@ def part_of_name(name: str) -> tuple[str, int, int, bool]:
         return "head_top", side, number, target
     if target and joined in ("frontleg", "backleg"):
         joined = "ik" + joined
-    for kind, pattern in _COMPILED:
-        if pattern.search(joined):
-            if kind == "fingers" and joined.startswith("middlehand"):
-                kind = "wrist"
-            if kind == "leg" and number == 0 and joined in ("frontleg", "midfrontleg"):
-                kind = "arm_leg"
-            return kind, side, number, target
+    for words_of in (joined, _noun_last(kept)):
+        for kind, pattern in _COMPILED:
+            if pattern.search(words_of):
+                if kind == "fingers" and words_of.startswith("middlehand"):
+                    kind = "wrist"
+                if kind == "leg" and number == 0 and words_of in ("frontleg", "midfrontleg"):
+                    kind = "arm_leg"
+                return kind, side, number, target
     return "", side, number, target
+
+
+def _noun_last(words: list[str]) -> str:
+    """The words of a name with its part at the end: a leg that is said to be upper afterwards is an upper leg, and of
+    the shoulder of a leg the shoulder counts.
+    """
+    limb = next((place for place, word in enumerate(words) if word in ("leg", "arm")), len(words))
+    after = words[limb + 1 :]
+    return "".join([*words[:limb], *after, *(words[limb : limb + 1] if set(after) <= _WHERE else [])])
+
+
+_WHERE = {"front", "fore", "back", "hind", "rear", "upper", "lower", "up", "low"}
 
 
 _BLOCKS = {
@@ -182,7 +195,6 @@ _BLOCKS = {
     "spine": "trunk", "abdomen": "trunk", "body": "trunk", "back": "trunk", "held": "carried", "head_top": "carried",
     "face": "carried", "face_bone": "carried",
 }  # fmt: skip
-_WHERE = {"front", "fore", "back", "hind", "rear", "upper", "lower", "up", "low"}
 
 
 def block_of_name(name: str) -> tuple[str, str]:

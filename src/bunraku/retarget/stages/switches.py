@@ -26,6 +26,7 @@ class Stages:
         shape: Handles move a little where that keeps the mesh's edges at their lengths.
         level: Bodies that lie along their spine take a third of a person's tilt of the pelvis.
         ground: The lowest point is as high above the ground as the reference body's.
+        soles: Feet that are long for their legs are held flatter where they would sink into the ground.
         support: Legs stay under the trunk of a body on four legs.
         feet: Standing feet do not slide.
         hands: Hands that touch the body stay near it.
@@ -48,6 +49,7 @@ class Stages:
     shape: bool = False
     level: bool = True
     ground: bool = True
+    soles: bool = True
     support: bool = True
     feet: bool = True
     hands: bool = False
