@@ -40,7 +40,7 @@ def measure(seed: int, frames: int) -> dict[str, Any]:
 
     from bunraku.apparel.displacement.player import ApparelPlayer
     from bunraku.apparel.unified import UnifiedBody
-    from bunraku.physics.clothed import clothed_from_file
+    from bunraku.physics.told.clothed import clothed_from_file
     from bunraku.pipelines.apparel import shipped_displacement
     from bunraku_lab.datasets.apparel.build import body_animation
     from bunraku_lab.evaluation.transfer.stock_motions import stock_motion

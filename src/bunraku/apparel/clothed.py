@@ -11,7 +11,9 @@ from bunraku.errors import CharacterError
 
 __all__ = [
     "FREE",
+    "GRAVITY",
     "LEGS",
+    "LOADS",
     "NARROW",
     "NORMAL_STIFFNESS",
     "SIZE",
@@ -27,7 +29,8 @@ LEGS = tuple(
 """Their joints."""
 SIZE = 1.6
 """Height that the networks know characters at [m]; others are measured in units of theirs over this."""
-GRAVITY = 7.84  # of MMD files, 98 units / s^2 [m/s^2]
+GRAVITY = 7.84
+"""Of MMD files, 98 of their units [m/s^2]."""
 NORMAL_STIFFNESS = -0.4
 """Of cloth that hangs, the median of the wardrobe: what a part counts for that neither springs nor limits hold."""
 SOFTEST, STIFFEST = -2.2, 2.0
@@ -79,6 +82,8 @@ class ClothedCharacter:
         stiffness: Of each part (`part_stiffness`), shape (P,).
         damping: Of each part: share of the velocity that it loses in a second, shape (P,).
         limit: Of each part: how far a joint of it may turn [rad], shape (P,); as far as it likes when None.
+        swing: How each vertex swings by the joints above it, rows of `Swing`, shape (V, SWING_NUMBERS); None where only
+            the parts' stiffness is known.
 
     Raises:
         CharacterError: The shapes do not fit.
@@ -93,6 +98,7 @@ class ClothedCharacter:
     stiffness: np.ndarray
     damping: np.ndarray
     limit: np.ndarray = None  # type: ignore[assignment]
+    swing: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         count, parts = len(self.rest), int(self.part.max(initial=-1)) + 1
@@ -100,6 +106,7 @@ class ClothedCharacter:
             object.__setattr__(self, "limit", np.full(parts, FREE, np.float32))
         good = self.weights.shape == (count, JOINT_COUNT) and self.joints.shape == (JOINT_COUNT, 3)
         good &= self.apparel.shape == self.part.shape == (count,)
+        good &= self.swing is None or len(self.swing) == count
         if not good or len(self.stiffness) != parts or len(self.damping) != parts or len(self.limit) != parts:
             raise CharacterError("the mesh, its weights and its apparel are not of one character")
 

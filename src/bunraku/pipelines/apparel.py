@@ -32,8 +32,9 @@ from bunraku.nn.checkpoints import dated_checkpoint
 from bunraku.physics.chains.animated import with_apparel
 from bunraku.physics.chains.moving import moving_rig, steady_simulation
 from bunraku.physics.chains.on_handles import on_handle_rig
-from bunraku.physics.clothed import clothed_from_file
+from bunraku.physics.chains.outside import outside
 from bunraku.physics.from_file import apparel_rig
+from bunraku.physics.told.clothed import clothed_from_file
 from bunraku.pipelines.clothes import body_of_handles, laid_over, told_apart, too_much, wears
 from bunraku.pipelines.requests.apparel import Apparel
 
@@ -168,7 +169,7 @@ def chained(
     found = steady_simulation(made.on(moved), made.rig(), progress=lambda done: progress("apparel", done))
     for problem in found.report.problems():
         _log.warning("%s: %s", animation.character.name, problem)
-    return found.animation
+    return outside(found.animation, made.chains, clothed, bones)
 
 
 def animated_clothed(

@@ -5,7 +5,7 @@ import pytest
 
 from bunraku.apparel.unified import UnifiedBody
 from bunraku.core.skinning import skin
-from bunraku.physics.clothed import clothed_from_file
+from bunraku.physics.told.clothed import clothed_from_file
 from bunraku_lab.evaluation.apparel.against import best_skinning
 from bunraku_lab.evaluation.apparel.chained import chain_row, chain_summary
 from bunraku_lab.evaluation.apparel.clips import TrueClip

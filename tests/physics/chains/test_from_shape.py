@@ -11,7 +11,7 @@ from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.physics.chains.from_shape import shape_chains
 from bunraku.physics.chains.laid import Chained, LaidChains, with_chains
 from bunraku.physics.chains.moving import steady_simulation
-from bunraku.physics.clothed import clothed_from_file
+from bunraku.physics.told.clothed import clothed_from_file
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 JOINTS = np.arange(JOINT_COUNT)

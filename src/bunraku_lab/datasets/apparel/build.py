@@ -26,7 +26,13 @@ from bunraku_lab.datasets.apparel.plan import FPS, CharacterSource, ClipPlan, Sh
 from bunraku_lab.datasets.apparel.reader import INDEX
 from bunraku_lab.datasets.apparel.recording import record
 from bunraku_lab.datasets.apparel.repair import pushed_out_clips, unclothed
-from bunraku_lab.datasets.apparel.shards import Shard, shard_fingerprint, write_shard
+from bunraku_lab.datasets.apparel.shards import (
+    LATER_ARRAYS,
+    SHARD_ARRAYS,
+    Shard,
+    shard_fingerprint,
+    write_shard,
+)
 
 __all__ = ["BuildState", "body_animation", "build_apparel", "build_shard"]
 
@@ -84,7 +90,7 @@ def build_apparel(
         sweep(home)
     progress = progress or (lambda state: None)
     state = BuildState(len(plan), sum(shard.seconds for shard in plan) / 60)
-    todo = [shard for shard in plan if shard_fingerprint(_path(folder, shard)) != shard.fingerprint()]
+    todo = [shard for shard in plan if not _known(_path(folder, shard), shard, *LATER_ARRAYS)]
     waiting = {shard.name for shard in todo}
     for shard in plan:
         if shard.name not in waiting:
@@ -105,6 +111,11 @@ def build_apparel(
         progress(state)
     assert state.built_minutes >= before
     return state
+
+
+def _known(path: Path, shard: ShardPlan, *arrays: str) -> bool:
+    """Whether a shard of this plan is there, with some arrays that older versions did not write."""
+    return shard_fingerprint(path) == shard.fingerprint() and set(arrays) <= Shard(path).names
 
 
 def _build_batch(folder: Path, shards: list[ShardPlan]) -> list[str]:
@@ -148,13 +159,17 @@ def _facts(path: str, changed: int, size: int) -> dict[str, Any]:
 
 
 def build_shard(folder: Path, shard: ShardPlan) -> str:
-    """Make one shard.
+    """Make one shard; one that an older version made is not simulated again, and gets the arrays that it lacks.
 
     Returns:
         "" when it is written, otherwise what went wrong.
     """
     try:
-        _build(folder, shard)
+        path = _path(folder, shard)
+        if _known(path, shard):
+            _complete(path, shard)
+        else:
+            _build(folder, shard)
     except BunrakuError as error:
         return str(error)
     except MemoryError:
@@ -164,12 +179,27 @@ def build_shard(folder: Path, shard: ShardPlan) -> str:
     return ""
 
 
+def _complete(path: Path, shard: ShardPlan) -> None:
+    """Write how its vertices swing into a shard of an older version."""
+    from bunraku.physics.from_file import apparel_rig
+    from bunraku.physics.told.swing import vertex_swing
+
+    old, character = Shard(path), source_character(shard.character)
+    arrays = {name: old.array(name) for name in SHARD_ARRAYS}
+    rig = apparel_rig(character)
+    if rig is None or not np.array_equal(arrays["rest"], character.vertices):
+        raise FormatError(path, "its character is not what its plan makes; remove the file to build it again")
+    swing = vertex_swing(character, rig)
+    write_shard(path, arrays | {"swing": swing.rows()}, old.facts)
+
+
 def _build(folder: Path, shard: ShardPlan) -> None:
     from bunraku.apparel.mask import apparel_mask
     from bunraku.apparel.parts import apparel_parts
-    from bunraku.physics.clothed import part_springs
     from bunraku.physics.from_file import apparel_rig
     from bunraku.physics.simulate import simulate
+    from bunraku.physics.told.clothed import part_springs
+    from bunraku.physics.told.swing import vertex_swing
 
     character = source_character(shard.character)
     rig = apparel_rig(character)
@@ -206,13 +236,13 @@ def _build(folder: Path, shard: ShardPlan) -> None:
     own = character.rig
     assert own is not None
     part = apparel_parts(character.vertices, character.faces, mask)
-    springs = part_springs(character, rig, part)
+    springs, swing = part_springs(character, rig, part), vertex_swing(character, rig)
     clothed = unclothed(character.vertices, character.faces, body.joints, body.weights, mask, part)
     offsets = pushed_out_clips(clothed, recording.transforms, recording.loose, recording.offsets, clips)
     arrays = {
         "rest": character.vertices, "faces": character.faces, "joints": body.joints, "weights": body.weights,
         "apparel": mask, "part": part, "spring": springs.spring, "mass": springs.mass, "damping": springs.damping,
-        "limit": springs.limit,
+        "limit": springs.limit, "swing": swing.rows(),
         "loose": recording.loose, "transforms": recording.transforms, "offsets": offsets,
         "bone_parents": own.parents,
         "bone_positions": own.positions, "bone_moved": body.moved, "bone_indices": own.indices,

@@ -15,7 +15,7 @@ from bunraku.body.layout import JOINT_COUNT
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError, OptionError
 from bunraku.formats.files import read_bounded
-from bunraku_lab.datasets.apparel.shards import Shard
+from bunraku_lab.datasets.apparel.shards import LATER_ARRAYS, Shard
 
 __all__ = ["INDEX", "ApparelCharacter", "ApparelClip", "ApparelData", "ApparelWindow", "read_index"]
 
@@ -38,6 +38,7 @@ class ApparelCharacter:
         spring, mass, damping, limit: Of each part: stiffness of its joints [N m / rad], mass of its bodies, share of
             the velocity that they lose in a second, how far its joints bend [rad], shape (P,).
         loose: Vertices with offsets, shape (M,).
+        swing: As of `ClothedCharacter`, shape (V, SWING_NUMBERS); None in data of older versions.
         bone_parents: The rig itself, which a network does not see: parents (B,), positions [m] (B, 3), which bones
             physics move (B,), and the bones (V, I) and shares (V, I) of each vertex.
     """
@@ -59,6 +60,7 @@ class ApparelCharacter:
     bone_moved: np.ndarray
     bone_indices: np.ndarray
     bone_weights: np.ndarray
+    swing: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -201,7 +203,7 @@ class ApparelData:
 @lru_cache(maxsize=64)
 def _character(path: str, changed: int) -> ApparelCharacter:
     shard = Shard(path)
-    arrays = {name: shard.array(name) for name in ApparelCharacter.__dataclass_fields__ if name != "name"}
+    arrays = {name: shard.array(name) for name in ApparelCharacter.__dataclass_fields__ if name in shard.names}
     count, bones = len(arrays["rest"]), len(arrays["bone_parents"])
     weights = arrays["weights"]
     good = all(
@@ -216,6 +218,7 @@ def _character(path: str, changed: int) -> ApparelCharacter:
             "mass",
             "damping",
             "limit",
+            *(name for name in LATER_ARRAYS if name in arrays),
         )
     )
     good &= all(_within(arrays[name], 0, count) for name in ("faces", "loose"))

@@ -18,7 +18,7 @@ from bunraku.errors import BunrakuError, FormatError
 from bunraku.formats.files import atomic_write, sweep
 from bunraku.nn.spread import spread
 from bunraku_lab.datasets.apparel.reader import INDEX, read_index
-from bunraku_lab.datasets.apparel.shards import SHARD_ARRAYS, Shard, write_shard
+from bunraku_lab.datasets.apparel.shards import LATER_ARRAYS, SHARD_ARRAYS, Shard, write_shard
 
 __all__ = ["RepairState", "repair_apparel", "repair_shard", "pushed_out_clips"]
 
@@ -142,7 +142,7 @@ def repair_shard(source: Path, folder: Path, name: str) -> str:
 
     try:
         shard = Shard(_path(source, name))
-        arrays = {key: shard.array(key) for key in SHARD_ARRAYS}
+        arrays = {key: shard.array(key) for key in (*SHARD_ARRAYS, *LATER_ARRAYS) if key in shard.names}
         if not all(np.isfinite(array).all() for array in arrays.values()):
             raise FormatError(shard.path, "it holds values that are not numbers; build it again")
         clothed = unclothed(

@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.apparel.swing import SWING_NUMBERS
 from bunraku.body.layout import JOINT_COUNT
 from bunraku.errors import FormatError
 from bunraku.formats.files import atomic_write
 
-__all__ = ["SHARD_ARRAYS", "SHARD_FORMAT", "Shard", "shard_fingerprint", "write_shard"]
+__all__ = ["LATER_ARRAYS", "SHARD_ARRAYS", "SHARD_FORMAT", "Shard", "shard_fingerprint", "write_shard"]
 
 SHARD_FORMAT = "bunraku-apparel-3"
 _KEY = "bunraku"
@@ -44,6 +45,8 @@ SHARD_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "bone_weights": ("F32", ("V", "I")),
 }
 """Arrays of a shard -> type and shape; letters are lengths that must agree."""
+LATER_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {"swing": ("F32", ("V", SWING_NUMBERS))}
+"""Arrays that shards of older versions lack."""
 _AGAIN = "build it again with `bunraku data apparel`"
 
 
@@ -52,7 +55,7 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray], facts: Mapping[str, o
 
     Args:
         path: The file.
-        arrays: Those of `SHARD_ARRAYS`.
+        arrays: Those of `SHARD_ARRAYS`, and of `LATER_ARRAYS` where they are known.
         facts: What JSON can say: name, split, fingerprint, clips and more.
 
     Raises:
@@ -61,7 +64,8 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray], facts: Mapping[str, o
     from safetensors.numpy import save
 
     kinds = {"F32": np.float32, "F16": np.float16, "I32": np.int32, "U8": np.uint8}
-    plain = {name: np.ascontiguousarray(arrays[name], kinds[kind]) for name, (kind, _) in SHARD_ARRAYS.items()}
+    known = SHARD_ARRAYS | {name: how for name, how in LATER_ARRAYS.items() if name in arrays}
+    plain = {name: np.ascontiguousarray(arrays[name], kinds[kind]) for name, (kind, _) in known.items()}
     # One key only: safetensors writes several in any order.
     data = save(plain, {_KEY: json.dumps({"format": SHARD_FORMAT, **facts}, sort_keys=True)})
     with atomic_write(path) as file:
@@ -81,7 +85,8 @@ def shard_fingerprint(path: Path) -> str:
 
 
 class Shard:
-    """A shard, opened: `facts` are known, arrays are read when they are asked for.
+    """A shard, opened: `facts`, `lengths` and the `names` of its arrays are known, arrays are read when they are asked
+    for.
 
     Args:
         path: The file.
@@ -95,6 +100,7 @@ class Shard:
         self._file: Any = None
         self.facts: dict[str, Any] = {}
         self.lengths: dict[str, int] = {}
+        self.names: frozenset[str] = frozenset()
         self._open()
 
     def __getstate__(self) -> dict[str, Any]:  # workers of a loader open the file themselves
@@ -117,8 +123,10 @@ class Shard:
         if not isinstance(facts, dict) or facts.get("format") != SHARD_FORMAT:
             raise FormatError(self.path, f"this is no shard of apparel data that this version reads; {_AGAIN}")
         lengths: dict[str, int] = {}
-        for name, (kind, shape) in SHARD_ARRAYS.items():
+        for name, (kind, shape) in (SHARD_ARRAYS | LATER_ARRAYS).items():
             have = found.get(name)
+            if have is None and name in LATER_ARRAYS:
+                continue
             if have is None or have[0] != kind or len(have[1]) != len(shape):
                 raise FormatError(self.path, f"its array '{name}' is missing or of another kind; {_AGAIN}")
             for want, length in zip(shape, have[1], strict=True):
@@ -129,6 +137,7 @@ class Shard:
                     )
         _check_clips(self.path, facts, lengths["N"])
         self._file, self.facts, self.lengths = file, facts, lengths
+        self.names = frozenset(found)
         return file
 
     def array(self, name: str) -> np.ndarray:

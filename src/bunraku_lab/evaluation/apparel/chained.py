@@ -15,6 +15,7 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.physics.chains.from_shape import shape_chains
 from bunraku.physics.chains.laid import with_chains
 from bunraku.physics.chains.moving import steady_simulation
+from bunraku.physics.chains.outside import outside
 from bunraku_lab.evaluation.apparel.clips import RATE, TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score, point_distance
 from bunraku_lab.evaluation.apparel.rows import insides
@@ -36,7 +37,8 @@ def chained_clip(clip: TrueClip) -> tuple[np.ndarray, int]:
     if not made.chains:
         return body.vertices(), 0
     found = steady_simulation(made.on(body), made.rig())
-    return found.animation.vertices(), sum(one.frame >= 0 for one in found.report.recoveries)
+    moved = outside(found.animation, made.chains, clothed, np.arange(JOINT_COUNT))
+    return moved.vertices(), sum(one.frame >= 0 for one in found.report.recoveries)
 
 
 def chain_row(clip: TrueClip) -> dict[str, Any]:

@@ -17,9 +17,9 @@ from bunraku.core.character import Character
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.geometry.graph import unique_edges
-from bunraku.physics.clothed import clothed_from_file
 from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.simulate import simulate
+from bunraku.physics.told.clothed import clothed_from_file
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.build import body_animation
 from bunraku_lab.datasets.apparel.plan import character_split

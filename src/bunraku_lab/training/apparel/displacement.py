@@ -36,7 +36,8 @@ class DisplacementTrainConfig(StepSettings):
 
     Args:
         data: Folder that `bunraku data apparel` wrote.
-        start: Checkpoint whose head a new run takes over, with `head` 0 to train the recurrent part about it.
+        start: Checkpoint whose head a new run takes over, and its recurrent part where that has the same shape; with
+            `head` 0 the recurrent part alone is trained about it.
         head: Share of the run in which only the head learns.
         clips: Windows in a step of the recurrent part.
         shortest, longest: Frames of a window, at the beginning of its training and at the end.
@@ -65,17 +66,22 @@ class DisplacementTrainConfig(StepSettings):
 
 
 def take_head(model: DisplacementNetwork, path: Path) -> None:
-    """Put the head of a checkpoint in the place of a network's own.
+    """Put the head of a checkpoint in the place of a network's own, and its recurrent part where that has the same
+    shape.
 
     Raises:
         OptionError: The checkpoint's head has another shape.
         WeightsError: It is missing or broken.
     """
-    head = load_displacement(path).anchor
+    start = load_displacement(path)
     try:
-        model.anchor.load_state_dict(head.state_dict())
+        model.anchor.load_state_dict(start.anchor.state_dict())
     except RuntimeError as error:
         raise OptionError(f"{path}: its head has another shape; give the --network settings that it has") from error
+    if start.recurrent is not None and model.recurrent is not None:
+        own, other = model.recurrent.state_dict(), start.recurrent.state_dict()
+        if own.keys() == other.keys() and all(own[name].shape == other[name].shape for name in own):
+            model.recurrent.load_state_dict(other)
 
 
 @dataclass

@@ -14,7 +14,7 @@ from bunraku.apparel.sampled_mesh import SampledMesh, joint_distances, sampled_m
 from bunraku.core.character import Character
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.formats.files import atomic_write, sweep
-from bunraku.physics.clothed import clothed_from_file
+from bunraku.physics.told.clothed import clothed_from_file
 from bunraku_lab.datasets.apparel.plan import character_split
 
 __all__ = ["MeshSample", "bare_meshes", "build_meshes", "mesh_sample"]

@@ -14,16 +14,13 @@ from bunraku.apparel.parts import apparel_parts
 from bunraku.apparel.stiffness import clothed_with_springs
 from bunraku.apparel.unified import UnifiedBody
 from bunraku.core.character import Character
-from bunraku.core.mmd_model import MMD_METRE
 from bunraku.errors import CharacterError
 from bunraku.physics.apparel_rig import ApparelRig
-from bunraku.physics.forest import apparel_forest
 from bunraku.physics.from_file import apparel_rig
+from bunraku.physics.told.bending import NEWTON_METRE, bending_limits, body_springs
+from bunraku.physics.told.swing import vertex_swing
 
-__all__ = ["PartSprings", "bending_limits", "clothed_from_file", "part_springs"]
-
-NEWTON_METRE = MMD_METRE**2
-"""A spring of 1 in a file [N m / rad]: MMD's forces are in kg unit / s^2."""
+__all__ = ["PartSprings", "clothed_from_file", "part_springs"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +51,10 @@ def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> Pa
     own = character.rig
     assert own is not None
     count = int(parts.max(initial=-1)) + 1
-    springs = np.zeros(len(rig.bodies))
-    for joint in rig.joints:
-        for held in joint.bodies:  # the joint that holds a body is the stiffest: ties to neighbours have no springs
-            springs[held] = max(springs[held], float(np.mean(np.abs(joint.angle_spring)[[0, 2]])) * NEWTON_METRE)
     values = np.zeros((len(own.names), 5))
-    for spring, limit, body in zip(springs, bending_limits(rig, own.parents), rig.bodies, strict=True):
+    for spring, limit, body in zip(
+        body_springs(rig) * NEWTON_METRE, bending_limits(rig, own.parents), rig.bodies, strict=True
+    ):
         if body.dynamic and body.bone >= 0:
             values[body.bone] += [spring, body.mass, body.linear_damping, limit, 1.0]
     sums = np.zeros((count, 5))
@@ -71,29 +66,6 @@ def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> Pa
     means = sums[:, :4] / np.maximum(sums[:, 4:], 1e-9)
     means[sums[:, 4] <= 0, 3] = FREE
     return PartSprings(*means.astype(np.float32).T)
-
-
-def bending_limits(rig: ApparelRig, parents: np.ndarray) -> np.ndarray:
-    """How far each dynamic body may bend against what it hangs on, by the limits of its joint about the axes across its
-    length [rad], shape (B,); pi where it hangs freely, and of bodies that follow their bones.
-
-    Args:
-        rig: The bodies and joints.
-        parents: Parent of each bone, shape (J,).
-    """
-    out = np.full(len(rig.bodies), FREE)
-    whole = tuple(joint for joint in rig.joints if min(joint.bodies) >= 0 and max(joint.bodies) < len(rig.bodies))
-    for link in apparel_forest(rig.bodies, whole, parents).links:
-        joint = link.joint
-        if joint is None:
-            continue
-        far = np.maximum(np.abs(joint.angle_lower), np.abs(joint.angle_upper))
-        half = np.where(joint.angle_lower > joint.angle_upper, FREE, np.minimum(far, FREE))
-        along = rig.bodies[link.body].position - joint.position
-        length = float(np.linalg.norm(along))
-        across = 1 - np.square(joint.rotation.T @ along / length) if length > 1e-6 else np.ones(3)
-        out[link.body] = np.sqrt(float((np.square(half) * across).sum() / across.sum()))
-    return out
 
 
 def clothed_from_file(character: Character, body: UnifiedBody | None = None, dial: float = 1.0) -> ClothedCharacter:
@@ -117,4 +89,5 @@ def clothed_from_file(character: Character, body: UnifiedBody | None = None, dia
     clothed = ClothedCharacter(
         character.vertices, character.faces, body.joints, body.weights, mask, part, limp, springs.damping
     )
-    return clothed_with_springs(clothed, springs.spring, springs.mass, springs.limit, dial)
+    swing = vertex_swing(character, rig)
+    return clothed_with_springs(clothed, springs.spring, springs.mass, springs.limit, dial, swing)

@@ -1,0 +1,224 @@
+"""How the chains of a rig let each vertex of a character swing: as one pendulum with the limits and springs of all
+joints above it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bunraku.apparel.clothed import FREE
+from bunraku.apparel.swing import SWING_NUMBERS, Swing
+from bunraku.core.character import Character
+from bunraku.core.mmd_model import MmdBody
+from bunraku.physics.apparel_rig import ApparelRig
+from bunraku.physics.forest import Forest, Link, apparel_forest
+from bunraku.physics.hinges import freedoms
+from bunraku.physics.settings import PhysicsSettings
+from bunraku.physics.shapes import loss_rate
+
+__all__ = ["vertex_swing"]
+
+LEAST = 1e-3  # a joint that is locked counts for so much in where a chain turns [rad]
+SHORT = 0.01  # levers count as no shorter where something slides [m]
+SLIDE = 0.1  # as far an axis slides that is free altogether (`world`) [m]
+
+
+@dataclass(frozen=True, eq=False)
+class _Joint:
+    """What a dynamic body hangs on.
+
+    Args:
+        place: Where it turns [m], shape (3,).
+        axes: That it turns about, in the world at rest, rows, shape (A, 3).
+        lower, upper: How far about each [rad], shape (A,).
+        stiffness: About each [N m / rad], shape (A,).
+        sag: How far that gives way to the weight that hangs on it, lying level [rad], shape (A,).
+        slides: How far it slides [m].
+        frame: Its own axes, columns, shape (3, 3).
+    """
+
+    place: np.ndarray
+    axes: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    stiffness: np.ndarray
+    sag: np.ndarray
+    slides: float
+    frame: np.ndarray
+
+    @property
+    def turn(self) -> float:
+        """About how far it turns [rad]."""
+        if not len(self.axes):
+            return LEAST
+        return max(float(np.minimum(0.5 * (self.upper - self.lower), self.sag).max()), LEAST)
+
+
+def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
+    """What the chains of a rig mean for each vertex; zeros on the body.
+
+    The joints k of a chain, at p_k, are taken to turn by shares c_k of one turn w, by how far their limits and springs
+    let them; they add up to 1. A point x below the first n of them goes by w x sum_k c_k (x - p_k). Mass, springs and
+    friction of the whole are those of its links along such levers.
+
+    Args:
+        character: With a rig.
+        rig: Its bodies and joints.
+    """
+    own = character.rig
+    assert own is not None
+    whole = tuple(joint for joint in rig.joints if min(joint.bodies) >= 0 and max(joint.bodies) < len(rig.bodies))
+    forest = apparel_forest(rig.bodies, whole, own.parents)
+    joints = _joints(rig, forest, own.positions)
+    above = {link.body: link.parent for link in forest.links}
+    weights, heaviest = {body: max(rig.bodies[body].mass, 1e-4) for body in above}, dict[int, int]()
+    for link in reversed(forest.links):  # a link comes after the one that it hangs on
+        if link.parent >= 0:
+            weights[link.parent] += weights[link.body]
+            if weights[link.body] > weights.get(heaviest.get(link.parent, -1), 0.0):
+                heaviest[link.parent] = link.body
+    count = len(character.vertices)
+    out, most, total = np.zeros((count, SWING_NUMBERS)), np.zeros(count), np.zeros(count)
+    axes = np.broadcast_to(np.eye(3), (count, 3, 3)).copy()
+    for bone, body in _moved_bones(rig, own.parents).items():
+        held = np.where(own.indices == bone, own.weights, 0).sum(axis=1)
+        rows = np.flatnonzero(held > 1e-4)
+        if not len(rows) or body not in joints:
+            continue
+        chain = [body]
+        while above[chain[0]] >= 0:
+            chain.insert(0, above[chain[0]])
+        line = list(chain)
+        while heaviest.get(line[-1], -1) >= 0:
+            line.append(heaviest[line[-1]])
+        own_swing = _swing(rig, chain, line, joints, character.vertices[rows].astype(np.float64))
+        out[rows] += held[rows, None] * own_swing.rows()
+        total[rows] += held[rows]
+        first = held[rows] > most[rows]
+        axes[rows[first]], most[rows] = own_swing.axes[first], np.maximum(most[rows], held[rows])
+    found = Swing.of_rows((out / np.maximum(total, 1e-9)[:, None]).astype(np.float32))
+    return replace(found, axes=axes.astype(np.float32), share=total.astype(np.float32))
+
+
+def _swing(rig: ApparelRig, chain: list[int], line: list[int], joints: dict[int, _Joint], points: np.ndarray) -> Swing:
+    """How points swing that a body holds.
+
+    Args:
+        rig: The bodies.
+        chain: Those that the body hangs on, from the first on, and the body itself.
+        line: These, and those that hang on it in turn.
+        joints: Of the bodies.
+        points: Shape (N, 3).
+    """
+    counts = np.array([joints[one].turn for one in line])
+    counts /= counts.sum()
+    places = np.array([joints[one].place for one in line])
+    bodies = [rig.bodies[one] for one in line]
+    masses = np.array([max(body.mass, 1e-4) for body in bodies])
+    middles = np.array([body.position for body in bodies])
+    # how far each body goes by a turn of the chain, and how much it turns itself
+    turned = np.cumsum(counts)
+    levers = turned[:, None] * middles - np.cumsum(counts[:, None] * places, axis=0)
+    own = np.array([_own_inertia(body) for body in bodies])
+    inertia = max(float(masses @ (np.square(levers).sum(axis=1) + own * turned**2)), 1e-9)
+    moment = masses @ levers
+    arm = moment * inertia / max(float(moment @ moment), 1e-9)
+    frame = joints[line[0]].frame
+    lower, upper, spring, friction = np.zeros(3), np.zeros(3), np.zeros(3), 0.0
+    settings = PhysicsSettings()
+    for number, one in enumerate(line):
+        joint = joints[one]
+        seen = joint.axes @ frame
+        ends = np.stack([seen * joint.lower[:, None], seen * joint.upper[:, None]])
+        lower, upper = lower + ends.min(axis=0).sum(axis=0), upper + ends.max(axis=0).sum(axis=0)
+        spring = spring + counts[number] ** 2 * (np.square(seen) * joint.stiffness[:, None]).sum(axis=0)
+        below = masses[number:] @ (np.square(middles[number:] - joint.place).sum(axis=1) + own[number:])
+        rate = loss_rate(bodies[number].angular_damping, settings.most_rate)
+        friction += counts[number] ** 2 * float(below) * max(rate - settings.air, 0)
+    reached = len(chain)
+    lever = turned[reached - 1] * points - counts[:reached] @ places[:reached]
+    away = points - counts[:reached] @ places[:reached] / turned[reached - 1]
+    slid = sum(joints[one].slides for one in chain) / np.maximum(np.linalg.norm(lever, axis=1), SHORT)[:, None]
+    gravity = 1.0
+    if rig.gravity is not None:
+        gravity = float(np.linalg.norm(rig.gravity[line], axis=1).mean() / settings.gravity)
+    drag = np.mean([min(loss_rate(body.linear_damping, settings.most_rate), settings.air) for body in bodies])
+    each = np.ones(len(points))
+    return Swing(
+        lever, away, np.broadcast_to(arm, lever.shape), np.broadcast_to(frame, (len(points), 3, 3)),
+        np.maximum(lower - slid, -FREE), np.minimum(upper + slid, FREE),
+        np.broadcast_to(np.minimum(spring / inertia, settings.fastest**2), lever.shape), friction / inertia * each,
+        drag * each, gravity * each, each,
+    )  # fmt: skip
+
+
+def _own_inertia(body: MmdBody) -> float:
+    """Of a body about its own middle, over its mass [m^2]: that of a box."""
+    size = np.abs(np.asarray(body.size, float))
+    half = {"sphere": np.full(3, size[0]), "capsule": np.array([size[0], size[0], size[0] + size[1] / 2])}
+    small, middle, large = np.sort(half.get(body.shape, size))
+    return float((large**2 + 0.5 * (small**2 + middle**2)) / 3)
+
+
+def _joints(rig: ApparelRig, forest: Forest, positions: np.ndarray) -> dict[int, _Joint]:
+    """What each dynamic body hangs on, by its number."""
+    count = len(rig.bodies)
+    pull = np.full(count, PhysicsSettings().gravity)
+    if rig.gravity is not None:
+        pull = np.linalg.norm(rig.gravity, axis=1)
+    weight = np.array([max(body.mass, 1e-4) if body.dynamic else 0.0 for body in rig.bodies]) * pull
+    moment = weight[:, None] * np.array([body.position for body in rig.bodies]).reshape(-1, 3)
+    for link in reversed(forest.links):
+        if link.parent >= 0:
+            weight[link.parent] += weight[link.body]
+            moment[link.parent] += moment[link.body]
+    out = {}
+    for link in forest.links:
+        place = _place(rig, link, positions)
+        lever = float(np.linalg.norm(moment[link.body] - weight[link.body] * place))
+        axes, lower, upper, stiffness, sag, slides = [], [], [], [], [], 0.0
+        for one in freedoms(link):
+            if one.kind == "slide":
+                slides += min(max(abs(one.lower), abs(one.upper)), SLIDE)
+                continue
+            low, high = (-one.upper, one.upper) if one.kind == "ball" and one.limited else (one.lower, one.upper)
+            for axis in np.eye(3) if one.kind == "ball" else (one.axis,):
+                axes.append(axis)
+                lower.append(max(low, -FREE))
+                upper.append(min(high, FREE))
+                stiffness.append(one.stiffness)
+                sag.append(min(lever / one.stiffness, FREE) if one.stiffness > 0 else FREE)
+        frame = np.eye(3) if link.joint is None else np.asarray(link.joint.rotation)
+        out[link.body] = _Joint(
+            place, np.array(axes).reshape(-1, 3), np.array(lower), np.array(upper), np.array(stiffness), np.array(sag),
+            slides, frame,
+        )  # fmt: skip
+    return out
+
+
+def _place(rig: ApparelRig, link: Link, positions: np.ndarray) -> np.ndarray:
+    """Where a dynamic body turns [m], shape (3,)."""
+    body = rig.bodies[link.body]
+    if body.mode == 2 and body.bone >= 0:  # held at its bone
+        return np.asarray(positions[body.bone])
+    if link.joint is not None:
+        return np.asarray(link.joint.position)
+    return np.asarray(positions[body.bone] if body.bone >= 0 else body.position)
+
+
+def _moved_bones(rig: ApparelRig, parents: np.ndarray) -> dict[int, int]:
+    """The dynamic body that takes each bone along, by bone."""
+    out: dict[int, int] = {}
+    for number, body in enumerate(rig.bodies):
+        if body.dynamic and body.bone >= 0:
+            out.setdefault(body.bone, number)
+    for bone in range(len(parents)):
+        path, at = [], bone
+        while at >= 0 and at not in out and len(path) <= len(parents):
+            path.append(at)
+            at = int(parents[at])
+        if at in out:
+            out |= dict.fromkeys(path, out[at])
+    return out
