@@ -144,13 +144,15 @@ def test_nothing_that_a_user_runs_names_the_laboratory():
     assert texts == []
 
 
-def test_nothing_that_a_user_runs_imports_torch():
+def test_nothing_that_a_user_runs_imports_torch_or_libigl():
     found = []
     for path in modules(SOURCES / "bunraku").values():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            found += [path for name in names if name.partition(".")[0] == "torch" or name == "safetensors.torch"]
+            found += [
+                path for name in names if name.partition(".")[0] in ("torch", "igl") or name == "safetensors.torch"
+            ]
     assert found == []
 
 

@@ -39,7 +39,7 @@ def test_wheel_holds_every_file_of_the_package(wheel):
     )
     assert not any(name.endswith((".pyc", ".part", ".tmp")) for name in names)
     assert all(any(name.endswith(f"licenses/{text}") for name in names) for text in ("LICENSE", "NOTICE"))
-    assert wheel.stat().st_size < 96e6
+    assert wheel.stat().st_size < 80e6
 
 
 def test_unpacked_wheel_runs(wheel, tmp_path):

@@ -5,7 +5,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from bunraku.geometry.closest import blend_matrix, least_distance
+from bunraku.geometry.closest import blend_matrix, least_distance, surface_distances
 from bunraku.geometry.graph import unique_edges
 
 
@@ -74,3 +74,13 @@ def test_least_distance_is_that_of_all_pairs():
         want = np.linalg.norm(one[:, None] - other[None], axis=-1).min()
         assert abs(least_distance(cKDTree(one), other) - want) < 1e-12
     assert least_distance(cKDTree(one), one) == 0
+
+
+def test_distances_from_anywhere_are_those_that_libigl_finds():
+    points, _, vertices, faces, _ = case()
+    points = np.concatenate([points, np.random.default_rng(1).uniform(-2, 2, (2000, 3))])
+    theirs = np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0])
+    found = surface_distances(points, vertices, faces, 0.1, 0.5)
+    near = theirs < 0.4
+    assert np.abs(found - theirs)[near].max() < 0.005 and np.quantile(np.abs(found - theirs)[near], 0.99) < 1e-6
+    assert np.isinf(found[theirs > 0.6]).all()

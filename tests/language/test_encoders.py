@@ -9,7 +9,7 @@ import pytest
 import bunraku
 import bunraku.language
 from bunraku.errors import OptionError, WeightsError
-from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder, text_encoder
+from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder, halves_of, planes_of, text_encoder
 from bunraku.language.lexicon.cues import CUES
 from bunraku.language.prompts import check_prompt
 from bunraku.nn.layers import unit
@@ -87,6 +87,26 @@ def test_the_shipped_encoder_gives_what_the_published_one_gives(encoder):
     difference = np.linalg.norm(ours_own - theirs_own, axis=-1) / np.linalg.norm(theirs_own, axis=-1)
     assert difference.max() < 1e-3
     np.testing.assert_allclose(ours.pooled, theirs.pooled, atol=3e-4, rtol=0)
+
+
+def test_words_that_no_caption_has_are_nearly_those_of_the_published_encoder(encoder):
+    """Their pieces are stored in int8."""
+    sentences = ["a gorilla juggles pineapples", "the saboteur defuses a grenade", "a violinist bows apologetically"]
+    for one in sentences:
+        assert max(encoder._tokenizer.numbers(one, TEXT_LENGTH)) >= encoder._known
+    ours, theirs = encoder.encode(sentences), MiniLMEncoder(published()).encode(sentences)
+    ours_own, theirs_own = ours.tokens[ours.mask], theirs.tokens[ours.mask]
+    difference = np.linalg.norm(ours_own - theirs_own, axis=-1) / np.linalg.norm(theirs_own, axis=-1)
+    assert difference.max() < 0.02
+    assert (ours.pooled * theirs.pooled).sum(axis=1).min() > 0.9999
+
+
+def test_halves_in_planes_come_back():
+    values = np.random.default_rng(0).normal(size=(7, 5)).astype(np.float16)
+    planes = planes_of(values)
+    assert planes.shape == (2, 7, 5) and planes.dtype == np.uint8
+    np.testing.assert_array_equal(halves_of(planes), values)
+    np.testing.assert_array_equal(halves_of(planes[:, 3]), values[3])
 
 
 def test_another_script_is_unknown_and_no_fault(encoder):

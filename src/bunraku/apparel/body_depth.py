@@ -13,10 +13,11 @@ from hashlib import blake2b
 
 import numpy as np
 from scipy.ndimage import label
-from scipy.spatial import cKDTree
 
 from bunraku.apparel.body_volume import BodyVolume
+from bunraku.geometry.closest import surface_distances
 from bunraku.geometry.rotations import adjugates
+from bunraku.geometry.winding import winding_numbers
 
 __all__ = ["BodyDepth", "Unposed", "body_depth"]
 
@@ -190,8 +191,6 @@ def body_depth(
 
 
 def _grid(vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel: np.ndarray, scale: float) -> BodyDepth:
-    import igl
-
     volume = BodyVolume.of_mesh(vertices, faces, weights, apparel, "the mesh", _FACES)
     band = BAND * scale
     low = volume.rest.min(axis=0) - band
@@ -200,22 +199,16 @@ def _grid(vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel:
     shape = tuple(int(count) for count in np.ceil(extent / cell).astype(np.int64) + 1)
     corners = np.stack(np.meshgrid(*(np.arange(count) for count in shape), indexing="ij"), axis=-1)
     points = low + cell * corners.reshape(-1, 3)
-    sides = volume.rest[volume.faces]
-    middle = sides.mean(axis=1)
-    reach = np.linalg.norm(sides - middle[:, None], axis=-1).max(axis=1)
-    large = reach > cell  # faces that no point near their middle stands for
-    marks = np.concatenate([volume.rest, middle, *(0.5 * (sides[large, a] + sides[large, a - 1]) for a in range(3))])
-    found = cKDTree(marks).query(points, distance_upper_bound=band + cell)[0]
-    near = np.isfinite(found)
+    gap = surface_distances(points, volume.rest, volume.faces, cell, band + cell)
+    near = np.isfinite(gap)
     out = np.full(len(points), band, np.float32)
-    gap = np.sqrt(igl.point_mesh_squared_distance(points[near], volume.rest, volume.faces)[0])
-    inside = np.abs(igl.fast_winding_number(volume.rest, volume.faces, points[near])) > 0.5
-    out[near] = np.minimum(gap, band) * np.where(inside, -1, 1)
+    inside = np.abs(winding_numbers(points[near], volume.rest, volume.faces)) > 0.5
+    out[near] = np.minimum(gap[near], band) * np.where(inside, -1, 1)
     # what is far from all faces is inside or outside as a whole
     regions, count = label(~near.reshape(shape))
     regions = regions.reshape(-1)
     if count:
         first = np.array([np.flatnonzero(regions == number + 1)[0] for number in range(count)])
-        deep = np.abs(igl.fast_winding_number(volume.rest, volume.faces, points[first])) > 0.5
+        deep = np.abs(winding_numbers(points[first], volume.rest, volume.faces)) > 0.5
         out[np.isin(regions, np.flatnonzero(deep) + 1)] = -band
     return BodyDepth(low.astype(np.float32), float(cell), out.reshape(shape))

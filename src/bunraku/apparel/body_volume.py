@@ -1,4 +1,4 @@
-"""The volume of a character's body: what of a pose is inside it, and how deep.
+"""The surface of a character's body without its apparel, with few faces: what others may be inside of.
 
 Bodies of avatars are layers of open sheets (faces, shirts, sleeves), so inside is where the generalized winding number
 (Jacobson et al. 2013, by the fast sums of Barill et al. 2018) of all of them together exceeds a half, and depth is the
@@ -18,10 +18,8 @@ from bunraku.errors import CharacterError
 if TYPE_CHECKING:
     from bunraku.apparel.unified import UnifiedBody
 
-__all__ = ["DEEP", "BodyVolume"]
+__all__ = ["BodyVolume"]
 
-DEEP = 0.01
-"""Vertices deeper than this are counted [m]."""
 _MOST_FACES = 12_000
 
 
@@ -102,23 +100,6 @@ class BodyVolume:
             transforms: Affine transforms of the joints, as `skin` takes them, shape (N, 22, 3, 4).
         """
         return skin(self.rest.astype(np.float32), self.weights, transforms)
-
-    def deep(self, vertices: np.ndarray, points: np.ndarray, depth: float = DEEP) -> np.ndarray:
-        """Which points are deeper than this inside the body, shape (P,), bool.
-
-        Args:
-            vertices: Of the body in this frame [m], shape (B, 3).
-            points: Shape (P, 3).
-            depth: [m].
-        """
-        import igl
-
-        vertices, points = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(points, np.float64)
-        out = np.abs(igl.fast_winding_number(vertices, self.faces, points)) > 0.5
-        inside = np.flatnonzero(out)
-        if len(inside):
-            out[inside] = igl.point_mesh_squared_distance(points[inside], vertices, self.faces)[0] > depth * depth
-        return np.asarray(out)
 
 
 def _means(values: np.ndarray, groups: np.ndarray, count: int) -> np.ndarray:

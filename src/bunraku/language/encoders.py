@@ -25,12 +25,16 @@ from bunraku.nn.layers import Linear, Norm, PostNorm, unit
 
 __all__ = [
     "TEXT_LENGTH",
+    "RARE",
+    "SCALES",
     "CLIPEncoder",
     "CuedEncoder",
     "MiniLMEncoder",
     "TextBatch",
     "TextEncoder",
     "encoder_of",
+    "halves_of",
+    "planes_of",
     "text_encoder",
 ]
 
@@ -103,6 +107,19 @@ class _Cache:
 
 
 _WORDS = "embeddings.word_embeddings.weight"
+RARE, SCALES = "embeddings.word_embeddings.rare", "embeddings.word_embeddings.scale"
+"""Word pieces behind those of `_WORDS`, in steps, shape (R, 384), int8, and how large the steps are, shape (R,)."""
+
+
+def planes_of(values: np.ndarray) -> np.ndarray:
+    """Numbers as float16, their low bytes before their high ones: shape (2, ...), uint8."""
+    halves = np.ascontiguousarray(values, "<f2")
+    return np.ascontiguousarray(np.moveaxis(halves.view(np.uint8).reshape(*halves.shape, 2), -1, 0))
+
+
+def halves_of(planes: np.ndarray) -> np.ndarray:
+    """What `planes_of` took apart, float16."""
+    return np.asarray((planes[0] | planes[1].astype("<u2") << np.uint16(8)).view("<f2"))
 
 
 class MiniLMEncoder:
@@ -111,7 +128,8 @@ class MiniLMEncoder:
     The forward pass is written out here because importing `transformers` for it takes 2.5 s, half of a whole `animate`;
     a test holds the two together.
 
-    Its weights come with Bunraku in float16 (`weights/text.md`, `tools/pack_text_encoder.py`).
+    Its weights come with Bunraku in float16, word pieces that no caption has in int8 (`weights/text.md`,
+    `tools/pack_text_encoder.py`).
 
     Args:
         folder: Folder with the `tokenizer.json`, `config.json` and `model.safetensors` of the published model, to use
@@ -138,18 +156,22 @@ class MiniLMEncoder:
                 words = (Path(folder) / "tokenizer.json").read_text(encoding="utf-8")
             self._tokenizer = WordPieces(words)
             with safe_open(path, framework="np") as file:
-                tensors = ((name, file.get_tensor(name)) for name in file.keys() if name != _WORDS)  # noqa: SIM118
+                tensors = ((name, file.get_tensor(name)) for name in file.keys() if name not in (_WORDS, RARE))  # noqa: SIM118
+                halves = ((name, halves_of(value) if value.dtype == np.uint8 else value) for name, value in tensors)
                 self._weights = {
-                    name: value.astype(np.float32, copy=False) for name, value in tensors if value.dtype.kind == "f"
+                    name: value.astype(np.float32, copy=False) for name, value in halves if value.dtype.kind == "f"
                 }
-            # More than half of the file, of which each sentence needs a few rows: only these become memory.
-            self._words = safe_open(path, framework="np").get_slice(_WORDS)
+            # A third of the file, of which each sentence needs a few rows: only these become memory.
+            words = safe_open(path, framework="np")
+            self._words, self._rare = words.get_slice(_WORDS), words.get_slice(RARE) if folder is None else None
+            self._known = self._words.get_shape()[-2]
+            pieces = self._known + (len(self._weights[SCALES]) if self._rare else 0)
             self._epsilon = config["layer_norm_eps"]
             self._layers = [
                 self._layer(f"encoder.layer.{index}", config["num_attention_heads"])
                 for index in range(config["num_hidden_layers"])
             ]
-            if config["hidden_size"] != self.token_size or self._words.get_shape()[0] != len(self._tokenizer):
+            if config["hidden_size"] != self.token_size or pieces != len(self._tokenizer):
                 raise ValueError("it is another model")
         except WeightsError:
             raise
@@ -175,10 +197,19 @@ class MiniLMEncoder:
             self._linear(f"{name}.output.dense"), self._norm(f"{name}.output.LayerNorm"),
         )  # fmt: skip
 
+    def _word(self, number: int) -> np.ndarray:
+        """The vector of a word piece, shape (384,), float32."""
+        if self._rare is None:
+            return np.asarray(self._words[number], np.float32)
+        if number < self._known:
+            return halves_of(self._words[:, number]).astype(np.float32)
+        number -= self._known
+        return np.asarray(self._rare[number] * self._weights[SCALES][number], np.float32)
+
     def _compute(self, sentence: str) -> _Encoded:
         numbers = self._tokenizer.numbers(sentence, TEXT_LENGTH)
         weights = self._weights
-        x = np.concatenate([self._words[number : number + 1] for number in numbers]).astype(np.float32)[None]
+        x = np.stack([self._word(number) for number in numbers])[None]
         x += weights["embeddings.position_embeddings.weight"][: len(numbers)]
         x = self._norm("embeddings.LayerNorm")(x + weights["embeddings.token_type_embeddings.weight"][0])
         penultimate = x

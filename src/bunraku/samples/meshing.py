@@ -6,10 +6,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from bunraku.samples.fields import Field
+from bunraku.samples.isosurface import CUBE, marching_cubes
+from bunraku.samples.thinning import thinned
 
 __all__ = ["field_mesh", "marched", "mirror_mesh", "neighbour_average"]
-
-_CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 
 
 def field_mesh(
@@ -28,8 +28,6 @@ def field_mesh(
     Returns:
         Vertices [m], shape (V, 3), float64, and faces, shape (F, 3), int64, wound outward.
     """
-    import igl
-
     share = 0.5 if half else 1.0
     rough = marched(field, 0.03, half)
     corners = rough[0][rough[1]]
@@ -43,13 +41,8 @@ def field_mesh(
     vertices, faces = marched(field, spacing, half)
     # thinning in position and normal together spends the triangles where the surface bends
     lifted = np.hstack([vertices, crease * _unit(field.gradient(vertices))])
-    target = max(int(2 * count * share), 60)
-    if len(faces) > target:
-        thinned, faces, _, _ = igl.decimate(
-            np.asfortranarray(lifted), np.asfortranarray(faces.astype(np.int32)), target
-        )
-        vertices = np.ascontiguousarray(thinned[:, :3])
-        faces = np.ascontiguousarray(faces, dtype=np.int64)
+    lifted, faces = thinned(lifted, faces, max(int(2 * count * share), 60))
+    vertices = np.ascontiguousarray(lifted[:, :3])
     if half:
         vertices, faces = _split_chords(vertices, faces)
     vertices = _relax(vertices, faces, field, steps, half)
@@ -64,22 +57,17 @@ def marched(field: Field, spacing: float, half: bool) -> tuple[np.ndarray, np.nd
         spacing: Size of a cell, in the field's unit.
         half: Only the side x >= 0 (see `Field.grid`).
     """
-    import igl
-
     low, samples = field.grid(spacing, half)
     samples = np.where(np.abs(samples) < 1e-3 * spacing, np.float32(1e-3 * spacing), samples)
     inside = samples < 0
     number = np.zeros(np.array(samples.shape) - 1, np.int8)
-    for dx, dy, dz in _CORNERS:
+    for dx, dy, dz in CUBE:
         number += inside[dx : dx + number.shape[0], dy : dy + number.shape[1], dz : dz + number.shape[2]]
     cells = np.argwhere((number > 0) & (number < 8))
-    corners = np.ravel_multi_index((cells[:, None] + _CORNERS).reshape(-1, 3).T, samples.shape)
+    corners = np.ravel_multi_index((cells[:, None] + CUBE).reshape(-1, 3).T, samples.shape)
     used, cubes = np.unique(corners, return_inverse=True)
     positions = np.stack(np.unravel_index(used, samples.shape), axis=1) * spacing + low
-    vertices, faces, _ = igl.marching_cubes(
-        samples.reshape(-1)[used].astype(float), positions, cubes.reshape(-1, 8).astype(np.int64), 0.0
-    )
-    return np.asarray(vertices), np.asarray(faces, np.int64)
+    return marching_cubes(samples.reshape(-1)[used].astype(float), positions, cubes.reshape(-1, 8))
 
 
 def neighbour_average(count: int, faces: np.ndarray) -> sp.csr_matrix:

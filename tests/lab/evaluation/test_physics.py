@@ -20,6 +20,7 @@ from bunraku.errors import CharacterError, OptionError
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.physics import apparel_rig
 from bunraku.samples import sample_character
+from bunraku_lab.datasets.apparel.body_inside import deep_inside
 from bunraku_lab.datasets.apparel.build import body_animation
 from bunraku_lab.datasets.apparel.plan import CharacterSource
 from bunraku_lab.evaluation.physics.measures import apparel_chains, body_speeds, chain_lengths
@@ -77,7 +78,7 @@ def test_depth_in_a_ball_is_the_distance_to_its_surface(open_end):
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     radii = random.uniform(0.3, 1.5, 400)
     clear = np.abs(radii - 0.9) > 0.01
-    deep = volume.deep(vertices, directions * radii[:, None], 0.1)
+    deep = deep_inside(volume, vertices, directions * radii[:, None], 0.1)
     assert np.array_equal(deep[clear], (radii < 0.9)[clear])
 
 
@@ -91,7 +92,10 @@ def test_the_body_without_its_apparel_is_solid(character, body):
     trunk = body.joints[[0, 3, 9, 15, 4, 5]]
     beside = trunk + [3.0, 0, 0]
     for volume in (fine, coarse):
-        assert volume.deep(volume.rest, trunk, 0.005).sum() >= 5 and not volume.deep(volume.rest, beside).any()
+        assert (
+            deep_inside(volume, volume.rest, trunk, 0.005).sum() >= 5
+            and not deep_inside(volume, volume.rest, beside).any()
+        )
     away = np.sqrt(
         igl.point_mesh_squared_distance(np.ascontiguousarray(coarse.rest), np.ascontiguousarray(fine.rest), fine.faces)[
             0

@@ -16,7 +16,7 @@ from bunraku.cli.output.outputs import size_text
 
 __all__ = ["Doctor", "Finding"]
 
-PACKAGES = ("numpy", "scipy", "libigl", "fast-simplification", "moderngl", "mujoco-core", "av")
+PACKAGES = ("numpy", "scipy", "fast-simplification", "moderngl", "mujoco-core", "av")
 WEIGHTS = {
     "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",
     "orientation": "`bunraku animate` and `bunraku rig` do not see how a mesh stands; they need --up and --front",

@@ -17,6 +17,7 @@ from bunraku.apparel.displacement.safety import Safety, SafetySettings
 from bunraku.apparel.nodes import apparel_nodes
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.core.skinning import skin
+from bunraku_lab.datasets.apparel.body_inside import deep_inside
 
 __all__ = ["Insides", "PushOut", "inside_shares"]
 
@@ -109,7 +110,7 @@ def inside_shares(
     volume = BodyVolume.of_mesh(clothed.rest, clothed.faces, clothed.weights, clothed.apparel, "the mesh")
     cloth = np.flatnonzero(clothed.apparel)
     cloth = cloth[np.linspace(0, len(cloth) - 1, min(most, len(cloth))).astype(np.int64)]
-    cloth = cloth[~volume.deep(volume.rest, clothed.rest[cloth])]
+    cloth = cloth[~deep_inside(volume, volume.rest, clothed.rest[cloth])]
     if not len(cloth):
         return 0.0, 0.0, 0.0
     affine = eq4_transforms(transforms, clothed.joints)
@@ -121,5 +122,8 @@ def inside_shares(
     for cloud, offsets in zip(clouds[1:], (before, after), strict=True):
         cloud[:, rows >= 0] += offsets[:, rows[rows >= 0]].astype(np.float32)
     bodies = volume.posed(affine)
-    deep = [volume.deep(body, np.concatenate([cloud[frame] for cloud in clouds])) for frame, body in enumerate(bodies)]
+    deep = [
+        deep_inside(volume, body, np.concatenate([cloud[frame] for cloud in clouds]))
+        for frame, body in enumerate(bodies)
+    ]
     return tuple(np.reshape(deep, (len(bodies), 3, -1)).mean(axis=(0, 2)).tolist())

@@ -15,6 +15,7 @@ from bunraku.apparel.displacement.player import SAFE_POINTS, ApparelPlayer
 from bunraku.apparel.displacement.safety import Safety
 from bunraku.apparel.displacement.weights import DisplacementNetwork
 from bunraku.core.skinning import posed_points
+from bunraku_lab.datasets.apparel.body_inside import deep_inside
 from bunraku_lab.evaluation.apparel.clips import TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score, oracle_skinning, point_distance
 
@@ -84,14 +85,14 @@ def insides(clip: TrueClip, vertices: np.ndarray, few: slice, shown: dict[str, n
     clothed = clip.clothed
     volume = BodyVolume.of_mesh(clothed.rest, clothed.faces, clothed.weights, clothed.apparel, clip.name)
     some = np.linspace(0, len(vertices) - 1, min(DEEPEST, len(vertices))).astype(np.int64)
-    some = some[~volume.deep(volume.rest, clothed.rest[vertices[some]])]
+    some = some[~deep_inside(volume, volume.rest, clothed.rest[vertices[some]])]
     if not len(some):
         return {}
     bodies = volume.posed(clip.affine[few])
     out = dict.fromkeys(shown, 0.0)
     for frame, body in enumerate(bodies):
         points = np.concatenate([moved[frame, some] for moved in shown.values()])
-        deep = volume.deep(body, points).reshape(len(shown), len(some)).mean(axis=1)
+        deep = deep_inside(volume, body, points).reshape(len(shown), len(some)).mean(axis=1)
         for name, share in zip(shown, deep, strict=True):
             out[name] += float(share) / len(bodies)
     return {f"inside_{name}": value for name, value in out.items()}

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.apparel.body_volume import DEEP, BodyVolume
+from bunraku.apparel.body_volume import BodyVolume
 from bunraku.apparel.unified import UnifiedBody
 from bunraku.core.skinning import posed_points
+from bunraku_lab.datasets.apparel.body_inside import DEEP, deep_inside
 
 __all__ = ["deep_share", "nearest_joint_vertices", "sample_apparel"]
 
@@ -29,7 +30,7 @@ def deep_share(volume: BodyVolume, transforms: np.ndarray, clouds: list[np.ndarr
     sizes = [cloud.shape[1] for cloud in clouds]
     out = np.zeros((len(posed), len(clouds)))
     for frame, vertices in enumerate(posed):
-        deep = volume.deep(vertices, np.concatenate([cloud[frame] for cloud in clouds]), depth)
+        deep = deep_inside(volume, vertices, np.concatenate([cloud[frame] for cloud in clouds]), depth)
         out[frame] = [part.mean() if len(part) else 0.0 for part in np.split(deep, np.cumsum(sizes)[:-1])]
     return out
 

@@ -24,6 +24,7 @@ from bunraku.nn.spread import spread
 from bunraku.physics.apparel_rig import ApparelRig
 from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.simulate import simulate
+from bunraku_lab.datasets.apparel.body_inside import deep_inside
 from bunraku_lab.datasets.apparel.build import body_animation, source_character
 from bunraku_lab.datasets.apparel.plan import CharacterSource
 from bunraku_lab.evaluation.physics.measures import apparel_chains, body_speeds, chain_lengths
@@ -298,7 +299,7 @@ def _penetration(
     character, rig = body.parts.character, body.parts.character.rig
     assert rig is not None
     volume, chosen = BodyVolume.of(body, mask), sample_apparel(mask)
-    inside = volume.deep(volume.rest, character.vertices[chosen])
+    inside = deep_inside(volume, volume.rest, character.vertices[chosen])
     chosen = chosen[~inside]
     if not len(chosen):
         raise CharacterError(
