@@ -72,7 +72,7 @@ def test_minilm_agrees_with_transformers():
 def test_the_shipped_encoder_gives_what_the_published_one_gives(encoder):
     captions = json.loads((Path(bunraku.language.__file__).parent / "captions.json").read_text(encoding="utf-8"))
     said = sorted(set(re.findall(r'"([a-z][a-z ,]{12,})"', json.dumps(captions))))
-    sentences = [*SENTENCES, *said[:: len(said) // 60]]
+    sentences = [*SENTENCES[:3], *said[:: len(said) // 60]]
     assert len(sentences) > 60
     whole = MiniLMEncoder(published())
     ours, theirs = encoder.encode(sentences), whole.encode(sentences)
@@ -91,7 +91,7 @@ def test_the_shipped_encoder_gives_what_the_published_one_gives(encoder):
 
 def test_words_that_no_caption_has_are_nearly_those_of_the_published_encoder(encoder):
     """Their pieces are stored in int8."""
-    sentences = ["a gorilla juggles pineapples", "the saboteur defuses a grenade", "a violinist bows apologetically"]
+    sentences = ["a gorilla juggles pineapples", "the saboteur defuses a grenade", SENTENCES[3]]
     for one in sentences:
         assert max(encoder._tokenizer.numbers(one, TEXT_LENGTH)) >= encoder._known
     ours, theirs = encoder.encode(sentences), MiniLMEncoder(published()).encode(sentences)

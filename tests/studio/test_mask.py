@@ -14,7 +14,16 @@ from bunraku.io import load_character, save_character
 from bunraku.samples import sample_character
 from bunraku.studio.tasks.table import run_task
 from bunraku.studio.workspace.clips import Dressed, load_take
-from bunraku.studio.workspace.mask import WORN, clean_mask, found_mask, packed_bits, paint, painted_file, save_worn, shown_mask
+from bunraku.studio.workspace.mask import (
+    WORN,
+    clean_mask,
+    found_mask,
+    packed_bits,
+    paint,
+    painted_file,
+    save_worn,
+    shown_mask,
+)
 from bunraku.studio.workspace.workspace import Workspace
 
 
