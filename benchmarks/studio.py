@@ -31,7 +31,7 @@ from bunraku.io import load_character, save_character
 from bunraku.pipelines.animate import animate, generate, rig
 from bunraku.pipelines.apply import apply_motion
 from bunraku.samples import sample_character
-from bunraku.studio.tasks.making import DRAFT_STAGES, DRAFT_STEPS
+from bunraku.studio.tasks.making import DRAFT_STAGES
 from bunraku.studio.workspace.opened import Settings, opened_character
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "studio"))
@@ -127,7 +127,7 @@ def library_times(file: Path, seed: int) -> Times:
     opening = time.perf_counter() - start, time.process_time() - work
     start, work = time.perf_counter(), time.process_time()
     motion = generate(
-        PROMPT, seconds=SECONDS, seed=seed, steps=DRAFT_STEPS, candidates=1, mesh_feature=handles.features
+        PROMPT, seconds=SECONDS, seed=seed, candidates=1, mesh_feature=handles.features
     )
     apply_motion(motion, Anatomy.of(character, handles), stages=DRAFT_STAGES)
     draft = time.perf_counter() - start, time.process_time() - work

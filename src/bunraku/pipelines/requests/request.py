@@ -33,7 +33,7 @@ class Sampling:
         seconds: Length of the clip, at least 0.5, and at most 120 in one pass; prompts in a row without seconds of
             their own share it.
         seed: The same seed and version give the same motion.
-        steps: Sampling steps, 1 to 1000; more is slower. Default: 8.
+        steps: Sampling steps, 1 to 1000; more is slower. Default: 4, which the network was distilled into.
         guidance: How closely to follow the sentence, 0 to 20. Default: 3.5.
         candidates: Motions that are drawn, of which the one is taken that a ranker likes best, 1 to 16; 1 is the
             fastest.

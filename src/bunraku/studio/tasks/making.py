@@ -21,11 +21,10 @@ from bunraku.studio.workspace.clips import Take, body_of
 from bunraku.studio.workspace.dressing import check_fits, put_on
 from bunraku.studio.workspace.workspace import Workspace
 
-__all__ = ["DRAFT_STAGES", "DRAFT_STEPS", "Animate", "Edit", "Known"]
+__all__ = ["DRAFT_STAGES", "Animate", "Edit", "Known"]
 
 FPS = 20.0
 """What the network knows; takes of other rates, carried over from files, are resampled before they are changed."""
-DRAFT_STEPS = 3
 DRAFT_STAGES = Stages(smooth=False, feet=False, hands_clear=False, floor=False)
 """Of a draft, which is there to be seen at once."""
 
@@ -67,7 +66,7 @@ class Animate:
 
         if self.draft:
             report("draft", 0.02)
-            sampling = replace(request.sampling, seed=self.seeds[0], steps=DRAFT_STEPS, candidates=1)
+            sampling = replace(request.sampling, seed=self.seeds[0], steps=None, guidance=None, candidates=1)
             quick = replace(
                 request, sampling=sampling, apparel=Apparel(), stages=DRAFT_STAGES, handles=handles, rig="handles"
             )  # fmt: skip
