@@ -9,6 +9,9 @@ import { viewer } from "./stage";
 import { attempt, change, character, comparing, doc, ended, interrupted, ownTakes, running, say, take, time, uploading } from "./state";
 import type { Take, Vec3 } from "./types";
 
+/** Where one chooses, the sliders begin here. */
+const GUIDANCE = 3.5;
+const STEPS = 8;
 const KEPT = ["legs", "arms", "left arm", "right arm", "torso", "head", "upper body", "lower body", "tail", "wings", "root"];
 
 export const PARTS: Record<string, string> = {
@@ -164,6 +167,7 @@ function Change() {
 
 export function Takes() {
   const now = doc.value;
+  const automatic = now.steps === null && now.guidance === null;
   const all = ownTakes.value;
   return (
     <section class="panel" aria-label="takes">
@@ -206,14 +210,22 @@ export function Takes() {
       <details>
         <summary>how takes are drawn</summary>
         <div class="fields">
-          <label class="field">
-            <span>guidance {now.guidance}</span>
-            <input type="range" min={0} max={10} step={0.5} value={now.guidance} onInput={(event) => change("guidance", { guidance: Number(event.currentTarget.value) })} />
+          <label class="toggle">
+            <input type="checkbox" checked={automatic} onChange={(event) => change("", !event.currentTarget.checked ? { guidance: GUIDANCE, steps: STEPS } : { guidance: null, steps: null })} />
+            in the few steps that the network was trained for
           </label>
-          <label class="field">
-            <span>steps {now.steps}</span>
-            <input type="range" min={2} max={50} step={1} value={now.steps} onInput={(event) => change("steps", { steps: Number(event.currentTarget.value) })} />
-          </label>
+          {!automatic && (
+            <>
+              <label class="field">
+                <span>guidance {now.guidance ?? GUIDANCE}</span>
+                <input type="range" min={0} max={10} step={0.5} value={now.guidance ?? GUIDANCE} onInput={(event) => change("guidance", { guidance: Number(event.currentTarget.value) })} />
+              </label>
+              <label class="field">
+                <span>steps {now.steps ?? STEPS}</span>
+                <input type="range" min={2} max={50} step={1} value={now.steps ?? STEPS} onInput={(event) => change("steps", { steps: Number(event.currentTarget.value) })} />
+              </label>
+            </>
+          )}
         </div>
       </details>
       {take.value?.state === "done" && take.value.how === "animate" && (

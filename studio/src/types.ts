@@ -194,8 +194,9 @@ export interface Doc {
   gravity: number;
   /** Whether springs swing in the page, in place of what the take says of hair and clothes. */
   live: boolean;
-  guidance: number;
-  steps: number;
+  /** Null takes the few steps that the network was distilled into, with their guidance. */
+  guidance: number | null;
+  steps: number | null;
   pins: Pin[];
   poses: Pose[];
   path: [number, number][];

@@ -33,7 +33,7 @@ test("a link comes back as it went", () => {
 });
 
 test.each([
-  ["script", 5], ["script", []], ["path", "abc"], ["seed", 1.5], ["steps", null], ["inPlace", "no"], ["character", {}],
+  ["script", 5], ["script", []], ["path", "abc"], ["seed", 1.5], ["steps", "many"], ["inPlace", "no"], ["character", {}],
   ["script", [{ text: "x".repeat(1001), seconds: 2 }]], ["wheels", 4],
 ])("a link that asks for what cannot be: %s %j", (key, value) => {
   expect(() => readReplay(writeReplay({ ...LINK, [key]: value }))).toThrow("cannot be");

@@ -44,7 +44,7 @@ class View:
         apparel: How hair and clothes move.
         stiffness, gravity: How stiff they are, and how strongly they are drawn downwards, as factors.
         live: Whether their springs swing in the page.
-        guidance, steps: Of the sampler.
+        guidance, steps: Of the sampler; None takes its own.
         pins: JSON forms of pins.
         poses: Poses that stay.
         path: Points that the root passes, x and z [m].
@@ -65,8 +65,8 @@ class View:
     stiffness: float = 1.0
     gravity: float = 1.0
     live: bool = False
-    guidance: float = 3.5
-    steps: int = 8
+    guidance: float | None = None
+    steps: int | None = None
     pins: tuple[object, ...] = ()
     poses: tuple[PoseForm, ...] = ()
     path: tuple[tuple[float, float], ...] = ()
