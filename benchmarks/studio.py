@@ -126,9 +126,7 @@ def library_times(file: Path, seed: int) -> Times:
         save_character(character, Path(folder) / "mesh.glb", handles)
     opening = time.perf_counter() - start, time.process_time() - work
     start, work = time.perf_counter(), time.process_time()
-    motion = generate(
-        PROMPT, seconds=SECONDS, seed=seed, candidates=1, mesh_feature=handles.features
-    )
+    motion = generate(PROMPT, seconds=SECONDS, seed=seed, candidates=1, mesh_feature=handles.features)
     apply_motion(motion, Anatomy.of(character, handles), stages=DRAFT_STAGES)
     draft = time.perf_counter() - start, time.process_time() - work
     start, work = time.perf_counter(), time.process_time()

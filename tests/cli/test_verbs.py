@@ -228,7 +228,11 @@ def test_limits_and_defaults_agree_with_the_library():
     )
     assert (WHOLE.low, WHOLE.high) == (sequence.SHORTEST, sequence.LONGEST)
     text = (ROOT / "docs" / "cli.md").read_text()
-    assert f"{generate.STEPS} by default" in text and f"{generate.GUIDANCE} by default" in text
+    few = importlib.import_module("bunraku.diffusion.inference.few_steps").load_few_steps(
+        shipped_checkpoint("few-steps")
+    )
+    assert f"; {len(few.visited)} by default" in text and f"{generate.STEPS} with `--guidance`" in text
+    assert few.guidance == generate.GUIDANCE and f"{generate.GUIDANCE} by default" in text
 
 
 def options_of(kind):

@@ -18,9 +18,9 @@ class SamplingOptions(Sampling):
     """`Sampling` on the command line."""
 
     steps: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
-    """Sampling steps, 1 to 1000; more is slower. Default: 4, which the network was distilled into; 8 with --guidance."""
+    """Sampling steps, 1 to 1000; more is slower. Default: 4, distilled; 8 with --guidance."""
     guidance: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
-    """How closely to follow the sentence, 0 to 20. Default: 3.5, which the 4 steps hold."""
+    """How closely to follow the sentence, 0 to 20. Default: 3.5."""
 
 
 @dataclass(frozen=True)
