@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bunraku.diffusion.generation.drawing import GUIDANCE
+from bunraku.diffusion.generation.drawing import GUIDANCE, STEPS
 
 ROOT = Path(__file__).resolve().parents[2]
 STATIC = ROOT / "src" / "bunraku" / "studio" / "static"
@@ -25,11 +25,10 @@ def test_the_page_names_no_other_host():
     assert "three 0." in (STATIC / "LICENSES.txt").read_text(encoding="utf-8")
 
 
-def test_the_page_asks_for_the_guidance_that_the_library_takes():
-    texts = [(ROOT / "studio" / "src" / name).read_text(encoding="utf-8") for name in ("schema.ts", "actions.ts")]
-    pattern = r"guidance(?:: | \?\? )([0-9.]+)"
-    found = [float(value) for text in texts for value in re.findall(pattern, text)]
-    assert found == [GUIDANCE] * 2
+def test_sliders_begin_at_the_guidance_and_the_steps_that_the_library_takes():
+    text = (ROOT / "studio" / "src" / "takes.tsx").read_text(encoding="utf-8")
+    found = {name: float(value) for name, value in re.findall(r"^const (GUIDANCE|STEPS) = ([0-9.]+);$", text, re.M)}
+    assert found == {"GUIDANCE": GUIDANCE, "STEPS": STEPS}
 
 
 def test_the_lock_file_names_no_registry():

@@ -47,7 +47,7 @@ def test_a_take_is_queued_and_told(client, ready):
         ({"steps": 0}, "steps must be from 1"),
         ({"steps": True}, "steps must be a number"),
         ({"guidance": 21}, "guidance must be from 0 to 20"),
-        ({"apparel": "silk"}, "apparel is one of rigid, simulate, learn"),
+        ({"apparel": "silk"}, "apparel is one of rigid, simulate, chains, learn"),
         ({"apparel": "learn", "stiffness": 0}, "stiffness must be from 0.001 to 1000"),
         ({"after": "../../x"}, "no such take"),
         ({"path": [[0]]}, "a path is a list of points"),
@@ -244,7 +244,7 @@ def test_a_take_is_dressed_anew_and_what_comes_of_it_stays_dressed(client, ready
     made = client.post(f"/api/takes/{name}/change", json={"apparel": "learn", "stiffness": 3}).json()
     record = client.get(f"/api/takes/{made['takes'][0]}").json()
     assert (record["how"], record["parent"], record["seed"]) == ("dress", name, 7)
-    assert record["asked"] == {"apparel": "learn", "stiffness": 3, "in_place": True}
+    assert record["asked"] == {"apparel": "learn", "stiffness": 3, "gravity": 1.0, "in_place": True}
     params = state.jobs.get(made["job"])["params"]
     assert (params["parent"], params["apparel"], params["stiffness"], params["in_place"]) == (name, "learn", 3, True)
     state.store.change("takes", name, stiffness=3.0)  # as the worker tells it of a dressed one
