@@ -21,7 +21,7 @@ from bunraku.geometry.rotations import rotation_between
 from bunraku_lab.baselines.bone_heat import bone_heat
 from bunraku_lab.baselines.embedding import embedded_human
 
-__all__ = ["RiggedMesh", "copied_motion", "rig_by_embedding"]
+__all__ = ["RiggedMesh", "bone_turns", "copied_motion", "rig_by_embedding"]
 
 MOST_BONES = 4
 """Joints that move one vertex, as engines have it."""
@@ -81,7 +81,7 @@ def copied_motion(rigged: RiggedMesh, motion: SkeletalMotion, aligned: bool = Fa
     turns, positions = motion.world()
     scale = _leg(rigged.joints) / _leg(body.joints)
     if aligned:
-        turns = turns @ _to_t_pose(rigged.joints, body.joints)
+        turns = turns @ bone_turns(rigged.joints, body.joints)
     roots = rigged.joints[0] + scale * (positions[:, 0] - body.joints[0])
     own = np.empty_like(positions)
     own[:, 0] = roots
@@ -101,9 +101,13 @@ def _leg(joints: np.ndarray) -> float:
     return float(np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee))
 
 
-def _to_t_pose(own: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """For each joint the least rotation that takes its bone to the T-pose's direction, shape (22, 3, 3); a joint with
-    several children, or none, turns as its parent does not: not at all.
+def bone_turns(own: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """For each joint the least rotation that takes its bone from one rest pose's direction to another's, shape (22, 3,
+    3); a joint with several children turns not at all, one with none as its parent does.
+
+    Args:
+        own: Joints in the first rest pose, shape (22, 3).
+        wanted: In the other, shape (22, 3).
     """
     out = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
     for joint in range(JOINT_COUNT):

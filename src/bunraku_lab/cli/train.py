@@ -19,8 +19,10 @@ __all__ = [
     "extractor",
     "few_steps",
     "handles",
+    "nbs",
     "orientation",
     "ranker",
+    "transfer_baseline",
 ]
 
 Verb = tuple[type, Callable[[Any], None]]
@@ -161,6 +163,32 @@ def apparel() -> Verb:
     from bunraku_lab.training.apparel.displacement import DisplacementTrainConfig, train_displacement
 
     return _verb(DisplacementTrainConfig, train_displacement)
+
+
+def nbs() -> Verb:
+    """Train Neural Blend Shapes (Li et al. 2021) with given joints, a row of MMDMC's table 2.
+
+    The same command goes on where a run stopped. The skinning branch is trained first; --start SKINNING
+    --network.shapes 9 trains the blend shapes on top of it.
+
+    Example: bunraku train nbs --data data/apparel --out runs/nbs
+    """
+    from bunraku_lab.training.baselines.nbs import NbsTrainConfig, train_nbs
+
+    return _verb(NbsTrainConfig, train_nbs)
+
+
+def transfer_baseline() -> Verb:
+    """Train Skeleton-free Pose Transfer (Liao et al. 2022), a row of both papers' tables.
+
+    The same command goes on where a run stopped. --preset sfpt is the whole recipe, for a GPU.
+
+    Example: bunraku train transfer-baseline --preset sfpt-small --data data/motions --characters archive --out
+    runs/sfpt
+    """
+    from bunraku_lab.training.baselines.transfer import TransferTrainConfig, train_transfer
+
+    return _verb(TransferTrainConfig, train_transfer)
 
 
 def _verb(settings: type, train: Callable[..., Path]) -> Verb:

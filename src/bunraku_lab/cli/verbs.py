@@ -89,6 +89,12 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ),
     ("train", "apparel"): ("bunraku_lab.cli.train", "apparel", "train the network that moves apparel"),
     ("train", "few-steps"): ("bunraku_lab.cli.train", "few_steps", "distil the denoiser into four steps"),
+    ("train", "nbs"): ("bunraku_lab.cli.train", "nbs", "train Neural Blend Shapes, a baseline of the papers' tables"),
+    ("train", "transfer-baseline"): (
+        "bunraku_lab.cli.train",
+        "transfer_baseline",
+        "train Skeleton-free Pose Transfer, a baseline of the papers' tables",
+    ),
     ("train", "adaptation"): ("bunraku_lab.cli.train", "adaptation", "fine-tune the adaptation of motions to meshes"),
     ("evaluate", "handles"): (
         "bunraku_lab.cli.evaluate.handles",

@@ -40,7 +40,10 @@ class EvaluateTables(Printed):
     mdm: Path | None = None
     """Weights of the encoder-only network, "TapMo (MDM)"."""
     bodies: tuple[Path, ...] = ()
-    """Body networks of MMDMC's table 4. Default: the shipped one."""
+    """Body networks of MMDMC's table 4. Default: the shipped one, and those of --baselines."""
+    baselines: Path | None = None
+    """Folder of the other methods' weights (benchmarks/weights of the repository); without it their rows are left
+    out. Their trainings are named beside them."""
     work: Path = Path("runs/tables")
     """Folder that keeps what was measured."""
     quick: bool = False
@@ -53,13 +56,14 @@ class EvaluateTables(Printed):
             check_input(path)
         check_source(self.data, "name the folder that `bunraku data motions` wrote")
         check_source(self.characters, "name a folder of rigged characters")
+        check_source(self.baselines, "name a folder of weights")
         check_source(self.apparel, "name the folder that `bunraku data apparel` wrote")
         check_folder(self.work)
         from bunraku_lab.evaluation.tables.measured import TablesConfig, measure_tables
 
         config = TablesConfig(
-            self.paper, self.table, self.data, self.characters, self.apparel, self.mdm, self.bodies, self.work,
-            self.quick, self.seed,
+            self.paper, self.table, self.data, self.characters, self.apparel, self.mdm, self.bodies,
+            self.baselines, self.work, self.quick, self.seed,
         )  # fmt: skip
         with stages() as report:
             found = measure_tables(config, report)

@@ -7,7 +7,7 @@ files with their rig texts (ModelsResource-RigNet). Each becomes one npz in a ca
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -25,8 +25,10 @@ from bunraku_lab.datasets.characters.training_character import TrainingCharacter
 
 __all__ = [
     "HELD_OUT",
+    "RIGGED",
     "build_characters",
     "load_characters",
+    "no_characters",
     "reference_characters",
     "rigged_files",
     "training_character",
@@ -108,14 +110,32 @@ def _variants(load: Callable[..., Character], mesh_vertices: int) -> dict[str, t
     }
 
 
+RIGGED = (".glb", ".fbx", ".obj")
+"""Files that may hold rigged characters."""
+
+
 def rigged_files(folder: Path) -> list[Path]:
     """Files under a folder that may hold rigged characters: GLB, FBX, and OBJ with a rig text (see
     `bunraku.formats.mesh.rignet`).
     """
     from bunraku.formats.mesh.rignet import find_rig
 
-    files = [file for file in folder.rglob("*") if file.suffix.lower() in (".glb", ".fbx", ".obj") and file.is_file()]
+    files = [file for file in folder.rglob("*") if file.suffix.lower() in RIGGED and file.is_file()]
     return sorted(file for file in files if file.suffix.lower() != ".obj" or find_rig(file) is not None)
+
+
+def no_characters(folder: Path, suffixes: Sequence[str]) -> FormatError:
+    """What to say of a folder without character files; one that `bunraku data characters` wrote is told from others.
+
+    Args:
+        folder: The folder.
+        suffixes: Of the files that are looked for.
+    """
+    if next(folder.rglob("*.npz"), None) is not None:
+        return FormatError(
+            folder, "it holds what `bunraku data characters` made for training; give the folder of the files it is from"
+        )
+    return FormatError(folder, f"there are no characters here; give a folder with {', '.join(sorted(suffixes))} files")
 
 
 def build_characters(

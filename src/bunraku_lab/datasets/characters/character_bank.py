@@ -17,13 +17,13 @@ from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import line_up
-from bunraku.errors import BunrakuError, FormatError
+from bunraku.errors import BunrakuError
 from bunraku.geometry.graph import unique_edges
 from bunraku.geometry.surface import vertex_areas
 from bunraku.handles.from_rig import resolve_joints
 from bunraku.skeletons.bone_names import handle_of_joints, limb_parents
 from bunraku_lab.datasets.characters.bank_file import save_character_bank
-from bunraku_lab.datasets.characters.build import HELD_OUT, rigged_files
+from bunraku_lab.datasets.characters.build import HELD_OUT, RIGGED, no_characters, rigged_files
 from bunraku_lab.datasets.characters.known_rigs import facing_turn, known_handles
 from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter, augment, handle_target
 
@@ -70,9 +70,7 @@ def build_character_bank(
     folder = Path(folder)
     files = rigged_files(folder)
     if not files:
-        raise FormatError(
-            folder, "there are no rigged characters here; unpack the character archive and give its folder"
-        )
+        raise no_characters(folder, RIGGED)
     makers: dict[str, Callable[[], Character]] = {}
     for file in files:
         makers.setdefault(file.relative_to(folder).with_suffix("").as_posix(), lambda file=file: load_character(file))  # type: ignore[misc]

@@ -1,4 +1,5 @@
-"""MMDMC's table 2 on one clip: the whole mesh by ours and by what other methods cannot be better than, or stand on.
+"""MMDMC's table 2 on one clip: the whole mesh by ours and by what other methods cannot be better than, or stand on
+(`evaluation.apparel.rivals` has the trained ones).
 
 - Neural Blend Shapes moves apparel by linear blend skinning with weights of the joints. No such weights are better than
   those that are fitted to the very frames (`best_skinning`), so that row is what it can at most reach.
@@ -10,7 +11,7 @@ Each is measured twice: from the rest pose over 6 s, and as the paper has it ove
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,21 +21,24 @@ from bunraku.apparel.displacement.features import clip_features
 from bunraku.apparel.displacement.player import ApparelPlayer
 from bunraku.apparel.displacement.weights import DisplacementNetwork
 from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
-from bunraku.core.character import Character
 from bunraku.core.skinning import skin
 from bunraku.geometry.graph import unique_edges
 from bunraku_lab.evaluation.apparel.clips import TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score, point_distance
-from bunraku_lab.evaluation.apparel.names import OURS
 from bunraku_lab.training.apparel.networks.refinement import RefinementNetwork, refined
 from bunraku_lab.training.apparel.networks.seam import seam_of
 
-__all__ = ["best_skinning", "part_weights", "ten_frame_rows", "whole_figures"]
+__all__ = [
+    "STRIDE", "Figures", "best_skinning", "mean_figures", "our_ten_frames", "part_weights", "ten_frame_spans",
+    "whole_figures",
+]  # fmt: skip
 
 Figures = dict[str, float]
 ROUNDS = 400  # of the fit of weights
 STARTS = 4
 TEN = 10
+STRIDE = 6
+"""Of so many frames of a whole clip one is looked at."""
 
 
 def whole_figures(clip: TrueClip, moved: np.ndarray, truth: np.ndarray) -> Figures:
@@ -84,13 +88,10 @@ def _on_simplex(values: np.ndarray) -> np.ndarray:
     return np.maximum(values - over[np.arange(len(values)), count - 1][:, None], 0)
 
 
-def part_weights(clothed: ClothedCharacter) -> np.ndarray:
-    """Weights of the joints that the Mesh Handle Predictor gives a clothed mesh, of which it sees nothing else, shape
-    (V, J); those of its other parts go to the joint above.
+def part_weights(seen: np.ndarray) -> np.ndarray:
+    """Weights of the joints from those that the Mesh Handle Predictor gives a clothed mesh, of which it sees nothing
+    else, shape (V, 30) -> (V, 22); those of its other parts go to the joint above.
     """
-    from bunraku.handles.predict import predict_handles
-
-    seen = predict_handles(Character("clothed", clothed.rest, clothed.faces)).weights
     out = np.zeros((len(seen), len(JOINT_NAMES)))
     for handle in range(len(HANDLE_NAMES)):
         above = handle
@@ -100,35 +101,45 @@ def part_weights(clothed: ClothedCharacter) -> np.ndarray:
     return out / out.sum(axis=1, keepdims=True)
 
 
-def ten_frame_rows(
-    clip: TrueClip, guessed: ClothedCharacter, weights: Mapping[str, np.ndarray], network: DisplacementNetwork,
+def ten_frame_spans(clip: TrueClip) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """Ten frames at `STARTS` places of a clip: the first, affine transforms of the joints (10, 22, 3, 4), and where all
+    vertices are [m], (10, V, 3).
+    """
+    everything = np.arange(len(clip.clothed.rest))
+    for first in np.linspace(3, len(clip.transforms) - TEN - 1, STARTS).astype(int):
+        span = slice(first, first + TEN)
+        short = replace(clip, transforms=clip.transforms[span], offsets=clip.offsets[span])
+        yield int(first), short.affine, short.truth(everything)
+
+
+def mean_figures(rows: Sequence[Figures]) -> Figures:
+    """The mean of each figure."""
+    return {key: float(np.mean([one[key] for one in rows])) for key in rows[0]}
+
+
+def our_ten_frames(
+    clip: TrueClip, guessed: ClothedCharacter, weights: np.ndarray, network: DisplacementNetwork,
     refinement: RefinementNetwork | None,
-) -> dict[str, Figures]:  # fmt: skip
-    """Ten frames from true states, at `STARTS` places of the clip: of each way the mean figures.
+) -> Figures:  # fmt: skip
+    """The mean figures of ours over ten frames from true states.
 
     Args:
         clip: The clip.
         guessed: The character as our networks see it.
-        weights: Of the joints by each way, shape (V, J); those of `OURS` are the body network's.
+        weights: Of the joints by the body network, shape (V, J).
         network: Of the displacement.
         refinement: Of where body and apparel meet.
     """
-    everything = np.arange(len(clip.clothed.rest))
-    firsts = np.linspace(3, len(clip.transforms) - TEN - 1, STARTS).astype(int)
-    kept: dict[str, list[Figures]] = {name: [] for name in weights}
-    for first in firsts:
-        span = slice(first, first + TEN)
-        short = replace(clip, transforms=clip.transforms[span], offsets=clip.offsets[span])
-        truth, affine = short.truth(everything), short.affine
-        for name, own in weights.items():
-            moved = np.array(skin(clip.clothed.rest, own, affine), np.float32)
-            if name == OURS and guessed.apparel.any():
-                moved = _from_true_state(clip, guessed, network, int(first), moved)
-                if refinement is not None:
-                    seam = seam_of(guessed, own)
-                    moved = np.stack([refined(refinement, seam, *pair) for pair in zip(moved, affine, strict=True)])
-            kept[name].append(whole_figures(clip, moved, truth))
-    return {name: {key: float(np.mean([one[key] for one in rows])) for key in rows[0]} for name, rows in kept.items()}
+    found = []
+    for first, affine, truth in ten_frame_spans(clip):
+        moved = np.array(skin(clip.clothed.rest, weights, affine), np.float32)
+        if guessed.apparel.any():
+            moved = _from_true_state(clip, guessed, network, first, moved)
+            if refinement is not None:
+                seam = seam_of(guessed, weights)
+                moved = np.stack([refined(refinement, seam, *pair) for pair in zip(moved, affine, strict=True)])
+        found.append(whole_figures(clip, moved, truth))
+    return mean_figures(found)
 
 
 def _from_true_state(

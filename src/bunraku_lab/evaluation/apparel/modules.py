@@ -15,10 +15,11 @@ from bunraku.core.skinning import skin
 from bunraku.errors import WeightsError
 from bunraku.geometry.graph import unique_edges
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku_lab.evaluation.apparel.against import best_skinning, part_weights, ten_frame_rows, whole_figures
+from bunraku_lab.evaluation.apparel.against import STRIDE, Figures, our_ten_frames, whole_figures
 from bunraku_lab.evaluation.apparel.clips import TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score
-from bunraku_lab.evaluation.apparel.names import BEST, OURS, PARTS
+from bunraku_lab.evaluation.apparel.names import OURS
+from bunraku_lab.evaluation.apparel.rivals import floor_movers, mover_rows
 from bunraku_lab.training.apparel.networks.body import load_body
 from bunraku_lab.training.apparel.networks.body_predict import body_weights
 from bunraku_lab.training.apparel.networks.refinement import RefinementNetwork, refined
@@ -27,7 +28,6 @@ from bunraku_lab.training.apparel.networks.tiled import clothed_by_mask, tiled
 
 __all__ = ["body_table", "mask_scores", "module_row"]
 
-STRIDE = 6
 MOST = 2000  # vertices that distances are taken of
 
 
@@ -47,7 +47,7 @@ def module_row(
     refinement: RefinementNetwork | None = None,
 ) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, float]]]:  # fmt: skip
     """Tables 2 and 3 for a clip, from rest: the body module alone, with apparel that is found, with the joint
-    refinement, and with the file's mask; and skinning alone by other weights (`evaluation.apparel.against`). Body and
+    refinement, and with the file's mask; and what needs no training (`evaluation.apparel.rivals`). Body and
     apparel are skinned by predicted weights, and nothing of the file but its joints is used where it does not say so.
     Then table 2 over ten frames from true states.
     """
@@ -62,9 +62,9 @@ def module_row(
     truth = short.truth(np.arange(len(true.rest)))
     bare = np.asarray(skin(true.rest, weights, short.affine))
     rows = {"body module": whole_figures(clip, bare, truth)}
-    others = {PARTS: part_weights(true), BEST: best_skinning(true.rest, truth, short.affine)}
-    for name, own in others.items():
-        rows[name] = whole_figures(clip, np.asarray(skin(true.rest, own, short.affine)), truth)
+    tens: dict[str, Figures] = {}
+    for name, mover in floor_movers(true, truth, short.affine).items():
+        rows[name], tens[name] = mover_rows(clip, mover)
     for clothed, name in ((guessed, ""), (given, ", true mask")):
         moved = tiled(clothed, clip.transforms, network, frames)
         rows[f"body + apparel{name}"] = whole_figures(clip, moved, truth)
@@ -72,7 +72,7 @@ def module_row(
             seam = seam_of(clothed, weights)
             merged = np.stack([refined(refinement, seam, *pair) for pair in zip(moved, short.affine, strict=True)])
             rows[f"with joint refinement{name}"] = whole_figures(clip, merged, truth)
-    return rows, ten_frame_rows(clip, guessed, {OURS: weights, **others}, network, refinement)
+    return rows, {**tens, OURS: our_ten_frames(clip, guessed, weights, network, refinement)}
 
 
 def body_table(clips: Sequence[TrueClip], bodies: Sequence[Path]) -> dict[str, dict[str, float]]:

@@ -17,6 +17,7 @@ from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.evaluation.apparel.chained import chain_row, chain_summary
 from bunraku_lab.evaluation.apparel.clips import TrueClip, data_clips, file_clips, long_clip, made_clips
 from bunraku_lab.evaluation.apparel.modules import body_table, mask_scores, module_row
+from bunraku_lab.evaluation.apparel.rivals import rival_rows, rivals_of
 from bunraku_lab.evaluation.apparel.rows import clip_row, drift_row, frame_milliseconds, ten_frames
 from bunraku_lab.evaluation.parts import Parts, at_once
 from bunraku_lab.evaluation.report import Bar, figure, measured_in, reached_bars
@@ -66,8 +67,10 @@ class ApparelEvalConfig:
         masks: Segmentation network.
         bodies: Body networks; Table 3 takes the first.
         refinement: Joint refinement of Table 3.
+        baselines: Folder of the weights of Neural Blend Shapes and SPT, for their rows beside ours.
         literal: Displacement network of the paper's own form, for rows beside ours.
         quick: Leave out what takes long: 60 s, the best static skinning and insides.
+        whole_only: Measure whole meshes alone, by each module and beside other methods: the paper's tables 2 to 4.
         chains: Measure chains from shape alone, on the splits "val" and "test".
     """
 
@@ -81,8 +84,10 @@ class ApparelEvalConfig:
     masks: Path | None = None
     bodies: Sequence[Path] = ()
     refinement: Path | None = None
+    baselines: Path | None = None
     literal: Path | None = None
     quick: bool = False
+    whole_only: bool = False
     chains: bool = False
 
 
@@ -130,7 +135,8 @@ def evaluate_apparel(
     merging = None if refinement is None else load_refinement(refinement)
     paper = None if config.literal is None else load_displacement(config.literal)
 
-    def measured(number: int, clip: TrueClip) -> dict[str, Any]:
+    def apart(number: int, clip: TrueClip) -> dict[str, Any]:
+        """What the displacement network and the mask are worth, each by itself."""
         own: dict[str, Any] = {"row": clip_row(clip, network, slow=not quick), "score": mask_scores(clip, masks)}
         if number % 2 == 0 or quick:
             own["ten"] = ten_frames(clip, network)
@@ -138,6 +144,10 @@ def evaluate_apparel(
             own["row"] |= _literal(clip_row(clip, paper, slow=False))
             if "ten" in own:
                 own["ten"]["literal"] = ten_frames(clip, paper)["learned"]
+        return own
+
+    def measured(number: int, clip: TrueClip) -> dict[str, Any]:
+        own: dict[str, Any] = {} if config.whole_only else apart(number, clip)
         if number < config.whole and known_body:
             own["whole"], own["whole_ten"] = module_row(clip, network, masks, body, merging)
         return own
@@ -146,14 +156,23 @@ def evaluate_apparel(
     for number, clip in enumerate(found):
         progress("clips", number / len(found))
         every.append(parts(f"{number} {clip.name} {clip.motion}", partial(measured, number, clip)))
-    rows, scores = [one["row"] for one in every], [one["score"] for one in every]
-    tens, modules, whole_tens = ([one[key] for one in every if key in one] for key in ("ten", "whole", "whole_ten"))
+    for rival in rivals_of(config.baselines) if known_body else []:
+        for number, clip in enumerate(found[: config.whole]):
+            progress(rival.name, number / min(len(found), config.whole))
+            named = f"{number} {clip.name} {clip.motion} {rival.name} {rival.digest}"
+            own = every[number]
+            own["whole"][rival.name], own["whole_ten"][rival.name] = parts(named, partial(rival_rows, clip,
+                                                                                          rival.network))  # fmt: skip
+    rows, scores, tens, modules, whole_tens = (
+        [one[key] for one in every if key in one] for key in ("row", "score", "ten", "whole", "whole_ten")
+    )
     progress("clips", 1.0)
     real, failed = _files(config.files, network, masks, progress)
     out = _summary(rows, tens, scores, real)
     drift = [] if quick else _drifts(network, config.motions, found, progress)
     out["drift_60s"] = _over(drift, "last", "second")
-    out["frame_ms"] = frame_milliseconds(min(found, key=_far_from_enough), network) if found else None
+    timed = found and not config.whole_only
+    out["frame_ms"] = frame_milliseconds(min(found, key=_far_from_enough), network) if timed else None
     table4 = body_table(found[: 4 if quick else 12], bodies) if found else {}
     out["body_attention_first"] = _attention_first(table4)
     reached = reached_bars(APPAREL_BARS, out)
@@ -168,7 +187,7 @@ def evaluate_apparel(
     }
     return out | {
         "reached": reached, "tables": {title: table for title, table in tables.items() if table},
-        "clips": rows, "whole": modules, "whole_ten_frames": whole_tens,
+        "clips": rows, "names": [clip.name for clip in found], "whole": modules, "whole_ten_frames": whole_tens,
         "ten_frames": tens, "minutes": drift, "files": real, "failed": failed, "masks": scores,
     }  # fmt: skip
 

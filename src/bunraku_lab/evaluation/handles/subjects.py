@@ -10,10 +10,10 @@ import numpy as np
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character
-from bunraku.errors import CharacterError, FormatError
+from bunraku.errors import CharacterError
 from bunraku.geometry.surface import vertex_areas
 from bunraku.skeletons.bone_names import handle_of_joints, limb_parents
-from bunraku_lab.datasets.characters.build import HELD_OUT
+from bunraku_lab.datasets.characters.build import HELD_OUT, no_characters
 from bunraku_lab.datasets.characters.known_rigs import facing_turn, known_handles, root_joint
 from bunraku_lab.datasets.characters.training_character import TrainingCharacter, handle_target
 
@@ -123,9 +123,7 @@ def find_files(folder: Path, everything: bool = False) -> list[Path]:
     suffixes = {suffix for known in FORMATS if known.character for suffix in known.suffixes} - _NO_RIG
     files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in suffixes and file.is_file())
     if not files:
-        raise FormatError(
-            folder, f"there are no characters here; give a folder with {', '.join(sorted(suffixes))} files"
-        )
+        raise no_characters(folder, sorted(suffixes))
     held = [file for file in files if subject_name(folder, file) in HELD_OUT]
     return files if everything or not held else held
 

@@ -5,38 +5,50 @@ those that it never saw.
 | --- | --- | --- |
 | MDM-SR | the encoder-only network | the human skeleton embedded, rotations copied, bone heat |
 | MDM-SR, limbs aligned first | the same | the same, limbs turned to the T-pose first |
+| MDM-SFR | the same | Skeleton-free Pose Transfer, trained here |
+| MDM-SFR, untrained | the same | the same networks before they learned |
 | MDM-SFR, floor without training | the same | the body's part transforms on the predicted weights, as they are |
 | without adaptation | ours | all stages but the adaptation |
+| with an adaptation | ours, as its last layer was trained | the same |
 | ours | ours | all stages, the last step of the adaptation on the very mesh |
 
-A character that the human skeleton cannot be embedded in counts in the other rows, and is told.
+Our motions are drawn for the character, whose mesh feature the network sees. A character that the human skeleton cannot
+be embedded in counts in the other rows, and is told.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.from_handles import skeleton_from_handles
 from bunraku.core.animation import Animation
-from bunraku.core.character import Character
+from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import CharacterError
 from bunraku.geometry.graph import unique_edges
+from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku_lab.baselines.skeletal_retarget import copied_motion, rig_by_embedding
+from bunraku_lab.baselines.transfer_target import TransferTarget
 from bunraku_lab.datasets.characters.build import HELD_OUT
 from bunraku_lab.evaluation.motion.arap import ARAP_PROMPTS, STRIDE, animation_arap, arap_loss
 from bunraku_lab.evaluation.motion.characters import Named, chosen_files, load_named
 from bunraku_lab.evaluation.parts import Parts, at_once
 from bunraku_lab.evaluation.tables.paper_table import EITHER_WAY, half_interval
+from bunraku_lab.nn.baselines.pose_transfer import TransferConfig, TransferNetwork, load_transfer
+from bunraku_lab.nn.diffusion.adapter import adapted_denoiser
 
-__all__ = ["DistortionConfig", "measure_distortion"]
+__all__ = ["NO_STAGES", "SFR", "DistortionConfig", "measure_distortion", "transferred_motion", "transfers_of"]
+
+SFR = "MDM-SFR"
 
 NO_STAGES = Stages(**{each.name: False for each in fields(Stages)})
 SEEN, UNSEEN = "A-L, seen", "A-L, unseen"
@@ -50,6 +62,9 @@ class DistortionConfig:
         characters: Folder of rigged characters.
         mdm: Weights of the encoder-only network.
         checkpoint: Weights of ours; None takes the shipped ones.
+        adapters: Last layers of the adaptation (`nn.diffusion.adapter`) by the names of their rows.
+        transfer: Weights of Skeleton-free Pose Transfer, for MDM-SFR.
+        work: Folder for our weights with each of the last layers.
         count: Characters that training saw, and as many that it did not.
         prompts: Of `ARAP_PROMPTS`, so many.
         seconds: Length of each motion [s].
@@ -59,6 +74,9 @@ class DistortionConfig:
     characters: Path
     mdm: Path
     checkpoint: Path | None = None
+    adapters: Mapping[str, Path] = field(default_factory=dict)
+    transfer: Path | None = None
+    work: Path = Path("runs/tables")
     count: int = 15
     prompts: int = 6
     seconds: float = 3.0
@@ -76,14 +94,19 @@ def measure_distortion(
     report = progress or (lambda stage, done: None)
     files = [file for unseen in (False, True) for file in chosen_files(config.characters, unseen, config.count)]
     characters = load_named(files, config.characters, progress=lambda done: report("handles", done))
-    ours = _motions(config, config.checkpoint)
-    theirs = _motions(config, config.mdm)
+    ours = {row: _adapted(config, row, path) for row, path in config.adapters.items()}
+    theirs, transfers = drawn_motions(config, config.mdm), transfers_of(config.transfer)
     found: dict[str, dict[bool, list[float]]] = {}
     failed = {False: 0, True: 0}
     for number, named in enumerate(characters):
         report("distortion", number / len(characters))
         unseen = named[0].partition("~")[0] in HELD_OUT
-        losses = parts(named[0], partial(_losses, named, ours, theirs))
+        losses = parts(named[0], partial(_losses, config, named, theirs))
+        for row, path in ours.items():
+            losses[row] = parts(f"{named[0]} {row} {path.stem}", partial(_of_adapter, config, named, path))
+        for row, network in transfers.items():
+            which = f"{named[0]} {row} {_digest(config.transfer)}"
+            losses[row] = parts(which, partial(_of_transfer, named, network, theirs))
         failed[unseen] += "MDM-SR" not in losses
         for row, value in losses.items():
             found.setdefault(row, {}).setdefault(unseen, []).append(value)
@@ -101,35 +124,95 @@ def measure_distortion(
     return out
 
 
-def _losses(named: Named, ours: Sequence[HandleMotion], theirs: Sequence[HandleMotion]) -> dict[str, float]:
-    """Mean ARAP-Loss of each row on one character; without those of MDM-SR where it cannot be embedded."""
+def _losses(config: DistortionConfig, named: Named, theirs: Sequence[HandleMotion]) -> dict[str, float]:
+    """Mean ARAP-Loss of each row on one character, but for those of trained baselines and adaptations; without those of
+    MDM-SR where it cannot be embedded.
+    """
     _, character, handles = named
     anatomy = Anatomy.of(character, handles)
-    out = {}
-    for row, motions, stages in (
+    ours = drawn_motions(config, config.checkpoint, handles.features)
+    rows = (
         ("ours", ours, Stages(shape=True)),
         ("ours, without adaptation", ours, Stages(shape=False)),
         ("MDM-SFR, floor without training", theirs, NO_STAGES),
-    ):
-        out[row] = float(np.mean([_fitted(motion, named, anatomy, stages) for motion in motions]))
+    )
+    out = {row: float(np.mean([_fitted(motion, named, anatomy, how) for motion in own])) for row, own, how in rows}
     try:
         rigged = rig_by_embedding(character.vertices, character.faces)
     except CharacterError:
         return out
     for row, aligned in (("MDM-SR", False), ("MDM-SR, limbs aligned first", True)):
-        shown = [_posed(copied_motion(rigged, _skeletal(motion), aligned), character) for motion in theirs]
-        out[row] = float(np.mean(shown))
+        copied = [_posed(copied_motion(rigged, _skeletal(motion), aligned), character) for motion in theirs]
+        out[row] = float(np.mean(copied))
     return out
 
 
-def _motions(config: DistortionConfig, checkpoint: Path | None) -> list[HandleMotion]:
-    """One motion of the reference body for each sentence: one sample of the network alone."""
-    from bunraku.diffusion.generation.generate import generate_motion
+def _of_adapter(config: DistortionConfig, named: Named, weights: Path) -> float:
+    _, character, handles = named
+    anatomy, motions = Anatomy.of(character, handles), drawn_motions(config, weights, handles.features)
+    return float(np.mean([_fitted(motion, named, anatomy, Stages(shape=False)) for motion in motions]))
 
-    return [
-        generate_motion(prompt, config.seconds, seed=config.seed + number, candidates=1, checkpoint=checkpoint)
-        for number, prompt in enumerate(ARAP_PROMPTS[: config.prompts])
-    ]
+
+def _of_transfer(named: Named, network: TransferNetwork, theirs: Sequence[HandleMotion]) -> float:
+    _, character, handles = named
+    shown = [transferred_motion(network, character, handles, _skeletal(motion)) for motion in theirs]
+    return float(np.mean([_posed(vertices, character) for vertices in shown]))
+
+
+def _digest(path: Path | None) -> str:
+    return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+def transfers_of(weights: Path | None) -> dict[str, TransferNetwork]:
+    """Pose transfers by the names of their rows: the trained one, and an untrained one beside it; none without weights.
+
+    Raises:
+        WeightsError: The file is missing or damaged.
+    """
+    if weights is None:
+        return {}
+    torch.manual_seed(0)
+    return {SFR: load_transfer(weights), f"{SFR}, untrained": TransferNetwork(TransferConfig()).eval()}
+
+
+def transferred_motion(
+    network: TransferNetwork, character: Character, handles: Handles, motion: SkeletalMotion
+) -> np.ndarray:
+    """A character as Skeleton-free Pose Transfer moves it after the reference body [m], shape (N, V, 3)."""
+    parts = None if network.config.predictor else handles.weights
+    root = handles.positions[0]
+    target = TransferTarget.of(character.vertices, character.faces, parts, root, network)
+    return target.with_motion(motion, root)
+
+
+def drawn_motions(
+    config: DistortionConfig, checkpoint: Path | None, feature: np.ndarray | None = None
+) -> list[HandleMotion]:
+    """One motion of the reference body for each sentence: one sample of the network alone.
+
+    Args:
+        config: Sentences, length and seed.
+        checkpoint: Weights; None takes the shipped ones.
+        feature: f_phi of the character, where the motion is for one.
+    """
+    from bunraku.diffusion.generation.generate import generate_motions
+    from bunraku.language.parse import clauses_of
+
+    prompts = ARAP_PROMPTS[: config.prompts]
+    return generate_motions(
+        [clauses_of([(prompt, config.seconds)]) for prompt in prompts],
+        seeds=[config.seed + number for number in range(len(prompts))], checkpoint=checkpoint, mesh_feature=feature,
+    )  # fmt: skip
+
+
+def _adapted(config: DistortionConfig, row: str, adapter: Path) -> Path:
+    """Our weights with a last layer, written once."""
+    name = hashlib.sha256(row.encode() + adapter.read_bytes()).hexdigest()[:16]
+    path = config.work / f"adapted-{name}.safetensors"
+    if not path.is_file():
+        config.work.mkdir(parents=True, exist_ok=True)
+        adapted_denoiser(adapter, config.checkpoint or shipped_checkpoint("diffusion"), path)
+    return path
 
 
 def _thinned(motion: HandleMotion) -> HandleMotion:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from bunraku.errors import BunrakuError, OptionError, WeightsError
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku_lab.evaluation.apparel.names import BEST, OURS, PARTS
+from bunraku_lab.evaluation.apparel.names import OURS
+from bunraku_lab.evaluation.apparel.rivals import FILES
 from bunraku_lab.evaluation.parts import Parts
 from bunraku_lab.evaluation.tables.mmdmc import MMDMC
 from bunraku_lab.evaluation.tables.paper_table import (
@@ -35,11 +36,20 @@ _MEASURES = {
 _MOTION_ROWS = {
     "real": "real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "ours, one sample", "tapmo_chosen": "ours, as animate chooses",
 }  # fmt: skip
-_OTHERS = {"with joint refinement": OURS, PARTS: PARTS, BEST: BEST, "body module": "our skinning alone"}
+_OURS = {"with joint refinement": OURS, "body module": "our skinning alone"}
+TRANSFER = "sfpt.safetensors"
+"""Of the pose transfer of MDM-SFR."""
 _MODULES = {
     "body module": "body", "body + apparel": "body + apparel", "with joint refinement": "full",
     "with joint refinement, true mask": "full, true mask",
 }  # fmt: skip
+ADAPTERS = {
+    "ours with L_h": "adaptation-spring.safetensors", "ours with L_a": "adaptation-adversarial.safetensors",
+    "ours, adaptation not fine-tuned": "adaptation-both.safetensors",
+    "ours, adaptation of the network alone": "adaptation-all.safetensors",
+}  # fmt: skip
+"""Last layers of the adaptation by the rows of TapMo's table 2."""
+BODIES = ("apparel-body-none.safetensors", "apparel-body-sorted.safetensors")
 CHARACTERS = 24
 """That MMDMC's tables are measured on at the least."""
 
@@ -58,6 +68,9 @@ class TablesConfig:
         apparel: Folder that `bunraku data apparel` wrote; a quick measurement without it simulates some clips.
         mdm: Weights of the encoder-only network.
         bodies: Body networks of MMDMC's table 4.
+        baselines: Folder of the other methods' weights: those of `rivals.FILES`, "sfpt.safetensors" for MDM-SFR, the
+            last layers of `ADAPTERS`, and body networks of MMDMC's table 4 ("apparel-body-none.safetensors" and
+            "apparel-body-sorted.safetensors").
         work: Folder that keeps what was measured.
         quick: On few windows, characters and clips.
         seed: Of everything random.
@@ -70,6 +83,7 @@ class TablesConfig:
     apparel: Path | None = None
     mdm: Path | None = None
     bodies: tuple[Path, ...] = ()
+    baselines: Path | None = None
     work: Path = Path("runs/tables")
     quick: bool = False
     seed: int = 0
@@ -125,6 +139,12 @@ def _needed(path: Path | None, option: str, what: str) -> Path:
     return path
 
 
+def _weights(config: TablesConfig, names: Iterable[str]) -> dict[str, Path]:
+    """Those of some files that the folder of the baselines has, by their names."""
+    folder = config.baselines
+    return {} if folder is None else {name: folder / name for name in names if (folder / name).is_file()}
+
+
 def _seen(config: TablesConfig, *names: str) -> dict[str, Any]:
     """What figures depend on: the shipped networks, the clips that there are, and the settings."""
     found: dict[str, Any] = {"quick": config.quick, "seed": config.seed}
@@ -169,11 +189,16 @@ def _distortion_group(config: TablesConfig, report: Report) -> Group:
         from bunraku_lab.evaluation.tables.distortion import DistortionConfig, measure_distortion
 
         count, prompts = (4, 3) if config.quick else (15, 6)
-        how = DistortionConfig(characters, mdm, count=count, prompts=prompts, seed=config.seed)
+        heads = {row: trained[file] for row, file in ADAPTERS.items() if file in trained}
+        how = DistortionConfig(
+            characters, mdm, adapters=heads, transfer=trained.get(TRANSFER), work=config.work, count=count,
+            prompts=prompts, seed=config.seed,
+        )  # fmt: skip
         return measure_distortion(how, report, parts)
 
+    trained = _weights(config, (TRANSFER, *ADAPTERS.values()))
     files = ",".join(sorted(path.name for path in characters.rglob("*") if path.is_file()))
-    return Group("distortion", run, {**_seen(config, "diffusion", "handles"), "mdm": mdm, "characters": files})
+    return Group("distortion", run, {**_seen(config, "diffusion", "handles"), "mdm": mdm, "characters": files}, trained)
 
 
 def _stand_in_group(config: TablesConfig, report: Report) -> Group:
@@ -185,11 +210,13 @@ def _stand_in_group(config: TablesConfig, report: Report) -> Group:
         from bunraku_lab.evaluation.tables.stand_in import StandInConfig, measure_stand_in
 
         count, prompts = (4, 3) if config.quick else (15, 6)
-        how = StandInConfig(characters, mdm, data, count, prompts, seed=config.seed)
+        how = StandInConfig(characters, mdm, data, trained.get(TRANSFER), count, prompts, seed=config.seed)
         return measure_stand_in(how, report, parts)
 
+    trained = _weights(config, (TRANSFER,))
     files = ",".join(sorted(path.name for path in characters.rglob("*") if path.is_file()))
-    of = {**_seen(config, "diffusion", "handles"), "mdm": mdm, "characters": files, "data": data / "index.json"}
+    of = {**_seen(config, "diffusion", "handles"), **trained, "mdm": mdm, "characters": files,
+          "data": data / "index.json"}  # fmt: skip
     return Group("stand-in", run, of)
 
 
@@ -198,26 +225,33 @@ def _apparel_group(config: TablesConfig, report: Report) -> Group:
     if not config.quick:
         data = _needed(data, "--apparel", "folder that `bunraku data apparel` wrote")
 
-    clips, whole, least = (6, 4, 0) if config.quick else (60, 30, CHARACTERS)
+    clips, least = (4, 0) if config.quick else (CHARACTERS, CHARACTERS)
 
     def run(parts: Parts) -> Figures:
         from bunraku_lab.evaluation.apparel.table import ApparelEvalConfig, evaluate_apparel
 
-        settings = ApparelEvalConfig(data, clips=clips, whole=whole, least=least, bodies=config.bodies, quick=True)
+        settings = ApparelEvalConfig(
+            data, clips=clips, whole=clips, least=least, bodies=bodies, quick=True, whole_only=True,
+            baselines=config.baselines,
+        )  # fmt: skip
         found = evaluate_apparel(settings, report, parts)
         rest, ten = _over_characters(found["whole"]), _over_characters(found["whole_ten_frames"])
         out = {f"3: {title}": rest[name] for name, title in _MODULES.items() if name in rest}
-        out |= {f"2 rest: {title}": rest[name] for name, title in _OTHERS.items() if name in rest}
+        out |= {f"2 rest: {title}": rest[name] for name, title in _OURS.items() if name in rest}
+        out |= {f"2 rest: {name}": row for name, row in rest.items() if name in ten}
         out |= {f"2 ten: {name}": row for name, row in ten.items()}
         tables = {title.partition(" (")[2].partition(")")[0]: rows for title, rows in found["tables"].items()}
         out |= {f"4: {name}": row for name, row in tables.get("Table 4", {}).items()}
-        names = [row["name"] for row in found["clips"][:whole]]
+        names = found["names"]
         return out | {"counts": {"clips": len(names), "characters": len(set(names))}}
 
-    bodies = {f"body {number}": path for number, path in enumerate(config.bodies)}
+    trained = _weights(config, (*FILES.values(), *BODIES))
+    others = [path for name, path in trained.items() if name in BODIES]
+    bodies = config.bodies or ((shipped_checkpoint("apparel-body"), *others) if others else ())
+    given = {f"body {number}": path for number, path in enumerate(bodies)}
     index = "simulated" if data is None else next(iter(sorted(data.glob("*.json"))), data)
-    sizes = {"clips": clips, "whole": whole, "least": least}
-    return Group("apparel", run, {**_seen(config, *_APPAREL, "handles"), **bodies, **sizes, "data": index})
+    sizes = {"clips": clips, "least": least}
+    return Group("apparel", run, {**_seen(config, *_APPAREL, "handles"), **sizes, "data": index}, {**given, **trained})
 
 
 def _over_characters(rows: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:

@@ -85,11 +85,14 @@ class Group:
         name: Plain, for the file that keeps them.
         run: Measures them, part by part. It raises `NotRun` where something is not there.
         of: What the figures depend on beside the version: settings, and files whose bytes count.
+        others: The same of single rows, whose parts are told from others by their own names: where these change, the
+            other parts stay.
     """
 
     name: str
     run: Callable[[Parts], Figures]
     of: Mapping[str, Any] = field(default_factory=dict)
+    others: Mapping[str, Any] = field(default_factory=dict)
 
     def figures(self, work: Path) -> Figures:
         """What was measured before of the same, or is measured now and kept.
@@ -97,30 +100,32 @@ class Group:
         Args:
             work: Folder that keeps them.
         """
-        kept = work / f"{self.name}-{self.fingerprint()}.json"
+        kept = work / f"{self.name}-{_fingerprint({**self.of, **self.others})}.json"
         if kept.is_file():
             found: Figures = json.loads(kept.read_text(encoding="utf-8"))
             return found
-        parts = kept.with_suffix("")
+        parts = work / f"{self.name}-{_fingerprint(self.of)}"
         measured = {row: dict(values) for row, values in self.run(KeptParts(parts)).items()}
         work.mkdir(parents=True, exist_ok=True)
         with atomic_write(kept) as file:
             file.write(json.dumps(measured, indent=1).encode())
-        shutil.rmtree(parts, ignore_errors=True)  # the whole is known
+        if not self.others:
+            shutil.rmtree(parts, ignore_errors=True)  # the whole is known
         return measured
 
-    def fingerprint(self) -> str:
-        """What tells the version, the settings and the files from others."""
-        seen = hashlib.sha256(__version__.encode())
-        for key, value in sorted(self.of.items()):
-            seen.update(key.encode())
-            path = value if isinstance(value, Path) else None
-            if path is not None and path.is_file():
-                with path.open("rb") as file:
-                    seen.update(hashlib.file_digest(file, "sha256").digest())
-            else:
-                seen.update(str(value).encode())
-        return seen.hexdigest()[:16]
+
+def _fingerprint(of: Mapping[str, Any]) -> str:
+    """What tells the version, some settings and files from others."""
+    seen = hashlib.sha256(__version__.encode())
+    for key, value in sorted(of.items()):
+        seen.update(key.encode())
+        path = value if isinstance(value, Path) else None
+        if path is not None and path.is_file():
+            with path.open("rb") as file:
+                seen.update(hashlib.file_digest(file, "sha256").digest())
+        else:
+            seen.update(str(value).encode())
+    return seen.hexdigest()[:16]
 
 
 def half_interval(values: Sequence[float]) -> float:

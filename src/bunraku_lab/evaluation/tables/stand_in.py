@@ -37,9 +37,10 @@ from bunraku_lab.evaluation.motion.arap import ARAP_PROMPTS, arap_loss
 from bunraku_lab.evaluation.motion.characters import Named, chosen_files, load_named
 from bunraku_lab.evaluation.motion.viewer.action_test import action_clips, captured_classifier
 from bunraku_lab.evaluation.parts import Parts, at_once
-from bunraku_lab.evaluation.tables.distortion import NO_STAGES
+from bunraku_lab.evaluation.tables.distortion import NO_STAGES, SFR, transferred_motion, transfers_of
 from bunraku_lab.evaluation.tables.paper_table import EITHER_WAY, half_interval
-from bunraku_lab.evaluation.tables.tapmo import METHODS
+from bunraku_lab.evaluation.tables.tapmo import FLOOR, METHODS
+from bunraku_lab.nn.baselines.pose_transfer import TransferNetwork
 
 __all__ = ["StandInConfig", "faults", "measure_stand_in", "ranks"]
 
@@ -54,6 +55,7 @@ class StandInConfig:
         characters: Folder of rigged characters; those that no training saw are taken.
         mdm: Weights of the encoder-only network.
         data: Folder that `bunraku data motions` wrote, of whose clips the classifier is.
+        transfer: Weights of Skeleton-free Pose Transfer, for MDM-SFR; its floor without training when None.
         count: Characters.
         prompts: Of `ARAP_PROMPTS`, so many.
         seconds: Length of each motion [s].
@@ -63,6 +65,7 @@ class StandInConfig:
     characters: Path
     mdm: Path
     data: Path
+    transfer: Path | None = None
     count: int = 15
     prompts: int = 6
     seconds: float = 3.0
@@ -78,7 +81,7 @@ def measure_stand_in(
         FormatError: There are no characters, or no captured clips.
     """
     report = progress or (lambda stage, done: None)
-    prompts = ARAP_PROMPTS[: config.prompts]
+    prompts, transfers = ARAP_PROMPTS[: config.prompts], transfers_of(config.transfer)
     drawn = {
         "ours": _drawn(config, prompts, None),
         "theirs": _drawn(config, prompts, config.mdm),
@@ -89,7 +92,7 @@ def measure_stand_in(
     rows: list[dict[str, dict[str, float]]] = []
     for number, named in enumerate(characters):
         report("stand-in", number / len(characters))
-        for sentence, shown in enumerate(parts(named[0], partial(_faults_of, named, drawn))):
+        for sentence, shown in enumerate(parts(named[0], partial(_faults_of, named, drawn, transfers.get(SFR)))):
             texts = {name: said["ours" if name == "ours" else "theirs"][sentence] for name in shown}
             rows.append(ranks({name: {**values, "text": texts[name]} for name, values in shown.items()}))
     report("stand-in", 1.0)
@@ -159,7 +162,9 @@ def _said(
     }
 
 
-def _faults_of(named: Named, drawn: Mapping[str, Sequence[HandleMotion]]) -> list[dict[str, Any]]:
+def _faults_of(
+    named: Named, drawn: Mapping[str, Sequence[HandleMotion]], network: TransferNetwork | None
+) -> list[dict[str, Any]]:
     """Of each sentence the faults of each method on a character; without MDM-SR where it cannot be embedded."""
     _, character, handles = named
     anatomy = Anatomy.of(character, handles)
@@ -169,11 +174,12 @@ def _faults_of(named: Named, drawn: Mapping[str, Sequence[HandleMotion]]) -> lis
         rigged = None
     out = []
     for ours, theirs in zip(drawn["ours"], drawn["theirs"], strict=True):
-        fitted = {
-            "ours": fit_motion(ours, anatomy, Stages(shape=True)),
-            "MDM-SFR, floor without training": fit_motion(theirs, anatomy, NO_STAGES),
-        }
+        fitted = {"ours": fit_motion(ours, anatomy, Stages(shape=True))}
+        if network is None:
+            fitted[FLOOR] = fit_motion(theirs, anatomy, NO_STAGES)
         shown = {name: Animation(character, handles, motion).vertices() for name, motion in fitted.items()}
+        if network is not None:
+            shown[SFR] = transferred_motion(network, character, handles, skeleton_from_handles(theirs))
         if rigged is not None:
             shown["MDM-SR"] = copied_motion(rigged, skeleton_from_handles(theirs))
         out.append({name: faults(vertices, character) for name, vertices in shown.items()})

@@ -8,7 +8,7 @@ starts from. The layer is trained in whitened coordinates of what it sees, the m
 folded back when it is saved.
 
 A run folder holds `pairs` (the layer's inputs), `state.safetensors` (to go on from), `diffusion.safetensors` (the
-denoiser with the new layer), `log.csv` and `events`.
+denoiser with the new layer), `adaptation.safetensors` (the layer alone), `log.csv` and `events`.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from bunraku.formats.files import sweep
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku_lab.datasets.characters.bank_file import CharacterBank, load_character_bank
 from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
+from bunraku_lab.nn.diffusion.adapter import save_adapter
 from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, load_denoiser, save_denoiser
 from bunraku_lab.nn.diffusion.denoiser import Denoiser, joint_offsets
 from bunraku_lab.nn.residuals import capped_on_people
@@ -46,6 +47,9 @@ from bunraku_lab.training.runs.runs import Stop, learning_rate, plain_settings
 from bunraku_lab.training.runs.training_run import Progress, Report, TrainingRun
 
 __all__ = ["train_adaptation"]
+
+WEIGHED = ("label_weight", "spring_weight", "adversarial_weight", "pairs", "batch")
+"""Settings that the layer's own file tells."""
 
 
 class _Run(TrainingRun):
@@ -241,6 +245,8 @@ class _Run(TrainingRun):
             replace(self.model.config, adaptation_mesh=self.config.mesh, adaptation_frame=self.config.frame)
         )
         built.load_state_dict(tensors)
+        learned = {name: getattr(self.config, name) for name in WEIGHED} | {"steps": self.step}
+        save_adapter(self.out / "adaptation.safetensors", built, learned)
         return save_denoiser(self.checkpoint, built, {**self.model.notes, "adaptation_steps": self.step})
 
     def restore(self, path: Path) -> None:

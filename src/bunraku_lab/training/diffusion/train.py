@@ -359,10 +359,12 @@ class _Run(TrainingRun):
     def tell(self, row: dict[str, float]) -> None:
         """A row of the log to the terminal."""
         names = ("contact", "spring", "adversarial", "discriminator", "score")
+        known = ""
+        if math.isfinite(row["validation"]):
+            known = f"validation {row['validation']:.4f}, with wrong text {row['validation_wrong_text']:.4f}  "
         extra = "  ".join(f"{name} {row[name]:.4f}" for name in names if name in row)
         self.console.print(
             f"step {self.trainer.step:6d}  {self.trainer.seconds / 60:6.1f} min  loss {row['motion']:.4f} velocity "
             f"{row['velocity']:.4f}  "
-            f"validation {row['validation']:.4f}, with wrong text {row['validation_wrong_text']:.4f}  "
-            f"{extra}{'  ' if extra else ''}{row['steps_per_second']:.2f} steps/s"
+            f"{known}{extra}{'  ' if extra else ''}{row['steps_per_second']:.2f} steps/s"
         )

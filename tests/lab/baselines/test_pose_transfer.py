@@ -1,0 +1,148 @@
+"""Parts that move, poses in the frame of the root, and whole characters moved by Skeleton-free Pose Transfer and by
+Neural Blend Shapes.
+"""
+
+import numpy as np
+import pytest
+import torch
+
+from bunraku.body.from_handles import skeleton_from_handles
+from bunraku.body.layout import JOINT_COUNT
+from bunraku.body.reference import reference_body
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import skin
+from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku_lab.baselines.neural_blend_shapes import blended_mesh
+from bunraku_lab.baselines.pose_transfer import (
+    graph_of,
+    in_metres,
+    in_root_frame,
+    over_height,
+    part_transforms,
+    source_body,
+    source_turns,
+)
+from bunraku_lab.baselines.transfer_target import TransferTarget
+from bunraku_lab.nn.baselines.blend_shapes import NbsConfig, NbsNetwork
+from bunraku_lab.nn.baselines.pose_transfer import TransferConfig, TransferNetwork
+
+QUARTER = matrix_from_axis_angle(np.array([0.0, 0, np.pi / 2]))
+
+
+def test_parts_by_hand():
+    """Two parts of four points: one turns a quarter about z, one goes up; a third has no vertices."""
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], np.float32)
+    rest = np.concatenate([square, square + 9])
+    posed = np.concatenate([(square - 0.5) @ QUARTER.T + 0.5, square + [9, 12, 9]])[None]
+    weights = np.repeat([[1.0, 0, 0], [0, 1, 0]], 4, axis=0)
+    centre = square.mean(axis=0)
+    found = part_transforms(rest, posed, weights)[0]
+    shift = QUARTER @ (centre - 0.5) + 0.5 - centre
+    np.testing.assert_allclose(found[0], [*shift, 0.5**0.5, 0, 0, 0.5**0.5], atol=1e-5)
+    np.testing.assert_allclose(found[1], [0, 3, 0, 1, 0, 0, 0], atol=1e-5)
+    np.testing.assert_allclose(found[2], [0, 0, 0, 1, 0, 0, 0], atol=1e-7)
+
+
+def test_a_pose_in_the_frame_of_the_root_is_the_pose_moved_back():
+    random = np.random.default_rng(0)
+    affine = np.concatenate(
+        [matrix_from_axis_angle(random.normal(size=(2, 3, 3))), random.normal(size=(2, 3, 3, 1))], axis=3
+    )
+    points = random.normal(size=(2, 5, 3))
+    own, back = in_root_frame(affine, points)
+    np.testing.assert_allclose(own[:, 0, :, :3], np.tile(np.eye(3), (2, 1, 1)), atol=1e-6)
+    np.testing.assert_allclose(own[:, 0, :, 3], 0, atol=1e-6)
+    again = np.einsum("pab,pmb->pma", affine[:, 0, :, :3], back) + affine[:, :1, :, 3]
+    np.testing.assert_allclose(again, points, atol=1e-5)
+    origin, height = np.array([0.1, 0.2, 0.3]), 1.7
+    np.testing.assert_allclose(in_metres(over_height(affine, origin, height), origin, height), affine, atol=1e-5)
+    point = np.array([0.4, 0.5, 0.6])  # over the height it goes where it goes in metres
+    there = affine[0, 1, :, :3] @ point + affine[0, 1, :, 3]
+    small = over_height(affine, origin, height)[0, 1]
+    np.testing.assert_allclose(small[:, :3] @ ((point - origin) / height) + small[:, 3], (there - origin) / height,
+                               atol=1e-5)  # fmt: skip
+
+
+def test_the_source_turns_as_the_reference_body():
+    """A character that rests in the body's own T-pose hands its turns over; the root's are taken out."""
+    turns = np.tile(np.eye(3), (1, JOINT_COUNT, 1, 1))
+    turns[0, 16] = QUARTER  # the left shoulder
+    whole = np.tile(QUARTER, (1, 1, 1, 1)) @ turns
+    np.testing.assert_allclose(source_turns(whole, reference_body().joints), turns, atol=1e-6)
+    body = source_body()
+    still = body.posed(np.tile(np.eye(3, dtype=np.float32), (1, JOINT_COUNT, 1, 1)))[0]
+    np.testing.assert_allclose(still, body.mesh.rest, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def dancer():
+    """The reference body with its knee and its shoulder bent, and how it goes there."""
+    body = reference_body()
+    turns = np.tile(np.eye(3), (3, JOINT_COUNT, 1, 1))
+    turns[1, [4, 7, 10]] = matrix_from_axis_angle(np.array([0.8, 0, 0]))
+    turns[2, [16, 18, 20]] = matrix_from_axis_angle(np.array([0, 0, -0.9]))
+    positions = np.zeros((3, JOINT_COUNT, 3))
+    positions[:, 0] = body.joints[0]
+    parents = body.skeleton.parents
+    for joint in range(1, JOINT_COUNT):
+        offset = body.joints[joint] - body.joints[parents[joint]]
+        positions[:, joint] = positions[:, parents[joint]] + turns[:, parents[joint]] @ offset
+    shifts = positions - np.einsum("njab,jb->nja", turns, body.joints)
+    affine = np.concatenate([turns, shifts[..., None]], axis=3)
+    return body, affine, np.asarray(skin(body.vertices, body.joint_weights, affine))
+
+
+def test_untrained_transfer_moves_the_body_as_its_parts(dancer):
+    """Its parts are those of the source, so it stays near the truth, and at rest it is where it was."""
+    body, affine, truth = dancer
+    torch.manual_seed(0)
+    network = TransferNetwork(TransferConfig(levels=(4, 5), code=6)).eval()
+    target = TransferTarget.of(body.vertices, body.faces, body.handle_weights, body.joints[0], network)
+    moved = target.with_joints(affine, body.joints)
+    assert moved.shape == truth.shape
+    gap = np.linalg.norm(moved - truth, axis=2).mean(axis=1)
+    away = np.linalg.norm(truth - body.vertices, axis=2).mean(axis=1)
+    assert gap[0] < 0.02 and (gap[1:] < 0.5 * away[1:]).all()
+
+
+def test_tied_parts_go_with_the_joints(dancer):
+    """With nothing but tied parts, it is linear blend skinning by the joints, however the body faces."""
+    body, affine, _ = dancer
+    turned = np.einsum("ab,njbc->njac", matrix_from_axis_angle(np.array([0, 1.0, 0])), affine)
+    torch.manual_seed(0)
+    network = TransferNetwork(TransferConfig(parts=22, predictor=True, tied=22, levels=(4,), code=3)).eval()
+    target = TransferTarget.of(body.vertices, body.faces, None, body.joints[0], network)
+    with torch.no_grad():
+        weights = target.network.push(network.weights(graph_of([target.mesh])).numpy())
+    wanted = np.asarray(skin(body.vertices, weights / weights.sum(axis=1, keepdims=True), turned))
+    np.testing.assert_allclose(target.with_joints(turned, body.joints), wanted, atol=1e-4)
+
+
+def test_a_motion_travels_with_its_root():
+    body = reference_body()
+    frames = 4
+    still = np.tile(np.eye(3), (frames, 30, 1, 1))
+    path = np.linspace([0, 0, 0], [0, 0, 1.5], frames)
+    motion = HandleMotion(np.zeros((frames, 30, 3)), still, path, np.tile(np.eye(3), (frames, 1, 1)))
+    torch.manual_seed(0)
+    network = TransferNetwork(TransferConfig(levels=(4,), code=3)).eval()
+    twice = 2 * body.vertices
+    target = TransferTarget.of(twice, body.faces, body.handle_weights, 2 * body.joints[0], network)
+    moved = target.with_motion(skeleton_from_handles(motion), 2 * body.joints[0])
+    step = (moved - moved[:1]).mean(axis=1)
+    np.testing.assert_allclose(step, 2 * path, atol=0.02)
+
+
+def test_blend_shapes_add_to_skinning(dancer):
+    body, affine, _ = dancer
+    torch.manual_seed(0)
+    network = NbsNetwork(NbsConfig(skinning=(4,), geometry=(4, 5), mixed=4, shapes=2)).eval()
+    found = blended_mesh(body.vertices, body.faces, body.joints, network)
+    np.testing.assert_allclose(found.weights.sum(axis=1), 1, atol=1e-5)
+    plain = np.asarray(skin(body.vertices, found.weights, affine))
+    moved = found.posed(affine)
+    assert moved.shape == plain.shape
+    gap = np.linalg.norm(moved - plain, axis=2)
+    assert 0 < gap.max() < 0.05  # a thousandth of shapes that are as large as the body
+    bare = blended_mesh(body.vertices, body.faces, body.joints, NbsNetwork(NbsConfig(skinning=(4,))).eval())
+    assert np.array_equal(bare.posed(affine), skin(body.vertices, bare.weights, affine))
