@@ -1,7 +1,8 @@
 """Write docs/tables.md, the papers' tables with our figures, from what `bunraku evaluate tables --json` printed.
 
-    bunraku evaluate tables --paper tapmo --data data/motions --characters archive --mdm MDM.safetensors --json > a.json
-    bunraku evaluate tables --paper mmdmc --apparel data/apparel --json > b.json
+    bunraku evaluate tables --paper tapmo --data data/motions --characters archive --mdm MDM.safetensors
+        --baselines benchmarks/weights --json > a.json
+    bunraku evaluate tables --paper mmdmc --apparel data/apparel --baselines benchmarks/weights --json > b.json
     python tools/make_tables_page.py a.json b.json
 
 The figures are kept beside the page (docs/tables.json), so that a test finds each of its numbers there.
@@ -27,8 +28,9 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 HEAD = """# The papers' tables
 
 TapMo's and MMDMC's tables with our figures, by `bunraku evaluate tables`, {day}. The data are not the papers', so what
-compares are the ratios to the same row on both sides. What stands after ± is half of a 95 % interval over characters. A
-row that was not run says what it lacks. The page is made by `tools/make_tables_page.py`.
+compares are the ratios to the same row on both sides. What stands after ± is half of a 95 % interval, in TapMo's table
+1 over the runs and elsewhere over characters. A row that was not run says what it lacks. The page is made by
+`tools/make_tables_page.py`, the other methods' weights by the commands in `benchmarks/weights/baselines.md`.
 """
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from bunraku.cli.output.checks import check_folder, check_input, check_source
+from bunraku.cli.output.checks import check_folder, check_input, check_range, check_source
 from bunraku.cli.output.progress import stages
 from bunraku_lab.cli.evaluate.printed import Printed
 from bunraku_lab.evaluation.report import Report
@@ -48,6 +48,8 @@ class EvaluateTables(Printed):
     """Folder that keeps what was measured."""
     quick: bool = False
     """On few windows, characters and clips."""
+    pool: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    """Windows of TapMo's table 1, 4 to 100000. Default: 1600, or 96 with --quick."""
     seed: int = 0
     """Of everything random."""
 
@@ -59,11 +61,13 @@ class EvaluateTables(Printed):
         check_source(self.baselines, "name a folder of weights")
         check_source(self.apparel, "name the folder that `bunraku data apparel` wrote")
         check_folder(self.work)
+        check_range("--pool", self.pool, 4, 100_000)
         from bunraku_lab.evaluation.tables.measured import TablesConfig, measure_tables
 
         config = TablesConfig(
             self.paper, self.table, self.data, self.characters, self.apparel, self.mdm, self.bodies,
-            self.baselines, self.work, self.quick, self.seed,
+            self.baselines, self.work, self.quick, self.pool,
+            self.seed,
         )  # fmt: skip
         with stages() as report:
             found = measure_tables(config, report)

@@ -49,6 +49,9 @@ ADAPTERS = {
     "ours, adaptation of the network alone": "adaptation-all.safetensors",
 }  # fmt: skip
 """Last layers of the adaptation by the rows of TapMo's table 2."""
+MOTIONS = {"pool": 1600, "references": 3000, "clips": 1000, "runs": 20}
+QUICK_MOTIONS = {"pool": 96, "references": 300, "clips": 80, "runs": 3, "prompts": 4, "repeats": 4}
+"""Sizes of TapMo's table 1."""
 BODIES = ("apparel-body-none.safetensors", "apparel-body-sorted.safetensors")
 CHARACTERS = 24
 """That MMDMC's tables are measured on at the least."""
@@ -73,6 +76,7 @@ class TablesConfig:
             "apparel-body-sorted.safetensors").
         work: Folder that keeps what was measured.
         quick: On few windows, characters and clips.
+        pool: Windows of TapMo's table 1; None takes as many as are usual.
         seed: Of everything random.
     """
 
@@ -86,6 +90,7 @@ class TablesConfig:
     baselines: Path | None = None
     work: Path = Path("runs/tables")
     quick: bool = False
+    pool: int | None = None
     seed: int = 0
 
 
@@ -163,22 +168,23 @@ def _motion_group(config: TablesConfig, report: Report) -> Group:
     def run(parts: Parts) -> Figures:
         from bunraku_lab.evaluation.motion.table import MotionEvalConfig, evaluate_motion
 
-        sizes = (
-            {"pool": 96, "references": 300, "clips": 80, "runs": 3, "prompts": 4, "repeats": 4}
-            if config.quick
-            else {"pool": 1600, "references": 3000, "clips": 1000, "runs": 20}
-        )
         settings: dict[str, Any] = {**sizes, "seed": config.seed, "best_of": 3, "work": config.work / "motions"}
         result = evaluate_motion(MotionEvalConfig(data=data, mdm=mdm, **settings), report)
         found = result["rows"]
-        rows = {
-            title: {column: found[name][key]["mean"] for column, key in _MEASURES.items() if key in found[name]}
-            for name, title in _MOTION_ROWS.items()
-            if name in found
-        }
+        rows = {title: _over_runs(found[name]) for name, title in _MOTION_ROWS.items() if name in found}
         return rows | {"counts": {key: result["counts"][key] for key in ("windows", "runs")}}
 
-    return Group("motion", run, {**_seen(config, *_NETWORKS), "mdm": mdm, "data": data / "index.json"})
+    sizes = QUICK_MOTIONS if config.quick else MOTIONS
+    if config.pool is not None:
+        sizes = {**sizes, "pool": config.pool, "clips": max(2, round(config.pool * sizes["clips"] / sizes["pool"]))}
+    return Group("motion", run, {**_seen(config, *_NETWORKS), **sizes, "mdm": mdm, "data": data / "index.json"})
+
+
+def _over_runs(row: dict[str, dict[str, float]]) -> dict[str, float]:
+    """Means of a row's measures over the runs, and half of their 95 % intervals."""
+    known = {column: row[key] for column, key in _MEASURES.items() if key in row}
+    out = {column: values["mean"] for column, values in known.items()}
+    return out | {f"{column} {EITHER_WAY}": values["half"] for column, values in known.items()}
 
 
 def _distortion_group(config: TablesConfig, report: Report) -> Group:
