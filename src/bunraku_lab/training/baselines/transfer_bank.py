@@ -25,7 +25,7 @@ def clothed_target(sample: ClothedSample, weights: np.ndarray) -> Target:
     affine, truth = in_root_frame(sample.affine, sample.truth)
     mesh = PartMesh((sample.rest - origin) / height, sample.faces, sample.edges, weights)
     turns = source_turns(sample.affine[..., :3], sample.joints)
-    joints = over_height(affine, origin, height)
+    joints = over_height(affine, origin, float(height))
     return Target(sample.name, mesh, sample.weights, (truth - origin) / height, joints, turns)
 
 
