@@ -113,7 +113,7 @@ def test_every_import_is_a_declared_dependency():
     packages = {names.get(name, name.replace("_", "-")) for name in used}
     optional = {
         re.split(r"[<>=\[ ]", requirement)[0]
-        for extra in ("clip", "compressed", "lab", "mmcp", "ray", "serve", "studio", "train", "usd")
+        for extra in ("clip", "compressed", "lab", "mmcp", "physics", "ray", "serve", "studio", "train", "usd")
         for requirement in project["optional-dependencies"][extra]
     }
     assert packages - declared <= optional  # used inside functions that say what is missing

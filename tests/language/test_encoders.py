@@ -9,7 +9,7 @@ import pytest
 import bunraku
 import bunraku.language
 from bunraku.errors import OptionError, WeightsError
-from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder, halves_of, planes_of, text_encoder
+from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder, text_encoder
 from bunraku.language.lexicon.cues import CUES
 from bunraku.language.prompts import check_prompt
 from bunraku.nn.layers import unit
@@ -99,14 +99,6 @@ def test_words_that_no_caption_has_are_nearly_those_of_the_published_encoder(enc
     difference = np.linalg.norm(ours_own - theirs_own, axis=-1) / np.linalg.norm(theirs_own, axis=-1)
     assert difference.max() < 0.02
     assert (ours.pooled * theirs.pooled).sum(axis=1).min() > 0.9999
-
-
-def test_halves_in_planes_come_back():
-    values = np.random.default_rng(0).normal(size=(7, 5)).astype(np.float16)
-    planes = planes_of(values)
-    assert planes.shape == (2, 7, 5) and planes.dtype == np.uint8
-    np.testing.assert_array_equal(halves_of(planes), values)
-    np.testing.assert_array_equal(halves_of(planes[:, 3]), values[3])
 
 
 def test_another_script_is_unknown_and_no_fault(encoder):

@@ -20,7 +20,7 @@ import numpy as np
 from bunraku.errors import MissingExtraError, WeightsError
 from bunraku.language.known.tokenizer import WordPieces, encoder_file, read_header
 from bunraku.language.lexicon.cues import CUES, sentence_cues
-from bunraku.nn.checkpoints import dated
+from bunraku.nn.checkpoints import dated, halves_of
 from bunraku.nn.layers import Linear, Norm, PostNorm, unit
 
 __all__ = [
@@ -33,8 +33,6 @@ __all__ = [
     "TextBatch",
     "TextEncoder",
     "encoder_of",
-    "halves_of",
-    "planes_of",
     "text_encoder",
 ]
 
@@ -109,17 +107,6 @@ class _Cache:
 _WORDS = "embeddings.word_embeddings.weight"
 RARE, SCALES = "embeddings.word_embeddings.rare", "embeddings.word_embeddings.scale"
 """Word pieces behind those of `_WORDS`, in steps, shape (R, 384), int8, and how large the steps are, shape (R,)."""
-
-
-def planes_of(values: np.ndarray) -> np.ndarray:
-    """Numbers as float16, their low bytes before their high ones: shape (2, ...), uint8."""
-    halves = np.ascontiguousarray(values, "<f2")
-    return np.ascontiguousarray(np.moveaxis(halves.view(np.uint8).reshape(*halves.shape, 2), -1, 0))
-
-
-def halves_of(planes: np.ndarray) -> np.ndarray:
-    """What `planes_of` took apart, float16."""
-    return np.asarray((planes[0] | planes[1].astype("<u2") << np.uint16(8)).view("<f2"))
 
 
 class MiniLMEncoder:

@@ -12,6 +12,7 @@ import numpy as np
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, MotionError, OptionError
 from bunraku.physics.apparel_rig import ApparelRig
+from bunraku.physics.engine import check_engine
 from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.limbs import body_limbs
 from bunraku.physics.posing import joints_moved, posed, stretched
@@ -114,7 +115,9 @@ def simulate(
         CharacterError: The file says nothing of physics, or its bodies cannot be simulated.
         OptionError: `warmup` or `substeps` is out of range.
         MotionError: The motion is too long.
+        MissingExtraError: MuJoCo is not installed.
     """
+    check_engine("a simulation")
     character = animation.character
     settings = settings or PhysicsSettings()
     if not 0 <= warmup <= 60:

@@ -16,7 +16,7 @@ from bunraku.cli.output.outputs import size_text
 
 __all__ = ["Doctor", "Finding"]
 
-PACKAGES = ("numpy", "scipy", "fast-simplification", "moderngl", "mujoco-core", "av")
+PACKAGES = ("numpy", "scipy", "fast-simplification", "moderngl", "av")
 WEIGHTS = {
     "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",
     "orientation": "`bunraku animate` and `bunraku rig` do not see how a mesh stands; they need --up and --front",
@@ -25,9 +25,10 @@ WEIGHTS = {
     "ranker": "`bunraku animate` cannot choose among candidates; say --candidates 1",
     "critic": "`bunraku animate` does not guide motions towards their sentences, and fewer do what these say",
 }
-DISTRIBUTIONS = {"pxr": "usd-core", "motionmcp": "motionmcp-sdk"}
+DISTRIBUTIONS = {"pxr": "usd-core", "motionmcp": "motionmcp-sdk", "mujoco": "mujoco-core"}
 """Names of packages that are imported by another."""
 EXTRAS = {
+    "mujoco": ("physics", "`--apparel simulate` and `chains` do not work"),
     "DracoPy": ("compressed", "GLB packed with Draco is not read"),
     "meshoptimizer": ("compressed", "GLB packed with meshopt is not read"),
     "torch": ("lab", "nothing is trained or measured, and no data are built; all else needs none"),

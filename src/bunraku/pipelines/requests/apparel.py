@@ -9,6 +9,7 @@ from pathlib import Path
 from bunraku.core.request.constraint import Constraint
 from bunraku.core.request.limits import GRAVITY, STIFFNESS
 from bunraku.errors import OptionError
+from bunraku.physics.engine import check_engine
 
 __all__ = ["APPAREL", "Apparel"]
 
@@ -58,6 +59,7 @@ class Apparel:
 
         Raises:
             OptionError: It cannot.
+            MissingExtraError: What simulates is not installed.
         """
         if self.mask is not None and self.mask.suffix.lower() not in MASKS:
             raise OptionError(
@@ -66,6 +68,8 @@ class Apparel:
             )
         STIFFNESS.check(self.stiffness, f"{dashes}stiffness")
         GRAVITY.check(self.gravity, f"{dashes}gravity")
+        if self.motion in ("simulate", "chains"):
+            check_engine(f"apparel that moves by '{self.motion}'")
 
     def check_with(self, constraints: Sequence[Constraint], handles: bool = False, dashes: str = "") -> None:
         """Whether apparel that moves so goes together with what a motion must meet.
