@@ -15,9 +15,38 @@ def test_a_prompt_is_clauses_with_fields():
     sentence = parse("walks forward, then waves with the left hand", 6.0)
     walk, wave = sentence.clauses
     assert sentence.language == "en" and sentence.seconds == 6.0 and not sentence.notes
-    assert (walk.text, walk.actions, walk.locomotion, walk.part) == ("walks forward", ("walk",), "walk", "legs")
+    assert (walk.text, walk.actions, walk.locomotion, walk.part) == (
+        "a person walks forward",
+        ("walk",),
+        "walk",
+        "legs",
+    )
     assert walk.straight and walk.turn is None and wave.cues == {"left arm"} and wave.part == "arms"
     assert walk.seconds == wave.seconds == 3.0
+
+
+@pytest.mark.parametrize(
+    ("prompt", "text"),
+    [
+        ("Kick a ball", "a person kicks a ball"),
+        ("slowly walk backwards", "a person slowly walks backwards"),
+        ("run and clap", "a person runs and claps"),
+        ("raise your left arm", "a person raises their left arm"),
+        ("walking forward", "walking forward"),
+        ("jumping jacks", "jumping jacks"),
+        ("sit ups", "sit ups"),
+        ("the dog walks", "the dog walks"),
+    ],
+)
+def test_what_names_nobody_is_read_as_captions_say_it(prompt, text):
+    (clause,) = parse(prompt).clauses
+    assert clause.text == text
+
+
+@pytest.mark.parametrize("whose", ["the", "her", "their", "your", "its"])
+def test_whose_a_part_is_says_nothing_of_what_is_done(whose):
+    assert parse(f"shake {whose} head").clauses[0].actions == ("shake head",)
+    assert parse(f"raise {whose} right arm").clauses[0].actions == ("raise arm",)
 
 
 def test_who_does_it_says_nothing_of_what_is_done():
@@ -61,7 +90,7 @@ def test_who_goes_on_goes_straight_in_any_way(sentence):
 
 def test_a_strafe_is_a_sidestep():
     (clause,) = parse("strafes left").clauses
-    assert clause.text == "sidesteps to the left" and clause.actions == ("sidestep",)
+    assert clause.text == "a person sidesteps to the left" and clause.actions == ("sidestep",)
     assert "left go" in clause.cues and {"goes", "aside"} <= clause.traits
 
 
@@ -98,7 +127,10 @@ def test_an_action_is_one_row_of_the_lexicon():
     """What `lexicon.tables` says of a new one, shown with "cower"."""
     (clause,) = parse("a person is cowering").clauses
     assert clause.actions == ("cower",)
-    assert [one.text for one in parse("runs forward and cowers").clauses] == ["runs forward", "cowers"]
+    assert [one.text for one in parse("runs forward and cowers").clauses] == [
+        "a person runs forward",
+        "a person cowers",
+    ]
 
 
 def test_the_lexicon_is_whole():

@@ -25,7 +25,7 @@ def bodies():
     ("body", "clause", "said", "way"),
     [
         ("person", "a person walks", "a person walks", "step"),
-        ("person", "climbs a ladder", "climbs a ladder", ""),
+        ("person", "climbs a ladder", "a person climbs a ladder", ""),
         ("dog", "a person walks", "it walks", "step"),
         ("dog", "a rat walks", "it walks", "step"),
         ("dog", "a dog runs and jumps", "it runs and jumps", "stay"),

@@ -9,13 +9,16 @@ does only one of both. Words that say order part a sentence, and commas between 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 from bunraku.language.captions.phrases import is_known_clause
-from bunraku.language.lexicon.reading import actions_of, words_of
+from bunraku.language.lexicon.cues import said_cues
+from bunraku.language.lexicon.reading import actions_of, said_traits, words_of
 from bunraku.language.lexicon.tables import lexicon
 
 __all__ = [
     "SHORTEST_CLAUSE",
+    "as_caption",
     "begins",
     "of_creature",
     "of_person",
@@ -71,8 +74,12 @@ def begins(text: str, *forms: str) -> bool:
         text: In English.
         forms: "third", "gerund", "plain", or "is" for "is" and "are" before something else.
     """
+    return _verb(words_of(text)[0], *forms) is not None
+
+
+def _verb(words: Sequence[str], *forms: str) -> int | None:
+    """The number of the verb that some words begin with; None where they do not."""
     table = lexicon()
-    words = words_of(text)[0]
     for number, word in enumerate(words):
         if (
             ("third" in forms and word in table.third)
@@ -80,10 +87,10 @@ def begins(text: str, *forms: str) -> bool:
             or ("plain" in forms and word in table.verbs)
             or ("is" in forms and word in ("is", "are") and number + 1 < len(words))
         ):
-            return True
+            return number
         if not (word in ("also", "again") or (word.endswith("ly") and len(word) > 2)):
-            return False
-    return False
+            return None
+    return None
 
 
 def split_clauses(sentence: str) -> list[str]:
@@ -155,6 +162,35 @@ def of_person(clause: str) -> str:
     """
     subject, rest = subject_of(clause)
     return clause if not subject or actions_of(subject) else f"a person {rest}"
+
+
+def as_caption(clause: str) -> str:
+    """A clause that names nobody as captions say it: "kick a ball" and "kicks a ball" as "a person kicks a ball".
+
+    The network is told sentences of that form; on 40 captions made into commands chosen motions find their sentence in
+    0.57, and in 0.62 as captions. What would say something else then ("sit ups") stays.
+    """
+    if subject_of(clause)[0]:
+        return clause
+    table = lexicon()
+    words, spans = words_of(clause)
+    verb = _verb(words, "third", "plain")
+    if verb is None:
+        return clause
+    clause = clause[0].lower() + clause[1:]
+    said, copied = "a person ", 0
+    for number, word in enumerate(words):  # "run and clap": the second verb, too
+        if number == verb or (words[number - 1] in ("and", "or", ",") and words[verb] in table.verbs):
+            form = table.verbs[word][0] if word in table.verbs else word
+        elif word in ("your", "my"):
+            form = "their"
+        else:
+            continue
+        said += clause[copied : spans[number][0]] + form
+        copied = spans[number][1]
+    said += clause[copied:]
+    same = all(told(said) == told(clause) for told in (actions_of, said_cues, said_traits))
+    return said if same else clause
 
 
 def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:

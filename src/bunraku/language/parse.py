@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable
 
 from bunraku.errors import OptionError
-from bunraku.language.clauses import of_person, subject_of, timed_clauses
+from bunraku.language.clauses import as_caption, of_person, subject_of, timed_clauses
 from bunraku.language.concurrent import moved_part, split_voices
 from bunraku.language.details import added_words, count_of
 from bunraku.language.lexicon.cues import said_cues
@@ -44,7 +44,7 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
         prompt,
         "; ".join(part.english for part in found),
         found[0].language,
-        tuple(clause_of(text, length) for text, length in clauses),
+        tuple(clause_of(as_caption(text), length) for text, length in clauses),
         tuple(word for part in found for word in part.unknown),
         tuple(pair for part in found for pair in part.corrected),
         (*notes, "it asks for a loop: add --loop (loop=True in Python)") if loop else tuple(notes),
