@@ -74,11 +74,11 @@ def predict_weights(mesh: NetworkMesh, model: HandlePredictor) -> tuple[np.ndarr
     from bunraku.handles.inference.graph import mesh_graph
     from bunraku.nn.threads import one_thread, side_by_side
 
-    graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors)
+    graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors).in_order()
     with one_thread():
         plain, mirrored = side_by_side(lambda: model(graph), lambda: model(graph.mirrored()))
         weights = np.float32(0.5) * (plain.weights + mirrored.weights[:, list(HANDLE_MIRROR)])
-    return weights, plain.features
+    return weights[graph.position], plain.features
 
 
 def _load(checkpoint: str | Path | None) -> HandlePredictor:

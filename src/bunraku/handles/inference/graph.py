@@ -9,9 +9,10 @@ predictor's field of view does not depend on the tessellation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 __all__ = ["MeshGraph", "farthest_points", "mesh_graph"]
 
@@ -28,18 +29,32 @@ class MeshGraph:
         ranks: The n-th neighbours of the vertices that have so many, vertices in order of falling degree; every vertex
             is its own first neighbour. Shapes (V,), (V_1,), (V_2,) ...
         position: Where each vertex is in that order, shape (V,).
-        spread: Weights from anchors to vertices, rows sum to 1, shape (V, M).
-        gather: Weights from vertices to anchors, rows sum to 1, shape (M, V).
+        spread: Weights from anchors to vertices, rows sum to 1, shape (V, M), sparse where `ordered`.
+        gather: Weights from vertices to anchors, rows sum to 1, shape (M, V), likewise.
         anchors: Positions of the anchors, shape (M, 3).
+        ordered: Whether the vertices themselves are in that order (`in_order`).
     """
 
     inputs: np.ndarray
     areas: np.ndarray
     ranks: tuple[np.ndarray, ...]
     position: np.ndarray
-    spread: np.ndarray
-    gather: np.ndarray
+    spread: np.ndarray | csr_matrix
+    gather: np.ndarray | csr_matrix
     anchors: np.ndarray
+    ordered: bool = False
+
+    def in_order(self) -> MeshGraph:
+        """The same with its vertices in order of falling degree, so that nothing is put in order in each layer, and
+        what passes between them and the anchors as sparse matrices; row i of what is said of the vertices belongs where
+        `position` says.
+        """
+        order = self.ranks[0]
+        return replace(
+            self, inputs=self.inputs[order], areas=self.areas[order], spread=csr_matrix(self.spread[order]),
+            gather=csr_matrix(self.gather[:, order]), ranks=tuple(self.position[rank] for rank in self.ranks),
+            ordered=True,
+        )  # fmt: skip
 
     def mirrored(self) -> MeshGraph:
         """The mirror image in the plane x = 0, with the same vertices in the same order."""
@@ -52,11 +67,13 @@ class MeshGraph:
         With the vertices in order of falling degree, the n-th neighbours of all vertices that have one are a prefix: no
         padding, and all work is in whole slices.
         """
-        best = values[self.ranks[0]]
+        best = values.copy() if self.ordered else values[self.ranks[0]]
+        room = np.empty_like(values)
         for neighbours in self.ranks[1:]:
             part = best[: len(neighbours)]
-            np.maximum(part, values[neighbours], out=part)
-        return best[self.position]
+            found = values.take(neighbours, axis=0, out=room[: len(neighbours)], mode="clip")
+            np.maximum(part, found, out=part)
+        return best if self.ordered else best[self.position]
 
 
 def farthest_points(positions: np.ndarray, count: int) -> np.ndarray:

@@ -15,7 +15,7 @@ import numpy as np
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.handles.inference.graph import MeshGraph
 from bunraku.nn.checkpoints import config_of, load_network
-from bunraku.nn.layers import PreNorm, gelu, normed, softmax
+from bunraku.nn.layers import Linear, PreNorm, gelu, normed, softmax
 from bunraku.nn.weights import Weights
 
 __all__ = ["HandlePrediction", "HandlePredictor", "PredictorConfig", "load_predictor", "predictor_config"]
@@ -64,8 +64,10 @@ class _GraphLayer:
     """`LayerNorm(EdgeConv(x) + spread(blocks(gather(x))))`, then GELU, shape (V, width_in) -> (V, width_out)."""
 
     def __init__(self, width_in: int, width_out: int, heads: int, depth: int, weights: Weights):
-        self.own = weights.linear("fine.own", width_in, width_out)
+        own = weights.linear("fine.own", width_in, width_out)
         self.neighbour = weights.linear("fine.neighbour", width_in, width_out, bias=False)
+        # what a vertex says of itself, less what its neighbours would hear of it
+        self.own = Linear(own.matrix - self.neighbour.matrix, own.bias)
         self.enter = weights.linear("enter", width_in + 3, width_out)
         self.blocks = [  # rounds in which the anchors pass messages to one another
             PreNorm(
@@ -82,10 +84,8 @@ class _GraphLayer:
         tokens = self.enter(np.concatenate([graph.gather @ x, graph.anchors], axis=-1))[None]
         for block in self.blocks:
             tokens = block(tokens)
-        values = self.neighbour(x)
         both = self.own(x)
-        both -= values
-        both += graph.largest_neighbour(values)
+        both += graph.largest_neighbour(self.neighbour(x))
         both += graph.spread @ tokens[0]
         return gelu(normed(both, self.norm))
 
