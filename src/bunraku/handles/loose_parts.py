@@ -123,8 +123,9 @@ def seat_parts(mesh: NetworkMesh, weights: np.ndarray, stiff: bool = True) -> np
     if stiff:
         _follow_contacts(mesh, weights, parts, sits, own, rows, share_of_row)
     member = label[mesh.surface.start]
-    amount = share_of_row[member, None].astype(np.float32)
-    full += amount * (rows[member] - full)
+    held = np.flatnonzero(share_of_row[member] > 0)
+    member = member[held]
+    full[held] += share_of_row[member, None].astype(np.float32) * (rows[member] - full[held])
     return full
 
 

@@ -54,8 +54,9 @@ def smooth_weights(weights: np.ndarray, edges: np.ndarray, steps: int = 2, share
 
 def trim_weights(weights: np.ndarray, least: float = 0.01) -> np.ndarray:
     """Weights without their tiny entries, renormalised; the largest of a row always stays. Shape (V, K)."""
-    kept = np.where((weights >= least) | (weights == weights.max(axis=1, keepdims=True)), weights, 0)
-    return (kept / kept.sum(axis=1, keepdims=True)).astype(np.float32)
+    kept = weights * (weights >= np.minimum(weights.max(axis=1, keepdims=True), least))
+    kept /= kept.sum(axis=1, keepdims=True)
+    return kept.astype(np.float32, copy=False)
 
 
 @lru_cache(maxsize=2)

@@ -9,12 +9,12 @@ predictor's field of view does not depend on the tessellation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
-__all__ = ["MeshGraph", "farthest_points", "mesh_graph"]
+__all__ = ["MeshGraph", "OrderedGraph", "farthest_points", "mesh_graph"]
 
 _NEAR = 3  # anchors that each vertex listens to
 
@@ -29,10 +29,9 @@ class MeshGraph:
         ranks: The n-th neighbours of the vertices that have so many, vertices in order of falling degree; every vertex
             is its own first neighbour. Shapes (V,), (V_1,), (V_2,) ...
         position: Where each vertex is in that order, shape (V,).
-        spread: Weights from anchors to vertices, rows sum to 1, shape (V, M), sparse where `ordered`.
-        gather: Weights from vertices to anchors, rows sum to 1, shape (M, V), likewise.
+        spread: Weights from anchors to vertices, rows sum to 1, shape (V, M).
+        gather: Weights from vertices to anchors, rows sum to 1, shape (M, V).
         anchors: Positions of the anchors, shape (M, 3).
-        ordered: Whether the vertices themselves are in that order (`in_order`).
     """
 
     inputs: np.ndarray
@@ -42,24 +41,20 @@ class MeshGraph:
     spread: np.ndarray | csr_matrix
     gather: np.ndarray | csr_matrix
     anchors: np.ndarray
-    ordered: bool = False
 
-    def in_order(self) -> MeshGraph:
-        """The same with its vertices in order of falling degree, so that nothing is put in order in each layer, and
-        what passes between them and the anchors as sparse matrices; row i of what is said of the vertices belongs where
-        `position` says.
-        """
+    def in_order(self) -> OrderedGraph:
+        """The same with its vertices in order of falling degree."""
         order = self.ranks[0]
-        return replace(
-            self, inputs=self.inputs[order], areas=self.areas[order], spread=csr_matrix(self.spread[order]),
+        return OrderedGraph(
+            inputs=self.inputs[order], areas=self.areas[order], spread=csr_matrix(self.spread[order]),
             gather=csr_matrix(self.gather[:, order]), ranks=tuple(self.position[rank] for rank in self.ranks),
-            ordered=True,
+            position=self.position, anchors=self.anchors,
         )  # fmt: skip
 
     def mirrored(self) -> MeshGraph:
         """The mirror image in the plane x = 0, with the same vertices in the same order."""
         flip = np.array([-1, 1, 1, -1, 1, 1], np.float32)
-        return MeshGraph(**{**vars(self), "inputs": self.inputs * flip, "anchors": self.anchors * flip[:3]})
+        return type(self)(**{**vars(self), "inputs": self.inputs * flip, "anchors": self.anchors * flip[:3]})
 
     def largest_neighbour(self, values: np.ndarray) -> np.ndarray:
         """The largest of each channel among the neighbours of each vertex, shape (V, C) -> (V, C).
@@ -67,13 +62,25 @@ class MeshGraph:
         With the vertices in order of falling degree, the n-th neighbours of all vertices that have one are a prefix: no
         padding, and all work is in whole slices.
         """
-        best = values.copy() if self.ordered else values[self.ranks[0]]
+        return self._largest(values, values[self.ranks[0]])[self.position]
+
+    def _largest(self, values: np.ndarray, best: np.ndarray) -> np.ndarray:
+        """The same of vertices in order of falling degree; writes on `best`, the values of these."""
         room = np.empty_like(values)
         for neighbours in self.ranks[1:]:
             part = best[: len(neighbours)]
-            found = values.take(neighbours, axis=0, out=room[: len(neighbours)], mode="clip")
-            np.maximum(part, found, out=part)
-        return best if self.ordered else best[self.position]
+            np.maximum(part, values.take(neighbours, axis=0, out=room[: len(neighbours)], mode="clip"), out=part)
+        return best
+
+
+class OrderedGraph(MeshGraph):
+    """A graph whose vertices are in order of falling degree, so that no layer puts them in order: row i of what is said
+    of them belongs where `position` says. What passes between them and the anchors are sparse matrices.
+    """
+
+    def largest_neighbour(self, values: np.ndarray) -> np.ndarray:
+        """As `MeshGraph.largest_neighbour`."""
+        return self._largest(values, values.copy())
 
 
 def farthest_points(positions: np.ndarray, count: int) -> np.ndarray:

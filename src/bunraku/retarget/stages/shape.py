@@ -9,6 +9,7 @@ small least-squares problem of each frame on its own.
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -102,14 +103,17 @@ class Shape(Stage):
         edges = character.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
         edges = edges[edges[:, 0] != edges[:, 1]]
         used = character.vertices[character.surface]
+        low = used.min(axis=0)
         fine = 2**13 / float(
             np.ptp(used, axis=0).max()
         )  # coarse enough that rounding of coordinates hardly ever matters
-        low, position = used.min(axis=0), np.empty(len(edges), np.uint64)
+        halves = np.ascontiguousarray(((character.vertices - low) * np.float32(fine / 2)).T)  # of the place of a middle
+        position = np.empty(len(edges), np.uint64)
         for start in range(0, len(edges), PIECE):
-            ends = edges[start : start + PIECE]
-            middle = (character.vertices[ends[:, 0]] + character.vertices[ends[:, 1]]) / 2 - low
-            position[start : start + PIECE] = _hashed(np.floor(middle * fine + 0.37).astype(np.int64))
+            first, second = edges[start : start + PIECE].T
+            position[start : start + PIECE] = _hashed([
+                np.floor(along.take(first) + along.take(second) + np.float32(0.37)).astype(np.int64) for along in halves
+            ])  # fmt: skip
         ordered = np.sort(position)
         fresh = np.ones(len(ordered), bool)
         fresh[1:] = ordered[1:] != ordered[:-1]
@@ -118,9 +122,12 @@ class Shape(Stage):
         return edges[some[np.unique(position[some], return_index=True)[1]]], len(ordered)
 
 
-def _hashed(places: np.ndarray) -> np.ndarray:
-    """A number for each place of a grid, shape (n, 3) -> (n,), as the finishing steps of splitmix64 make it."""
-    out: np.ndarray = places.astype(np.uint64) @ _FACTORS
+def _hashed(places: Sequence[np.ndarray]) -> np.ndarray:
+    """A number for each place of a grid, its coordinates of shape (n,) -> (n,), as the finishing steps of splitmix64
+    make it.
+    """
+    x, y, z = (along.astype(np.uint64) * factor for along, factor in zip(places, _FACTORS, strict=True))
+    out: np.ndarray = x + y + z
     out ^= out >> np.uint64(29)
     out *= np.uint64(0xBF58476D1CE4E5B9)
     out ^= out >> np.uint64(32)
