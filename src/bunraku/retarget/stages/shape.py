@@ -50,7 +50,7 @@ class Shape(Stage):
     on_request: ClassVar[bool] = True
 
     looked_at: int = 20_000
-    edges: int = 600
+    edges: int = 1000
     strength: float = 0.2
     calm: float = 0.15
     longest: float = 0.04
