@@ -83,8 +83,8 @@ class Feet(Stage):
     slow: float = 0.5
     fast: float = 1.0
     roll: float = 0.012
-    parts: tuple[float, float] = (0.1, 0.3)
-    makes: tuple[float, float] = (0.15, 0.35)
+    parts: tuple[float, float] = (0.15, 0.5)
+    makes: tuple[float, float] = (0.25, 0.4)
     short: int = 3
     apart: float = 0.25
     hurry: float = 2.0
