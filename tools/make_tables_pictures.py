@@ -1,7 +1,7 @@
 """Make the pictures of docs/tables.md: the same sentence and character, or the same character and motion, a row for
 each method.
 
-    python tools/make_tables_pictures.py --character FILE --mdm benchmarks/weights/mdm.safetensors
+    python tools/make_tables_pictures.py --character FILE --baselines benchmarks/weights
 """
 
 from __future__ import annotations
@@ -26,9 +26,12 @@ from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.render import contact_sheet, render_frames
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku_lab.baselines.skeletal_retarget import copied_motion, rig_by_embedding
-from bunraku_lab.evaluation.apparel.against import best_skinning, part_weights
 from bunraku_lab.evaluation.apparel.clips import made_clips
-from bunraku_lab.evaluation.tables.distortion import NO_STAGES
+from bunraku_lab.evaluation.apparel.names import UNTRAINED
+from bunraku_lab.evaluation.apparel.rivals import rival_mover, rivals_of
+from bunraku_lab.evaluation.tables.distortion import NO_STAGES, transferred_motion
+from bunraku_lab.evaluation.tables.measured import TRANSFER
+from bunraku_lab.nn.baselines.pose_transfer import load_transfer
 from bunraku_lab.training.apparel.networks.tiled import clothed_by_mask, tiled
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
@@ -52,9 +55,9 @@ def drawn(checkpoint: Path | None) -> HandleMotion:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--character", type=Path, required=True, help="of table 2")
-    parser.add_argument("--mdm", type=Path, required=True, help="weights of the encoder-only network")
+    parser.add_argument("--baselines", type=Path, required=True, help="folder of the other methods' weights")
     options = parser.parse_args()
-    ours, theirs = drawn(None), drawn(options.mdm)
+    ours, theirs = drawn(None), drawn(options.baselines / "mdm.safetensors")
 
     body = reference_body()
     chosen = generate_motion(PROMPT, SECONDS, seed=SEED)
@@ -67,7 +70,9 @@ def main() -> None:
     handles = bunraku.rig(character)
     anatomy = Anatomy.of(character, handles)
     copied = copied_motion(rig_by_embedding(character.vertices, character.faces), skeleton_from_handles(theirs))
+    network = load_transfer(options.baselines / TRANSFER)
     rows = {"MDM-SR": copied}
+    rows["MDM-SFR"] = transferred_motion(network, character, handles, skeleton_from_handles(theirs))
     for name, motion, stages in (
         ("MDM-SFR, floor", theirs, NO_STAGES),
         ("ours, not adapted", ours, Stages(shape=False)),
@@ -82,10 +87,11 @@ def main() -> None:
     short = replace(clip, transforms=clip.transforms[frames], offsets=clip.offsets[frames])
     truth = short.truth(np.arange(len(clothed.rest)))
     guessed, weights = clothed_by_mask(clothed)
-    best, parts = best_skinning(clothed.rest, truth, short.affine), part_weights(clothed)
     rows = {"truth": truth}
-    for name, own in (("best skinning", best), ("SPT, floor", parts), ("our skinning", weights)):
-        rows[name] = np.asarray(skin(clothed.rest, own, short.affine))
+    for rival in rivals_of(options.baselines):
+        if UNTRAINED not in rival.name:
+            rows[rival.name] = rival_mover(clothed, rival.network)(short.affine)
+    rows["our skinning"] = np.asarray(skin(clothed.rest, weights, short.affine))
     rows["ours"] = tiled(guessed, clip.transforms, load_displacement(shipped_checkpoint("apparel")), frames)
     dressed = Character(clip.name, clothed.rest, np.asarray(clothed.faces))
     rows_of(rows, dressed, OUT / "tables-mmdmc.png", "MMDMC, tables 2 and 3: from rest, the same dance")

@@ -14,7 +14,7 @@ from bunraku.core.character import Character
 from bunraku.errors import OptionError
 from bunraku_lab.cli.evaluate.tables import EvaluateTables
 from bunraku_lab.evaluation.report import Report
-from bunraku_lab.evaluation.tables.measured import PAPERS, TablesConfig, measure_tables
+from bunraku_lab.evaluation.tables.measured import PAPERS, TablesConfig, _over_runs, measure_tables
 from bunraku_lab.evaluation.tables.paper_table import (
     EITHER_WAY,
     Group,
@@ -79,6 +79,28 @@ def test_a_measurement_that_was_stopped_goes_on_with_its_parts(tmp_path):
     assert Group("some", partial(run, stops=False)).figures(tmp_path) == {"ours": {"loss": 6.0}}
     assert measured == [0, 1, 2, 3]  # each once
     assert [path.suffix for path in tmp_path.iterdir()] == [".json"]  # parts go once the whole is kept
+
+
+def test_where_one_row_s_weights_change_the_other_parts_stay(tmp_path):
+    """A row with weights of its own is measured again; the parts of the others are known."""
+    measured, weights = [], tmp_path / "weights"
+
+    def run(parts):
+        def part(name):
+            measured.append(name)
+            return float(len(measured))
+
+        return {name: {"loss": parts(name, partial(part, name))} for name in ("ours", f"rival {weights.read_bytes()}")}
+
+    for content in (b"one", b"two", b"two"):
+        weights.write_bytes(content)
+        Group("some", run, {"quick": True}, {"rival": weights}).figures(tmp_path / "work")
+    assert measured == ["ours", "rival b'one'", "rival b'two'"]
+
+
+def test_runs_have_intervals_too():
+    row = {"fid": {"mean": 2.0, "half": 0.5}, "mm_dist": {"mean": 3.0, "half": 0.1}, "other": {"mean": 1.0, "half": 0}}
+    assert _over_runs(row) == {"FID": 2.0, f"FID {EITHER_WAY}": 0.5, "MM-Dist": 3.0, f"MM-Dist {EITHER_WAY}": 0.1}
 
 
 def test_intervals_are_those_of_a_mean():

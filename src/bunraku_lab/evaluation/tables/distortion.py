@@ -188,13 +188,15 @@ def transferred_motion(
 def drawn_motions(
     config: DistortionConfig, checkpoint: Path | None, feature: np.ndarray | None = None
 ) -> list[HandleMotion]:
-    """One motion of the reference body for each sentence: one sample of the network alone.
+    """One motion of the reference body for each sentence: one sample of the network alone, by its own steps and guidance
+    and not by what it was distilled into, which other weights have not been.
 
     Args:
         config: Sentences, length and seed.
         checkpoint: Weights; None takes the shipped ones.
         feature: f_phi of the character, where the motion is for one.
     """
+    from bunraku.diffusion.generation.drawing import GUIDANCE, STEPS
     from bunraku.diffusion.generation.generate import generate_motions
     from bunraku.language.parse import clauses_of
 
@@ -202,6 +204,7 @@ def drawn_motions(
     return generate_motions(
         [clauses_of([(prompt, config.seconds)]) for prompt in prompts],
         seeds=[config.seed + number for number in range(len(prompts))], checkpoint=checkpoint, mesh_feature=feature,
+        steps=STEPS, guidance=GUIDANCE,
     )  # fmt: skip
 
 

@@ -86,13 +86,13 @@ class Group:
         run: Measures them, part by part. It raises `NotRun` where something is not there.
         of: What the figures depend on beside the version: settings, and files whose bytes count.
         others: The same of single rows, whose parts are told from others by their own names: where these change, the
-            other parts stay.
+            other parts stay. None where no row stands apart.
     """
 
     name: str
     run: Callable[[Parts], Figures]
     of: Mapping[str, Any] = field(default_factory=dict)
-    others: Mapping[str, Any] = field(default_factory=dict)
+    others: Mapping[str, Any] | None = None
 
     def figures(self, work: Path) -> Figures:
         """What was measured before of the same, or is measured now and kept.
@@ -100,7 +100,7 @@ class Group:
         Args:
             work: Folder that keeps them.
         """
-        kept = work / f"{self.name}-{_fingerprint({**self.of, **self.others})}.json"
+        kept = work / f"{self.name}-{_fingerprint({**self.of, **(self.others or {})})}.json"
         if kept.is_file():
             found: Figures = json.loads(kept.read_text(encoding="utf-8"))
             return found
@@ -109,7 +109,7 @@ class Group:
         work.mkdir(parents=True, exist_ok=True)
         with atomic_write(kept) as file:
             file.write(json.dumps(measured, indent=1).encode())
-        if not self.others:
+        if self.others is None:
             shutil.rmtree(parts, ignore_errors=True)  # the whole is known
         return measured
 

@@ -27,6 +27,7 @@ from bunraku.body.from_handles import skeleton_from_handles
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
+from bunraku.diffusion.generation.drawing import GUIDANCE, STEPS
 from bunraku.diffusion.generation.generate import generate_motion
 from bunraku.errors import CharacterError
 from bunraku.geometry.graph import unique_edges
@@ -143,9 +144,10 @@ def faults(vertices: np.ndarray, character: Character) -> dict[str, float]:
 
 
 def _drawn(config: StandInConfig, prompts: Sequence[str], checkpoint: Path | None) -> list[HandleMotion]:
-    """One motion of the reference body for each sentence: one sample of the network alone."""
+    """One motion of the reference body for each sentence: one sample of the network alone, by its own steps."""
+    how: dict[str, Any] = {"steps": STEPS, "guidance": GUIDANCE, "checkpoint": checkpoint}
     return [
-        generate_motion(prompt, config.seconds, seed=config.seed + number, candidates=1, checkpoint=checkpoint)
+        generate_motion(prompt, config.seconds, seed=config.seed + number, **how)
         for number, prompt in enumerate(prompts)
     ]
 
