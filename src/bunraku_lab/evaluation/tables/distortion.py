@@ -201,10 +201,10 @@ def drawn_motions(
     from bunraku.language.parse import clauses_of
 
     prompts = ARAP_PROMPTS[: config.prompts]
+    seeds = [config.seed + number for number in range(len(prompts))]
     return generate_motions(
-        [clauses_of([(prompt, config.seconds)]) for prompt in prompts],
-        seeds=[config.seed + number for number in range(len(prompts))], checkpoint=checkpoint, mesh_feature=feature,
-        steps=STEPS, guidance=GUIDANCE,
+        [clauses_of([(prompt, config.seconds)]) for prompt in prompts], seeds=seeds, checkpoint=checkpoint,
+        mesh_feature=feature, steps=STEPS, guidance=GUIDANCE,
     )  # fmt: skip
 
 
