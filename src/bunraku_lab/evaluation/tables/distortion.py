@@ -188,8 +188,8 @@ def transferred_motion(
 def drawn_motions(
     config: DistortionConfig, checkpoint: Path | None, feature: np.ndarray | None = None
 ) -> list[HandleMotion]:
-    """One motion of the reference body for each sentence: one sample of the network alone, by its own steps and guidance
-    and not by what it was distilled into, which other weights have not been.
+    """One motion of the reference body for each sentence: one sample of the network alone, by its own steps and
+    guidance and not by what it was distilled into, which other weights have not been.
 
     Args:
         config: Sentences, length and seed.
