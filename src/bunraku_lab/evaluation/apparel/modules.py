@@ -47,16 +47,14 @@ def module_row(
     refinement: RefinementNetwork | None = None,
 ) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, float]]]:  # fmt: skip
     """Tables 2 and 3 for a clip, from rest: the body module alone, with apparel that is found, with the joint
-    refinement, and with the file's mask; and what needs no training (`evaluation.apparel.rivals`). Body and
-    apparel are skinned by predicted weights, and nothing of the file but its joints is used where it does not say so.
-    Then table 2 over ten frames from true states.
+    refinement, and with the file's mask, but not its stiffness; and what needs no training
+    (`evaluation.apparel.rivals`). Body and apparel are skinned by predicted weights, and nothing of the file but its
+    joints is used where it does not say so. Then table 2 over ten frames from true states.
     """
     true = clip.clothed
     guessed, weights = clothed_by_mask(true, masks, body)
-    given = fitted_clothes(
-        true.rest, true.faces, true.joints, weights, true.apparel,
-        true.stiffness[true.part] * true.apparel, true.damping[true.part] * true.apparel,
-    )  # fmt: skip
+    found = find_apparel(true.rest, true.faces, true.joints, masks)
+    given = fitted_clothes(true.rest, true.faces, true.joints, weights, true.apparel, found.stiffness, found.damping)
     frames = np.arange(0, len(clip.transforms), STRIDE)
     short = replace(clip, transforms=clip.transforms[frames], offsets=clip.offsets[frames])
     truth = short.truth(np.arange(len(true.rest)))
