@@ -26,6 +26,7 @@ from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.render import contact_sheet, render_frames
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku_lab.baselines.skeletal_retarget import copied_motion, rig_by_embedding
+from bunraku_lab.baselines.transfer_target import source_motion
 from bunraku_lab.evaluation.apparel.clips import made_clips
 from bunraku_lab.evaluation.apparel.names import UNTRAINED
 from bunraku_lab.evaluation.apparel.rivals import rival_mover, rivals_of
@@ -72,7 +73,9 @@ def main() -> None:
     copied = copied_motion(rig_by_embedding(character.vertices, character.faces), skeleton_from_handles(theirs))
     network = load_transfer(options.baselines / TRANSFER)
     rows = {"MDM-SR": copied}
-    rows["MDM-SFR"] = transferred_motion(network, character, handles, skeleton_from_handles(theirs))
+    rows["MDM-SFR"] = transferred_motion(
+        network, character, handles, source_motion(network, skeleton_from_handles(theirs))
+    )
     for name, motion, stages in (
         ("MDM-SFR, floor", theirs, NO_STAGES),
         ("ours, not adapted", ours, Stages(shape=False)),

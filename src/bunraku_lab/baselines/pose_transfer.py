@@ -29,8 +29,8 @@ from bunraku_lab.nn.baselines.part_graph import PartGraph, part_graph
 from bunraku_lab.nn.baselines.pose_transfer import TransferNetwork, affine_of, part_centres
 
 __all__ = [
-    "ROOM", "PartMesh", "SourceBody", "graph_of", "in_metres", "in_root_frame", "over_height", "part_transforms",
-    "predicted_parts", "source_body", "source_turns", "transferred",
+    "ROOM", "PartMesh", "SourceBody", "SourcePoses", "graph_of", "in_metres", "in_root_frame", "over_height",
+    "part_transforms", "predicted_parts", "source_body", "source_poses", "source_turns", "transferred",
 ]  # fmt: skip
 
 ROOM = 1.7
@@ -208,34 +208,56 @@ def graph_of(meshes: Sequence[PartMesh], posed: Sequence[np.ndarray] | None = No
     )
 
 
+@dataclass(frozen=True, eq=False)
+class SourcePoses:
+    """A source's poses as the networks see them, whatever the target.
+
+    Args:
+        codes: Of the poses, shape (P, K, C).
+        own: Transforms of the source's parts, shape (P, K, 7).
+    """
+
+    codes: torch.Tensor
+    own: torch.Tensor
+
+
+@torch.no_grad()
+def source_poses(model: TransferNetwork, source: PartMesh, posed: np.ndarray) -> SourcePoses:
+    """What the networks take from the poses of a source.
+
+    Args:
+        model: The trained networks.
+        source: At rest.
+        posed: Its vertices, shape (P, M, 3).
+    """
+    rest = graph_of([source])
+    weights = model.weights(rest) if model.config.predictor else torch.from_numpy(source.weights)
+    own = part_transforms(source.rest, posed, weights.numpy())
+    codes = []
+    for start in range(0, len(posed), CHUNK):
+        some = list(posed[start : start + CHUNK])
+        codes.append(model.pose_codes(rest, graph_of([source] * len(some), some), weights))
+    return SourcePoses(torch.cat(codes), torch.from_numpy(own))
+
+
 @torch.no_grad()
 def transferred(
-    model: TransferNetwork, source: PartMesh, posed: np.ndarray, target: PartMesh, joints: np.ndarray | None = None
+    model: TransferNetwork, poses: SourcePoses, target: PartMesh, joints: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Affine transforms of the target's parts in each pose of the source, shape (P, K, 3, 4), and its weights, (M, K).
 
     Args:
         model: The trained networks.
-        source: At rest.
-        posed: The source's vertices, shape (P, M_s, 3).
+        poses: Of the source.
         target: At rest.
         joints: Affine transforms of given joints of the target, over its height, shape (P, J, 3, 4); for networks with
             parts that are tied to them.
     """
-    rest, still = graph_of([source]), graph_of([target])
-    if model.config.predictor:
-        weights = model.weights(rest), model.weights(still)
-    else:
-        weights = torch.from_numpy(source.weights), torch.from_numpy(target.weights)
-    own = part_transforms(source.rest, posed, weights[0].numpy())
-    centres = part_centres(still.inputs[:, :3], weights[1])
-    found = []
-    for start in range(0, len(posed), CHUNK):
-        some = list(posed[start : start + CHUNK])
-        moving = graph_of([source] * len(some), some)
-        said = model(rest, moving, still, weights, torch.from_numpy(own[start : start + CHUNK]))
-        found.append(affine_of(centres, said).numpy())
-    affine = np.concatenate(found)
+    still = graph_of([target])
+    weights = model.weights(still) if model.config.predictor else torch.from_numpy(target.weights)
+    shape = model.encoder(still, weights).expand_as(poses.codes)
+    said = model.decoded(poses.codes, shape, poses.own)
+    affine = affine_of(part_centres(still.inputs[:, :3], weights), said).numpy()
     if joints is not None:
         affine[:, : joints.shape[1]] = joints
-    return affine, weights[1].numpy()
+    return affine, weights.numpy()

@@ -13,16 +13,50 @@ from bunraku.geometry.simplify import NetworkMesh, network_mesh
 from bunraku_lab.baselines.pose_transfer import (
     ROOM,
     PartMesh,
+    SourcePoses,
     in_metres,
     in_root_frame,
     over_height,
     source_body,
+    source_poses,
     source_turns,
     transferred,
 )
 from bunraku_lab.nn.baselines.pose_transfer import TransferNetwork
 
-__all__ = ["TransferTarget"]
+__all__ = ["SourceMotion", "TransferTarget", "source_motion"]
+
+
+@dataclass(frozen=True, eq=False)
+class SourceMotion:
+    """A motion of the reference body as pose transfer takes it, whatever the target.
+
+    Args:
+        poses: In the frame of the root.
+        turns: Of the root, shape (N, 3, 3).
+        path: Of the root from where it is at rest [m], shape (N, 3).
+    """
+
+    poses: SourcePoses
+    turns: np.ndarray
+    path: np.ndarray
+
+
+def source_motion(model: TransferNetwork, motion: SkeletalMotion) -> SourceMotion:
+    """A motion of the reference body's joints.
+
+    Args:
+        model: The networks that take it.
+        motion: Of SMPL's 22 joints.
+    """
+    turns, positions = motion.world()
+    own = (np.swapaxes(turns[:, :1], 2, 3) @ turns).astype(np.float32)
+    return SourceMotion(_poses(model, own), turns[:, 0], positions[:, 0] - reference_body().joints[0])
+
+
+def _poses(model: TransferNetwork, turns: np.ndarray) -> SourcePoses:
+    body = source_body()
+    return source_poses(model, body.mesh, body.posed(turns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,31 +120,28 @@ class TransferTarget:
         own, _ = in_root_frame(affine, np.zeros((len(affine), 0, 3), np.float32))
         tied = self.model.config.tied
         known = over_height(own[:, :tied], self.origin, self.height) if tied else None
-        moved, weights = self._moved(source_turns(affine[..., :3], joints), known)
+        moved, weights = self._moved(_poses(self.model, source_turns(affine[..., :3], joints)), known)
         turns, shift = affine[:, :1, :, :3], affine[:, :1, :, 3:]
         world = np.concatenate([turns @ moved[..., :3], turns @ moved[..., 3:] + shift], axis=3)
         return np.asarray(skin(self.rest, weights, world))
 
-    def with_motion(self, motion: SkeletalMotion, root: np.ndarray) -> np.ndarray:
+    def with_motion(self, motion: SourceMotion, root: np.ndarray) -> np.ndarray:
         """Its vertices as the reference body moves [m], shape (N, V, 3); its path is longer the higher its root is.
 
         Args:
-            motion: Of the reference body's joints.
+            motion: Of the reference body, as `source_motion` gives it for the same networks.
             root: Position of its own root at rest [m], shape (3,).
         """
-        turns, positions = motion.world()
-        back = np.swapaxes(turns[:, :1], 2, 3)
-        moved, weights = self._moved((back @ turns).astype(np.float32), None)
+        moved, weights = self._moved(motion.poses, None)
         body = reference_body()
         scale = (root[1] - self.origin[1]) / (body.joints[0, 1] - body.vertices[:, 1].min())
         points = np.asarray(skin(self.rest, weights, moved)) - root
-        path = root + scale * (positions[:, 0] - body.joints[0])
-        return np.asarray(np.einsum("nab,nvb->nva", turns[:, 0], points) + path[:, None], np.float32)
+        path = root + scale * motion.path
+        return np.asarray(np.einsum("nab,nvb->nva", motion.turns, points) + path[:, None], np.float32)
 
-    def _moved(self, turns: np.ndarray, joints: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    def _moved(self, poses: SourcePoses, joints: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Affine transforms of the parts in the frame of the root [m], (P, K, 3, 4), and their weights, (V, K)."""
-        body = source_body()
-        affine, weights = transferred(self.model, body.mesh, body.posed(turns), self.mesh, joints)
+        affine, weights = transferred(self.model, poses, self.mesh, joints)
         if self.weights is not None:
             return in_metres(affine, self.origin, self.height), self.weights
         full = self.network.push(weights)

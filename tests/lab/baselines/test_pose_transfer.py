@@ -22,7 +22,7 @@ from bunraku_lab.baselines.pose_transfer import (
     source_body,
     source_turns,
 )
-from bunraku_lab.baselines.transfer_target import TransferTarget
+from bunraku_lab.baselines.transfer_target import TransferTarget, source_motion
 from bunraku_lab.nn.baselines.blend_shapes import NbsConfig, NbsNetwork
 from bunraku_lab.nn.baselines.pose_transfer import TransferConfig, TransferNetwork
 
@@ -128,7 +128,7 @@ def test_a_motion_travels_with_its_root():
     network = TransferNetwork(TransferConfig(levels=(4,), code=3)).eval()
     twice = 2 * body.vertices
     target = TransferTarget.of(twice, body.faces, body.handle_weights, 2 * body.joints[0], network)
-    moved = target.with_motion(skeleton_from_handles(motion), 2 * body.joints[0])
+    moved = target.with_motion(source_motion(network, skeleton_from_handles(motion)), 2 * body.joints[0])
     step = (moved - moved[:1]).mean(axis=1)
     np.testing.assert_allclose(step, 2 * path, atol=0.02)
 

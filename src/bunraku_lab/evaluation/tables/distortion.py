@@ -19,10 +19,11 @@ be embedded in counts in the other rows, and is told.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -37,7 +38,7 @@ from bunraku.geometry.graph import unique_edges
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku_lab.baselines.skeletal_retarget import copied_motion, rig_by_embedding
-from bunraku_lab.baselines.transfer_target import TransferTarget
+from bunraku_lab.baselines.transfer_target import SourceMotion, TransferTarget, source_motion
 from bunraku_lab.datasets.characters.build import HELD_OUT
 from bunraku_lab.evaluation.motion.arap import ARAP_PROMPTS, STRIDE, animation_arap, arap_loss
 from bunraku_lab.evaluation.motion.characters import Named, chosen_files, load_named
@@ -45,6 +46,9 @@ from bunraku_lab.evaluation.parts import Parts, at_once
 from bunraku_lab.evaluation.tables.paper_table import EITHER_WAY, half_interval
 from bunraku_lab.nn.baselines.pose_transfer import TransferConfig, TransferNetwork, load_transfer
 from bunraku_lab.nn.diffusion.adapter import adapted_denoiser
+
+if TYPE_CHECKING:
+    from bunraku.diffusion.generation.networks import Networks
 
 __all__ = ["NO_STAGES", "SFR", "DistortionConfig", "measure_distortion", "transferred_motion", "transfers_of"]
 
@@ -94,21 +98,21 @@ def measure_distortion(
     report = progress or (lambda stage, done: None)
     files = [file for unseen in (False, True) for file in chosen_files(config.characters, unseen, config.count)]
     characters = load_named(files, config.characters, progress=lambda done: report("handles", done))
-    ours = {row: _adapted(config, row, path) for row, path in config.adapters.items()}
-    theirs, transfers = drawn_motions(config, config.mdm), transfers_of(config.transfer)
+    theirs = drawn_motions(config, config.mdm)
     found: dict[str, dict[bool, list[float]]] = {}
     failed = {False: 0, True: 0}
     for number, named in enumerate(characters):
         report("distortion", number / len(characters))
         unseen = named[0].partition("~")[0] in HELD_OUT
         losses = parts(named[0], partial(_losses, config, named, theirs))
-        for row, path in ours.items():
-            losses[row] = parts(f"{named[0]} {row} {path.stem}", partial(_of_adapter, config, named, path))
-        for row, network in transfers.items():
-            which = f"{named[0]} {row} {_digest(config.transfer)}"
-            losses[row] = parts(which, partial(_of_transfer, named, network, theirs))
         failed[unseen] += "MDM-SR" not in losses
         for row, value in losses.items():
+            found.setdefault(row, {}).setdefault(unseen, []).append(value)
+    for row, which, measure in _trained(config, theirs):
+        for number, named in enumerate(characters):
+            report(row, number / len(characters))
+            unseen = named[0].partition("~")[0] in HELD_OUT
+            value = parts(f"{named[0]} {row} {which}", partial(measure, named))
             found.setdefault(row, {}).setdefault(unseen, []).append(value)
     report("distortion", 1.0)
     kinds = ((False, SEEN), (True, UNSEEN))
@@ -147,15 +151,30 @@ def _losses(config: DistortionConfig, named: Named, theirs: Sequence[HandleMotio
     return out
 
 
-def _of_adapter(config: DistortionConfig, named: Named, weights: Path) -> float:
+def _trained(
+    config: DistortionConfig, theirs: Sequence[HandleMotion]
+) -> Iterator[tuple[str, str, Callable[[Named], float]]]:
+    """The rows of trained adaptations and pose transfers: name, what tells its weights from others, and what measures a
+    character. One network is held at a time.
+    """
+    from bunraku.diffusion.generation.networks import Networks
+
+    for row, adapter in config.adapters.items():
+        yield row, _digest(adapter), partial(_of_adapter, config, Networks(_adapted(config, row, adapter)))
+    for row, network in transfers_of(config.transfer).items():
+        motions = [source_motion(network, _skeletal(motion)) for motion in theirs]
+        yield row, _digest(config.transfer), partial(_of_transfer, network, motions)
+
+
+def _of_adapter(config: DistortionConfig, networks: Networks, named: Named) -> float:
     _, character, handles = named
-    anatomy, motions = Anatomy.of(character, handles), drawn_motions(config, weights, handles.features)
+    anatomy, motions = Anatomy.of(character, handles), drawn_motions(config, None, handles.features, networks)
     return float(np.mean([_fitted(motion, named, anatomy, Stages(shape=False)) for motion in motions]))
 
 
-def _of_transfer(named: Named, network: TransferNetwork, theirs: Sequence[HandleMotion]) -> float:
+def _of_transfer(network: TransferNetwork, motions: Sequence[SourceMotion], named: Named) -> float:
     _, character, handles = named
-    shown = [transferred_motion(network, character, handles, _skeletal(motion)) for motion in theirs]
+    shown = [transferred_motion(network, character, handles, motion) for motion in motions]
     return float(np.mean([_posed(vertices, character) for vertices in shown]))
 
 
@@ -176,7 +195,7 @@ def transfers_of(weights: Path | None) -> dict[str, TransferNetwork]:
 
 
 def transferred_motion(
-    network: TransferNetwork, character: Character, handles: Handles, motion: SkeletalMotion
+    network: TransferNetwork, character: Character, handles: Handles, motion: SourceMotion
 ) -> np.ndarray:
     """A character as Skeleton-free Pose Transfer moves it after the reference body [m], shape (N, V, 3)."""
     parts = None if network.config.predictor else handles.weights
@@ -186,7 +205,7 @@ def transferred_motion(
 
 
 def drawn_motions(
-    config: DistortionConfig, checkpoint: Path | None, feature: np.ndarray | None = None
+    config: DistortionConfig, checkpoint: Path | None, feature: np.ndarray | None = None, held: Networks | None = None
 ) -> list[HandleMotion]:
     """One motion of the reference body for each sentence: one sample of the network alone, by its own steps and
     guidance and not by what it was distilled into, which other weights have not been.
@@ -195,6 +214,7 @@ def drawn_motions(
         config: Sentences, length and seed.
         checkpoint: Weights; None takes the shipped ones.
         feature: f_phi of the character, where the motion is for one.
+        held: The networks of the weights, where they are loaded already.
     """
     from bunraku.diffusion.generation.drawing import GUIDANCE, STEPS
     from bunraku.diffusion.generation.generate import generate_motions
@@ -204,7 +224,7 @@ def drawn_motions(
     seeds = [config.seed + number for number in range(len(prompts))]
     return generate_motions(
         [clauses_of([(prompt, config.seconds)]) for prompt in prompts], seeds=seeds, checkpoint=checkpoint,
-        mesh_feature=feature, steps=STEPS, guidance=GUIDANCE,
+        mesh_feature=feature, steps=STEPS, guidance=GUIDANCE, held=held,
     )  # fmt: skip
 
 

@@ -34,6 +34,7 @@ from bunraku.geometry.graph import unique_edges
 from bunraku.language.lexicon.reading import main_actions
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku_lab.baselines.skeletal_retarget import copied_motion, rig_by_embedding
+from bunraku_lab.baselines.transfer_target import SourceMotion, source_motion
 from bunraku_lab.evaluation.motion.arap import ARAP_PROMPTS, arap_loss
 from bunraku_lab.evaluation.motion.characters import Named, chosen_files, load_named
 from bunraku_lab.evaluation.motion.viewer.action_test import action_clips, captured_classifier
@@ -82,18 +83,19 @@ def measure_stand_in(
         FormatError: There are no characters, or no captured clips.
     """
     report = progress or (lambda stage, done: None)
-    prompts, transfers = ARAP_PROMPTS[: config.prompts], transfers_of(config.transfer)
+    prompts, network = ARAP_PROMPTS[: config.prompts], transfers_of(config.transfer).get(SFR)
     drawn = {
         "ours": _drawn(config, prompts, None),
         "theirs": _drawn(config, prompts, config.mdm),
     }
+    sources = [] if network is None else [source_motion(network, skeleton_from_handles(one)) for one in drawn["theirs"]]
     said = parts("actions", partial(_said, config, prompts, drawn))
     files = chosen_files(config.characters, True, config.count)
     characters = load_named(files, config.characters, progress=lambda done: report("handles", done))
     rows: list[dict[str, dict[str, float]]] = []
     for number, named in enumerate(characters):
         report("stand-in", number / len(characters))
-        for sentence, shown in enumerate(parts(named[0], partial(_faults_of, named, drawn, transfers.get(SFR)))):
+        for sentence, shown in enumerate(parts(named[0], partial(_faults_of, named, drawn, network, sources))):
             texts = {name: said["ours" if name == "ours" else "theirs"][sentence] for name in shown}
             rows.append(ranks({name: {**values, "text": texts[name]} for name, values in shown.items()}))
     report("stand-in", 1.0)
@@ -165,8 +167,9 @@ def _said(
 
 
 def _faults_of(
-    named: Named, drawn: Mapping[str, Sequence[HandleMotion]], network: TransferNetwork | None
-) -> list[dict[str, Any]]:
+    named: Named, drawn: Mapping[str, Sequence[HandleMotion]], network: TransferNetwork | None,
+    sources: Sequence[SourceMotion],
+) -> list[dict[str, Any]]:  # fmt: skip
     """Of each sentence the faults of each method on a character; without MDM-SR where it cannot be embedded."""
     _, character, handles = named
     anatomy = Anatomy.of(character, handles)
@@ -175,13 +178,13 @@ def _faults_of(
     except CharacterError:
         rigged = None
     out = []
-    for ours, theirs in zip(drawn["ours"], drawn["theirs"], strict=True):
+    for number, (ours, theirs) in enumerate(zip(drawn["ours"], drawn["theirs"], strict=True)):
         fitted = {"ours": fit_motion(ours, anatomy, Stages(shape=True))}
         if network is None:
             fitted[FLOOR] = fit_motion(theirs, anatomy, NO_STAGES)
         shown = {name: Animation(character, handles, motion).vertices() for name, motion in fitted.items()}
         if network is not None:
-            shown[SFR] = transferred_motion(network, character, handles, skeleton_from_handles(theirs))
+            shown[SFR] = transferred_motion(network, character, handles, sources[number])
         if rigged is not None:
             shown["MDM-SR"] = copied_motion(rigged, skeleton_from_handles(theirs))
         out.append({name: faults(vertices, character) for name, vertices in shown.items()})

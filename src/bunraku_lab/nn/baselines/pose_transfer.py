@@ -135,11 +135,17 @@ class TransferNetwork(nn.Module):
             weights: Of the parts of `rest` and of `target`, shape (N, K) each.
             own: Transforms of the source's parts, shape (B, K, 7).
         """
-        count = len(posed.sizes)
-        still, shape = self.encoder(rest, weights[0]), self.encoder(target, weights[1])
-        moving = weights[0] if len(rest.sizes) == count else weights[0].repeat(count, 1)
-        pose = self.encoder(posed, moving) - still
+        pose, shape = self.pose_codes(rest, posed, weights[0]), self.encoder(target, weights[1])
         return self.decoded(pose, shape.expand_as(pose), own)
+
+    def pose_codes(self, rest: PartGraph, posed: PartGraph, weights: torch.Tensor) -> torch.Tensor:
+        """Codes of the source in its poses less those of the source at rest, shape (B, K, C); arguments are those of
+        `forward`.
+        """
+        count = len(posed.sizes)
+        moving = weights if len(rest.sizes) == count else weights.repeat(count, 1)
+        out: torch.Tensor = self.encoder(posed, moving) - self.encoder(rest, weights)
+        return out
 
     def decoded(self, pose: torch.Tensor, shape: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
         """Transforms of the target's parts, shape (B, K, 7), quaternions of length 1.
