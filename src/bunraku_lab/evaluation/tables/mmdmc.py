@@ -27,9 +27,9 @@ _FLOORS = (
     "Ours is the full model with its own mask, on test characters of the wardrobe. NBS and SPT were trained on the "
     "same data set for minutes of a processor. NBS is skinning, and no skinning with fixed weights is better than that "
     "whose weights are fitted to the truth itself, in frames of the same clip. SPT has the parts of our handle "
-    "predictor and sees the reference body in the pose; with joints given 22 parts of its own go with these and ten "
-    "are free. Untrained it moves parts as the body's. Its floor is the predicted parts moved as the character's own "
-    "joints are."
+    "predictor, which takes wide sleeves for a head on some of these characters, and sees the reference body in the "
+    "pose: ratios to it are in our favour. With joints given 22 parts of its own go with these and ten are free. "
+    "Untrained it moves parts as the body's. Its floor is the predicted parts moved as the character's own joints are."
 )
 
 MMDMC: tuple[PaperTable, ...] = (
