@@ -215,7 +215,8 @@ def _moved_bones(rig: ApparelRig, parents: np.ndarray) -> dict[int, int]:
         if body.dynamic and body.bone >= 0:
             out.setdefault(body.bone, number)
     for bone in range(len(parents)):
-        path, at = [], bone
+        path: list[int] = []
+        at = bone
         while at >= 0 and at not in out and len(path) <= len(parents):
             path.append(at)
             at = int(parents[at])
