@@ -164,3 +164,26 @@ def test_a_wrist_bone_over_the_hand_leaves_the_turn_to_the_hand():
     clip = replace(moved, rotations=turns)
     back = fit_rig(rig_to_reference(found, *clip.world(), 20.0, own=True), found, CARRIED)
     assert np.abs(back.vertices() - clip.vertices()).max() < 0.005 * plain.height
+
+
+def test_half_of_a_pelvis_over_a_thigh_leaves_the_hip_to_the_thigh():
+    plain = rested()
+    parts = {"pelvis": "hips", "hip": "upperleg", "knee": "lowerleg", "ankle": "foot", "foot": "toes",
+             "shoulder": "upperarm", "elbow": "lowerarm", "collar": "clavicle"}  # fmt: skip
+    names = []
+    for name in JOINT_NAMES:
+        side, _, part = name.rpartition("_")
+        names.append(f"{parts.get(part, part)}{'.' + side[0] if side else ''}")
+    rig, hips = plain.rig, [_J["left_hip"], _J["right_hip"]]
+    parents = np.append(rig.parents, [0, 0])
+    parents[hips] = [22, 23]
+    transforms = np.concatenate([rig.transforms, rig.transforms[hips]])
+    transforms[22:, 1, 3] += 0.1
+    weights = np.concatenate([rig.dense_weights(), np.zeros((len(plain.vertices), 2))], axis=1)
+    order = np.argsort(-weights, axis=1)[:, :4]
+    halved = Rig(
+        (*names, "pelvis.l", "pelvis.r"), parents, transforms, order, np.take_along_axis(weights, order, axis=1)
+    )
+    found = RigParts.of(replace(plain, rig=halved))
+    assert found.leads[hips].tolist() == hips and (found.parts[22:] == -1).all()
+    np.testing.assert_allclose(found.joints.positions[hips], rig.transforms[hips][:, :3, 3], atol=1e-6)
