@@ -169,6 +169,8 @@ def with_appendages(
     found = find_appendages(mesh, weights, graph)[: len(spare)]
     if not found:
         return weights, full, None
+    # Twins are nearly equally long, so their order by length would hang on the tessellation.
+    found.sort(key=lambda one: -float(mesh.vertices[one.members, 0].mean()))
     head = weights[:, _HEAD].sum(axis=1) > 0.5
     distance = dijkstra(graph, indices=np.flatnonzero(~head), min_only=True)
     shares = appendage_shares(mesh, found, distance)
