@@ -94,6 +94,8 @@ class Waves:
     covariance.
     """
 
+    visited = ()
+
     def __init__(self, config):
         self.config, self.curve = config, alphas_cumprod()
 

@@ -50,8 +50,8 @@ def test_a_generated_clip_is_measured_with_and_without():
     table = measure_adaptation(
         [("samples/dancer", replace(character, rig=None), handles)],
         ["a person waves"],
-        seconds=0.5,
-        steps=2,
+        seconds=2.0,
+        steps=8,
         progress=lambda stage, share: told.append(share),
     )
     row = table.rows[0]

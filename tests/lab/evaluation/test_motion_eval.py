@@ -74,10 +74,10 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def words(monkeypatch):
-    networks._load.cache_clear()
+    networks._encoder.cache_clear()
     monkeypatch.setattr(networks, "text_encoder", lambda name, folder=None: WordEncoder())
     yield
-    networks._load.cache_clear()
+    networks._encoder.cache_clear()
 
 
 def settings(folder, work, **changes):

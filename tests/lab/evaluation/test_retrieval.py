@@ -65,7 +65,7 @@ def trained(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def words(monkeypatch):
     """Weights that name the encoder "words" get it."""
-    networks._load.cache_clear()
+    networks._encoder.cache_clear()
     monkeypatch.setattr(networks, "text_encoder", lambda name, folder=None: WordEncoder())
 
 
