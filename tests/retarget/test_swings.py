@@ -28,10 +28,11 @@ def dog():
     return Anatomy.of(character, rig_handles(character))
 
 
-def walk(sizes, frames=80, period=20):
-    """Arms that point down and legs, swung by so many radians, left and right in turn."""
+def walk(sizes, frames=80, period=20, hurry=0.0):
+    """Arms that point down and legs, swung by so many radians, left and right in turn, ever faster where it hurries."""
     turns = np.zeros((frames, 22, 3))
-    swing = np.sin(2 * np.pi * np.arange(frames) / period)
+    cycles = np.arange(frames) / period
+    swing = np.sin(2 * np.pi * (cycles + hurry * cycles**2))
     for name, size in sizes.items():
         sign = 1 if name in ("left_shoulder", "right_hip") else -1
         turns[:, JOINT_NAMES.index(name), 0] = sign * size * swing
@@ -57,6 +58,21 @@ def test_who_limps_walks_evenly_and_as_far_as_in_the_mean(dog):
         assert 0.93 < other.ratio < 1.07
         assert np.sqrt(other.left * other.right) == pytest.approx(np.sqrt(one.left * one.right), rel=0.08)
         assert other.phase == pytest.approx(one.phase, abs=0.03) == pytest.approx(0.5, abs=0.06)
+
+
+def test_who_limps_ever_faster_walks_evenly_too(dog):
+    limping = walk({"left_shoulder": 0.5, "right_shoulder": 0.3, "left_hip": 0.3, "right_hip": 0.55}, hurry=0.4)
+    for pair in gaits(limping, dog, PLAIN):
+        assert 0.9 < pair.ratio < 1.1
+
+
+def test_a_trunk_that_rocks_with_the_steps_makes_no_limp(dog):
+    steps = walk({"left_hip": 0.35, "right_hip": 0.35})
+    rocks = matrix_from_axis_angle(np.sin(2 * np.pi * np.arange(80) / 20)[:, None] * [0.1, 0, 0])
+    rocking = replace(steps, root_rotation=rocks @ steps.root_rotation)
+    before, after = (gaits(rocking, dog, stages)[1] for stages in (replace(PLAIN, swings=False), PLAIN))
+    assert before.ratio < 0.8 or before.ratio > 1.25
+    assert 0.93 < after.ratio < 1.07
 
 
 def test_a_leg_that_strikes_alone_stays(dog):

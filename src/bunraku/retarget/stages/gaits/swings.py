@@ -13,7 +13,13 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.legs import Leg
-from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, nearest_rotation
+from bunraku.geometry.rotations import (
+    axis_angle_from_matrix,
+    heading,
+    matrix_from_axis_angle,
+    matrix_y,
+    nearest_rotation,
+)
 from bunraku.handles.limbs import further_legged
 from bunraku.retarget.stages.stage import Fitting, Stage
 
@@ -44,6 +50,8 @@ class Swings(Stage):
         shortest: Shortest cycle of steps [s].
         longest: Longest one [s].
         alike: Correlation of a leg's angle with itself a cycle later, from which on it goes to and fro.
+        turns: Correlation of both legs, negative, from which on they take turns, whatever their pace.
+        crossings: How often one then passes the other at the least: once is a step, and no walk.
         least: Angle through which both legs swing at the least [rad].
         unlike: Factor between both beyond which they do different things, as who strikes with a paw.
         percent: Share of the frames beyond the swing's ends, on each side.
@@ -56,6 +64,8 @@ class Swings(Stage):
     shortest: float = 0.25
     longest: float = 2.5
     alike: float = 0.4
+    turns: float = 0.5
+    crossings: int = 4
     least: float = 0.1
     unlike: float = 3.0
     percent: float = 5.0
@@ -66,14 +76,18 @@ class Swings(Stage):
         return fitting.source.own_kind and bool(anatomy.plan.front) and not further_legged(anatomy.handles)
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        rotations = fitting.rotations.copy()
+        rotations, fps = fitting.rotations.copy(), fitting.source.fps
+        # a trunk that rocks with the steps adds to the swing of one leg what it takes from the other's
+        rocks = matrix_y(-heading(fitting.root_rotation, fps)) @ fitting.root_rotation
         for pair in pairs_of(anatomy.legs):
-            self._paired(rotations, pair, anatomy, fitting.source.fps)
+            self._paired(rotations, pair, anatomy, rocks, fps)
         return replace(fitting, rotations=rotations)
 
-    def _paired(self, rotations: np.ndarray, pair: tuple[Leg, Leg], anatomy: Anatomy, fps: float) -> None:
+    def _paired(
+        self, rotations: np.ndarray, pair: tuple[Leg, Leg], anatomy: Anatomy, rocks: np.ndarray, fps: float
+    ) -> None:
         """Make both legs of a pair swing alike, in place."""
-        angles = [self.angle(rotations, leg, anatomy) for leg in pair]
+        angles = [self.angle(rotations, leg, anatomy, rocks) for leg in pair]
         swings = [self.swing(angle) for angle in angles]
         ratio = max(swings) / max(min(swings), 1e-9)
         if min(swings) < self.least or ratio > self.unlike or not self._goes_on(angles, fps):
@@ -84,18 +98,20 @@ class Swings(Stage):
             for _ in range(self.rounds):
                 factor = float(np.clip(factor * swing / max(own, 1e-9), 1 / self.most, self.most))
                 turned = self._scaled(rotations, leg, factor)
-                own = self.swing(self.angle(turned, leg, anatomy))
-            shift = middle - float(self.angle(turned, leg, anatomy).mean())
+                own = self.swing(self.angle(turned, leg, anatomy, rocks))
+            shift = middle - float(self.angle(turned, leg, anatomy, rocks).mean())
             about = matrix_from_axis_angle(np.array([-shift, 0.0, 0.0]))
             for handle in _handles(leg):
                 rotations[:, handle] = about @ turned[:, handle]
 
-    def angle(self, rotations: np.ndarray, leg: Leg, anatomy: Anatomy) -> np.ndarray:
-        """How far forward a leg points, seen from the root [rad], shape (N,)."""
+    def angle(self, rotations: np.ndarray, leg: Leg, anatomy: Anatomy, rocks: np.ndarray) -> np.ndarray:
+        """How far forward a leg points along the heading [rad], shape (N,), of a root with these rotations from its
+        heading, shape (N, 3, 3).
+        """
         hip, knee, ankle = leg.joints.astype(np.float64)
         sole = anatomy.mesh.vertices[leg.sole].mean(axis=0) - ankle
         way = rotations[:, leg.upper] @ (knee - hip) + rotations[:, leg.lower] @ (ankle - knee)
-        way = way + rotations[:, leg.end] @ sole
+        way = (rocks @ (way + rotations[:, leg.end] @ sole)[..., None])[..., 0]
         return np.unwrap(np.arctan2(way[:, 2], -way[:, 1]))
 
     def swing(self, angle: np.ndarray) -> float:
@@ -116,16 +132,19 @@ class Swings(Stage):
         return out
 
     def _goes_on(self, angles: list[np.ndarray], fps: float) -> bool:
-        """Whether both legs go to and fro with one cycle."""
+        """Whether both legs go to and fro: with one cycle, or at any pace, one ahead while the other is behind."""
+        away = [angle - angle.mean() for angle in angles]
+        apart, size = away[0] - away[1], float(np.sqrt((away[0] @ away[0]) * (away[1] @ away[1])))
+        if away[0] @ away[1] < -self.turns * size and np.count_nonzero(np.diff(np.sign(apart))) >= self.crossings:
+            return True
         count = len(angles[0])
         first, last = round(self.shortest * fps), min(round(self.longest * fps), (2 * count) // 3)
         if last <= first + 1:
             return False
         alike = np.full((2, last + 1), -1.0)
-        for row, angle in enumerate(angles):
-            away = angle - angle.mean()
+        for row, own in enumerate(away):
             for lag in range(first, last + 1):
-                one, other = away[:-lag], away[lag:]
+                one, other = own[:-lag], own[lag:]
                 alike[row, lag] = (one @ other) / max(float(np.sqrt((one @ one) * (other @ other))), 1e-12)
         return bool(alike.min(axis=0).max() > self.alike)
 
