@@ -7,7 +7,7 @@ the encoded captions. The same command goes on where a run stopped.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -18,12 +18,12 @@ from bunraku.diffusion.extractor_config import ExtractorConfig
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TextEncoder
-from bunraku_lab.nn.diffusion.matching import Extractor, save_extractor
+from bunraku_lab.nn.diffusion.matching import Extractor, load_extractor, save_extractor
 from bunraku_lab.training.diffusion.text_bank import TextBank
 from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
 from bunraku_lab.training.runs.settings import StepSettings
 
-__all__ = ["MatchingRun", "MatchingTrainConfig", "captions_of", "for_encoder"]
+__all__ = ["MatchingRun", "MatchingTrainConfig", "captions_of", "for_encoder", "start_from"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,11 +32,13 @@ class MatchingTrainConfig(StepSettings):
 
     Args:
         data: Folder that `bunraku data motions` wrote.
+        start: Weights to start a new run from, of the same network, whose units it keeps.
         device: Where to train.
         bf16: Compute in bfloat16 where torch says it is safe and the device has it in hardware.
     """
 
     data: Path = Path("runs/data/motions")
+    start: Path | None = None
     out: Path = Path("runs/matching")
     minutes: float = 25.0
     steps: int = 3000
@@ -90,11 +92,13 @@ class MatchingRun(AveragedRun[Extractor]):
     ):
         self.config, self.bank, self.clip_count, self.kind = config, bank, clips, kind
 
-        def units(model: Extractor) -> None:
+        def begin(model: Extractor) -> None:
+            if config.start is not None:
+                return start_from(config.start, model, kind)
             model.mean.copy_(torch.from_numpy(statistics.mean))
             model.std.copy_(torch.from_numpy(statistics.std))
 
-        self.set_up(lambda: Extractor(network).to(config.device), units, betas=(0.9, 0.98))
+        self.set_up(lambda: Extractor(network).to(config.device), begin, betas=(0.9, 0.98))
 
     def train_step(self) -> dict[str, float]:
         """One step; a run that goes on draws the same dropout."""
@@ -109,6 +113,28 @@ class MatchingRun(AveragedRun[Extractor]):
         """Write the checkpoint."""
         notes = {"steps": self.step, "minutes": round(self.seconds / 60, 1), "clips": self.clip_count}
         return save_extractor(self.checkpoint, self.average, notes | note["results"], self.kind)
+
+
+def start_from(path: Path, model: Extractor, kind: str) -> None:
+    """Give a new network the weights and the units of a checkpoint.
+
+    Args:
+        path: The checkpoint.
+        model: The new network.
+        kind: Of the checkpoint.
+
+    Raises:
+        OptionError: The checkpoint is of another network.
+        WeightsError: It is missing, damaged or of another kind.
+    """
+    old = load_extractor(path, kind=kind)
+    other = [name for name, value in asdict(model.config).items() if getattr(old.config, name) != value]
+    if other:
+        raise OptionError(
+            f"{path}: a run cannot start from this network, whose {', '.join(other)} differ; give the settings that it "
+            "was trained with"
+        )
+    model.load_state_dict(old.state_dict())
 
 
 def captions_of(

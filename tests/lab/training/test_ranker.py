@@ -81,3 +81,22 @@ def test_a_run_that_was_stopped_comes_to_the_same_weights(swings, encoder, tmp_p
     for kind in ("model", "average"):
         for name, value in states[0].models[kind].items():
             assert torch.equal(value, states[1].models[kind][name]), name
+
+
+def test_a_run_goes_on_from_the_weights_of_another_in_their_units(swings, encoder, tmp_path):
+    def run(name, **changes):
+        settings = {"minutes": 0, "batch": 8, "warmup": 0, "bf16": False, "network": TINY, **changes}
+        return train_ranker(RankerTrainConfig(data=swings, out=tmp_path / name, **settings), None, encoder)
+
+    first = run("first", steps=40, rate=3e-3)
+    on = run("on", steps=1, rate=1e-9, start=first, seed=1)
+    before, after = (load_extractor(path, kind=RANKER) for path in (first, on))
+    assert after.notes["steps"] == 1
+    motion, lengths = np.random.default_rng(0).normal(size=(2, 60, 271)).astype(np.float32), np.array([60, 40])
+    assert np.allclose(after.motion(motion, lengths), before.motion(motion, lengths), atol=0.05)  # half precision
+    afresh = load_extractor(run("afresh", steps=1, rate=1e-9, seed=1), kind=RANKER)
+    assert not np.allclose(afresh.motion(motion, lengths), before.motion(motion, lengths), atol=1)
+    with pytest.raises(OptionError, match="whose width differ"):
+        run("other", steps=1, start=first, network=replace(TINY, width=24))
+    with pytest.raises(WeightsError):
+        run("none", steps=1, start=tmp_path / "none.safetensors")
