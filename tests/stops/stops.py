@@ -186,10 +186,38 @@ KILLED = (
         ),
         ("motions", "bank", "weights"),
     ),
+    Command(
+        "train nbs",
+        (
+            "train", "nbs", "--data", "IN/apparel", "--out", "OUT/run", "--minutes", "0", "--steps", "5",
+            "--validate-every", "2", "--vertices", "200", "--frames", "4", "--poses", "2", "--network.skinning", "4",
+        ),
+        ("apparel",),
+    ),
+    Command(
+        "train transfer-baseline",
+        (
+            "train", "transfer-baseline", "--preset", "spt", "--apparel", "IN/apparel", "--out", "OUT/run", "--minutes",
+            "0", "--steps", "5", "--validate-every", "2", "--most", "2", "--poses", "4", "--vertices", "200",
+            "--network.levels", "4", "--network.code", "4",
+        ),
+        ("apparel",),
+    ),
 )  # fmt: skip
 """All that may run for long, on inputs with which they take seconds."""
+DRAWN_ANEW = Command(
+    "train few-steps",
+    (
+        "train", "few-steps", "--diffusion", "IN/weights/diffusion.safetensors", "--data", "IN/motions", "--out",
+        "OUT", "--minutes", "0", "--steps", "5", "--batch", "2", "--validate-every", "2", "--no-critic", "--rank", "2",
+        "--rows", "2", "--kept", "64",
+    ),
+    ("motions", "weights"),
+)  # fmt: skip
+"""A training that goes on with the network but with lessons that are drawn anew: gigabytes would have to be kept."""
 _LIVE = (
     *KILLED,
+    DRAWN_ANEW,
     Command("animate", ("animate", "IN/person.glb", "a person walks", "-o", "OUT/a.glb"), ("person",)),
     Command("rig", ("rig", "IN/person.glb", "-o", "OUT/r.glb"), ("person",)),
     Command("edit", ("edit", "IN/one.npz", "waves", "--keep", "legs", "-o", "OUT/e.npz"), ("clips",)),

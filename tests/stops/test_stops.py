@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from stops import INTERRUPTED, KILLED, Command, Killer, contents, interrupt, make_inputs
+from stops import DRAWN_ANEW, INTERRUPTED, KILLED, Command, Killer, contents, interrupt, make_inputs
 
 from bunraku.cli.app import all_verbs
 from bunraku.nn.checkpoints import save_checkpoint
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="ne
 def test_every_command_is_interrupted_and_every_writer_is_killed():
     for verb in all_verbs():
         assert any(command.words[: len(verb)] == verb for command in INTERRUPTED), verb
-    killed = {command.words[:2] for command in KILLED}
+    killed = {command.words[:2] for command in (*KILLED, DRAWN_ANEW)}
     assert {words[0] for words in killed} >= {"samples", "animate", "transfer"}
     assert killed >= {verb for verb in all_verbs() if verb[0] in ("data", "train")}
 
