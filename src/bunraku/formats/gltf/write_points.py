@@ -281,7 +281,8 @@ def _add_targets(builder: GltfBuilder, moved: PointAnimation, moving: np.ndarray
         names = mesh.get("extras", {}).get("targetNames") if isinstance(mesh.get("extras"), dict) else None
         if isinstance(names, list) and len(names) == older:  # programs pass over lists of another length
             mesh["extras"]["targetNames"] = [*names, *(f"move_{shape}" for shape in range(len(found.shapes)))]
-        mesh["weights"] = [*mesh.get("weights", [0.0] * older), *found.weights[0].tolist()]
+        # at rest none of them is there, so what is read back without its clip is the character as it was
+        mesh["weights"] = [*mesh.get("weights", [0.0] * older), *([0.0] * len(found.shapes))]
         weights = np.tile(np.array(mesh["weights"], np.float32), (len(found.frames), 1))
         weights[:, older:] = found.weights
         clip["channels"].append({"sampler": len(clip["samplers"]), "target": {"node": node, "path": "weights"}})
