@@ -7,6 +7,7 @@ import trimesh
 from bunraku.apparel.body_depth import BAND, CELL, Unposed, body_depth
 from bunraku.body.layout import JOINT_COUNT
 from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.geometry.winding import winding_numbers
 
 RADIUS = 0.3
 
@@ -78,3 +79,19 @@ def test_a_body_is_measured_once_and_another_anew(ball):
     assert body_depth(vertices.copy(), np.asarray(mesh.faces), weights, none) is first
     larger = body_depth(vertices * np.float32(1.1), np.asarray(mesh.faces), weights, none)
     assert larger.values.shape != first.values.shape or not np.array_equal(larger.values, first.values)
+
+
+def test_a_body_with_a_hole_is_closed_in_the_middle_of_it():
+    """A ball without a cap, whose inside is told from its outside by winding numbers at every point of the grid."""
+    mesh = trimesh.creation.icosphere(4, RADIUS)
+    vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces)
+    faces = faces[(vertices[faces][:, :, 1] < 0.8 * RADIUS).all(axis=1)]
+    weights = np.zeros((len(vertices), JOINT_COUNT), np.float32)
+    weights[:, 0] = 1
+    grid = body_depth(vertices, faces, weights, np.zeros(len(vertices), bool))
+    shape = np.array(grid.values.shape)
+    points = grid.low + grid.cell * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
+    near = np.abs(grid.values) < BAND - CELL
+    inside = np.abs(winding_numbers(points[near].astype(np.float64), vertices, faces)) > 0.5
+    assert inside.any() and not inside.all()
+    assert np.mean((grid.values[near] < 0) == inside) > 0.9995

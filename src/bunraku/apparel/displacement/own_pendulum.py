@@ -24,31 +24,43 @@ class OwnPendulum:
         positions: Of the carried nodes in the first frame [m], shape (M, 3).
         turns: Frames of the carrying joints, shape (M, 3, 3).
         fps: Frames a second [1/s].
+        ease: Factor on the friction against what carries them, shape (M,) or one for all.
+        calm: Further such friction [1/s], likewise.
+
+    Attributes:
+        bent: How far each turns about its axes [rad], shape (3, M).
+        beyond: How much farther it would turn without limits [rad], shape (M,).
     """
 
-    def __init__(self, swing: Swing, positions: np.ndarray, turns: np.ndarray, fps: float = 30.0):
-        self.swing, self.step = swing, 1 / (fps * SUBSTEPS)
+    def __init__(
+        self, swing: Swing, positions: np.ndarray, turns: np.ndarray, fps: float = 30.0,
+        ease: np.ndarray | float = 1.0, calm: np.ndarray | float = 0.0,
+    ):  # fmt: skip
+        self.step = 1 / (fps * SUBSTEPS)
+        # a column for each node, so that a step is a few long operations
         self.axes = np.asarray(swing.axes, np.float64)
-        self.arm = np.einsum("mba,mb->ma", self.axes, swing.arm)
-        self.length = np.maximum(np.linalg.norm(self.arm, axis=1), SHORT)[:, None]
-        self.arm = self.arm / np.maximum(np.linalg.norm(self.arm, axis=1), 1e-9)[:, None]
-        fall = GRAVITY * swing.weight.astype(np.float64)[:, None] / self.length
-        self.spring = np.minimum(np.asarray(swing.spring, np.float64), STIFFEST)
-        self.gravity = np.array([0, -GRAVITY, 0]) * swing.weight[:, None]
-        least = 2 * LEAST_RATIO * np.sqrt(self.spring.mean(axis=1, keepdims=True) + fall)
-        self.friction, self.drag = np.maximum(swing.friction[:, None], least), swing.drag[:, None]
-        self.bent = np.zeros((len(positions), 3))  # how far it turns about its axes [rad]
+        arm = np.einsum("mba,mb->am", self.axes, swing.arm)
+        length = np.linalg.norm(arm, axis=0)
+        self.arm, self.length = arm / np.maximum(length, 1e-9), np.maximum(length, SHORT)
+        self.lever = np.einsum("mba,mb->am", self.axes, swing.lever)
+        self.away, self.share = np.asarray(swing.away, np.float64), np.asarray(swing.share, np.float64)
+        weight = np.asarray(swing.weight, np.float64)
+        fall = GRAVITY * weight / self.length
+        self.spring = np.minimum(np.asarray(swing.spring, np.float64), STIFFEST).T
+        self.lower, self.upper = np.asarray(swing.lower, np.float64).T, np.asarray(swing.upper, np.float64).T
+        self.gravity = np.array([0, -GRAVITY, 0])[:, None] * weight
+        least = 2 * LEAST_RATIO * np.sqrt(self.spring.mean(axis=0) + fall)
+        self.friction = np.maximum(ease * swing.friction, least) + calm
+        self.drag = np.asarray(swing.drag, np.float64)
+        self.bent, self.beyond = np.zeros((3, len(positions))), np.zeros(len(positions))
         self.frames, self.pivots = self._hung(positions, turns)
-        self.points = self.pivots + self._out(self.frames, self.arm * self.length)
+        self.points = self.pivots + _out(self.frames, self.arm * self.length)
         self.speed = np.zeros_like(self.points)
 
     def _hung(self, positions: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        frames = np.matmul(turns, self.axes)
-        return frames, positions - self._out(turns, self.swing.away)
-
-    @staticmethod
-    def _out(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        return np.asarray(np.matmul(frames, vectors[..., None])[..., 0])
+        frames = np.matmul(turns, self.axes).transpose(1, 2, 0)
+        away = np.matmul(turns, self.away[..., None])[..., 0]
+        return np.ascontiguousarray(frames), np.ascontiguousarray((positions - away).T)
 
     def advance(self, positions: np.ndarray, turns: np.ndarray) -> np.ndarray:
         """Go on by a frame: how far each node is from where it is carried, in the world [m], shape (M, 3).
@@ -58,41 +70,51 @@ class OwnPendulum:
             turns: Frames of the carrying joints, shape (M, 3, 3).
         """
         frames, pivots = self._hung(positions, turns)
-        for number in range(1, SUBSTEPS + 1):
-            share = number / SUBSTEPS
-            frame = self.frames + share * (frames - self.frames)
-            pivot = self.pivots + share * (pivots - self.pivots)
-            held = (pivots - self.pivots) / (self.step * SUBSTEPS)
-            held = held + self._out(frames - self.frames, self.arm * self.length) / (self.step * SUBSTEPS)
-            pull = np.cross(self._out(frame, -self.spring * self.bent), self.points - pivot)
+        frame_change, pivot_change = (frames - self.frames) / SUBSTEPS, (pivots - self.pivots) / SUBSTEPS
+        held = (pivot_change + _out(frame_change, self.arm * self.length)) / self.step
+        frame, pivot = self.frames, self.pivots
+        for _ in range(SUBSTEPS):
+            frame, pivot = frame + frame_change, pivot + pivot_change
+            pull = _cross(_out(frame, -self.spring * self.bent), self.points - pivot)
             force = self.gravity + pull - self.friction * (self.speed - held) - self.drag * self.speed
-            self.speed += self.step * force
-            away = self.points + self.step * self.speed - pivot
+            away = self.points + self.step * (self.speed + self.step * force) - pivot
             # the least turn from where it is carried to where it would be, within its limits
-            seen = np.matmul(frame.transpose(0, 2, 1), away[..., None])[..., 0]
-            self.bent = np.clip(_turn(self.arm, seen), self.swing.lower, self.swing.upper)
-            there = pivot + self._out(frame, _turned(self.bent, self.arm) * self.length)
+            turn = _turn(self.arm, (frame * away[:, None]).sum(axis=0))
+            self.bent = np.minimum(np.maximum(turn, self.lower), self.upper)
+            there = pivot + _out(frame, _turned(self.bent, self.arm) * self.length)
             self.speed = (there - self.points) / self.step
             self.points = there
+        self.beyond = _length(turn) - _length(self.bent)
         self.frames, self.pivots = frames, pivots
-        lever = np.einsum("mba,mb->ma", self.axes, self.swing.lever)
-        moved = self.swing.share[:, None] * (_turned(self.bent, lever) - lever)
-        return self._out(frames, moved)
+        return np.ascontiguousarray(_out(frames, self.share * (_turned(self.bent, self.lever) - self.lever)).T)
+
+
+def _out(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Vectors of frames in the world, shapes (3, 3, M) and (3, M)."""
+    return np.asarray((frames * vectors).sum(axis=1))
+
+
+def _length(vectors: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.einsum("am,am->m", vectors, vectors))
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Rotation vectors of the least turns from unit vectors to the directions of others, shape (M, 3)."""
-    axis = np.cross(start, end)
-    sine = np.sqrt(np.einsum("ma,ma->m", axis, axis))
-    angle = np.arctan2(sine, np.einsum("ma,ma->m", start, end))
-    return np.asarray(axis * (angle / np.maximum(sine, 1e-12))[:, None])
+    """Rotation vectors of the least turns from unit vectors to the directions of others, shape (3, M)."""
+    axis = _cross(start, end)
+    sine = _length(axis)
+    angle = np.arctan2(sine, np.einsum("am,am->m", start, end))
+    return np.asarray(axis * (angle / np.maximum(sine, 1e-12)))
 
 
 def _turned(turn: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Vectors turned by rotation vectors, shapes (M, 3)."""
-    square = np.einsum("ma,ma->m", turn, turn)
+    """Vectors turned by rotation vectors, shapes (3, M)."""
+    square = np.einsum("am,am->m", turn, turn)
     angle = np.sqrt(square)
-    sine = np.where(angle > 1e-6, np.sin(angle) / np.maximum(angle, 1e-9), 1.0)[:, None]
-    cosine = np.where(angle > 1e-4, (1 - np.cos(angle)) / np.maximum(square, 1e-12), 0.5)[:, None]
-    once = np.cross(turn, vectors)
-    return np.asarray(vectors + sine * once + cosine * np.cross(turn, once))
+    sine = np.where(angle > 1e-6, np.sin(angle) / np.maximum(angle, 1e-9), 1.0)
+    cosine = np.where(angle > 1e-4, (1 - np.cos(angle)) / np.maximum(square, 1e-12), 0.5)
+    once = _cross(turn, vectors)
+    return np.asarray(vectors + sine * once + cosine * _cross(turn, once))

@@ -20,8 +20,12 @@ __all__ = ["Chains", "Hang", "add_chains", "band_start"]
 _DEGREE = np.pi / 180
 SPRING = 1 / 0.08**2
 """Stiffness in a file for each N m / rad: MMD's forces are in kg unit / s^2 and its unit is 8 cm."""
-HELD = 0.65  # share of the pieces that narrow limits hold in shape
-SPRINGLESS_HELD, SPRINGLESS = 0.6, 0.25  # share of those, and of the others, without springs
+HELD = 0.6  # share of the pieces that narrow limits hold in shape
+WIDER = 0.35  # log10 of how much wider the limits of the others are at the most
+SPRINGLESS_HELD, SPRINGLESS = 0.6, 0.35  # share of those, and of the others, without springs
+STIFFER = 2.0  # log10 of the most that a spring is stiffer
+LOSSES = (-1.0, 0.85)  # log10 of what damping leaves of the speed in a second, over the usual, from and to
+WIDEST = 170.0  # limit [degrees]
 LOCKED = 0.25  # share of the pieces so held, of several links, whose first one does not turn
 
 
@@ -157,16 +161,16 @@ def _piece_random(costume: Costume, name: str) -> np.random.Generator:
 
 
 def _varied(hang: Hang, random: np.random.Generator) -> Hang:
-    """The same with a spring somewhere in two decades, or none, another mass and damping, and limits that hold it in
-    shape or do not: what holds most hair of real files are limits of 10 to 35 degrees without springs, and some of it
-    hangs on a first joint that is locked.
+    """The same with a spring somewhere in nearly three decades, or none, another mass and damping, and limits that hold
+    it in shape or do not: what holds most hair of real files are limits of 10 to 35 degrees without springs, and some
+    of it hangs on a first joint that is locked. Damping of files is from 0.4 to 0.99.
     """
-    stiff, heavy, loss = 10 ** random.uniform([-0.7, -0.15, -0.4], [1.3, 0.15, 0.3])
+    stiff, heavy, loss = 10 ** random.uniform([-0.7, -0.15, LOSSES[0]], [STIFFER, 0.15, LOSSES[1]])
     held = random.random() < HELD
-    hold = float(10 ** random.uniform(-0.8, -0.1)) if held else 1.0
+    hold = float(10 ** random.uniform(*((-0.8, -0.1) if held else (0.0, WIDER))))
     stiff *= random.random() >= (SPRINGLESS_HELD if held else SPRINGLESS)
     locked = held and random.random() < LOCKED
-    angles = {name: getattr(hang, name) * hold for name in ("out", "inward", "side")}
+    angles = {name: min(getattr(hang, name) * hold, WIDEST) for name in ("out", "inward", "side")}
     damping = tuple(float(np.clip(1 - (1 - value) * loss, 0.05, 0.997)) for value in hang.damping)
     return replace(
         hang,
