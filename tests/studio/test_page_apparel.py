@@ -42,10 +42,10 @@ def test_hair_and_clothes_are_painted_and_swing(dancer):
 
     page.page.select_option("#brush", "remove")  # a stroke over the skirt, and one by a key in the middle of the view
     box = page.page.locator(".stage canvas").bounding_box()
-    x, y = box["x"] + box["width"] * 0.455, box["y"] + box["height"] * 0.62
+    x, y = box["x"] + box["width"] * 0.41, box["y"] + box["height"] * 0.62
     page.page.mouse.move(x, y)
     page.page.mouse.down()
-    page.page.mouse.move(x + 30, y + 8, steps=3)
+    page.page.mouse.move(x + 0.2 * box["width"], y + 8, steps=6)
     page.page.mouse.up()
     page.until(f"studio.character.value.painted && {LEGEND} !== '{before}'")
     page.page.keyboard.press("Control+z")
