@@ -122,10 +122,12 @@ def test_what_is_chosen_has_a_row_of_its_own(folder, tmp_path):
     assert result["r_precision_1_over_real_chosen"] == pytest.approx(
         rows["tapmo_chosen"]["r_precision_1"]["mean"] / rows["real"]["r_precision_1"]["mean"]
     )
+    equal = folder / "tapmo.safetensors"  # weights after as many steps have a row of their own
     other = evaluate_motion(
-        replace(settings(folder, tmp_path), best_of=2, mdm=None, classifier_guidance=False, examples=False)
+        replace(settings(folder, tmp_path), best_of=2, mdm=None, equal=equal, classifier_guidance=False, examples=False)
     )["rows"]
-    assert set(other) == {"real", "tapmo", "tapmo_chosen"}
+    assert set(other) == {"real", "tapmo", "tapmo_equal", "tapmo_chosen"}
+    assert other["tapmo_equal"] == other["tapmo"]
     assert other["tapmo_chosen"]["fid"]["mean"] != rows["tapmo_chosen"]["fid"]["mean"]
 
 

@@ -39,6 +39,8 @@ class EvaluateTables(Printed):
     """Folder that `bunraku data apparel` wrote; with --quick some clips are simulated without it."""
     mdm: Path | None = None
     """Weights of the encoder-only network, "TapMo (MDM)"."""
+    equal: Path | None = None
+    """Weights of ours after as many steps as those of --mdm, for a row of TapMo's table 1."""
     bodies: tuple[Path, ...] = ()
     """Body networks of MMDMC's table 4. Default: the shipped one, and those of --baselines."""
     baselines: Path | None = None
@@ -54,7 +56,7 @@ class EvaluateTables(Printed):
     """Of everything random."""
 
     def run(self) -> None:
-        for path in (*self.bodies, *([self.mdm] if self.mdm is not None else [])):
+        for path in (*self.bodies, *(path for path in (self.mdm, self.equal) if path is not None)):
             check_input(path)
         check_source(self.data, "name the folder that `bunraku data motions` wrote")
         check_source(self.characters, "name a folder of rigged characters")
@@ -65,7 +67,7 @@ class EvaluateTables(Printed):
         from bunraku_lab.evaluation.tables.measured import TablesConfig, measure_tables
 
         config = TablesConfig(
-            self.paper, self.table, self.data, self.characters, self.apparel, self.mdm, self.bodies,
+            self.paper, self.table, self.data, self.characters, self.apparel, self.mdm, self.equal, self.bodies,
             self.baselines, self.work, self.quick, self.pool,
             self.seed,
         )  # fmt: skip

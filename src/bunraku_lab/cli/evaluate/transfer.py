@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from bunraku.cli.output.checks import check_range
+from bunraku.cli.output.checks import check_output, check_range
 from bunraku.cli.output.progress import stages
 from bunraku.errors import FormatError
 from bunraku.nn.spread import parse_jobs
@@ -35,6 +35,10 @@ class EvaluateTransfer(Printed):
     """Folder of MMD models and VMD files with leg IK, for the rows of soles; left out without it."""
     work: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Where rows of characters are kept, so that the same command goes on where it was stopped."""
+    results: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Another method's results, an animated file for each row of what --pairs-to writes, named by its column file."""
+    pairs_to: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """Write the pairs of character and motion for another method (.csv), and measure nothing."""
     no_speed: bool = False
     """Leave out the times, which say little on a busy machine."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
@@ -42,15 +46,20 @@ class EvaluateTransfer(Printed):
 
     def run(self) -> None:
         check_range("--limit", self.limit, 1, 100_000)
-        for folder in (self.characters, self.motions, self.mmd):
+        for folder in (self.characters, self.motions, self.mmd, self.results):
             if folder is not None and not folder.is_dir():
                 raise FormatError(folder, "there is no such folder")
+        if self.pairs_to is not None:
+            check_output(self.pairs_to, [".csv"])
         jobs = parse_jobs(self.jobs)
-        from bunraku_lab.evaluation.transfer.table import evaluate_transfer
+        from bunraku_lab.evaluation.transfer.table import evaluate_transfer, write_transfer_pairs
 
+        if self.pairs_to is not None:
+            print(f"wrote {write_transfer_pairs(self.pairs_to, self.characters, self.motions, self.limit)}")
+            return
         with stages() as report:
             how: dict[str, Any] = {"mmd": self.mmd, "limit": self.limit, "work": self.work, "speed": not self.no_speed}
-            how["jobs"] = jobs
+            how |= {"jobs": jobs, "results": self.results}
             result = evaluate_transfer(self.characters, self.motions, progress=report, **how)
         self.show(result, _report)
 

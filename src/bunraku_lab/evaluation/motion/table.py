@@ -55,6 +55,7 @@ class MotionEvalConfig:
         characters: Folder of rigged characters, for the ARAP-Loss and the creatures; None leaves these out.
         checkpoint: Weights of the denoiser; None takes the shipped ones.
         mdm: Weights of the encoder-only denoiser, "TapMo (MDM)"; None leaves its row out.
+        equal: Weights of ours after as many steps as those; None leaves their row out.
         motions: Folder of another method's motions of the windows' sentences (`others`); None leaves their row out.
         extractor: Weights of the feature extractor; None takes the shipped ones.
         work: Folder in which generated motions are kept.
@@ -81,6 +82,7 @@ class MotionEvalConfig:
     characters: Path | None = None
     checkpoint: Path | None = None
     mdm: Path | None = None
+    equal: Path | None = None
     motions: Path | None = None
     extractor: Path | None = None
     work: Path = Path("runs/evaluation")
@@ -227,6 +229,8 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     models = {"tapmo": config.checkpoint or shipped_checkpoint("diffusion")}
     if config.mdm is not None:
         models["tapmo_mdm"] = config.mdm
+    if config.equal is not None:
+        models["tapmo_equal"] = config.equal
     loaded = {name: load_generator(path) for name, path in models.items()}
     clips, windows = table_windows(config, report)
     elsewhere = draw_windows(clips, config.references, np.random.default_rng([config.seed, 12]))

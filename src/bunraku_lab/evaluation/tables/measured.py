@@ -22,7 +22,7 @@ from bunraku_lab.evaluation.tables.paper_table import (
     half_interval,
     measured_table,
 )
-from bunraku_lab.evaluation.tables.tapmo import TAPMO
+from bunraku_lab.evaluation.tables.tapmo import EQUAL, TAPMO
 
 __all__ = ["PAPERS", "TablesConfig", "measure_tables"]
 
@@ -34,7 +34,8 @@ _MEASURES = {
     "Diversity": "diversity", "MModality": "multimodality",
 }  # fmt: skip
 _MOTION_ROWS = {
-    "real": "real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "ours, one sample", "tapmo_chosen": "ours, as animate chooses",
+    "real": "real", "tapmo_mdm": "TapMo (MDM)", "tapmo_equal": EQUAL, "tapmo": "ours, one sample",
+    "tapmo_chosen": "ours, as animate chooses",
 }  # fmt: skip
 _OURS = {"with joint refinement": OURS, "body module": "our skinning alone"}
 TRANSFER = "sfpt.safetensors"
@@ -73,6 +74,7 @@ class TablesConfig:
         characters: Folder of rigged characters.
         apparel: Folder that `bunraku data apparel` wrote; a quick measurement without it simulates some clips.
         mdm: Weights of the encoder-only network.
+        equal: Weights of ours after as many steps as the encoder-only network's, on the same data.
         bodies: Body networks of MMDMC's table 4.
         baselines: Folder of the other methods' weights: those of `rivals.FILES`, "sfpt.safetensors" for MDM-SFR, the
             last layers of `ADAPTERS`, and those of `BODIES`.
@@ -88,6 +90,7 @@ class TablesConfig:
     characters: Path | None = None
     apparel: Path | None = None
     mdm: Path | None = None
+    equal: Path | None = None
     bodies: tuple[Path, ...] = ()
     baselines: Path | None = None
     work: Path = Path("runs/tables")
@@ -171,7 +174,7 @@ def _motion_group(config: TablesConfig, report: Report) -> Group:
         from bunraku_lab.evaluation.motion.table import MotionEvalConfig, evaluate_motion
 
         settings: dict[str, Any] = {**sizes, "seed": config.seed, "best_of": 3, "work": config.work / "motions"}
-        result = evaluate_motion(MotionEvalConfig(data=data, mdm=mdm, **settings), report)
+        result = evaluate_motion(MotionEvalConfig(data=data, mdm=mdm, equal=config.equal, **settings), report)
         found = result["rows"]
         rows = {title: _over_runs(found[name]) for name, title in _MOTION_ROWS.items() if name in found}
         return rows | {"counts": {key: result["counts"][key] for key in ("windows", "runs")}}
@@ -179,7 +182,8 @@ def _motion_group(config: TablesConfig, report: Report) -> Group:
     sizes = QUICK_MOTIONS if config.quick else MOTIONS
     if config.pool is not None:
         sizes = {**sizes, "pool": config.pool, "clips": max(2, round(config.pool * sizes["clips"] / sizes["pool"]))}
-    return Group("motion", run, {**_seen(config, *_NETWORKS), **sizes, "mdm": mdm, "data": data / "index.json"})
+    given = {"mdm": mdm, "data": data / "index.json"} | ({} if config.equal is None else {"equal": config.equal})
+    return Group("motion", run, {**_seen(config, *_NETWORKS), **sizes, **given})
 
 
 def _over_runs(row: dict[str, dict[str, float]]) -> dict[str, float]:

@@ -25,7 +25,7 @@ from bunraku.geometry.axes import AXES, axis_vector, upright_rotation
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts
 
-__all__ = ["Source", "carried_heads", "facing_character", "limb_angles", "measure_character"]
+__all__ = ["Source", "carried_heads", "facing_character", "limb_angles", "measure_character", "named_front"]
 
 SECONDS = 8.0  # of each motion
 STRIDE = 4  # frames from one that is measured to the next
@@ -62,11 +62,11 @@ def facing_character(path: Path, name: str) -> Character:
     from bunraku.io import load_character
 
     character = load_character(path)
-    return turned(character, "+y", _front(character, name))
+    return turned(character, "+y", named_front(character, name))
 
 
-def _front(character: Character, name: str) -> str:
-    """The axis that a character faces."""
+def named_front(character: Character, name: str) -> str:
+    """The axis that a character faces, by what is known of the archive's rigs."""
     from bunraku_lab.datasets.characters.known_rigs import facing_turn
 
     if character.rig is None:
@@ -170,7 +170,7 @@ def _there_and_back(path: Path, character: Character, name: str) -> _Back:
         copied = same_skeleton(clip.character, clip)
     except BunrakuError:
         return {}
-    turn = upright_rotation("+y", _front(clip.character, name))
+    turn = upright_rotation("+y", named_front(clip.character, name))
     out: _Back = {"back": float(np.linalg.norm(back.vertices() - truth @ turn.T, axis=-1).mean() / height)}
     if copied is not None:
         out["back_copied"] = float(np.linalg.norm(copied.vertices() - truth, axis=-1).mean() / height)

@@ -17,9 +17,10 @@ from bunraku_lab.evaluation.report import Bar, reached_bars
 from bunraku_lab.evaluation.transfer.character import CharacterRow, Source, facing_character, measure_character
 from bunraku_lab.evaluation.transfer.mmd import measure_soles
 from bunraku_lab.evaluation.transfer.quadrupeds import measure_quadrupeds
+from bunraku_lab.evaluation.transfer.results import SUFFIXES, measure_results, pairs_of, write_pairs
 from bunraku_lab.evaluation.transfer.speed import MANY, bvh_again, times
 
-__all__ = ["BARS", "KINDS", "evaluate_transfer", "pick_motions"]
+__all__ = ["BARS", "KINDS", "evaluate_transfer", "pick_motions", "write_transfer_pairs"]
 
 KINDS = ("walk", "dance", "kick", "sit", "roll")
 Progress = Callable[[str, float], None]
@@ -37,6 +38,9 @@ def _bar(title: str, unit: str, least: float | None = None, most: float | None =
 BARS: dict[str, Bar] = {
     "finished": _bar("pairs of character and motion that finished", "", least=1.0),
     "angle_rig": _bar("limb directions on rigs, mean", " deg", most=5.0),
+    "results": _bar("another method: pairs that came back and play", ""),
+    "angle_results": _bar("the same: limb directions on rigs, mean", " deg"),
+    "angle_rig_there": _bar("ours on the same characters", " deg"),
     "angle_handles": _bar("limb directions on handles, mean", " deg", most=8.0),
     "quadruped_limbs_degrees": _bar("captured animals on four-legged handles: limbs, mean", " deg", most=15.0),
     "quadruped_ground": _bar("the same: lowest point off the ground, over the height, mean", ""),
@@ -103,6 +107,7 @@ def evaluate_transfer(
     mmd: str | Path | None = None,
     limit: int | None = None,
     work: str | Path | None = None,
+    results: str | Path | None = None,
     speed: bool = True,
     jobs: int | str = 1,
     progress: Progress | None = None,
@@ -116,6 +121,7 @@ def evaluate_transfer(
         limit: How many characters to take, spread over all; all when None.
         work: Where what was measured of each character is kept, so that a second call goes on where the first was
             stopped.
+        results: Folder of another method's results (`results.measure_results`).
         speed: Whether to measure times too.
         jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
         progress: Called with a stage's name and the share done.
@@ -129,15 +135,9 @@ def evaluate_transfer(
     from bunraku.io.motions import load_motion
     from bunraku.pipelines.to_reference import reference_motion
 
-    folder = Path(characters).absolute() if jobs == "ray" else Path(characters)
-    files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in (".glb", ".gltf", ".vrm", ".fbx"))
-    if not files:
-        raise FormatError(folder, "it holds no .glb, .gltf, .vrm or .fbx character")
-    if limit is not None and limit < len(files):
-        files = [files[index] for index in np.linspace(0, len(files) - 1, limit).round().astype(int)]
-    picked = pick_motions(motions)
+    names = _names(Path(characters).absolute() if jobs == "ray" else Path(characters), limit)
+    files, picked = list(names), pick_motions(motions)
     sources = {kind: Source.of(reference_motion(load_motion(path))) for kind, path in picked.items()}
-    names = {path: path.relative_to(folder).with_suffix("").as_posix() for path in files}
     kept = _Kept(None if work is None else Path(work), picked)
     before = {path: kept.row(path, names[path]) for path in files}
     found_rows = {path: row for path, row in before.items() if row is not None}
@@ -164,6 +164,9 @@ def evaluate_transfer(
     result |= measure_quadrupeds({names[path]: path for path in files}, progress=progress)
     failed |= {f"{row['target']} as {row['source']}": row["failed"] for row in result["quadrupeds"] if "failed" in row}
     result |= measure_soles(mmd, failed)
+    result |= dict.fromkeys(("results", "angle_results", "angle_rig_there"))
+    if results is not None:
+        result |= measure_results(results, pairs_of(names, picked), sources, rows, failed, progress)
     if speed:
         humanoids = [
             (abs(row["vertices"] - MANY), path) for row, path in zip(rows, files, strict=True) if row.get("humanoid")
@@ -184,6 +187,31 @@ def evaluate_transfer(
         "failed": failed,
         "rows": rows,
     }
+
+
+def write_transfer_pairs(
+    path: str | Path, characters: str | Path, motions: str | Path, limit: int | None = None
+) -> Path:
+    """Write which pairs of character and motion another method is to make, and how each result is to be named.
+
+    Args:
+        path: The CSV.
+        characters, motions, limit: As `evaluate_transfer` takes them.
+
+    Raises:
+        FormatError: There is no character, a motion of some kind is missing, or the file cannot be written.
+    """
+    return write_pairs(path, pairs_of(_names(Path(characters), limit), pick_motions(motions)))
+
+
+def _names(folder: Path, limit: int | None) -> dict[Path, str]:
+    """The characters of a folder and their names, spread over all where there are more than `limit`."""
+    files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
+    if not files:
+        raise FormatError(folder, "it holds no .glb, .gltf, .vrm or .fbx character")
+    if limit is not None and limit < len(files):
+        files = [files[index] for index in np.linspace(0, len(files) - 1, limit).round().astype(int)]
+    return {path: path.relative_to(folder).with_suffix("").as_posix() for path in files}
 
 
 def _measured(sources: Mapping[str, Source], characters: list[tuple[Path, str]]) -> list[CharacterRow | str]:
