@@ -99,3 +99,9 @@ def test_sparsity_and_mirror():
     swap = torch.tensor(HANDLE_MIRROR)
     assert losses.mirror_loss(logits, logits[:, swap], swap).item() == pytest.approx(0, abs=1e-6)
     assert losses.mirror_loss(logits, logits, swap).item() > 0.01
+
+
+def test_feature_loss_by_hand():
+    before = torch.tensor([3.0, 4.0])
+    assert losses.feature_loss(before, before).item() == 0
+    assert losses.feature_loss(torch.tensor([3.0, 5.0]), before).item() == pytest.approx(1 / 25)

@@ -17,9 +17,11 @@ from bunraku_lab.datasets.characters.training_character import (
     plain_mesh,
 )
 from bunraku_lab.nn.handles.graph import mesh_graph
-from bunraku_lab.nn.handles.predictor import HandlePredictor, load_predictor
+from bunraku_lab.nn.handles.predictor import HandlePredictor, load_predictor, save_predictor
 from bunraku_lab.training.handles.mesh_feature_bank import write_mesh_bank
 from bunraku_lab.training.handles.train import HandleTrainConfig, HandleTrainer, train_handles, validate_handles
+from bunraku_lab.training.losses import handle_losses as losses
+from bunraku_lab.training.losses.handle_losses import LossConfig
 
 SMALL = PredictorConfig(levels=(8, 12, 16), hidden=(16, 16), anchors=12)
 
@@ -157,3 +159,24 @@ def test_mesh_bank_holds_each_character_and_its_variants(tmp_path):
     with torch.no_grad():
         np.testing.assert_allclose(features[0], model(graph).features.numpy(), atol=1e-5)
     assert np.abs(features[1] - features[0]).max() > 1e-4 and not list(tmp_path.glob(".*"))
+
+
+def test_a_run_that_goes_on_keeps_the_feature_where_it_is_told_to(tmp_path):
+    """The same steps with and without the loss: with it, f_phi of a mesh stays nearer to what it was."""
+    torch.manual_seed(0)
+    start = save_predictor(tmp_path / "start.safetensors", HandlePredictor(SMALL))
+    before = load_predictor(start)
+    mesh = plain_mesh(worm(), np.random.default_rng(0))
+    graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, SMALL.anchors)
+    moved = []
+    for weight in (0.0, 100.0):
+        config = HandleTrainConfig(
+            out=tmp_path / str(weight), minutes=0, epochs=12, batch=1, rate=3e-3, warmup=1, decay=0.0, predictor=SMALL,
+            start=start, loss=LossConfig(feature=weight, feature_rate=1.0),
+        )  # fmt: skip
+        trainer = HandleTrainer(config, [worm()], [])
+        for _ in range(12):
+            trainer.train_epoch()
+        with torch.no_grad():
+            moved.append(float(losses.feature_loss(trainer.model(graph).features, before(graph).features)))
+    assert 0 < moved[1] < 0.5 * moved[0]

@@ -21,6 +21,7 @@ __all__ = [
     "augment",
     "forward_kinematics",
     "handle_target",
+    "human_rest",
     "plain_mesh",
     "random_pose",
 ]
@@ -108,6 +109,7 @@ class AugmentConfig:
         poses: Poses of each example for the Pose Loss.
         pose_angle: Largest angle of a joint in those poses [rad].
         rest_rate: Share of the examples whose rest pose is changed.
+        fused_rest_rate: The same of fused forms, whose contacts tear in other poses.
         rest_angle: Largest angle of a joint in a changed rest pose [rad].
         stretch: Largest change of each axis' scale, as a factor.
         joint_scale: Largest change of the girth and size of single parts, as a factor.
@@ -117,6 +119,7 @@ class AugmentConfig:
     poses: int = 2
     pose_angle: float = 1.05
     rest_rate: float = 0.8
+    fused_rest_rate: float = 0.25
     rest_angle: float = 0.6
     stretch: float = 1.25
     joint_scale: float = 1.35
@@ -187,7 +190,7 @@ def _first_of(character: TrainingCharacter, handle: int) -> list[int]:
     return [int(j) for j in found if character.parents[j] < 0 or character.handles[character.parents[j]] != handle]
 
 
-def _human_rest(rng: np.random.Generator, character: TrainingCharacter, rotations: np.ndarray) -> None:
+def human_rest(rng: np.random.Generator, character: TrainingCharacter, rotations: np.ndarray) -> None:
     """Turn arms up or down and legs forward, for bodies that stand upright: T, A, arms down, sitting, crouching.
 
     Arms are turned to an elevation, whatever theirs is now: half of the time to any, else to one between A and arms
@@ -278,10 +281,10 @@ def augment(
     vertices, normals, joints, root = (
         np.asarray(values, np.float64) for values in (c.vertices, c.normals, c.joints, c.root)
     )
-    if rng.random() < config.rest_rate:
+    if rng.random() < (config.fused_rest_rate if "~fused" in c.name else config.rest_rate):
         rotations = random_pose(rng, c, config.rest_angle * rng.random(), share=0.4)
         if rng.random() < 0.6:
-            _human_rest(rng, c, rotations)
+            human_rest(rng, c, rotations)
         scales = np.exp(rng.uniform(-1, 1, len(joints)) * np.log(config.joint_scale) * rng.random())
         transforms = forward_kinematics(joints, c.parents, rotations, scales)
         moved = skin(vertices, c.weights, transforms[None])[0].astype(np.float64)

@@ -26,7 +26,7 @@ from bunraku_lab.datasets.characters.training_character import (
 )
 from bunraku_lab.nn.checkpoints import TrainingState
 from bunraku_lab.nn.handles.graph import MeshGraph, mesh_graph
-from bunraku_lab.nn.handles.predictor import HandlePredictor, grow_predictor, save_predictor
+from bunraku_lab.nn.handles.predictor import HandlePredictor, grow_predictor, load_predictor, save_predictor
 from bunraku_lab.training.handles.mesh_augmentation import MeshAugmentation, augment_mesh
 from bunraku_lab.training.handles.mesh_feature_bank import write_mesh_bank
 from bunraku_lab.training.losses import handle_losses as losses
@@ -73,7 +73,7 @@ class HandleTrainConfig(TrainingSettings):
 
 _COLUMNS = (
     "epoch", "step", "seconds", "rate", "total", "semantic", "skinning", "pose", "root", "sparsity", "smoothness",
-    "mirror", "held_accuracy", "held_purity", "held_root", "held_pose", "varied_accuracy", "varied_purity",
+    "mirror", "feature", "held_accuracy", "held_purity", "held_root", "held_pose", "varied_accuracy", "varied_purity",
     "varied_root", "varied_pose",
 )  # fmt: skip
 
@@ -112,8 +112,11 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
         self.characters, self.held_out, self.reference = list(characters), list(held_out), list(reference)
         torch.manual_seed(config.seed)
         model = HandlePredictor(config.predictor).to(config.device)
+        self.before: HandlePredictor | None = None
         if config.start is not None:
             grow_predictor(model, config.start)
+            if config.loss.feature > 0:
+                self.before = load_predictor(config.start).to(config.device).eval().requires_grad_(False)
         average = HandlePredictor(config.predictor).to(config.device)
         super().__init__(config.out, model, average, torch.optim.Adam(model.parameters(), lr=config.rate))
         self.rng = np.random.default_rng(config.seed)
@@ -167,13 +170,17 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
             with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.config.bf16):
                 mirrored = self.model(again).logits.float()
             parts["mirror"] = losses.mirror_loss(logits, mirrored, self.swap.to(device))
+        if self.before is not None and self.rng.random() < config.feature_rate:
+            with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.config.bf16):
+                before = self.before(graph).features
+            parts["feature"] = losses.feature_loss(predicted.features.float(), before.float())
         total = sum((getattr(config, name) * value for name, value in parts.items()), start=logits.sum() * 0)
         return total, {name: float(value.detach()) for name, value in parts.items()}
 
     def train_epoch(self, stop: Callable[[], bool] = lambda: False) -> dict[str, float]:
         """As many examples as there are characters; the mean of each loss, before its weight."""
         self.model.train()
-        start, sums = time.perf_counter(), {"total": 0.0}
+        start, sums = time.process_time(), {"total": 0.0}
         counts = dict.fromkeys(sums, 0)
         before = self.seconds
         for _ in range(math.ceil(len(self.characters) / self.config.batch)):
@@ -192,7 +199,7 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
                 for name, value in {"total": float(loss.detach()), **parts}.items():
                     sums[name], counts[name] = sums.get(name, 0.0) + value, counts.get(name, 0) + 1
             self.update(self.config.decay)
-            self.seconds = before + time.perf_counter() - start
+            self.seconds = before + time.process_time() - start
             if stop() or self.progress() >= 1:
                 break
         self.epoch += 1

@@ -17,6 +17,7 @@ from bunraku_lab.nn.registration import register_torch
 __all__ = [
     "LossConfig",
     "drive_local",
+    "feature_loss",
     "mirror_loss",
     "pose_loss",
     "root_loss",
@@ -47,6 +48,9 @@ class LossConfig:
         mirror_rate: Share of the meshes on which it is computed.
         smoothness: Weight of the differences along edges; 0 because the ablation of `docs/benchmarks.md` shows no gain
             from it.
+        feature: Weight of the change of f_phi against the network that a run starts from, so that what reads it goes
+            on.
+        feature_rate: Share of the meshes on which it is computed.
     """
 
     root: float = 0.1
@@ -61,6 +65,13 @@ class LossConfig:
     mirror: float = 0.3
     mirror_rate: float = 0.25
     smoothness: float = 0.0
+    feature: float = 0.0
+    feature_rate: float = 0.5
+
+
+def feature_loss(features: torch.Tensor, before: torch.Tensor) -> torch.Tensor:
+    """How far the mesh deformation feature is from another network's, squared, over the size of that, shapes (448,)."""
+    return ((features - before) ** 2).sum() / (before**2).sum().clamp_min(1e-9)
 
 
 def root_loss(
