@@ -67,7 +67,7 @@ def test_every_gesture_is_whole(number):
     for side in ("left", "right"):
         ankle = positions[:, AT[f"{side}_ankle"]]
         assert ankle[:, 1].min() > 0.07
-        if one.name not in (*KNEELING, "hop") and not one.steps:
+        if one.name not in (*KNEELING, "tie shoes", "hop") and not one.steps:
             assert np.ptp(ankle, axis=0).max() < 0.01  # feet stand, however the pelvis sways
         fastest = 0.65 if one.name in WHIPS else 0.45  # 9 m/s, a fast punch, and 13 of who throws
         assert np.linalg.norm(np.diff(palms(motion)[side], axis=0), axis=1).max() < fastest
@@ -80,6 +80,14 @@ def test_every_gesture_is_whole(number):
         assert 12 <= stop - start < len(motion)
         hand = palms(motion)["right"] - positions[:, 0] * [0, 0, 1]  # some go on meanwhile
         assert np.linalg.norm(hand[stop] - hand[start]) < 0.04  # all but the sway
+
+
+def test_who_ties_a_shoe_kneels_with_both_hands_at_it():
+    _, positions = gesture_motion(gesture("tie shoes")).world()
+    there = positions[50:80]
+    assert (there[:, [AT["left_knee"], AT["right_knee"]], 1].min(axis=1) < 0.15).all()
+    for hand in ("left_wrist", "right_wrist"):
+        assert np.linalg.norm(there[:, AT[hand]] - there[:, AT["left_ankle"]], axis=1).max() < 0.42
 
 
 def test_who_kneels_has_a_knee_on_the_ground_and_both_where_so_said():

@@ -142,3 +142,17 @@ def test_who_makes_a_gesture_shifts_as_far_as_captured_people_do():
         ranges.append(np.linalg.norm(np.ptp(positions[:, 0][:, [0, 2]], axis=0)))
         feet.append(np.ptp(positions[:, AT["left_ankle"]], axis=0).max())
     assert np.median(ranges) > 0.1 and max(ranges) < 0.3 and max(feet) < 0.06
+
+
+def test_legs_and_trunk_are_those_of_a_busy_person_and_idle_hands_those_of_an_idle_one():
+    busy = [idle(seed + 9) for seed in range(2)]
+    busy = [SkeletalMotion(one.skeleton, one.rotations, one.root_translation * [3, 1, 3]) for one in busy]
+    ways, hands = [], []
+    for seed in range(24):
+        random = lambda: np.random.default_rng(seed)  # noqa: B023, E731
+        calm, lively = (performed(gesture("nod"), 120, IDLES, random(), busy=some) for some in ((), busy))
+        ways.append([np.ptp(one.root_translation[:, [0, 2]], axis=0).max() for one in (calm, lively)])
+        _, there = lively.world()
+        hands.append(there[:, AT["left_shoulder"], 1] - there[:, AT["left_wrist"], 1])
+    assert len({tuple(np.round(way, 4)) for way in ways if way[0] != way[1]}) > 12  # most of them
+    assert np.min(hands) > 0.35  # arms hang

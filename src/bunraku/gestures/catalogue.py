@@ -15,7 +15,7 @@ from bunraku.errors import FormatError
 from bunraku.gestures.flow import STEP, foot_on, through
 from bunraku.gestures.pose import Foot, Gesture, Hand, Key, Pose, Repeat, again, moved
 
-__all__ = ["STANDING", "gesture_of", "gestures", "read_gestures"]
+__all__ = ["STANDING", "gesture_of", "gestures", "read_gestures", "read_parts"]
 
 FILE = Path(__file__).with_name("gestures.toml")
 _SECTION = re.compile(r"^(?=\[)", re.MULTILINE)
@@ -60,7 +60,7 @@ def _gesture(row: Table, named: dict[str, Table], frames: Table) -> Gesture:
     if row.get("through"):
         keys = through(keys)
     steps, handed = row.get("steps", False), row.get("handed", False)
-    return Gesture(row["name"], tuple(row["texts"]), tuple(keys), cycle, steps, repeat, handed)
+    return Gesture(row["name"], tuple(row["texts"]), tuple(keys), cycle, steps, repeat, handed, row.get("at", ""))
 
 
 def _pose(row: Table, named: dict[str, Table]) -> Pose:
@@ -133,6 +133,18 @@ def _value(value: Any) -> Any:
 
 
 @functools.cache
+def read_parts() -> dict[str, tuple[str, Pose]]:
+    """By name, the words for each part of the body at which a hand can do something, and how it is there."""
+    own = next(one for one in _sections() if one.startswith("[parts]"))
+    rows = tomllib.loads(own)["parts"]
+    named: dict[str, Table] = {"hands": {}, "feet": {}}
+    return {
+        name: (row["said"], _pose({kind: value for kind, value in row.items() if kind != "said"}, named))
+        for name, row in rows.items()
+    }
+
+
+@functools.cache
 def gestures() -> tuple[Gesture, ...]:
     """The gestures of the package, in the order of its file."""
     return read_gestures()
@@ -151,7 +163,7 @@ def gesture_of(texts: tuple[str, ...]) -> Gesture | None:
     """
     if not texts:
         return None
-    shared = "".join(one for one in _sections() if not one.startswith(("[[gesture]]", "[frames.")))
+    shared = "".join(one for one in _sections() if not one.startswith(("[[gesture]]", "[frames.", "[parts]")))
     for section in _sections():
         if not section.startswith("[[gesture]]") or json.dumps(texts[0], ensure_ascii=False) not in section:
             continue

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bunraku.core.motion import SkeletalMotion
+from bunraku.gestures.accompany import accompanied
 from bunraku.gestures.manner import AS_USUAL, Manner
 from bunraku.gestures.play import FPS, posed
 from bunraku.gestures.pose import Gesture, Key, Pose, moved
@@ -33,7 +34,8 @@ class Variation:
         reach: Standard deviation of where hands are that touch nothing [m].
         elbows: The same of to where elbows are bent, over a direction.
         bearing: The same of how trunk and head are held [degrees].
-        leaning: The same of how far the pelvis of who stands is over one of both feet [m].
+        follows: Least and largest factor of how far pelvis, trunk and head go with the hands.
+        leaning: The same as `reach` of how far the pelvis of who stands is over one of both feet [m].
         stride: Largest factor of the length and the width of steps, either way.
         sinks: How much lower who steps goes at the most [m].
         holds: Least and largest factor of how long a pose is held.
@@ -53,6 +55,7 @@ class Variation:
     reach: float = 0.045
     elbows: float = 0.2
     bearing: float = 4.0
+    follows: tuple[float, float] = (0.5, 1.2)
     leaning: float = 0.03
     stride: float = 1.2
     sinks: float = 0.05
@@ -69,10 +72,12 @@ TOUCH = 0.17
 """Distance of two palms, or of a palm from the middle of the trunk, with which they touch something [m]."""
 _TRUNK = np.array([0.0, 1.25, 0.0])
 _RISES = 0.03
-SHIFTS, MOST_SHIFTED = 0.12, 2.5
-"""How far the pelvis of who makes a gesture goes to and fro [m]: of a quarter of captured people less; and how many
-times as far as of somebody who only stands at the most.
+SHIFTS, MOST_SHIFTED = (0.1, 0.24), 2.5
+"""How far the pelvis of who makes a gesture goes to and fro at the least, drawn from these [m], as of the middle half
+of captured people who make one; and how many times as far as of somebody who only stands at the most.
 """
+WITH_BUSY = 0.85
+"""Share of gestures that are made by somebody who was captured with busy hands, whose legs and trunk are livelier."""
 LIES = 20.0
 """Tilt of the pelvis from which on nobody stands [degrees]."""
 
@@ -85,6 +90,7 @@ def performed(
     manner: Manner = AS_USUAL,
     variation: Variation = VARIED,
     fps: float = FPS,
+    busy: Sequence[SkeletalMotion] = (),
 ) -> SkeletalMotion:
     """A gesture done in so many frames by somebody who stands before and after it.
 
@@ -96,6 +102,8 @@ def performed(
         manner: What is said of it.
         variation: How far performances differ.
         fps: Frames a second [1/s].
+        busy: People who stand and do something with their hands, whose legs, trunk and head most gestures take; idle
+            hands are always those of `idles`.
     """
     heavy = gesture.steps or any(pose.hips[1] > _RISES for _, pose in gesture.keys)
     most = variation.heavy if heavy else variation.tempo
@@ -105,6 +113,8 @@ def performed(
     tracks = _varied(Tracks.of(keys), gesture, sizes, random, variation)
     moments = np.arange(frames) / fps
     standing = _standing(idles, frames, random, manner.closed, moments)
+    if idles and busy and random.random() < WITH_BUSY:
+        standing = replace(_standing(busy, frames, random, manner.closed, moments), hands=standing.hands)
     if gesture.steps:
         standing = replace(standing, feet={side: None for side, _ in SIDES})
     return posed(tracks, times, moments, standing, fps)
@@ -131,7 +141,9 @@ def _standing(
         at = np.where(at > last, 2 * last - at, at)
     standing = captured(idle, at)
     middle = standing.hips.mean(axis=0)
-    shifts = np.clip(SHIFTS / _range(standing.hips), 1, MOST_SHIFTED) * np.array([1, 0, 1]) + np.array([0, 1, 0])
+    shifts = np.clip(random.uniform(*SHIFTS) / _range(standing.hips), 1, MOST_SHIFTED) * np.array([1, 0, 1]) + np.array(
+        [0, 1, 0]
+    )
     return replace(standing, hips=middle + shifts * (standing.hips - middle))
 
 
@@ -285,7 +297,7 @@ def _varied(
     shift = random.normal(0, variation.reach, (3, 3)).clip(-2 * variation.reach, 2 * variation.reach)
     left, right = tracks.hands["left"], tracks.hands["right"]
     together = _together(left, right)
-    hands = {}
+    hands, free = {}, {side: np.zeros(len(sizes), bool) for side, _ in SIDES}
     for number, (side, _) in enumerate(SIDES):
         hand = tracks.hands[side]
         own = hand.rests
@@ -311,6 +323,7 @@ def _varied(
         if not touches.any():
             ways[~own, 2] += random.normal(0, variation.elbows, 3)
         hands[side] = replace(hand, palm=palm, ways=ways)
+        free[side] = ~touches
     if gesture.steps:
         return _strode(replace(tracks, hands=hands), random, variation)
     body = size[:, None]
@@ -323,7 +336,8 @@ def _varied(
     over = float(random.normal(0, variation.leaning))
     stands = np.minimum(*[tracks.feet[side].rests for side, _ in SIDES])
     hips = hips + stands[:, None] * upright * [np.clip(over, *_within(variation.leaning)), -abs(over) / 6, 0]
-    return replace(tracks, lean=lean, head=head, shrug=tracks.shrug * size, hips=hips, hands=hands)
+    found = replace(tracks, lean=lean, head=head, shrug=tracks.shrug * size, hips=hips, hands=hands)
+    return accompanied(found, random.uniform(*variation.follows) * stands * upright[:, 0], free)
 
 
 def _within(deviation: float) -> tuple[float, float]:

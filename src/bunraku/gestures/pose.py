@@ -124,6 +124,8 @@ class Gesture:
         steps: Feet go where the keys say; else they stand all the time.
         repeat: Its single times, where it is done again and again and they can be counted.
         handed: It is done with these very hands by everybody: nobody shakes hands with the left.
+        at: The part of the body at which the right hand does it, where that may be another (`gestures.parts`); "" for
+            none.
     """
 
     name: str
@@ -133,6 +135,7 @@ class Gesture:
     steps: bool = False
     repeat: Repeat | None = None
     handed: bool = False
+    at: str = ""
 
     @property
     def seconds(self) -> float:

@@ -11,6 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ from bunraku.body.reference import reference_body
 from bunraku.core.motion import SkeletalMotion
 from bunraku.diffusion.examples.joins import standing_stretches
 from bunraku.diffusion.examples.pack import (
+    BUSY,
     FPS,
     IDLE,
     KIND,
@@ -40,6 +42,7 @@ from bunraku.diffusion.inference.extractor import Extractor, embed_motions, embe
 from bunraku.errors import OptionError
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
+from bunraku.gestures.standing import stands_well
 from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.known.own_words import own_words, write_own_words
@@ -49,9 +52,9 @@ from bunraku.nn.checkpoints import load_checkpoint, shipped_checkpoint
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku_lab.description.describe import inside
 from bunraku_lab.description.wording import computed_sentence
+from bunraku_lab.training import idles as who
 from bunraku_lab.training.diffusion.clip_data import ClipEntry, load_clips
 from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture
-from bunraku_lab.training.idles import idling
 
 __all__ = ["ExampleSettings", "build_examples"]
 
@@ -59,6 +62,7 @@ LONGEST = 196
 _MARGIN = 8
 """Frames around what is cut out by its numbers."""
 _OF_ONE_CLIP = 3
+_BUSY_OF_ONE = 2
 HOVERS = 0.05
 """Height [m] over the ground from which on nothing touches it."""
 _GOES = {"walk", "run", "backward", "sidestep", "turn", "turn around", "circle"}
@@ -79,10 +83,11 @@ class ExampleSettings:
         events: Of one kind that is plain to see, at the most.
         standing: Stretches of standing that others are joined to.
         idles: People who stand, by whom gestures are made.
+        busy: The same who do something with their hands, two of one clip at the most.
         ranker: Weights in place of the shipped ones; what is packed works with these alone.
         seed: Of the wordings.
         add_to: A pack that is written again with the gestures that it lacks; no captured clips are needed, but for
-            idles where it has none.
+            idles and busy people where it has none.
     """
 
     data: Path = Path("runs/data/motions")
@@ -91,6 +96,7 @@ class ExampleSettings:
     events: int = 8
     standing: int = 12
     idles: int = 28
+    busy: int = 20
     ranker: Path | None = None
     seed: int = 0
     add_to: Path | None = None
@@ -135,7 +141,10 @@ def build_examples(
     clips = _people(settings, progress)
     statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
     rows = ClipSet(clips, statistics, "train", mixture=Mixture(creatures=0.0, borrowed=0.0))
-    found = [*_stretches(rows, clips), *_events(rows, settings.seed), *_gestures(), *_standing(rows), *_idles(clips)]
+    found = [
+        *_stretches(rows, clips), *_events(rows, settings.seed), *_gestures(), *_standing(rows), *_idles(clips),
+        *_busy(clips),
+    ]  # fmt: skip
     progress("vectors", 0.0)
     texts, motions, owners = _vectors(found, ranker, encoder)
     own = np.zeros(len(found))
@@ -174,9 +183,9 @@ def _people(settings: ExampleSettings, progress: Callable[[str, float], None]) -
 def _with_what_it_lacks(
     settings: ExampleSettings, ranker: Extractor, encoder: TextEncoder, progress: Callable[[str, float], None]
 ) -> ExamplePack:
-    """The pack of `settings.add_to` with the gestures whose sentences it lacks, idles where it has none and there are
-    captured clips, and all clips of one's own (`datasets.takes.captioned`) that have become data. The words that these
-    alone say are written beside it (`language.known.own_words`).
+    """The pack of `settings.add_to` with the gestures whose sentences it lacks, idles and busy people where it has none
+    and there are captured clips, and all clips of one's own (`datasets.takes.captioned`) that have become data. The
+    words that these alone say are written beside it (`language.known.own_words`).
 
     Raises:
         OptionError: The pack was made with another ranker.
@@ -188,11 +197,13 @@ def _with_what_it_lacks(
     known = {one.texts for one in base.examples}
     found = [one for one in _gestures() if one.texts not in known]
     licences = Counter({"Apache-2.0": len(found)})
-    if not base.idles and settings.data.exists():
+    lacking = [(IDLE, _idles, settings.idles, base.idles), (BUSY, _busy, settings.busy, base.busy)]
+    if settings.data.exists() and not all(there for *_, there in lacking):
         clips = _people(settings, lambda stage, done: None)
-        idles = list(_idles(clips))[: settings.idles]
-        licences.update(str(clips[one.name.removesuffix(IDLE)].get("licence", "unknown")) for one in idles)
-        found += idles
+        for suffix, people, most, there in lacking:
+            some = [] if there else list(islice(people(clips), most))
+            licences.update(str(clips[one.name.removesuffix(suffix)].get("licence", "unknown")) for one in some)
+            found += some
     if settings.data.exists():
         own = {name: entry for name, entry in _people(settings, progress).items() if name.startswith(OWN)}
         if own:
@@ -289,8 +300,19 @@ def _standing(rows: ClipSet) -> list[_Stretch]:
 
 
 def _idles(clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:
-    for name, features in idling(clips):
+    for name, features in who.idling(clips):
         yield _Stretch(f"{name}{IDLE}", "idle", (), features, None)
+
+
+def _busy(clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:
+    """People who stand well and do something with their hands, the longest first."""
+    of_clip: Counter[str] = Counter()
+    for name, features in who.idling(clips, who.BUSY):
+        clip = name.split("@")[0]
+        skeleton = skeleton_from_handles(decode(features), rounds=1)
+        if of_clip[clip] < _BUSY_OF_ONE and stands_well(skeleton):
+            of_clip[clip] += 1
+            yield _Stretch(f"{name}{BUSY}", "busy", (), features, None, skeleton)
 
 
 def _vectors(
@@ -328,6 +350,8 @@ def _clearest(found: list[_Stretch], own: np.ndarray, settings: ExampleSettings)
             most, clip = settings.standing, found[index].name
         elif kind == "idle":
             most, clip = settings.idles, found[index].name
+        elif kind == "busy":
+            most, clip = settings.busy, found[index].name
         elif kind.startswith("event"):
             most = settings.events
         else:  # of what is done in a row, sentences seldom ask for the very same

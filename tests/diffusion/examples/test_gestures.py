@@ -37,7 +37,7 @@ def offered(networks, prompt, seed=0):
 @pytest.mark.parametrize(
     ("prompt", "lacking"),
     [
-        ("scratch chin", ("chin",)),
+        ("scratch foot", ("foot",)),
         ("plays the guitar behind the back", ("back",)),
         ("claps above the head", ("head", "high")),
         ("hop to the left", ("to the left",)),
@@ -56,10 +56,31 @@ def test_who_sits_with_crossed_legs_is_no_gesture_of_sitting(networks):
             assert not one.made
 
 
-def test_back_of_the_head_and_slaps_are_no_gestures_of_something_else(networks):
-    for prompt in ("touches the back of the head", "slaps"):
-        assert parse(prompt, force=True).corrected == ()
-        assert not any(one.made for one in offered(networks, prompt)[0])
+@pytest.mark.parametrize(
+    ("prompt", "gesture", "part"),
+    [
+        ("scratch chin", "gesture_scratch", "chin"),
+        ("touches the back of the head", "gesture_touch", "back-head"),
+        ("pats his knee three times", "gesture_rub", "knee"),
+        ("scratches the head", "gesture_scratch", ""),
+        ("slaps", "gesture_slap", ""),
+        ("tie shoelaces", "gesture_tie_shoes", ""),
+    ],
+)
+def test_a_gesture_is_done_where_the_sentence_says(networks, prompt, gesture, part):
+    assert parse(prompt, force=True).corrected == ()
+    found, clauses = known(networks, prompt)
+    assert found.lacking(clauses[0]) == ()
+    for seed in range(4):
+        example = found.of([(clauses[0], 120)], (seed, 0), 0)
+        (one,) = example.found
+        assert networks.examples.examples[one.number].name.startswith(gesture) and one.part == part
+
+
+def test_who_points_to_a_side_does_not_point_ahead(networks):
+    for seed in range(8):
+        (one,) = offered(networks, "points to the left", seed)[0]
+        assert "points right" in one.texts  # in the mirror
 
 
 @pytest.mark.parametrize(

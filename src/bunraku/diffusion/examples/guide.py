@@ -20,6 +20,7 @@ from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, encode, 
 from bunraku.diffusion.splicing import END, held, played, rests
 from bunraku.geometry.easing import smooth_step
 from bunraku.gestures.manner import AS_USUAL, Manner
+from bunraku.gestures.parts import at_part
 
 if TYPE_CHECKING:
     from bunraku.gestures.pose import Gesture
@@ -106,6 +107,8 @@ def laid(
     """
     closed = manner.closed
     gesture = pack.gesture(found.number)
+    if gesture is not None and found.part:
+        gesture = at_part(gesture, found.part)
     if gesture is not None and not (closed and gesture.cycle is None):
         features = _performed(pack, gesture, frames, random, manner)
         if found.mirrored:
@@ -165,7 +168,7 @@ def _performed(
     from bunraku.gestures.perform import performed
     from bunraku.retarget.body_motion import body_handle_motion
 
-    return encode(body_handle_motion(performed(gesture, frames, pack.idles, random, manner)))
+    return encode(body_handle_motion(performed(gesture, frames, pack.idles, random, manner, busy=pack.busy)))
 
 
 def _end(

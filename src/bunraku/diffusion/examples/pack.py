@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from bunraku.gestures.pose import Gesture
 
 __all__ = [
+    "BUSY",
     "FPS",
     "IDLE",
     "KIND",
@@ -59,6 +60,8 @@ OWN = "own_"
 """How the names of those begin that somebody has added to the shipped ones."""
 IDLE = "#idle"
 """How the names of those end in which somebody stands by whom gestures are made."""
+BUSY = "#busy"
+"""The same of those who do something with their hands; gestures take all but these from them."""
 _AND = ", "
 _OTHER_SIDE = {"left": "right", "right": "left"}
 MOST_FRAMES = 2_000
@@ -99,6 +102,16 @@ class Example:
     def idle(self) -> bool:
         """Whether somebody stands in it who shifts the weight and breathes."""
         return self.name.endswith(IDLE)
+
+    @property
+    def busy(self) -> bool:
+        """Whether somebody stands in it who does something with the hands."""
+        return self.name.endswith(BUSY)
+
+    @property
+    def stands(self) -> bool:
+        """Whether gestures are made by who stands in it."""
+        return self.idle or self.busy
 
 
 class Said(NamedTuple):
@@ -165,7 +178,7 @@ class ExamplePack:
         """Those that are there for others to be joined to, in which somebody stands on both legs: their mean poses, as
         the denoiser sees them but for the root's velocities, shape (268,).
         """
-        chosen = [index for index in self._standing_well if not self.examples[index].idle]
+        chosen = [index for index in self._standing_well if not self.examples[index].stands]
         if not chosen:
             return {}
         return {
@@ -182,6 +195,11 @@ class ExamplePack:
     def idles(self) -> tuple[SkeletalMotion, ...]:
         """People who stand, by whom gestures are made."""
         return tuple([_skeletal(self, index) for index in self._standing_well if self.examples[index].idle])
+
+    @functools.cached_property
+    def busy(self) -> tuple[SkeletalMotion, ...]:
+        """People who stand and do something with their hands, whose legs, trunk and head gestures take."""
+        return tuple([_skeletal(self, index) for index in self._standing_well if self.examples[index].busy])
 
     @functools.cached_property
     def _standing_well(self) -> Sequence[int]:
@@ -214,13 +232,13 @@ def stand_well(pack: ExamplePack) -> list[int]:
     from bunraku.gestures.standing import stands_well
 
     wordless = [index for index, one in enumerate(pack.examples) if not one.texts]
-    others = [index for index in wordless if not pack.examples[index].idle]
+    others = [index for index in wordless if not pack.examples[index].stands]
     lifted = {
         index for index, features in zip(others, _encoded_at_once(pack, others), strict=True) if on_one_leg(features)
     }
     return [
         index for index in wordless
-        if (stands_well(_skeletal(pack, index)) if pack.examples[index].idle else index not in lifted)
+        if (stands_well(_skeletal(pack, index)) if pack.examples[index].stands else index not in lifted)
     ]  # fmt: skip
 
 

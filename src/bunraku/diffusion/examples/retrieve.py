@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bunraku.diffusion.examples.pack import ExamplePack, Said, said_by
+from bunraku.gestures.parts import part_in
 from bunraku.language.details import tells_all
 from bunraku.language.lexicon.reading import goes_ahead
 from bunraku.language.sentence import Clause
@@ -23,6 +24,8 @@ NEAR = 0.12
 """Mean cosine by which an example may be farther than the nearest one."""
 NEAR_MADE = 0.05
 """The same for a captured one where the nearest is made by code, since what is captured shows that less plainly."""
+NEAR_GESTURES = 0.03
+"""The same for another gesture: who points to the left does not point ahead."""
 LEAST = 0.6
 """Mean cosine from which an example is one at all."""
 LEAST_MADE = 0.4
@@ -66,11 +69,13 @@ class Found(NamedTuple):
         number: Which one of the pack.
         mirrored: Its mirror image is meant.
         score: Mean of the cosine of the sentence with its nearest sentence, and of that with its motion.
+        part: The part of the body at which a gesture is done in place of its own (`gestures.parts`); "" for its own.
     """
 
     number: int
     mirrored: bool
     score: float
+    part: str = ""
 
 
 class Retrieved(NamedTuple):
@@ -106,7 +111,7 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
         best = np.full(len(pack.examples), -1.0)
         np.maximum.at(best, pack.owners, cosines)
         score = 0.5 * (best + pack.motions[int(mirrored)].astype(float) @ vector)
-        for index in np.flatnonzero(score >= min(least, LEAST_MADE)).tolist():
+        for index in np.flatnonzero((score >= min(least, LEAST_MADE)) | pack.made).tolist():
             made = bool(pack.made[index])
             if not made and score[index] < least:
                 continue
@@ -116,32 +121,41 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
             shown = wanted - _ADDED if made else wanted | counts
             if not _fits(pack.said(index), mirrored, query, shown, near):
                 continue
-            lacks = _lacks(pack, index, mirrored, clause) if made else ()
+            lacks, part = _lacks(pack, index, mirrored, clause) if made else ((), "")
+            if not part and score[index] < LEAST_MADE:  # at another part its own sentences say little of it
+                continue
             if lacks:
                 lacking.update(dict.fromkeys(lacks))
             else:
-                found.append(Found(index, mirrored, float(score[index])))
+                found.append(Found(index, mirrored, float(score[index]), part))
     found.sort(key=lambda one: -one.score)
     best_made = bool(found) and bool(pack.made[found[0].number])
     best_made = best_made and query.actions != {"stand up"}  # that depends on how somebody sits, kneels or lies
-    away = [NEAR if pack.made[one.number] or not best_made else NEAR_MADE for one in found]
+    beside = NEAR_GESTURES if best_made else NEAR
+    away = [beside if pack.made[one.number] or not best_made else NEAR_MADE for one in found]
     kept = [one for one, most in zip(found, away, strict=True) if one.score >= found[0].score - most]
-    whole = [one for one in kept if tells_all(clause.added, pack.examples[one.number].texts)]
+    whole = [one for one in kept if one.part or tells_all(clause.added, pack.examples[one.number].texts)]
     return Retrieved((whole or kept)[:MOST], () if whole else tuple(lacking))
 
 
-def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tuple[str, ...]:
-    """What a clause adds to its action that a gesture does not do."""
+def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tuple[tuple[str, ...], str]:
+    """What a clause adds to its action that a gesture does not do, and the part of the body at which it is done instead
+    of at its own.
+    """
     texts, said = pack.examples[index].texts, pack.said(index)
     words = [word for word in clause.added if not tells_all((word,), texts)]
     cues = said.mirrored_cues if mirrored else said.cues
     words += [_SAYS.get(cue, cue) for cue in sorted((clause.cues & _ADDED) - cues) if not tells_all((cue,), texts)]
     words += sorted((clause.traits & _ADDED_TRAITS) - said.traits)
-    if clause.count:  # only then is the gesture read
-        gesture = pack.gesture(index)
-        if gesture is not None and not gesture.counted:
-            words.append(f"{clause.count} times")
-    return tuple(words)
+    if not words and not clause.count:
+        return (), ""
+    gesture, part = pack.gesture(index), part_in(clause.person)  # only then is the gesture read
+    elsewhere = gesture is not None and gesture.at and part is not None
+    if part is not None and elsewhere:
+        words = [word for word in words if word not in part.words]
+    if clause.count and gesture is not None and not gesture.counted:
+        words.append(f"{clause.count} times")
+    return tuple(words), part.name if part is not None and elsewhere else ""
 
 
 def _shown(query: Said) -> frozenset[str]:
