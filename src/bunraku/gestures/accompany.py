@@ -1,8 +1,7 @@
 """How pelvis, trunk and head go with the hands of who stands: a hand that goes out ahead takes its shoulder with it.
 
-Linear, and fitted to captured people who stand and use their hands (`bunraku_lab.training.accompaniment`). What is not
-in these numbers (bows, shifts of the weight, looks) does not follow from where hands are, and comes from captured
-people (`standing`).
+Linear, and fitted to captured people who stand and use their hands. What is not in these numbers (bows, shifts of the
+weight, looks) does not follow from where hands are, and comes from captured people (`standing`).
 """
 
 from __future__ import annotations
