@@ -8,7 +8,7 @@ does is the motion's own.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -89,6 +89,15 @@ class SourceBody:
         shifts = places - np.einsum("pjab,jb->pja", turns, self.joints)
         affine = np.concatenate([turns, shifts[..., None]], axis=3)
         return np.asarray(skin(self.mesh.rest, self.skinning, affine))
+
+    def resting_as(self, joints: np.ndarray) -> PartMesh:
+        """Its mesh in a character's rest pose, from which the source's parts turn as the character's do.
+
+        Args:
+            joints: Of the character at rest, shape (22, 3).
+        """
+        turns = bone_turns(reference_body().joints, joints)[None].astype(np.float32)
+        return replace(self.mesh, rest=self.posed(turns)[0])
 
 
 @lru_cache(maxsize=2)

@@ -51,12 +51,9 @@ def source_motion(model: TransferNetwork, motion: SkeletalMotion) -> SourceMotio
     """
     turns, positions = motion.world()
     own = (np.swapaxes(turns[:, :1], 2, 3) @ turns).astype(np.float32)
-    return SourceMotion(_poses(model, own), turns[:, 0], positions[:, 0] - reference_body().joints[0])
-
-
-def _poses(model: TransferNetwork, turns: np.ndarray) -> SourcePoses:
     body = source_body()
-    return source_poses(model, body.mesh, body.posed(turns))
+    poses = source_poses(model, body.mesh, body.posed(own))
+    return SourceMotion(poses, turns[:, 0], positions[:, 0] - reference_body().joints[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +108,8 @@ class TransferTarget:
         return cls(np.asarray(vertices, np.float32), weights, model, network, mesh, origin, height)
 
     def with_joints(self, affine: np.ndarray, joints: np.ndarray) -> np.ndarray:
-        """Its vertices where joints that are known move so [m], shape (P, V, 3); the source takes the same pose.
+        """Its vertices where joints that are known move so [m], shape (P, V, 3); the source rests as it does, and takes
+        the same pose.
 
         Args:
             affine: Affine transforms of its joints, shape (P, 22, 3, 4).
@@ -120,7 +118,9 @@ class TransferTarget:
         own, _ = in_root_frame(affine, np.zeros((len(affine), 0, 3), np.float32))
         tied = self.model.config.tied
         known = over_height(own[:, :tied], self.origin, self.height) if tied else None
-        moved, weights = self._moved(_poses(self.model, source_turns(affine[..., :3], joints)), known)
+        body = source_body()
+        posed = body.posed(source_turns(affine[..., :3], joints))
+        moved, weights = self._moved(source_poses(self.model, body.resting_as(joints), posed), known)
         turns, shift = affine[:, :1, :, :3], affine[:, :1, :, 3:]
         world = np.concatenate([turns @ moved[..., :3], turns @ moved[..., 3:] + shift], axis=3)
         return np.asarray(skin(self.rest, weights, world))

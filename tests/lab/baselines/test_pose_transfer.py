@@ -105,6 +105,30 @@ def test_untrained_transfer_moves_the_body_as_its_parts(dancer):
     assert gap[0] < 0.02 and (gap[1:] < 0.5 * away[1:]).all()
 
 
+def test_a_target_with_lowered_arms_is_moved_from_its_own_rest(dancer):
+    """A body that rests in an A-pose: the source rests as it does, so untrained parts stay near the truth too."""
+    body, affine, truth = dancer
+    lowered = np.tile(np.eye(3), (1, JOINT_COUNT, 1, 1))
+    for side, joints in ((-1, [16, 18, 20]), (1, [17, 19, 21])):
+        lowered[0, joints] = matrix_from_axis_angle(np.array([0, 0, side * 0.7]))
+    joints = body.joints.copy()
+    for joint in range(1, JOINT_COUNT):
+        parent = int(body.skeleton.parents[joint])
+        joints[joint] = joints[parent] + lowered[0, parent] @ (body.joints[joint] - body.joints[parent])
+    shifts = joints - np.einsum("jab,jb->ja", lowered[0], body.joints)
+    down = np.concatenate([lowered[0], shifts[..., None]], axis=2)
+    rest = np.asarray(skin(body.vertices, body.joint_weights, down[None]))[0]
+    back = lowered[0].transpose(0, 2, 1)
+    turns = affine[..., :3] @ back
+    own = np.concatenate([turns, affine[..., 3:] - turns @ shifts[..., None]], axis=3)  # off the A-pose
+    torch.manual_seed(0)
+    network = TransferNetwork(TransferConfig(levels=(4, 5), code=6)).eval()
+    target = TransferTarget.of(rest, body.faces, body.handle_weights, joints[0], network)
+    gap = np.linalg.norm(target.with_joints(own, joints) - np.asarray(skin(rest, body.joint_weights, own)), axis=2)
+    away = np.linalg.norm(truth - rest, axis=2).mean(axis=1)
+    assert (gap.mean(axis=1) < 0.25 * away).all()
+
+
 def test_tied_parts_go_with_the_joints(dancer):
     """With nothing but tied parts, it is linear blend skinning by the joints, however the body faces."""
     body, affine, _ = dancer

@@ -147,6 +147,18 @@ def test_every_preset_learns_and_comes_back(preset, clothed, tmp_path):
     assert load_transfer(trainer.checkpoint).config == config.network
 
 
+def test_parts_that_learn_alone_come_to_move_as_the_joints_do(clothed, tmp_path):
+    """The encoder takes no part in it, and stays."""
+    targets = clothed_targets([clothed], predicted=True)
+    config = transfer_config(tmp_path, "spt-joints", steps=40, rate=3e-3)
+    trainer = TransferTrainer(replace(config, alone=1.0), targets, targets)
+    kept = {name: value.clone() for name, value in trainer.model.encoder.named_parameters()}
+    before = trainer.validate()["pmd"]
+    trainer.learn()
+    assert trainer.validate()["pmd"] < 0.7 * before
+    assert all(torch.equal(value, kept[name]) for name, value in trainer.model.encoder.named_parameters())
+
+
 def test_transfer_learns_what_the_source_s_parts_lack(clothed, tmp_path):
     """A target that goes half as far again as the source: its own transforms cannot say so, the network can."""
     targets = clothed_targets([clothed], predicted=False)

@@ -63,6 +63,9 @@ class TransferTrainConfig(StepSettings):
         vertices: Of a mesh, about.
         transforms: Weight of the parts' transforms.
         edges: Weight of the squared change of the edges' lengths.
+        alone: Share of the run in which parts that are predicted learn alone, moved by their joints' and their own true
+            transforms: many poses of a mesh for one look at it.
+        several: Poses of each mesh meanwhile.
         cycle: Share of the run after which pairs go through a third character and back; 1 for never.
         through: Weight of the third character's own loss.
         chamfer: Weight of the parts' centres, where parts are predicted.
@@ -86,6 +89,8 @@ class TransferTrainConfig(StepSettings):
     rate: float = 1e-3
     transforms: float = 1.0
     edges: float = 100.0
+    alone: float = 0.0
+    several: int = 16
     cycle: float = 1.0
     through: float = 0.3
     chamfer: float = 1.0
@@ -107,7 +112,7 @@ PRESETS: dict[str, dict[str, object]] = {
         "network": TransferConfig(parts=40, predictor=True, correction=False),
     },
     "spt": {},
-    "spt-joints": {"network": TransferConfig(parts=32, predictor=True, tied=22)},
+    "spt-joints": {"alone": 0.5, "network": TransferConfig(parts=32, predictor=True, tied=22)},
 }  # fmt: skip
 
 
@@ -183,6 +188,8 @@ class TransferTrainer(AveragedRun[TransferNetwork]):
     def step_loss(self) -> tuple[torch.Tensor, dict[str, float]]:
         """The weighted losses of some pairs, mean over them [% of the height for vertices]."""
         config, model = self.config, self.model
+        if self.progress() < config.alone:
+            return self._alone_loss(), {}
         pairs = drawn_pairs(self.characters, config.batch, self.rng)
         moved, weights, transforms = self.moved(model, pairs)
         total = torch.zeros((), device=config.device)
@@ -205,11 +212,11 @@ class TransferTrainer(AveragedRun[TransferNetwork]):
         if tied < len(true):
             loss = loss + config.transforms * transform_loss(transforms[tied:], true[tied:])
         if config.network.predictor:
-            loss = loss + self._part_loss(pair, points, weights, true, truth)
+            loss = loss + self._part_loss(pair.target, points, weights, true[None], truth[None])
         return 100 * loss
 
     def _part_loss(
-        self, pair: Pair, points: torch.Tensor, weights: torch.Tensor, true: torch.Tensor, truth: torch.Tensor
+        self, target: Target, points: torch.Tensor, weights: torch.Tensor, true: torch.Tensor, truth: torch.Tensor
     ) -> torch.Tensor:
         """What teaches the predictor: the truth by the parts' true transforms, centres all over the mesh, Eq. 13 of
         TapMo, and parts that do not turn with a copy.
@@ -219,19 +226,43 @@ class TransferTrainer(AveragedRun[TransferNetwork]):
         centres = part_centres(points, weights)
         loss = torch.zeros((), device=config.device)
         if not config.network.tied:
-            moved = moved_by(points, weights, affine_of(centres, true)[None])[0]
-            loss = loss + (moved - truth).abs().sum(1).mean()
+            moved = moved_by(points, weights, affine_of(centres, true))
+            loss = loss + (moved - truth).abs().sum(2).mean()
             far = far_points(points, 4 * config.network.parts)
             loss = loss + config.chamfer * chamfer_loss(centres, points[far])
-        i, j, gamma = skinning_pairs(torch.from_numpy(pair.target.skinning), PAIRS, self.generator)
+        i, j, gamma = skinning_pairs(torch.from_numpy(target.skinning), PAIRS, self.generator)
         logits = weights.clamp(min=1e-9).log()
         loss = loss + config.skinning * skinning_loss(
             logits, i.to(points.device), j.to(points.device), gamma.to(points.device)
         )
         angle = float(self.rng.uniform(-TURN, TURN))
         turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-        copy = graph_of([pair.target.mesh], [pair.target.mesh.rest @ turn.T.astype(np.float32)]).to(config.device)
+        copy = graph_of([target.mesh], [target.mesh.rest @ turn.T.astype(np.float32)]).to(config.device)
         return loss + config.alike * weight_divergence(model.predictor(copy), logits)
+
+    def _alone_loss(self) -> torch.Tensor:
+        """The weighted losses of the parts of some characters, to which nothing is transferred, mean over them [% of
+        the height for vertices].
+        """
+        config, model, total = self.config, self.model, torch.zeros((), device=self.config.device)
+        targets = [self.characters[number] for number in self.rng.integers(len(self.characters), size=config.batch)]
+        seen = model.weights(graph_of([one.mesh for one in targets]).to(config.device))
+        for target, weights in zip(targets, seen.split([len(one.mesh.rest) for one in targets]), strict=True):
+            poses = self.rng.permutation(len(target.truth))[: config.several]
+            points, truth = self._put(target.mesh.rest), self._put(target.truth[poses])
+            known = part_transforms(target.mesh.rest, target.truth[poses], weights.detach().cpu().numpy())
+            true, tied = self._put(known), config.network.tied
+            loss = self._part_loss(target, points, weights, true, truth)
+            if tied:
+                assert target.affine is not None
+                own = affine_of(part_centres(points, weights), true)[:, tied:]
+                affine = torch.cat([self._put(target.affine[poses, :tied]), own], dim=1)
+                moved = moved_by(points, weights, affine)
+                loss = loss + (moved - truth).abs().sum(2).mean()
+                stretches = [_stretch(one, points, target.mesh.edges) for one in moved]
+                loss = loss + config.edges * torch.stack(stretches).mean()
+            total = total + 100 * loss
+        return total / len(targets)
 
     def _cycle_loss(self, pair: Pair) -> torch.Tensor:
         """From the source to a third character and back: where the source is again, and the third character near what

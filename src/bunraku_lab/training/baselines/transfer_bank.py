@@ -6,7 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bunraku_lab.baselines.pose_transfer import PartMesh, in_root_frame, over_height, predicted_parts, source_turns
+from bunraku_lab.baselines.pose_transfer import (
+    PartMesh,
+    in_root_frame,
+    over_height,
+    predicted_parts,
+    source_body,
+    source_turns,
+)
 from bunraku_lab.training.baselines.clothed_bank import ClothedSample
 from bunraku_lab.training.baselines.transfer_pairs import Target
 
@@ -26,7 +33,8 @@ def clothed_target(sample: ClothedSample, weights: np.ndarray) -> Target:
     mesh = PartMesh((sample.rest - origin) / height, sample.faces, sample.edges, weights)
     turns = source_turns(sample.affine[..., :3], sample.joints)
     joints = over_height(affine, origin, float(height))
-    return Target(sample.name, mesh, sample.weights, (truth - origin) / height, joints, turns)
+    source = source_body().resting_as(sample.joints)
+    return Target(sample.name, mesh, sample.weights, (truth - origin) / height, joints, turns, source)
 
 
 def clothed_targets(samples: Sequence[ClothedSample], predicted: bool) -> list[Target]:

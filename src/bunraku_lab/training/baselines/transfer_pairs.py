@@ -29,6 +29,7 @@ class Target:
         affine: Affine transforms of its joints, shape (P, 22, 3, 4); None where the poses are those of all characters.
         turns: Of the joints of the reference body in the same poses, shape (P, 22, 3, 3); None where the poses are
             those of all characters.
+        source: The reference body at rest as the character rests; None where the poses are those of all characters.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Target:
     truth: np.ndarray
     affine: np.ndarray | None = None
     turns: np.ndarray | None = None
+    source: PartMesh | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +78,10 @@ def drawn_pairs(characters: Sequence[Target], count: int, random: np.random.Gene
     if targets[0].turns is not None:
         out = []
         for target in targets:
-            assert target.turns is not None
+            assert target.turns is not None and target.source is not None
             pose = int(random.integers(len(target.truth)))
             body = source_body()
-            out.append(Pair(body.mesh, body.skinning, body.posed(target.turns[pose : pose + 1])[0], target, pose))
+            out.append(Pair(target.source, body.skinning, body.posed(target.turns[pose : pose + 1])[0], target, pose))
         return out
     shapes = [one for one in characters if one.name.startswith(REFERENCE)]
     pool = shapes if shapes and random.random() < OF_REFERENCE else list(characters)
