@@ -30,7 +30,7 @@ _FLOORS = (
     "predictor, which takes wide sleeves for a head on some of these characters, and sees the reference body in the "
     "pose: ratios to it are in our favour. With joints given 22 parts of its own go with these and ten are free. "
     "Untrained it moves parts as the body's. Its floor is the predicted parts moved as the character's own joints are, "
-    "which SPT itself is not told: the fair ratio is that to the floor. SPT's weights learned with a source in a T-pose, "
+    "which SPT itself is not told: the fair ratio is that to the floor. SPT's weights learned of a source in a T-pose, "
     "which now rests as the character does, and are to be trained again (benchmarks/weights/baselines.md); figures of "
     "2026-11-24 are from before that."
 )
