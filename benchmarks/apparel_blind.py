@@ -24,11 +24,11 @@ from bunraku.clips import all_clips, clip
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.formats.gltf.turning import turned
+from bunraku.handles.orientation import resolve_axes
 from bunraku.io import load_character
 from bunraku.io.units import in_metres
 from bunraku.pipelines.animate import rig
 from bunraku.pipelines.apparel import dressed
-from bunraku.pipelines.standing import file_standing
 from bunraku.render.frames import render_animation
 from bunraku.render.sheets import assemble
 from bunraku.render.video import write_png
@@ -89,7 +89,7 @@ def bare(kind: str, what: str, archive: Path) -> Character:
     else:
         _, blob, name = what.split(" ")
         found = load_character(archive / "files" / f"{blob}_{name}", unit="m")
-        stands = file_standing(found).resolved
+        stands = resolve_axes(found)
         found, _ = in_metres(turned(found, stands.up, stands.front), "auto", "+y")
     return replace(found, rig=None, avatar=None, source=None)
 

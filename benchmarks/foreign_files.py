@@ -21,11 +21,10 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.errors import BunrakuError
 from bunraku.formats.gltf.turning import turned
-from bunraku.handles.orientation import SURE, upright
+from bunraku.handles.orientation import SURE, resolve_axes, upright
 from bunraku.io import load_character
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.requests.request import Request, Sampling
-from bunraku.pipelines.standing import file_standing
 from bunraku_lab.evaluation.handles.stretch import edge_error
 
 LIST = Path(__file__).with_suffix(".json")
@@ -34,12 +33,12 @@ FRAMES = 6
 
 def stood(character: Character, row: dict[str, Any]) -> tuple[str, bool, bool]:
     """How a file is taken to stand in words, whether that is right, and whether something is said of it."""
-    found = file_standing(character)
-    taken = found.resolved.up, found.resolved.front
+    found = resolve_axes(character)
+    taken = found.up, found.front
     right = taken[0] == row["up"] and taken[1] in row["front"]
-    guess = found.resolved.guess
-    sure = 1.0 if found.bones or guess is None else guess.probability(*taken)
-    return f"{taken[0]} {taken[1]} {100 * sure:.0f} %", right, sure < SURE or found.bones not in ("", "+z")
+    assert found.guess is not None
+    sure = found.guess.probability(*taken)
+    return f"{taken[0]} {taken[1]} {100 * sure:.0f} %", right, sure < SURE
 
 
 def walk(character: Character, row: dict[str, Any], animator: Animator, pictures: Path | None) -> float:

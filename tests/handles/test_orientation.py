@@ -1,6 +1,7 @@
 """How characters stand: what the shipped weights see, and what is made of it."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -34,6 +35,17 @@ def test_the_samples_are_recognised_however_they_lie(name):
         assert (guess.up, guess.front) == (up, front) and guess.confidence > 0.3
         assert guess.probabilities.sum() == pytest.approx(1)
         assert np.array_equal(guess.rotation, upright_rotation(up, front))
+
+
+def test_a_rigged_figure_that_faces_backwards_is_turned():
+    """Its bones and its shape say so, whatever rigged files are like."""
+    person = sample_character("person", rigged=True)
+    assert guess_orientation(person, suffix=".glb").front == "+z"
+    turn = np.diag([-1.0, 1, -1, 1])
+    rig = replace(person.rig, transforms=turn @ person.rig.transforms)
+    back = Character("back", person.vertices @ turn[:3, :3].astype(np.float32), person.faces, rig=rig)
+    found = resolve_axes(back, suffix=".glb")
+    assert (found.up, found.front) == ("+y", "-z") and found.guess.sure
 
 
 def test_turning_the_mesh_permutes_the_chances():

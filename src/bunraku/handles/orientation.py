@@ -13,7 +13,7 @@ from bunraku.core.character import Character
 from bunraku.formats.gltf.turning import turned
 from bunraku.geometry.axes import AXES, ORIENTATIONS, axis_name, default_orientation, upright_rotation
 from bunraku.geometry.surface import surface_points
-from bunraku.handles.orientation_evidence import combined, has_rule, kind_weights
+from bunraku.handles.orientation_evidence import has_rule, kind_weights, told, weighed
 
 if TYPE_CHECKING:
     from bunraku.handles.inference.orientation import OrientationPredictor
@@ -26,7 +26,12 @@ TURN = 0.5
 """From this probability on a guess overrules the axes of a format that has a rule."""
 STANDS = 0.05
 """Below `TURN` the file's axes stay while they have this probability themselves."""
-_POINTS = 2048
+_POINTS, _AGAIN = 2048, (1024, 4096)
+"""Points that the network's tokens stand for, and those of its further looks: which tokens it happens to get may turn a
+front that hardly differs from the back. Three looks have a cross-entropy of .236 in place of .286 on the 37 files for
+priors, other things being equal."""
+ENOUGH = 0.97
+"""Where the shape is so sure at the first look, there is no other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,36 +108,57 @@ def guess_orientation(
 ) -> Orientation:
     """The likeliest up axis of a character, and the likeliest front with that axis up.
 
-    Three witnesses and what files of its kind are like are combined (`bunraku.handles.orientation_evidence`): the
-    network, which sees the shape; the ground, where the lowest point is at 0; and the plane that mirrors left and
-    right.
+    Witnesses and what files of its kind are like are combined (`bunraku.handles.orientation_evidence`): the network,
+    which sees the shape; the ground, where the lowest point is at 0; the plane that mirrors left and right; what the
+    shape would rest on; where its top leans; and bones whose names tell left from right.
 
     Args:
-        character: Any mesh; of a rig that it may have only that it is there is looked at.
+        character: Any mesh.
         up: Its up axis where that is known.
         front: The axis that it faces where that is known.
         suffix: The format of its file, such as ".stl"; that of its source when not given.
         prior: How likely each of `ORIENTATIONS` is before anyone looks at the mesh, shape (24,), in place of what the
-            file says; equal numbers let the mesh speak alone.
+            file and its bones say; equal numbers let the mesh speak alone.
         checkpoint: Weights of kind "orientation"; the shipped ones when not given.
 
     Raises:
         OptionError: What is known are no axes at a right angle.
         WeightsError: The checkpoint is missing or does not fit.
     """
-    from bunraku.handles.inference.orientation import shape_tokens
     from bunraku.nn.checkpoints import dated_checkpoint
-    from bunraku.nn.threads import one_thread
 
     allowed = _allowed(up, front)
     model = _model(*dated_checkpoint("orientation", checkpoint))
-    points, normals = surface_points(character.vertices, character.faces, _POINTS)
-    tokens = shape_tokens(points, normals, np.ones(len(points)), model.config.anchors)
-    with one_thread():
-        network = model.probabilities(tokens)
+    bones = _axes_of_bones(character) if prior is None else None
     if prior is None:
         prior = kind_weights(_suffix(character) if suffix is None else suffix, _moved(character))
-    return Orientation.of(combined(network, character.vertices[character.surface], np.where(allowed, prior, 0)))
+    prior = np.where(allowed, prior, 0)
+    surface = surface_points(character.vertices, character.faces, _POINTS)
+    others = told(character.vertices[character.surface], surface)
+    looks = [_look(model, *surface)]
+    if weighed(looks[0], *others).max() < ENOUGH:
+        looks += [_look(model, *surface_points(character.vertices, character.faces, count)) for count in _AGAIN]
+    mean = np.exp(np.log(looks).mean(axis=0))
+    return Orientation.of(weighed(mean / mean.sum(), *others, prior, bones))
+
+
+def _look(model: OrientationPredictor, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """What the network gives each of `ORIENTATIONS` by some points of a surface, none of it nothing, shape (24,)."""
+    from bunraku.handles.inference.orientation import shape_tokens
+    from bunraku.nn.threads import one_thread
+
+    tokens = shape_tokens(points, normals, np.ones(len(points)), model.config.anchors)
+    with one_thread():
+        seen = np.asarray(model.probabilities(tokens)) + 1e-4
+    return seen / seen.sum()
+
+
+def _axes_of_bones(character: Character) -> tuple[str, str] | None:
+    """Up and front as the bones of its rig have them; None where there is none or they do not say."""
+    from bunraku.skeletons.rig_axes import rig_axes
+
+    rig = character.rig
+    return None if rig is None else rig_axes(rig.names, rig.parents, rig.positions)
 
 
 def _suffix(character: Character) -> str:

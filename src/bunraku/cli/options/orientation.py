@@ -67,19 +67,11 @@ def stand_up(character: Character, path: Path, up: str = "auto", front: str = "a
 
 
 def resolve_file(character: Character, up: str = "auto", front: str = "auto") -> tuple[ResolvedAxes, str]:
-    """How a character of a file is taken to stand (`pipelines.standing`), and what there is to say about it."""
-    from bunraku.pipelines.standing import file_standing
+    """How a character of a file is taken to stand, and what there is to say about it."""
+    from bunraku.handles.orientation import resolve_axes
 
-    found = file_standing(character, up, front)
-    if not found.bones:
-        return found.resolved, said_axes(found.resolved, up, front)
-    if found.bones == "+z":
-        return found.resolved, ""
-    return (
-        found.resolved,
-        f"its bones face {found.bones.upper()}, if left and right are named rightly; left as it is. Type --up +y "
-        f"--front {found.bones} to turn it.",
-    )
+    resolved = resolve_axes(character, up, front)
+    return resolved, said_axes(resolved, up, front)
 
 
 def stands_line(character: Character, up: str = "auto", front: str = "auto") -> str:

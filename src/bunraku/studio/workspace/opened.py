@@ -14,9 +14,9 @@ from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError, OptionError
 from bunraku.formats.files import MAX_BYTES
 from bunraku.formats.gltf.turning import turned
+from bunraku.handles.orientation import ResolvedAxes, resolve_axes
 from bunraku.io import load_character
 from bunraku.io.units import in_metres, resolve_unit
-from bunraku.pipelines.standing import FileStanding, file_standing
 
 __all__ = ["MAX_VERTICES", "Settings", "found_out", "opened_character", "told"]
 
@@ -63,23 +63,20 @@ def opened_character(path: Path, settings: Settings) -> tuple[Character, dict[st
             f"{path.name}: {len(character.vertices):,} vertices are more than the studio shows ({MAX_VERTICES:,}); "
             "simplify the mesh, or use the command line"
         )
-    found = file_standing(character, settings.up, settings.front)
-    standing = turned(character, found.resolved.up, found.resolved.front)
+    found = resolve_axes(character, settings.up, settings.front)
+    standing = turned(character, found.up, found.front)
     suffix = str(getattr(standing.source, "suffix", ""))
     unit = resolve_unit(standing.height, suffix, settings.unit)
     character, _ = in_metres(standing, settings.unit, "+y")
     return character, {"axes": _axes(found), "unit": {"unit": unit.unit, "likely": unit.likely, "note": unit.note}}
 
 
-def _axes(found: FileStanding) -> dict[str, Any]:
+def _axes(found: ResolvedAxes) -> dict[str, Any]:
     """The axes that were taken, how sure that is, and what else it could be."""
-    resolved, guess = found.resolved, found.resolved.guess
-    out: dict[str, Any] = {"up": resolved.up, "front": resolved.front, "sure": 1.0, "other": None}
-    if found.bones and found.bones != "+z":
-        return {**out, "sure": 0.5, "other": ["+y", found.bones]}
-    if guess is None or found.bones:
+    guess, taken = found.guess, (found.up, found.front)
+    out: dict[str, Any] = {"up": found.up, "front": found.front, "sure": 1.0, "other": None}
+    if guess is None:
         return out
-    taken = (resolved.up, resolved.front)
     out["sure"] = round(guess.probability(*taken), 3)
     out["other"] = list((guess.up, guess.front) if taken != (guess.up, guess.front) else guess.next_best(*taken))
     return out

@@ -11,11 +11,11 @@ import numpy as np
 from bunraku.body.layout import handle_names
 from bunraku.core.animation import Animation
 from bunraku.handles.blocks.rigid import joint_parents
+from bunraku.handles.orientation import resolve_axes
 from bunraku.io import load_character
 from bunraku.io.play import load_animation
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.requests.request import Request, Sampling
-from bunraku.pipelines.standing import file_standing
 from bunraku_lab.evaluation.handles.rigid_blocks import block_motion
 
 __all__ = ["GAP", "SHEAR", "block_file", "block_joints"]
@@ -58,7 +58,7 @@ def block_file(
     from bunraku.formats.gltf.turning import turned
 
     found = load_character(path, unit="m")
-    standing = file_standing(found).resolved
+    standing = resolve_axes(found)
     character = turned(found, standing.up, standing.front)
     request = Request(sentence, Sampling(seconds, seed, candidates=1), rig="handles")
     animation = (animator or Animator.shipped())(character, request)
