@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from scipy.sparse import csr_matrix
 from threadpoolctl import ThreadpoolController
 
 from bunraku.anatomy.anatomy import Anatomy
@@ -26,6 +27,9 @@ __all__ = ["Shape"]
 
 PIECE = 1 << 15
 """Edges that are looked at together, few enough for the cache."""
+_ROWS, _COLUMNS = np.triu_indices(3)
+_BLOCK = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])
+"""Where each number of a symmetric matrix (3, 3) is in its upper half."""
 _FACTORS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
 
 
@@ -141,16 +145,26 @@ def _libraries() -> ThreadpoolController:
 
 
 class _System:
-    """Sampled edges of a character."""
+    """Sampled edges of a character, and the handles that move their ends differently.
+
+    An edge hears of three or four of the 30 handles, so all that goes over edges and handles are sparse products, of
+    all frames side by side.
+    """
 
     def __init__(self, stage: Shape, ends: np.ndarray, weights: np.ndarray, share: float, size: float):
-        self.stage = stage
-        self.apart = weights[:, 0] - weights[:, 1]  # (S, K)
+        self.stage, self.share = stage, share
+        apart = weights[:, 0] - weights[:, 1]  # (S, K)
         moments = weights[..., None] * ends[:, :, None]
-        self.moments = (moments[:, 0] - moments[:, 1]).reshape(len(ends), -1)  # (S, 3K)
-        self.rest = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=-1) / size
-        self.share, self.size = share, size
-        self.slope = self.apart / size
+        self.apart = csr_matrix(apart / size)
+        self.moments = csr_matrix((moments[:, 0] - moments[:, 1]).reshape(len(ends), -1) / size)  # (S, 3K)
+        self.rest = (np.linalg.norm(ends[:, 0] - ends[:, 1], axis=-1) / size).astype(np.float32)[:, None]
+        self.held = np.flatnonzero(apart.any(axis=0))  # (H,); a handle that changes no edge stays where it is
+        slope = (apart[:, self.held] / size).astype(np.float32)
+        self.slope, self.back = csr_matrix(slope), csr_matrix(slope.T)
+        first, second = np.triu_indices(len(self.held))
+        both = np.any((slope[:, first] != 0) & (slope[:, second] != 0), axis=0)
+        self.pair = first[both], second[both]
+        self.products = csr_matrix((slope[:, self.pair[0]] * slope[:, self.pair[1]]).T)  # (pairs, S)
 
     @classmethod
     def of(cls, character: Character, handles: Handles, stage: Shape) -> _System | None:
@@ -176,25 +190,32 @@ class _System:
         """Gauss-Newton steps from no move at all, each frame on its own."""
         frames, handles = translations.shape[:2]
         offset = handle_offsets(positions, translations, rotations)
-        left = rotations.transpose(0, 2, 1, 3).reshape(frames * 3, handles * 3)
-        base = (left @ self.moments.T).reshape(frames, 3, -1).transpose(0, 2, 1) + self.apart @ offset
-        base = (base / self.size).astype(np.float32)
-        moved = np.zeros((frames, handles, 3), np.float32)
-        slope, weight = self.slope.astype(np.float32), None
-        eye = np.eye(3 * handles) / scale**2
+        base = self.moments @ rotations.transpose(1, 3, 0, 2).reshape(handles * 3, frames * 3)
+        base += self.apart @ offset.transpose(1, 0, 2).reshape(handles, frames * 3)
+        base = base.astype(np.float32)  # (S, 3N), as all that has edges in rows
+        held, (first, second) = len(self.held), self.pair
+        moved, weight = np.zeros((held, frames, 3), np.float32), None
+        eye = np.eye(3 * held) / scale**2
         for _ in range(self.stage.steps):
-            edges = base + slope @ moved
-            length = np.sqrt(np.square(edges).sum(-1) + 1e-12)
-            change = length - self.rest.astype(np.float32)
+            edges = (base + self.slope @ moved.reshape(held, -1)).reshape(-1, frames, 3)
+            length = np.sqrt(np.einsum("sni,sni->sn", edges, edges) + np.float32(1e-12))
+            change = length - self.rest
             if weight is None:
-                loss = np.square(change).sum(-1).mean() * self.share
+                loss = float(np.square(change).sum(axis=0).mean()) * self.share
                 weight = self.stage.strength / (loss + self.stage.calm) * self.share
-            rows = ((edges / length[..., None])[:, :, None] * slope[..., None]).reshape(frames, len(slope), -1)
-            turned = rows.transpose(0, 2, 1)
-            square = (turned @ rows) * weight + eye
-            side = (turned @ change[..., None])[..., 0] * weight + moved.reshape(frames, -1) / scale**2
-            moved = moved - np.linalg.solve(square, side[..., None])[..., 0].reshape(moved.shape)
+            edges /= length[..., None]
+            turned = (edges[..., _ROWS] * edges[..., _COLUMNS]).reshape(len(edges), -1)
+            blocks = (self.products @ turned).reshape(-1, frames, 6)[..., _BLOCK].reshape(-1, frames, 3, 3)
+            square = np.zeros((frames, held, 3, held, 3))
+            square[:, first, :, second] = square[:, second, :, first] = weight * blocks
+            edges *= change[..., None]
+            side = weight * (self.back @ edges.reshape(len(edges), -1)).reshape(held, frames, 3) + moved / scale**2
+            system = square.reshape(frames, 3 * held, -1) + eye
+            step = np.linalg.solve(system, side.transpose(1, 0, 2).reshape(frames, -1, 1))
+            moved = moved - step.reshape(frames, held, 3).transpose(1, 0, 2)
             far = np.linalg.norm(moved, axis=-1, keepdims=True)
             moved = (moved * np.minimum(self.stage.longest * scale / np.maximum(far, 1e-12), 1)).astype(np.float32)
-            moved[:, 0] = 0
-        return moved
+            moved[self.held == 0] = 0
+        out = np.zeros((frames, handles, 3), np.float32)
+        out[:, self.held] = moved.transpose(1, 0, 2)
+        return out
