@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from bunraku.anatomy.blocks import block_rest
-from bunraku.anatomy.ground import standing, stride_scale
+from bunraku.anatomy.ground import Reach, standing, stride_scale
 from bunraku.anatomy.joints import Joints, find_joints, reference_joints, refined_joints
 from bunraku.anatomy.legs import Leg, find_arms, find_legs, find_stumps
 from bunraku.anatomy.limbs import LimbView, by_limb, further_limbs, limb_views
@@ -236,6 +236,11 @@ class Anatomy:
     def stands(self) -> np.ndarray:
         """Vertices of `mesh` that may stand on the ground, shape (V,), bool."""
         return standing(*self.stance)
+
+    @cached_property
+    def reach(self) -> Reach:
+        """The extreme points of what may stand on the ground."""
+        return Reach.of(self.mesh.vertices[self.stands], self.mesh_handles.weights[self.stands])
 
     @cached_property
     def scale(self) -> float:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import NamedTuple
+
 import numpy as np
 
 from bunraku.anatomy.rest_pose import upright
@@ -12,7 +15,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.geometry.extremes import part_extremes
 
-__all__ = ["lowest", "standing", "stride_scale"]
+__all__ = ["Reach", "lowest", "reference_reach", "standing", "stride_scale"]
 
 CHUNK = 500  # frames posed at once to find the lowest point: bounds memory
 _LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee", "ankle", "foot"))]
@@ -51,6 +54,32 @@ def stride_scale(character: Character, handles: Handles, stands: np.ndarray) -> 
     return max(over_floor, 0.02 * character.height) / float(reference_body().handles.positions[0, 1])
 
 
+class Reach(NamedTuple):
+    """The extreme points of every part of a body, among which is the lowest one in any pose.
+
+    Args:
+        vertices: Rest positions [m], shape (n, 3).
+        weights: Of the handles, shape (n, K).
+    """
+
+    vertices: np.ndarray
+    weights: np.ndarray
+
+    @classmethod
+    def of(cls, vertices: np.ndarray, weights: np.ndarray) -> Reach:
+        """That of a body, or of some of its vertices, shapes (V, 3) and (V, K)."""
+        pick = part_extremes(vertices, weights)
+        return cls(vertices[pick], weights[pick])
+
+    def lowest(self, motion: HandleMotion, positions: np.ndarray) -> np.ndarray:
+        """Height of the lowest point in each frame [m], shape (N,), of a motion of handles at `positions` [m], shape (K,
+        3).
+        """
+        transforms = motion.transforms(positions)
+        parts = [transforms[start : start + CHUNK] for start in range(0, len(transforms), CHUNK)]
+        return np.concatenate([skin(self.vertices, self.weights, part)[..., 1].min(axis=1) for part in parts])
+
+
 def lowest(vertices: np.ndarray, weights: np.ndarray, motion: HandleMotion, positions: np.ndarray) -> np.ndarray:
     """Height of the lowest vertex in each frame [m], shape (N,), from the extreme points of every part.
 
@@ -60,7 +89,12 @@ def lowest(vertices: np.ndarray, weights: np.ndarray, motion: HandleMotion, posi
         motion: Of the handles.
         positions: Of the handles [m], shape (K, 3).
     """
-    pick = part_extremes(vertices, weights)
-    transforms = motion.transforms(positions)
-    parts = [transforms[start : start + CHUNK] for start in range(0, len(transforms), CHUNK)]
-    return np.concatenate([skin(vertices[pick], weights[pick], part)[..., 1].min(axis=1) for part in parts])
+    return Reach.of(vertices, weights).lowest(motion, positions)
+
+
+@lru_cache(maxsize=2)
+def reference_reach(arms: bool = True) -> Reach:
+    """That of the reference body, or of all that it may stand on, which is not its arms."""
+    body = reference_body()
+    some = slice(None) if arms else standing(body.character(), body.handles)
+    return Reach.of(body.vertices[some], body.handle_weights[some])

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from bunraku.geometry.subdivision import split_long_edges
 
-__all__ = ["blend_matrix", "least_distance", "surface_distances"]
+__all__ = ["Stars", "blend_matrix", "least_distance", "stars_of", "surface_distances"]
 
 _CHUNK = 60_000  # point-triangle pairs at a time: small enough for the cache
 _MOST_TRIANGLES = 64  # around one vertex
@@ -30,7 +30,7 @@ def least_distance(tree: cKDTree, points: np.ndarray) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Stars:
+class Stars:
     """Triangles by vertex, with what the nearest point on each needs."""
 
     triangles: np.ndarray
@@ -42,8 +42,14 @@ class _Stars:
     dots: np.ndarray  # (3, T): u.u, u.v, v.v
 
 
-def _stars(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> _Stars:
-    """Triangles at each vertex. Edges of no face and lone vertices count as triangles of no width."""
+def stars_of(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> Stars:
+    """Triangles at each vertex. Edges of no face and lone vertices count as triangles of no width.
+
+    Args:
+        vertices: Of the mesh, shape (M, 3).
+        faces: Its triangles, shape (F, 3).
+        edges: Its edges, smaller vertex first, shape (E, 2); those of no triangle carry points too.
+    """
     count = len(vertices)
     a, b = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     held = np.isin(edges[:, 0] * count + edges[:, 1], np.minimum(a, b) * count + np.maximum(a, b))
@@ -67,7 +73,7 @@ def _stars(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> _Stars
     first, second, third = (vertices[triangles[:, corner]] for corner in range(3))
     u, v = second - first, third - first
     dots = np.stack([(u * u).sum(axis=1), (u * v).sum(axis=1), (v * v).sum(axis=1)])
-    return _Stars(triangles, pointer, number[order], first, u, v, dots)
+    return Stars(triangles, pointer, number[order], first, u, v, dots)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +93,7 @@ class _Found:
         return np.stack([1 - self.s - self.t, self.s, self.t], axis=1)
 
 
-def _search(points: np.ndarray, home: np.ndarray, stars: _Stars) -> _Found:
+def _search(points: np.ndarray, home: np.ndarray, stars: Stars) -> _Found:
     sizes = stars.pointer[home + 1] - stars.pointer[home]
     starts = np.cumsum(sizes) - sizes
     owner = np.repeat(np.arange(len(home)), sizes)
@@ -98,7 +104,7 @@ def _search(points: np.ndarray, home: np.ndarray, stars: _Stars) -> _Found:
     return _Found(owner, triangle, square, s, t, starts, np.minimum.reduceat(square, starts))
 
 
-def _walk(points: np.ndarray, home: np.ndarray, found: _Found, stars: _Stars) -> np.ndarray:
+def _walk(points: np.ndarray, home: np.ndarray, found: _Found, stars: Stars) -> np.ndarray:
     """Homes moved along the mesh, for the points whose nearest point is on the rim of their star; -1 for those that
     stay.
     """
@@ -161,9 +167,7 @@ def surface_distances(
     return out
 
 
-def blend_matrix(
-    points: np.ndarray, home: np.ndarray, vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, width: float
-) -> csr_matrix:
+def blend_matrix(points: np.ndarray, home: np.ndarray, stars: Stars, width: float) -> csr_matrix:
     """Weights of mesh vertices at points whose position on the mesh is roughly known.
 
     Each point takes the nearest points of the triangles around its home vertex and their barycentric weights, blended
@@ -174,15 +178,12 @@ def blend_matrix(
     Args:
         points: Positions, shape (P, 3).
         home: A vertex of the mesh near each point, shape (P,).
-        vertices: Vertices of the mesh, shape (M, 3).
-        faces: Its triangles, shape (F, 3).
-        edges: Its edges, smaller vertex first, shape (E, 2); those of no triangle carry points too.
+        stars: Of the mesh.
         width: Blending distance.
 
     Returns:
         Sparse weights, shape (P, M), float32, not negative, rows sum to 1.
     """
-    stars = _stars(vertices, faces, edges)
     order = np.argsort(home, kind="stable")  # neighbours share triangles, and these stay in the cache
     load = np.cumsum(np.diff(stars.pointer)[home[order]])
     cuts = np.searchsorted(load, np.arange(_CHUNK, load[-1], _CHUNK))
@@ -201,11 +202,11 @@ def blend_matrix(
                 )
             )
     row, column, value = (np.concatenate([block[part] for block in blocks]) for part in range(3))
-    return coo_matrix((value, (row, column)), shape=(len(points), len(vertices))).tocsr()
+    return coo_matrix((value, (row, column)), shape=(len(points), len(stars.pointer) - 1)).tocsr()
 
 
 def _blend(
-    found: _Found, wanted: np.ndarray, rows: np.ndarray, stars: _Stars, width: float
+    found: _Found, wanted: np.ndarray, rows: np.ndarray, stars: Stars, width: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows, columns and values of the blended weights of the wanted points."""
     share = np.exp((found.nearest[found.owner] - found.square) / (2 * width * width))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 __all__ = ["extreme_points", "part_extremes"]
@@ -9,12 +11,14 @@ __all__ = ["extreme_points", "part_extremes"]
 _GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
+@lru_cache(maxsize=8)
 def _directions(count: int) -> np.ndarray:
-    """Directions spread evenly over the sphere, shape (count, 3)."""
+    """Directions spread evenly over the sphere, shape (count, 3), float32."""
     number = np.arange(count)
     height = 1 - (2 * number + 1) / count
     radius = np.sqrt(1 - height**2)
-    return np.stack([radius * np.cos(_GOLDEN * number), height, radius * np.sin(_GOLDEN * number)], axis=1)
+    found = np.stack([radius * np.cos(_GOLDEN * number), height, radius * np.sin(_GOLDEN * number)], axis=1)
+    return found.astype(np.float32)
 
 
 def extreme_points(points: np.ndarray, count: int = 64) -> np.ndarray:
@@ -26,9 +30,7 @@ def extreme_points(points: np.ndarray, count: int = 64) -> np.ndarray:
         points: Shape (n, 3), n > 0.
         count: How many directions.
     """
-    return np.unique(
-        (_directions(count).astype(np.float32) @ (points - points.mean(axis=0)).astype(np.float32).T).argmax(axis=1)
-    )
+    return np.unique((_directions(count) @ (points - points.mean(axis=0)).astype(np.float32).T).argmax(axis=1))
 
 
 def part_extremes(vertices: np.ndarray, weights: np.ndarray, count: int = 160) -> np.ndarray:

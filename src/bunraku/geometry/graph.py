@@ -231,15 +231,25 @@ def unique_edges(faces: np.ndarray, count: int) -> np.ndarray:
 
 def unpack_pairs(key: np.ndarray, count: int) -> np.ndarray:
     """Each pair (a, b) of the keys `a * count + b` once, sorted, shape (E, 2), int64."""
+    if max(int(key.max(initial=0)), count) < 2**31:
+        key = key.astype(np.int32)  # sorted in half the time
     key = np.sort(key)  # several times as fast as the hashing of np.unique
     fresh = np.ones(len(key), bool)
     fresh[1:] = key[1:] != key[:-1]
-    return np.stack(np.divmod(key[fresh], count), axis=1)
+    out = np.empty((np.count_nonzero(fresh), 2), np.int64)
+    out[:, 0], out[:, 1] = np.divmod(key[fresh], key.dtype.type(count))
+    return out
 
 
 def mesh_parts(edges: np.ndarray, count: int) -> np.ndarray:
     """Number of the loose part of each vertex, shape (V,), int64, in the order of their first vertices."""
-    graph = coo_matrix((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(count, count))
+    first, second = edges.T
+    if not (first[1:] >= first[:-1]).all():
+        order = np.argsort(first, kind="stable")
+        first, second = first[order], second[order]
+    starts = np.zeros(count + 1, np.int32)
+    np.cumsum(np.bincount(first, minlength=count), out=starts[1:])
+    graph = csr_matrix((np.ones(len(edges)), second.astype(np.int32), starts), shape=(count, count))
     return connected_components(graph, directed=False)[1].astype(np.int64)
 
 

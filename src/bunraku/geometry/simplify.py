@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from bunraku.errors import CharacterError
-from bunraku.geometry.closest import blend_matrix
+from bunraku.geometry.closest import Stars, blend_matrix, stars_of
 from bunraku.geometry.graph import (
     CleanMesh,
     bridge_edges,
@@ -130,8 +130,12 @@ class NetworkMesh:
 
     def _blend(self, points: np.ndarray, home: np.ndarray) -> csr_matrix:
         """Weights of this mesh's vertices at points (P, 3) near its vertices `home` (P,)."""
+        return blend_matrix(points, home, self._stars, 0.1 * self.cell)
+
+    @cached_property
+    def _stars(self) -> Stars:
         own = self.edges[self.components[self.edges[:, 0]] == self.components[self.edges[:, 1]]]
-        return blend_matrix(points, home, self.vertices.astype(np.float64), self.faces, own, 0.1 * self.cell)
+        return stars_of(self.vertices.astype(np.float64), self.faces, own)
 
     @cached_property
     def _spread(self) -> csr_matrix:

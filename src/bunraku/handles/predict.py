@@ -72,10 +72,10 @@ def predict_weights(mesh: NetworkMesh, model: HandlePredictor) -> tuple[np.ndarr
     Returns:
         Skinning weights (M, K) and the mesh deformation feature f_phi (448,) of the mesh as it is, float32.
     """
-    from bunraku.handles.inference.graph import mesh_graph
+    from bunraku.handles.inference.graph import ordered_graph
     from bunraku.nn.threads import one_thread, side_by_side
 
-    graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors).in_order()
+    graph = ordered_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors)
     with one_thread():
         plain, mirrored = side_by_side(lambda: model(graph), lambda: model(graph.mirrored()))
         weights = np.float32(0.5) * (plain.weights + mirrored.weights[:, list(HANDLE_MIRROR)])

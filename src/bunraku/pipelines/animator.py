@@ -136,17 +136,30 @@ class Animator:
         Raises:
             OptionError: The requests differ in more; and as of a single request.
         """
-        for moved in self.moved(character, requests, only):
-            yield self.dress(moved, requests[0].apparel)
+        sentences, request, body = self._prepared(character, requests)
+        for moved in self._moved(body, sentences, request, requests, only):
+            yield self.dress(moved, request.apparel, body.anatomy)
 
     def moved(
         self, character: Character | Body, requests: Sequence[Request], only: Collection[int] | None = None
     ) -> Iterator[Animation | RigAnimation]:
         """As `each`, with apparel that goes with the body."""
+        sentences, request, body = self._prepared(character, requests)
+        yield from self._moved(body, sentences, request, requests, only)
+
+    def _prepared(
+        self, character: Character | Body, requests: Sequence[Request]
+    ) -> tuple[list[Sentence], Request, Body]:
+        """What is said, what all requests say, and the body; whatever cannot be met is refused before the work."""
         sentences, request = _read(requests), _common(requests)
         request.check()
         _check_lengths(sentences)
-        body = character if isinstance(character, Body) else self.body(character, request)
+        return sentences, request, character if isinstance(character, Body) else self.body(character, request)
+
+    def _moved(
+        self, body: Body, sentences: list[Sentence], request: Request, requests: Sequence[Request],
+        only: Collection[int] | None,
+    ) -> Iterator[Animation | RigAnimation]:  # fmt: skip
         sentences, as_people = as_bodies_do(sentences, body.anatomy)
         drawing = self._drawing(request, body.feature, as_people)
         path = reference_path(request.constraints.path, body.anatomy)
@@ -283,8 +296,15 @@ class Animator:
             _note_rig(character, handles, request)
         return Body(character, handles.features, Anatomy.of(character, handles).measured())
 
-    def dress(self, moved: Animation | RigAnimation, apparel: Apparel) -> AnimatedCharacter:
+    def dress(
+        self, moved: Animation | RigAnimation, apparel: Apparel, anatomy: Anatomy | None = None
+    ) -> AnimatedCharacter:
         """An animation with its apparel moved.
+
+        Args:
+            moved: With apparel that goes with the body.
+            apparel: How it moves.
+            anatomy: Of the character by what moves it; worked out where it is asked for and not given.
 
         Raises:
             CharacterError: It is to be simulated without physics, or learned where there is none.
@@ -296,8 +316,9 @@ class Animator:
         from bunraku.pipelines.apparel import dressed
 
         return dressed(
-            moved, apparel.motion, stiffness=apparel.stiffness, gravity=apparel.gravity, progress=self.progress
-        )
+            moved, apparel.motion, stiffness=apparel.stiffness, gravity=apparel.gravity, progress=self.progress,
+            anatomy=anatomy,
+        )  # fmt: skip
 
     def _drawing(self, request: Request, feature: object | None, as_people: bool) -> Drawing:
         how = request.sampling

@@ -68,6 +68,7 @@ def dressed(
     stiffness: float = 1.0,
     gravity: float = 1.0,
     progress: Progress | None = None,
+    anatomy: Anatomy | None = None,
 ) -> Animation | RigAnimation | PointAnimation:
     """An animation with its apparel moved.
 
@@ -77,6 +78,7 @@ def dressed(
         stiffness: Factor on how stiff apparel is.
         gravity: Factor on the gravity of what is simulated.
         progress: Called with a stage's name and the share done.
+        anatomy: Of the character by the handles that move it; worked out where it is asked for and not given.
 
     Raises:
         OptionError: `apparel` is none of these.
@@ -93,7 +95,7 @@ def dressed(
     if str(apparel) == "auto":
         if isinstance(animation, RigAnimation) and moving_rig(animation.character) is not None:
             return with_apparel(animation, progress, stiffness, gravity)
-        if not _person(animation):
+        if not _person(animation, anatomy):
             return animation
         clothed, _, _ = animated_clothed(animation)
         if clothed.apparel.mean() < LEAST:
@@ -202,14 +204,14 @@ def animated_clothed(
     return clothed, transforms, moved.animation() if isinstance(moved, RigAnimation) else moved
 
 
-def _person(animation: Animation | RigAnimation) -> bool:
+def _person(animation: Animation | RigAnimation, anatomy: Anatomy | None) -> bool:
     """Whether apparel is looked for on a character that is animated; where an artist says what is, always."""
     character = animation.character
     if artist_mask(character) is not None:
         return True
     if isinstance(animation, RigAnimation):
         return _unified(character) is not None
-    return wears(Anatomy.of(character, animation.handles))
+    return wears(anatomy or Anatomy.of(character, animation.handles))
 
 
 def _unified(character: Character) -> UnifiedBody | None:

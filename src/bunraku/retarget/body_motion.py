@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.anatomy.ground import lowest
+from bunraku.anatomy.ground import reference_reach
 from bunraku.anatomy.joints import attach_joints, reference_joints
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES
 from bunraku.body.reference import leg_length, reference_body
@@ -46,7 +46,7 @@ def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:
     pelvis, position = body.joints[0].astype(np.float64), body.handles.positions[0].astype(np.float64)
     path = motion.root_translation * scale + np.einsum("nij,j->ni", root, position - pelvis) - position
     out = HandleMotion(translations, rotations, path, root, motion.fps)
-    path[:, 1] -= np.quantile(lowest(body.vertices, body.handle_weights, out, body.handles.positions), STANDS)
+    path[:, 1] -= np.quantile(reference_reach().lowest(out, body.handles.positions), STANDS)
     return replace(out, root_translation=path)
 
 

@@ -15,7 +15,7 @@ from bunraku.diffusion.extractor_config import RADIUS, ExtractorConfig
 from bunraku.diffusion.inference.denoiser import load_denoiser as load_running_denoiser
 from bunraku.diffusion.inference.extractor import load_extractor as load_running_extractor
 from bunraku.geometry.simplify import network_mesh
-from bunraku.handles.inference.graph import mesh_graph
+from bunraku.handles.inference.graph import mesh_graph, ordered_graph
 from bunraku.handles.inference.orientation import OrientationConfig, shape_tokens
 from bunraku.handles.inference.orientation import turned_tokens as turned_arrays
 from bunraku.handles.inference.predictor import PredictorConfig
@@ -169,6 +169,10 @@ def test_handles():
         ours, expected = found(one), model(other)
         np.testing.assert_allclose(ours.weights, expected.weights, atol=1e-5)
         np.testing.assert_allclose(ours.features, expected.features, atol=2e-5, rtol=1e-4)
+    ordered = ordered_graph(*arrays)
+    ours, expected = found(ordered), found(graph)
+    np.testing.assert_allclose(ours.weights[ordered.position], expected.weights, atol=1e-5)
+    np.testing.assert_allclose(ours.features, expected.features, atol=2e-5, rtol=1e-4)
 
 
 def test_segmentation(tmp_path):

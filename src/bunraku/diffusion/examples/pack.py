@@ -143,6 +143,9 @@ def said_by(texts: Sequence[str]) -> Said:
     return Said(frozenset(main_actions(texts)), cues, traits)
 
 
+_said_by = functools.lru_cache(maxsize=4096)(said_by)
+
+
 @dataclass(frozen=True, eq=False)
 class ExamplePack:
     """Examples with their vectors, each as it is and in the mirror.
@@ -208,7 +211,7 @@ class ExamplePack:
     def said(self, index: int) -> Said:
         """What the sentences of an example say."""
         if not self.stored:
-            return said_by(self.examples[index].texts)
+            return _said_by(tuple(self.examples[index].texts))
         actions, cues, traits = [frozenset(names.split(_AND)) - {""} for names in self.stored[index]]
         return Said(actions, cues, traits)
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-__all__ = ["MeshGraph", "OrderedGraph", "farthest_points", "mesh_graph"]
+__all__ = ["MeshGraph", "OrderedGraph", "farthest_points", "mesh_graph", "ordered_graph"]
 
 _NEAR = 3  # anchors that each vertex listens to
 
@@ -42,15 +42,6 @@ class MeshGraph:
     gather: np.ndarray | csr_matrix
     anchors: np.ndarray
 
-    def in_order(self) -> OrderedGraph:
-        """The same with its vertices in order of falling degree."""
-        order = self.ranks[0]
-        return OrderedGraph(
-            inputs=self.inputs[order], areas=self.areas[order], spread=csr_matrix(self.spread[order]),
-            gather=csr_matrix(self.gather[:, order]), ranks=tuple(self.position[rank] for rank in self.ranks),
-            position=self.position, anchors=self.anchors,
-        )  # fmt: skip
-
     def mirrored(self) -> MeshGraph:
         """The mirror image in the plane x = 0, with the same vertices in the same order."""
         flip = np.array([-1, 1, 1, -1, 1, 1], np.float32)
@@ -64,13 +55,17 @@ class MeshGraph:
         """
         return self._largest(values, values[self.ranks[0]])[self.position]
 
-    def _largest(self, values: np.ndarray, best: np.ndarray) -> np.ndarray:
-        """The same of vertices in order of falling degree; writes on `best`, the values of these."""
-        room = np.empty_like(values)
+    def _largest(self, values: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """The same of vertices in order of falling degree, `own` the values of these."""
+        best, room = np.empty_like(values), np.empty_like(values)
+        seen = own
         for neighbours in self.ranks[1:]:
-            part = best[: len(neighbours)]
-            np.maximum(part, values.take(neighbours, axis=0, out=room[: len(neighbours)], mode="clip"), out=part)
-        return best
+            count = len(neighbours)
+            other = values.take(neighbours, axis=0, out=room[:count], mode="clip")
+            np.maximum(seen[:count], other, out=best[:count])
+            if seen is own:
+                seen, best[count:] = best, own[count:]
+        return own.copy() if seen is own else best
 
 
 class OrderedGraph(MeshGraph):
@@ -80,7 +75,7 @@ class OrderedGraph(MeshGraph):
 
     def largest_neighbour(self, values: np.ndarray) -> np.ndarray:
         """As `MeshGraph.largest_neighbour`."""
-        return self._largest(values, values.copy())
+        return self._largest(values, values)
 
 
 def farthest_points(positions: np.ndarray, count: int) -> np.ndarray:
@@ -132,20 +127,10 @@ def mesh_graph(
         rng: For training, where other anchors are to be drawn each time; without it they depend on the mesh alone.
     """
     count = len(positions)
-    seen = positions if rng is None else positions + rng.normal(0, 0.02, positions.shape)
-    chosen = farthest_points(seen, min(anchors, count))
-    points = positions[chosen].astype(np.float32)
-    squared = ((positions**2).sum(axis=1)[:, None] - 2 * positions @ points.T + (points**2).sum(axis=1)).astype(
-        np.float32
-    )
-    near = min(_NEAR, len(chosen))
-    index = np.argpartition(squared, near - 1, axis=1)[:, :near]
-    weight = 1 / (np.maximum(np.take_along_axis(squared, index, axis=1), 0) + 1e-4)
+    chosen, index, weight = _anchored(positions, anchors, rng)
     spread = np.zeros((count, len(chosen)), np.float32)
-    np.put_along_axis(spread, index, weight / weight.sum(axis=1, keepdims=True), axis=1)
-    share = np.maximum(np.asarray(areas, np.float64), 0)
-    share = (share + 1e-3 * max(share.mean(), 1e-12)).astype(np.float32)
-    share /= share.sum()
+    np.put_along_axis(spread, index, weight, axis=1)
+    share = _shares(areas)
     gather = (spread * share[:, None]).T
     gather /= np.maximum(gather.sum(axis=1, keepdims=True), 1e-20)
     ranks, number = _neighbour_ranks(np.asarray(edges, np.int64), count)
@@ -156,5 +141,52 @@ def mesh_graph(
         position=number,
         spread=spread,
         gather=np.ascontiguousarray(gather, dtype=np.float32),
-        anchors=points,
+        anchors=positions[chosen].astype(np.float32),
     )
+
+
+def ordered_graph(
+    positions: np.ndarray, normals: np.ndarray, edges: np.ndarray, areas: np.ndarray, anchors: int = 128
+) -> OrderedGraph:
+    """`mesh_graph` with its vertices in order of falling degree, for inference; arguments are those."""
+    count = len(positions)
+    chosen, index, weight = _anchored(positions, anchors)
+    ranks, number = _neighbour_ranks(np.asarray(edges, np.int64), count)
+    order = ranks[0]
+    columns, values, share = index[order].reshape(-1), weight[order], _shares(areas)[order]
+    rows = np.arange(0, len(columns) + 1, index.shape[1])
+    heard = (values * share[:, None]).reshape(-1)
+    heard /= np.maximum(np.bincount(columns, heard, len(chosen)), 1e-20).astype(np.float32)[columns]
+    shape = count, len(chosen)
+    return OrderedGraph(
+        inputs=np.concatenate([positions, normals], axis=1).astype(np.float32)[order],
+        areas=share,
+        ranks=tuple(number[rank] for rank in ranks),
+        position=number,
+        spread=csr_matrix((values.reshape(-1), columns, rows), shape=shape),
+        gather=csr_matrix(csr_matrix((heard, columns, rows), shape=shape).T),
+        anchors=positions[chosen].astype(np.float32),
+    )
+
+
+def _anchored(
+    positions: np.ndarray, anchors: int, rng: np.random.Generator | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which vertices are anchors, shape (M,); the anchors that each vertex listens to, shape (V, n), and how much."""
+    seen = positions if rng is None else positions + rng.normal(0, 0.02, positions.shape)
+    chosen = farthest_points(seen, min(anchors, len(positions)))
+    points = positions[chosen].astype(np.float32)
+    squared = ((positions**2).sum(axis=1)[:, None] - 2 * positions @ points.T + (points**2).sum(axis=1)).astype(
+        np.float32
+    )
+    near = min(_NEAR, len(chosen))
+    index = np.argpartition(squared, near - 1, axis=1)[:, :near]
+    weight = 1 / (np.maximum(np.take_along_axis(squared, index, axis=1), 0) + 1e-4)
+    return chosen, index, (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
+def _shares(areas: np.ndarray) -> np.ndarray:
+    """Share of the surface that each vertex stands for, shape (V,), not 0."""
+    share = np.maximum(np.asarray(areas, np.float64), 0)
+    share = (share + 1e-3 * max(share.mean(), 1e-12)).astype(np.float32)
+    return np.asarray(share / share.sum())

@@ -11,7 +11,7 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.bending import move_feet
-from bunraku.anatomy.ground import lowest, standing
+from bunraku.anatomy.ground import lowest, reference_reach
 from bunraku.anatomy.legs import Leg, foot_points
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
@@ -83,7 +83,7 @@ class Ground(Stage):
         below = self._standing_of(motion) if heights is None else None
         want = self._ground_of(motion, below) if below is not None else np.asarray(heights)
         drift = self._local_ground(want, motion.fps)
-        have = lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions)
+        have = anatomy.reach.lowest(fitted, handles.positions)
         seen = character.surface
         if below is not None and stands.sum() < seen.sum():
             hands_down = below > want + 0.01
@@ -98,9 +98,7 @@ class Ground(Stage):
 
     def _standing_of(self, motion: HandleMotion) -> np.ndarray:
         """Height of the lowest point of all that the reference body may stand on [m], shape (N,): not of its arms."""
-        body = reference_body()
-        some = standing(body.character(), body.handles)
-        return lowest(body.vertices[some], body.handle_weights[some], motion, body.handles.positions)
+        return reference_reach(arms=False).lowest(motion, reference_body().handles.positions)
 
     def _ground_of(self, motion: HandleMotion, stands: np.ndarray) -> np.ndarray:
         """Height of the lowest point of the reference body [m], shape (N,), but for hands that have sunk in.
@@ -112,8 +110,7 @@ class Ground(Stage):
             motion: Of the reference body.
             stands: Height of the lowest point of what it may stand on [m], shape (N,).
         """
-        body = reference_body()
-        whole = lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
+        whole = reference_reach().lowest(motion, reference_body().handles.positions)
         carried = running_least(stands - whole, self._window(motion.fps)) > self.held
         ground = np.where(carried, whole, self._local_ground(stands, motion.fps))
         return np.asarray(np.minimum(stands, np.maximum(whole, ground)))
@@ -157,8 +154,7 @@ class Ground(Stage):
             anatomy: Of the character.
             air: Half of the time that the body is in the air at the most [s]; None for the 0.75 s.
         """
-        character, handles, stands = anatomy.mesh, anatomy.mesh_handles, anatomy.stands
-        have = lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions) - anatomy.floor
+        have = anatomy.reach.lowest(fitted, anatomy.mesh_handles.positions) - anatomy.floor
         if air is None:
             hovers = self._local_ground(have, fitted.fps)
         else:
@@ -227,12 +223,11 @@ class Floor(Stage):
             source: Of the reference body.
             anatomy: Of the character.
         """
-        character, handles, stands, body = anatomy.mesh, anatomy.mesh_handles, anatomy.stands, reference_body()
-        have = lowest(character.vertices[stands], handles.weights[stands], motion, handles.positions) - anatomy.floor
-        want = lowest(body.vertices, body.handle_weights, source, body.handles.positions)
+        have = anatomy.reach.lowest(motion, anatomy.mesh_handles.positions) - anatomy.floor
+        want = reference_reach().lowest(source, reference_body().handles.positions)
         air = want - running_least(want, 2 * round(self.air * source.fps) + 1)
         up = air * anatomy.scale - have
-        return _lifted(motion, np.where(up < 0, up * (1 - smooth_step(-up / character.height, *self.flies)), up))
+        return _lifted(motion, np.where(up < 0, up * (1 - smooth_step(-up / anatomy.mesh.height, *self.flies)), up))
 
     def _foot_lifts(self, heights: np.ndarray, trust: np.ndarray, most: float, depth: float, reach: int) -> np.ndarray:
         """How far a foot is moved up in each frame [m], shape (N,): to the ground where it stands, out of it where it
