@@ -72,9 +72,7 @@ class Reach(NamedTuple):
         return cls(vertices[pick], weights[pick])
 
     def lowest(self, motion: HandleMotion, positions: np.ndarray) -> np.ndarray:
-        """Height of the lowest point in each frame [m], shape (N,), of a motion of handles at `positions` [m], shape (K,
-        3).
-        """
+        """Height of the lowest point in each frame [m], shape (N,); handles are at `positions` [m], shape (K, 3)."""
         transforms = motion.transforms(positions)
         parts = [transforms[start : start + CHUNK] for start in range(0, len(transforms), CHUNK)]
         return np.concatenate([skin(self.vertices, self.weights, part)[..., 1].min(axis=1) for part in parts])
