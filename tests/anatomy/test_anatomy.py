@@ -8,8 +8,10 @@ import pytest
 
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.plan import BodyPlan
+from bunraku.body.layout import HANDLE_COUNT
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
 from bunraku.errors import CharacterError
 from bunraku.handles.from_rig import rig_handles
 from bunraku.samples import sample_character
@@ -80,3 +82,16 @@ def test_other_handles_than_those_of_a_body_are_refused():
     found = body().character
     with pytest.raises(CharacterError, match="30 handles, not 5"):
         Anatomy.of(found, Handles(np.zeros((5, 3)), np.eye(5)[np.zeros(len(found.vertices), int)]))
+
+
+def test_what_reaches_the_ground_is_the_lowest_of_all_that_may_stand():
+    found = body()
+    angles = np.radians([0, 20, 50, 80])
+    turns = np.tile(np.eye(3), (4, 1, 1))
+    turns[:, 1:, 1:] = [[[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]] for a in angles]  # falls on its face
+    still = np.tile(np.eye(3), (4, HANDLE_COUNT, 1, 1))
+    motion = HandleMotion(np.zeros((4, HANDLE_COUNT, 3)), still, np.zeros((4, 3)), turns, 20.0)
+    seen = found.reach.lowest(motion, found.handles.positions)
+    points, root = found.mesh.vertices[found.stands], found.handles.positions[0]
+    true = ((points - root) @ turns.swapaxes(1, 2))[..., 1].min(axis=1) + root[1]
+    assert (seen >= true - 1e-5).all() and (seen <= true + 0.01).all()

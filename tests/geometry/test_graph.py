@@ -14,6 +14,7 @@ from bunraku.geometry.graph import (
     mesh_parts,
     pack,
     unique_edges,
+    unpack_pairs,
 )
 
 
@@ -199,3 +200,18 @@ def test_the_first_place_of_each_key_is_that_of_unique():
         key = random.integers(0, most, 300)
         _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
         np.testing.assert_array_equal(_first_alike(key), first[inverse])
+
+
+@pytest.mark.parametrize("count", [1_000, 3_000_000])  # whose pairs do not fit into 32 bits
+def test_pairs_of_keys_of_any_size(count):
+    pairs = np.random.default_rng(1).integers(0, count, (300, 2))
+    found = unpack_pairs(np.concatenate([pairs, pairs[:40]]) @ [count, 1], count)
+    assert found.dtype == np.int64 and np.array_equal(found, np.unique(pairs, axis=0))
+    assert unpack_pairs(np.zeros(0, np.int64), count).shape == (0, 2)
+
+
+def test_parts_do_not_depend_on_the_order_of_edges():
+    edges = np.array([[4, 1], [0, 2], [5, 4], [2, 6]])
+    for order in ([0, 1, 2, 3], [3, 1, 0, 2], [2, 3, 1, 0]):
+        assert mesh_parts(edges[order], 8).tolist() == [0, 1, 0, 2, 1, 1, 0, 3]
+    assert mesh_parts(np.zeros((0, 2), int), 3).tolist() == [0, 1, 2]

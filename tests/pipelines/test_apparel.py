@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.apparel.displacement.weights import DisplacementConfig
 from bunraku.apparel.fitting import BORDER, eased_border, fitted_clothes, joints_of_handles
 from bunraku.apparel.segmentation.scores import SegmentationConfig
@@ -85,6 +86,12 @@ def test_a_mask_file_is_taken(animation, weights, tmp_path):
     saved = result.save(tmp_path / "out.glb")
     assert saved.stat().st_size > 1000
     assert dressed(animation, "none") is animation and dressed(animation, "rigid") is animation
+
+
+def test_what_a_request_knows_of_the_body_is_not_asked_again(animation):
+    anatomy = Anatomy.of(animation.character, animation.handles)
+    vars(anatomy)["plan"] = replace(anatomy.plan, hind=0)  # as if it had said that nobody is there
+    assert dressed(animation, "auto", anatomy=anatomy) is animation
 
 
 def test_the_command_and_python_move_apparel_alike_where_nothing_is_said():
