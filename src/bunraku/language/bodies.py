@@ -79,10 +79,14 @@ def _on_ground(clause: Clause) -> str:
 
 def _of_kind(clause: Clause) -> str:
     """A clause said of a creature, and one of walking or running of "it", whichever is named: the network has seen few
-    kinds walk, and a rat or a frog that is named hardly stirs.
+    kinds walk, and a rat or a frog that is named hardly stirs. Who only goes goes forward: told "it trots" and no more,
+    a wolf, a cow and a horse fell down.
     """
+    if clause.locomotion not in ("walk", "run"):
+        return of_creature(clause.text)
     subject, rest = subject_of(clause.text)
-    return f"it {rest}" if subject and clause.locomotion in ("walk", "run") else of_creature(clause.text)
+    said = f"{rest} forward" if all(word.endswith("ly") for word in rest.split()[1:]) else rest
+    return f"it {said}" if subject else of_creature(said)
 
 
 def _of_bird(text: str) -> str:
