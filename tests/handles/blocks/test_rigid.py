@@ -202,6 +202,23 @@ def test_written_handles_stay_rigid(tmp_path):
     np.testing.assert_allclose(back.positions, handles.positions, atol=1e-5)
 
 
+def test_coats_of_a_part_are_one_block(tmp_path):
+    """A sheep whose parts have wool around them, each in a node that is named like the part but for a number."""
+    coats = {f"{name}_{number}": box for number, (name, box) in enumerate(COW.items())}
+    for number, (name, (low, high)) in enumerate(COW.items()):
+        if name != "tail":
+            low = (low[0] - 0.03, low[1] + 0.4 * (high[1] - low[1]), low[2] - 0.03)
+            coats[f"{name}_{number + 20}"] = low, np.add(high, 0.03)
+    character, blocks, _ = figure(tmp_path, coats)
+    assert sorted(name.rsplit("_", 1)[0] for name in blocks.names) == sorted(COW)
+    handles = handles_of(character)
+    assert handles is not None and handles.rigid
+    held = {HANDLE_NAMES[handles.weights[blocks.label == n][0].argmax()] for n in range(len(blocks.names))}
+    assert {"left_hip", "right_hip", "left_shoulder", "right_shoulder"} <= held
+    sunk = dict(MAN) | {"arm-left": ((0.1, 0.6, -0.08), (0.42, 1.28, 0.08))}  # unnamed, half in the trunk, but no coat
+    assert len(figure(tmp_path, sunk, named=False)[1].names) == len(MAN)
+
+
 def test_a_person_of_one_surface_has_no_blocks():
     assert find_blocks(sample_character("person")) is None
 

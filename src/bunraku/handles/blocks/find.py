@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ __all__ = ["Blocks", "find_blocks"]
 
 LEAST, MOST = 3, 100  # blocks of a figure
 WHOLE = 0.999  # share of a vertex that is of one joint
+COAT, PEER = 0.5, 0.25  # share of a block's box within another's, and of the other's, of what are coats of one part
 CUT = 0.1  # share of the rims' edges that two blocks have in common, from which on they are cuts through one surface
 
 
@@ -40,10 +42,36 @@ def find_blocks(character: Character) -> Blocks | None:
     cut into several nodes, whose rims then fit together.
     """
     found = _of_joints(character) if character.rig is not None else _of_nodes(character)
-    if found is None or not LEAST <= len(found.names) <= MOST:
+    if found is None or len(found.names) > MOST:
+        return None
+    found = _without_coats(character, found)
+    if len(found.names) < LEAST:
         return None
     faces = found.label[character.faces]
     return found if (faces == faces[:, :1]).all() and _fitting(character, faces[:, 0]) < CUT else None
+
+
+def _without_coats(character: Character, blocks: Blocks) -> Blocks:
+    """The same with what lies in one place made one block, where the names differ by a number alone: a sheep's leg and
+    the wool around it.
+    """
+    names = [re.sub(r"[\d_. ]+$", "", name).lower() for name in blocks.names]
+    boxes = [character.vertices[blocks.label == block] for block in range(len(names))]
+    low, high = np.array([box.min(axis=0) for box in boxes]), np.array([box.max(axis=0) for box in boxes])
+    size = np.maximum(high - low, 1e-3 * float((high.max(axis=0) - low.min(axis=0)).max()))
+    first = np.arange(len(names))
+    for one, name in enumerate(names):
+        for other in range(one):
+            shared = np.prod(np.clip(np.minimum(high[one], high[other]) - np.maximum(low[one], low[other]), 0, None))
+            less, more = sorted((size[one].prod(), size[other].prod()))
+            if name and name == names[other] and shared > max(COAT * less, PEER * more):
+                first[one] = first[other]
+                break
+    kept, number = np.unique(first, return_inverse=True)
+    new = np.append(number, -1)  # the last entry is that of vertices without a block, and of none above
+    above = new[blocks.above[kept]]
+    above[above == np.arange(len(kept))] = -1
+    return Blocks(new[blocks.label], tuple(blocks.names[block] for block in kept), blocks.origins[kept], above)
 
 
 def _fitting(character: Character, owner: np.ndarray) -> float:
