@@ -24,6 +24,9 @@ from bunraku_lab.evaluation.motion.samples import Request, SamplerSettings, make
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows, table_windows
 from bunraku_lab.evaluation.motion.viewer.prompts import VIEWER_BARS
 from bunraku_lab.evaluation.motion.windows import Window, window_features
+from bunraku_lab.evaluation.parts import KeptParts
+from bunraku_lab.evaluation.tables.distortion import DistortionConfig
+from bunraku_lab.evaluation.tables.global_shape import measure_handles
 from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, save_denoiser
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.nn.diffusion.matching import Extractor, save_extractor
@@ -199,6 +202,19 @@ def test_handle_samples_forget_place_and_heading():
     assert first.shape == (15, 90) and np.allclose(first, second, atol=1e-3)
     lifted = replace(motion, root_translation=motion.root_translation + np.array([0, 0.18, 0], np.float32))
     assert np.allclose((handle_samples(lifted, h, 1.8) - first).reshape(15, 30, 3), [0, 0.1, 0], atol=1e-5)
+
+
+def test_every_row_of_the_papers_table_has_handles_on_both_bodies(folder, tmp_path):
+    """What was measured of a row on a body is not measured again."""
+    config = DistortionConfig(folder, folder / "mdm.safetensors", folder / "tapmo.safetensors", work=tmp_path)
+    kept = KeptParts(tmp_path / "parts")
+    found = measure_handles(config, folder / "motions", 2, parts=kept)
+    rows = {"ours", "ours, without adaptation", "MDM-SR", "MDM-SR, limbs aligned first"}
+    assert set(found) == rows | {"MDM-SFR, floor without training"}
+    assert all(np.isfinite(value) and value > 0 for value in found.values())
+    parts = {path.name for path in (tmp_path / "parts").iterdir()}
+    assert len(parts) == 2 * len(found)
+    assert measure_handles(config, folder / "motions", 2, parts=lambda name, run: kept(name, None)) == found
 
 
 def test_handle_fid_is_the_squared_lift_of_a_lifted_motion():

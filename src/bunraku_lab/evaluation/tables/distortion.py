@@ -50,7 +50,10 @@ from bunraku_lab.nn.diffusion.adapter import adapted_denoiser
 if TYPE_CHECKING:
     from bunraku.diffusion.generation.networks import Networks
 
-__all__ = ["NO_STAGES", "SFR", "DistortionConfig", "measure_distortion", "transferred_motion", "transfers_of"]
+__all__ = [
+    "NO_STAGES", "SFR", "DistortionConfig", "adapted_weights", "measure_distortion", "transferred_motion",
+    "transfers_of",
+]  # fmt: skip
 
 SFR = "MDM-SFR"
 
@@ -160,7 +163,7 @@ def _trained(
     from bunraku.diffusion.generation.networks import Networks
 
     for row, adapter in config.adapters.items():
-        yield row, _digest(adapter), partial(_of_adapter, config, Networks(_adapted(config, row, adapter)))
+        yield row, _digest(adapter), partial(_of_adapter, config, Networks(adapted_weights(config, row, adapter)))
     for row, network in transfers_of(config.transfer).items():
         motions = [source_motion(network, _skeletal(motion)) for motion in theirs]
         yield row, _digest(config.transfer), partial(_of_transfer, network, motions)
@@ -228,7 +231,7 @@ def drawn_motions(
     )  # fmt: skip
 
 
-def _adapted(config: DistortionConfig, row: str, adapter: Path) -> Path:
+def adapted_weights(config: DistortionConfig, row: str, adapter: Path) -> Path:
     """Our weights with a last layer, written once."""
     name = hashlib.sha256(row.encode() + adapter.read_bytes()).hexdigest()[:16]
     path = config.work / f"adapted-{name}.safetensors"

@@ -22,7 +22,7 @@ from bunraku_lab.evaluation.tables.paper_table import (
     half_interval,
     measured_table,
 )
-from bunraku_lab.evaluation.tables.tapmo import EQUAL, TAPMO
+from bunraku_lab.evaluation.tables.tapmo import EQUAL, HANDLE_FID, TAPMO
 
 __all__ = ["PAPERS", "TablesConfig", "measure_tables"]
 
@@ -53,6 +53,8 @@ ADAPTERS = {
 MOTIONS = {"pool": 1600, "references": 3000, "clips": 1000, "runs": 20}
 QUICK_MOTIONS = {"pool": 96, "references": 300, "clips": 80, "runs": 3, "prompts": 4, "repeats": 4}
 """Sizes of TapMo's table 1."""
+WINDOWS, QUICK_WINDOWS = 96, 8
+"""Of the Handle-FID of TapMo's table 2."""
 BODIES = (
     "apparel-body-none.safetensors", "apparel-body-sorted.safetensors", "apparel-body-attention.safetensors",
 )  # fmt: skip
@@ -206,11 +208,19 @@ def _distortion_group(config: TablesConfig, report: Report) -> Group:
             characters, mdm, adapters=heads, transfer=trained.get(TRANSFER), work=config.work, count=count,
             prompts=prompts, seed=config.seed,
         )  # fmt: skip
-        return measure_distortion(how, report, parts)
+        found = measure_distortion(how, report, parts)
+        if config.data is not None:
+            from bunraku_lab.evaluation.tables.global_shape import measure_handles
+
+            windows = QUICK_WINDOWS if config.quick else WINDOWS
+            for row, value in measure_handles(how, config.data, windows, report, parts).items():
+                found.setdefault(row, {})[HANDLE_FID] = value
+        return found
 
     trained = _weights(config, (TRANSFER, *ADAPTERS.values()))
     files = ",".join(sorted(path.name for path in characters.rglob("*") if path.is_file()))
-    return Group("distortion", run, {**_seen(config, "diffusion", "handles"), "mdm": mdm, "characters": files}, trained)
+    others = {**trained, **({} if config.data is None else {"data": config.data / "index.json"})}
+    return Group("distortion", run, {**_seen(config, "diffusion", "handles"), "mdm": mdm, "characters": files}, others)
 
 
 def _stand_in_group(config: TablesConfig, report: Report) -> Group:
