@@ -16,6 +16,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.geometry.simplify import NetworkMesh, network_mesh, network_views
 from bunraku.handles.appendages import with_appendages
 from bunraku.handles.blocks.rigid import rigid_handles
+from bunraku.handles.draped import freed_from_arms
 from bunraku.handles.extra_limbs import split_limbs
 from bunraku.handles.loose_parts import seat_parts
 from bunraku.handles.repairs import eased, grown_from_heads, hung_from_heads, reunited, without_doubts
@@ -94,11 +95,12 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
     The network sees the normalised network mesh, in three tessellations, each also mirrored, and the mean of what it
     says counts: its answers differ a little with the tessellation, and the mean does so less. The weights are smoothed
     over that mesh, divided among the legs of who has more than two (`split_limbs`), or else rid of limbs that are
-    nowhere (`without_doubts`), of arms that grow from the head (`grown_from_heads`), of regions that lie apart from
-    their handle (`reunited`) and of steps that tear edges (`eased`), made one over small loose parts (`seat_parts`),
-    and carried to every vertex of the original; vertices at one position get equal weights. Handle positions are
-    weighted means by surface area, in the form of Eq. 4, so that tessellation does not matter; loose parts count as
-    the network sees them, not as they are bound, for a pivot belongs where the joint is. A handle without a surface
+    nowhere (`without_doubts`), of arms that hold hair and capes (`hung_from_heads`, `freed_from_arms`) or grow from
+    the head (`grown_from_heads`), of regions that lie apart from their handle (`reunited`) and of steps that tear
+    edges (`eased`), made one over small loose parts (`seat_parts`), and carried to every vertex of the original;
+    vertices at one position get equal weights. Handle positions are weighted means by surface area, in the form of
+    Eq. 4, so that tessellation does not matter; loose parts count as the network sees them, not as they are bound, for
+    a pivot belongs where the joint is. A handle without a surface
     stands where its parent stands. A file of rigid blocks has the handles of these (`handles.blocks`).
 
     Args:
@@ -115,7 +117,8 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
     weights = np.mean([weights, *(mesh.carry(predict_weights(view, model)[0], view) for view in others)], axis=0)
     weights, roles = split_limbs(mesh, trim_weights(smooth_weights(weights, mesh.edges)))
     if roles is None:  # of many legs one handle holds several regions before they are told apart
-        weights = grown_from_heads(mesh, hung_from_heads(mesh, without_doubts(weights)))
+        weights = freed_from_arms(mesh, hung_from_heads(mesh, without_doubts(weights)))
+        weights = grown_from_heads(mesh, weights)
         weights = eased(mesh, reunited(mesh, weights))
     full = seat_parts(mesh, weights, stiff=roles is None)
     rigid = rigid_handles(character, full[mesh.clean.index])

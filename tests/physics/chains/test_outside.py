@@ -71,3 +71,37 @@ def test_what_is_outside_stays():
     clothed, made, body = worn()
     before = swung(made, body, -0.3)
     assert outside(before, made.chains, clothed, JOINTS) is before
+
+
+def test_a_strip_leaves_a_limb_that_comes_near():
+    """A second ball, a hand that is far away at rest, comes from the front as the strip lies on the first one."""
+    clothed, _, _ = worn()
+    hand = JOINT_NAMES.index("left_wrist")
+    ball = trimesh.creation.icosphere(3, 0.1)
+    away = np.array([2.0, 0, 0])
+    count = len(clothed.rest)
+    weights = np.concatenate([clothed.weights, np.eye(JOINT_COUNT, dtype=np.float32)[[hand] * len(ball.vertices)]])
+    rest = np.concatenate([clothed.rest, (ball.vertices + away).astype(np.float32)])
+    faces = np.concatenate([clothed.faces, ball.faces + count])
+    apparel = np.concatenate([clothed.apparel, np.zeros(len(ball.vertices), bool)])
+    joints = np.zeros((JOINT_COUNT, 3))
+    joints[hand] = away
+    both = ClothedCharacter(
+        rest, faces, joints, weights, apparel, np.where(apparel, 0, -1), np.zeros(1), np.full(1, 0.9)
+    )
+    transforms = np.tile(np.eye(4), (JOINT_COUNT, 1, 1))
+    transforms[hand, :3, 3] = away
+    body = Character("balls", rest, faces, Rig(JOINT_NAMES, np.array(JOINT_PARENTS), transforms, *top_influences(
+        weights, 4)))  # fmt: skip
+    made = with_chains(body, shape_chains(both), JOINTS)
+    translations = np.zeros((FRAMES, JOINT_COUNT, 3))
+    centre = np.array([0, -0.22, RADIUS + 0.04 + 0.08])  # 2 cm into the strip's lower end
+    translations[:, hand] = centre - away
+    still = RigAnimation(body, np.tile(np.eye(3), (FRAMES, JOINT_COUNT, 1, 1)), translations, 30.0)
+    before = made.on(still)
+    after = outside(before, made.chains, both, JOINTS)
+    depths = [
+        (0.1 - np.linalg.norm(one.vertices()[:, both.apparel] - centre, axis=-1)).max() for one in (before, after)
+    ]
+    assert depths[0] > 0.015
+    assert depths[1] < 0.5 * depths[0]

@@ -11,9 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from bunraku.apparel.body_depth import BodyDepth, Unposed, body_depth
+from bunraku.apparel.body_depth import BAND, BodyDepth, Unposed, body_depth
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.displacement.body_points import BodyPoints, body_points, nearest_index
+from bunraku.body.layout import JOINT_NAMES
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.geometry.rotations import matrix_from_axis_angle
@@ -25,13 +26,19 @@ __all__ = ["outside"]
 EACH = 20
 """Points of a link that are looked at."""
 POINTS = 1000  # of the body
-PASSES = 5
+PASSES = 9
 MOST = 0.12  # over the size [m]: points deeper than this are on the wrong side of something thin, and stay
 SLACK = 0.003  # over the size [m]: how deep points may be that were outside at rest
 FARTHEST = 0.35
 """As far as a link turns in one pass [rad]."""
 FIRM = 0.01  # over the size [m]: links turn little for what is nearer to where they begin
 STAYS = 0.02  # what a point counts for that is where it should be, beside one that is in the body
+_LIMB = np.array([
+    0 if not name.startswith(("left_", "right_")) or name.endswith("collar")
+    else 1 + name.startswith("right_") + 2 * name.endswith(("hip", "knee", "ankle", "foot"))
+    for name in JOINT_NAMES
+])  # fmt: skip
+"""Of each joint: the trunk, an arm or a leg."""
 SMOOTH = 0.05
 """Of the turns in time, standard deviation [s]."""
 
@@ -58,21 +65,40 @@ def outside(
     ways = None
     for _ in range(PASSES):
         moved = found.points(animation)
-        ways = ways or [_way(points, frame, one) for frame, one in zip(affine, moved, strict=True)]
+        ways = ways or [_ways(points, frame, one, clothed.scale) for frame, one in zip(affine, moved, strict=True)]
         push = np.zeros(moved.shape)
-        for frame, (own, way) in enumerate(zip(moved, ways, strict=True)):
-            rows, step = depth.push(own, way, found.gap, MOST * clothed.scale)
-            push[frame, rows] = step
+        for frame, (own, limbs) in enumerate(zip(moved, ways, strict=True)):
+            for rows, way in limbs:
+                inside, step = depth.push(own[rows], way, found.gap[rows], MOST * clothed.scale)
+                some = rows[inside]
+                more = np.square(step).sum(axis=1) > np.square(push[frame, some]).sum(axis=1)
+                push[frame, some[more]] = step[more]
         if not push.any():
             break
         animation = found.turned(animation, moved, push)
     return animation
 
 
-def _way(points: BodyPoints, affine: np.ndarray, own: np.ndarray) -> Unposed:
+def _ways(points: BodyPoints, affine: np.ndarray, own: np.ndarray, size: float) -> list[tuple[np.ndarray, Unposed]]:
+    """Ways back to the rest pose of points (M, 3), and which points each is for: by the trunk and by each limb that is
+    near. What lies between a hand and a thigh must leave both.
+    """
     blend = points.blends(affine)
-    near = nearest_index(own, points.placed(blend))
-    return Unposed.of(blend[near], points.joint[near])
+    placed = points.placed(blend)
+    limb = _LIMB[points.joint]
+    out = []
+    for number in np.unique(limb):
+        place = np.flatnonzero(limb == number)
+        near = place[nearest_index(own, placed[place])]
+        rows = np.flatnonzero(np.square(own - placed[near]).sum(axis=1) < (BAND * size) ** 2)
+        near = near[rows]
+        way = Unposed.of(blend[near], points.joint[near])
+        # where another limb was at rest is no part of this one
+        true = limb[nearest_index(way(own[rows]), points.rest)] == number
+        if true.any():
+            kept = np.flatnonzero(true)
+            out.append((rows[kept], way.take(kept)))
+    return out
 
 
 class _Links:

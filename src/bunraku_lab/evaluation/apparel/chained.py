@@ -19,21 +19,30 @@ from bunraku.physics.chains.outside import outside
 from bunraku_lab.evaluation.apparel.clips import RATE, TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score, point_distance
 from bunraku_lab.evaluation.apparel.rows import insides
+from bunraku_lab.evaluation.apparel.told_chains import told_manners
 
 __all__ = ["chain_row", "chain_summary", "chained_clip"]
 
 STRIDE = 10  # frames from one whose edges are measured to the next
 
 
-def chained_clip(clip: TrueClip) -> tuple[np.ndarray, int]:
-    """All vertices of a clip [m], shape (N, V, 3), and how many bodies flew away in what is shown."""
+def chained_clip(clip: TrueClip, told: Character | None = None) -> tuple[np.ndarray, int]:
+    """All vertices of a clip [m], shape (N, V, 3), and how many bodies flew away in what is shown.
+
+    Args:
+        clip: The clip.
+        told: Its character, where chains swing by its file's limits, springs, damping and masses.
+    """
     clothed = clip.clothed
     transforms = np.tile(np.eye(4), (JOINT_COUNT, 1, 1))
     transforms[:, :3, 3] = clothed.joints
     rig = Rig(JOINT_NAMES, np.array(JOINT_PARENTS), transforms, *top_influences(clothed.weights, 4))
     character = Character(clip.name, clothed.rest, clothed.faces, rig)
     body = RigAnimation.of_world(character, clip.transforms[..., :3], clip.transforms[..., 3], RATE)
-    made = with_chains(character, shape_chains(clothed), np.arange(JOINT_COUNT))
+    laid = shape_chains(clothed)
+    if told is not None:
+        laid = told_manners(laid, told)
+    made = with_chains(character, laid, np.arange(JOINT_COUNT))
     if not made.chains:
         return body.vertices(), 0
     found = steady_simulation(made.on(body), made.rig())
@@ -41,9 +50,13 @@ def chained_clip(clip: TrueClip) -> tuple[np.ndarray, int]:
     return moved.vertices(), sum(one.frame >= 0 for one in found.report.recoveries)
 
 
-def chain_row(clip: TrueClip) -> dict[str, Any]:
+def chain_row(clip: TrueClip, told: Character | None = None) -> dict[str, Any]:
     """Mean errors of a clip from rest [m], of chains and of parent-rigid skinning, ELS of both and of the truth, and
     fly-aways, and the shares of all three that are deep in the body.
+
+    Args:
+        clip: The clip.
+        told: Its character, where the error of chains with its file's parameters is wanted too.
     """
     clothed, chosen, few = clip.clothed, clip.sample(), slice(0, None, STRIDE)
     truth = clip.truth(chosen)
@@ -57,7 +70,11 @@ def chain_row(clip: TrueClip) -> dict[str, Any]:
         "chains": moved[few][:, vertices],
         "truth": clip.truth(vertices)[few],
     }
-    return insides(clip, vertices, few, shown) | {
+    more = {}
+    if told is not None:
+        own, flown = chained_clip(clip, told)
+        more = {"told": float(point_distance(own[:, chosen], truth).mean()), "told_lost": flown}
+    return insides(clip, vertices, few, shown) | more | {
         "name": clip.name, "motion": clip.motion,
         "rigid": float(point_distance(clip.carried(chosen), truth).mean()),
         "chains": float(point_distance(moved[:, chosen], truth).mean()),

@@ -208,7 +208,8 @@ def _chains(config: ApparelEvalConfig, progress: Progress) -> dict[str, Any]:
     for number, path in enumerate(config.files):
         progress("files", number / len(config.files))
         try:
-            real += [chain_row(clip) | {"name": path.stem} for clip in file_clips(load_character(path), FILE_MOTIONS)]
+            character = load_character(path)
+            real += [chain_row(clip, character) | {"name": path.stem} for clip in file_clips(character, FILE_MOTIONS)]
         except BunrakuError as error:
             failed[path.name] = str(error)
     out: dict[str, Any] = dict(chain_summary(rows))
@@ -225,7 +226,7 @@ def _chain_table(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
         f"{row['name']} {row['motion']}": {
             "rigid": 100 * row["rigid"], "chains": 100 * row["chains"], "over rigid": row["chains"] / max(row["rigid"],
             1e-9), "ELS": row["chains_els"], "truth's": row["els_truth"], "flew": float(row["lost"]),
-        }
+        } | ({"told": row["told"] / max(row["rigid"], 1e-9)} if "told" in row else {})
         for row in rows
     }  # fmt: skip
 

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bunraku.apparel.clothed import FREE, GRAVITY
+from bunraku.body.layout import JOINT_COUNT
 from bunraku.core.character import Character
 from bunraku.physics.chains.from_bones import bone_chains
+from bunraku.physics.chains.laid import LaidChains
 from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.told.bending import NEWTON_METRE, bending_limits, body_springs
 
-__all__ = ["FACTS", "ToldChain", "kind_priors", "prior_errors", "told_chains", "told_table"]
+__all__ = ["FACTS", "ToldChain", "kind_priors", "prior_errors", "told_chains", "told_manners", "told_table"]
 
 LOCKED = np.radians(1.0)
 """A joint that turns less far counts as locked [rad]."""
+NARROWEST, WIDEST = np.radians(0.2), 1.4  # limits of a link of chains that are laid over a shape [rad]
 FACTS = (
     "links",
     "length [% of the height]",
@@ -41,6 +44,7 @@ class ToldChain:
         stiffness: Median over its links of the spring over the moment of the weight that hangs on it, 0 for none.
         damping: Mean share of the velocity that is lost in a second.
         mass: Of its first link [kg].
+        bones: Those of its links that physics move, shape (links,).
     """
 
     file: str
@@ -51,6 +55,7 @@ class ToldChain:
     stiffness: float
     damping: float
     mass: float
+    bones: tuple[int, ...] = ()
 
     @property
     def limit(self) -> float:
@@ -97,9 +102,41 @@ def told_chains(character: Character) -> list[ToldChain]:
                 character.name, chain.kind, len(own), chain.length / character.height,
                 tuple(float(limits[number]) for number in own), float(np.median(ratios)),
                 float(np.mean([body.linear_damping for body in bodies])), float(mass[0]),
+                tuple(int(chain.bones[place]) for place in rows),
             )
         )  # fmt: skip
     return out
+
+
+def told_manners(laid: LaidChains, character: Character) -> LaidChains:
+    """Chains laid over a shape that swing by what the file says of those that hold the same vertices there: as far in
+    all, by links of their own, with its springs, damping and mass.
+
+    Args:
+        laid: Over the character's mesh.
+        character: With a rig and physics.
+    """
+    rig, told = character.rig, told_chains(character)
+    if rig is None or not told:
+        return laid
+    owner = np.full(len(rig.names), len(told))
+    for number, one in enumerate(told):
+        owner[list(one.bones)] = number
+    held = np.zeros((len(laid.vertices), len(told) + 1))  # by each chain of the file
+    for bones, shares in zip(rig.indices[laid.vertices].T, rig.weights[laid.vertices].T, strict=True):
+        np.add.at(held, (np.arange(len(held)), owner[bones]), shares)
+    facts = np.array([(sum(one.limits), one.stiffness, one.damping, one.mass) for one in told])
+    chains = []
+    for chain in laid.chains:
+        own = (laid.shares * np.isin(laid.links + JOINT_COUNT, chain.bones)).sum(axis=1)
+        count = (own @ held)[:-1]
+        if count.sum() > 0:
+            whole, stiffness, damping, mass = count @ facts / count.sum()
+            limit = float(np.clip(whole / len(chain), NARROWEST, WIDEST))
+            manner = replace(chain.manner, limit=limit, stiffness=stiffness, damping=damping, mass=max(mass, 1e-3))
+            chain = replace(chain, manner=manner)
+        chains.append(chain)
+    return replace(laid, chains=tuple(chains))
 
 
 def _facts(chain: ToldChain) -> tuple[float, ...]:
