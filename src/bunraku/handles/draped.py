@@ -32,7 +32,7 @@ def freed_from_arms(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
     out = np.array(weights, np.float64)
     others = np.setdiff1d(np.arange(HANDLE_COUNT), LIMB_HANDLES)
     places = handle_positions(mesh.vertices, weights, mesh.areas)
-    for arm in (limb_handles(side, FAMILIES[1]) for side in SIDES):
+    for arm in (np.array(limb_handles(side, FAMILIES[1])) for side in SIDES):
         held = weights[:, arm].sum(axis=1) > HELD
         angle = _angles(mesh.vertices, places[arm[0]], places[arm[-1]])
         for number in np.unique(part[held]):

@@ -92,6 +92,26 @@ def test_chains_follow_the_bones(dressed):
     assert len(ties) >= len(skirts)
 
 
+def test_a_last_bone_that_holds_little_does_not_end_a_chain(dressed):
+    """A skirt of a file of others stood still: the last bone of each row held a little of the hem, and most of nothing."""
+    bare = stripped(dressed)
+    rig = bare.rig
+    chain = max((one for one in bone_chains(bare) if one.kind == "skirt"), key=len)
+    last, parent = int(chain.bones[-1]), int(chain.bones[-1])
+    end = np.eye(4)
+    end[:3, 3] = chain.points[-1]
+    number = len(rig.names)
+    indices = np.concatenate([rig.indices, np.full((len(rig.indices), 1), number)], axis=1)
+    share = 0.1 * (rig.weights * (rig.indices == last)).sum(axis=1, keepdims=True)
+    grown = replace(
+        rig, names=(*rig.names, f"{rig.names[last]}_end"), parents=np.append(rig.parents, parent),
+        transforms=np.concatenate([rig.transforms, end[None]]), indices=indices,
+        weights=np.concatenate([rig.weights * (1 - share), share], axis=1),
+    )  # fmt: skip
+    found = {one.name: one for one in bone_chains(replace(bare, rig=grown))}
+    np.testing.assert_array_equal(found[chain.name].bones, chain.bones)
+
+
 def test_a_body_without_apparel_has_none(dressed):
     bare = stripped(dressed)
     found = apparel_bones(bare)

@@ -289,8 +289,8 @@ def _kind_by_place(parts: RigParts, bone: int) -> str:
 
 
 def _chain(character: Character, rig: Rig, held: _Held, line: list[int], kind: str, height: float) -> Chain | None:
-    """A chain of bones; those that hold nothing at its end are only where it ends."""
-    while len(line) > 1 and held.mass[line[-1]] <= 0:
+    """A chain of bones; those at its end that hold no vertex more than others do go with the last that does."""
+    while len(line) > 1 and not (held.bone == line[-1]).any():
         line = line[:-1]
     bones, starts = [line[0]], [rig.positions[line[0]]]
     for bone in line[1:]:
