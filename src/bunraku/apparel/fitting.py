@@ -10,6 +10,7 @@ from bunraku.apparel.nodes import held_vertices
 from bunraku.apparel.parts import apparel_parts
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.character import Handles
+from bunraku.geometry.directions import covered, directions_about
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.graph import clean_mesh, unique_edges
 
@@ -17,6 +18,14 @@ __all__ = ["eased_border", "fitted_clothes", "joint_weights_of_handles", "joints
 
 _HIPS = tuple(JOINT_NAMES.index(name) for name in ("left_hip", "right_hip"))
 _ABOVE_COLLARS = tuple(JOINT_NAMES.index(name) for name in ("left_collar", "right_collar"))
+_LIMBS = [
+    [JOINT_NAMES.index(f"{side}_{part}") for part in parts]
+    for side in ("left", "right")
+    for parts in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
+]
+ROUND = 0.75
+"""Of the directions about a limb: what covers so many goes round it."""
+WORN = 0.9  # of a part: one of which a limb holds so much is carried by it
 _SMALL = 0.002  # of the apparel's vertices: parts with fewer stay with the body
 SPECK = 0.045  # of the height: what is no longer than this stays with the body
 _NEAR = 12
@@ -66,6 +75,7 @@ def fitted_clothes(
         stiffness, damping: Of each vertex, shape (V,).
     """
     apparel = _without_specks(vertices, faces, apparel, SPECK * float(np.ptp(vertices[:, 1])))
+    apparel = _without_worn(vertices, faces, joints, weights, apparel)
     part = apparel_parts(vertices, faces, apparel)
     count = int(part.max(initial=-1)) + 1
     blank = np.zeros(count, np.float32)
@@ -97,6 +107,25 @@ def fitted_clothes(
     if not count:
         return bare
     return ClothedCharacter(vertices, faces, joints, out, apparel, part, mean(stiffness), mean(damping))
+
+
+def _without_worn(
+    vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray
+) -> np.ndarray:
+    """The mask without what a limb wears: what a limb holds and goes round it, on a part that goes on beyond it, is a
+    sleeve or a leg of trousers. On the joint that carries the rest it would stay behind.
+    """
+    out = np.array(apparel)
+    part = apparel_parts(vertices, faces, apparel)
+    for limb in _LIMBS:
+        held = weights[:, limb].sum(axis=1)
+        angle = directions_about(vertices, joints[limb[0]], joints[limb[-1]])
+        for number in np.unique(part[apparel & (held > MOSTLY)]):
+            rows = np.flatnonzero(part == number)
+            mine = rows[held[rows] > MOSTLY]
+            if covered(angle[mine]) >= ROUND and held[rows].mean() < WORN:
+                out[mine] = False
+    return out
 
 
 def _joined(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:

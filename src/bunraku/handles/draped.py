@@ -8,13 +8,13 @@ import numpy as np
 
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.body.reference import handle_positions
+from bunraku.geometry.directions import covered, directions_about
 from bunraku.geometry.simplify import NetworkMesh
 from bunraku.handles.limbs import FAMILIES, LIMB_HANDLES, SIDES, limb_handles
 
 __all__ = ["freed_from_arms"]
 
 HELD = 0.1  # a vertex goes with an arm that holds so much of it
-BINS = 12
 ROUND = 0.75  # of the directions about an arm: what covers so many goes round it
 ROOT, ROOTS = 0.15, 0.5  # of a part's height, that is its root; share of that which the limbs hold at the most
 FEWEST = 12  # vertices of a part
@@ -34,11 +34,11 @@ def freed_from_arms(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
     places = handle_positions(mesh.vertices, weights, mesh.areas)
     for arm in (np.array(limb_handles(side, FAMILIES[1])) for side in SIDES):
         held = weights[:, arm].sum(axis=1) > HELD
-        angle = _angles(mesh.vertices, places[arm[0]], places[arm[-1]])
+        angle = directions_about(mesh.vertices, places[arm[0]], places[arm[-1]])
         for number in np.unique(part[held]):
             own = part == number
             mine = own & held
-            if own.sum() < FEWEST or _cover(angle[mine]) >= ROUND:
+            if own.sum() < FEWEST or covered(angle[mine]) >= ROUND:
                 continue
             height = mesh.vertices[own, 1]
             rows = np.flatnonzero(own)
@@ -53,20 +53,3 @@ def freed_from_arms(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
             out[rows[kept]] *= ((left + away) / np.maximum(left, 1e-9))[kept, None]
             out[np.ix_(rows[~kept], others)] += away[~kept, None] * root / root.sum()
     return out.astype(np.float32)
-
-
-def _angles(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Directions of points about a line [rad], shape (M,)."""
-    along = end - start
-    along = along / max(float(np.linalg.norm(along)), 1e-9)
-    side = np.eye(3)[int(np.abs(along).argmin())]
-    side = side - (side @ along) * along
-    side /= np.linalg.norm(side)
-    away = points - start
-    return np.asarray(np.arctan2(away @ np.cross(along, side), away @ side))
-
-
-def _cover(angle: np.ndarray) -> float:
-    """Share of all directions in which there is something."""
-    bins = ((angle + np.pi) / (2 * np.pi) * BINS).astype(np.int64) % BINS
-    return float((np.bincount(bins, minlength=BINS) > 0).mean())

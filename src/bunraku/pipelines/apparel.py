@@ -33,6 +33,7 @@ from bunraku.physics.chains.animated import with_apparel
 from bunraku.physics.chains.moving import moving_rig, steady_simulation
 from bunraku.physics.chains.on_handles import on_handle_rig
 from bunraku.physics.chains.outside import outside
+from bunraku.physics.chains.torn import torn_parts
 from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.told.clothed import clothed_from_file
 from bunraku.pipelines.clothes import body_of_handles, laid_over, told_apart, too_much, wears
@@ -44,6 +45,8 @@ Progress = Callable[[str, float], None]
 LEAST = 0.01
 """Share of the vertices under which `auto` takes a mesh to have no apparel."""
 RATE = 30.0
+WHOLE = 3
+"""How often chains are laid anew without the parts that they tear."""
 _log = logging.getLogger(__name__)
 
 
@@ -104,10 +107,10 @@ def dressed(
         if problem:
             _log.warning("%s", problem)
             return animation
-        return chained(animation, clothed, stiffness=stiffness, gravity=gravity, progress=progress)
+        return _whole(animation, clothed, stiffness, gravity, progress)
     if str(apparel) == "chains":
         clothed, _, _ = animated_clothed(animation)
-        return chained(animation, clothed, stiffness=stiffness, gravity=gravity, progress=progress)
+        return _whole(animation, clothed, stiffness, gravity, progress)
     mask = None if str(apparel) == "learn" else read_artist_mask(apparel, animation.character)
     return learned(animation, mask, stiffness=stiffness, progress=progress)
 
@@ -172,6 +175,32 @@ def chained(
     for problem in found.report.problems():
         _log.warning("%s: %s", animation.character.name, problem)
     return outside(found.animation, made.chains, clothed, bones)
+
+
+def _whole(
+    animation: Animation | RigAnimation, clothed: ClothedCharacter, stiffness: float, gravity: float,
+    progress: Progress | None,
+) -> Animation | RigAnimation:  # fmt: skip
+    """`chained` with the parts that it would tear going with the body; as it is where that are all."""
+    plain = animation.at(RATE)
+    for attempt in range(WHOLE):
+        try:
+            found = chained(animation, clothed, stiffness=stiffness, gravity=gravity, progress=progress)
+        except CharacterError:
+            if attempt:
+                break
+            raise
+        torn = torn_parts(clothed, found.vertices, plain.vertices, len(found))
+        if not torn:
+            return found
+        _log.warning(
+            "%s: %d parts of hair or clothes would be torn and go with the body", animation.character.name, len(torn)
+        )
+        kept = clothed.apparel & ~np.isin(clothed.part, list(torn))
+        if kept.mean() < LEAST:
+            break
+        clothed, _, _ = animated_clothed(animation, kept)
+    return animation
 
 
 def animated_clothed(

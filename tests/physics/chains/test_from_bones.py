@@ -93,7 +93,7 @@ def test_chains_follow_the_bones(dressed):
 
 
 def test_a_last_bone_that_holds_little_does_not_end_a_chain(dressed):
-    """A skirt of a file of others stood still: the last bone of each row held a little of the hem, and most of nothing."""
+    """A skirt of a file of others stood still: the last bone of each row held a little of the hem, most of nothing."""
     bare = stripped(dressed)
     rig = bare.rig
     chain = max((one for one in bone_chains(bare) if one.kind == "skirt"), key=len)
