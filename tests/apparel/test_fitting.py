@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bunraku.apparel.fitting import fitted_clothes
+from bunraku.apparel.fitting import fitted_clothes, without_worn
 from bunraku.apparel.parts import whole_pieces
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
@@ -84,3 +84,16 @@ def test_a_tip_hangs_on_what_its_surface_goes_on_as():
     clothed = fitted_clothes(vertices, faces, joints, weights, apparel, blank, blank)
     assert clothed.apparel.any()
     assert (clothed.weights[clothed.apparel].argmax(axis=1) == JOINT_NAMES.index("head")).all()
+
+
+def test_what_goes_round_an_arm_is_worn_by_it():
+    """Of a shirt with sleeves the sleeves stay with the arms; a sheet on one side of an arm is no sleeve."""
+    body = reference_body()
+    points, faces, weights = body.vertices, body.faces, np.asarray(body.joint_weights)
+    arm = weights[:, [JOINT_NAMES.index(f"left_{part}") for part in ("shoulder", "elbow", "wrist")]].sum(axis=1) > 0.5
+    legs = points[:, 1] < body.joints[0, 1]
+    shirt = ~legs
+    found = without_worn(points, faces, body.joints, weights, shirt)
+    assert not found[arm].any() and found[shirt & (np.abs(points[:, 0]) < 0.08)].all() and not found[legs].any()
+    behind = shirt & (points[:, 2] < body.joints[JOINT_NAMES.index("left_elbow"), 2])
+    assert without_worn(points, faces, body.joints, weights, behind)[arm & behind].any()

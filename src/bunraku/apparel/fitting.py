@@ -14,7 +14,7 @@ from bunraku.geometry.directions import covered, directions_about
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.graph import clean_mesh, unique_edges
 
-__all__ = ["eased_border", "fitted_clothes", "joint_weights_of_handles", "joints_of_handles"]
+__all__ = ["eased_border", "fitted_clothes", "joint_weights_of_handles", "joints_of_handles", "without_worn"]
 
 _HIPS = tuple(JOINT_NAMES.index(name) for name in ("left_hip", "right_hip"))
 _ABOVE_COLLARS = tuple(JOINT_NAMES.index(name) for name in ("left_collar", "right_collar"))
@@ -75,7 +75,6 @@ def fitted_clothes(
         stiffness, damping: Of each vertex, shape (V,).
     """
     apparel = _without_specks(vertices, faces, apparel, SPECK * float(np.ptp(vertices[:, 1])))
-    apparel = _without_worn(vertices, faces, joints, weights, apparel)
     part = apparel_parts(vertices, faces, apparel)
     count = int(part.max(initial=-1)) + 1
     blank = np.zeros(count, np.float32)
@@ -109,11 +108,16 @@ def fitted_clothes(
     return ClothedCharacter(vertices, faces, joints, out, apparel, part, mean(stiffness), mean(damping))
 
 
-def _without_worn(
+def without_worn(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray
 ) -> np.ndarray:
-    """The mask without what a limb wears: what a limb holds and goes round it, on a part that goes on beyond it, is a
+    """A mask without what a limb wears: what a limb holds and goes round it, on a part that goes on beyond it, is a
     sleeve or a leg of trousers. On the joint that carries the rest it would stay behind.
+
+    Args:
+        vertices, faces, joints: As of `ClothedCharacter`.
+        weights: Of the body for the 22 joints, shape (V, 22).
+        apparel: What a network found, shape (V,), bool.
     """
     out = np.array(apparel)
     part = apparel_parts(vertices, faces, apparel)

@@ -9,7 +9,7 @@ import numpy as np
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.apparel.artist_mask import artist_mask
 from bunraku.apparel.clothed import SOFTEST, STIFFEST, ClothedCharacter
-from bunraku.apparel.fitting import fitted_clothes, joint_weights_of_handles, joints_of_handles
+from bunraku.apparel.fitting import fitted_clothes, joint_weights_of_handles, joints_of_handles, without_worn
 from bunraku.apparel.mask import apparel_mask
 from bunraku.apparel.segmentation.predict import find_apparel
 from bunraku.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_PARENTS
@@ -56,10 +56,12 @@ def told_apart(
         stiffness: Factor on how stiff they are.
     """
     found = find_apparel(character.vertices, character.faces, joints)
+    if mask is None:
+        mask = without_worn(character.vertices, character.faces, joints, weights, found.mask)
     dial = np.float32(np.log10(stiffness))
     return fitted_clothes(
         character.vertices, character.faces, joints, weights,
-        found.mask if mask is None else mask,
+        mask,
         np.clip(found.stiffness + dial, SOFTEST, STIFFEST), found.damping,
     )  # fmt: skip
 
