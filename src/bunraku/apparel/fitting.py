@@ -10,7 +10,7 @@ from bunraku.apparel.nodes import held_vertices
 from bunraku.apparel.parts import apparel_parts
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.character import Handles
-from bunraku.geometry.directions import covered, directions_about
+from bunraku.geometry.axes import covered, directions_about
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.graph import clean_mesh, unique_edges
 

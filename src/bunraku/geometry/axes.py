@@ -1,5 +1,5 @@
 """The six axes, and the 24 right-angle rotations that make any one of them up and any other at a right angle to it the
-front.
+front; and directions about any axis: a sleeve goes round an arm, hair lies on one side.
 """
 
 from __future__ import annotations
@@ -15,10 +15,15 @@ __all__ = [
     "ORIENTATIONS",
     "axis_name",
     "axis_vector",
+    "covered",
     "default_orientation",
+    "directions_about",
     "right_angle_rotations",
     "upright_rotation",
 ]
+
+BINS = 12
+"""Of the directions about a line."""
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 ORIENTATIONS: tuple[tuple[str, str], ...] = tuple((up, front) for up, front in product(AXES, AXES) if up[1] != front[1])
@@ -73,3 +78,29 @@ def default_orientation(up: str | None = None, front: str | None = None) -> tupl
     if front is not None:
         return ("+z" if front[1] == "y" else "+y"), front
     return "+y", "+z"
+
+
+def directions_about(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Directions of points about a line [rad], shape (M,).
+
+    Args:
+        points: [m], shape (M, 3).
+        start, end: Of the line [m], shape (3,).
+    """
+    along = end - start
+    along = along / max(float(np.linalg.norm(along)), 1e-9)
+    side = np.eye(3)[int(np.abs(along).argmin())]
+    side = side - (side @ along) * along
+    side /= np.linalg.norm(side)
+    away = points - start
+    return np.asarray(np.arctan2(away @ np.cross(along, side), away @ side))
+
+
+def covered(directions: np.ndarray) -> float:
+    """Share of all directions in which there is something, of twelve.
+
+    Args:
+        directions: [rad], shape (M,).
+    """
+    bins = ((directions + np.pi) / (2 * np.pi) * BINS).astype(np.int64) % BINS
+    return float((np.bincount(bins, minlength=BINS) > 0).mean())

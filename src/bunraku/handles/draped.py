@@ -8,7 +8,7 @@ import numpy as np
 
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.body.reference import handle_positions
-from bunraku.geometry.directions import covered, directions_about
+from bunraku.geometry.axes import covered, directions_about
 from bunraku.geometry.simplify import NetworkMesh
 from bunraku.handles.limbs import FAMILIES, LIMB_HANDLES, SIDES, limb_handles
 
