@@ -46,7 +46,7 @@ def measured(seed: int) -> dict[str, dict[str, float]] | None:
     clothed, transforms, moved = animated_clothed(animation)
     if not clothed.apparel.any():
         return None
-    player = ApparelPlayer(clothed, shipped_displacement())
+    player = ApparelPlayer(clothed, shipped_displacement(clothed))
     chosen = player.carrier.vertices
     layers = Layers(clothed, chosen)
     if len(layers.skirt.rows) < FEW:

@@ -95,7 +95,7 @@ def main() -> None:
         if UNTRAINED not in rival.name:
             rows[rival.name] = rival_mover(clothed, rival.network)(short.affine)
     rows["our skinning"] = np.asarray(skin(clothed.rest, weights, short.affine))
-    rows["ours"] = tiled(guessed, clip.transforms, load_displacement(shipped_checkpoint("apparel")), frames)
+    rows["ours"] = tiled(guessed, clip.transforms, load_displacement(shipped_checkpoint("apparel-guessed")), frames)
     dressed = Character(clip.name, clothed.rest, np.asarray(clothed.faces))
     rows_of(rows, dressed, OUT / "tables-mmdmc.png", "MMDMC, tables 2 and 3: from rest, the same dance")
 

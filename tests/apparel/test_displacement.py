@@ -14,6 +14,7 @@ from bunraku.apparel.displacement.carry import Carrier, node_turns, polar_rotati
 from bunraku.apparel.displacement.features import (
     BASIS,
     GLOBAL,
+    OWN,
     SCALARS,
     STATIC_SCALARS,
     STATIC_VECTORS,
@@ -32,6 +33,7 @@ from bunraku.apparel.displacement.weights import CHANGE, KEEP, DisplacementConfi
 from bunraku.apparel.node_graph import NodeGraph
 from bunraku.apparel.nodes import apparel_nodes, part_neighbours
 from bunraku.apparel.skinning import eq4_transforms
+from bunraku.apparel.swing import Swing
 from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import line_up
@@ -153,6 +155,46 @@ def test_at_rest_nothing_is_felt():
     frame = clip_features(clothed, nodes, still(clothed, 3))[-1]
     assert np.abs(frame.vectors[:, :BASIS]).max() < 1e-5
     np.testing.assert_allclose(frame.positions, nodes.rest, atol=1e-5)
+
+
+def swinging(clothed, limit):
+    """The curtain, each vertex of which swings about its upper edge as far as a limit, as a file would say."""
+    away = (clothed.rest - clothed.joints[0]) * np.array([0, 1, 0])
+    count = len(away)
+    wide, one = np.full((count, 3), limit), np.ones(count)
+    told = Swing(away, away, np.tile([0, -0.3, 0], (count, 1)), np.tile(np.eye(3), (count, 1, 1)), -wide,
+                 wide, np.zeros((count, 3)), 0.5 * one, 0.1 * one, one, one)  # fmt: skip
+    return replace(clothed, swing=told.rows())
+
+
+def test_a_told_limit_is_felt_by_the_pendulums_of_a_node():
+    """The curtain is carried to and fro: the basis has how far each node would swing, and what holds it is told."""
+    times = np.arange(60) / 30
+    clothed = curtain()
+    transforms = np.array(still(clothed, len(times)))
+    transforms[:, :, 2, 3] += 0.3 * (1 - np.cos(4 * times))[:, None]
+    swings = {}
+    for limit in (0.01, 0.1, np.pi):
+        told = swinging(clothed, limit)
+        nodes = apparel_nodes(told, 12)
+        frames = clip_features(told, nodes, transforms)
+        swings[limit] = np.stack([frame.vectors[:, BASIS - len(OWN)] for frame in frames])
+        low = nodes.rest[:, 1].argmin()
+        assert frames[-1].scalars[:, 2].max() <= limit * np.sqrt(3) + 1e-6
+        numbers = static_features(told, nodes)[1][:, -7:]
+        assert numbers[:, -1].tolist() == [1] * len(nodes)
+        assert 10 ** numbers[low, 0] == pytest.approx(limit * np.sqrt(2) if limit < 1 else np.pi, rel=0.2)
+    assert np.abs(swings[np.pi][:, low]).max() > 2 * np.abs(swings[0.1][:, low]).max() > 4 * np.abs(swings[0.01]).max()
+    bare = static_features(clothed, nodes)[1][:, -1]
+    assert bare.tolist() == [0] * len(nodes)  # nothing is told
+
+
+def test_stiff_parts_move_where_it_is_told_how():
+    stiff = replace(curtain(), stiffness=np.full_like(curtain().stiffness, 2.0))
+    for clothed, share in ((stiff, 0.0), (swinging(stiff, 0.1), 1.0)):
+        nodes = apparel_nodes(clothed, 12)
+        safety = Safety(clothed, nodes, body_points(clothed), Carrier(clothed, nodes))
+        assert np.unique(safety.share).tolist() == [share]
 
 
 def test_a_mirrored_pose_has_mirrored_features():
@@ -554,5 +596,5 @@ def test_a_clothed_character_is_of_one_character():
         ClothedCharacter(clothed.rest, clothed.faces, clothed.joints, clothed.weights[:-1], clothed.apparel,
             clothed.part,
                clothed.stiffness, clothed.damping)  # fmt: skip
-    assert STATIC_VECTORS == 3 and static_features(clothed, apparel_nodes(clothed, 5))[1].shape[1] == STATIC_SCALARS
-    assert SCALARS == 2
+    assert STATIC_VECTORS == 5 and static_features(clothed, apparel_nodes(clothed, 5))[1].shape[1] == STATIC_SCALARS
+    assert SCALARS == 4

@@ -35,7 +35,8 @@ MOTION = stock_motion("walk", 1.0, 20.0)
 def weights(tmp_path, monkeypatch):
     """Networks that know nothing, in place of the shipped ones."""
     torch.manual_seed(0)
-    save_displacement(tmp_path / "apparel.safetensors", DisplacementNetwork(DisplacementConfig(8, 1, 0)))
+    for name in ("apparel", "apparel-guessed"):
+        save_displacement(tmp_path / f"{name}.safetensors", DisplacementNetwork(DisplacementConfig(8, 1, 0)))
     save_segmentation(tmp_path / "apparel-mask.safetensors", SegmentationNetwork(SegmentationConfig(8, 1)))
     monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))
     return tmp_path

@@ -55,13 +55,18 @@ def _network(path: Path, changed: int) -> DisplacementNetwork:
     return load_displacement(path)
 
 
-def shipped_displacement() -> DisplacementNetwork:
+def shipped_displacement(clothed: ClothedCharacter | None = None) -> DisplacementNetwork:
     """The displacement network that comes with Bunraku.
+
+    Args:
+        clothed: Whom it is for: there is one for characters whose files say how their apparel swings, and one for those
+            of which it is guessed; the first when None.
 
     Raises:
         WeightsError: It is missing or broken.
     """
-    return _network(*dated_checkpoint("apparel"))
+    told = clothed is None or clothed.swing is not None
+    return _network(*dated_checkpoint("apparel" if told else "apparel-guessed"))
 
 
 def dressed(
@@ -261,7 +266,7 @@ def _learned(
             "mask.npy)"
         )
     progress = progress or (lambda stage, done: None)
-    player = ApparelPlayer(clothed, network or shipped_displacement(), safe=safe)
+    player = ApparelPlayer(clothed, network or shipped_displacement(clothed), safe=safe)
     player.start(transforms[0])
     chosen, skinned = player.carrier.vertices, moved.vertices()
     positions = np.zeros((len(transforms), len(chosen), 3), np.float32)

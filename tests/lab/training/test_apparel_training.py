@@ -1,5 +1,6 @@
 """Training of the apparel networks: what is learned from, and runs that go on where they stopped."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +28,7 @@ from bunraku_lab.training.apparel.mesh_variation import varied, welded_parts
 from bunraku_lab.training.apparel.networks.body import BodyConfig
 from bunraku_lab.training.apparel.networks.refinement import RefinementConfig, load_refinement
 from bunraku_lab.training.apparel.networks.seam import seam_of
-from bunraku_lab.training.apparel.node_bank import build_bank, truly_clothed
+from bunraku_lab.training.apparel.node_bank import BankCharacter, build_bank, truly_clothed
 from bunraku_lab.training.apparel.refinement import (
     RefinementTrainConfig,
     RefinementTrainer,
@@ -52,6 +53,29 @@ def data(tmp_path_factory):
 @pytest.fixture(scope="module")
 def bank(data, tmp_path_factory):
     return build_bank(ApparelData(data), tmp_path_factory.mktemp("nodes"), nodes=48)
+
+
+def test_some_are_seen_as_bare_meshes_too(data, tmp_path, monkeypatch):
+    monkeypatch.setattr("bunraku_lab.training.apparel.node_bank.UNTOLD", 1)
+    told, untold = build_bank(ApparelData(data), tmp_path, nodes=48)
+    assert told.name == untold.name and told.path != untold.path
+    assert np.unique(told.arrays["static_scalars"][:, -1]).tolist() == [1]
+    assert np.unique(untold.arrays["static_scalars"][:, -1]).tolist() == [0]
+    np.testing.assert_array_equal(told.moving["truth"], untold.moving["truth"])
+    assert not np.allclose(told.moving["vectors"], untold.moving["vectors"])  # its pendulums are guessed
+
+
+def test_quiet_apparel_counts_by_its_own_motion(bank, tmp_path):
+    """What moves a tenth as far counts up to ten times as much, so that both are off by as much of their motion."""
+    loud, path = bank[0], tmp_path / "quiet"
+    shutil.copytree(loud.path, path)
+    np.save(path / "truth.npy", loud.moving["truth"] / np.float16(10))
+    quiet = BankCharacter(path, "quiet")
+    config = DisplacementTrainConfig(out=tmp_path, batch=1, calm=0.001, network=DisplacementConfig(16, 1, 0))
+    block = DisplacementTrainer(config, bank)._block([loud, quiet], 1, mirror=False)
+    first, last = float(block.share[0]), float(block.share[-1])
+    assert float(block.share.mean()) == pytest.approx(1)
+    assert last / first == pytest.approx((loud.swings + 0.001) / (loud.swings / 10 + 0.001), rel=1e-3)
 
 
 @pytest.fixture(scope="module")

@@ -10,32 +10,41 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.apparel.clothed import ClothedCharacter
+from bunraku.apparel.clothed import GRAVITY, ClothedCharacter
 from bunraku.apparel.displacement.body_points import BodyPoints, body_points, nearest_point
 from bunraku.apparel.displacement.filters import FREQUENCIES, LAGS, PENDULUMS, MotionFilters, Pendulums
 from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
+from bunraku.apparel.displacement.own_pendulum import SHORT, OwnPendulum
 from bunraku.apparel.nodes import ApparelNodes
 from bunraku.apparel.skinning import eq4_transforms
+from bunraku.apparel.stiffness import node_swing
+from bunraku.apparel.swing import Swing
 from bunraku.body.layout import JOINT_COUNT, JOINT_MIRROR
 
 __all__ = [
-    "BASIS", "GLOBAL", "LEAD_IN", "RATE", "STATIC_SCALARS", "STATIC_VECTORS", "VECTORS", "Frame", "MotionFeatures",
-    "clip_features", "mirror_global", "static_features",
+    "BASIS", "GLOBAL", "LEAD_IN", "OWN", "RATE", "STATIC_SCALARS", "STATIC_VECTORS", "VECTORS", "Frame",
+    "MotionFeatures", "clip_features", "mirror_global", "static_features",
 ]  # fmt: skip
 
 RATE = 30.0
 """Frames a second that the networks know [1/s]."""
 LEAD_IN = 30
 """Frames from the rest pose into a clip."""
-BASIS = len(FREQUENCIES) + len(LAGS) + len(PENDULUMS) + 4
-"""Vectors that a displacement may be made of: sways, lagging rotations, pendulums, the tilt, and three pushes out of
-the body.
+OWN = ((1.0, 0.0), (0.25, 0.0), (1.0, 6.0))
+"""Factor on the friction of the pendulums of a node's own, and further friction [1/s]: as its chain is if all its
+joints turn alike, as where the first one turns most, and one that does not swing on.
 """
-VECTORS = BASIS + 6
-"""Beside these: up, spin, velocity, acceleration, the body's normals at the node and where it hangs."""
-SCALARS = 2
-STATIC_VECTORS = 3
-STATIC_SCALARS = 13
+BASIS = len(FREQUENCIES) + len(LAGS) + len(PENDULUMS) + 4 + len(OWN)
+"""Vectors that a displacement may be made of: sways, lagging rotations, pendulums, the tilt, three pushes out of the
+body, and the pendulums that swing as the node's own chain would.
+"""
+VECTORS = BASIS + 7
+"""Beside these: up, spin, velocity, acceleration, the body's normals at the node and where it hangs, and how fast its
+own pendulum goes.
+"""
+SCALARS = 4
+STATIC_VECTORS = 5
+STATIC_SCALARS = 20
 GLOBAL = JOINT_COUNT * 9 + 3
 _GROUPS = (0, 1, 1, 0, 1, 1, 2, 1, 1, 2, 1, 1, 3, 4, 4, 3, 4, 4, 4, 4, 4, 4)  # hips, legs, trunk, head, arms
 DAMPINGS = (0.7, 0.978)  # of the parts that the networks have seen; files hold 0.4 to 0.999
@@ -49,7 +58,8 @@ class Frame:
     Args:
         vectors: In the frames of the carrying joints, shape (M, VECTORS, 3); the first BASIS of them are a basis of
             displacements.
-        scalars: Signed distances from the body of the carried node and of where it hangs, shape (M, SCALARS).
+        scalars: Signed distances from the body of the carried node and of where it hangs; how far its own pendulum
+            turns, and how far it presses against its limits; shape (M, SCALARS).
         whole: The body's pose seen from the pelvis, shape (GLOBAL,).
         turns: Frames R of the carrying joints, shape (M, 3, 3).
         positions: Carried positions LBS(rest) [m], shape (M, 3).
@@ -70,15 +80,34 @@ def static_features(clothed: ClothedCharacter, nodes: ApparelNodes) -> tuple[np.
     points = body_points(clothed)
     distance, normal = nearest_point(nodes.rest, points.rest, points.normals)
     groups = np.eye(5, dtype=np.float32)[np.array(_GROUPS)[nodes.joint]]
-    vectors = np.stack([(nodes.rest - clothed.joints[nodes.joint]) / size, nodes.held / size, normal], axis=1)
+    swing = node_swing(clothed, nodes)
+    middle = np.einsum("mab,mb->ma", swing.axes, (swing.lower + swing.upper) / 2)
+    vectors = np.stack([
+        (nodes.rest - clothed.joints[nodes.joint]) / size, nodes.held / size, normal, swing.lever / size,
+        swing.share[:, None] * _cross(middle, swing.lever) / size,
+    ], axis=1)  # fmt: skip
     share = nodes.distance / nodes.length
     sizes = np.bincount(nodes.part, minlength=len(clothed.stiffness))[nodes.part]
     damping = np.clip(clothed.damping[nodes.part], *DAMPINGS)
     scalars = np.column_stack([
         nodes.distance / size, nodes.length / size, share, share**2, np.clip(distance / size, -0.2, 0.3) * 5,
         clothed.stiffness[nodes.part], np.log10(1.0 - damping), np.log(sizes + 1.0) / 5, groups,
+        _manners(swing, np.linalg.norm(nodes.held, axis=1), clothed.swing is not None),
     ])  # fmt: skip
     return vectors.astype(np.float32), scalars.astype(np.float32)
+
+
+def _manners(swing: Swing, held: np.ndarray, told: bool) -> np.ndarray:
+    """How nodes swing, as numbers: how far by limits and by springs, how fast, how damped, how much of them, by what
+    lever beside that of the whole part, and whether a file says so, shape (M, 7).
+    """
+    arm = np.maximum(np.linalg.norm(swing.arm, axis=1), SHORT)
+    rate = np.sqrt(GRAVITY * swing.weight / arm + swing.spring.mean(axis=1))
+    lever = np.linalg.norm(swing.lever, axis=1) / np.maximum(held, SHORT)
+    return np.column_stack([
+        np.log10(swing.turns() + 1e-3), np.log10(np.maximum(rate, 0.1)),
+        np.log10(swing.friction + swing.drag + 0.01), swing.share, np.minimum(lever, 3.0), np.full(len(arm), told),
+    ])  # fmt: skip
 
 
 class MotionFeatures:
@@ -104,6 +133,12 @@ class MotionFeatures:
         positions, turns = self._carried(self._affine(first))
         self.filters = MotionFilters(positions / self.size, first[:, :, :3], fps)
         self.pendulums = Pendulums(positions / self.size, nodes.held / self.size, turns, clothed.scale, fps)
+        swing, self.repeated = node_swing(clothed, nodes), np.tile(np.arange(len(nodes)), len(OWN))
+        ease, calm = np.repeat(np.array(OWN), len(nodes), axis=0).T
+        self.own = OwnPendulum(
+            swing.take(self.repeated), positions[self.repeated], turns[self.repeated], fps, ease, calm
+        )
+        self.swung = np.zeros((len(nodes), 3), np.float32)
 
     def _affine(self, transforms: np.ndarray) -> np.ndarray:
         return eq4_transforms(transforms[None], self.clothed.joints)[0]
@@ -132,9 +167,12 @@ class MotionFeatures:
         late = [_turned(late[nodes.joint], held) for late in self.filters.late]
         spun = _cross(self._spin(joints)[nodes.joint], _turned(turns, held))
         swung = self.pendulums.advance(positions / size, turns)
+        own = self.own.advance(positions[self.repeated], turns[self.repeated]).reshape(len(OWN), -1, 3) / size
+        own_velocity, self.swung = (own[0] - self.swung) * self.fps, own[0]
         world = np.stack(
             [
                 *self.filters.sway, *late, *swung, normal, normal_hang, spun * 0.2, velocity * 0.3, acceleration * 0.05,
+                *own, own_velocity * 0.3,
             ],
             axis=2,
         )  # fmt: skip
@@ -148,11 +186,16 @@ class MotionFeatures:
         vectors = np.concatenate(
             [
                 inside[:, :sways], late_inside, inside[:, sways + len(LAGS) : count], tilt[:, None], push,
-                self.push[:, None], up[:, None], inside[:, count + 2 :], normals,
+                self.push[:, None], inside[:, count + 5 : count + 5 + len(OWN)], up[:, None],
+                inside[:, count + 2 : count + 5], normals, inside[:, count + 5 + len(OWN) :],
             ],
             axis=1,
         )  # fmt: skip
-        scalars = np.clip(gaps / size, -0.3, 0.3) * 5
+        bent = self.own.bent[:, : len(nodes)]
+        scalars = np.column_stack([
+            np.clip(gaps / size, -0.3, 0.3) * 5, np.sqrt((bent**2).sum(axis=0)),
+            np.minimum(self.own.beyond[: len(nodes)], 1.0),
+        ])  # fmt: skip
         return Frame(
             vectors.astype(np.float32),
             scalars.astype(np.float32),

@@ -83,7 +83,9 @@ class Safety:
         self.lengths = np.linalg.norm(nodes.rest[self.edges[:, 0]] - nodes.rest[self.edges[:, 1]], axis=1)
         self.shortest, self.longest = self.settings.shortest * self.lengths, self.settings.longest * self.lengths
         self.ends = tuple(np.ascontiguousarray(end) for end in self.edges.T)
-        self.share = known_share(clothed.stiffness[nodes.part], self.settings)[:, None]
+        known = known_share(clothed.stiffness[nodes.part], self.settings)
+        # where it is told how each vertex swings, the networks know of stiff parts too
+        self.share = np.where(clothed.swing is None, known, np.float32(1))[:, None]
         # what lies on the body at rest stays there: the root of a part is held
         self.free = np.where(nodes.distance < HELD * scale, 0.0, 1.0)[:, None].astype(np.float32)
         degree = np.maximum(np.bincount(self.edges.reshape(-1), minlength=len(nodes)), 1)

@@ -63,7 +63,7 @@ class ApparelEvalConfig:
         clips: Most clips of the data set.
         whole: Of those, how many have all their vertices measured, by each module and beside other methods.
         least: Characters; where the data set has fewer, one clip of each counts, and others are simulated.
-        weights: Displacement network.
+        weights: Displacement network; of characters whose manners are told, and of those whose manners are guessed.
         masks: Segmentation network.
         bodies: Body networks; Table 3 takes the first.
         refinement: Joint refinement of Table 3.
@@ -113,6 +113,7 @@ def evaluate_apparel(
         return _chains(config, progress)
     masks, bodies, quick = config.masks, config.bodies, config.quick
     network = load_displacement(config.weights or shipped_checkpoint("apparel"))
+    guessing = load_displacement(config.weights or shipped_checkpoint("apparel-guessed"))
     found: list[TrueClip] = []
     if config.data is not None:
         found = list(data_clips(ApparelData(config.data, "test"), config.clips))
@@ -149,7 +150,7 @@ def evaluate_apparel(
     def measured(number: int, clip: TrueClip) -> dict[str, Any]:
         own: dict[str, Any] = {} if config.whole_only else apart(number, clip)
         if number < config.whole and known_body:
-            own["whole"], own["whole_ten"] = module_row(clip, network, masks, body, merging)
+            own["whole"], own["whole_ten"] = module_row(clip, guessing, masks, body, merging)
         return own
 
     every = []

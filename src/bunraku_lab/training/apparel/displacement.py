@@ -42,6 +42,8 @@ class DisplacementTrainConfig(StepSettings):
         clips: Windows in a step of the recurrent part.
         shortest, longest: Frames of a window, at the beginning of its training and at the end.
         known: Share of the windows that go on from true states.
+        calm: A character counts by one over its mean displacement and this, over its size: what a real file's quiet
+            apparel is worth is measured against its own motion.
         edges: Weight of Eq. 15 against Eq. 14; the paper's is 100, with clips that begin at the truth.
         network: Its shape.
     """
@@ -58,6 +60,7 @@ class DisplacementTrainConfig(StepSettings):
     longest: int = 24
     known: float = 0.4
     edges: float = 1.0
+    calm: float = 0.004
     rate: float = 1.5e-3
     warmup: int = 200
     decay: float = 0.998
@@ -86,9 +89,10 @@ def take_head(model: DisplacementNetwork, path: Path) -> None:
 
 @dataclass
 class _Block:
-    """Windows of several characters: everything of F frames."""
+    """Windows of several characters: everything of F frames; `share` is how much each node counts, shape (M,)."""
 
     inputs: list[Inputs]
+    share: torch.Tensor
     truth: torch.Tensor
     turns: torch.Tensor
     positions: torch.Tensor
@@ -155,12 +159,14 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
                 "turns": moving["turns"][rows, :m].astype(np.float32) * turn,
                 "positions": (moving["positions"][rows, :m] - root) * flip / size,
             }
+            columns.setdefault("share", []).append(np.full(m, 1 / (character.swings + self.config.calm), np.float32))
             for name, value in values.items():
                 columns.setdefault(name, []).append(value)
         still = {
             name: torch.from_numpy(np.concatenate(columns.pop(name)))
-            for name in ("static_vectors", "static_scalars", "rest")
+            for name in ("static_vectors", "static_scalars", "rest", "share")
         }
+        share = still["share"] / still["share"].mean()
         moved = {
             name: torch.from_numpy(np.ascontiguousarray(np.concatenate(values, axis=1), np.float32))
             for name, values in columns.items()
@@ -172,12 +178,14 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
             )
             for frame in range(frames)
         ]  # fmt: skip
-        return _Block(inputs, moved["truth"], moved["turns"], moved["positions"], still["rest"].float(), graph)
+        return _Block(inputs, share, moved["truth"], moved["turns"], moved["positions"], still["rest"].float(), graph)
 
     def losses(self, moved: torch.Tensor, truth: torch.Tensor, block: _Block) -> torch.Tensor:
         """L_va + lambda L_ea of frames; edges in the frame of the joint that carries both ends, over the true ones."""
-        vertex = vertex_loss(moved, truth)
-        edge = edge_loss(block.rest + moved, block.rest + truth, block.graph.edges)
+        share = block.share[:, None]
+        vertex = vertex_loss(share * moved, share * truth)
+        bent, true = share * (block.rest + moved), share * (block.rest + truth)  # the ends of an edge count alike
+        edge = edge_loss(bent, true, block.graph.edges)
         return vertex + self.config.edges * edge
 
     def step_loss(self) -> tuple[torch.Tensor, dict[str, float]]:

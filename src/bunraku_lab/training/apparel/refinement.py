@@ -174,7 +174,7 @@ class RefinementTrainer(AveragedRun[RefinementNetwork]):
 def _samples(config: RefinementTrainConfig, split: str, most: int, folder: Path) -> list[SeamSample]:
     """One clip of each character, computed once."""
     data = ApparelData(config.data, split)  # type: ignore[arg-type]
-    network = load_displacement(config.weights or shipped_checkpoint("apparel"))
+    network = load_displacement(config.weights or shipped_checkpoint("apparel-guessed"))
     folder.mkdir(parents=True, exist_ok=True)
     sweep(folder)
     out: list[SeamSample] = []
