@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from bunraku.geometry.axes import AXES, ORIENTATIONS, axis_vector, upright_rotation
 from bunraku.geometry.surface import surface_points
 from bunraku.handles.orientation_evidence import combined, surface_witnesses
-from bunraku.handles.orientation_shape import lean, rest
+from bunraku.handles.orientation_shape import _carried, lean, rest
 
 CUBE = np.array([[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6], [0, 4, 5], [0, 5, 1],
                  [1, 5, 6], [1, 6, 2], [2, 6, 7], [2, 7, 3], [3, 7, 4], [3, 4, 0]])  # fmt: skip
@@ -73,3 +74,17 @@ def test_bones_are_a_witness_like_others():
     network[[back, usual]] = 0.003, 0.987  # names may be swapped: the shape is asked too
     assert 0.05 < combined(network, bones=("+y", "-z"))[usual] < 0.95
     assert axis_vector("-z")[2] == -1
+
+
+def test_a_hull_in_the_plane_is_that_of_qhull():
+    random = np.random.default_rng(0)
+    for size in (3, 5, 40, 400):
+        points, middle = random.normal(0, 0.2, (size, 2)), random.normal(0, 0.05, 2)
+        hull = ConvexHull(points)
+        inside, area = _carried(points, middle)
+        assert abs(inside + float((hull.equations[:, :2] @ middle + hull.equations[:, 2]).max())) < 1e-9
+        assert area == pytest.approx(hull.volume, rel=1e-9)
+    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5]])
+    assert _carried(square, np.array([0.25, 0.5])) == pytest.approx((0.25, 1.0))
+    assert _carried(square, np.array([2.0, 0.5])) == pytest.approx((-1.0, 1.0))
+    assert _carried(square[:2], np.zeros(2)) == _carried(square * [1, 0], np.zeros(2)) == (-1.0, 0.0)

@@ -9,7 +9,6 @@ the 151 characters of the training archive that are not held out (`fitted_weight
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from bunraku.geometry.axes import AXES, ORIENTATIONS, axis_vector
 
@@ -23,6 +22,9 @@ _FLAT, _LOW, _DOWN = 0.012, 0.025, -0.9
 which on a normal points down."""
 _EDGE, _LEAST = 0.02, 2e-3
 _TOP = 0.85
+_ANGLES = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+_AROUND = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
+"""Directions in which corners of a hull in the plane are looked for first."""
 _UPS = np.array([axis_vector(up) for up, _ in ORIENTATIONS])
 _FRONTS = np.array([axis_vector(front) for _, front in ORIENTATIONS])
 
@@ -59,11 +61,34 @@ def _carried(low: np.ndarray, middle: np.ndarray) -> tuple[float, float]:
     """
     if len(low) < 3 or np.ptp(low, axis=0).min() < 1e-6:
         return -1.0, 0.0
-    try:
-        hull = ConvexHull(low)
-    except QhullError:
-        return -1.0, 0.0
-    return -float((hull.equations[:, :2] @ middle + hull.equations[:, 2]).max()), float(hull.volume)
+    corners = _hull(low)
+    edges = np.roll(corners, -1, axis=0) - corners
+    outward = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1, keepdims=True)
+    area = 0.5 * float((corners[:, 0] * edges[:, 1] - corners[:, 1] * edges[:, 0]).sum())
+    return (float((outward * (corners - middle)).sum(axis=1).min()), area) if area > 1e-12 else (-1.0, 0.0)
+
+
+def _hull(points: np.ndarray) -> np.ndarray:
+    """Corners of the convex hull of points in the plane, counter-clockwise, shape (C, 2), by Andrew's monotone chain.
+
+    Qhull would load a tenth of a second and ten megabytes of scipy.
+    """
+    rough = points[(points @ _AROUND.T).argmax(axis=0)]  # what lies within these corners is none
+    edges = np.roll(rough, -1, axis=0) - rough
+    beyond = edges[:, 0] * (points[:, 1:] - rough[:, 1]) - edges[:, 1] * (points[:, :1] - rough[:, 0])
+    rows = np.unique(points[(beyond <= 1e-12).any(axis=1)], axis=0).tolist()
+    corners: list[list[float]] = []
+    for line in (rows, rows[::-1]):
+        side: list[list[float]] = []
+        for x, y in line:
+            while len(side) > 1:
+                (u, v), (w, z) = side[-2:]
+                if (w - u) * (y - v) - (z - v) * (x - u) > 0:
+                    break
+                side.pop()
+            side.append([x, y])
+        corners += side[:-1]
+    return np.array(corners)
 
 
 def lean(points: np.ndarray) -> np.ndarray:
