@@ -310,3 +310,30 @@ def test_a_gesture_alone_is_read_as_it_is_among_all():
     for texts, one in first.items():
         assert gesture_of(texts) == one
     assert gesture_of(()) is None and gesture_of(("nobody tells this",)) is None
+
+
+def test_who_looks_aside_turns_the_head_to_the_right_and_who_looks_up_raises_the_face():
+    def face(name):
+        rotations, _ = gesture_motion(gesture(name)).world()
+        return rotations[:, AT["head"]] @ [0, 0, 1]
+
+    aside, up = face("look aside"), face("look up")
+    assert np.degrees(np.arctan2(-aside[:, 0], aside[:, 2])).max() > 50 and aside[:, 0].max() < 0.1
+    assert up[:, 1].max() - up[0, 1] > 0.5
+
+
+def test_who_balances_stands_on_the_right_foot_below_the_pelvis():
+    _, positions = gesture_motion(gesture("balance")).world()
+    there = positions[30:90]
+    assert (there[:, AT["left_ankle"], 1] - there[:, AT["right_ankle"], 1]).min() > 0.3
+    assert np.abs(there[:, 0, 0] - there[:, AT["right_ankle"], 0]).max() < 0.07
+
+
+def test_who_ducks_goes_down_at_once_and_who_pushes_does_so_with_both_hands():
+    _, positions = gesture_motion(gesture("duck")).world()
+    head = positions[:, AT["head"], 1]
+    assert head[0] - head[8:24].max() > 0.5 and abs(head[-1] - head[0]) < 0.03
+    motion = gesture_motion(gesture("push"))
+    there = palms(motion)
+    for side in ("left", "right"):
+        assert there[side][45, 2] - there[side][15, 2] > 0.25 and there[side][45, 1] > 1.2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from bunraku.errors import OptionError
@@ -148,3 +149,26 @@ def test_the_lexicon_is_whole():
 def test_words_are_parted_by_hyphens_and_apostrophes_and_punctuation_stands_alone():
     assert words_of("Push-ups, don't!")[0] == ["push", "ups", ",", "don", "t", "!"]
     assert words_of("a  dog")[1] == [(0, 1), (3, 6)]
+
+
+def test_a_quoted_sentence_is_read_as_the_same_without_quotes():
+    assert parse('"a man kicks with his right foot.",').clauses == parse("a man kicks with his right foot").clauses
+
+
+def test_who_spins_or_goes_in_a_circle_turns_all_the_way_round_to_either_side():
+    for text in ("a person does a spin", "a person is running in a circle", "a dancer twirls"):
+        turn = clause_of(text).turn
+        assert turn is not None and turn.side == 0 and turn.least > np.radians(180) and turn.most > np.radians(700)
+    for text in ("makes circles with the arms", "walks forward", "looks around"):
+        assert clause_of(text).turn is None
+
+
+@pytest.mark.parametrize(
+    ("prompt", "side"),
+    [("look right", "right"), ("looks to her left", "left"), ("turns the head to the right", "right")],
+)
+def test_who_looks_to_a_side_does_not_turn_to_it(prompt, side):
+    (clause,) = parse(prompt).clauses
+    assert clause.actions == ("look aside",) and clause.part == "head" and clause.turn is None
+    assert clause.cues == {f"{side} go"}
+    assert parse("looks left and right").clauses[0].actions == ("look around",)

@@ -1,7 +1,7 @@
 import pytest
 
 from bunraku.errors import OptionError
-from bunraku.language.prompts import parse_sequence, timed_sequence
+from bunraku.language.prompts import check_prompt, parse_sequence, timed_sequence
 
 
 @pytest.mark.parametrize(
@@ -47,3 +47,19 @@ def test_parts_without_seconds_share_what_there_is():
     for seconds in (0.1, 36001.0, float("nan")):
         with pytest.raises(OptionError, match=r"0.5 to 36000"):
             timed_sequence([("a", None)], seconds)
+
+
+@pytest.mark.parametrize(
+    ("copied", "said"),
+    [
+        ('"a person waves.",', "a person waves"),
+        (': "A person waves', "A person waves"),
+        ("“a person waves,”", "a person waves"),
+        ("- a person waves; ", "a person waves"),
+        ("'a man's dog runs'", "a man's dog runs'"),
+        ("run!", "run!"),
+        ("a person says 'hi' and waves", "a person says 'hi' and waves"),
+    ],
+)
+def test_signs_around_a_sentence_are_none_of_it(copied, said):
+    assert check_prompt(copied) == said

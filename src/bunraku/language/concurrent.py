@@ -19,9 +19,11 @@ __all__ = ["moved_part", "split_voices"]
 _GESTURING = ("arms", "head", "arms and head")
 _RAISING = ("raise", "lift", "swing")
 _LIMBS = frozenset(("hand", "hands", "arm", "arms", "fist", "fists"))
+_HELD = r"(?:\s*,?\s+with|\s*,)\s+(?=(?:(?:both|the|his|her|their|its)\s+)*(?:hands?|arms?)\b)"
+"""Before how the arms are held: "lunges, hands on hips", "walks with the arms crossed"."""
 _JOINTS = tuple(
     re.compile(joint, re.IGNORECASE)
-    for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!then\b)", r"\s*,\s*(?=\w+ing\b)")
+    for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!then\b)", r"\s*,\s*(?=\w+ing\b)", _HELD)
 )
 
 
@@ -58,6 +60,8 @@ def moved_part(clause: str) -> str:
     if table.lemmas.get(verb) in _RAISING and not _LIMBS.isdisjoint(words):
         return "arms"
     said = {table.actions[action].part for action in actions_of(clause)}
+    if said == {"legs"}:
+        return "legs"  # "does a lunge", whose verb says nothing of it
     if not said or not said <= set(_GESTURING):
         return ""
     return said.pop() if len(said) == 1 else "arms and head"

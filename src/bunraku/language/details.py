@@ -18,6 +18,10 @@ __all__ = ["added_words", "count_of", "stems_of", "tells_all", "unseen_word"]
 MOST = 99
 """How often something is done at the most."""
 _TIMES = frozenset(("time", "times"))
+_HOLDING = frozenset(stems(("hold", "keep", "put", "place", "rest")))
+"""Of verbs that say where a part of the body is; that part is what they add."""
+_OBJECT = 3
+"""Words after such a verb among which the part is."""
 _LIMBS = {"arms": ("arm", "hand"), "legs": ("leg", "foot"), "head": ("head",)}
 """Words for the limbs of a part of the body."""
 
@@ -41,9 +45,10 @@ def count_of(text: str) -> int | None:
 
 @functools.cache
 def _body() -> frozenset[str]:
-    """Stems of words for parts of the body."""
+    """Stems of words for parts of the body, but for those that are verbs: a spin is no spine."""
     named = [word for row in table()["parts"] for word in row["en"].split("/")]
-    return frozenset(stems([*named, *lexicon().body]))
+    words, verbs = {*named, *lexicon().body}, lexicon().lemmas
+    return frozenset(stem(word) for word in words if stem(word) == word or stem(word) not in verbs)
 
 
 @functools.lru_cache(maxsize=1024)
@@ -65,9 +70,12 @@ def _own(action: str) -> frozenset[str]:
 
 @functools.lru_cache(maxsize=64)
 def _limbs(action: str) -> frozenset[str]:
-    """Stems of the words for the limbs that a gesture moves; how other actions hold them is a pose of its own."""
-    moved = lexicon().actions[action].part if lexicon().actions[action].gesture else ""
-    return frozenset(stems(word for part, words in _LIMBS.items() if part in moved for word in words))
+    """Stems of the words for the limbs that a gesture moves, and for the arms of who does anything with them; how other
+    actions hold them is a pose of its own.
+    """
+    row = lexicon().actions[action]
+    moved = [words for part, words in _LIMBS.items() if part in row.part and (row.gesture or part == "arms")]
+    return frozenset(stems(word for words in moved for word in words))
 
 
 def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:
@@ -81,8 +89,11 @@ def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:
     own, limbs = (frozenset[str]().union(*map(find, actions)) for find in (_own, _limbs))
     verbs = action_stems()
     found = []
-    for word in words_of(text)[0]:
+    words = words_of(text)[0]
+    for at, word in enumerate(words):
         root = stem(word)
+        if root in _HOLDING and _body().intersection(stems(words[at + 1 : at + 1 + _OBJECT])):
+            continue
         if word in FUNCTION_WORDS or word.endswith("ly") or not word.isalpha():
             continue
         if (root in _body() and root not in limbs) or (root in verbs and root not in own):

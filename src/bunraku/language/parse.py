@@ -20,6 +20,10 @@ from bunraku.language.understood import check_understood
 __all__ = ["clause_of", "clauses_of", "parse"]
 
 
+_ROUND = frozenset(("spin", "circle"))
+"""Actions of who turns all the way round."""
+
+
 def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
     """A prompt as a sentence: what is done one after the other, each with its time.
 
@@ -76,7 +80,7 @@ def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = ()) -> Claus
     cues, traits, actions = said_cues(person), said_traits(person), actions_of(person)
     return Clause(
         text, seconds, subject, person, actions, moved_part(text), locomotion_of(predicate), cues, traits,
-        _turn(cues, traits), _goes_straight(cues, traits), count_of(person), added_words(predicate, actions),
+        _turn(cues, traits, actions), _goes_straight(cues, traits), count_of(person), added_words(predicate, actions),
         voices=voices,
     )  # fmt: skip
 
@@ -87,12 +91,13 @@ def _goes_straight(cues: frozenset[str], traits: frozenset[str]) -> bool:
     return ("forward" in cues or "goes on" in traits) and not sided and "winding" not in traits
 
 
-def _turn(cues: frozenset[str], traits: frozenset[str]) -> Turn | None:
-    """How far somebody turns; None where nothing of the kind is said, or both sides are."""
+def _turn(cues: frozenset[str], traits: frozenset[str], actions: tuple[str, ...]) -> Turn | None:
+    """How far somebody turns; None where nothing of the kind is said, or both sides are, or only the head does."""
     side = int("left turn" in cues) - int("right turn" in cues)
     if {"left turn", "right turn"} <= cues:
         return None
-    if not side and not ("turns" in traits and {"half", "full", "quarter"} & cues):
+    turns = "turns" in traits and {"half", "full", "quarter"} & cues
+    if not side and not turns and not ("full" in cues and _ROUND.intersection(actions)):
         return None
     least, most = 50.0, 130.0
     if "all round" in traits:

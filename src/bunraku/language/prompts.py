@@ -17,6 +17,11 @@ PROMPT_LIMIT = 1000
 _NAMED = re.compile(r"\s*(?P<name>[^=;:]{1,60}?)\s*=\s*(?P<prompt>.+)", re.DOTALL)
 
 
+_BEFORE = " \t\"'“”„«»‘’`:;,.-*"
+_AFTER = ' "“”„«»`:;,.'
+"""Signs around a sentence that is quoted or copied out of a list; an apostrophe at its end is a word's own."""
+
+
 def split_name(prompt: str) -> tuple[str, str]:
     """The name that stands before a prompt, "" where none does, and the prompt: "Walk = walks forward"."""
     found = _NAMED.fullmatch(prompt)
@@ -31,7 +36,7 @@ def narrow(text: str) -> str:
 
 
 def check_prompt(prompt: str) -> str:
-    """The prompt with plain single spaces and no full stop, as the training captions are.
+    """The prompt with plain single spaces and no quotes, stops or commas around it, as the training captions are.
 
     Raises:
         OptionError: It is empty, has no letters or digits, or is longer than 1,000 characters.
@@ -45,7 +50,7 @@ def check_prompt(prompt: str) -> str:
     plain = " ".join(prompt.split())
     if not plain:
         raise OptionError("the prompt is empty; say what the character should do, for example 'a person walks forward'")
-    plain = plain.rstrip(" .") or plain
+    plain = plain.lstrip(_BEFORE).rstrip(_AFTER) or plain
     if not any(letter.isalnum() for letter in plain):
         raise OptionError(
             "the prompt has no words; say what the character should do, for example 'a person walks forward'"

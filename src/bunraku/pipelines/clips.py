@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -35,9 +36,11 @@ def is_cycle(sentence: Sentence) -> bool:
     """Whether a sentence tells of one thing that goes on as it is, as walking does and jumping does not."""
     if sentence.loop:
         return True
-    if len(sentence.clauses) != 1 or sentence.clauses[0].turn is not None:
+    if len(sentence.clauses) != 1:
         return False
     (clause,) = sentence.clauses
+    if clause.turn is not None and (clause.turn.side or math.isfinite(clause.turn.most)):
+        return False
     return all(map(is_cyclic, clause.actions)) if clause.actions else bool(clause.locomotion)
 
 

@@ -64,6 +64,11 @@ def test_who_sits_with_crossed_legs_is_no_gesture_of_sitting(networks):
         ("pats his knee three times", "gesture_rub", "knee"),
         ("scratches the head", "gesture_scratch", ""),
         ("slaps", "gesture_slap", ""),
+        ("duck quickly", "gesture_duck", ""),
+        ("push door", "gesture_push", ""),
+        ("looks up at the sky", "gesture_look_up", ""),
+        ("balances on one leg", "gesture_balance", ""),
+        ("a person does a sit-up, holding their head with both hands", "gesture_sit-up", ""),
         ("tie shoelaces", "gesture_tie_shoes", ""),
     ],
 )
@@ -108,6 +113,18 @@ def test_either_hand_waves_where_none_is_named_and_nobody_salutes_with_the_left(
     assert hands("salutes") == {False}
 
 
+def test_a_look_or_a_leg_is_on_the_side_that_is_said(networks):
+    for prompt, gesture, mirrored in (
+        ("look right", "gesture_look_aside", False), ("look left", "gesture_look_aside", True),
+        ("stands on the right leg", "gesture_balance", False), ("stands on the left leg", "gesture_balance", True),
+        ("eats with the right hand", "gesture_eat", False), ("eats with the left hand", "gesture_eat", True),
+    ):  # fmt: skip
+        found, clauses = known(networks, prompt)
+        for seed in range(4):
+            (one,) = found.of([(clauses[0], 120)], (seed, 0), 0).found
+            assert networks.examples.examples[one.number].name.startswith(gesture) and one.mirrored == mirrored
+
+
 def test_numbers_that_count_and_those_that_do_not():
     counts = {
         "claps twice": 2, "waves three times": 3, "does two jumping jacks": 2, "nods 4 times": 4, "bows once": 1,
@@ -120,7 +137,9 @@ def test_what_a_clause_adds():
     added = {
         "scratches the chin": ("chin",), "sits while crossing legs": ("crossing", "legs"), "claps happily": (),
         "waves at a friend": (), "a person applauds": (), "hugs somebody": (), "flexes both arms": (),
-        "waves with the foot": ("foot",),
+        "waves with the foot": ("foot",), "eats with the left hand": (), "does a spin": (),
+        "does a sit-up, holding the head with both hands": ("head", "hands"),
+        "does sit-ups holding a ball": ("holding",),
     }  # fmt: skip
     assert {text: clause_of(text).added for text in added} == added
 

@@ -5,7 +5,17 @@ import pytest
 
 from bunraku.body.from_handles import skeleton_from_handles
 from bunraku.diffusion.examples.guidance_examples import GuidanceExamples
-from bunraku.diffusion.examples.guide import circled, fills, fits_into, goes_on, hurried, laid, laid_script, liveliest
+from bunraku.diffusion.examples.guide import (
+    circled,
+    fills,
+    fits_into,
+    goes_on,
+    hurried,
+    laid,
+    laid_script,
+    liveliest,
+    repeated,
+)
 from bunraku.diffusion.examples.joins import on_one_leg
 from bunraku.diffusion.examples.pack import ExamplePack, packed_stretch
 from bunraku.diffusion.examples.retrieve import Found
@@ -288,3 +298,19 @@ def test_a_gesture_made_by_code_that_rests_in_the_air_stays_there(pack, units):
         climb = replace(pack, examples=(pack.examples[0], replace(pack.examples[1], name=name)), data=data)
         guide = laid(climb, KICK, 60, units, np.random.default_rng(0))
         assert (guide.share[-5:] == 1).all() == stays
+
+
+def test_a_motion_in_a_row_is_done_so_often_without_a_jump(pack, units):
+    kick = pack.features(1)
+    away = np.linalg.norm(kick[:, 3:] - kick[0, 3:], axis=1).max()
+
+    def swings(features):
+        up = np.linalg.norm(features[:, 3:] - kick[0, 3:], axis=1) > 0.5 * away
+        return np.count_nonzero(up[1:] & ~up[:-1])
+
+    def fastest(features):
+        return np.linalg.norm(np.diff(features[:, 3:], axis=0), axis=1).max()
+
+    three = repeated(kick, 3)
+    assert swings(three) == 3 * swings(kick) > 0 and fastest(three) <= fastest(kick) + 1e-5
+    assert swings(lay(pack, units, KICK._replace(times=2), 120)) == 2 * swings(lay(pack, units, KICK, 120))

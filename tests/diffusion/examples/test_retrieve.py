@@ -129,3 +129,22 @@ def test_who_climbs_down_or_up_a_ladder_is_no_example_of_climbing_stairs(pack):
     ladder = named(pack, "ladder", "a person climbs a ladder", "climbs")
     assert names(ladder, "a person climbs the stairs", AXES[0]) == []
     assert names(ladder, "a person climbs", AXES[0]) == [("ladder", False)]
+
+
+def test_what_is_shown_once_is_done_as_often_as_is_counted(pack):
+    (one,) = retrieve(pack, clause_of("someone kicks twice with the right leg"), AXES[1]).found
+    assert one.number == 1 and one.times == 2
+    assert retrieve(pack, clause_of("someone kicks with the right leg"), AXES[1]).found[0].times == 1
+    assert names(pack, "someone waves twice with the left hand", AXES[0]) == []  # that goes on, as often as it likes
+    assert names(pack, "someone kicks nine times with the right leg", AXES[1]) == []
+    twice = replace(pack.examples[1], texts=("a person kicks twice with the right leg",))
+    counted = replace(pack, examples=(pack.examples[0], twice))
+    (one,) = retrieve(counted, clause_of("someone kicks twice with the right leg"), AXES[1]).found
+    assert one.times == 1
+    assert names(counted, "someone kicks three times with the right leg", AXES[1]) == []
+
+
+def test_the_limb_that_is_meant_counts_more_than_the_way_of_its_movement(pack):
+    assert names(pack, "someone kicks a ball to the left with the right foot", AXES[1]) == [("kick", False)]
+    assert names(pack, "someone kicks a ball to the left with the left foot", AXES[1]) == []
+    assert names(pack, "someone kicks a ball to the left", AXES[1]) == []

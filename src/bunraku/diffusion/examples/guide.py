@@ -76,12 +76,12 @@ class Guide:
 
 def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
     """Whether an example is done within so many frames, or can be cut anywhere."""
-    return goes_on(pack, found) or pack.examples[found.number].frames <= HURRY * frames
+    return goes_on(pack, found) or pack.examples[found.number].frames * found.times <= HURRY * frames
 
 
 def fills(pack: ExamplePack, found: Found, frames: int) -> bool:
     """Whether an example goes on for most of so many frames."""
-    return goes_on(pack, found) or pack.examples[found.number].frames >= FILLED * frames
+    return goes_on(pack, found) or pack.examples[found.number].frames * found.times >= FILLED * frames
 
 
 def laid(
@@ -120,6 +120,8 @@ def laid(
         features = mirror(features)
     example = pack.examples[found.number]
     made = np.full(frames, example.unranked)  # the network may have seen no more of it than the ranker
+    if found.times > 1 and not closed:
+        features = repeated(liveliest(features, int(HURRY * frames / found.times), statistics), found.times)
     loop = _loop(pack, found)
     if closed:
         share = np.full(frames, loop is not None, np.float32)
@@ -238,6 +240,17 @@ def liveliest(features: np.ndarray, frames: int, statistics: FeatureStatistics) 
     moved = np.concatenate([[0.0], np.cumsum((step**2).sum(axis=1))])
     start = int((moved[frames:] - moved[:-frames]).argmax())
     return features[start : start + frames]
+
+
+def repeated(features: np.ndarray, times: int) -> np.ndarray:
+    """A motion so many times in a row, each cross-faded into the next, shape (M, D)."""
+    fade = min(_FADE, len(features) // 3)
+    share = smooth_step((np.arange(fade) + 1) / (fade + 1))[:, None].astype(np.float32)
+    out = features
+    for _ in range(times - 1):
+        joined = out[len(out) - fade :] * (1 - share) + features[:fade] * share
+        out = np.concatenate([out[: len(out) - fade], joined, features[fade:]])
+    return out
 
 
 def hurried(features: np.ndarray, frames: int) -> np.ndarray:

@@ -55,6 +55,9 @@ _SIDED = frozenset(f"{side} {limb}" for side in ("left", "right") for limb in ("
 }
 _COUNTS = frozenset(("twice", "thrice", "often"))
 """What captured examples must say too; a gesture is done as often as requested."""
+_WAYS = frozenset(("left go", "right go"))
+MOST_TIMES = 4
+"""How often a captured example is done in a row at the most."""
 _ADDED = frozenset(("high", "low", "backwards", "forward", "sideways", "left go", "right go"))
 _ADDED_TRAITS = frozenset(("on a leg", "backward", "stairs"))
 """Cues and traits of a clause that a gesture does not do where its own words do not say them."""
@@ -70,12 +73,14 @@ class Found(NamedTuple):
         mirrored: Its mirror image is meant.
         score: Mean of the cosine of the sentence with its nearest sentence, and of that with its motion.
         part: The part of the body at which a gesture is done in place of its own (`gestures.parts`); "" for its own.
+        times: How often a captured one is done that shows one time of what is counted.
     """
 
     number: int
     mirrored: bool
     score: float
     part: str = ""
+    times: int = 1
 
 
 class Retrieved(NamedTuple):
@@ -92,16 +97,29 @@ class Retrieved(NamedTuple):
 
 
 def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved:
-    """Examples that show what a clause says.
+    """Examples that show what a clause says. Where none shows all of it, those count that show it once, to be done as
+    often as is said, and those with the limb that is meant, whichever way its movement goes.
 
     Args:
         pack: To choose from.
         clause: Of one thing that is done.
         vector: The ranker's unit vector of it, shape (V,).
     """
+    found = _retrieved(pack, clause, vector, frozenset())
+    limbed = any(f"{side} {limb}" in clause.cues for side in ("left", "right") for limb in ("arm", "leg"))
+    let_go = _WAYS if limbed and "goes" not in clause.traits else frozenset[str]()
+    let_go |= _COUNTS if clause.count and 1 < clause.count <= MOST_TIMES else frozenset[str]()
+    if found.found or found.lacking or not let_go & clause.cues:
+        return found
+    return _retrieved(pack, clause, vector, let_go)
+
+
+def _retrieved(pack: ExamplePack, clause: Clause, vector: np.ndarray, let_go: frozenset[str]) -> Retrieved:
+    """Examples that show what a clause says but for some cues."""
     query = Said(frozenset(clause.actions) or _NOTHING, clause.cues, clause.traits)
-    wanted = _shown(query)
-    counts = query.cues & _COUNTS
+    wanted = _shown(query) - let_go
+    counts = query.cues & _COUNTS - let_go
+    times = clause.count or 1 if query.cues & _COUNTS & let_go else 1
     lacking: dict[str, None] = {}
     sided = any(cue.startswith(("left", "right")) for cue in query.cues)
     least = WALKING if query.actions <= {"walk", "run"} else LEAST
@@ -121,13 +139,15 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
             shown = wanted - _ADDED if made else wanted | counts
             if not _fits(pack.said(index), mirrored, query, shown, near):
                 continue
+            if times > 1 and (made or pack.said(index).cues & _COUNTS or pack.examples[index].loop is not None):
+                continue
             lacks, part = _lacks(pack, index, mirrored, clause) if made else ((), "")
             if not part and score[index] < LEAST_MADE:  # at another part its own sentences say little of it
                 continue
             if lacks:
                 lacking.update(dict.fromkeys(lacks))
             else:
-                found.append(Found(index, mirrored, float(score[index]), part))
+                found.append(Found(index, mirrored, float(score[index]), part, times))
     found.sort(key=lambda one: -one.score)
     best_made = bool(found) and bool(pack.made[found[0].number])
     best_made = best_made and query.actions != {"stand up"}  # that depends on how somebody sits, kneels or lies
