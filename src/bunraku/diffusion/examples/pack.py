@@ -325,11 +325,11 @@ def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object])
         "data": np.frombuffer(b"".join(pack.data), np.uint8),
         "sizes": np.array([len(part) for part in pack.data], np.int32),
         "owners": pack.owners.astype(np.int32),
-        "texts": pack.texts.astype(np.float16),
-        "motions": pack.motions.astype(np.float16),
+        "texts": pack.texts.astype(np.float32),
+        "motions": pack.motions.astype(np.float32),
     }
     write_said(path, pack)
-    return save_checkpoint(path, tensors, {"examples": table, "ranker": pack.ranker, "notes": notes}, KIND)
+    return save_checkpoint(path, tensors, {"examples": table, "ranker": pack.ranker, "notes": notes}, KIND, half=True)
 
 
 def said_path(path: str | Path) -> Path:
