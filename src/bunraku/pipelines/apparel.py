@@ -186,8 +186,10 @@ def _whole(
     animation: Animation | RigAnimation, clothed: ClothedCharacter, stiffness: float, gravity: float,
     progress: Progress | None,
 ) -> Animation | RigAnimation:  # fmt: skip
-    """`chained` with the parts that it would tear going with the body; as it is where that are all."""
-    plain = animation.at(RATE)
+    """`chained` with the parts that it would tear going with the body; as it is where that are all. What somebody said
+    to be apparel moves all the same, and a line says so.
+    """
+    plain, own = animation.at(RATE), artist_mask(animation.character) is not None
     for attempt in range(WHOLE):
         try:
             found = chained(animation, clothed, stiffness=stiffness, gravity=gravity, progress=progress)
@@ -198,9 +200,11 @@ def _whole(
         torn = torn_parts(clothed, found.vertices, plain.vertices, len(found))
         if not torn:
             return found
-        _log.warning(
-            "%s: %d parts of hair or clothes would be torn and go with the body", animation.character.name, len(torn)
-        )
+        name, count = animation.character.name, len(torn)
+        if own:
+            _log.warning("%s: %d parts of the mask are torn; paint them to an edge of their surface", name, count)
+            return found
+        _log.warning("%s: %d parts of hair or clothes would be torn and go with the body", name, count)
         kept = clothed.apparel & ~np.isin(clothed.part, list(torn))
         if kept.mean() < LEAST:
             break
