@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from bunraku.anatomy.joints import _inverse, find_joints
+from bunraku.anatomy.joints import find_joints
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.character import Character, Handles
 
@@ -38,8 +38,3 @@ def test_a_trace_of_an_arm_on_what_lies_elsewhere_is_no_elbow():
     character, handles = pieces(0.2)  # as much as parts that blend have
     joint = find_joints(character, handles).positions[ELBOW]
     assert np.abs(joint - [0.5, 0, 0]).max() < 0.1
-
-
-def test_inverses_by_cofactors():
-    matrices = np.random.default_rng(0).normal(size=(50, 3, 3))
-    np.testing.assert_allclose(_inverse(matrices), np.linalg.inv(matrices), rtol=1e-9)

@@ -11,6 +11,7 @@ from bunraku.geometry.axes import (
     axis_vector,
     covered,
     directions_about,
+    goes_round,
     right_angle_rotations,
     upright_rotation,
 )
@@ -51,6 +52,7 @@ def test_a_ring_covers_all_and_a_half_covers_half():
     ring = np.stack([np.linspace(0, 1, 240), 0.2 * np.cos(angle), 0.2 * np.sin(angle)], axis=1)
     found = directions_about(ring, np.zeros(3), np.array([3.0, 0, 0]))
     assert covered(found) == 1
+    assert goes_round(found) and not goes_round(found[:120])
     assert covered(found[:120]) == pytest.approx(0.5, abs=0.1)
     # a step about the line is a step of the direction, whichever way it counts
     steps = np.angle(np.exp(1j * np.diff(found)))

@@ -138,3 +138,8 @@ def test_adjugates_are_inverses_times_determinants():
     np.testing.assert_allclose(rot.adjugates(matrices), wanted, atol=1e-12)
     # of a matrix without an inverse too
     np.testing.assert_allclose(rot.adjugates(np.diag([2.0, 3.0, 0.0])), np.diag([0.0, 0.0, 6.0]))
+
+
+def test_inverses_by_cofactors():
+    matrices = np.random.default_rng(0).normal(size=(50, 3, 3))
+    np.testing.assert_allclose(rot.inverses(matrices), np.linalg.inv(matrices), rtol=1e-9)

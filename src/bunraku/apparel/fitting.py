@@ -10,7 +10,7 @@ from bunraku.apparel.nodes import held_vertices
 from bunraku.apparel.parts import apparel_parts
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.character import Handles
-from bunraku.geometry.axes import covered, directions_about
+from bunraku.geometry.axes import directions_about, goes_round
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.graph import clean_mesh, unique_edges
 
@@ -23,8 +23,6 @@ _LIMBS = [
     for side in ("left", "right")
     for parts in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
 ]
-ROUND = 0.75
-"""Of the directions about a limb: what covers so many goes round it."""
 WORN = 0.9  # of a part: one of which a limb holds so much is carried by it
 _SMALL = 0.002  # of the apparel's vertices: parts with fewer stay with the body
 SPECK = 0.045  # of the height: what is no longer than this stays with the body
@@ -127,7 +125,7 @@ def without_worn(
         for number in np.unique(part[apparel & (held > MOSTLY)]):
             rows = np.flatnonzero(part == number)
             mine = rows[held[rows] > MOSTLY]
-            if covered(angle[mine]) >= ROUND and held[rows].mean() < WORN:
+            if goes_round(angle[mine]) and held[rows].mean() < WORN:
                 out[mine] = False
     return out
 

@@ -16,14 +16,15 @@ __all__ = [
     "axis_name",
     "axis_vector",
     "covered",
+    "goes_round",
     "default_orientation",
     "directions_about",
     "right_angle_rotations",
     "upright_rotation",
 ]
 
-BINS = 12
-"""Of the directions about a line."""
+BINS, ROUND = 12, 0.75
+"""Of the directions about a line; and the share of them that what goes round it covers."""
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 ORIENTATIONS: tuple[tuple[str, str], ...] = tuple((up, front) for up, front in product(AXES, AXES) if up[1] != front[1])
@@ -97,10 +98,15 @@ def directions_about(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> 
 
 
 def covered(directions: np.ndarray) -> float:
-    """Share of all directions in which there is something, of twelve.
+    """Share of all directions about a line in which there is something, of twelve.
 
     Args:
         directions: [rad], shape (M,).
     """
     bins = ((directions + np.pi) / (2 * np.pi) * BINS).astype(np.int64) % BINS
     return float((np.bincount(bins, minlength=BINS) > 0).mean())
+
+
+def goes_round(directions: np.ndarray) -> bool:
+    """Whether what is in some directions about a line [rad], shape (M,), goes round it."""
+    return covered(directions) >= ROUND

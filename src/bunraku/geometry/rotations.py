@@ -17,6 +17,7 @@ __all__ = [
     "adjugates",
     "axis_angle_from_matrix",
     "heading",
+    "inverses",
     "matrix_from_6d",
     "matrix_from_axis_angle",
     "matrix_from_quaternion",
@@ -168,6 +169,13 @@ def adjugates(matrices: np.ndarray) -> np.ndarray:
         out[..., 0, column] = ay * bz - az * by
         out[..., 1, column] = az * bx - ax * bz
         out[..., 2, column] = ax * by - ay * bx
+    return out
+
+
+def inverses(matrices: np.ndarray) -> np.ndarray:
+    """Of 3x3 matrices, shape (..., 3, 3), by their adjugates."""
+    out = adjugates(matrices)
+    out /= np.einsum("...i,...i->...", matrices[..., 0, :], out[..., :, 0])[..., None, None]
     return out
 
 

@@ -8,14 +8,13 @@ import numpy as np
 
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.body.reference import handle_positions
-from bunraku.geometry.axes import covered, directions_about
+from bunraku.geometry.axes import directions_about, goes_round
 from bunraku.geometry.simplify import NetworkMesh
 from bunraku.handles.limbs import FAMILIES, LIMB_HANDLES, SIDES, limb_handles
 
 __all__ = ["freed_from_arms"]
 
 HELD = 0.1  # a vertex goes with an arm that holds so much of it
-ROUND = 0.75  # of the directions about an arm: what covers so many goes round it
 ROOT, ROOTS = 0.15, 0.5  # of a part's height, that is its root; share of that which the limbs hold at the most
 FEWEST = 12  # vertices of a part
 
@@ -38,7 +37,7 @@ def freed_from_arms(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
         for number in np.unique(part[held]):
             own = part == number
             mine = own & held
-            if own.sum() < FEWEST or covered(angle[mine]) >= ROUND:
+            if own.sum() < FEWEST or goes_round(angle[mine]):
                 continue
             height = mesh.vertices[own, 1]
             rows = np.flatnonzero(own)

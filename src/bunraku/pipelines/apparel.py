@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.apparel.artist_mask import artist_mask, read_artist_mask
+from bunraku.apparel.artist_mask import artist_mask, artist_mask_file, read_artist_mask
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.displacement.player import ApparelPlayer
 from bunraku.apparel.displacement.weights import DisplacementNetwork, load_displacement
@@ -108,7 +108,7 @@ def dressed(
         clothed, _, _ = animated_clothed(animation)
         if clothed.apparel.mean() < LEAST:
             return animation
-        problem = "" if artist_mask(animation.character) is not None else too_much(animation.character, clothed.apparel)
+        problem = "" if artist_mask_file(animation.character) else too_much(animation.character, clothed.apparel)
         if problem:
             _log.warning("%s", problem)
             return animation
@@ -189,7 +189,7 @@ def _whole(
     """`chained` with the parts that it would tear going with the body; as it is where that are all. What somebody said
     to be apparel moves all the same, and a line says so.
     """
-    plain, own = animation.at(RATE), artist_mask(animation.character) is not None
+    plain, own = animation.at(RATE), artist_mask_file(animation.character) is not None
     for attempt in range(WHOLE):
         try:
             found = chained(animation, clothed, stiffness=stiffness, gravity=gravity, progress=progress)

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-__all__ = ["CUBE", "marching_cubes"]
+__all__ = ["grid_surface", "marching_cubes"]
 
 CUBE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])
 """The corners of a cube, in the order in which `marching_cubes` takes them: bit a of a number is along axis a."""
@@ -39,6 +39,25 @@ def marching_cubes(values: np.ndarray, points: np.ndarray, cubes: np.ndarray) ->
     a, b = unique // len(points), unique % len(points)
     share = (values[a] / (values[a] - values[b]))[:, None]
     return points[a] + share * (points[b] - points[a]), faces.reshape(-1, 3).astype(np.int64)
+
+
+def grid_surface(values: np.ndarray, spacing: float, low: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The surface where values on a grid are zero: vertices (V, 3) in the unit of the spacing, and faces (F, 3).
+
+    Args:
+        values: Negative inside, none of them zero, shape (X, Y, Z).
+        spacing: Size of a cell.
+        low: Where the first value is, shape (3,).
+    """
+    inside = values < 0
+    number = np.zeros(np.array(values.shape) - 1, np.int8)
+    for dx, dy, dz in CUBE:
+        number += inside[dx : dx + number.shape[0], dy : dy + number.shape[1], dz : dz + number.shape[2]]
+    cells = np.argwhere((number > 0) & (number < 8))
+    corners = np.ravel_multi_index((cells[:, None] + CUBE).reshape(-1, 3).T, values.shape)
+    used, cubes = np.unique(corners, return_inverse=True)
+    positions = np.stack(np.unravel_index(used, values.shape), axis=1) * spacing + low
+    return marching_cubes(values.reshape(-1)[used].astype(float), positions, cubes.reshape(-1, 8))
 
 
 @cache

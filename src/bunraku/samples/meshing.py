@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from bunraku.samples.fields import Field
-from bunraku.samples.isosurface import CUBE, marching_cubes
+from bunraku.samples.isosurface import grid_surface
 from bunraku.samples.thinning import thinned
 
 __all__ = ["field_mesh", "marched", "mirror_mesh", "neighbour_average"]
@@ -59,15 +59,7 @@ def marched(field: Field, spacing: float, half: bool) -> tuple[np.ndarray, np.nd
     """
     low, samples = field.grid(spacing, half)
     samples = np.where(np.abs(samples) < 1e-3 * spacing, np.float32(1e-3 * spacing), samples)
-    inside = samples < 0
-    number = np.zeros(np.array(samples.shape) - 1, np.int8)
-    for dx, dy, dz in CUBE:
-        number += inside[dx : dx + number.shape[0], dy : dy + number.shape[1], dz : dz + number.shape[2]]
-    cells = np.argwhere((number > 0) & (number < 8))
-    corners = np.ravel_multi_index((cells[:, None] + CUBE).reshape(-1, 3).T, samples.shape)
-    used, cubes = np.unique(corners, return_inverse=True)
-    positions = np.stack(np.unravel_index(used, samples.shape), axis=1) * spacing + low
-    return marching_cubes(samples.reshape(-1)[used].astype(float), positions, cubes.reshape(-1, 8))
+    return grid_surface(samples, spacing, low)
 
 
 def neighbour_average(count: int, faces: np.ndarray) -> sp.csr_matrix:

@@ -170,12 +170,13 @@ def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tup
     if not words and not clause.count:
         return (), ""
     gesture, part = pack.gesture(index), part_in(clause.person)  # only then is the gesture read
-    elsewhere = gesture is not None and gesture.at and part is not None
-    if part is not None and elsewhere:
+    if gesture is None or not gesture.at:
+        part = None
+    if part is not None:
         words = [word for word in words if word not in part.words]
     if clause.count and gesture is not None and not gesture.counted:
         words.append(f"{clause.count} times")
-    return tuple(words), part.name if part is not None and elsewhere else ""
+    return tuple(words), "" if part is None else part.name
 
 
 def _shown(query: Said) -> frozenset[str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import binary_closing, binary_fill_holes, gaussian_filter
 
-from bunraku.samples.isosurface import CUBE, marching_cubes
+from bunraku.samples.isosurface import grid_surface
 
 __all__ = ["blocky_surface", "fused_mesh", "fused_surface", "on_plinth"]
 
@@ -47,15 +47,7 @@ def fused_mesh(points: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
     solid, low, size = _solid(points, cells)
     field = 0.5 - gaussian_filter(solid.astype(np.float64), 0.8)
     field = np.where(np.abs(field) < 1e-3, 1e-3, field)
-    inside = field < 0
-    number = np.zeros(np.array(field.shape) - 1, np.int8)
-    for dx, dy, dz in CUBE:
-        number += inside[dx : dx + number.shape[0], dy : dy + number.shape[1], dz : dz + number.shape[2]]
-    crossed = np.argwhere((number > 0) & (number < 8))
-    corners = np.ravel_multi_index((crossed[:, None] + CUBE).reshape(-1, 3).T, field.shape)
-    used, cubes = np.unique(corners, return_inverse=True)
-    positions = (np.stack(np.unravel_index(used, field.shape), axis=1) + 0.5) * size + low
-    return marching_cubes(field.reshape(-1)[used], positions, cubes.reshape(-1, 8))
+    return grid_surface(field, size, low + 0.5 * size)
 
 
 def blocky_surface(

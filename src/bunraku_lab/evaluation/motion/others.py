@@ -7,8 +7,6 @@ reference body as any motion is, so skeletons may differ.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -16,8 +14,8 @@ import numpy as np
 
 from bunraku.diffusion.features import encode
 from bunraku.errors import FormatError
-from bunraku.formats.files import atomic_write
 from bunraku_lab.datasets.takes.takes import Take, take_motion
+from bunraku_lab.evaluation.asked import write_asked
 from bunraku_lab.evaluation.motion.windows import Window
 
 __all__ = ["read_results", "write_prompts"]
@@ -29,14 +27,8 @@ def write_prompts(path: str | Path, windows: Sequence[Window]) -> Path:
     Raises:
         FormatError: The file cannot be written.
     """
-    out = io.StringIO()
-    rows = csv.writer(out)
-    rows.writerow(["file", "text", "seconds"])
-    for number, window in enumerate(windows):
-        rows.writerow([_name(number), window.sentence, f"{window.frames / 20:.2f}"])
-    with atomic_write(Path(path)) as file:
-        file.write(out.getvalue().encode())
-    return Path(path)
+    rows = ([_name(at), window.sentence, f"{window.frames / 20:.2f}"] for at, window in enumerate(windows))
+    return write_asked(path, ("file", "text", "seconds"), rows)
 
 
 def read_results(

@@ -7,8 +7,6 @@ two bones.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.errors import BunrakuError, FormatError
-from bunraku.formats.files import atomic_write
 from bunraku.geometry.axes import upright_rotation
 from bunraku.retarget.rig_parts import RigParts
+from bunraku_lab.evaluation.asked import write_asked
 from bunraku_lab.evaluation.transfer.character import STRIDE, CharacterRow, Source, limb_angles, named_front
 
 __all__ = ["SUFFIXES", "Pair", "measure_results", "pairs_of", "result_angle", "write_pairs"]
@@ -66,13 +64,8 @@ def write_pairs(path: str | Path, pairs: Iterable[Pair]) -> Path:
     Raises:
         FormatError: The file cannot be written.
     """
-    out = io.StringIO()
-    rows = csv.writer(out)
-    rows.writerow(["file", "character", "motion"])
-    rows.writerows([pair.file, pair.character, pair.motion] for pair in pairs)
-    with atomic_write(Path(path)) as file:
-        file.write(out.getvalue().encode())
-    return Path(path)
+    rows = ([pair.file, pair.character, pair.motion] for pair in pairs)
+    return write_asked(path, ("file", "character", "motion"), rows)
 
 
 def measure_results(
