@@ -9,6 +9,7 @@ from bunraku.body.reference import reference_body
 from bunraku.errors import FormatError
 from bunraku.gestures.catalogue import STANDING, gesture_of, gestures, read_gestures
 from bunraku.gestures.flow import foot_on, through
+from bunraku.gestures.perform import performed
 from bunraku.gestures.play import gesture_motion
 from bunraku.gestures.pose import HANGING, Gesture, Hand, Pose, Repeat, again
 from bunraku.language.lexicon.reading import actions_of
@@ -78,7 +79,8 @@ def test_every_gesture_is_whole(number):
     if one.cycle is not None:
         start, stop = (round(20 * moment) for moment in one.cycle)
         assert 12 <= stop - start < len(motion)
-        hand = palms(motion)["right"] - positions[:, 0] * [0, 0, 1]  # some go on meanwhile
+        goes = [one.repeat is not None and one.repeat.drift[0] != 0, 0, 1]  # some go on meanwhile
+        hand = palms(motion)["right"] - positions[:, 0] * goes
         assert np.linalg.norm(hand[stop] - hand[start]) < 0.04  # all but the sway
 
 
@@ -337,3 +339,15 @@ def test_who_ducks_goes_down_at_once_and_who_pushes_does_so_with_both_hands():
     there = palms(motion)
     for side in ("left", "right"):
         assert there[side][45, 2] - there[side][15, 2] > 0.25 and there[side][45, 1] > 1.2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_who_hops_to_the_right_stands_between_hops_and_goes_on_to_the_right(seed):
+    one = next(one for one in gestures() if "hops to the right" in one.texts)
+    motion = performed(one, 100, [], np.random.default_rng(seed))
+    _, positions = motion.world()
+    feet = positions[:, [AT["left_ankle"], AT["right_ankle"]]]
+    assert np.linalg.norm(feet[:, 0] - feet[:, 1], axis=1).max() < 0.4  # both go the same way
+    assert motion.root_translation[-1, 0] < -1
+    speed = np.linalg.norm(np.diff(feet.mean(axis=1)[:, [0, 2]], axis=0), axis=1) * 20
+    assert (speed < 0.15).mean() > 0.3 and speed.max() > 0.8

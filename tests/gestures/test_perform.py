@@ -150,7 +150,7 @@ def test_legs_and_trunk_are_those_of_a_busy_person_and_idle_hands_those_of_an_id
     ways, hands = [], []
     for seed in range(24):
         random = lambda: np.random.default_rng(seed)  # noqa: B023, E731
-        calm, lively = (performed(gesture("nod"), 120, IDLES, random(), busy=some) for some in ((), busy))
+        calm, lively = (performed(gesture("salute"), 120, IDLES, random(), busy=some) for some in ((), busy))
         ways.append([np.ptp(one.root_translation[:, [0, 2]], axis=0).max() for one in (calm, lively)])
         _, there = lively.world()
         hands.append(there[:, AT["left_shoulder"], 1] - there[:, AT["left_wrist"], 1])

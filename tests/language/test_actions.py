@@ -14,7 +14,7 @@ from bunraku.language.lexicon.tables import lexicon
         ("a person waves with the left hand", ("wave",)),
         ("standing long jump", ("long jump",)),
         ("kick left", ("kick",)),
-        ("walk in a circle left", ("walk", "circle")),
+        ("walk in a circle left", ("circle",)),
         ("do a cartwheel to the right", ("cartwheel",)),
         ("asdf qwer", ()),
     ],

@@ -23,7 +23,7 @@ _PROMPT = r"(?:bunraku (?:animate|edit) \S+|bunraku\.(?:animate|edit)\([^\"\n]+,
 
 KNOWN = (
     "somersault", "does a backflip", "sneaks past", "limps", "throws a ball overhand", "walks like a penguin",
-    "moonwalks across the stage", "sneaks up behind someone", "jumps for joy", "waves hello", "bows politely",
+    "sneaks up behind someone", "jumps for joy", "waves hello", "bows politely",
     "shadow boxing", "does ten push-ups", "climbs a ladder", "picks up a box and carries it to the left",
     "sits cross-legged", "rolls over", "dances salsa", "kneel and pray", "dodges a punch", "staggers as if drunk",
     "the dragon flaps its wings and roars", "spin around twice", "stretching before a run", "spins gracefully",

@@ -77,7 +77,9 @@ SHIFTS, MOST_SHIFTED = (0.1, 0.24), 2.5
 of captured people who make one; and how many times as far as of somebody who only stands at the most.
 """
 WITH_BUSY = 0.85
-"""Share of gestures that are made by somebody who was captured with busy hands, whose legs and trunk are livelier."""
+"""Share of gestures of the hands that are made by somebody who was captured with busy hands, whose legs and trunk are
+livelier: beside them a shaken head is not seen.
+"""
 LIES = 20.0
 """Tilt of the pelvis from which on nobody stands [degrees]."""
 
@@ -113,7 +115,8 @@ def performed(
     tracks = _varied(Tracks.of(keys), gesture, sizes, random, variation)
     moments = np.arange(frames) / fps
     standing = _standing(idles, frames, random, manner.closed, moments)
-    if idles and busy and random.random() < WITH_BUSY:
+    with_hands = any(not tracks.hands[side].rests.all() for side, _ in SIDES)
+    if idles and busy and random.random() < WITH_BUSY and with_hands:
         standing = replace(_standing(busy, frames, random, manner.closed, moments), hands=standing.hands)
     if gesture.steps:
         standing = replace(standing, feet={side: None for side, _ in SIDES})
@@ -243,7 +246,8 @@ def _times_of(
         if random.random() < pauses:
             held = random.uniform(*variation.pause)
             if manner.count or start + held + around / tempo < span:
-                parts.append(([(0.0, once[0][1])], start, 1.0, 1.0))
+                there = moved(once[0][1], [(number + 1) * one for one in repeat.drift])
+                parts.append(([(0.0, there)], start, 1.0, 1.0))
                 start += held
     drift = [(count - repeat.times) * one for one in repeat.drift]
     if tail:

@@ -148,7 +148,14 @@ class Gesture:
 
 
 def again(
-    poses: Sequence[Pose], period: float, times: int, *, start: float = 0.6, end: float = 0.6, rest: Pose | None = None
+    poses: Sequence[Pose],
+    period: float,
+    times: int,
+    *,
+    start: float = 0.6,
+    end: float = 0.6,
+    rest: Pose | None = None,
+    drift: Vector = (0.0, 0.0, 0.0),
 ) -> tuple[tuple[Key, ...], Repeat]:
     """Keys of something that is done again and again between two rests, and which of them are one time of it.
 
@@ -159,14 +166,18 @@ def again(
         start: Seconds from standing with hanging arms to the first pose.
         end: Seconds from the last pose to that again.
         rest: What it begins and ends with in place of hanging arms.
+        drift: How far each cycle goes on from the one before [m], as in `Repeat`.
     """
     rest = rest or Pose()
     keys: list[Key] = [(0.0, rest)]
     for cycle in range(times):
-        keys += [(start + period * (cycle + share / len(poses)), pose) for share, pose in enumerate(poses)]
+        here = [moved(pose, [cycle * step for step in drift]) for pose in poses]
+        keys += [(start + period * (cycle + share / len(poses)), pose) for share, pose in enumerate(here)]
     over = start + period * times
-    keys += [(over, poses[0]), (over + end, rest)]
-    return tuple(keys), Repeat(start, period, times)
+    last, still = (moved(pose, [times * step for step in drift]) for pose in (poses[0], rest))
+    keys += [(over, last), (over + end, still)]
+    x, y, z = drift
+    return tuple(keys), Repeat(start, period, times, (x, y, z))
 
 
 def moved(pose: Pose, by: Sequence[float]) -> Pose:
@@ -174,15 +185,14 @@ def moved(pose: Pose, by: Sequence[float]) -> Pose:
     if not any(by):
         return pose
 
-    def on(position: Sequence[float]) -> Vector:
-        x, y, z = (value + step for value, step in zip(position, by, strict=True))
-        return x, y, z
+    def on(position: Sequence[float], side: int) -> Vector:
+        return position[0] + side * by[0], position[1] + by[1], position[2] + by[2]
 
-    def hand(one: Hand) -> Hand:
-        return replace(one, palm=on(one.palm)) if one.on == "ground" else one
+    def hand(one: Hand, side: int) -> Hand:
+        return replace(one, palm=on(one.palm, side)) if one.on == "ground" else one
 
     return replace(
-        pose, hips=on(pose.hips), right=hand(pose.right), left=hand(pose.left),
-        right_foot=replace(pose.right_foot, ankle=on(pose.right_foot.ankle)),
-        left_foot=replace(pose.left_foot, ankle=on(pose.left_foot.ankle)),
+        pose, hips=on(pose.hips, 1), right=hand(pose.right, -1), left=hand(pose.left, 1),
+        right_foot=replace(pose.right_foot, ankle=on(pose.right_foot.ankle, -1)),
+        left_foot=replace(pose.left_foot, ankle=on(pose.left_foot.ankle, 1)),
     )  # fmt: skip

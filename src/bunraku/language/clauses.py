@@ -19,9 +19,13 @@ from bunraku.language.lexicon.tables import lexicon
 __all__ = [
     "SHORTEST_CLAUSE",
     "as_caption",
+    "as_present",
+    "as_told",
     "begins",
     "of_creature",
     "of_person",
+    "parts_of",
+    "shared",
     "split_clauses",
     "subject_of",
     "timed_clauses",
@@ -54,6 +58,12 @@ _NO_VERB = re.compile(
     r"|the\s+other|another|some|for|once|twice|faster|slower|more|less|higher|lower)\b",
     re.IGNORECASE,
 )
+_TOLD_BY = re.compile(r"(?P<who>(?:an?|the)\s+[^,.;]+?)(?:,\s+|\s+)(?P<rest>(?:\w+ly\s+)?\w+ing\b.*)", re.IGNORECASE)
+"""Somebody who is told in many words before a participle."""
+_ALONG = frozenset(
+    ["forward", "forwards", "ahead", "backward", "backwards", "back", "around", "along", "sideways", "up", "down"]
+)
+"""Words that end what somebody on the way does."""
 _PRONOUNS = frozenset(("someone", "somebody", "he", "she", "it", "they"))
 _DETERMINERS = frozenset(("a", "an", "the", "one", "this", "that", "my", "our", "his", "her", "their", "its"))
 _LONGEST_NAME = 3
@@ -65,6 +75,8 @@ _PEOPLE = frozenset((
 _SAID_OF_PEOPLE = frozenset(("old", "young", "tired", "happy", "sad"))
 _FINITE = ("third", "is")
 _CLAUSE = ("third", "gerund", "plain", "is")
+_ADDS = re.compile(r"(?P<joint>\s*,\s*(?:and\s+)?|\s+and\s+)", re.IGNORECASE)
+"""Between two things that may be done one after the other."""
 
 
 def begins(text: str, *forms: str) -> bool:
@@ -72,7 +84,7 @@ def begins(text: str, *forms: str) -> bool:
 
     Args:
         text: In English.
-        forms: "third", "gerund", "plain", or "is" for "is" and "are" before something else.
+        forms: "third", "gerund", "plain", "past", or "is" for "is" and "are" before something else.
     """
     return _verb(words_of(text)[0], *forms) is not None
 
@@ -85,6 +97,7 @@ def _verb(words: Sequence[str], *forms: str) -> int | None:
             ("third" in forms and word in table.third)
             or ("gerund" in forms and word in table.gerund)
             or ("plain" in forms and word in table.verbs)
+            or ("past" in forms and word in table.past)
             or ("is" in forms and word in ("is", "are") and number + 1 < len(words))
         ):
             return number
@@ -136,7 +149,7 @@ def subject_of(clause: str) -> tuple[str, str]:
         if not name.replace("-", "").replace("'", "").replace("_", "").isalnum():
             break
         rest = clause[stop:].lstrip()
-        if (number > 1 or most == 1) and begins(rest, "third", "gerund", "is"):
+        if (number > 1 or most == 1) and begins(rest, "third", "gerund", "is", "past"):
             return clause[:stop].strip(), rest
     return "", clause
 
@@ -156,12 +169,18 @@ def of_creature(clause: str) -> str:
 
 def of_person(clause: str) -> str:
     """The clause with "a person" for whoever does it, where that says nothing of how: "a guard marches" as "a person
-    marches". "A drunk man walks" stays.
+    marches", and "a chef cuts bread" as "a person cuts bread", since nobody has arms for both. "A drunk man walks"
+    stays.
 
     A sentence encoder takes "guard" for a stance of boxers.
     """
     subject, rest = subject_of(clause)
-    return clause if not subject or actions_of(subject) else f"a person {rest}"
+    if not subject:
+        return clause
+    rows = lexicon().actions
+    with_arms = any("arms" in rows[action].part for action in actions_of(rest))
+    named = [action for action in actions_of(subject) if not (with_arms and "arms" in rows[action].part)]
+    return clause if named else f"a person {rest}"
 
 
 def as_caption(clause: str) -> str:
@@ -193,16 +212,76 @@ def as_caption(clause: str) -> str:
     return said if same else clause
 
 
-def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
-    """The clauses of a sentence with their shares of its seconds; the sentence itself where an even share is under a
-    second.
-
-    What is done once gets the time that it takes (`Action.seconds`), and what goes on (walking, waving) shares the rest
-    evenly. Where there is not enough time, or nothing goes on, all get more or less in proportion.
+def as_told(text: str) -> str:
+    """A sentence whose verbs stand by a participle as one that says what is done: "an old guard in a coat, walking and
+    looking around" as "a person is walking and looking around", and "a person walking forward picks something up" as "a
+    person is walking forward and picks something up".
     """
-    clauses = split_clauses(sentence)
-    if seconds / len(clauses) < SHORTEST_CLAUSE:
-        return [(sentence, seconds)]
+    subject, rest = subject_of(text)
+    if not subject:
+        found = _TOLD_BY.match(text)
+        if found is None or actions_of(found["who"]) or not begins(found["rest"], "gerund"):
+            return text
+        subject, rest = "a person", found["rest"]
+        text = f"{subject} is {rest}"
+    words, spans = words_of(rest)
+    if not begins(rest, "gerund"):
+        return text
+    for number, word in enumerate(words[2:], 2):
+        before = words[number - 1]
+        if word in lexicon().third and (before.endswith("ly") or before in _ALONG) and words[number - 2] != ",":
+            start = spans[number][0]
+            return f"{subject} is {rest[:start].rstrip()} and {rest[start:]}"
+    return text
+
+
+def as_present(clause: str) -> str:
+    """A clause of what somebody did as of what he does, as captions tell it: "the man walked" as "the man walks"."""
+    subject, rest = subject_of(clause)
+    return f"{subject} {_now(rest)}" if subject else clause
+
+
+def _now(predicate: str) -> str:
+    """What begins with a verb of the past as said of now; others as they are."""
+    words, spans = words_of(predicate)
+    verb = _verb(words, "past")
+    if verb is None:
+        return predicate
+    start, stop = spans[verb]
+    return f"{predicate[:start]}{lexicon().verbs[lexicon().past[words[verb]]][0]}{predicate[stop:]}"
+
+
+def parts_of(clause: str) -> list[str]:
+    """What a clause says one after the other if nobody can do it all at once, each with its subject: "a boy throws a
+    ball and stretches" as "a boy throws a ball" and "a boy stretches". None where it says one thing, or two at once
+    ("while").
+
+    Args:
+        clause: In English.
+    """
+    subject, rest = subject_of(clause)
+    if re.search(r"\b(?:while|whilst)\b", rest):
+        return []
+    bare = re.sub(r"^(?:is|are)\s+", "", rest)
+    pieces = _ADDS.split(_now(bare))
+    forms = [form for form in ("third", "gerund", "plain") if begins(pieces[0], form)]
+    parts = [pieces[0]]
+    for joint, piece in zip(pieces[1::2], map(_now, pieces[2::2]), strict=True):
+        if begins(piece, *forms) and not _NO_VERB.match(piece) and actions_of(piece) and actions_of(parts[-1]):
+            parts.append(piece)
+        else:
+            parts[-1] += joint + piece
+    told = [frozenset(actions_of(part)) for part in parts]
+    if len(parts) < 2 or any(one & other for one, other in zip(told, told[1:], strict=False)):
+        return []
+    return [as_caption(with_subject(part, subject)) for part in parts]
+
+
+def shared(clauses: Sequence[str], seconds: float) -> list[float]:
+    """Seconds of each of some clauses in a row: what is done once gets the time that it takes (`Action.seconds`), and
+    what goes on (walking, waving) shares the rest evenly. Where there is not enough time, or nothing goes on, all get
+    more or less in proportion.
+    """
     once = [_time_of(clause) for clause in clauses]
     going = once.count(0.0)
     rest = seconds - sum(once)
@@ -211,8 +290,17 @@ def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
     else:
         worth = [time or GOING for time in once]
         times = [seconds * time / sum(worth) for time in worth]
-    short = min(times) < SHORTEST_CLAUSE
-    return [(clause, seconds / len(clauses) if short else time) for clause, time in zip(clauses, times, strict=True)]
+    return [seconds / len(clauses)] * len(clauses) if min(times) < SHORTEST_CLAUSE else times
+
+
+def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
+    """The clauses of a sentence with their shares of its seconds (`shared`); the sentence itself where an even share is
+    under a second.
+    """
+    clauses = split_clauses(sentence)
+    if seconds / len(clauses) < SHORTEST_CLAUSE:
+        return [(sentence, seconds)]
+    return list(zip(clauses, shared(clauses, seconds), strict=True))
 
 
 def _time_of(clause: str) -> float:
@@ -245,7 +333,7 @@ def _listed(piece: str, ordered: bool) -> list[str]:
     if not ordered and re.search(r"\b(?:with|of)\b|:", first):
         return [piece]
     begin = subject_of(_OPENING.sub("", first))[1]
-    for form in ("third", "gerund", "plain") if others else ():
+    for form in ("third", "gerund", "plain", "past") if others else ():
         if all(begins(item, form) for item in (begin, *others)):
             head, _, last = others[-1].rpartition(" and ")
             return [first, *others[:-1], head, last] if head and begins(last, form) else [first, *others]
@@ -261,7 +349,7 @@ def _turned_first(piece: str) -> list[str]:
     if not joint or " and " in head or "," in piece or " while " in piece:
         return [piece]
     begin = subject_of(_OPENING.sub("", head))[1]
-    if not any(begins(begin, form) and begins(last, form) for form in ("third", "gerund", "plain")):
+    if not any(begins(begin, form) and begins(last, form) for form in ("third", "gerund", "plain", "past")):
         return [piece]
     rows = lexicon().actions
     first, second = ([rows[action] for action in actions_of(half)] for half in (head, last))
@@ -276,7 +364,7 @@ def with_subject(clause: str, subject: str) -> str:
     """
     if not subject:
         return clause
-    if begins(clause, "third"):
+    if begins(clause, "third", "past"):
         return f"{subject} {clause}"
     return f"{subject} is {clause}" if begins(clause, "gerund") else clause
 

@@ -18,10 +18,8 @@ __all__ = ["added_words", "count_of", "stems_of", "tells_all", "unseen_word"]
 MOST = 99
 """How often something is done at the most."""
 _TIMES = frozenset(("time", "times"))
-_HOLDING = frozenset(stems(("hold", "keep", "put", "place", "rest")))
-"""Of verbs that say where a part of the body is; that part is what they add."""
 _OBJECT = 3
-"""Words after such a verb among which the part is."""
+"""Words after a verb that says where a part of the body is among which the part is; that is what they add."""
 _LIMBS = {"arms": ("arm", "hand"), "legs": ("leg", "foot"), "head": ("head",)}
 """Words for the limbs of a part of the body."""
 
@@ -87,12 +85,14 @@ def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:
         actions: What it says, in the lexicon's words.
     """
     own, limbs = (frozenset[str]().union(*map(find, actions)) for find in (_own, _limbs))
+    if any(lexicon().actions[action].gesture for action in actions):
+        own |= _own("idle")  # who makes a gesture stands, said or not
     verbs = action_stems()
     found = []
     words = words_of(text)[0]
     for at, word in enumerate(words):
         root = stem(word)
-        if root in _HOLDING and _body().intersection(stems(words[at + 1 : at + 1 + _OBJECT])):
+        if word in lexicon().holding and _body().intersection(stems(words[at + 1 : at + 1 + _OBJECT])):
             continue
         if word in FUNCTION_WORDS or word.endswith("ly") or not word.isalpha():
             continue

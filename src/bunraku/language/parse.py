@@ -8,7 +8,17 @@ import math
 from collections.abc import Iterable
 
 from bunraku.errors import OptionError
-from bunraku.language.clauses import as_caption, of_person, subject_of, timed_clauses
+from bunraku.language.clauses import (
+    SHORTEST_CLAUSE,
+    as_caption,
+    as_present,
+    as_told,
+    of_person,
+    parts_of,
+    shared,
+    subject_of,
+    timed_clauses,
+)
 from bunraku.language.concurrent import moved_part, split_voices
 from bunraku.language.details import added_words, count_of
 from bunraku.language.lexicon.cues import said_cues
@@ -40,7 +50,7 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
         raise OptionError("the prompt must be a sentence")
     timed = timed_sequence(parse_sequence(narrow(prompt)), seconds)
     parts = [(check_understood(part, force), length) for part, length in timed]
-    clauses = [clause for found, length in parts for clause in timed_clauses(found.english, length)]
+    clauses = [clause for found, length in parts for clause in timed_clauses(as_told(found.english), length)]
     found = [part for part, _ in parts]
     loop = any("loop" in said_traits(part.prompt) for part in found)
     notes = [note for part in found for note in part.notes]
@@ -48,7 +58,7 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
         prompt,
         "; ".join(part.english for part in found),
         found[0].language,
-        tuple(clause_of(as_caption(text), length) for text, length in clauses),
+        tuple(clause_of(as_caption(as_present(text)), length) for text, length in clauses),
         tuple(word for part in found for word in part.unknown),
         tuple(pair for part in found for pair in part.corrected),
         (*notes, "it asks for a loop: add --loop (loop=True in Python)") if loop else tuple(notes),
@@ -72,16 +82,20 @@ def clause_of(text: str, seconds: float = 0.0) -> Clause:
         text: In English.
         seconds: How long it lasts [s].
     """
-    return _clause(text, seconds, tuple(_clause(voice, seconds) for voice in split_voices(text)))
+    voices = tuple(_clause(voice, seconds) for voice in split_voices(text))
+    parts = [] if voices else parts_of(text)
+    if not parts or seconds / len(parts) < SHORTEST_CLAUSE:
+        return _clause(text, seconds, voices)
+    return _clause(text, seconds, (), tuple(map(clause_of, parts, shared(parts, seconds))))
 
 
-def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = ()) -> Clause:
+def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = (), parts: tuple[Clause, ...] = ()) -> Clause:
     person, (subject, predicate) = of_person(text), subject_of(text)
     cues, traits, actions = said_cues(person), said_traits(person), actions_of(person)
     return Clause(
         text, seconds, subject, person, actions, moved_part(text), locomotion_of(predicate), cues, traits,
         _turn(cues, traits, actions), _goes_straight(cues, traits), count_of(person), added_words(predicate, actions),
-        voices=voices,
+        voices=voices, parts=parts,
     )  # fmt: skip
 
 

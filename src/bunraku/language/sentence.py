@@ -66,6 +66,8 @@ class Clause:
         moves: What the body of `for_body` then does: "fly", "swim" and "slither", or how it is on the ground: "step",
             "run", "stay", "lie"; "" for neither.
         voices: Where a movement of the legs is joined with a gesture, the one and the other; none otherwise.
+        parts: What it says one after the other if nobody does it all at once (`clauses.parts_of`); none where it says
+            one thing.
     """
 
     text: str
@@ -83,11 +85,18 @@ class Clause:
     added: tuple[str, ...] = ()
     moves: str = ""
     voices: tuple[Clause, ...] = field(default=())
+    parts: tuple[Clause, ...] = field(default=())
 
     @property
     def body(self) -> Clause:
         """What all of the body but a gesture does."""
         return self.voices[0] if self.voices else self
+
+    def lasting(self, seconds: float) -> Clause:
+        """The same for so long [s]."""
+        voices = tuple(replace(one, seconds=seconds) for one in self.voices)
+        parts = tuple(one.lasting(one.seconds * seconds / self.seconds) for one in self.parts if self.seconds)
+        return replace(self, seconds=seconds, voices=voices, parts=parts)
 
     @property
     def meanwhile(self) -> Clause | None:
@@ -144,9 +153,7 @@ def in_stretches(sentence: Sentence, longest: float) -> list[Sentence]:
                 left.insert(0, (clause, seconds - taken))
             else:
                 taken = seconds
-            own.append(
-                replace(clause, seconds=taken, voices=tuple(replace(one, seconds=taken) for one in clause.voices))
-            )
+            own.append(clause.lasting(taken))
             room -= taken
         if own:
             out.append(replace(sentence, clauses=tuple(own), notes=() if start else sentence.notes))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from bunraku.errors import OptionError
@@ -96,6 +97,8 @@ def understood(prompt: str) -> Understanding:
     denied, rest = _denied(found.english)
     if denied:
         found = replace(found, denied=denied, ok=found.ok and says_action(rest))
+        if found.ok:
+            found = replace(found, english=_without(found.english, denied))
     return found if plain is prompt else replace(found, prompt=prompt)
 
 
@@ -115,6 +118,14 @@ def _denied(english: str) -> tuple[tuple[str, ...], str]:
             denied.append(english[spans[first][0] : spans[stop][1]])
             rest, start = rest + english[start : spans[first][0]], spans[stop][1]
     return tuple(denied), rest + english[start:]
+
+
+def _without(english: str, denied: Sequence[str]) -> str:
+    """A sentence without what it says is not done, each to the end of its clause."""
+    for phrase in denied:
+        joint, rest = r"(?:\s*,)?(?:\s+(?:but|and|while))?\s*", r"[^,.;]*?(?=[,.;]|\s+(?:and|but|then)\b|$)"
+        english = re.sub(joint + re.escape(phrase) + rest, "", english, count=1)
+    return english.strip(" ,;")
 
 
 def _english(prompt: str, language: str) -> Understanding:

@@ -40,7 +40,6 @@ def offered(networks, prompt, seed=0):
         ("scratch foot", ("foot",)),
         ("plays the guitar behind the back", ("back",)),
         ("claps above the head", ("head", "high")),
-        ("hop to the left", ("to the left",)),
         ("punches twice with the right hand", ("2 times",)),
     ],
 )
@@ -149,6 +148,6 @@ def test_what_no_motion_shows_is_said(networks):
         found, clauses = known(networks, prompt)
         return found.unseen(clauses[0])
 
-    assert unseen("moonwalk") == ("moonwalks", "dance")
+    assert unseen("does the macarena") == ("macarena", "dance")
     for prompt in ("dances", "a person limps", "waves", "claps", "runs fast", "plays the guitar", "facepalms"):
         assert unseen(prompt) == ("", "")

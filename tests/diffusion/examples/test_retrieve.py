@@ -148,3 +148,28 @@ def test_the_limb_that_is_meant_counts_more_than_the_way_of_its_movement(pack):
     assert names(pack, "someone kicks a ball to the left with the right foot", AXES[1]) == [("kick", False)]
     assert names(pack, "someone kicks a ball to the left with the left foot", AXES[1]) == []
     assert names(pack, "someone kicks a ball to the left", AXES[1]) == []
+
+
+def test_who_falls_does_not_get_up_where_nobody_says_so(pack):
+    again = named(pack, "again", "a person falls, gets up and falls again", "falls")
+    assert names(again, "a person falls", AXES[0]) == []
+    assert names(again, "a person falls and gets up again", AXES[0]) == [("again", False)]
+    assert names(named(pack, "down", "a person falls and lies still", "falls"), "a person falls", AXES[0])
+
+
+def test_what_is_high_is_no_example_of_what_is_low(pack):
+    high = named(pack, "high", "a person kicks high with the left foot")
+    assert names(high, "a person does a low kick", AXES[0]) == []
+    assert names(high, "a person kicks", AXES[0])
+
+
+def test_examples_that_show_more_are_left_where_enough_do_not(pack):
+    extra = [replace(pack.examples[0], name=f"{n}", texts=(text, "waves")) for n, text in enumerate((
+        "a person waves and kicks", "a person waves", "a person is waving", "waves on", "waves and waves",
+    ))]  # fmt: skip
+    size = len(extra)
+    many = replace(
+        pack, examples=tuple(extra), data=pack.data[:1] * size, owners=np.arange(size),
+        texts=np.repeat(pack.texts[:, :1], size, axis=1), motions=np.repeat(pack.motions[:, :1], size, axis=1),
+    )  # fmt: skip
+    assert [name for name, _ in names(many, "someone is waving", AXES[0])] == ["1", "2", "3", "4"]

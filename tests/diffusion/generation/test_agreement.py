@@ -107,3 +107,20 @@ def test_who_goes_down_starts_standing(sentence, stands):
 )  # fmt: skip
 def test_who_goes_on_goes_straight(sentence, straight):
     assert clause_of(sentence).straight is straight
+
+
+def test_who_walks_does_so_for_most_of_the_time():
+    stops = person(80, speed=np.where(np.arange(80) < 40, 1.2, 0.0), steps=0.3)
+    assert agreement("a person walks across the room", stops) < 0.5
+    assert agreement("a person walks forward", stops) < 0.5
+    assert agreement("a person walks forward", person(80, speed=0.6, steps=0.2)) == 1
+
+
+def test_a_circle_is_turned_evenly():
+    even = person(80, speed=1.0, steps=0.3, heading=ramp(80, 0, 80, np.radians(330)))
+    odd = person(80, speed=1.0, steps=0.3, heading=ramp(80, 0, 26, np.radians(330)))
+    assert agreement("a person walks in a circle", odd) < 0.5 < agreement("a person walks in a circle", even)
+
+
+def test_a_comma_within_one_thing_ends_no_check():
+    assert agreement("a person raises the left arm, slowly", raising("right")) < 0

@@ -54,6 +54,14 @@ class GuidanceExamples:
         """Whether there is an example for a clause."""
         return bool(self._found.get(clause.text))
 
+    def parted(self, clause: Clause) -> tuple[Clause, ...]:
+        """A clause in the parts that are done one after the other, where no example shows it whole and one shows a
+        part; else the clause.
+        """
+        if clause.parts and not self.shows(clause) and any(map(self.shows, clause.parts)):
+            return clause.parts
+        return (clause,)
+
     def lacking(self, clause: Clause) -> tuple[str, ...]:
         """What a clause says beyond an action whose gestures leave that out, so that none of them is used."""
         return self._lacking.get(clause.text, ())

@@ -24,7 +24,7 @@ from bunraku.errors import WeightsError
 from bunraku.formats.whole_steps import lzma_filters, pack_steps, unpack_steps
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.language.lexicon.cues import said_cues
-from bunraku.language.lexicon.reading import main_actions, said_traits
+from bunraku.language.lexicon.reading import actions_of, main_actions, said_traits
 
 if TYPE_CHECKING:
     from bunraku.core.motion import SkeletalMotion
@@ -121,11 +121,13 @@ class Said(NamedTuple):
         actions: What they agree on (`main_actions`).
         cues: Of all of them.
         traits: Of all of them.
+        besides: What the fullest says beyond the actions.
     """
 
     actions: frozenset[str]
     cues: frozenset[str]
     traits: frozenset[str]
+    besides: frozenset[str] = frozenset()
 
     @property
     def mirrored_cues(self) -> frozenset[str]:
@@ -140,7 +142,9 @@ class Said(NamedTuple):
 def said_by(texts: Sequence[str]) -> Said:
     """What the sentences of an example say."""
     cues, traits = (frozenset[str]().union(*map(read, texts)) for read in (said_cues, said_traits))
-    return Said(frozenset(main_actions(texts)), cues, traits)
+    actions = frozenset(main_actions(texts))
+    besides = frozenset(actions_of(texts[0])) if texts else frozenset[str]()
+    return Said(actions, cues, traits, besides - actions)
 
 
 _said_by = functools.lru_cache(maxsize=4096)(said_by)
@@ -157,8 +161,7 @@ class ExamplePack:
         texts: Unit vectors of the sentences and of the mirrored ones, shape (2, T, V).
         motions: Unit vectors of the stretches and of their mirror images, shape (2, E, V).
         ranker: What tells the ranker's weights that made the vectors.
-        stored: Actions, cues and traits that the sentences of each example say, parted by commas; none where nobody
-            stored them.
+        stored: What `Said` holds of each example, each field parted by commas; none where nobody stored it.
         stored_standing: What `stand_well` finds; None where nobody stored it.
     """
 
@@ -212,8 +215,7 @@ class ExamplePack:
         """What the sentences of an example say."""
         if not self.stored:
             return _said_by(tuple(self.examples[index].texts))
-        actions, cues, traits = [frozenset(names.split(_AND)) - {""} for names in self.stored[index]]
-        return Said(actions, cues, traits)
+        return Said(*[frozenset(names.split(_AND)) - {""} for names in self.stored[index]])
 
     def gesture(self, index: int) -> Gesture | None:
         """The gesture that an example is; None where it is captured, or no gesture of this version."""
@@ -377,7 +379,7 @@ def _with_stored(pack: ExamplePack, path: str | Path) -> ExamplePack:
             return pack
         rows: list[list[str]] = words["rows"]
         standing: list[int] = words["stand"]
-        if len(rows) != count or {(len(row), *map(type, row)) for row in rows} - {(3, str, str, str)}:
+        if len(rows) != count or {tuple(map(type, row)) for row in rows} - {(str,) * len(Said._fields)}:
             raise ValueError
         if {type(index) for index in standing} - {int} or not all(0 <= index < count for index in standing):
             raise ValueError

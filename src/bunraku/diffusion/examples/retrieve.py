@@ -13,7 +13,7 @@ import numpy as np
 from bunraku.diffusion.examples.pack import ExamplePack, Said, said_by
 from bunraku.gestures.parts import part_in
 from bunraku.language.details import tells_all
-from bunraku.language.lexicon.reading import goes_ahead
+from bunraku.language.lexicon.reading import goes_ahead, stays_down
 from bunraku.language.sentence import Clause
 
 __all__ = ["Found", "Retrieved", "retrieve"]
@@ -22,10 +22,12 @@ MOST = 16
 """Examples that are offered for a sentence."""
 NEAR = 0.12
 """Mean cosine by which an example may be farther than the nearest one."""
+SOME = 4
+"""Examples to choose from that are enough to do without those that show more beside what is meant."""
 NEAR_MADE = 0.05
-"""The same for a captured one where the nearest is made by code, since what is captured shows that less plainly."""
-NEAR_GESTURES = 0.03
-"""The same for another gesture: who points to the left does not point ahead."""
+"""The same where the nearest is made by code, since what is captured shows that less plainly."""
+_PASSING = frozenset(("idle", "walk"))
+"""What hardly disturbs: standing and a few steps before or after."""
 LEAST = 0.6
 """Mean cosine from which an example is one at all."""
 LEAST_MADE = 0.4
@@ -40,6 +42,8 @@ is what its words say: the ranker has never seen it, and takes sit-ups for sitti
 """
 _PACE = {"slow", "fast"}
 """What an example must not say that was not requested."""
+_HEIGHTS = frozenset(("high", "low"))
+"""Of which an example does not say the other one."""
 _NOTHING = said_by([]).actions
 _TURNS = {"turn", "turn around", "spin", "circle"}
 _SIDED = frozenset(f"{side} {limb}" for side in ("left", "right") for limb in ("arm", "leg", "turn", "go")) | {
@@ -58,7 +62,8 @@ _COUNTS = frozenset(("twice", "thrice", "often"))
 _WAYS = frozenset(("left go", "right go"))
 MOST_TIMES = 4
 """How often a captured example is done in a row at the most."""
-_ADDED = frozenset(("high", "low", "backwards", "forward", "sideways", "left go", "right go"))
+_ADDED_WAYS = frozenset(("backwards", "forward", "sideways", "left go", "right go"))
+_ADDED = frozenset(("high", "low")) | _ADDED_WAYS
 _ADDED_TRAITS = frozenset(("on a leg", "backward", "stairs"))
 """Cues and traits of a clause that a gesture does not do where its own words do not say them."""
 _SAYS = {"left go": "to the left", "right go": "to the right"}
@@ -151,11 +156,22 @@ def _retrieved(pack: ExamplePack, clause: Clause, vector: np.ndarray, let_go: fr
     found.sort(key=lambda one: -one.score)
     best_made = bool(found) and bool(pack.made[found[0].number])
     best_made = best_made and query.actions != {"stand up"}  # that depends on how somebody sits, kneels or lies
-    beside = NEAR_GESTURES if best_made else NEAR
-    away = [beside if pack.made[one.number] or not best_made else NEAR_MADE for one in found]
-    kept = [one for one, most in zip(found, away, strict=True) if one.score >= found[0].score - most]
+    away = NEAR_MADE if best_made else NEAR
+    kept = [one for one in found if one.score >= found[0].score - away]
+    besides = [_besides(pack, one, query) for one in kept]
+    most = sorted(besides)[:SOME][-1] if besides else 0
+    kept = [one for one, more in zip(kept, besides, strict=True) if more <= most]
     whole = [one for one in kept if one.part or tells_all(clause.added, pack.examples[one.number].texts)]
     return Retrieved((whole or kept)[:MOST], () if whole else tuple(lacking))
+
+
+def _besides(pack: ExamplePack, found: Found, query: Said) -> int:
+    """How much an example shows that nobody asked for: other actions, and, of a gesture, another way. Who points does
+    not point to the left, and who falls does not get up and fall again.
+    """
+    said = pack.said(found.number)
+    ways = (said.mirrored_cues if found.mirrored else said.cues) & _ADDED_WAYS - query.cues
+    return len(said.besides - query.actions - _PASSING) + (len(ways) if pack.made[found.number] else 0)
 
 
 def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tuple[tuple[str, ...], str]:
@@ -196,6 +212,8 @@ def _fits(said: Said, mirrored: bool, query: Said, wanted: frozenset[str], near:
         return False
     if query.actions == {"run"} and "sets off" in shown and "sets off" not in query.traits:
         return False
+    if "gets up" in said.cues and "gets up" not in query.cues and any(map(stays_down, query.actions)):
+        return False
     if "stairs" in query.traits and "stairs" not in shown:
         return False
     if "climb" in query.actions and "down" in shown and "down" not in query.traits:
@@ -205,4 +223,6 @@ def _fits(said: Said, mirrored: bool, query: Said, wanted: frozenset[str], near:
     if query.actions <= {"walk", "run"} and "halts" in shown and "halts" not in query.traits:
         return False
     cues = said.mirrored_cues if mirrored else said.cues
+    if _HEIGHTS & query.cues and _HEIGHTS & cues and not _HEIGHTS & query.cues & cues:
+        return False
     return wanted <= cues and cues & _PACE <= query.cues

@@ -23,6 +23,8 @@ _STEP = 0.3  # m
 _WALK = 0.6  # m
 _PACE = 0.3  # m/s, slower than any walk: who is not half as fast stays where he is
 _ON_FOOT = ("walk", "run")
+_STANDS = 0.3  # share of the time for which who goes may stand
+_ARCS, _EVEN = 3, 0.6  # thirds of a circle, and the share of an even turn that each has at the least
 _SLACK = np.radians(30)
 _SEAT = 0.2  # m
 _CLEAR = 0.1  # m
@@ -41,7 +43,7 @@ def agreement(clause: Clause, motion: HandleMotion) -> float | None:
     """
     if len(motion) < 8:
         return None
-    if "then" in clause.cues:
+    if "then" in clause.cues and len(clause.actions) != 1:
         return None  # of several things that follow each other, no one holds throughout
     track = Track.of(motion)
     found = [score for claim in _CLAIMS if (score := claim(clause, track)) is not None]
@@ -89,7 +91,11 @@ def _turn(clause: Clause, track: Track) -> float | None:
     if requested is None:
         return 1 - max(abs(angle) - _SLACK, 0) / _SLACK if clause.straight else None
     turned = requested.side * angle if requested.side else abs(angle)
-    return 1 - max(requested.least - turned, turned - requested.most, 0) / np.radians(45)
+    score = 1 - max(requested.least - turned, turned - requested.most, 0) / np.radians(45)
+    if "circle" not in clause.actions:
+        return score
+    edges = track.angle[np.linspace(0, len(track.angle) - 1, _ARCS + 1).astype(int)]
+    return min(score, _ARCS / _EVEN * float((np.diff(edges) / (angle or 1.0)).min()))
 
 
 def _way(clause: Clause, track: Track) -> float | None:
@@ -103,9 +109,17 @@ def _way(clause: Clause, track: Track) -> float | None:
     if side:
         return side * aside / _STEP if "aside" in clause.traits and "winding" not in clause.traits else None
     if "forward" in clause.cues:
-        return ahead / _WALK
+        return min(ahead / _WALK, _stays(track) if clause.locomotion in _ON_FOOT and clause.count is None else 1)
     on_foot = clause.locomotion in _ON_FOOT and "halts" not in clause.traits
-    return 2 * float(np.linalg.norm(track.velocity, axis=1).mean()) / _PACE - 1 if on_foot else None
+    return _stays(track) if on_foot else None
+
+
+def _stays(track: Track) -> float:
+    """Whether who goes does so for most of the time: twice the speed that he has in all but a part of it, over that of
+    slow walks, less 1.
+    """
+    speed = np.linalg.norm(track.velocity, axis=1)
+    return float(min(2 * speed.mean(), 2.5 * np.quantile(speed, _STANDS)) / _PACE - 1)
 
 
 def _posture(clause: Clause, track: Track) -> float | None:

@@ -93,6 +93,8 @@ def generate_motions(
     critic = networks.critic if how.classifier_guidance else None
     texts = Texts.of(networks, scripts, how.candidates > 1, pack is not None, critic)
     known = None if pack is None else GuidanceExamples(pack, texts.shown)
+    if known is not None and not loop:
+        scripts = [[part for clause in script for part in known.parted(clause)] for script in scripts]
     if known is not None and how.note:
         for told in dict.fromkeys(_left_out(known, clause) for script in scripts for clause in script):
             if told:

@@ -50,6 +50,7 @@ class Texts:
             critic: What guides motions; None for nothing.
         """
         clauses = [clause for script in scripts for clause in script]
+        clauses += [part for clause in clauses for part in clause.parts] if shows else []
         voices = [one for clause in clauses for one in (clause, *clause.voices)] if shows else []
         bodies = [clause.body for clause in clauses] if critic is not None else []
         plain = {text: None for clause in clauses for text in (clause.body.text, (clause.meanwhile or clause).text)}

@@ -20,6 +20,7 @@ __all__ = [
     "said_otherwise",
     "said_phrases",
     "said_traits",
+    "stays_down",
     "words_of",
 ]
 
@@ -116,6 +117,12 @@ def is_cyclic(action: str) -> bool:
     """Whether an action is still the same when it is done again; no for a word that the lexicon does not have."""
     row = lexicon().actions.get(action)
     return row is not None and row.cyclic
+
+
+def stays_down(action: str) -> bool:
+    """Whether who does it is down at its end; no for a word that the lexicon does not have."""
+    row = lexicon().actions.get(action)
+    return row is not None and row.down
 
 
 def said_traits(text: str) -> frozenset[str]:

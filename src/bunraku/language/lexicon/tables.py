@@ -19,7 +19,8 @@ A phrase is words in a row, with these signs: `walk/run` either; `{walk}` a verb
 person or as a gerund, `{walk+}` in the past too; `<own>` any word of a
 class; `left?` may be missing; `*` any word; `a_few` two words as one choice; `...` any words between; `^` and `$` the
 text's beginning and end; `!the` at the end (or beginning) another word after (or before) than these; `=left` at the end
-must follow and is no part of it. Punctuation parts phrases, hyphens and apostrophes do not.
+must follow and is no part of it. Punctuation parts phrases, hyphens and apostrophes do not. Verbs of the class
+`holding` say where a part of the body is.
 
 **A new action** is a row of `actions`: `"yodel": {"said": ["{yodel}"], "part": "head", "cyclic": true}`, and its verb a
 row of `verbs`: `"yodel": "yodels yodeling yodeled"`. It is then understood, counted, balanced in training, and timed;
@@ -59,6 +60,7 @@ class Action:
         turning: It goes together with a turn.
         halts: People who go stop for it, if it is not said that they do both at once.
         ahead: Who does it goes somewhere, so that "forward" says something of it.
+        down: Who does it is down at its end, if it is not said that he gets up.
     """
 
     said: tuple[str, ...]
@@ -72,6 +74,7 @@ class Action:
     turning: bool = False
     halts: bool = False
     ahead: bool = False
+    down: bool = False
 
 
 @dataclass(frozen=True)
@@ -129,6 +132,7 @@ class Lexicon:
         verbs: Verbs with their forms: third person, gerund, and any others.
         third: All forms in the third person.
         gerund: All gerunds.
+        past: The verb of each form of the past that is no other form of a verb.
         lemmas: The verb of each form, its own plain one among them.
         actions: The rows of that section.
         locomotion: The locomotion of each form of a verb that has one.
@@ -142,12 +146,14 @@ class Lexicon:
         numbers: What words count.
         adverbs: Those of them that count alone.
         body: Words for parts of the body.
+        holding: Verbs that say where a part of the body is, in all their forms.
         words: All words of the phrases, and of the rows' names.
     """
 
     verbs: dict[str, tuple[str, ...]]
     third: frozenset[str]
     gerund: frozenset[str]
+    past: dict[str, str]
     lemmas: dict[str, str]
     actions: dict[str, Action]
     locomotion: dict[str, str]
@@ -161,6 +167,7 @@ class Lexicon:
     numbers: dict[str, int]
     adverbs: frozenset[str]
     body: tuple[str, ...]
+    holding: frozenset[str]
     words: frozenset[str]
 
 
@@ -224,6 +231,10 @@ def lexicon() -> Lexicon:
                 forms_of[form] = value
     data["classes"]["verb"] = " ".join(["{" + verb + "}" for verb in verbs])
     data["classes"]["going"] = " ".join(["{" + verb + "+}" for verb, way in moving.items() if way in _LEGS])
+    held = [one.strip("{+}") for one in data["classes"]["holding"].split()]
+    holding = frozenset(form for verb in held for form in (verb, *verbs[verb]))
+    past = {form: verb for verb, forms in verbs.items() for form in forms[2:]}
+    past = {form: verb for form, verb in past.items() if form not in verbs and form not in third | gerund}
     phrases, words = _phrases(data, verbs)
     otherwise = []
     for row in data["otherwise"]:
@@ -234,10 +245,10 @@ def lexicon() -> Lexicon:
             if one.section == "places":
                 where[one.name] = one.words[0] or frozenset()
     return Lexicon(
-        verbs, frozenset(third), frozenset(gerund), lemmas, actions, by_form[0], by_form[1], phrases,
+        verbs, frozenset(third), frozenset(gerund), past, lemmas, actions, by_form[0], by_form[1], phrases,
         {section: tuple(data[section]) for section in ("actions", "cues", "traits")}, where,
         dict(data["synonyms"]), data["ground"], tuple(otherwise), data["numbers"],
-        frozenset(data["adverbs"].split()), tuple(data["body"].split()), words,
+        frozenset(data["adverbs"].split()), tuple(data["body"].split()), holding, words,
     )  # fmt: skip
 
 
