@@ -19,6 +19,7 @@ from fbx_viewers import READERS
 from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Rig
+from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import OptionError
 from bunraku.formats.fbx.tree import read_tree
@@ -100,6 +101,14 @@ def test_vertices_that_move_on_their_own(person, tmp_path, shapes):
     assert ("Shape" in kinds) == (shapes == "mixed")
     if shapes == "bones":
         assert np.linalg.norm(load_animation(path, 0, 20).vertices() - moved.vertices(), axis=-1).max() < 2e-3
+
+
+def test_what_bones_cannot_say_becomes_shapes(person, tmp_path):
+    still = RigAnimation(person, np.tile(np.eye(3), (8, 22, 1, 1)), np.zeros((8, 22, 3))).animation()
+    noise = np.random.default_rng(0).normal(0, 0.05, (8, len(person.vertices), 3))
+    path = PointAnimation(still, noise).save(tmp_path / "noise.fbx", tolerance=1e-5)
+    tree = read_tree(path, path.read_bytes())
+    assert "Shape" in [node.values[2] for node in tree.root.child("Objects").children]
 
 
 def test_a_character_without_motion(person, tmp_path):

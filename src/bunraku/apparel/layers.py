@@ -79,17 +79,23 @@ class Layers:
         self.skirt = _Over(clothed, part, vertices, np.flatnonzero(hung), [(None, np.flatnonzero(legs))], OVER_LEGS)
         if not len(self.skirt):
             return  # nothing is laid over anything
-        others = [
-            (number, _thinned(clothed, part, np.flatnonzero(part != number)))
-            for number in range(int(part.max(initial=-1)) + 1)
-        ]
+        few = _thinned(clothed, part, np.arange(len(part)))
+        others = [(number, few[part[few] != number]) for number in range(int(part.max(initial=-1)) + 1)]
         self.rest = _Over(clothed, part, vertices, np.arange(len(vertices)), others, OVER_PARTS)
+
+    @property
+    def seen(self) -> np.ndarray:
+        """The vertices of the mesh whose place as their skin moves them is asked for, shape (S,)."""
+        if not len(self.skirt):
+            return np.zeros(0, np.int64)
+        own = [self.skirt.vertices, self.skirt.used, *([self.rest.used] if len(self.rest) else [])]
+        return np.unique(np.concatenate(own))
 
     def clip(
         self, positions: np.ndarray, skinned: np.ndarray, progress: Callable[[float], None] | None = None
     ) -> np.ndarray:
-        """The same for all frames of a clip, shapes (N, A, 3) and (N, V, 3); what is changed is smooth in time.
-        `progress` is called with the share done.
+        """The same for all frames of a clip, shapes (N, A, 3) and (N, V, 3), of which the rows that are `seen` count;
+        what is changed is smooth in time. `progress` is called with the share done.
         """
         if not len(self.skirt):
             return positions
@@ -98,7 +104,10 @@ class Layers:
             change[frame] = self(own, whole) - own
             if progress and frame % 16 == 0:
                 progress(frame / len(positions))
-        return np.asarray(positions + gaussian(change, SMOOTH))
+        rows = np.flatnonzero(change.any(axis=(0, 2)))
+        out = np.array(positions)
+        out[:, rows] += gaussian(change[:, rows], SMOOTH)
+        return out
 
     def __call__(self, positions: np.ndarray, skinned: np.ndarray) -> np.ndarray:
         """Apparel vertices laid over what they lie on at rest [m], shape (A, 3).
@@ -230,5 +239,7 @@ class _Over:
 
 def _thinned(clothed: ClothedCharacter, part: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """One vertex for each small cube and part."""
-    cells = np.column_stack([part[rows], np.floor(clothed.rest[rows] / (CELL * clothed.scale))])
-    return np.asarray(rows[np.unique(cells, axis=0, return_index=True)[1]])
+    cells = np.column_stack([part[rows], np.floor(clothed.rest[rows] / (CELL * clothed.scale)).astype(np.int64)])
+    cells = cells - cells.min(axis=0, initial=0)
+    sizes = cells.max(axis=0, initial=0) + 1  # a mesh is a few hundred cubes wide
+    return np.asarray(rows[np.unique(np.ravel_multi_index(tuple(cells.T), tuple(sizes)), return_index=True)[1]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -67,6 +68,29 @@ class Swing:
         """With springs so many times as stiff, and limits narrower by the root of that."""
         narrow = float(np.sqrt(dial))
         return replace(self, lower=self.lower / narrow, upper=self.upper / narrow, spring=self.spring * dial)
+
+    def told(self, numbers: Mapping[str, float], links: int) -> Swing:
+        """As somebody says that their chain swings, in the numbers of `physics.chains.manners_file`: how far each of
+        its links turns, how stiff its springs are, how damped it is, and what pulls at it; what is not said stays.
+
+        Args:
+            numbers: By their names.
+            links: Of the chain.
+        """
+        out = self
+        length = np.maximum(np.linalg.norm(self.arm, axis=1), 1e-3)
+        if "limit" in numbers:
+            turn = np.full_like(self.upper, min(np.radians(numbers["limit"]) * links, FREE))
+            out = replace(out, lower=-turn, upper=turn)
+        if "stiffness" in numbers:
+            spring = (numbers["stiffness"] * GRAVITY / length)[:, None] * np.ones(3, np.float32)
+            out = replace(out, spring=spring)
+        if "damping" in numbers:
+            loss = np.full_like(self.friction, -np.log1p(-min(numbers["damping"], 0.999)))
+            out = replace(out, friction=np.maximum(loss - AIR, 0), drag=np.minimum(loss, AIR))
+        if "gravity" in numbers:
+            out = replace(out, weight=np.full_like(self.weight, numbers["gravity"]))
+        return out
 
     def turns(self) -> np.ndarray:
         """How far it turns across its lever by limits, and by what springs give way to its weight, lying level [rad],

@@ -55,10 +55,17 @@ class Animation(Shown):
         """Frames a second [1/s]."""
         return self.motion.fps
 
-    def vertices(self, frames: slice | list[int] | np.ndarray | None = None) -> np.ndarray:
-        """Posed vertices [m], shape (N, V, 3), float32, of all frames or of those named (Eq. 3)."""
+    def vertices(
+        self, frames: slice | list[int] | np.ndarray | None = None, *, chosen: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Posed vertices [m], shape (N, V, 3), float32, of all frames or of those named (Eq. 3); of all vertices or of
+        those chosen.
+        """
         transforms = self.motion.transforms(self.handles.positions)
-        return skin(self.character.vertices, self.handles.weights, transforms if frames is None else transforms[frames])
+        rest, weights = self.character.vertices, self.handles.weights
+        if chosen is not None:
+            rest, weights = rest[chosen], weights[chosen]
+        return skin(rest, weights, transforms if frames is None else transforms[frames])
 
     def at(self, fps: float) -> Animation:
         """The same at another rate [1/s]; the motion that it was fitted from is left out, as it stays at its own."""

@@ -79,7 +79,7 @@ def _clusters(rest: np.ndarray, posed: np.ndarray, bones: int) -> np.ndarray:
     owner = np.square(rest[:, None] - rest[seeds][None]).sum(axis=-1).argmin(axis=1)
     for _ in range(CLUSTERING):
         turns, moves = _rigid(rest, posed, np.eye(bones)[owner])
-        owner = _errors(rest, posed, turns, moves).argmin(axis=1)
+        owner = _Products.of(rest, posed, turns, moves).errors().argmin(axis=1)
         for empty in np.setdiff1d(np.arange(bones), owner):  # takes over the point that fits worst
             fit = np.square(_skinned(rest, np.eye(bones)[owner], turns, moves) - posed).sum(axis=(0, 2))
             owner[fit.argmax()] = empty
@@ -108,29 +108,63 @@ def _rotations(matrices: np.ndarray) -> np.ndarray:
     return np.asarray(u @ vt)
 
 
-def _errors(rest: np.ndarray, posed: np.ndarray, turns: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Mean square distance of each point from where each bone alone takes it, shape (M, B)."""
-    flat = posed.transpose(1, 0, 2).reshape(len(rest), -1)
-    out = np.empty((len(rest), turns.shape[1]))
-    for bone in range(turns.shape[1]):
-        moved = rest @ turns[:, bone].transpose(2, 0, 1).reshape(3, -1) + moves[:, bone].reshape(-1)
-        out[:, bone] = np.square(moved - flat).mean(axis=1)
-    return out
+@dataclass(frozen=True, eq=False)
+class _Products:
+    """Products of where each bone alone takes points and of where these go, over all frames: with them square errors of
+    any mixture are known without another look at the frames.
+
+    Args:
+        whole: Points with a 1 behind, shape (M, 4).
+        square: Of where the points go, shape (M,).
+        cross: With where each bone takes them, shape (M, B).
+        bones: Of the bones with one another, shape (B, B, 4, 4).
+    """
+
+    whole: np.ndarray
+    square: np.ndarray
+    cross: np.ndarray
+    bones: np.ndarray
+
+    @classmethod
+    def of(cls, rest: np.ndarray, posed: np.ndarray, turns: np.ndarray, moves: np.ndarray) -> _Products:
+        """Of bones in frames, seen from the middle of the points in each frame."""
+        middle = posed.mean(axis=1)
+        flat = (posed - middle[:, None]).transpose(1, 0, 2).reshape(len(rest), -1)
+        whole = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
+        placed = np.concatenate([turns, (moves - middle[:, None])[..., None]], axis=-1)
+        count = placed.shape[1]
+        taken = np.ascontiguousarray(placed.transpose(1, 3, 0, 2)).reshape(4 * count, -1)
+        cross = ((flat @ taken.T).reshape(len(rest), count, 4) * whole[:, None]).sum(axis=-1)
+        bones = (taken @ taken.T).reshape(count, 4, count, 4).transpose(0, 2, 1, 3)
+        return cls(whole, np.square(flat).sum(axis=1), cross, np.ascontiguousarray(bones))
+
+    def errors(self) -> np.ndarray:
+        """Square distance of each point from where each bone alone takes it, over all frames, shape (M, B)."""
+        every = np.arange(len(self.bones))
+        pairs = (self.whole[:, :, None] * self.whole[:, None]).reshape(-1, 16)
+        own = pairs @ self.bones[every, every].reshape(-1, 16).T
+        return np.asarray(own - 2 * self.cross + self.square[:, None])
+
+    def grams(self, rows: slice, columns: np.ndarray) -> np.ndarray:
+        """Of some points, products of how far each of C bones of theirs is off with how far each other is, shape (m, C,
+        C): with weights w of a sum of 1 the square error is w' G w.
+        """
+        whole, cross = self.whole[rows], np.take_along_axis(self.cross[rows], columns, axis=1)
+        blocks = self.bones[columns[:, :, None], columns[:, None]]
+        own = ((blocks @ whole[:, None, None, :, None])[..., 0] * whole[:, None, None]).sum(axis=-1)
+        return np.asarray(own - cross[:, :, None] - cross[:, None] + self.square[rows, None, None])
 
 
 def _best_weights(rest: np.ndarray, posed: np.ndarray, turns: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """The weights that are best for the bones, not below 0 and with a sum of 1, at most four a point, shape (M, B)."""
     bones = turns.shape[1]
     out = np.zeros((len(rest), bones))
-    near = np.argsort(_errors(rest, posed, turns, moves), axis=1)[:, : min(CANDIDATES, bones)]
+    products = _Products.of(rest, posed, turns, moves)
+    near = np.argsort(products.errors(), axis=1)[:, : min(CANDIDATES, bones)]
     for start in range(0, len(rest), _CHUNK):
         rows = slice(start, start + _CHUNK)
         columns = near[rows]
-        moved = np.einsum("nmkac,mc->mkna", turns[:, columns], rest[rows], optimize=True)
-        moved += moves[:, columns].transpose(1, 2, 0, 3)
-        away = (moved - posed[:, rows].transpose(1, 0, 2)[:, None]).reshape(*columns.shape, -1)
-        # with a sum of 1 the square error is w' G w
-        gram = away @ away.transpose(0, 2, 1)
+        gram = products.grams(rows, columns)
         found = np.zeros(columns.shape)
         least = np.full(len(found), np.inf)
         for size in range(1, min(INFLUENCES, columns.shape[1]) + 1):
@@ -163,13 +197,13 @@ def _refined(
         middle = square @ rest[rows]
 
         def own(share: np.ndarray = share, rows: np.ndarray = rows, bone: int = bone) -> np.ndarray:
-            moved = np.einsum("nac,mc->nma", turns[:, bone], rest[rows]) + moves[:, bone, None]
+            moved = rest[rows] @ turns[:, bone].transpose(0, 2, 1) + moves[:, bone, None]
             return np.asarray(share[None, :, None] * moved)
 
         want = left[:, rows] + own()
         target = np.einsum("m,nma->na", share, want) / (share**2).sum()
         spread = want - share[None, :, None] * target[:, None]
-        turn = _rotations(np.einsum("m,nma,mc->nac", share, spread, rest[rows] - middle, optimize=True))
+        turn = _rotations(spread.transpose(0, 2, 1) @ (share[:, None] * (rest[rows] - middle)))
         turns[:, bone] = turn
         moves[:, bone] = target - turn @ middle
         left[:, rows] = want - own()

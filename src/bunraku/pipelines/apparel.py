@@ -30,9 +30,11 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError
 from bunraku.nn.checkpoints import dated_checkpoint
 from bunraku.physics.chains.animated import with_apparel
+from bunraku.physics.chains.manners_file import manners_beside
 from bunraku.physics.chains.moving import moving_rig, steady_simulation
 from bunraku.physics.chains.on_handles import on_handle_rig
 from bunraku.physics.chains.outside import outside
+from bunraku.physics.chains.told_parts import with_told_parts
 from bunraku.physics.chains.torn import torn_parts
 from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.told.clothed import clothed_from_file
@@ -144,6 +146,7 @@ def learned(
         WeightsError: The shipped weights are missing or broken.
     """
     clothed, transforms, moved = animated_clothed(animation, mask, stiffness=stiffness)
+    clothed = with_told_parts(clothed, manners_beside(animation.character))
     return _learned(clothed, transforms, moved, progress, network, safe)
 
 
@@ -272,15 +275,20 @@ def _learned(
     progress = progress or (lambda stage, done: None)
     player = ApparelPlayer(clothed, network or shipped_displacement(clothed), safe=safe)
     player.start(transforms[0])
-    chosen, skinned = player.carrier.vertices, moved.vertices()
+    chosen = player.carrier.vertices
+    skinned = moved.vertices(chosen=chosen)
     positions = np.zeros((len(transforms), len(chosen), 3), np.float32)
     for frame, pose in enumerate(transforms):
         positions[frame] = player.advance(pose)
         if frame % 16 == 0:
             progress("apparel", frame / len(transforms))
     if safe:
-        positions = Layers(clothed, chosen).clip(positions, skinned, lambda done: progress("layers", done))
+        layers = Layers(clothed, chosen)
+        if len(layers.seen):
+            whole = np.zeros((len(transforms), len(clothed.rest), 3), np.float32)
+            whole[:, layers.seen] = moved.vertices(chosen=layers.seen)
+            positions = layers.clip(positions, whole, lambda done: progress("layers", done))
     offsets = np.zeros((len(transforms), len(clothed.rest), 3), np.float32)
-    offsets[:, chosen] = eased_border(clothed)[chosen, None] * (positions - skinned[:, chosen])
+    offsets[:, chosen] = eased_border(clothed)[chosen, None] * (positions - skinned)
     progress("apparel", 1.0)
     return PointAnimation(moved, offsets)

@@ -23,7 +23,16 @@ from bunraku.physics.chains.on_handles import handle_rig
 from bunraku.retarget.engine_skeleton import on_skeleton, t_pose
 from bunraku.skeletons.engine_names import engine_names
 
-__all__ = ["apparel_of", "body_of_handles", "laid_over", "rig_with_chains", "told_apart", "too_much", "wears"]
+__all__ = [
+    "apparel_of",
+    "body_of_handles",
+    "clothed_of",
+    "laid_over",
+    "rig_with_chains",
+    "told_apart",
+    "too_much",
+    "wears",
+]
 
 MOST = 0.45
 """Of the surface: who wears more is asked about."""
@@ -125,7 +134,7 @@ def laid_over(
 
 def rig_with_chains(
     anatomy: Anatomy, skeleton: str | None = None, mask: np.ndarray | None = None, stiffness: float = 1.0,
-    gravity: float = 1.0,
+    gravity: float = 1.0, clothed: ClothedCharacter | None = None,
 ) -> Chained:  # fmt: skip
     """A character with bones for its body, handles or a skeleton in a T-pose, and for its apparel.
 
@@ -134,9 +143,36 @@ def rig_with_chains(
         skeleton: Whose names the bones get, as of `on_skeleton`; None for the handles.
         mask: Vertices that are apparel; what the file says, or else what the segmentation network finds, when None.
         stiffness, gravity: Factors.
+        clothed: What `clothed_of` says of it, where that is known.
 
     Raises:
         CharacterError: No part of the mesh is apparel that chains can be laid over, or it is no person.
+    """
+    character, handles = anatomy.character, anatomy.handles
+    clothed = clothed or clothed_of(anatomy, mask)
+    if skeleton is None:
+        return laid_over(handle_rig(character, handles), clothed, np.arange(JOINT_COUNT), stiffness, gravity)
+    laid = _laid(character, clothed, stiffness, gravity)
+    share, joint = carried(clothed)
+    carrier = np.eye(handles.weights.shape[1], dtype=np.float32)[joint]
+    shown = on_skeleton(anatomy, skeleton, handles.weights * (1 - share[:, None]) + carrier * share[:, None])
+    assert shown.rig is not None
+    place = {name: bone for bone, name in enumerate(shown.rig.names)}
+    names, bones = engine_names(skeleton), np.zeros(JOINT_COUNT, np.int64)
+    for number, parent in enumerate(JOINT_PARENTS):
+        bones[number] = place.get(names[number], int(bones[parent]) if parent >= 0 else 0)
+    return with_chains(shown, laid.moved(t_pose(anatomy)[0][:JOINT_COUNT]), bones)
+
+
+def clothed_of(anatomy: Anatomy, mask: np.ndarray | None = None) -> ClothedCharacter:
+    """A character whose apparel is looked for, as the networks see it.
+
+    Args:
+        anatomy: Of the character by its 30 handles.
+        mask: Vertices that are apparel; what the file says, or else what the segmentation network finds, when None.
+
+    Raises:
+        CharacterError: It is no person, or so much was taken for apparel that it is hardly true.
     """
     character, handles = anatomy.character, anatomy.handles
     weights, joints = body_of_handles(character, handles)
@@ -153,18 +189,7 @@ def rig_with_chains(
     problem = too_much(character, clothed.apparel) if mask is None else ""
     if problem:
         raise CharacterError(problem)
-    if skeleton is None:
-        return laid_over(handle_rig(character, handles), clothed, np.arange(JOINT_COUNT), stiffness, gravity)
-    laid = _laid(character, clothed, stiffness, gravity)
-    share, joint = carried(clothed)
-    carrier = np.eye(handles.weights.shape[1], dtype=np.float32)[joint]
-    shown = on_skeleton(anatomy, skeleton, handles.weights * (1 - share[:, None]) + carrier * share[:, None])
-    assert shown.rig is not None
-    place = {name: bone for bone, name in enumerate(shown.rig.names)}
-    names, bones = engine_names(skeleton), np.zeros(JOINT_COUNT, np.int64)
-    for number, parent in enumerate(JOINT_PARENTS):
-        bones[number] = place.get(names[number], int(bones[parent]) if parent >= 0 else 0)
-    return with_chains(shown, laid.moved(t_pose(anatomy)[0][:JOINT_COUNT]), bones)
+    return clothed
 
 
 def _laid(character: Character, clothed: ClothedCharacter, stiffness: float, gravity: float) -> LaidChains:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from bunraku.cli.options.orientation import UnitOption
-from bunraku.cli.output.apparel_facts import apparel_facts, say_chain, shape_facts
+from bunraku.cli.output.apparel_facts import apparel_facts, say_chain, say_part, shape_facts
 from bunraku.cli.output.checks import check_input, check_output
 from bunraku.cli.output.ledger import check_free, note_written
 from bunraku.cli.output.outputs import size_text, wrote
@@ -44,20 +45,43 @@ class Inspect:
     views: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Write a picture (.png) of the four likeliest ways in which a character may stand, each with what to type for it.
     """
+    apparel: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Write what is guessed of hair and clothes to a TOML to be changed: girl.apparel.toml beside girl.obj counts."""
     overwrite: bool = False
-    """Replace a picture that is there already and that Bunraku did not write."""
+    """Replace a file that is there already and that Bunraku did not write."""
 
     def run(self) -> None:
         check_input(self.file)
         if self.views is not None:
             self._draw_views(self.views)
+        if self.apparel is not None:
+            check_output(self.apparel, (".toml",), [self.file])
+            check_free([self.apparel], self.overwrite)
         facts = describe(self.file, self.unit)
+        if self.apparel is not None:
+            self._write_apparel(self.apparel, facts.get("chains", []))
         if self.json:
             import json
 
             print(json.dumps(facts, indent=2))
         else:
             _print(facts)
+
+    def _write_apparel(self, path: Path, chains: list[dict[str, Any]]) -> None:
+        from bunraku.physics.chains.manners_file import SUFFIX, write_manners
+
+        if not chains:
+            raise CharacterError(
+                f"{self.file.name}: nothing is guessed of its hair and clothes, or its file says how they move; leave "
+                "out --apparel"
+            )
+        write_manners(chains, path)
+        note_written([path])
+        if not self.json:
+            wrote(path)
+        counts = self.file.with_name(f"{self.file.stem}{SUFFIX}")
+        if path.resolve() != counts.resolve():
+            print(f"it counts as {counts}", file=sys.stderr)
 
     def _draw_views(self, path: Path) -> None:
         from bunraku.io import load_character
@@ -115,7 +139,14 @@ def _body(character: Character, up: str, front: str) -> dict[str, Any]:
         return {"body": None, "body_note": str(error)}
     parts = [{"name": part.name, "area": round(part.area, 4), "clear": round(part.sure, 3)} for part in found.parts]
     facts = {"body": found.plan.words, "parts": parts, "cannot": list(found.cannot)}
-    return facts if character.rig is not None else facts | shape_facts(anatomy)
+    return facts if _says_apparel(character) else facts | shape_facts(anatomy)
+
+
+def _says_apparel(character: Character) -> bool:
+    """Whether its file says what of it is apparel, by bones or physics."""
+    from bunraku.physics.chains.moving import moving_rig
+
+    return moving_rig(character) is not None
 
 
 def _fbx(path: Path) -> dict[str, Any]:
@@ -314,6 +345,8 @@ def _say(key: str, value: Any) -> str:
         )
     if key == "parts":
         return ", ".join(f"{part['name']} ({100 * part['clear']:.0f} % clear)" for part in value)
+    if key == "apparel":
+        return _short([say_part(part) for part in value])
     if key == "chains":
         return _short([say_chain(chain) for chain in value])
     if key == "cannot":

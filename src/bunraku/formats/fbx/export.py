@@ -102,7 +102,7 @@ def write_points(
     up: str = "+y",
     unit: str = "cm",
     tolerance: float | None = None,
-    shapes: str = "bones",
+    shapes: str = "auto",
 ) -> Path:
     """Write an animation whose vertices also move on their own, by bones of their own or by shapes.
 

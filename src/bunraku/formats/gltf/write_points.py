@@ -25,6 +25,7 @@ from bunraku.formats.gltf.builder import GltfBuilder
 from bunraku.formats.gltf.bunraku_clip import add_motion
 from bunraku.formats.gltf.morph_targets import Shapes, key_shapes, mixed_shapes
 from bunraku.formats.gltf.write import build_document, document_of, finish_document, joint_attributes, keeps_positions
+from bunraku.geometry.rotations import adjugates
 
 if TYPE_CHECKING:
     from bunraku.core.character import Character
@@ -36,6 +37,8 @@ TOLERANCE = 5e-4  # of the character's height
 FLATTEST = 0.1  # skin that squeezes a vertex's surroundings more than to this share is not taken back further
 CHUNK = 32  # frames at once
 FEWEST_BONES, MOST_BONES = 4, 256
+PROBE, PROBED = 32, 4
+"""So many bones are fitted to each fourth vertex first: what they miss by far, few more do not reach."""
 BONE_BYTES = 28  # of a bone in a frame: a translation and a quaternion
 ZERO = {"componentType": 5126, "type": "VEC3"}
 
@@ -114,13 +117,16 @@ def fitted_points(moved: PointAnimation, tolerance: float | None = None, shapes:
     if not 0 < limit < np.inf:
         raise OptionError(f"the tolerance must be a length over 0, not {tolerance!r}")
     moving = np.flatnonzero((np.linalg.norm(moved.offsets, axis=-1) > 0.5 * limit).any(axis=0))
+    where = moved.offsets[:, moving]
+    if len(moving):
+        where = where + moved.animation.vertices(chosen=moving)
     found = None
     if len(moving) and shapes != "bones":
-        local = before_skin(moved, moving)
+        local = before_skin(moved, moving, where)
         found = (key_shapes if shapes == "keys" else mixed_shapes)(local, 0.95 * limit)
     baked, count = moved.animation, len(moved.animation.handles.positions)
     if len(moving) and shapes in ("auto", "bones"):
-        fitted = _with_bones(moved, moving, 0.95 * limit, None if found is None else found.size)
+        fitted = _with_bones(moved, moving, where, 0.95 * limit, None if found is None else found.size)
         if fitted is None and shapes == "bones":
             raise OptionError(
                 f"{MOST_BONES} bones do not come within {limit:.4g} m of this movement; give a larger tolerance or "
@@ -135,26 +141,36 @@ def _bone_name(handles: Handles, number: int, count: int) -> str:
     return handle_names(handles)[number] if number < count else f"apparel_{number - count + 1}"
 
 
-def _with_bones(moved: PointAnimation, moving: np.ndarray, tolerance: float, most: int | None) -> Animation | None:
-    """The animation with the fewest bones more, of 4, 8, 16 and so on, that take some vertices where they go; None
-    where that takes too many, or more bytes than `most`.
+def _with_bones(
+    moved: PointAnimation, moving: np.ndarray, where: np.ndarray, tolerance: float, most: int | None
+) -> Animation | None:
+    """The animation with the fewest bones more, of 4, 8, 16 and so on, that take some vertices where they go, shape (N,
+    M, 3); None where that takes too many, or more bytes than `most`, or where it is likely to: twice as many bones
+    leave about half of the error.
     """
     animation = moved.animation
     handles, motion = animation.handles, animation.motion
     rest, root = moved.character.vertices[moving].astype(np.float64), handles.positions[0].astype(np.float64)
     # bones hang on the root handle: y = R_g' (x - h_0 - t_g) + h_0 (Eq. 3)
-    away = moved.vertices()[:, moving] - root - motion.root_translation[:, None]
-    posed = np.einsum("nba,nmb->nma", motion.root_rotation, away) + root
+    posed = (where - root - motion.root_translation[:, None]) @ motion.root_rotation + root
     bones = FEWEST_BONES
+    if len(rest) > PROBE * PROBED and (most is None or PROBE * _bytes_of_bone(len(motion)) < most):
+        missed = decomposed(rest[::PROBED], posed[:, ::PROBED], PROBE).error / tolerance
+        if missed > MOST_BONES / PROBE and most is not None:
+            return None
+        bones = FEWEST_BONES if missed <= 1 else 2 * PROBE
     while bones <= MOST_BONES and bones <= len(rest):
-        size = bones * (BONE_BYTES * len(motion) + 64)
-        if most is not None and size >= most:
+        if most is not None and bones * _bytes_of_bone(len(motion)) >= most:
             return None
         found = decomposed(rest, posed, bones)
         if found.error <= tolerance:
             return _joined(animation, moving, found)
         bones *= 2
     return None
+
+
+def _bytes_of_bone(frames: int) -> int:
+    return BONE_BYTES * frames + 64
 
 
 def _joined(animation: Animation, moving: np.ndarray, found: RigidBones) -> Animation:
@@ -228,37 +244,42 @@ def shapes_of_meshes(character: Character, moving: np.ndarray, shapes: np.ndarra
     return out
 
 
-def before_skin(moved: PointAnimation, moving: np.ndarray) -> np.ndarray:
+def before_skin(moved: PointAnimation, moving: np.ndarray, where: np.ndarray | None = None) -> np.ndarray:
     """Displacements of some vertices in the rest pose that the four weights of the file take to where they are [m],
     shape (N, M, 3).
 
     Args:
         moved: The animation.
         moving: Which vertices, shape (M,).
+        where: They are [m], shape (N, M, 3), where that is known.
     """
     handles, rest = moved.animation.handles, moved.character.vertices[moving].astype(np.float64)
+    if where is None:
+        where = moved.animation.vertices(chosen=moving) + moved.offsets[:, moving]
     joints, shares = joint_attributes(handles.weights[moving])
+    held = np.zeros((len(moving), handles.weights.shape[1]))
+    for column in range(joints.shape[1]):
+        held[np.arange(len(moving)), joints[:, column]] += shares[:, column]
     transforms = moved.motion.transforms(handles.positions)
     out = np.empty((len(moved.motion), len(moving), 3), np.float32)
     for start in range(0, len(moved.motion), CHUNK):
         cut = slice(start, start + CHUNK)
         some = transforms[cut].astype(np.float64)
-        blend = np.zeros((len(some), len(moving), 3, 4))
-        for column in range(joints.shape[1]):
-            blend += some[:, joints[:, column]] * shares[:, column, None, None].astype(np.float64)
-        left = moved.vertices(cut)[:, moving] - (blend[..., :3] @ rest[..., None])[..., 0] - blend[..., 3]
-        out[cut] = (_inverses(blend[..., :3]) @ left[..., None])[..., 0]
+        blend = (held @ some.reshape(len(some), -1, 12)).reshape(len(some), len(moving), 3, 4)
+        left = where[cut] - np.einsum("nmab,mb->nma", blend[..., :3], rest) - blend[..., 3]
+        out[cut] = np.einsum("nmab,nmb->nma", _inverses(blend[..., :3]), left)
     return out
 
 
 def _inverses(matrices: np.ndarray) -> np.ndarray:
     """Inverses that stretch nothing beyond 1 / `FLATTEST`."""
-    good = np.abs(np.linalg.det(matrices)) > FLATTEST
-    out = np.empty_like(matrices)
-    out[good] = np.linalg.inv(matrices[good])
-    if not good.all():
-        u, s, vt = np.linalg.svd(matrices[~good])
-        out[~good] = (np.swapaxes(vt, -1, -2) / np.maximum(s, FLATTEST)[:, None, :]) @ np.swapaxes(u, -1, -2)
+    adjugate = adjugates(matrices)
+    det = np.einsum("...a,...a->...", matrices[..., 0, :], adjugate[..., :, 0])
+    bad = np.abs(det) <= FLATTEST
+    out = adjugate / np.where(bad, 1.0, det)[..., None, None]
+    if bad.any():
+        u, s, vt = np.linalg.svd(matrices[bad])
+        out[bad] = (np.swapaxes(vt, -1, -2) / np.maximum(s, FLATTEST)[:, None, :]) @ np.swapaxes(u, -1, -2)
     return out
 
 

@@ -10,6 +10,7 @@ mass = 0.5          # of the first link [kg]
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,10 +22,10 @@ import numpy as np
 from bunraku.apparel.artist_mask import file_beside
 from bunraku.core.character import Character
 from bunraku.errors import FormatError
-from bunraku.formats.files import read_bounded
+from bunraku.formats.files import atomic_write, read_bounded
 from bunraku.physics.chains.chain import KINDS, Chain
 
-__all__ = ["manners_beside", "with_manners"]
+__all__ = ["SUFFIX", "manners_beside", "told_of", "with_manners", "write_manners"]
 
 SUFFIX = ".apparel.toml"
 _BOUNDS = {"limit": (0.0, 90.0), "stiffness": (0.0, 1000.0), "damping": (0.0, 0.999), "gravity": (-10.0, 10.0),
@@ -45,14 +46,46 @@ def with_manners(chains: Sequence[Chain], told: Mapping[str, Mapping[str, float]
     """Chains that swing as is told: by their kind, and then by the longest beginning of their name that is told."""
     out = []
     for chain in chains:
-        own: dict[str, float] = dict(told.get(chain.kind, {}))
-        for name in sorted(told, key=len):
-            if name not in KINDS and chain.name.startswith(name):
-                own |= told[name]
+        own = told_of(chain.kind, chain.name, told)
         if "limit" in own:
             own["limit"] = float(np.radians(own["limit"]))
         out.append(replace(chain, manner=replace(chain.manner, **own)) if own else chain)
     return tuple(out)
+
+
+def told_of(kind: str, name: str, told: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """What is told of a chain, in the numbers of the file.
+
+    Args:
+        kind: One of `KINDS`.
+        name: Of the chain.
+        told: By kinds and by what names begin with.
+    """
+    own: dict[str, float] = dict(told.get(kind, {}))
+    for begin in sorted(told, key=len):
+        if begin not in KINDS and name.startswith(begin):
+            own |= told[begin]
+    return own
+
+
+def write_manners(chains: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Write such a file to start from: a table for each chain, in which every guess is a comment, so that it changes
+    nothing until somebody takes the sign away.
+
+    Args:
+        chains: Name, kind, links, what it hangs on (`hangs_on`), and the numbers of each.
+        path: The file.
+
+    Raises:
+        FormatError: It cannot be written.
+    """
+    lines = ["# How apparel swings. Take away the sign # before what is to count, and change the number."]
+    for chain in chains:
+        name = json.dumps(chain["name"], ensure_ascii=False)
+        lines += ["", f"[{name}]  # {chain['kind']}, {chain['links']} links on {chain['hangs_on']}"]
+        lines += [f"# {key} = {float(chain[key]):.4g}" for key in _BOUNDS]
+    with atomic_write(path) as file:
+        file.write(("\n".join(lines) + "\n").encode())
 
 
 def _read(path: Path) -> dict[str, dict[str, float]]:
