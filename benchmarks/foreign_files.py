@@ -1,4 +1,4 @@
-"""What becomes of files as users have them: `python benchmarks/foreign_files.py FOLDER [--use measure|fresh] [--walks]
+"""What becomes of files as users have them: `python benchmarks/foreign_files.py FOLDER [--use measure|fresh|fresh2] [--walks]
 [--pictures FOLDER]`, or `... FOLDER --unlisted` for the walks of any meshes, stood up as they are taken to stand.
 
 FOLDER holds the files of `foreign_files.json`, each under its name there: `git cat-file blob BLOB > NAME` in a clone of
@@ -61,7 +61,7 @@ def walk(character: Character, row: dict[str, Any], animator: Animator, pictures
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--use", choices=("measure", "fresh", "prior"), default="measure")
+    parser.add_argument("--use", choices=("measure", "fresh", "fresh2", "prior"), default="measure")
     parser.add_argument("--walks", action="store_true")
     parser.add_argument("--pictures", type=Path)
     parser.add_argument("--unlisted", action="store_true")
