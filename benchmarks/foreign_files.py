@@ -1,5 +1,6 @@
-"""What becomes of files as users have them: `python benchmarks/foreign_files.py FOLDER [--use measure|fresh|fresh2] [--walks]
-[--pictures FOLDER]`, or `... FOLDER --unlisted` for the walks of any meshes, stood up as they are taken to stand.
+"""What becomes of files as users have them: `python benchmarks/foreign_files.py FOLDER [--use measure|fresh|fresh2]
+[--walks] [--pictures FOLDER]`, or `... FOLDER --unlisted` for the walks of any meshes, stood up as they are taken to
+stand.
 
 FOLDER holds the files of `foreign_files.json`, each under its name there: `git cat-file blob BLOB > NAME` in a clone of
 its repository. For each: how it is taken to stand, how sure that is, and whether it is right. Then the shares: right as

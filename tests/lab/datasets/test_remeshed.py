@@ -9,7 +9,7 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku.samples import sample_character
-from bunraku_lab.datasets.characters.remeshed import blocky_surface, fused_surface, on_plinth
+from bunraku_lab.datasets.characters.remeshed import blocky_surface, filled_cells, fused_surface, on_plinth
 from bunraku_lab.datasets.characters.surfaces import build_surfaces, clip_poses, load_surfaces, remade
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.datasets.motions.posed_people import clips_of_people, posed_people
@@ -45,8 +45,26 @@ def test_blocks_have_normals_along_axes():
 
 def test_a_plinth_stands_below_its_figure():
     figure = ball(np.array([0, 1.0, 0]), 1.0, 500)
-    both = on_plinth(figure, np.random.default_rng(1))
+    both, area = on_plinth(figure, 4 * np.pi, np.random.default_rng(1))
     assert np.array_equal(both[:500], figure) and both[500:, 1].max() <= figure[:, 1].min() + 1e-9
+    assert len(both) / area == pytest.approx(500 / (4 * np.pi), rel=0.02)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_thick_figure_on_a_plinth_has_no_surface_inside(seed):
+    """At the most voxels that leave no gap, nothing is deeper than two of them in the ball or in its plinth."""
+    rng = np.random.default_rng(seed)
+    both, area = on_plinth(ball(np.array([0, 1.0, 0]), 1.0, 60_000), 4 * np.pi, rng)
+    cells = filled_cells(both, area)
+    size = np.ptp(both, axis=0).max() / cells
+    points = fused_surface(both, cells, 20_000, rng)[0]
+    assert 20 < cells < 80
+    assert np.linalg.norm(points - [0, 1, 0], axis=1).min() > 1 - 2 * size
+    low, high = both[60_000:].min(axis=0), both[60_000:].max(axis=0)
+    reach = np.minimum(points - low, high - points).min(axis=1)
+    beside = np.linalg.norm(points[:, [0, 2]], axis=1) > 0.2  # under the ball its foot is let in
+    across = np.linalg.norm(both[60_000:][:, [0, 2]], axis=1).max() / high[0]
+    assert across < 1.2 or reach[beside].max() < 2 * size  # of a box; a disc's corners are not its own
 
 
 def test_surfaces_of_a_rigged_file_are_read_back(tmp_path):

@@ -17,7 +17,7 @@ from bunraku.errors import CharacterError
 from bunraku.geometry.surface import face_normals, vertex_normals
 from bunraku.samples.meshing import neighbour_average
 from bunraku_lab.datasets.characters.known_rigs import facing_turn
-from bunraku_lab.datasets.characters.remeshed import fused_mesh
+from bunraku_lab.datasets.characters.remeshed import filled_cells, fused_mesh
 from bunraku_lab.datasets.characters.training_character import (
     TrainingCharacter,
     forward_kinematics,
@@ -30,7 +30,6 @@ __all__ = ["fused_character"]
 
 POINTS = 200_000
 CELLS = (48, 128)  # voxels along the largest extent
-FILLED = 12  # least points for the square of a voxel: a shell with gaps is hollow
 NEAR = 12  # points of the surface that a vertex chooses among
 AGAINST = 2.0  # cells by which a point that looks the other way counts as farther
 FACES = (1_200, 20_000)
@@ -68,8 +67,8 @@ def fused_character(character: Character, truth: TrainingCharacter, name: str, r
     joints = np.einsum("jab,jb->ja", transforms[:, :, :3], truth.joints) + transforms[:, :, 3]
     points, normals, shares = _spread(vertices, faces, weights, rng)
     cells = int(np.exp(rng.uniform(*np.log(CELLS))))
-    area = float(np.linalg.norm(face_normals(vertices, faces), axis=1).sum()) / 2 / np.ptp(points, axis=0).max() ** 2
-    cells = min(cells, int(np.sqrt(POINTS / (FILLED * area))))
+    area = float(np.linalg.norm(face_normals(vertices, faces), axis=1).sum()) / 2
+    cells = min(cells, filled_cells(points, area))
     skinned, triangles = fused_mesh(points, cells)
     if rng.random() < 0.7:
         skinned, triangles = thinned((skinned, triangles), int(np.exp(rng.uniform(*np.log(FACES)))))

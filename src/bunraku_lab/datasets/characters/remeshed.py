@@ -7,14 +7,26 @@ closer than a voxel is one piece from then on, as in files whose limbs are fused
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import binary_closing, binary_fill_holes, gaussian_filter
+from scipy.ndimage import binary_closing, gaussian_filter, label
 
 from bunraku.samples.isosurface import grid_surface
 
-__all__ = ["blocky_surface", "fused_mesh", "fused_surface", "on_plinth"]
+__all__ = ["blocky_surface", "filled_cells", "fused_mesh", "fused_surface", "on_plinth"]
 
 _MARGIN = 3
+_FILLED = 12
+"""Least points for the square of a voxel: a shell with gaps is hollow."""
 _SIX = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+
+
+def filled_cells(points: np.ndarray, area: float) -> int:
+    """The most voxels along the largest extent at which points all over a surface leave no gap in its shell.
+
+    Args:
+        points: Spread evenly over it, shape (N, 3).
+        area: Of the surface, in the square of their unit.
+    """
+    return int(np.sqrt(len(points) / (_FILLED * area)) * np.ptp(points, axis=0).max())
 
 
 def fused_surface(
@@ -62,20 +74,36 @@ def blocky_surface(
     return (faces[:, 1:] + 0.5 + spread) * size + low, normals
 
 
-def on_plinth(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Points of a figure, +Y up, and of a box or a disc that it stands on, shape (N, 3) -> (N + M, 3)."""
+def on_plinth(points: np.ndarray, area: float, rng: np.random.Generator) -> tuple[np.ndarray, float]:
+    """Points of a figure, +Y up, and of the surface of a box or a disc that it stands on, as dense as its own.
+
+    Args:
+        points: Spread evenly over the figure, shape (N, 3).
+        area: Of its surface, in the square of their unit.
+        rng: Of the plinth.
+
+    Returns:
+        Those points and further ones, shape (N + M, 3), and the area of both surfaces.
+    """
     low, high = points.min(axis=0), points.max(axis=0)
     half = 0.5 * max(float(np.ptp(points[:, 0])), float(np.ptp(points[:, 2]))) * rng.uniform(0.5, 1.2)
     tall = (high[1] - low[1]) * rng.uniform(0.04, 0.25)
-    count = len(points) // 2
-    flat = rng.uniform(-1, 1, (count, 2))
-    if rng.random() < 0.5:
+    round_one = rng.random() < 0.5
+    lid, wall = (np.pi * half**2, 2 * np.pi * half * tall) if round_one else (4 * half**2, 8 * half * tall)
+    total = 2 * lid + wall
+    count = int(np.clip(len(points) * total / area, 1, 4 * len(points)))
+    on_lid = rng.random(count) < 2 * lid / total
+    if round_one:
         angle, radius = rng.uniform(0, 2 * np.pi, count), np.sqrt(rng.uniform(0, 1, count))
-        flat = np.stack([np.cos(angle), np.sin(angle)], axis=1) * radius[:, None]
-    middle = (low + high)[[0, 2]] / 2
-    across = flat * half + middle
-    plinth = np.stack([across[:, 0], rng.uniform(-tall, 0, count) + low[1], across[:, 1]], axis=1)
-    return np.concatenate([points, plinth])
+        flat = np.stack([np.cos(angle), np.sin(angle)], axis=1) * np.where(on_lid, radius, 1)[:, None]
+    else:
+        flat = rng.uniform(-1, 1, (count, 2))
+        edge = np.arange(count), rng.integers(2, size=count)
+        flat[edge] = np.where(on_lid, flat[edge], np.sign(flat[edge]))
+    down = np.where(on_lid, tall * rng.integers(2, size=count), rng.uniform(0, tall, count))
+    across = flat * half + (low + high)[[0, 2]] / 2
+    plinth = np.stack([across[:, 0], low[1] - down, across[:, 1]], axis=1)
+    return np.concatenate([points, plinth]), area + total
 
 
 def _solid(points: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray, float]:
@@ -85,7 +113,8 @@ def _solid(points: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray, floa
     low = low - _MARGIN * size
     grid = np.zeros(np.ceil(extent / size).astype(int) + 1 + 2 * _MARGIN, bool)
     grid[tuple(((points - low) / size).astype(int).T)] = True
-    return binary_fill_holes(binary_closing(grid)), low, size
+    outside = label(~binary_closing(grid))[0]  # the margin is outside
+    return outside != outside[0, 0, 0], low, size
 
 
 def _outer(solid: np.ndarray) -> np.ndarray:

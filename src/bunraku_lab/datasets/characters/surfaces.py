@@ -16,14 +16,14 @@ import numpy as np
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.formats.files import atomic_write
 from bunraku.geometry.registration import register
-from bunraku.geometry.surface import surface_points
+from bunraku.geometry.surface import face_normals, surface_points
 from bunraku_lab.datasets.characters.known_rigs import facing_turn
-from bunraku_lab.datasets.characters.remeshed import blocky_surface, fused_surface, on_plinth
+from bunraku_lab.datasets.characters.remeshed import blocky_surface, filled_cells, fused_surface, on_plinth
 
 __all__ = ["SurfaceBank", "build_surfaces", "clip_poses", "load_surfaces", "remade"]
 
 POINTS = 2048
-_DENSE = 40_000
+_DENSE, _FINE = 200_000, 40  # points, and the voxels up to which a third of them will do
 _UPRIGHT = np.cos(np.radians(30))
 """Cosine of the largest turn of a pose against the bind pose that is still taken to face its way."""
 
@@ -97,15 +97,17 @@ def remade(
         Points and unit normals, in units of the largest extent about the middle, shape (count, 3) each.
     """
     kind = rng.choice(3, p=[0.3, 0.5, 0.2])
-    dense = surface_points(vertices, faces, _DENSE)[0]
-    if kind and rng.random() < 0.3:
-        dense = on_plinth(dense, rng)
     if kind == 0:
         points, normals = surface_points(vertices, faces, count)
-    elif kind == 1:
-        points, normals = fused_surface(dense, int(rng.integers(28, 72)), count, rng)
     else:
-        points, normals = blocky_surface(dense, int(rng.integers(12, 28)), count, rng)
+        least, most = (28, 72) if kind == 1 else (12, 28)
+        cells = int(rng.integers(least, most))
+        dense = surface_points(vertices, faces, _DENSE if cells > _FINE else _DENSE // 3)[0]
+        area = max(float(np.linalg.norm(face_normals(vertices, faces), axis=1).sum()) / 2, 1e-12)
+        if rng.random() < 0.4:
+            dense, area = on_plinth(dense, area, rng)
+        cells = min(cells, max(filled_cells(dense, area), least))
+        points, normals = (fused_surface if kind == 1 else blocky_surface)(dense, cells, count, rng)
     missing = count - len(points)  # a coarse grid has few voxels
     if missing > 0:
         again = rng.integers(len(points), size=missing)
