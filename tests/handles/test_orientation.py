@@ -24,7 +24,8 @@ except WeightsError:
 def laid(character, up, front):
     """The character lying so that `up` is up and `front` the front: `upright_rotation` undone."""
     rotation = upright_rotation(up, front)
-    return Character(character.name, character.vertices @ rotation.astype(np.float32), character.faces)
+    vertices = character.vertices @ rotation.astype(np.float32)
+    return Character(character.name, vertices, character.faces, colors=character.colors)
 
 
 @pytest.mark.parametrize("name", sample_names())

@@ -110,7 +110,7 @@ def guess_orientation(
 
     Witnesses and what files of its kind are like are combined (`bunraku.handles.orientation_evidence`): the network,
     which sees the shape; the ground, where the lowest point is at 0; the plane that mirrors left and right; what the
-    shape would rest on; where its top leans; and bones whose names tell left from right.
+    shape would rest on; where its top leans; where its colours vary most; and bones whose names tell left from right.
 
     Args:
         character: Any mesh.
@@ -134,7 +134,9 @@ def guess_orientation(
         prior = kind_weights(_suffix(character) if suffix is None else suffix, _moved(character))
     prior = np.where(allowed, prior, 0)
     surface = surface_points(character.vertices, character.faces, _POINTS)
-    others = told(character.vertices[character.surface], surface)
+    used = character.surface
+    paint = None if character.colors is None else (np.cumsum(used)[character.faces] - 1, character.colors[used])
+    others = told(character.vertices[used], surface, paint)
     looks = [_look(model, *surface)]
     if weighed(looks[0], *others).max() < ENOUGH:
         looks += [_look(model, *surface_points(character.vertices, character.faces, count)) for count in _AGAIN]

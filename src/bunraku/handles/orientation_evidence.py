@@ -1,5 +1,6 @@
 """What a file tells about how its character stands, beside the shape that the network sees: where the ground is, what
-mirrors it, what it would rest on, where its top leans, where its bones are, and what files of its kind are like.
+mirrors it, what it would rest on, where its top leans, where its colours vary most, where its bones are, and what files
+of its kind are like.
 
 Each is a witness with a doubt: with that chance it knows nothing, so none can outvote the others alone, and the odds
 that it can give are bounded. Witnesses are combined by adding their log-odds (naive Bayes).
@@ -12,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from bunraku.formats.frames import BARE
 from bunraku.geometry.axes import AXES, ORIENTATIONS
+from bunraku.handles.orientation_colors import front_scores, variety
 from bunraku.handles.orientation_shape import LEAN_WEIGHT, REST_WEIGHTS, lean, rest
 
 __all__ = [
@@ -39,6 +41,8 @@ side; on its own it gives odds of at most 195 to 1 for one axis against another.
 REST_DOUBT, LEAN_DOUBT = 0.05, 0.3
 """What lies on its back rests well too. With a lean that is doubted by 10 % two of 30 held-out characters turn their
 backs as a GLB, with 30 % none. At most 115 to 1 between two axes and 10 to 1 between two fronts."""
+COLOR_DOUBT = 0.3
+"""What is painted on a back may be richer than a face: at most 10 to 1 between two fronts."""
 BONES_DOUBT = 0.03
 """Of 114 rigs of the archive whose bones tell, two name left and right the other way."""
 MIRROR_DOUBT, MIRROR_POWER, MIRROR_FLOOR = 0.01, 10.0, 1e-4
@@ -60,6 +64,7 @@ _FAR = 0.05
 """An asymmetry that is as good as none, of the largest extent."""
 _UPS = np.array([AXES.index(up) for up, _ in ORIENTATIONS])
 _FOUR = _UPS[:, None] == _UPS
+_FRONTS = np.array([AXES.index(front) for _, front in ORIENTATIONS])
 _SIDES = np.array([3 - "xyz".index(up[1]) - "xyz".index(front[1]) for up, front in ORIENTATIONS])
 
 
@@ -107,6 +112,7 @@ def combined(
     prior: np.ndarray | None = None,
     surface: tuple[np.ndarray, np.ndarray] | None = None,
     bones: tuple[str, str] | None = None,
+    paint: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
     """How likely each of `ORIENTATIONS` is by all witnesses, calibrated, shape (24,), sums to 1.
 
@@ -118,12 +124,15 @@ def combined(
         surface: Points and unit normals spread evenly over the surface, shape (N, 3) each; without them what it rests
             on and where its top leans are not asked.
         bones: Up and front as the bones have them, where they tell.
+        paint: Faces (F, 3) and the colours of the vertices, sRGB, shape (V, 3), uint8, where there are any.
     """
-    return weighed(network, *told(vertices, surface), prior, bones)
+    return weighed(network, *told(vertices, surface, paint), prior, bones)
 
 
 def told(
-    vertices: np.ndarray | None = None, surface: tuple[np.ndarray, np.ndarray] | None = None
+    vertices: np.ndarray | None = None,
+    surface: tuple[np.ndarray, np.ndarray] | None = None,
+    paint: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, float]:
     """What the witnesses beside network and bones say, and what share of its word such a shape deserves; arguments as
     those of `combined`, shape (24,).
@@ -133,6 +142,8 @@ def told(
         logs = logs + surface_witnesses(*surface)
     if vertices is None:
         return logs, 1.0
+    if paint is not None:
+        logs = logs + _fronts(front_scores(variety(vertices, *paint))[_FRONTS], COLOR_DOUBT)
     distinct = len(np.unique(vertices[:: max(len(vertices) // _ASKED, 1)], axis=0))
     return logs + witnesses(vertices), distinct / (distinct + FEW)
 
@@ -164,9 +175,12 @@ def surface_witnesses(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     is up; up to a constant, shapes (N, 3), (N, 3) -> (24,).
     """
     rests = _doubted(_softmax(rest(points, normals) @ REST_WEIGHTS), REST_DOUBT)
-    scores = np.exp(LEAN_WEIGHT * lean(points))
-    fronts = (1 - LEAN_DOUBT) * scores / (_FOUR @ scores) + LEAN_DOUBT / 4
-    return np.asarray(np.log(rests)[_UPS] + np.log(fronts))
+    return np.asarray(np.log(rests)[_UPS] + _fronts(np.exp(LEAN_WEIGHT * lean(points)), LEAN_DOUBT))
+
+
+def _fronts(scores: np.ndarray, doubt: float) -> np.ndarray:
+    """Log-odds by a witness that scores fronts and tells nothing of what is up, shape (24,) -> (24,)."""
+    return np.asarray(np.log((1 - doubt) * scores / np.maximum(_FOUR @ scores, 1e-300) + doubt / 4))
 
 
 def ground_fit(vertices: np.ndarray) -> np.ndarray:
