@@ -157,6 +157,14 @@ KILLED = (
         )
         for name, network in (("extractor", "extractor"), ("ranker", "network"))
     ),
+    Command(
+        "train tagger",
+        (
+            "train", "tagger", "--pairs", "IN/pairs", "--out", "OUT", "--minutes", "0", "--steps", "6", "--batch", "8",
+            "--validate-every", "2", "--encoded", "4", "--network.buckets", "64", "--network.width", "4",
+        ),
+        ("pairs",),
+    ),
     *(
         Command(
             f"train {name}",

@@ -82,8 +82,18 @@ def make_weights(folder: Path) -> None:
     shutil.copy(shipped_checkpoint("diffusion"), folder / "weights" / "diffusion.safetensors")
 
 
+def make_pairs(folder: Path) -> None:
+    """Sentences in two languages, the same made-up words in each of five files."""
+    (folder / "pairs").mkdir()
+    lines = [f"{name} danced in the room {number}.\tdie wup {name} {number}" for name in "AB" for number in range(12)]
+    lines += [f"{name} likes tea {number}.\tdie tok {name} {number}" for name in "AB" for number in range(12)]
+    for name in ("deu", "fra", "spa", "jpn", "cmn"):
+        (folder / "pairs" / f"{name}.txt").write_text("\n".join(lines) + "\n")
+
+
 MADE: dict[str, Callable[[Path], None]] = {
     "clips": make_clips, "characters": make_characters, "motions": make_motions, "archive": make_archive,
-    "weights": make_weights, "cache": lambda folder: None, "apparel": lambda folder: None, "bank": lambda folder: None,
+    "weights": make_weights, "pairs": make_pairs, "cache": lambda folder: None, "apparel": lambda folder: None,
+    "bank": lambda folder: None,
 }  # fmt: skip
 """What commands need, by name; the last ones are made of the others by commands."""

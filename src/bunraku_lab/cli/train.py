@@ -22,6 +22,7 @@ __all__ = [
     "nbs",
     "orientation",
     "ranker",
+    "tagger",
     "transfer_baseline",
 ]
 
@@ -114,6 +115,19 @@ def ranker() -> Verb:
     from bunraku_lab.training.ranker.train import RankerTrainConfig, train_ranker
 
     return _verb(RankerTrainConfig, train_ranker)
+
+
+def tagger() -> Verb:
+    """Train the tagger, which reads the words of other languages that the table of words does not have.
+
+    The same command goes on where a run stopped. A processor takes a quarter of an hour, most of it for the vectors of
+    the English sentences.
+
+    Example: bunraku train tagger --pairs data/pairs --out runs/tagger
+    """
+    from bunraku_lab.training.language.train import TaggerTrainConfig, train_tagger
+
+    return _verb(TaggerTrainConfig, train_tagger)
 
 
 def apparel_mask() -> Verb:

@@ -72,6 +72,7 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "train the feature extractor that generated motion is measured with",
     ),
     ("train", "ranker"): ("bunraku_lab.cli.train", "ranker", "train the ranker that chooses among candidates"),
+    ("train", "tagger"): ("bunraku_lab.cli.train", "tagger", "train the tagger that reads words of other languages"),
     ("train", "apparel-mask"): (
         "bunraku_lab.cli.train",
         "apparel_mask",

@@ -23,6 +23,7 @@ WEIGHTS = {
     "diffusion": "no sentence can become a motion; `bunraku animate` does not work",
     "text": "sentences cannot be read; `bunraku animate` does not work",
     "ranker": "`bunraku animate` cannot choose among candidates; say --candidates 1",
+    "tagger": "words of German, French, Spanish, Japanese and Chinese that the table of words lacks are not read",
     "critic": "`bunraku animate` does not guide motions towards their sentences, and fewer do what these say",
 }
 DISTRIBUTIONS = {"pxr": "usd-core", "motionmcp": "motionmcp-sdk", "mujoco": "mujoco-core"}

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from bunraku.language.foreign.table import Concept, forms
 
-__all__ = ["fold", "scan_spaced"]
+__all__ = ["fold", "scan_spaced", "spaced_words"]
 
 _TOKEN = re.compile(r"[^\W\d_]+['’]|[^\W\d_]+|\d+|[.,;:!?…]")
 _PIECE = re.compile(r"[^\W\d_]+'|[^\W\d_]+~?|\d+")
@@ -185,6 +185,11 @@ class _Scan:
         for first, last in zip(edges, edges[1:], strict=False):
             spans += [(first + 1, last)] * (last - first)
         return spans[1:] + [(len(self.tokens), len(self.tokens))]
+
+
+def spaced_words(text: str) -> list[tuple[int, int]]:
+    """Where each word of a sentence stands, without its numbers and signs."""
+    return [match.span() for match in _TOKEN.finditer(text) if match.group()[0].isalpha()]
 
 
 def scan_spaced(text: str, language: str) -> list[Concept]:

@@ -66,12 +66,14 @@ def read_pairs(folder: Path, splits: Iterable[str] = ("train",)) -> list[Pair]:
     for language, name in FILES.items():
         path = folder / name
         if not path.is_file():
-            raise FormatError(f"{path}: this file of pairs is missing; its form is English, a tab, the other language")
+            raise FormatError(
+                path, "this file of pairs is missing; give a folder that has it: English, a tab, the other language"
+            )
         seen = set()
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
             parts = line.split("\t")
             if len(parts) < 2:
-                raise FormatError(f"{path}: line {number} is no pair; it must be English, a tab, the other language")
+                raise FormatError(path, f"line {number} is no pair; it must be English, a tab, the other language")
             english, other = parts[0].strip(), narrow(parts[1].strip())
             if not english or not other or split_of(english) not in wanted or (english, other) in seen:
                 continue
