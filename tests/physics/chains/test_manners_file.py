@@ -44,8 +44,8 @@ def test_what_is_wrong_is_said(tmp_path: Path, text: str, said: str) -> None:
 def test_what_is_written_changes_nothing_until_a_sign_is_taken_away(tmp_path: Path) -> None:
     character = load_character(save_pmx(wardrobe_character(810_003), tmp_path / "one.pmx"))
     path = tmp_path / "one.apparel.toml"
-    facts = {"name": "前髪 \"1\"", "kind": "hair", "links": 3, "hangs_on": "head", "limit": 12.5, "stiffness": 0.3,
-             "damping": 0.93, "gravity": 1.0, "mass": 0.5}  # fmt: skip
+    facts = {"name": '前髪 "1"', "kind": "hair", "links": 3, "hangs_on": "head\n[tail]", "limit": 12.5,
+             "stiffness": 0.3, "damping": 0.93, "gravity": 1.0, "mass": 0.5}  # fmt: skip
     write_manners([facts, {**facts, "name": "hair_1"}], path)
     assert manners_beside(character) == {'前髪 "1"': {}, "hair_1": {}}
     assert with_manners([HAIR], manners_beside(character)) == (HAIR,)

@@ -81,8 +81,8 @@ def write_manners(chains: Sequence[Mapping[str, Any]], path: Path) -> None:
     """
     lines = ["# How apparel swings. Take away the sign # before what is to count, and change the number."]
     for chain in chains:
-        name = json.dumps(chain["name"], ensure_ascii=False)
-        lines += ["", f"[{name}]  # {chain['kind']}, {chain['links']} links on {chain['hangs_on']}"]
+        name, holder = (json.dumps(str(chain[key]), ensure_ascii=False) for key in ("name", "hangs_on"))
+        lines += ["", f"[{name}]  # {chain['kind']}, {chain['links']} links on {holder}"]
         lines += [f"# {key} = {float(chain[key]):.4g}" for key in _BOUNDS]
     with atomic_write(path) as file:
         file.write(("\n".join(lines) + "\n").encode())
