@@ -1,10 +1,11 @@
 """What `animate --rig own` keeps of rigged files, and how near its motion is to that of 30 handles.
 
-    python benchmarks/own_rigs.py FOLDER [--sentence "walks forward"] [--seed 1]
+    python benchmarks/own_rigs.py FOLDER [--sentence "walks forward"] [--seed 1] [--handles predict|rig]
 
 For each file of the folder: whether bones, names, parents, bind pose, weights and the file's other clips are the same
 in what is written; and of upper and lower arms and legs, mean over frames and limbs [degrees], the angle between the
-file's bones and 30 predicted handles that the same motion moves, and of each to that motion itself.
+file's bones and 30 handles that the same motion moves, and of each to that motion itself. The handles are predicted
+from the mesh, or have the weights of the file's rig, which tells what of an angle is the prediction's.
 """
 
 from __future__ import annotations
@@ -103,7 +104,7 @@ def angle(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
 
 
-def row(path: Path, request: Request, folder: Path) -> str:
+def row(path: Path, request: Request, folder: Path, handles: str) -> str:
     """One line of the table."""
     given = load_character(path, unit="m", clips=30.0)
     character = stand_up(given, path, "auto", "auto", "auto")
@@ -115,7 +116,7 @@ def row(path: Path, request: Request, folder: Path) -> str:
     assert isinstance(moved, RigAnimation)
     written = load_character(moved.save(folder / f"{path.stem}.glb"))
     lost = kept(character, written)
-    other = animator(character, Request(request.sentence, request.sampling, rig="handles"))
+    other = animator(character, Request(request.sentence, request.sampling, handles=handles, rig="handles"))
     assert isinstance(other, Animation)
     angles = limb_angles(moved, other, own.parts)
     worst = max(angles, key=lambda name: angles[name][0])
@@ -135,6 +136,7 @@ def main() -> None:
     parser.add_argument("--sentence", default="walks forward")
     parser.add_argument("--seconds", type=float, default=3.0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--handles", choices=("predict", "rig"), default="predict")
     parser.add_argument("--keep", type=Path, help="write the GLBs here")
     asked = parser.parse_args()
     request = Request(asked.sentence, Sampling(asked.seconds, asked.seed, candidates=1))
@@ -143,7 +145,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for path in sorted(some for some in asked.folder.iterdir() if some.is_file()):
             try:
-                print(row(path, request, asked.keep or Path(folder)), flush=True)
+                print(row(path, request, asked.keep or Path(folder), asked.handles), flush=True)
             except BunrakuError as error:
                 print(f"| {path.name} | failed: {error} | | | |", flush=True)
 
