@@ -1,12 +1,13 @@
 """Bare meshes that move with and without apparel, side by side in a hidden order, for people to judge.
 
-    python benchmarks/apparel_blind.py ARCHIVE --draw                   the list of meshes, by lot: apparel_blind.txt
+    python benchmarks/apparel_blind.py ARCHIVE --draw                   the list of meshes, by lot: apparel_blind_2.txt
     python benchmarks/apparel_blind.py ARCHIVE FOLDER --key KEY         a sheet for each, and which is which
     python benchmarks/apparel_blind.py ARCHIVE --key KEY --answers A B  counts answers
 
 ARCHIVE holds MakeHuman's clothes and hair (`makehuman/`), and the files of the list's third part (`files/`). A sheet
 has two rows of moments for A and two for B: one moves with `--apparel auto`, the other without. Each mesh moves by one
-clip of the library, drawn by lot too. Answers are lines "NUMBER A" or "NUMBER B"; "=" stands for no difference.
+clip of the library, drawn by lot too. `--use seen` takes the first list, `apparel_blind.txt`, whose pictures have been
+looked at since. Answers are lines "NUMBER A" or "NUMBER B"; "=" stands for no difference.
 """
 
 from __future__ import annotations
@@ -33,14 +34,13 @@ from bunraku.render.frames import render_animation
 from bunraku.render.sheets import assemble
 from bunraku.render.video import write_png
 
-LIST = Path(__file__).with_suffix(".txt")
+FOLDER = Path(__file__).parent
 EACH = 10
-FIRST = 830_000
 SECONDS, MOMENTS = 4.0, 16
 MOVING = ("walk & run", "dance", "fight")  # kinds of clips of which apparel feels something
 SIZE = (250, 320)
 WORDS = ("skirt", "gown", "cape", "ears", "tail", "dress", "hair", "ponytail", "braid", "bob")
-POOL = (  # meshes of public repositories that wear a skirt, a cape, long hair, ears or a tail: looked at at rest alone
+SEEN = (  # meshes of public repositories that wear a skirt, a cape, long hair, ears or a tail: looked at at rest alone
     "BabylonJS/SummerFestival 4731f69e player.glb", "Norsninja/siege_bakery 1ad76d4a cloudgiant.glb",
     "Norsninja/siege_bakery caa64bde frostgiant.glb", "Norsninja/siege_bakery 780d2370 cyclops.glb",
     "SergeBressloff/SpeakAndSee3D 6e144d98 viking.glb", "alecjacobson/common-3d-test-models 39cc2181 cheburashka.obj",
@@ -53,26 +53,45 @@ POOL = (  # meshes of public repositories that wear a skirt, a cape, long hair, 
     "wolfxxx/rpg-grok f92f688c goblin.glb", "shriyanangia/Website b7670f92 678597c3de70b99d94453ace.glb",
     "zhan-xu/RigNet 01156e9d 9477_ori.obj",
 )  # fmt: skip
+FRESH = (  # others of the same kind, none of which was moved or looked at in motion before the list was drawn
+    "sgozz/combat-sim da15e6d6 cleric.glb",
+    "sgozz/combat-sim 5eeafdbe monk.glb",
+    "sgozz/combat-sim 3dfe6810 wizard.glb",
+    "sgozz/combat-sim 5d954fbd rogue.glb",
+    "Norsninja/siege_bakery caa64bde frostgiant.glb",
+    "SergeBressloff/SpeakAndSee3D 6e144d98 viking.glb",
+    "BabylonJS/SummerFestival 4731f69e player.glb",
+    "gdquest-demos/godot-4-3D-Characters d8ecb0d5 sophia.glb",
+    "r44336742-ctrl/vrm-character-controller 1ef3df9d nami_idle.fbx",
+    "m2wasabi/jThree-Azure-StarterDemo 6442b6ba aoi.pmx",
+    "m2wasabi/jThree-Azure-StarterDemo f893999b haku.pmx",
+    "edvakf/MMD.js 68e64954 Miku_Hatsune.pmd",
+    "edvakf/MMD.js 13085b49 MEIKO.pmd",
+    "edvakf/MMD.js 14a866b0 Rin_Kagamine.pmd",
+)  # fmt: skip
+LISTS = {"seen": ("apparel_blind.txt", 2830, 830_000, SEEN), "fresh": ("apparel_blind_2.txt", 2831, 880_000, FRESH)}
+"""Name of each list, what its lot is drawn by, its first seed, and its files."""
 
 
-def draw(archive: Path) -> None:
+def draw(archive: Path, use: str) -> None:
     """Write the list: kind, what, and the clip that it moves by."""
     from bunraku_lab.synthetic.dressed.people import dressed_person
     from bunraku_lab.synthetic.wardrobe.makehuman import closet
 
-    rng = np.random.default_rng(2830)
-    rows = [("wardrobe", str(FIRST + number)) for number in range(EACH)]
-    seed, clothes = FIRST, closet(str(archive / "makehuman"))
+    name, lot, first, pool = LISTS[use]
+    rng = np.random.default_rng(lot)
+    rows = [("wardrobe", str(first + number)) for number in range(EACH)]
+    seed, clothes = first, closet(str(archive / "makehuman"))
     while len(rows) < 2 * EACH:
         outfit = dressed_person(clothes, seed).outfit
         if any(word in outfit for word in WORDS):
             rows.append(("makehuman", str(seed)))
         seed += 1
-    rows += [("file", POOL[number]) for number in sorted(rng.choice(len(POOL), EACH, replace=False))]
+    rows += [("file", pool[number]) for number in sorted(rng.choice(len(pool), EACH, replace=False))]
     known = sorted(one.name for one in all_clips() if one.tags[0] in MOVING and (one.loops or one.seconds >= SECONDS))
     clips = [known[number] for number in rng.choice(len(known), len(rows), replace=False)]
-    lines = ["\t".join((kind, what, name)) for (kind, what), name in zip(rows, clips, strict=True)]
-    LIST.write_text("\n".join(lines) + "\n")
+    lines = ["\t".join((kind, what, moves)) for (kind, what), moves in zip(rows, clips, strict=True)]
+    (FOLDER / name).write_text("\n".join(lines) + "\n")
 
 
 def bare(kind: str, what: str, archive: Path) -> Character:
@@ -111,11 +130,12 @@ def main() -> None:
     parser.add_argument("--key", type=Path)
     parser.add_argument("--answers", type=Path, nargs="+")
     parser.add_argument("--draw", action="store_true")
+    parser.add_argument("--use", choices=tuple(LISTS), default="fresh")
     asked = parser.parse_args()
     if asked.draw:
-        draw(asked.archive)
+        draw(asked.archive, asked.use)
         return
-    rows = [line.split("\t") for line in LIST.read_text().splitlines()]
+    rows = [line.split("\t") for line in (FOLDER / LISTS[asked.use][0]).read_text().splitlines()]
     if asked.answers:
         count(rows, json.loads(asked.key.read_text()), asked.answers)
         return
