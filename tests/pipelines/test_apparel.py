@@ -91,7 +91,7 @@ def test_a_mask_file_is_taken(animation, weights, tmp_path):
 
 def test_what_a_request_knows_of_the_body_is_not_asked_again(animation):
     anatomy = Anatomy.of(animation.character, animation.handles)
-    vars(anatomy)["plan"] = replace(anatomy.plan, hind=0)  # as if it had said that nobody is there
+    vars(anatomy)["plan"] = replace(anatomy.plan, arms=False, wings=False)  # as if it were no person
     assert dressed(animation, "auto", anatomy=anatomy) is animation
 
 

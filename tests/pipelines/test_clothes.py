@@ -26,4 +26,4 @@ def test_too_much_is_asked_about() -> None:
     little[order[share < MOST - 0.05]] = True
     much[order[share < MOST + 0.05]] = True
     assert too_much(person, little) == ""
-    assert "50%" in too_much(person, much) and "mask" in too_much(person, much)
+    assert f"{MOST + 0.05:.0%}" in too_much(person, much) and "mask" in too_much(person, much)

@@ -30,10 +30,13 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError
 from bunraku.nn.checkpoints import dated_checkpoint
 from bunraku.physics.chains.animated import with_apparel
+from bunraku.physics.chains.laid import Chained
 from bunraku.physics.chains.manners_file import manners_beside
 from bunraku.physics.chains.moving import moving_rig, steady_simulation
 from bunraku.physics.chains.on_handles import on_handle_rig
 from bunraku.physics.chains.outside import outside
+from bunraku.physics.chains.over_legs import over_legs
+from bunraku.physics.chains.together import swung_less, together
 from bunraku.physics.chains.told_parts import with_told_parts
 from bunraku.physics.chains.torn import torn_parts
 from bunraku.physics.from_file import apparel_rig
@@ -47,6 +50,8 @@ Progress = Callable[[str, float], None]
 LEAST = 0.01
 """Share of the vertices under which `auto` takes a mesh to have no apparel."""
 RATE = 30.0
+CALMER = 2
+"""How often what is torn is made to swing half as far."""
 WHOLE = 3
 """How often chains are laid anew without the parts that they tear."""
 _log = logging.getLogger(__name__)
@@ -170,6 +175,13 @@ def chained(
     Raises:
         CharacterError: No part of the mesh is apparel that chains can be laid over.
     """
+    return _chained(animation, clothed, stiffness, gravity, progress)[0]
+
+
+def _chained(
+    animation: Animation | RigAnimation, clothed: ClothedCharacter, stiffness: float, gravity: float,
+    progress: Progress | None,
+) -> tuple[RigAnimation, Chained]:  # fmt: skip
     progress = progress or (lambda stage, done: None)
     progress("apparel", 0.0)
     body = _unified(animation.character) if isinstance(animation, RigAnimation) else None
@@ -179,31 +191,38 @@ def chained(
         handles = animation.animation() if isinstance(animation, RigAnimation) else animation
         moved, bones = on_handle_rig(handles.at(RATE)), np.arange(JOINT_COUNT)
     made = laid_over(moved.character, clothed, bones, stiffness, gravity)
-    found = steady_simulation(made.on(moved), made.rig(), progress=lambda done: progress("apparel", done))
+    found = steady_simulation(made.on(moved), made.rig(tied=False), progress=lambda done: progress("apparel", done))
     for problem in found.report.problems():
         _log.warning("%s: %s", animation.character.name, problem)
-    return outside(found.animation, made.chains, clothed, bones)
+    calm = together(found.animation, made.chains, made.near)
+    calm = over_legs(calm, made.chains, made.near, clothed, bones)
+    return outside(calm, made.chains, clothed, bones), made
 
 
 def _whole(
     animation: Animation | RigAnimation, clothed: ClothedCharacter, stiffness: float, gravity: float,
     progress: Progress | None,
 ) -> Animation | RigAnimation:  # fmt: skip
-    """`chained` with the parts that it would tear going with the body; as it is where that are all. What somebody said
-    to be apparel moves all the same, and a line says so.
+    """`chained` with the parts that it would tear swinging less, and going with the body where that does not help; as
+    it is where that are all. What somebody said to be apparel moves all the same, and a line says so.
     """
     plain, own = animation.at(RATE), artist_mask_file(animation.character) is not None
+    name = animation.character.name
     for attempt in range(WHOLE):
         try:
-            found = chained(animation, clothed, stiffness=stiffness, gravity=gravity, progress=progress)
+            found, made = _chained(animation, clothed, stiffness, gravity, progress)
         except CharacterError:
             if attempt:
                 break
             raise
         torn = torn_parts(clothed, found.vertices, plain.vertices, len(found))
+        for _ in range(CALMER):
+            if torn:
+                found = swung_less(found, made.chains, made.of_vertices(np.isin(clothed.part, list(torn))))
+                torn = torn_parts(clothed, found.vertices, plain.vertices, len(found))
         if not torn:
             return found
-        name, count = animation.character.name, len(torn)
+        count = len(torn)
         if own:
             _log.warning("%s: %d parts of the mask are torn; paint them to an edge of their surface", name, count)
             return found

@@ -10,9 +10,10 @@ from bunraku.anatomy.anatomy import Anatomy
 from bunraku.apparel.artist_mask import artist_mask
 from bunraku.apparel.clothed import SOFTEST, STIFFEST, ClothedCharacter
 from bunraku.apparel.fitting import fitted_clothes, joint_weights_of_handles, joints_of_handles, without_worn
+from bunraku.apparel.hanging import hanging_mask
 from bunraku.apparel.mask import apparel_mask
 from bunraku.apparel.segmentation.predict import find_apparel
-from bunraku.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_PARENTS
+from bunraku.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError
 from bunraku.physics.chains.fitted import carried, fitted_rig
@@ -34,7 +35,8 @@ __all__ = [
     "wears",
 ]
 
-MOST = 0.45
+_HEAD = JOINT_NAMES.index("head")
+MOST = 0.75
 """Of the surface: who wears more is asked about."""
 ONE, STIFF = 0.99, 0.8
 """A machine or a skeleton: so much of its surface moves with one handle alone, which holds so much of it."""
@@ -65,14 +67,20 @@ def told_apart(
         stiffness: Factor on how stiff they are.
     """
     found = find_apparel(character.vertices, character.faces, joints)
+    hair = np.zeros(len(character.vertices), bool)
     if mask is None:
         mask = without_worn(character.vertices, character.faces, joints, weights, found.mask)
+        mask, hair = hanging_mask(
+            character.vertices, character.faces, joints, weights, character.areas, found.likely, mask
+        )
     dial = np.float32(np.log10(stiffness))
-    return fitted_clothes(
+    clothed = fitted_clothes(
         character.vertices, character.faces, joints, weights,
         mask,
         np.clip(found.stiffness + dial, SOFTEST, STIFFEST), found.damping,
     )  # fmt: skip
+    own = (hair & clothed.apparel)[:, None]
+    return replace(clothed, weights=np.where(own, np.eye(JOINT_COUNT, dtype=np.float32)[_HEAD], clothed.weights))
 
 
 def apparel_of(character: Character, handles: Handles, mask: np.ndarray | None = None) -> np.ndarray:
@@ -107,11 +115,12 @@ def too_much(character: Character, apparel: np.ndarray) -> str:
 
 def wears(anatomy: Anatomy) -> bool:
     """Whether what the segmentation network finds on a body counts: it knows people, and calls the legs of a horse
-    sleeves, and the plates of a machine skirts.
+    sleeves, and the plates of a machine skirts. Long tails of hair may be taken for the wings of a person.
     """
     areas = anatomy.character.areas
     stiff = float(areas[anatomy.handles.weights.max(axis=1) > ONE].sum()) > STIFF * float(areas.sum())
-    return anatomy.plan.kind == "person" and not stiff
+    plan = anatomy.plan
+    return (plan.kind == "person" or (plan.kind == "two legs" and plan.upright and plan.wings)) and not stiff
 
 
 def laid_over(

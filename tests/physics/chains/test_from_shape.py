@@ -18,9 +18,9 @@ JOINTS = np.arange(JOINT_COUNT)
 Laid = tuple[Chained, LaidChains, Character]
 
 
-@pytest.fixture(scope="module", params=[810_010, 810_016])
+@pytest.fixture(scope="module", params=[870_003, 810_016])
 def laid(request: pytest.FixtureRequest) -> Laid:
-    """A character in a pleated dress with twin tails, and one with ears, a tail and a scarf; their files' bones are
+    """A character with long hair, and one with ears, a tail and a scarf; their files' bones are
     not told.
     """
     clothed = clothed_from_file(wardrobe_character(request.param))
@@ -74,9 +74,9 @@ def test_chains_swing_and_do_not_fly(laid: Laid) -> None:
     assert not result.report.recoveries
     away = np.linalg.norm(result.animation.vertices() - animation.vertices(), axis=-1)
     size = float(np.ptp(made.character.vertices[:, 1]))
-    soft = with_chains(body, found.turned(0.1, 1.0), JOINTS)
-    farther = steady_simulation(_swung(soft, body), soft.rig()).animation.vertices() - animation.vertices()
-    assert np.linalg.norm(farther, axis=-1).max() > max(1.3 * away.max(), 0.01 * size)
+    stiff = with_chains(body, found.turned(10.0, 1.0), JOINTS)
+    less = steady_simulation(_swung(stiff, body), stiff.rig()).animation.vertices() - animation.vertices()
+    assert np.linalg.norm(less, axis=-1).max() < 0.7 * away.max()
     assert away[:, found.vertices].max() > 0.005 * size
     assert away.max() < 0.5 * size
     still = np.ones(len(made.character.vertices), bool)

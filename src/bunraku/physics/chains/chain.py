@@ -25,6 +25,7 @@ class Manner:
         damping: Share of the velocity that is lost in a second.
         mass: Of the first link [kg]; those below are lighter, the last has half.
         gravity: Factor on gravity.
+        root: Of its limits, what the first link has; those below have more, the last all of them.
     """
 
     limit: float
@@ -33,6 +34,7 @@ class Manner:
     damping: float
     mass: float = 0.5
     gravity: float = 1.0
+    root: float = 1.0
 
     def turned(self, stiffness: float = 1.0, gravity: float = 1.0) -> Manner:
         """As a user's dials ask: springs so many times as stiff and limits narrower by the root of that, gravity so
@@ -76,6 +78,7 @@ _LAID = {
 LONG = 0.15
 """Of the size [m]: shorter chains hold their shape more."""
 SHORT_SHARE = 0.4  # of its limits, that the shortest chain has at least
+ROOT = 0.5  # of its limits, that the first link of a chain has
 
 
 def laid_manner(kind: str, length: float) -> Manner:
@@ -86,7 +89,7 @@ def laid_manner(kind: str, length: float) -> Manner:
         length: Over the size of the character.
     """
     manner = _LAID[kind]
-    return replace(manner, limit=manner.limit * float(np.clip(length / LONG, SHORT_SHARE, 1.0)))
+    return replace(manner, limit=manner.limit * float(np.clip(length / LONG, SHORT_SHARE, 1.0)), root=ROOT)
 
 
 def manner_of(kind: str) -> Manner:

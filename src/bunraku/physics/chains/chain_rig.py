@@ -54,8 +54,7 @@ def chain_rig(
             gravity.append(1.0)
             above = by_bone[chain.holder] = len(bodies) - 1
         links = len(chain)
-        share = 1 - 0.5 * np.arange(links) / max(links - 1, 1)
-        masses = chain.manner.mass * share
+        masses = chain.manner.mass * (1 - 0.5 * np.arange(links) / max(links - 1, 1))
         numbers = []
         for link in range(links):
             start, end = chain.points[link], chain.points[link + 1]
@@ -67,7 +66,8 @@ def chain_rig(
             middle = 0.5 * (chain.points[link:-1] + chain.points[link + 1 :])
             lever = np.linalg.norm(middle - start, axis=1)
             moment = float((masses[link:] * lever).sum()) * GRAVITY
-            joints.append(_joint(chain, (above, number), start, frame, moment))
+            share = chain.manner.root + (1 - chain.manner.root) * link / max(links - 1, 1)
+            joints.append(_joint(chain, (above, number), start, frame, moment, share))
             by_bone.setdefault(int(chain.bones[link]), number)
             numbers.append(number)
             above = number
@@ -147,8 +147,10 @@ def _link(chain: Chain, link: int, start: np.ndarray, end: np.ndarray, frame: np
     )  # fmt: skip
 
 
-def _joint(chain: Chain, bodies: tuple[int, int], start: np.ndarray, frame: np.ndarray, moment: float) -> MmdJoint:
-    manner = chain.manner
+def _joint(
+    chain: Chain, bodies: tuple[int, int], start: np.ndarray, frame: np.ndarray, moment: float, share: float
+) -> MmdJoint:
+    manner = replace(chain.manner, limit=chain.manner.limit * share)
     # Bullet counts an angle from the second body to the first: about x, outwards is positive.
     outward, inward = manner.limit, manner.limit * manner.inward
     side = manner.limit * (SIDE if chain.kind in CLOTH else 1.0)

@@ -1,5 +1,8 @@
-"""Chains of a mesh without bones for its apparel: a spine a lock for hair, tails, ears and ribbons, columns of links
-with ties all round for skirts, sheets of them for capes and sleeves, and a smooth skin on them.
+"""Chains of a mesh without bones for its apparel: each runs from where a piece is held to one of its ends, and they
+are spread along these ends; a lock or a tail has one, a shell of hair, a cape or a skirt columns side by side.
+
+The skin passes smoothly from column to column and from link to link along the surface, and to the body where the
+piece is held, so no cut goes through a connected surface.
 """
 
 from __future__ import annotations
@@ -7,9 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import diags
+from scipy.spatial import cKDTree
 
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.body.layout import JOINT_COUNT
+from bunraku.geometry.easing import smooth_step
 from bunraku.physics.chains.chain import Chain, laid_manner
 from bunraku.physics.chains.laid import LaidChains
 from bunraku.physics.chains.sheets import Piece, pieces_of
@@ -18,25 +24,56 @@ __all__ = ["shape_chains"]
 
 LINK = 0.115
 """Length of a link over the size [m]."""
-WIDE = {"skirt": 0.19, "cape": 0.17, "sleeve": 0.2}
+WIDE = {"skirt": 0.17, "cape": 0.17, "sleeve": 0.2}
 """Width of a column over the size [m]."""
-LOCK = 0.16  # of other kinds
+LOCK = 0.13  # of other kinds
 MOST_LINKS, MOST_COLUMNS = 6, 14
-SHORTEST = 0.025
-"""Over the size [m]: a piece that reaches less far stays with what it hangs on."""
-HOLDS = 0.5  # of a link: as far from where it begins its skin goes over to what it hangs on
+LEAST = {"skirt": 8, "cape": 3}
+"""Columns that a sheet has at least."""
+SHORTEST = 0.05
+"""Over the size [m]: what reaches less far from where it is held stays there."""
+SHORT = 0.45
+"""Of the farthest end: a shorter end gets a chain of its own only where none is near."""
+LOOKED = 700
+"""Points among which ends are looked for."""
+SLOPE = 0.03
+"""Over the size [m]: points are ends where none near reaches so much farther."""
+NEXT = 2.2
+"""Neighbours of a sheet are nearer to each other than so many times the width of a column."""
+EVENED = 4
+"""How often ends are moved to the middle of what is nearest to them."""
+HOLDS = 0.9  # of a link: as far from where it begins its skin goes over to what it hangs on
+BROAD = 0.45  # of a column's width: standard deviation of what it holds
+EASED = 6
+"""How often shares are averaged along the surface."""
+HOLDERS = 6
+"""Links that hold a vertex."""
 TIED = ("skirt", "cape", "sleeve")
+SHARED = 0.04
+"""Of what two columns hold: as much as this in common makes them neighbours."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Column:
-    """A chain of a piece: its points, and how far along the surface the first and the last are."""
+    """A chain of a piece: its points, shape (R + 1, 3), and how far along the surface its end is [m]."""
 
-    angle: float
     points: np.ndarray
-    start: float
     end: float
-    width: float
+
+    @property
+    def links(self) -> int:
+        return len(self.points) - 1
+
+    def at(self, along: np.ndarray) -> np.ndarray:
+        """How many links down distances along the surface are."""
+        return np.asarray(np.clip(along / self.end, 0, 1) * self.links)
+
+    def beside(self, points: np.ndarray, along: np.ndarray) -> np.ndarray:
+        """How far points are from the place of the column as far along [m]."""
+        at = self.at(along)
+        row = np.minimum(at.astype(np.int64), self.links - 1)
+        place = self.points[row] + (at - row)[:, None] * (self.points[row + 1] - self.points[row])
+        return np.asarray(np.linalg.norm(points - place, axis=1))
 
 
 def shape_chains(clothed: ClothedCharacter) -> LaidChains:
@@ -52,179 +89,176 @@ def shape_chains(clothed: ClothedCharacter) -> LaidChains:
     size = clothed.scale
     chains: list[Chain] = []
     ties: list[tuple[int, int]] = []
-    first: dict[int, tuple[list[_Column], list[int]]] = {}  # of a piece: its columns, and number of their first links
-    ends: dict[int, list[int]] = {}
+    near: list[tuple[int, int, float]] = []
     count = int(index.max()) + 1
-    links, shares = np.zeros((count, 4), np.int64), np.zeros((count, 4))
+    links, shares = np.zeros((count, HOLDERS), np.int64), np.zeros((count, HOLDERS))
     total = 0
     for number, piece in enumerate(pieces):
         columns = _columns(piece, size)
-        holders = _holders(piece, pieces, first, ends, columns)
-        if not columns:  # too short for links of its own: it goes with what it hangs on
-            above = ends.get(piece.above)
-            if above:
-                links[piece.rows, 0], shares[piece.rows, 0] = above[0], 1.0
-                ends[number], first[number] = above, first[piece.above]
+        if not columns:
             continue
-        starts, lasts, base = [], [], len(chains)
+        wide = WIDE.get(piece.kind, LOCK) * size
+        held, common = _hold(piece, columns, wide)
+        links[piece.rows], shares[piece.rows] = held[0] + total, held[1]
+        base = len(chains)
         for place, column in enumerate(columns):
-            rows = len(column.points) - 1
-            starts.append(total)
-            bones = JOINT_COUNT + total + np.arange(rows)
-            total += rows
-            lasts.append(total - 1)
-            width = np.full(rows, column.width)
+            bones = JOINT_COUNT + total + np.arange(column.links)
+            total += column.links
+            width = _half_width(piece, column, wide, size)
             chains.append(
                 Chain(
-                    f"{piece.kind}_{number}_{place}",
-                    piece.kind,
-                    bones,
-                    column.points,
-                    holders[place],
-                    width,
-                    float(np.clip(0.25 * column.width, 0.004 * size, 0.015 * size)),
-                    laid_manner(piece.kind, (column.end - column.start) / size),
+                    f"{piece.kind}_{number}_{place}", piece.kind, bones, column.points, piece.joint,
+                    np.full(column.links, width), float(np.clip(0.25 * width, 0.004 * size, 0.015 * size)),
+                    laid_manner(piece.kind, column.end / size),
                 )
-            )
-        if piece.kind in TIED and len(columns) > 1:
-            ties += [(base + place, base + place + 1) for place in range(len(columns) - 1)]
-            if piece.closed and len(columns) > 2:
-                ties.append((base + len(columns) - 1, base))
-        first[number], ends[number] = (columns, starts), lasts
-        above_link = np.array([holder - JOINT_COUNT for holder in holders])
-        _hold(piece, columns, np.array(starts), above_link, links, shares)
+            )  # fmt: skip
+        for one, other in zip(*np.nonzero(np.triu(common > SHARED, 1)), strict=True):
+            near.append((base + int(one), base + int(other), float(common[one, other])))
+        if piece.kind in TIED:
+            ties += [(base + one, base + other) for one, other in _beside(columns, wide)]
     vertices = np.flatnonzero((clothed.part >= 0) & (shares[index].sum(axis=1) > 0))
-    return LaidChains(tuple(chains), tuple(ties), vertices, links[index[vertices]], shares[index[vertices]])
+    return LaidChains(
+        tuple(chains), tuple(ties), vertices, links[index[vertices]], shares[index[vertices]], tuple(near)
+    )
 
 
 def _columns(piece: Piece, size: float) -> list[_Column]:
     """Where the chains of a piece run; none where it is too short."""
-    length = float(piece.along.max()) - piece.start
-    if length < SHORTEST * size or len(piece.rows) < 4:
-        return []
     wide = WIDE.get(piece.kind, LOCK) * size
-    count = int(np.clip(round(_breadth(piece) / wide), 1, MOST_COLUMNS))
-    if piece.kind == "skirt" and piece.closed:
-        count = max(count, 6)
-    if piece.kind == "cape":
-        count = max(count, 3)
-    step = piece.span / count
+    longest = float(piece.along.max())
+    if longest < SHORTEST * size:
+        return []
+    ends = _ends(piece, wide, size)
     out = []
-    for place in range(count):
-        angle = (place + (0.0 if piece.closed else 0.5)) * step
-        away = np.abs(_apart(piece, piece.angle, angle))
-        near = away <= 0.5 * step + 1e-9
-        if near.sum() < 4:
-            continue
-        start, end = piece.start, float(np.percentile(piece.along[near], 97))
-        if end - start < SHORTEST * size:
-            continue
-        rows = int(np.clip(round((end - start) / (LINK * size)), 1, MOST_LINKS))
-        rows = max(rows, 2) if end - start > 0.08 * size else rows
-        points = _spine(piece, away, max(step, 1e-6) * 0.35, np.linspace(start, end, rows + 1))
-        gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        if gaps.min() < 0.2 * (end - start) / rows:  # folded on itself: a straight line is as good
-            points = np.linspace(points[0], points[-1], rows + 1)
-            if np.linalg.norm(points[-1] - points[0]) < 0.3 * SHORTEST * size:
-                continue
-        middle = points[len(points) // 2]
-        off = np.linalg.norm(piece.points[near] - middle, axis=1)
-        width = float(np.clip(min(_breadth(piece) / count / 2, np.median(off)), 0.006 * size, 0.08 * size))
-        out.append(_Column(angle, points, start, end, width))
+    for end in ends:
+        length = float(piece.along[end])
+        rows = int(np.clip(round(length / (LINK * size)), 1, MOST_LINKS))
+        rows = max(rows, 2) if length > 0.08 * size else rows
+        out.append(_Column(_spine(piece, end, rows, wide), length))
     return out
 
 
-def _breadth(piece: Piece) -> float:
-    """How wide a piece is, all the way across or round, where it hangs [m]."""
-    low, high = piece.start, float(piece.along.max())
-    some = (piece.along > low + 0.4 * (high - low)) & (piece.along < low + 0.9 * (high - low))
-    points = piece.points[some] if some.sum() >= 4 else piece.points
-    if piece.kind in TIED:
-        bins = (
-            (piece.angle[some] / max(piece.span, 1e-9) * 12).astype(np.int64).clip(0, 11) if some.sum() >= 4 else None
-        )
-        if bins is not None:
-            line = np.array([points[bins == one].mean(axis=0) for one in range(12) if (bins == one).any()])
-            if piece.closed:
-                line = np.concatenate([line, line[:1]])
-            if len(line) > 1:
-                return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-    # across: the second axis of what lies at one distance, the first being along
-    gaps = points - points.mean(axis=0)
-    values = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(gaps.T)), 0))
-    return float(values[1] * np.sqrt(12))
+def _ends(piece: Piece, wide: float, size: float) -> list[int]:
+    """Points to which the columns run: the ends of the piece, so far apart as columns are wide."""
+    far = np.flatnonzero(piece.along > SHORTEST * size)
+    if len(far) > LOOKED:
+        far = np.sort(np.random.default_rng(0).choice(far, LOOKED, replace=False))
+        far = np.union1d(far, [piece.along.argmax()])
+    points, along = piece.points[far], piece.along[far]
+    tree = cKDTree(points)
+    highest = np.array([along[some].max() for some in tree.query_ball_point(points, 0.6 * wide)])
+    beside = piece.graph.tocoo()
+    reached = np.array(piece.along)  # of what an edge away reaches farthest: meshes may be coarse
+    np.maximum.at(reached, beside.row, piece.along[beside.col])
+    good = np.flatnonzero(along >= np.maximum(highest, reached[far]) - SLOPE * size)
+    # a short end counts only where no long one is near
+    chosen = [int(good[along[good].argmax()])]
+    gap = np.linalg.norm(points[good] - points[chosen[0]], axis=1)
+    least = LEAST.get(piece.kind, 1)
+    short = 1 + 1.5 * np.clip(SHORT - along[good] / along.max(), 0, 1)
+    while len(chosen) < MOST_COLUMNS:
+        best = int((gap / short).argmax())
+        if gap[best] / short[best] < (wide if len(chosen) >= least else 0.3 * wide):
+            break
+        chosen.append(int(good[best]))
+        gap = np.minimum(gap, np.linalg.norm(points[good] - points[chosen[-1]], axis=1))
+    for _ in range(EVENED):  # farthest points lie once and twice as far apart
+        nearest = cKDTree(points[chosen]).query(points[good])[1]
+        means = [points[good[nearest == one]].mean(axis=0) for one in range(len(chosen))]
+        chosen = [
+            int(good[nearest == one][np.linalg.norm(points[good[nearest == one]] - mean, axis=1).argmin()])
+            for one, mean in enumerate(means)
+        ]
+    return [int(far[one]) for one in chosen]
 
 
-def _apart(piece: Piece, angle: np.ndarray, other: float) -> np.ndarray:
-    """Difference of angles; the short way round where the sheet is closed."""
-    gap = angle - other
-    return (gap + np.pi) % (2 * np.pi) - np.pi if piece.closed else gap
-
-
-def _spine(piece: Piece, away: np.ndarray, wide: float, stops: np.ndarray) -> np.ndarray:
-    """Means of the points about some distances along, near one column, shape (R + 1, 3)."""
-    half = 0.35 * (stops[1] - stops[0])
-    column = np.exp(-0.5 * np.square(np.minimum(away / wide, 6.0)))
+def _spine(piece: Piece, end: int, rows: int, wide: float) -> np.ndarray:
+    """Means of the points about some distances along, near the way to an end, shape (R + 1, 3)."""
+    way = [end]
+    while piece.before[way[-1]] >= 0:
+        way.append(int(piece.before[way[-1]]))
+    way = way[::-1]
+    stops = np.linspace(0, piece.along[end], rows + 1)
+    guide = np.stack([np.interp(stops, piece.along[way], piece.points[way][:, axis]) for axis in range(3)], axis=1)
+    half = 0.35 * stops[1]
     out = []
-    for stop in stops:
-        level = np.exp(-0.5 * np.square(np.clip((piece.along - stop) / half, -8, 8)))
-        share = column * level + 1e-30
+    for stop, place in zip(stops, guide, strict=True):
+        level = np.square(np.clip((piece.along - stop) / half, -8, 8))
+        across = np.square(np.linalg.norm(piece.points - place, axis=1) / (0.35 * wide))
+        share = np.exp(-0.5 * np.minimum(level + across, 1000)) + 1e-300
         out.append(share @ piece.points / share.sum())
     return np.array(out)
 
 
-def _holders(
-    piece: Piece, pieces: list[Piece], first: dict[int, tuple[list[_Column], list[int]]], ends: dict[int, list[int]],
-    columns: list[_Column],
-) -> list[int]:  # fmt: skip
-    """What each column hangs on: the joint of the body, or the nearest link of the piece that it branches off from."""
-    if piece.above < 0 or piece.above not in first:
-        return [piece.joint] * len(columns)
-    above, starts = first[piece.above]
-    out = []
-    for column in columns:
-        best, where = np.inf, 0
-        for parent, start in zip(above, starts, strict=True):
-            gaps = np.linalg.norm(parent.points[1:] - column.points[0], axis=1)
-            if gaps.min() < best:
-                best, where = float(gaps.min()), start + int(gaps.argmin())
-        out.append(JOINT_COUNT + where)
-    return out
+def _half_width(piece: Piece, column: _Column, wide: float, size: float) -> float:
+    """Half the width of what a column holds [m]."""
+    away = column.beside(piece.points, piece.along)
+    mine = (away < 0.6 * wide) & (piece.along > 0.3 * column.end)
+    spread = float(np.percentile(away[mine], 80)) if mine.sum() > 3 else 0.25 * wide
+    return float(np.clip(min(spread, 0.5 * wide), 0.006 * size, 0.08 * size))
 
 
-def _hold(
-    piece: Piece, columns: list[_Column], starts: np.ndarray, above: np.ndarray, links: np.ndarray, shares: np.ndarray
-) -> None:
-    """Which links hold the points of a piece: the two columns on both sides, the two links above and below."""
-    angles = np.array([column.angle for column in columns])
-    gaps = np.stack([_apart(piece, piece.angle, angle) for angle in angles], axis=1)
-    count = len(columns)
-    if count == 1:
-        sides = [(np.zeros(len(piece.rows), np.int64), np.ones(len(piece.rows)))]
-    else:
-        left = np.where(gaps >= 0, gaps, np.inf)
-        right = np.where(gaps < 0, -gaps, np.inf)
-        one, other = left.argmin(axis=1), right.argmin(axis=1)
-        near = np.arange(len(gaps))
-        a, b = left[near, one], right[near, other]
-        one, other = np.where(np.isfinite(a), one, other), np.where(np.isfinite(b), other, one)
-        a, b = np.where(np.isfinite(a), a, 0.0), np.where(np.isfinite(b), b, 0.0)
-        share = np.where(a + b > 1e-12, b / np.maximum(a + b, 1e-12), 0.5)
-        share = np.where(one == other, 0.5, share)
-        sides = [(one, share), (other, 1 - share)]
-    out_links, out_shares = np.zeros((len(piece.rows), 4), np.int64), np.zeros((len(piece.rows), 4))
-    for place, (column, share) in enumerate(sides):
-        begin = np.array([one.start for one in columns])[column]
-        end = np.array([one.end for one in columns])[column]
-        rows = np.array([len(one.points) - 1 for one in columns])[column]
-        at = np.clip((piece.along - begin) / np.maximum(end - begin, 1e-9), 0, 1) * rows
-        body = np.clip(1 - at / HOLDS, 0, 1)
-        lower = np.clip(np.floor(at - 0.5), 0, rows - 1).astype(np.int64)
-        upper = np.minimum(lower + 1, rows - 1)
-        share_up = np.clip(at - 0.5 - lower, 0, 1)
-        hung = above[column] >= 0
-        out_links[:, 2 * place] = np.where((body > 0) & hung, above[column], starts[column] + upper)
-        out_shares[:, 2 * place] = np.where(body > 0, np.where(hung, body, 0.0), share_up) * share
-        out_links[:, 2 * place + 1] = starts[column] + lower
-        out_shares[:, 2 * place + 1] = np.where(body > 0, 1 - body, 1 - share_up) * share
-    links[piece.rows], shares[piece.rows] = out_links, out_shares
+def _beside(columns: list[_Column], wide: float) -> list[tuple[int, int]]:
+    """Pairs of columns that are neighbours in their order about the middle of them all."""
+    if len(columns) < 2:
+        return []
+    middle = np.array([column.points.mean(axis=0) for column in columns])
+    away = middle - middle.mean(axis=0)
+    order = np.argsort(np.arctan2(away[:, 0], away[:, 2]), kind="stable").tolist()
+    pairs = list(zip(order, order[1:] + order[:1] if len(order) > 2 else order[1:], strict=False))
+    return [(one, other) for one, other in pairs if np.linalg.norm(middle[one] - middle[other]) < NEXT * wide]
+
+
+def _hold(piece: Piece, columns: list[_Column], wide: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Links that hold the points of a piece and how much, each shape (P, HOLDERS), numbered from its first; and how
+    much of what one column holds each other one holds too, shape (C, C).
+    """
+    away = np.stack([column.beside(piece.points, piece.along) for column in columns], axis=1)
+    near = away.min(axis=1, keepdims=True)
+    share = np.exp(-0.5 * (np.square(away) - np.square(near)) / (BROAD * wide) ** 2)
+    share = _smooth(piece, share / share.sum(axis=1, keepdims=True))
+    size = np.sqrt(np.square(share).sum(axis=0))
+    common = (share.T @ share) / np.maximum(np.outer(size, size), 1e-12)
+    held = np.zeros((len(piece.rows), sum(column.links for column in columns)))
+    first = 0
+    for place, column in enumerate(columns):
+        at = column.at(piece.along)
+        free = smooth_step(at / HOLDS, 0.0, 1.0) * share[:, place]
+        lower = np.clip(np.floor(at - 0.5), 0, column.links - 1).astype(np.int64)
+        upper = np.minimum(lower + 1, column.links - 1)
+        more = np.clip(at - 0.5 - lower, 0, 1)
+        rows = np.arange(len(at))
+        held[rows, first + lower] += (1 - more) * free
+        held[rows, first + upper] += more * free
+        first += column.links
+    free = held.sum(axis=1, keepdims=True)
+    held = _smooth(piece, held)
+    held *= free / np.maximum(held.sum(axis=1, keepdims=True), 1e-12)
+    return _most(held), common
+
+
+def _smooth(piece: Piece, values: np.ndarray) -> np.ndarray:
+    """Values averaged along the surface."""
+    joined = piece.graph.copy()
+    joined.data = np.ones_like(joined.data)
+    degree = np.asarray(joined.sum(axis=1)).reshape(-1)
+    mean = diags(1 / np.maximum(degree, 1)) @ joined
+    alone = (degree == 0)[:, None]
+    for _ in range(EASED):
+        values = np.where(alone, values, 0.5 * values + 0.5 * (mean @ values))
+    return values
+
+
+def _most(held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The links that hold most of each point, and how much, so that what falls away at the next one falls away to 0."""
+    count = min(HOLDERS, held.shape[1])
+    order = np.argsort(-held, axis=1, kind="stable")[:, :count]
+    some = np.take_along_axis(held, order, axis=1)
+    total = held.sum(axis=1, keepdims=True)
+    if held.shape[1] > count:
+        next_one = -np.partition(-held, count, axis=1)[:, count : count + 1]
+        some = some - next_one
+    some = some * total / np.maximum(some.sum(axis=1, keepdims=True), 1e-12)
+    links, shares = np.zeros((len(held), HOLDERS), np.int64), np.zeros((len(held), HOLDERS))
+    links[:, :count], shares[:, :count] = order, np.where(total > 1e-4, some, 0.0)
+    return links, shares

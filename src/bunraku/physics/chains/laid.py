@@ -27,8 +27,9 @@ class LaidChains:
         chains: Each after the one that it hangs on.
         ties: Pairs of chains that are neighbours of one sheet.
         vertices: Vertices that links hold, shape (A,).
-        links: Links that hold each of them, shape (A, 4).
-        shares: How much each holds, shape (A, 4); what is left of 1 is the body's.
+        links: Links that hold each of them, shape (A, L).
+        shares: How much each holds, shape (A, L); what is left of 1 is the body's.
+        near: Pairs of chains of one piece whose skin passes over into each other, and how much of it they share.
     """
 
     chains: tuple[Chain, ...]
@@ -36,6 +37,7 @@ class LaidChains:
     vertices: np.ndarray
     links: np.ndarray
     shares: np.ndarray
+    near: tuple[tuple[int, int, float], ...] = ()
 
     @property
     def count(self) -> int:
@@ -73,6 +75,7 @@ class Chained:
         ties: As of `LaidChains`.
         ends: Bone of the end of each chain.
         colliders: Capsules of the legs.
+        near: As of `LaidChains`.
     """
 
     character: Character
@@ -80,11 +83,19 @@ class Chained:
     ties: tuple[tuple[int, int], ...]
     ends: tuple[int, ...]
     colliders: tuple[MmdBody, ...]
+    near: tuple[tuple[int, int, float], ...] = ()
 
-    def rig(self) -> ApparelRig:
-        """Its rigid bodies and joints."""
+    def rig(self, tied: bool = True) -> ApparelRig:
+        """Its rigid bodies and joints; without ties for what `together` joins, which is much faster."""
         assert self.character.rig is not None
-        return chain_rig(self.chains, self.character.rig.positions, self.ties, self.colliders)
+        return chain_rig(self.chains, self.character.rig.positions, self.ties if tied else (), self.colliders)
+
+    def of_vertices(self, chosen: np.ndarray) -> set[int]:
+        """The chains that hold some of the chosen vertices, shape (V,), bool."""
+        rig = self.character.rig
+        assert rig is not None
+        bones = set(rig.indices[chosen][rig.weights[chosen] > 0.05].tolist())
+        return {number for number, chain in enumerate(self.chains) if bones & set(chain.bones.tolist())}
 
     def on(self, animation: RigAnimation) -> RigAnimation:
         """An animation of the rig that the chains were added to, on this one: chains go with what they hang on."""
@@ -138,7 +149,7 @@ def with_chains(character: Character, laid: LaidChains, bones: np.ndarray) -> Ch
     moved = np.arange(len(names)) >= first
     legs = {int(bones[joint]) for joint in LEGS}
     colliders = tuple(_capsule(limb) for limb in body_limbs(grown_character, moved) if limb.bone in legs)
-    return Chained(grown_character, tuple(chains), laid.ties, tuple(range(last, len(names))), colliders)
+    return Chained(grown_character, tuple(chains), laid.ties, tuple(range(last, len(names))), colliders, laid.near)
 
 
 def _capsule(box: MmdBody) -> MmdBody:

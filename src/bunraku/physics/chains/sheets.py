@@ -1,5 +1,8 @@
-"""Pieces of apparel cut out of a mesh: the surface of one part, how far along it each point is from where the part is
-held, how far round it is, and what kind of apparel it is.
+"""Pieces of apparel on a mesh: the surface of what hangs together, how far along it each point is from where it is
+held, and what kind of apparel it is.
+
+Hair is held by the skull and all of it is one piece, however many locks it has; a cape and a skirt are held along the
+whole of their upper edge.
 """
 
 from __future__ import annotations
@@ -7,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import cKDTree
 
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.nodes import surface_distances
@@ -17,13 +21,21 @@ from bunraku.geometry.graph import clean_mesh, unique_edges
 
 __all__ = ["Piece", "pieces_of"]
 
-STEP = 0.045
-"""Of the size [m]: bins of distance in which a piece is looked at for where it branches."""
-SPECK = 0.02  # of a piece's points: a branch with fewer is none
 ROUND = 0.65  # of the directions about the body: a piece that covers so many is a skirt
 BROAD = 0.3  # of them: a piece on the trunk that covers so many is a cape
 BINS = 24
-GAP = 4  # bins: an opening at least so wide makes a sheet open
+NEAR, CLOSE = 6, 0.02
+"""Points are joined to so many that are as near [m, over the size]: cards of hair and layers of cloth lie on one
+another without an edge between them.
+"""
+SKULL = 1.3
+"""Hair within so many times the half axes of the skull is held, what lies above its lower quarter."""
+BALD = 0.75
+"""The half axes of a skull are at least so many times half its height, where hair hides it."""
+UPPER = 0.35
+"""Of the height of a piece of cloth: only what is as high is taken to hold it."""
+EDGE = 0.02
+"""Over the size [m]: cloth is held so far down from its upper edge."""
 _HEAD = tuple(JOINT_NAMES.index(name) for name in ("head", "neck"))
 _HIPS = tuple(JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "left_hip", "right_hip"))
 _ARMS = tuple(JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")
@@ -32,18 +44,16 @@ _ARMS = tuple(JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A stretch of a part without branches.
+    """What hangs together.
 
     Args:
         kind: One of `chain.KINDS`.
-        joint: The joint that carries the part.
+        joint: The joint that carries it.
         rows: Points of the surface (`clean_mesh`), shape (P,).
         points: Where they are [m], shape (P, 3).
-        along: Distance from where the part is held [m], shape (P,).
-        angle: About the axis that it lies around, from the start of the sheet [rad], shape (P,).
-        span: Of the angles; 2 pi where the sheet is closed [rad].
-        start: Distance at which it begins [m].
-        above: The piece that it branches off from, -1 for the body.
+        along: Distance along the surface from where it is held [m], 0 there, shape (P,).
+        before: The point of `rows` that each is reached from, -1 where it is held, shape (P,).
+        graph: Lengths of the edges between points [m], (P, P).
     """
 
     kind: str
@@ -51,20 +61,12 @@ class Piece:
     rows: np.ndarray
     points: np.ndarray
     along: np.ndarray
-    angle: np.ndarray
-    span: float
-    start: float
-    above: int
-
-    @property
-    def closed(self) -> bool:
-        """Whether it goes all the way round."""
-        return self.span > 2 * np.pi - 1e-6
+    before: np.ndarray
+    graph: csr_matrix
 
 
 def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:
-    """The pieces of a character's apparel, each after the one that it branches off from, and the surface's point of
-    each vertex, shape (V,).
+    """The pieces of a character's apparel, and the surface's point of each vertex, shape (V,).
 
     Args:
         clothed: The character; its parts hang whole on one joint each.
@@ -79,91 +81,122 @@ def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:
     along[clean.index[cloth]] = surface_distances(clothed)[cloth]
     joint[clean.index[cloth]] = clothed.weights[cloth].argmax(axis=1)
     edges = unique_edges(clean.faces, count)
-    edges = edges[(part[edges[:, 0]] == part[edges[:, 1]]) & (part[edges[:, 0]] >= 0)]
-    out: list[Piece] = []
+    edges = edges[(part[edges] >= 0).all(axis=1)]
+    groups: list[tuple[str, int, np.ndarray]] = []
+    hair: list[np.ndarray] = []
     for number in range(int(part.max(initial=-1)) + 1):
         rows = np.flatnonzero(part == number)
         if len(rows) < 4:
             continue
         carrier = int(np.bincount(joint[rows]).argmax())
-        own = edges[part[edges[:, 0]] == number]
-        _cut(out, clothed, carrier, rows, points, along, own)
-    return out, clean.index
-
-
-def _cut(
-    out: list[Piece], clothed: ClothedCharacter, joint: int, rows: np.ndarray, points: np.ndarray, along: np.ndarray,
-    edges: np.ndarray,
-) -> None:  # fmt: skip
-    """Add the pieces of a part: one of a sheet, and of what hangs in strands one for each stretch between branches."""
-    angle, radius = _around(clothed, joint, points[rows])
-    kind = _kind(clothed, joint, points[rows], angle, radius, along[rows])
-    if kind in ("skirt", "cape", "sleeve"):
-        turned, span = _opened(angle)
-        out.append(Piece(kind, joint, rows, points[rows], along[rows], turned, span, float(along[rows].min()), -1))
-        return
-    step = STEP * clothed.scale
-    level = np.floor(along / step).astype(np.int64)
-    same = edges[level[edges[:, 0]] == level[edges[:, 1]]]
-    index = np.full(len(points), -1)
-    index[rows] = np.arange(len(rows))
-    pairs = index[same]
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(rows), len(rows)))
-    own_level = level[rows]
-    # loose locks that are one part have no edges between them, and a level may be crossed by one edge alone
-    label = connected_components(graph, directed=False)[1]
-    sizes = np.bincount(label)
-    across = index[edges[level[edges[:, 0]] != level[edges[:, 1]]]]
-    least = max(3, SPECK * len(rows))
-    order = sorted(range(len(sizes)), key=lambda one: (own_level[label == one][0], -sizes[one]))
-    stretch: dict[int, int] = {}  # of a component, its number in `members`
-    members: list[list[int]] = []
-    above: list[int] = []
-    for one in order:
-        touching = across[(label[across] == one).any(axis=1)]
-        others = np.unique(label[touching])
-        lower = [int(other) for other in others
-                 if other in stretch and own_level[label == other][0] < own_level[label == one][0]]  # fmt: skip
-        if not lower:
-            if sizes[one] >= least or own_level[label == one][0] == 0 or not members:
-                stretch[one] = len(members)
-                members.append([one])
-                above.append(-1)
-            else:
-                stretch[one] = _nearest(rows, points, label, one, members)
-                members[stretch[one]].append(one)
-            continue
-        parent = max(lower, key=lambda other: sizes[other])
-        place = stretch[parent]
-        siblings = [other for other in stretch if stretch[other] == place
-                    and own_level[label == other][0] >= own_level[label == one][0]]  # fmt: skip
-        if sizes[one] < least or not siblings:
-            stretch[one] = place
-            members[place].append(one)
+        kind = _kind(clothed, carrier, points[rows], along[rows])
+        if kind == "hair":
+            hair.append(rows)
         else:
-            stretch[one] = len(members)
-            members.append([one])
-            above.append(place)
-    base = len(out)
-    for number, some in enumerate(members):
-        mine = np.isin(label, some)
-        turned, span = _opened(angle[mine])
-        own = rows[mine]
-        out.append(
-            Piece(kind, joint, own, points[own], along[own], turned, span, float(along[own].min()),
-                  -1 if above[number] < 0 else base + above[number])
-        )  # fmt: skip
+            groups.append((kind, carrier, rows))
+    if hair:
+        groups.insert(0, ("hair", _HEAD[0], np.concatenate(hair)))
+    return [_piece(clothed, kind, carrier, rows, points, along, edges) for kind, carrier, rows in groups], clean.index
 
 
-def _nearest(rows: np.ndarray, points: np.ndarray, label: np.ndarray, one: int, members: list[list[int]]) -> int:
-    """The stretch that lies nearest to a component."""
-    middle = points[rows[label == one]].mean(axis=0)
-    gaps = [float(np.linalg.norm(points[rows[np.isin(label, some)]] - middle, axis=1).min()) for some in members]
-    return int(np.argmin(gaps))
+def _piece(
+    clothed: ClothedCharacter, kind: str, joint: int, rows: np.ndarray, points: np.ndarray, along: np.ndarray,
+    edges: np.ndarray,
+) -> Piece:  # fmt: skip
+    own, count = points[rows], len(rows)
+    place = np.full(len(points), -1)
+    place[rows] = np.arange(count)
+    pairs = place[edges]
+    pairs = pairs[(pairs >= 0).all(axis=1)]
+    gap, other = cKDTree(own).query(own, min(NEAR + 1, count), distance_upper_bound=CLOSE * clothed.scale)
+    one, column = np.nonzero(np.isfinite(gap) & (other != np.arange(count)[:, None]))
+    pairs = np.concatenate([pairs, np.stack([one, other[one, column]], axis=1)])
+    seeds = _held(clothed, kind, own, along[rows])
+    pairs = _bridged(own, pairs, seeds)
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    lengths = np.linalg.norm(own[pairs[:, 0]] - own[pairs[:, 1]], axis=1) + 1e-9
+    graph = coo_matrix((lengths, (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
+    graph = graph + graph.T
+    far, before, _ = dijkstra(graph, indices=np.flatnonzero(seeds), min_only=True, return_predecessors=True)
+    return Piece(kind, joint, rows, own, far, np.where(before < 0, -1, before), graph)
 
 
-def _around(clothed: ClothedCharacter, joint: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angle of points about the axis of what carries them, 0 in front, and how far they are from it [m]."""
+def _held(clothed: ClothedCharacter, kind: str, points: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Points at which a piece is held, at least one, shape (P,), bool."""
+    touches = along <= along.min() + 1e-9
+    low, high = float(points[:, 1].min()), float(points[:, 1].max())
+    if kind == "hair":
+        centre, axes = _skull(clothed)
+        away = (points - centre) / axes
+        held = (np.linalg.norm(away, axis=1) < SKULL) & (away[:, 1] > -0.25)
+        return held if held.any() else touches
+    if kind in ("skirt", "cape"):
+        upper = points[:, 1] >= high - UPPER * (high - low)
+        held = (touches & upper) | _upper_edge(clothed, points)
+        return held if held.any() else upper
+    return touches
+
+
+def _upper_edge(clothed: ClothedCharacter, points: np.ndarray) -> np.ndarray:
+    """Points that are as high as a sheet is in their direction, in its upper half, shape (P,), bool."""
+    middle = clothed.joints[0].astype(float)
+    angle = np.arctan2(points[:, 0] - middle[0], points[:, 2] - middle[2])
+    place = ((angle + np.pi) / (2 * np.pi) * BINS).astype(np.int64) % BINS
+    top = np.full(BINS, -np.inf)
+    np.maximum.at(top, place, points[:, 1])
+    low, high = float(points[:, 1].min()), float(points[:, 1].max())
+    return (points[:, 1] > top[place] - EDGE * clothed.scale) & (points[:, 1] > low + 0.5 * (high - low))
+
+
+def _skull(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and half axes of the skull [m], each shape (3,): of what the head holds bare, and never far narrower than
+    high.
+    """
+    head = clothed.joints[_HEAD[0]].astype(float)
+    held = clothed.weights[:, _HEAD[0]] > 0.5
+    held &= clothed.rest[:, 1] > head[1]
+    bare = clothed.rest[held & (clothed.part < 0)]
+    every = clothed.rest[held]
+    top = float(np.percentile(every[:, 1], 99)) if len(every) else head[1] + 0.2 * clothed.scale
+    if len(bare) >= 20 and bare[:, 1].max() > head[1] + 0.6 * (top - head[1]):
+        top = float(np.percentile(bare[:, 1], 99))
+    half = 0.5 * max(top - head[1], 0.06 * clothed.scale)
+    centre = np.array([head[0], head[1] + half, head[2]])
+    axes = np.full(3, half)
+    if len(bare) >= 20:
+        low, high = np.percentile(bare, [2, 98], axis=0)
+        for axis in (0, 2):
+            axes[axis] = np.clip(0.5 * (high[axis] - low[axis]), BALD * half, 1.3 * half)
+        centre[0] = 0.5 * (low[0] + high[0])
+        # a face alone says where the skull begins, and not how far back it goes
+        centre[2] = max(0.5 * (low[2] + high[2]), high[2] - 1.1 * axes[2]) if high[2] > head[2] else head[2]
+        centre[2] = min(centre[2], high[2] - 0.8 * axes[2])
+    return centre, axes
+
+
+def _bridged(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """Pairs with one more from each component that no seed is in to the nearest point of one that has some."""
+    count = len(points)
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    label = connected_components(graph, directed=False)[1]
+    reached = np.zeros(int(label.max()) + 1, bool)
+    reached[label[seeds]] = True
+    more = [pairs]
+    while not reached.all():
+        known, rest = np.flatnonzero(reached[label]), np.flatnonzero(~reached[label])
+        gap, nearest = cKDTree(points[known]).query(points[rest])
+        order = np.argsort(gap, kind="stable")
+        _, first = np.unique(label[rest[order]], return_index=True)
+        # the nearest half at once: those behind them are nearer to these than to what is held
+        first = first[np.argsort(gap[order[first]], kind="stable")][: max(1, (len(first) + 1) // 2)]
+        chosen = order[first]
+        more.append(np.stack([rest[chosen], known[nearest[chosen]]], axis=1))
+        reached[label[rest[chosen]]] = True
+    return np.concatenate(more)
+
+
+def _around(clothed: ClothedCharacter, joint: int, points: np.ndarray) -> np.ndarray:
+    """Angle of points about the axis of what carries them, 0 in front."""
     start = clothed.joints[joint].astype(float)
     axis = np.array([0.0, 1, 0])
     if joint in _ARMS:
@@ -174,15 +207,13 @@ def _around(clothed: ClothedCharacter, joint: int, points: np.ndarray) -> tuple[
     front /= max(float(np.linalg.norm(front)), 1e-9)
     side = np.cross(axis, front)
     away = points - start
-    x, z = away @ side, away @ front
-    return np.arctan2(x, z), np.hypot(x, z)
+    return np.asarray(np.arctan2(away @ side, away @ front))
 
 
-def _kind(
-    clothed: ClothedCharacter, joint: int, points: np.ndarray, angle: np.ndarray, radius: np.ndarray, along: np.ndarray
-) -> str:
+def _kind(clothed: ClothedCharacter, joint: int, points: np.ndarray, along: np.ndarray) -> str:
     """What a part is, by what carries it and how far it goes round that."""
     length = float(along.max())
+    angle = _around(clothed, joint, points)
     bins = np.bincount(((angle + np.pi) / (2 * np.pi) * BINS).astype(np.int64) % BINS, minlength=BINS)
     cover = float((bins > 0).mean())
     spread = np.ptp(points, axis=0)
@@ -209,19 +240,3 @@ def _thickness(points: np.ndarray) -> float:
     """How thick points are over how wide, across their longest axis, from 0 (a sheet) to 1 (a rod)."""
     values = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov((points - points.mean(axis=0)).T)), 0))
     return float(values[0] / max(values[1], 1e-9))
-
-
-def _opened(angle: np.ndarray) -> tuple[np.ndarray, float]:
-    """Angles from where the sheet begins, and their span: from the widest opening on, or all the way round."""
-    bins = np.bincount(((angle + np.pi) / (2 * np.pi) * BINS).astype(np.int64) % BINS, minlength=BINS) > 0
-    best, where, run = 0, 0, 0
-    for number in range(2 * BINS):
-        run = 0 if bins[number % BINS] else run + 1
-        if best < run <= BINS:
-            best, where = run, number
-    if best < GAP:
-        return (angle + np.pi) % (2 * np.pi), 2 * np.pi
-    begin = -np.pi + 2 * np.pi * ((where + 1) % BINS) / BINS
-    turned = (angle - begin) % (2 * np.pi)
-    low, high = float(turned.min()), float(turned.max())
-    return turned - low, max(high - low, 1e-6)

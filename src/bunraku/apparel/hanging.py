@@ -1,0 +1,176 @@
+"""What hangs on a person by its shape, whole: skirts, which go round both legs together; hair that comes down from the
+skull; and what does not hang: trousers, which go round one leg each, gloves and shoes.
+
+The segmentation network says how likely points are apparel. It knows what it was trained on, and its border runs
+through the midst of a part. Shape says where a part begins and ends.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bunraku.body.layout import JOINT_NAMES
+from bunraku.geometry.axes import covered, directions_about
+from bunraku.geometry.graph import clean_mesh, mesh_parts, unique_edges
+
+__all__ = ["hanging_mask"]
+
+LARGE = 0.3
+"""Of the surface: a loose piece with more may be the body itself."""
+LIKELY, UNLIKELY = 0.5, 0.15
+"""A loose piece of which this is the mean is apparel as a whole, or not at all."""
+HAIR = 0.04
+"""Mean of a piece that comes down from the skull as hair does, from which on it is taken for hair."""
+AROUND = 0.9
+"""Of the directions about the middle: a skirt covers so many below the crotch."""
+LEAST = 0.004
+"""Of the surface: smaller pieces below the hips are not looked at."""
+ROUND = 0.75
+"""Of the directions about a leg: what covers so many goes round it."""
+CROTCH = 0.02
+"""Over the height: how far below the hips' joints a skirt must reach."""
+LONG = 0.12
+"""Over the height: what reaches so far below the base of the skull is hair, though some of it lies before the face."""
+BELOW = 0.05
+"""Over the height: how far below the base of the skull hair must reach."""
+SIDE = 0.9
+"""A leg of trousers lies on one side with so much of it."""
+_PELVIS, _WAIST, _HEAD = (JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "head"))
+_HIPS, _KNEES = ([JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")] for part in ("hip", "knee"))
+_ARMS = tuple(
+    JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")
+)
+"""A loose piece that they carry is a sleeve: on one joint of them it would stay behind."""
+_ENDS = tuple(
+    JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("wrist", "knee", "ankle", "foot")
+)
+"""What they carry is a glove, a sock or a shoe."""
+
+
+def hanging_mask(
+    vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, areas: np.ndarray,
+    likely: np.ndarray, mask: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """A mask of what hangs, by whole parts, and what of it is hair, which the head carries whatever lies beside it;
+    each shape (V,), bool.
+
+    Args:
+        vertices: Rest mesh V [m], +Y up and facing +Z, shape (V, 3).
+        faces: Shape (F, 3).
+        joints: J [m], shape (22, 3).
+        weights: Of the vertices for them, shape (V, 22).
+        areas: Of the vertices, shape (V,).
+        likely: Probability to be apparel, shape (V,).
+        mask: What a network takes for apparel, shape (V,), bool.
+
+    Raises:
+        CharacterError: The mesh is broken.
+    """
+    clean = clean_mesh(vertices, faces)
+    count = len(clean.vertices)
+    first = np.unique(clean.index, return_index=True)[1]
+    points, edges = vertices[first], unique_edges(clean.faces, count)
+    area = np.bincount(clean.index, areas, count)
+    piece = mesh_parts(edges, count)
+    size = np.bincount(piece, area)
+    mean = np.bincount(piece, area * likely[first]) / np.maximum(size, 1e-12)
+    height = float(np.ptp(vertices[:, 1]))
+    out = np.array(mask[first])
+    small = size < LARGE * size.sum()
+    out[(small & (mean > LIKELY))[piece]] = True
+    out[(small & (mean < UNLIKELY))[piece]] = False
+    own = weights[first]
+    skull = points[own[:, _HEAD] > 0.5]
+    top, front = (float(skull[:, axis].max()) if len(skull) else np.inf for axis in (1, 2))
+    hair = np.zeros(count, bool)
+    for number in np.flatnonzero(small & (mean > HAIR)):
+        rows = piece == number
+        if _hair(points[rows], joints, top, height) and not (
+            _face(points[rows], joints, top, front) and points[rows, 1].min() > joints[_HEAD, 1] - LONG * height
+        ):
+            hair |= rows
+    skirt, trousers = _below_the_hips(points, edges, piece, area, joints, height)
+    out = (out & ~trousers) | skirt
+    carried = own[:, _ENDS].sum(axis=1) > 0.5
+    sleeve = small & (np.bincount(piece, area * own[:, _ARMS].sum(axis=1)) > 0.5 * size)
+    carried |= sleeve[piece]
+    out = (out & (~carried | (points[:, 1] > joints[_HEAD, 1]))) | skirt | hair
+    return out[clean.index], hair[clean.index]
+
+
+def _hair(points: np.ndarray, joints: np.ndarray, top: float, height: float) -> bool:
+    """Whether a piece comes down from the skull beside or behind the neck, or farther out."""
+    head = joints[_HEAD]
+    if not (points[:, 1] < head[1] - BELOW * height).any() or points[:, 1].max() < head[1] + 0.3 * (top - head[1]):
+        return False
+    ends = points[:, 1] <= np.percentile(points[:, 1], 10)
+    return float(np.hypot(*(points[ends] - head)[:, [0, 2]].T).mean()) > 0.03 * height
+
+
+def _face(points: np.ndarray, joints: np.ndarray, top: float, front: float) -> bool:
+    """Whether a piece has a chin or a mouth."""
+    head = joints[_HEAD]
+    high = top - head[1]
+    low = (points[:, 1] > head[1] - 0.1 * high) & (points[:, 1] < head[1] + 0.3 * high)
+    ahead = (np.abs(points[:, 0] - head[0]) < 0.12 * high) & (points[:, 2] > head[2] + 0.6 * (front - head[2]))
+    return bool((low & ahead).any())
+
+
+def _below_the_hips(
+    points: np.ndarray, edges: np.ndarray, piece: np.ndarray, area: np.ndarray, joints: np.ndarray, height: float
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Points of skirts and of legs of trousers, shape (P,) each, bool: what goes round both legs together below the
+    hips, and what goes round one.
+    """
+    crotch = float(joints[_HIPS, 1].mean()) - CROTCH * height
+    waist = 0.5 * float(joints[_PELVIS, 1] + joints[_WAIST, 1])
+    skirt, trousers = np.zeros(len(points), bool), np.zeros(len(points), bool)
+    middle = joints[_HIPS].mean(axis=0)
+    below = points[:, 1] < crotch
+    part = mesh_parts(edges[below[edges].all(axis=1)], len(points))
+    sizes = np.bincount(part[below], area[below], len(points))
+    for number in np.flatnonzero(sizes > LEAST * area.sum()):
+        rows = below & (part == number)
+        own = points[rows]
+        if _legs(points, edges, area, rows, crotch, joints):
+            trousers |= rows
+        elif covered(np.arctan2(own[:, 0] - middle[0], own[:, 2] - middle[2])) >= AROUND:
+            skirt |= rows
+    for number in np.unique(piece[skirt]):  # up to the waist
+        own = (piece == number) & (points[:, 1] >= crotch) & (points[:, 1] < waist)
+        skirt |= own & _outer(points, piece == number, joints)
+    return skirt, trousers
+
+
+def _legs(
+    points: np.ndarray, edges: np.ndarray, area: np.ndarray, rows: np.ndarray, crotch: float, joints: np.ndarray
+) -> bool:
+    """Whether at some height most of what is below the hips goes round one leg."""
+    middle, low = joints[_HIPS].mean(axis=0), float(points[rows, 1].min())
+    for level in np.linspace(crotch, low, 7)[:-1]:
+        below = rows & (points[:, 1] <= level)
+        inner = edges[below[edges].all(axis=1)]
+        part = mesh_parts(inner, len(points))
+        sizes = np.bincount(part[below], area[below], len(points))
+        round_one = 0.0
+        for number in np.flatnonzero(sizes > 0.1 * sizes.sum()):
+            own = points[below & (part == number)]
+            left = float((own[:, 0] > middle[0]).mean())
+            if max(left, 1 - left) < SIDE:
+                continue
+            side = int(np.abs(joints[_KNEES, 0] - own[:, 0].mean()).argmin())
+            lines = inner[part[inner[:, 0]] == number]  # rings of few points are drawn out along their edges
+            between = [points[lines[:, 0]] * (1 - share) + points[lines[:, 1]] * share for share in (0.25, 0.5, 0.75)]
+            ring = np.concatenate([own, *between])
+            if covered(directions_about(ring, joints[_HIPS[side]], joints[_KNEES[side]])) >= ROUND:
+                round_one += float(sizes[number])
+        if round_one > 0.5 * sizes.sum():
+            return True
+    return False
+
+
+def _outer(points: np.ndarray, rows: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """Points that arms do not carry, shape (P,): between the hips and the waist hands may hang."""
+    away = np.abs(points[:, 0] - joints[_PELVIS, 0])
+    wide = np.percentile(away[rows & (points[:, 1] < joints[_PELVIS, 1])], 98) if rows.any() else np.inf
+    return np.asarray(away <= 1.1 * wide)

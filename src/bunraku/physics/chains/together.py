@@ -1,0 +1,70 @@
+"""Neighbouring chains of one piece turn alike, so that hair, a cape or a skirt stays one sheet: the turn of each link
+is averaged with those of the links beside it, by how much of the skin they share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from bunraku.physics.chains.chain import Chain
+
+__all__ = ["swung_less", "together"]
+
+ALIKE = {"hair": 3.0, "cape": 2.0, "skirt": 0.7}
+"""What neighbours count for, beside a link itself; those of other kinds count as much."""
+OTHERS = 1.0
+PASSES = 3
+LESS = 0.5
+"""What is left of the turns of a chain that would tear its part."""
+
+
+def together(
+    animation: RigAnimation, chains: Sequence[Chain], near: Sequence[tuple[int, int, float]]
+) -> RigAnimation:  # fmt: skip
+    """An animation whose neighbouring chains turn alike.
+
+    Args:
+        animation: Of the rig that the chains are part of.
+        chains: By the bones of that rig.
+        near: Pairs of chains that are neighbours, and how much of their skin they share, from 0 to 1.
+    """
+    if not near:
+        return animation
+    turns = [axis_angle_from_matrix(np.asarray(animation.rotations[:, chain.bones], np.float64)) for chain in chains]
+    beside: list[list[tuple[int, float]]] = [[] for _ in chains]
+    for one, other, share in near:
+        count = share * ALIKE.get(chains[one].kind, OTHERS)
+        beside[one].append((other, count))
+        beside[other].append((one, count))
+    for _ in range(PASSES):
+        turns = [
+            _mean(own, [(turns[other], count) for other, count in some])
+            for own, some in zip(turns, beside, strict=True)
+        ]
+    rotations = np.array(animation.rotations, np.float64)
+    for chain, own in zip(chains, turns, strict=True):
+        rotations[:, chain.bones] = matrix_from_axis_angle(own)
+    return RigAnimation(animation.character, rotations, animation.translations, animation.fps, animation.reference)
+
+
+def swung_less(animation: RigAnimation, chains: Sequence[Chain], chosen: Collection[int]) -> RigAnimation:
+    """An animation with the links of some chains turned half as far."""
+    rotations = np.array(animation.rotations, np.float64)
+    for number in chosen:
+        bones = chains[number].bones
+        rotations[:, bones] = matrix_from_axis_angle(LESS * axis_angle_from_matrix(rotations[:, bones]))
+    return RigAnimation(animation.character, rotations, animation.translations, animation.fps, animation.reference)
+
+
+def _mean(own: np.ndarray, others: list[tuple[np.ndarray, float]]) -> np.ndarray:
+    """Turns of the links of a chain (N, R, 3), averaged with those of as many links of others."""
+    total, weight = np.array(own), np.ones((1, own.shape[1], 1))
+    for other, count in others:
+        rows = min(own.shape[1], other.shape[1])
+        total[:, :rows] += count * other[:, :rows]
+        weight[:, :rows] += count
+    return np.asarray(total / weight)
