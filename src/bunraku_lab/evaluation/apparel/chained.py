@@ -16,6 +16,8 @@ from bunraku.physics.chains.from_shape import shape_chains
 from bunraku.physics.chains.laid import with_chains
 from bunraku.physics.chains.moving import steady_simulation
 from bunraku.physics.chains.outside import outside
+from bunraku.physics.chains.over_legs import over_legs
+from bunraku.physics.chains.together import together
 from bunraku_lab.evaluation.apparel.clips import RATE, TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score, point_distance
 from bunraku_lab.evaluation.apparel.rows import insides
@@ -45,8 +47,10 @@ def chained_clip(clip: TrueClip, told: Character | None = None) -> tuple[np.ndar
     made = with_chains(character, laid, np.arange(JOINT_COUNT))
     if not made.chains:
         return body.vertices(), 0
-    found = steady_simulation(made.on(body), made.rig())
-    moved = outside(found.animation, made.chains, clothed, np.arange(JOINT_COUNT))
+    found = steady_simulation(made.on(body), made.rig(tied=False))
+    moved = together(found.animation, made.chains, made.near)
+    moved = over_legs(moved, made.chains, made.near, clothed, np.arange(JOINT_COUNT))
+    moved = outside(moved, made.chains, clothed, np.arange(JOINT_COUNT))
     return moved.vertices(), sum(one.frame >= 0 for one in found.report.recoveries)
 
 
