@@ -29,16 +29,16 @@ from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError
 from bunraku.nn.checkpoints import dated_checkpoint
+from bunraku.physics.chains.after.outside import outside
+from bunraku.physics.chains.after.over_legs import over_legs
+from bunraku.physics.chains.after.together import swung_less, together
+from bunraku.physics.chains.after.torn import torn_parts
 from bunraku.physics.chains.animated import with_apparel
 from bunraku.physics.chains.laid import Chained
 from bunraku.physics.chains.manners_file import manners_beside
 from bunraku.physics.chains.moving import moving_rig, steady_simulation
 from bunraku.physics.chains.on_handles import on_handle_rig
-from bunraku.physics.chains.outside import outside
-from bunraku.physics.chains.over_legs import over_legs
-from bunraku.physics.chains.together import swung_less, together
 from bunraku.physics.chains.told_parts import with_told_parts
-from bunraku.physics.chains.torn import torn_parts
 from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.told.clothed import clothed_from_file
 from bunraku.pipelines.clothes import body_of_handles, laid_over, told_apart, too_much, wears

@@ -12,12 +12,12 @@ import numpy as np
 from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.character import Character, Rig, top_influences
 from bunraku.core.rig_animation import RigAnimation
+from bunraku.physics.chains.after.outside import outside
+from bunraku.physics.chains.after.over_legs import over_legs
+from bunraku.physics.chains.after.together import together
 from bunraku.physics.chains.from_shape import shape_chains
 from bunraku.physics.chains.laid import with_chains
 from bunraku.physics.chains.moving import steady_simulation
-from bunraku.physics.chains.outside import outside
-from bunraku.physics.chains.over_legs import over_legs
-from bunraku.physics.chains.together import together
 from bunraku_lab.evaluation.apparel.clips import RATE, TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score, point_distance
 from bunraku_lab.evaluation.apparel.rows import insides

@@ -8,9 +8,9 @@ from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.character import Character, Rig, top_influences
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.physics.chains.after.outside import outside
 from bunraku.physics.chains.from_shape import shape_chains
 from bunraku.physics.chains.laid import with_chains
-from bunraku.physics.chains.outside import outside
 
 JOINTS = np.arange(JOINT_COUNT)
 RADIUS, FRAMES = 0.3, 20

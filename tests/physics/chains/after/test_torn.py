@@ -4,7 +4,7 @@ import numpy as np
 
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.body.layout import JOINT_COUNT
-from bunraku.physics.chains.torn import tears, torn_parts
+from bunraku.physics.chains.after.torn import tears, torn_parts
 
 FRAMES = 10
 

@@ -1,0 +1,1 @@
+"""What becomes of chains after they were simulated: out of the body, over legs, as one sheet, and not torn."""
