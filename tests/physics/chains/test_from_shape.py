@@ -112,3 +112,14 @@ def test_a_skirt_is_tied_all_round() -> None:
     assert max(lengths) < 1.05 * min(lengths)
     hem = np.flatnonzero(vertices[found.vertices, 1] < 0.56)
     np.testing.assert_allclose(found.shares[hem].sum(axis=1), 1, atol=1e-6)
+
+
+def test_what_is_far_from_the_skull_hangs_for_itself() -> None:
+    """Long hair of which the mask has the lowest band and two locks beside the face: no chain runs from one of them to
+    the other.
+    """
+    clothed = clothed_from_file(wardrobe_character(840_040))
+    hair = [chain for chain in shape_chains(clothed).chains if chain.kind == "hair"]
+    assert len(hair) >= 4
+    for chain in hair:
+        assert np.linalg.norm(chain.points[0] - chain.points[-1]) < 0.3 * clothed.scale

@@ -32,6 +32,8 @@ SKULL = 1.3
 """Hair within so many times the half axes of the skull is held, what lies above its lower quarter."""
 BALD = 0.75
 """The half axes of a skull are at least so many times half its height, where hair hides it."""
+FAR = 0.04
+"""Over the size [m]: what lies farther from all that is held of a piece is held for itself."""
 UPPER = 0.35
 """Of the height of a piece of cloth: only what is as high is taken to hold it."""
 EDGE = 0.02
@@ -112,6 +114,7 @@ def _piece(
     one, column = np.nonzero(np.isfinite(gap) & (other != np.arange(count)[:, None]))
     pairs = np.concatenate([pairs, np.stack([one, other[one, column]], axis=1)])
     seeds = _held(clothed, kind, own, along[rows])
+    seeds |= _apart(own, pairs, seeds, along[rows], FAR * clothed.scale)
     pairs = _bridged(own, pairs, seeds)
     pairs = np.unique(np.sort(pairs, axis=1), axis=0)
     lengths = np.linalg.norm(own[pairs[:, 0]] - own[pairs[:, 1]], axis=1) + 1e-9
@@ -172,6 +175,22 @@ def _skull(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
         centre[2] = max(0.5 * (low[2] + high[2]), high[2] - 1.1 * axes[2]) if high[2] > head[2] else head[2]
         centre[2] = min(centre[2], high[2] - 0.8 * axes[2])
     return centre, axes
+
+
+def _apart(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray, along: np.ndarray, far: float) -> np.ndarray:
+    """Where components that lie far from all that is held are held themselves, shape (P,), bool: the lowest band
+    of long hair, whose rest is not apparel.
+    """
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
+    label = connected_components(graph, directed=False)[1]
+    out = np.zeros(len(points), bool)
+    loose = ~np.isin(label, label[seeds])
+    gap = cKDTree(points[seeds]).query(points)[0]
+    for number in np.unique(label[loose]):
+        rows = np.flatnonzero(label == number)
+        if gap[rows].min() > far:
+            out[rows] = along[rows] <= along[rows].min() + 1e-9
+    return out
 
 
 def _bridged(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray) -> np.ndarray:
