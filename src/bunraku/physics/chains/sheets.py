@@ -28,6 +28,10 @@ NEAR, CLOSE = 6, 0.02
 """Points are joined to so many that are as near [m, over the size]: cards of hair and layers of cloth lie on one
 another without an edge between them.
 """
+WALL, GRID, ACROSS = 0.06, 0.02, 16
+"""Of cloth, points are joined to so many of those on a grid of `GRID` that are nearer than `WALL` (over the size [m]):
+both walls of a cloth with thickness, and a petticoat and its skirt, reach as far at the same place.
+"""
 SKULL = 1.3
 """Hair within so many times the half axes of the skull is held, what lies above its lower quarter."""
 BALD = 0.75
@@ -113,6 +117,8 @@ def _piece(
     gap, other = cKDTree(own).query(own, min(NEAR + 1, count), distance_upper_bound=CLOSE * clothed.scale)
     one, column = np.nonzero(np.isfinite(gap) & (other != np.arange(count)[:, None]))
     pairs = np.concatenate([pairs, np.stack([one, other[one, column]], axis=1)])
+    if kind in ("skirt", "cape"):
+        pairs = np.concatenate([pairs, _through(own, clothed.scale)])
     seeds = _held(clothed, kind, own, along[rows])
     seeds |= _apart(own, pairs, seeds, along[rows], FAR * clothed.scale)
     pairs = _bridged(own, pairs, seeds)
@@ -175,6 +181,17 @@ def _skull(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
         centre[2] = max(0.5 * (low[2] + high[2]), high[2] - 1.1 * axes[2]) if high[2] > head[2] else head[2]
         centre[2] = min(centre[2], high[2] - 0.8 * axes[2])
     return centre, axes
+
+
+def _through(points: np.ndarray, size: float) -> np.ndarray:
+    """Pairs of points that lie near each other on whatever layer, shape (E, 2)."""
+    cells = np.floor(points / (GRID * size)).astype(np.int64)
+    some = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    count = min(ACROSS, len(some))
+    gap, near = cKDTree(points[some]).query(points, count, distance_upper_bound=WALL * size)
+    gap, near = gap.reshape(len(points), count), near.reshape(len(points), count)
+    one, column = np.nonzero(np.isfinite(gap) & (gap > 0))
+    return np.stack([one, some[near[one, column]]], axis=1)
 
 
 def _apart(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray, along: np.ndarray, far: float) -> np.ndarray:
