@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from bunraku.body.layout import JOINT_NAMES
-from bunraku.geometry.axes import covered, directions_about
+from bunraku.geometry.axes import covered, directions_about, goes_round
 from bunraku.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
 __all__ = ["hanging_mask"]
@@ -25,8 +25,6 @@ AROUND = 0.9
 """Of the directions about the middle: a skirt covers so many below the crotch."""
 LEAST = 0.004
 """Of the surface: smaller pieces below the hips are not looked at."""
-ROUND = 0.75
-"""Of the directions about a leg: what covers so many goes round it."""
 CROTCH = 0.02
 """Over the height: how far below the hips' joints a skirt must reach."""
 LONG = 0.12
@@ -162,7 +160,7 @@ def _legs(
             lines = inner[part[inner[:, 0]] == number]  # rings of few points are drawn out along their edges
             between = [points[lines[:, 0]] * (1 - share) + points[lines[:, 1]] * share for share in (0.25, 0.5, 0.75)]
             ring = np.concatenate([own, *between])
-            if covered(directions_about(ring, joints[_HIPS[side]], joints[_KNEES[side]])) >= ROUND:
+            if goes_round(directions_about(ring, joints[_HIPS[side]], joints[_KNEES[side]])):
                 round_one += float(sizes[number])
         if round_one > 0.5 * sizes.sum():
             return True

@@ -16,9 +16,10 @@ __all__ = [
     "axis_name",
     "axis_vector",
     "covered",
-    "goes_round",
     "default_orientation",
+    "direction_bins",
     "directions_about",
+    "goes_round",
     "right_angle_rotations",
     "upright_rotation",
 ]
@@ -97,14 +98,19 @@ def directions_about(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> 
     return np.asarray(np.arctan2(away @ np.cross(along, side), away @ side))
 
 
-def covered(directions: np.ndarray) -> float:
-    """Share of all directions about a line in which there is something, of twelve.
+def direction_bins(directions: np.ndarray, count: int) -> np.ndarray:
+    """In which of `count` equal parts of a turn directions about a line [rad], shape (M,), lie, shape (M,), int64."""
+    return np.asarray(((directions + np.pi) / (2 * np.pi) * count).astype(np.int64) % count)
+
+
+def covered(directions: np.ndarray, count: int = BINS) -> float:
+    """Share of all directions about a line in which there is something, of so many.
 
     Args:
         directions: [rad], shape (M,).
+        count: Of equal parts of a turn.
     """
-    bins = ((directions + np.pi) / (2 * np.pi) * BINS).astype(np.int64) % BINS
-    return float((np.bincount(bins, minlength=BINS) > 0).mean())
+    return float((np.bincount(direction_bins(directions, count), minlength=count) > 0).mean())
 
 
 def goes_round(directions: np.ndarray) -> bool:

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.nodes import surface_distances
 from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
-from bunraku.geometry.graph import clean_mesh, unique_edges
+from bunraku.geometry.axes import covered, direction_bins
+from bunraku.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
 __all__ = ["Piece", "pieces_of"]
 
@@ -114,9 +115,7 @@ def _piece(
     place[rows] = np.arange(count)
     pairs = place[edges]
     pairs = pairs[(pairs >= 0).all(axis=1)]
-    gap, other = cKDTree(own).query(own, min(NEAR + 1, count), distance_upper_bound=CLOSE * clothed.scale)
-    one, column = np.nonzero(np.isfinite(gap) & (other != np.arange(count)[:, None]))
-    pairs = np.concatenate([pairs, np.stack([one, other[one, column]], axis=1)])
+    pairs = np.concatenate([pairs, _near(own, np.arange(count), NEAR + 1, CLOSE * clothed.scale)])
     if kind in ("skirt", "cape"):
         pairs = np.concatenate([pairs, _through(own, clothed.scale)])
     seeds = _held(clothed, kind, own, along[rows])
@@ -150,7 +149,7 @@ def _upper_edge(clothed: ClothedCharacter, points: np.ndarray) -> np.ndarray:
     """Points that are as high as a sheet is in their direction, in its upper half, shape (P,), bool."""
     middle = clothed.joints[0].astype(float)
     angle = np.arctan2(points[:, 0] - middle[0], points[:, 2] - middle[2])
-    place = ((angle + np.pi) / (2 * np.pi) * BINS).astype(np.int64) % BINS
+    place = direction_bins(angle, BINS)
     top = np.full(BINS, -np.inf)
     np.maximum.at(top, place, points[:, 1])
     low, high = float(points[:, 1].min()), float(points[:, 1].max())
@@ -187,19 +186,26 @@ def _through(points: np.ndarray, size: float) -> np.ndarray:
     """Pairs of points that lie near each other on whatever layer, shape (E, 2)."""
     cells = np.floor(points / (GRID * size)).astype(np.int64)
     some = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-    count = min(ACROSS, len(some))
-    gap, near = cKDTree(points[some]).query(points, count, distance_upper_bound=WALL * size)
-    gap, near = gap.reshape(len(points), count), near.reshape(len(points), count)
-    one, column = np.nonzero(np.isfinite(gap) & (gap > 0))
-    return np.stack([one, some[near[one, column]]], axis=1)
+    return _near(points, some, ACROSS, WALL * size)
+
+
+def _near(points: np.ndarray, among: np.ndarray, count: int, reach: float) -> np.ndarray:
+    """Pairs of each point with those of some, at most so many, that are nearer than `reach` [m], shape (E, 2)."""
+    count = min(count, len(among))
+    gap, near = (
+        found.reshape(len(points), count)
+        for found in cKDTree(points[among]).query(points, count, distance_upper_bound=reach)
+    )
+    one, column = np.nonzero(np.isfinite(gap))
+    other = among[near[one, column]]
+    return np.stack([one, other], axis=1)[one != other]
 
 
 def _apart(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray, along: np.ndarray, far: float) -> np.ndarray:
     """Where components that lie far from all that is held are held themselves, shape (P,), bool: the lowest band
     of long hair, whose rest is not apparel.
     """
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
-    label = connected_components(graph, directed=False)[1]
+    label = mesh_parts(pairs, len(points))
     out = np.zeros(len(points), bool)
     loose = ~np.isin(label, label[seeds])
     gap = cKDTree(points[seeds]).query(points)[0]
@@ -212,9 +218,7 @@ def _apart(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray, along: np.n
 
 def _bridged(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """Pairs with one more from each component that no seed is in to the nearest point of one that has some."""
-    count = len(points)
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    label = connected_components(graph, directed=False)[1]
+    label = mesh_parts(pairs, len(points))
     reached = np.zeros(int(label.max()) + 1, bool)
     reached[label[seeds]] = True
     more = [pairs]
@@ -250,8 +254,7 @@ def _kind(clothed: ClothedCharacter, joint: int, points: np.ndarray, along: np.n
     """What a part is, by what carries it and how far it goes round that."""
     length = float(along.max())
     angle = _around(clothed, joint, points)
-    bins = np.bincount(((angle + np.pi) / (2 * np.pi) * BINS).astype(np.int64) % BINS, minlength=BINS)
-    cover = float((bins > 0).mean())
+    cover = covered(angle, BINS)
     spread = np.ptp(points, axis=0)
     width = float(np.hypot(spread[0], spread[2]))
     if joint in _HEAD:
