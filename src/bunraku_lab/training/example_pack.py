@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -39,7 +39,6 @@ from bunraku.diffusion.examples.pack import (
 from bunraku.diffusion.extractor_config import RADIUS
 from bunraku.diffusion.features import FeatureStatistics, decode, encode, mirror
 from bunraku.diffusion.inference.extractor import Extractor, embed_motions, embed_sentences, load_ranker
-from bunraku.errors import OptionError
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
 from bunraku.gestures.standing import stands_well
@@ -86,8 +85,8 @@ class ExampleSettings:
         busy: The same who do something with their hands, two of one clip at the most.
         ranker: Weights in place of the shipped ones; what is packed works with these alone.
         seed: Of the wordings.
-        add_to: A pack that is written again with the gestures that it lacks; no captured clips are needed, but for
-            idles and busy people where it has none.
+        add_to: A pack that is written again with the gestures that it lacks, and with the vectors of `ranker` where
+            those are of another; no captured clips are needed, but for idles and busy people where it has none.
     """
 
     data: Path = Path("runs/data/motions")
@@ -129,7 +128,6 @@ def build_examples(
 
     Raises:
         FormatError: The data are missing or damaged.
-        OptionError: The pack to add to was made with another ranker.
         WeightsError: The ranker or that pack is damaged.
     """
     progress = progress or (lambda stage, done: None)
@@ -185,15 +183,16 @@ def _with_what_it_lacks(
 ) -> ExamplePack:
     """The pack of `settings.add_to` with the gestures whose sentences it lacks, idles and busy people where it has none
     and there are captured clips, and all clips of one's own (`datasets.takes.captioned`) that have become data. The
-    words that these alone say are written beside it (`language.known.own_words`).
-
-    Raises:
-        OptionError: The pack was made with another ranker.
+    words that these alone say are written beside it (`language.known.own_words`). Where the pack was made with another
+    ranker, all of its vectors are made anew.
     """
     assert settings.add_to is not None
     base = read_pack(settings.add_to)
-    if base.ranker != fingerprint(settings.ranker or shipped_checkpoint("ranker")):
-        raise OptionError(f"{settings.add_to}: it was made with another ranker; name that one with --ranker")
+    ranked = fingerprint(settings.ranker or shipped_checkpoint("ranker"))
+    if base.ranker != ranked:
+        progress("vectors", 0.0)
+        texts, motions, own = _vectors([_unpacked(base, index) for index in range(len(base.examples))], ranker, encoder)
+        base = replace(base, texts=texts, motions=motions, owners=np.asarray(own, np.int32), ranker=ranked)
     known = {one.texts for one in base.examples}
     found = [one for one in _gestures() if one.texts not in known]
     licences = Counter({"Apache-2.0": len(found)})
@@ -226,6 +225,13 @@ def _with_what_it_lacks(
     frames = sum(one.frames for one in pack.examples)
     write_pack(settings.out, pack, notes | {"licences": dict(licences), "frames": frames})
     return pack
+
+
+def _unpacked(pack: ExamplePack, index: int) -> _Stretch:
+    """An example of a pack, as it was before it was packed."""
+    one = pack.examples[index]
+    kind = OWN if one.name.startswith(OWN) else GESTURE if one.made else ""
+    return _Stretch(one.name, kind, one.texts, pack.features(index), one.loop)
 
 
 def _of_ones_own(clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:

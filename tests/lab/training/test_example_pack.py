@@ -10,7 +10,6 @@ from bunraku.diffusion.examples.pack import KIND, read_pack, write_pack
 from bunraku.diffusion.extractor_config import RADIUS, RANKER, ExtractorConfig
 from bunraku.diffusion.features import encode, mirror
 from bunraku.diffusion.inference.extractor import embed_motions, embed_sentences
-from bunraku.errors import OptionError
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
 from bunraku.language.known.own_words import FILE
@@ -20,12 +19,16 @@ from bunraku_lab.nn.diffusion.matching import Extractor, save_extractor
 from bunraku_lab.training.example_pack import ExampleSettings, _hovers, _seen, build_examples
 
 
-@pytest.fixture
-def ranker(tmp_path):
-    torch.manual_seed(3)
+def a_ranker(path, seed):
+    torch.manual_seed(seed)
     sizes = {"width": 16, "layers": 1, "heads": 2, "feedforward": 16, "embedding": 8, "text_size": 8, "pooled_size": 8}
     model = Extractor(ExtractorConfig(**sizes, text_encoder="words")).eval()
-    return save_extractor(tmp_path / "ranker.safetensors", model, kind=RANKER)
+    return save_extractor(path, model, kind=RANKER)
+
+
+@pytest.fixture
+def ranker(tmp_path):
+    return a_ranker(tmp_path / "ranker.safetensors", 3)
 
 
 def watched(folder):
@@ -129,8 +132,21 @@ def test_a_pack_gets_the_gestures_that_it_lacks(swings, ranker, encoder, tmp_pat
         mine, its = pack.texts[:, pack.owners == other], whole.texts[:, whole.owners == index]
         np.testing.assert_allclose(mine, its, atol=1e-3)
     assert load_checkpoint(more.out, KIND)[1]["notes"] == notes
-    with pytest.raises(OptionError, match="another ranker"):
-        build_examples(replace(more, ranker=None), encoder)
+
+
+def test_a_pack_gets_the_vectors_of_another_ranker(swings, ranker, encoder, tmp_path):
+    """Those that a pack of the same clips has that was made with it."""
+    watched(swings)
+    other = a_ranker(tmp_path / "other.safetensors", 4)
+    first = build_examples(ExampleSettings(swings, tmp_path / "first.safetensors", ranker=ranker), encoder)
+    wanted = build_examples(ExampleSettings(swings, tmp_path / "wanted.safetensors", ranker=other), encoder)
+    more = ExampleSettings(out=tmp_path / "more.safetensors", ranker=other, add_to=tmp_path / "first.safetensors")
+    pack = build_examples(more, encoder)
+    assert pack.examples == first.examples == wanted.examples and pack.ranker == wanted.ranker != first.ranker
+    assert pack.data == first.data and pack.owners.tolist() == wanted.owners.tolist()
+    np.testing.assert_allclose(pack.texts, wanted.texts, atol=1e-6)
+    np.testing.assert_allclose(pack.motions, wanted.motions, atol=0.05)  # but for what a skeleton cannot do
+    assert not np.allclose(pack.motions, first.motions, atol=0.05)
 
 
 def test_words_that_only_ones_own_clips_say_are_written_beside_the_pack(swings, ranker, encoder, tmp_path):
