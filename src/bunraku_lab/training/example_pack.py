@@ -191,8 +191,10 @@ def _with_what_it_lacks(
     ranked = fingerprint(settings.ranker or shipped_checkpoint("ranker"))
     if base.ranker != ranked:
         progress("vectors", 0.0)
-        texts, motions, own = _vectors([_unpacked(base, index) for index in range(len(base.examples))], ranker, encoder)
-        base = replace(base, texts=texts, motions=motions, owners=np.asarray(own, np.int32), ranker=ranked)
+        texts, motions, whose = _vectors(
+            [_unpacked(base, index) for index in range(len(base.examples))], ranker, encoder
+        )
+        base = replace(base, texts=texts, motions=motions, owners=np.asarray(whose, np.int32), ranker=ranked)
     known = {one.texts for one in base.examples}
     found = [one for one in _gestures() if one.texts not in known]
     licences = Counter({"Apache-2.0": len(found)})

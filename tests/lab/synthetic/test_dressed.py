@@ -202,6 +202,27 @@ def test_dressed_people_are_built_once_and_repeat(wardrobe, tmp_path):
     ] == stamps
 
 
+def test_what_hangs_of_people_is_known(wardrobe):
+    """What is worn says so in words, too; and it is found where the mesh is made anew."""
+    words = ("skirt", "gown", "cape", "tail", "ears")
+    seen = set()
+    for seed in range(6):
+        person = dressed_person(wardrobe, (77, seed))
+        names = person.outfit.split(", ")
+        assert person.hangs.shape == (len(person.piece.points),)
+        said = any(word in name.split(" ") for name in names for word in words)
+        long = any(name.startswith(("long", "ponytail", "braid", "bob")) for name in names)
+        if said:
+            assert person.hangs.any(), person.outfit
+        elif not long and not any(name.startswith("female_elegant") for name in names):
+            assert not person.hangs.any(), person.outfit
+        if "long skirt" in names:
+            legs = person.joints[[J["left_knee"], J["right_knee"]], 1].mean()
+            assert person.piece.points[person.hangs, 1].min() < legs
+        seen.add((names[-1], bool(person.hangs.any())))
+    assert len(seen) > 1
+
+
 def test_the_command_wants_both_folders(tmp_path, capsys):
     from bunraku.cli import main
 

@@ -18,6 +18,8 @@ _J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
 _LEGS = [_J[f"{side}_{part}"] for side in ("left", "right") for part in ("hip", "knee", "ankle", "foot")]
 _FOREARMS = [_J[f"{side}_{part}"] for side in ("left", "right") for part in ("elbow", "wrist")]
 _ARMS = [*_FOREARMS, _J["left_shoulder"], _J["right_shoulder"]]
+LONG = 0.03
+"""Over the height: hair that reaches so far below the base of the skull swings."""
 
 
 @dataclass
@@ -28,16 +30,19 @@ class Outfit:
         pieces: Without the body itself.
         hidden: Base vertices that the pieces cover, several arrays.
         names: What they are, for people to read.
+        hangs: Which points of each piece would swing, shape (P,) each: skirts, capes, tails, ears and long hair.
     """
 
     pieces: list[Piece] = field(default_factory=list)
     hidden: list[np.ndarray] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
+    hangs: list[np.ndarray] = field(default_factory=list)
 
-    def add(self, name: str, piece: Piece, hidden: np.ndarray | None = None) -> None:
+    def add(self, name: str, piece: Piece, hidden: np.ndarray | None = None, hangs: bool | np.ndarray = False) -> None:
         if len(piece.faces):
             self.pieces.append(piece)
             self.names.append(name)
+            self.hangs.append(np.broadcast_to(hangs, len(piece.points)))
             if hidden is not None:
                 self.hidden.append(hidden)
 
@@ -50,10 +55,14 @@ def random_outfit(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generato
     kind = rng.choice(["archive", "overall", "gown", "bare"], p=[0.73, 0.1, 0.1, 0.07])
     if kind == "overall" and wardrobe.whole:
         name, garment = _pick(wardrobe.whole, rng)
-        outfit.add(name, wardrobe.wear(garment, figure), garment.clothes.deleted)
+        piece = wardrobe.wear(garment, figure)
+        hips = float(figure.joints[[_J["left_hip"], _J["right_hip"]], 1].mean())
+        outfit.add(name, piece, garment.clothes.deleted, hangs=(piece.points[:, 1] < hips) & garment.skirt)
     elif kind == "gown":
         outfit.add("gown", _top(wardrobe, figure, rng))
-        outfit.add("long skirt", wardrobe.skirt(figure, float(rng.uniform(0.5, 2)), float(rng.uniform(0, 0.9))))
+        outfit.add(
+            "long skirt", wardrobe.skirt(figure, float(rng.uniform(0.5, 2)), float(rng.uniform(0, 0.9))), hangs=True
+        )
     elif kind != "bare":
         _two_parts(outfit, wardrobe, figure, rng)
     _hands_and_feet(outfit, wardrobe, figure, rng)
@@ -68,7 +77,7 @@ def random_outfit(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generato
         (0.06, extras.shoulder_pads),
     ):
         if rng.random() < rate:
-            outfit.add(extra.__name__, extra(wardrobe, figure, rng))
+            outfit.add(extra.__name__, extra(wardrobe, figure, rng), hangs=extra in (extras.cape, extras.tail))
     return outfit
 
 
@@ -91,13 +100,16 @@ def _two_parts(outfit: Outfit, wardrobe: Wardrobe, figure: BodyShape, rng: np.ra
         return
     if choice == "skirt":
         length = float(rng.uniform(0.3, 2.0))
-        outfit.add(f"skirt {length:.1f}", wardrobe.skirt(figure, length, float(rng.choice([0.0, rng.uniform(0, 0.9)]))))
+        wide = float(rng.choice([0.0, rng.uniform(0, 0.9)]))
+        outfit.add(f"skirt {length:.1f}", wardrobe.skirt(figure, length, wide), hangs=True)
         return
     if choice == "other" or name not in wardrobe.lower:
         name = _pick(wardrobe.lower, rng)[0]
     garment = wardrobe.lower[name]
     deleted = garment.clothes.deleted
-    outfit.add(name, wardrobe.wear(garment, figure), None if garment.skirt else deleted[legs[deleted]])
+    outfit.add(
+        name, wardrobe.wear(garment, figure), None if garment.skirt else deleted[legs[deleted]], hangs=garment.skirt
+    )
 
 
 def _top(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
@@ -167,7 +179,9 @@ def _head(outfit: Outfit, wardrobe: Wardrobe, figure: BodyShape, rng: np.random.
     chance = rng.random()
     if chance < 0.62 and wardrobe.hair:
         name, garment = _pick(wardrobe.hair, rng)
-        outfit.add(name, _trimmed(wardrobe.wear_on_head(garment, figure), figure, float(rng.uniform(0.3, 1.1))))
+        hair = _trimmed(wardrobe.wear_on_head(garment, figure), figure, float(rng.uniform(0.3, 1.1)))
+        below = figure.joints[_J["head"], 1] - LONG * float(np.ptp(figure.vertices[:, 1]))
+        outfit.add(name, hair, hangs=bool((hair.points[:, 1] < below).any()))
     elif chance < 0.75:
         outfit.add("spikes", extras.spikes(wardrobe, figure, rng))
     chance = rng.random()
@@ -177,7 +191,7 @@ def _head(outfit: Outfit, wardrobe: Wardrobe, figure: BodyShape, rng: np.random.
     elif chance < 0.2:
         outfit.add("hat", extras.hat(wardrobe, figure, rng))
     elif chance < 0.29:
-        outfit.add("ears", extras.ears(wardrobe, figure, rng))
+        outfit.add("ears", extras.ears(wardrobe, figure, rng), hangs=True)
     if rng.random() < 0.06:
         outfit.add("glasses", extras.glasses(wardrobe, figure, rng))
 

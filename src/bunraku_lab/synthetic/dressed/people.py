@@ -25,10 +25,11 @@ class Dressed:
         piece: Its mesh, all parts joined, with weights.
         joints: Joint positions [m], shape (22, 3).
         outfit: What it wears, for people to read.
+        hangs: Which vertices are of skirts, capes, tails, ears and long hair, shape (V,), bool.
     """
 
-    def __init__(self, piece: Piece, joints: np.ndarray, outfit: str):
-        self.piece, self.joints, self.outfit = piece, joints, outfit
+    def __init__(self, piece: Piece, joints: np.ndarray, outfit: str, hangs: np.ndarray):
+        self.piece, self.joints, self.outfit, self.hangs = piece, joints, outfit, hangs
 
     def character(self, name: str) -> Character:
         """As a character with the rig of the 22 joints."""
@@ -64,8 +65,12 @@ def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
         pieces.append(wardrobe.part(figure, "helper-upper-teeth", "helper-lower-teeth", "helper-tongue"))
     linear = random_rest(rng, figure.joints)
     whole = joined(pieces)
+    hangs = np.zeros(len(whole.points), bool)
+    worn = np.concatenate([*outfit.hangs, np.zeros(0, bool)])
+    hangs[: len(worn)] = worn
     points, joints = pose_points(whole.points, figure.joints, whole.joints, linear)
     whole = Piece(points, whole.faces, whole.joints, whole.handles)
+    plain = whole
     form = rng.choice(["plain", "melted", "low"], p=[0.6, 0.2, 0.2])
     if form == "melted":
         solid = Piece(
@@ -75,7 +80,9 @@ def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
         whole = melted(whole, solid, cell, cell * float(rng.uniform(0.6, 1.0)))
     elif form == "low":
         whole = simplified(whole, int(rng.integers(1200, 6000)))
-    return Dressed(whole, joints, ", ".join([*names, form]))
+    if whole is not plain:
+        hangs = hangs[cKDTree(plain.points).query(whole.points)[1]]
+    return Dressed(whole, joints, ", ".join([*names, form]), hangs)
 
 
 def _covered(figure: BodyShape, outfit: Outfit) -> np.ndarray:

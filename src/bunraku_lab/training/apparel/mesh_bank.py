@@ -17,7 +17,7 @@ from bunraku.formats.files import atomic_write, sweep
 from bunraku.physics.told.clothed import clothed_from_file
 from bunraku_lab.datasets.apparel.plan import character_split
 
-__all__ = ["MeshSample", "bare_meshes", "build_meshes", "mesh_sample"]
+__all__ = ["MeshSample", "bare_meshes", "build_meshes", "mesh_sample", "worn_meshes"]
 
 _MESH = ("clean", "points", "joints", "features", "part", "neighbours")
 
@@ -30,7 +30,7 @@ class MeshSample:
         name: Its name.
         mesh: Its points.
         apparel: Which are apparel, shape (S,), bool.
-        stiffness: Of apparel points (`part_stiffness`), shape (S,).
+        stiffness: Of apparel points (`part_stiffness`), shape (S,); NaN where nobody knows.
         damping: log10 of what a second leaves of their velocity, shape (S,).
         weights: True skinning weights, shape (S, 22).
         geodesics: G, shape (S, 22).
@@ -119,22 +119,56 @@ def bare_meshes(folder: Path, source: Path) -> list[MeshSample]:
             try:
                 character = load_character(file)
                 weights, joints = body_of_handles(character, rig(character))
-                _write(path, _bare(character, joints, weights, file.stem, number))
+                nothing = np.zeros(len(character.vertices), bool)
+                _write(path, _seen(character, joints, weights, nothing, file.stem, number))
             except BunrakuError:
                 continue
         out.append(_read(path))
     return out
 
 
-def _bare(character: Character, joints: np.ndarray, weights: np.ndarray, name: str, seed: int) -> MeshSample:
+def worn_meshes(folder: Path, clothes: Path, count: int, first: int = 700_000) -> dict[str, list[MeshSample]]:
+    """Samples of people in MakeHuman's clothes by split, on whom skirts, capes, tails, ears and long hair are apparel
+    as a whole, computed once.
+
+    Args:
+        folder: Where they are kept.
+        clothes: MakeHuman's clothes and hair.
+        count: How many people.
+        first: Seed of the first.
+
+    Raises:
+        FormatError: The clothes or the body are missing or damaged.
+    """
+    from bunraku_lab.synthetic.dressed.people import dressed_person
+    from bunraku_lab.synthetic.wardrobe.makehuman import closet
+
+    folder.mkdir(parents=True, exist_ok=True)
+    sweep(folder)
+    out: dict[str, list[MeshSample]] = {"train": [], "val": [], "test": []}
+    for seed in range(first, first + count):
+        name = f"worn_{seed:06d}"
+        path = folder / f"{name}.npz"
+        if not path.is_file():
+            person = dressed_person(closet(str(clothes)), seed)
+            character, weights = person.character(name), person.piece.joints
+            _write(path, _seen(character, person.joints, weights, person.hangs, name, seed))
+        out[character_split(name)].append(_read(path))
+    return out
+
+
+def _seen(
+    character: Character, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray, name: str, seed: int
+) -> MeshSample:
+    """A sample of a character of which is known what is apparel, and not how it moves."""
     joints = joints.astype(np.float32)
     mesh = sampled_mesh(character.vertices, character.faces, joints, seed=seed)
     first = np.zeros(mesh.index.max() + 1, np.int64)
     first[mesh.index] = np.arange(len(mesh.index))
-    count = len(mesh.clean)
-    none = np.zeros(count, np.float32)
+    unknown = np.full(len(mesh.clean), np.nan, np.float32)
+    own = first[mesh.clean]
     return MeshSample(
-        name, mesh, np.zeros(count, bool), none, none, weights[first[mesh.clean]].astype(np.float32),
+        name, mesh, apparel[own], unknown, unknown, weights[own].astype(np.float32),
         joint_distances(character.vertices, character.faces, joints, mesh.clean),
     )  # fmt: skip
 
