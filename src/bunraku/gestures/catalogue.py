@@ -9,13 +9,13 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from bunraku.errors import FormatError
 from bunraku.gestures.flow import STEP, foot_on, through
-from bunraku.gestures.pose import Foot, Gesture, Hand, Key, Pose, Repeat, again, moved
+from bunraku.gestures.pose import HANGING, Foot, Gesture, Hand, Key, Pose, Repeat, again, moved
 
-__all__ = ["STANDING", "gesture_of", "gestures", "read_gestures", "read_parts"]
+__all__ = ["STANDING", "gesture_of", "gestures", "read_gestures", "read_parts", "read_places"]
 
 FILE = Path(__file__).with_name("gestures.toml")
 _SECTION = re.compile(r"^(?=\[)", re.MULTILINE)
@@ -144,6 +144,29 @@ def read_parts() -> dict[str, tuple[str, Pose]]:
     }
 
 
+class PlaceRow(TypedDict):
+    """How somebody is at a place for things: both hands there, one hand there, the other one then, and the body."""
+
+    both: Hand
+    one: Hand
+    other: Hand
+    pose: Pose
+
+
+@functools.cache
+def read_places() -> dict[str, PlaceRow]:
+    """The places of `[places]` by their names."""
+    own = next(one for one in _sections() if one.startswith("[places]"))
+    named: dict[str, Table] = {"hands": {}, "feet": {}}
+    return {name: _place(row, named) for name, row in tomllib.loads(own)["places"].items()}
+
+
+def _place(row: Table, named: dict[str, Table]) -> PlaceRow:
+    pose = {kind: value for kind, value in row.items() if kind not in ("both", "one", "other")}
+    other = _hand(row["other"]) if "other" in row else HANGING
+    return {"both": _hand(row["both"]), "one": _hand(row["one"]), "other": other, "pose": _pose(pose, named)}
+
+
 @functools.cache
 def gestures() -> tuple[Gesture, ...]:
     """The gestures of the package, in the order of its file."""
@@ -163,7 +186,9 @@ def gesture_of(texts: tuple[str, ...]) -> Gesture | None:
     """
     if not texts:
         return None
-    shared = "".join(one for one in _sections() if not one.startswith(("[[gesture]]", "[frames.", "[parts]")))
+    shared = "".join(
+        one for one in _sections() if not one.startswith(("[[gesture]]", "[frames.", "[parts]", "[places]"))
+    )
     for section in _sections():
         if not section.startswith("[[gesture]]") or json.dumps(texts[0], ensure_ascii=False) not in section:
             continue

@@ -330,10 +330,12 @@ def _varied(
         free[side] = ~touches
     if gesture.steps:
         return _strode(replace(tracks, hands=hands), random, variation)
-    body = size[:, None]
+    placed = np.any([tracks.hands[side].on == 3 for side, _ in SIDES], axis=0)  # who bends less does not get there
+    body = np.where(placed, np.maximum(size, 1), size)[:, None]
     hips = tracks.hips
     if all(tracks.feet[side].rests.all() for side, _ in SIDES):
-        hips = hips * np.clip(variation.size ** random.uniform(-0.6, 0.4), 0.85, 1.1)
+        deeper = np.clip(variation.size ** random.uniform(-0.6, 0.4), 0.85, 1.1)
+        hips = hips * np.where(placed, max(deeper, 1), deeper)[:, None]
     upright = np.clip(1 - np.abs(tracks.tilt) / LIES, 0, 1)[:, None]
     lean = tracks.lean * body + upright * random.normal(0, variation.bearing, 3).clip(*_within(variation.bearing))
     head = tracks.head * body + upright * random.normal(0, variation.bearing, 3).clip(*_within(variation.bearing))

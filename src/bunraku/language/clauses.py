@@ -12,6 +12,7 @@ import re
 from collections.abc import Sequence
 
 from bunraku.language.captions.phrases import is_known_clause
+from bunraku.language.handling import handling_of
 from bunraku.language.lexicon.cues import said_cues
 from bunraku.language.lexicon.reading import actions_of, said_traits, words_of
 from bunraku.language.lexicon.tables import lexicon
@@ -22,6 +23,7 @@ __all__ = [
     "as_present",
     "as_told",
     "begins",
+    "handed_on",
     "of_creature",
     "of_person",
     "parts_of",
@@ -75,6 +77,8 @@ _PEOPLE = frozenset((
 _SAID_OF_PEOPLE = frozenset(("old", "young", "tired", "happy", "sad"))
 _FINITE = ("third", "is")
 _CLAUSE = ("third", "gerund", "plain", "is")
+_ONGOING = re.compile(r"\b(?P<joint>and|then)\s+(?:is|are|was|were)\s+(?P<verb>\w+ing)\b", re.IGNORECASE)
+"""What somebody is doing beside what was said with a finite verb."""
 _ADDS = re.compile(r"(?P<joint>\s*,\s*(?:and\s+)?|\s+and\s+)", re.IGNORECASE)
 """Between two things that may be done one after the other."""
 
@@ -225,6 +229,8 @@ def as_told(text: str) -> str:
         subject, rest = "a person", found["rest"]
         text = f"{subject} is {rest}"
     words, spans = words_of(rest)
+    if begins(rest, "third", "past"):
+        return _ONGOING.sub(_finite, text)
     if not begins(rest, "gerund"):
         return text
     for number, word in enumerate(words[2:], 2):
@@ -233,6 +239,14 @@ def as_told(text: str) -> str:
             start = spans[number][0]
             return f"{subject} is {rest[:start].rstrip()} and {rest[start:]}"
     return text
+
+
+def _finite(found: re.Match[str]) -> str:
+    """ "And is waving" as "and waves"; as it is where the verb is not known."""
+    table = lexicon()
+    verb = found["verb"].lower()
+    lemma = table.lemmas.get(verb) if verb in table.gerund else None
+    return found[0] if lemma is None else f"{found['joint']} {table.verbs[lemma][0]}"
 
 
 def as_present(clause: str) -> str:
@@ -249,6 +263,24 @@ def _now(predicate: str) -> str:
         return predicate
     start, stop = spans[verb]
     return f"{predicate[:start]}{lexicon().verbs[lexicon().past[words[verb]]][0]}{predicate[stop:]}"
+
+
+def handed_on(clauses: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
+    """Clauses with their seconds in which a thing that is taken in one and put somewhere in the next is one clause:
+    hands do not let go of it between.
+
+    Args:
+        clauses: Texts in English, and seconds of each.
+    """
+    found: list[tuple[str, float]] = []
+    for text, seconds in clauses:
+        if found and (first := handling_of(found[-1][0])) and (second := handling_of(text)):
+            joined = f"{found[-1][0].rstrip(' .,')}, then {subject_of(text)[1]}"
+            if first.stations[-1].does != "put" and second.stations[0].does == "hold" and handling_of(joined):
+                found[-1] = joined, found[-1][1] + seconds
+                continue
+        found.append((text, seconds))
+    return found
 
 
 def parts_of(clause: str) -> list[str]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 
 from bunraku.language.clauses import subject_of, with_subject
+from bunraku.language.handling import handling_of
 from bunraku.language.lexicon.reading import actions_of, words_of
 from bunraku.language.lexicon.tables import lexicon
 
@@ -59,6 +60,9 @@ def moved_part(clause: str) -> str:
         return part
     if table.lemmas.get(verb) in _RAISING and not _LIMBS.isdisjoint(words):
         return "arms"
+    held = handling_of(clause)
+    if held is not None and held.said and held.only_held:
+        return "arms"  # a thing that is carried as captured people carry it is no gesture
     said = {table.actions[action].part for action in actions_of(clause)}
     if said == {"legs"}:
         return "legs"  # "does a lunge", whose verb says nothing of it

@@ -13,7 +13,7 @@ from bunraku.language.known.vocabulary import FUNCTION_WORDS, action_stems, capt
 from bunraku.language.lexicon.reading import said_phrases, words_of
 from bunraku.language.lexicon.tables import lexicon
 
-__all__ = ["added_words", "count_of", "stems_of", "tells_all", "unseen_word"]
+__all__ = ["added_words", "body_stems", "count_of", "stems_of", "tells_all", "unseen_word"]
 
 MOST = 99
 """How often something is done at the most."""
@@ -42,7 +42,7 @@ def count_of(text: str) -> int | None:
 
 
 @functools.cache
-def _body() -> frozenset[str]:
+def body_stems() -> frozenset[str]:
     """Stems of words for parts of the body, but for those that are verbs: a spin is no spine."""
     named = [word for row in table()["parts"] for word in row["en"].split("/")]
     words, verbs = {*named, *lexicon().body}, lexicon().lemmas
@@ -92,11 +92,11 @@ def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:
     words = words_of(text)[0]
     for at, word in enumerate(words):
         root = stem(word)
-        if word in lexicon().holding and _body().intersection(stems(words[at + 1 : at + 1 + _OBJECT])):
+        if word in lexicon().holding and body_stems().intersection(stems(words[at + 1 : at + 1 + _OBJECT])):
             continue
         if word in FUNCTION_WORDS or word.endswith("ly") or not word.isalpha():
             continue
-        if (root in _body() and root not in limbs) or (root in verbs and root not in own):
+        if (root in body_stems() and root not in limbs) or (root in verbs and root not in own):
             found.append(word)
     return tuple(dict.fromkeys(found))
 

@@ -180,6 +180,11 @@ class ExamplePack:
         return np.array([one.name.startswith(MADE) for one in self.examples], bool)
 
     @functools.cached_property
+    def handled(self) -> tuple[int, ...]:
+        """The gesture that stands for whatever is done with things; none in a pack without it."""
+        return tuple(index for index in np.flatnonzero(self.made).tolist() if self.said(index).actions == {"handle"})
+
+    @functools.cached_property
     def standing_poses(self) -> dict[int, np.ndarray]:
         """Those that are there for others to be joined to, in which somebody stands on both legs: their mean poses, as
         the denoiser sees them but for the root's velocities, shape (268,).

@@ -13,6 +13,7 @@ import numpy as np
 from bunraku.diffusion.examples.pack import ExamplePack, Said, said_by
 from bunraku.gestures.parts import part_in
 from bunraku.language.details import tells_all
+from bunraku.language.handling import Handling
 from bunraku.language.lexicon.reading import goes_ahead, stays_down
 from bunraku.language.sentence import Clause
 
@@ -26,8 +27,8 @@ SOME = 4
 """Examples to choose from that are enough to do without those that show more beside what is meant."""
 NEAR_MADE = 0.05
 """The same where the nearest is made by code, since what is captured shows that less plainly."""
-_PASSING = frozenset(("idle", "walk"))
-"""What hardly disturbs: standing and a few steps before or after."""
+_PASSING = frozenset(("idle", "walk", "handle"))
+"""What hardly disturbs: standing, a few steps before or after, and a thing in the hand."""
 LEAST = 0.6
 """Mean cosine from which an example is one at all."""
 LEAST_MADE = 0.4
@@ -79,6 +80,7 @@ class Found(NamedTuple):
         score: Mean of the cosine of the sentence with its nearest sentence, and of that with its motion.
         part: The part of the body at which a gesture is done in place of its own (`gestures.parts`); "" for its own.
         times: How often a captured one is done that shows one time of what is counted.
+        handling: What is done with a thing, as a gesture through the places that are named (`gestures.handling`).
     """
 
     number: int
@@ -86,6 +88,7 @@ class Found(NamedTuple):
     score: float
     part: str = ""
     times: int = 1
+    handling: Handling | None = None
 
 
 class Retrieved(NamedTuple):
@@ -102,15 +105,23 @@ class Retrieved(NamedTuple):
 
 
 def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved:
-    """Examples that show what a clause says. Where none shows all of it, those count that show it once, to be done as
-    often as is said, and those with the limb that is meant, whichever way its movement goes.
+    """Examples that show what a clause says. What is done with a thing is a gesture through the places that it names,
+    or as captured where it names none. Where none shows all of it, those count that show it once, to be done as often
+    as is said, and those with the limb that is meant, whichever way its movement goes.
 
     Args:
         pack: To choose from.
         clause: Of one thing that is done.
         vector: The ranker's unit vector of it, shape (V,).
     """
+    handling = (
+        [] if clause.handling is None else [Found(one, False, 1.0, "", 1, clause.handling) for one in pack.handled]
+    )
+    if clause.handling is not None and clause.handling.said and handling:
+        return Retrieved(handling)
     found = _retrieved(pack, clause, vector, frozenset())
+    if handling and not found.found:
+        return Retrieved(handling)
     limbed = any(f"{side} {limb}" in clause.cues for side in ("left", "right") for limb in ("arm", "leg"))
     let_go = _WAYS if limbed and "goes" not in clause.traits else frozenset[str]()
     let_go |= _COUNTS if clause.count and 1 < clause.count <= MOST_TIMES else frozenset[str]()

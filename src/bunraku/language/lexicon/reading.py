@@ -93,6 +93,7 @@ def actions_of(text: str) -> tuple[str, ...]:
     for action in found:
         covered |= rows[action].covers
     names = [action for action in rows if action in found and action not in covered]
+    names = [action for action in names if not rows[action].vague] or names
     return tuple(sorted(names, key=found.__getitem__))
 
 
@@ -100,11 +101,9 @@ def main_actions(texts: Sequence[str]) -> tuple[str, ...]:
     """What the sentences of one stretch agree on: the words of the tersest that says any, or, where none does,
     "other".
     """
-    for text in reversed(texts):
-        found = actions_of(text)
-        if found:
-            return found
-    return ("other",)
+    said = [found for text in reversed(texts) if (found := actions_of(text))]
+    clear = (found for found in said if not all(lexicon().actions[action].vague for action in found))
+    return next(clear, said[0] if said else ("other",))
 
 
 def goes_ahead(actions: Iterable[str]) -> bool:

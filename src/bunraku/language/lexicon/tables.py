@@ -10,6 +10,7 @@
 | `otherwise` | what some kinds of body do in place of a locomotion (see `Otherwise`); the first that fits counts |
 | `cues` | what `cues.sentence_cues` counts and the network is conditioned on: training knows it, it stays as it is |
 | `places` | what a "left" or "right" may be the side of |
+| `handling` | verbs of who takes, holds and puts things, the things, and places for them (`language.handling`) |
 | `traits` | what else a clause says (`Clause.traits`) |
 | `numbers`, `adverbs` | words that count, and those of them that count alone: "twice" |
 | `body` | words for parts of the body, beside those of `foreign.table` |
@@ -61,6 +62,7 @@ class Action:
         halts: People who go stop for it, if it is not said that they do both at once.
         ahead: Who does it goes somewhere, so that "forward" says something of it.
         down: Who does it is down at its end, if it is not said that he gets up.
+        vague: It is said only where nothing else is.
     """
 
     said: tuple[str, ...]
@@ -75,6 +77,7 @@ class Action:
     halts: bool = False
     ahead: bool = False
     down: bool = False
+    vague: bool = False
 
 
 @dataclass(frozen=True)
@@ -147,6 +150,10 @@ class Lexicon:
         adverbs: Those of them that count alone.
         body: Words for parts of the body.
         holding: Verbs that say where a part of the body is, in all their forms.
+        handling_verbs: What each form of a verb does with a thing.
+        things: Words for things, by how they are held.
+        heights: Words for places of things, by their heights.
+        aside: Words for a place beside.
         words: All words of the phrases, and of the rows' names.
     """
 
@@ -168,6 +175,10 @@ class Lexicon:
     adverbs: frozenset[str]
     body: tuple[str, ...]
     holding: frozenset[str]
+    handling_verbs: dict[str, str]
+    things: dict[str, frozenset[str]]
+    heights: dict[str, frozenset[str]]
+    aside: frozenset[str]
     words: frozenset[str]
 
 
@@ -182,6 +193,7 @@ class _Table(TypedDict):
     cues: dict[str, list[str]]
     traits: dict[str, list[str]]
     places: dict[str, list[str]]
+    handling: dict[str, Any]
     synonyms: list[tuple[str, str]]
     ground: dict[str, str]
     otherwise: list[dict[str, Any]]
@@ -233,6 +245,14 @@ def lexicon() -> Lexicon:
     data["classes"]["going"] = " ".join(["{" + verb + "+}" for verb, way in moving.items() if way in _LEGS])
     held = [one.strip("{+}") for one in data["classes"]["holding"].split()]
     holding = frozenset(form for verb in held for form in (verb, *verbs[verb]))
+    handled: dict[str, str] = {}
+    for kind, listed in data["handling"]["verbs"].items():
+        for verb in listed.split():
+            handled |= dict.fromkeys((verb, *verbs[verb]), kind)
+    things, heights = (
+        {kind: frozenset(listed.split()) for kind, listed in data["handling"][table].items()}
+        for table in ("things", "heights")
+    )
     past = {form: verb for verb, forms in verbs.items() for form in forms[2:]}
     past = {form: verb for form, verb in past.items() if form not in verbs and form not in third | gerund}
     phrases, words = _phrases(data, verbs)
@@ -248,7 +268,8 @@ def lexicon() -> Lexicon:
         verbs, frozenset(third), frozenset(gerund), past, lemmas, actions, by_form[0], by_form[1], phrases,
         {section: tuple(data[section]) for section in ("actions", "cues", "traits")}, where,
         dict(data["synonyms"]), data["ground"], tuple(otherwise), data["numbers"],
-        frozenset(data["adverbs"].split()), tuple(data["body"].split()), holding, words,
+        frozenset(data["adverbs"].split()), tuple(data["body"].split()), holding, handled, things, heights,
+        frozenset(data["handling"]["aside"].split()), words.union(*things.values(), *heights.values()),
     )  # fmt: skip
 
 
