@@ -1,13 +1,14 @@
 """Bare meshes that move with and without apparel, side by side in a hidden order, for people to judge.
 
-    python benchmarks/apparel_blind.py ARCHIVE --draw                   the list of meshes, by lot: apparel_blind_2.txt
+    python benchmarks/apparel_blind.py ARCHIVE --draw                   the list of meshes, by lot: apparel_blind_3.txt
     python benchmarks/apparel_blind.py ARCHIVE FOLDER --key KEY         a sheet for each, and which is which
     python benchmarks/apparel_blind.py ARCHIVE --key KEY --answers A B  counts answers
 
 ARCHIVE holds MakeHuman's clothes and hair (`makehuman/`), and the files of the list's third part (`files/`). A sheet
 has two rows of moments for A and two for B: one moves with `--apparel auto`, the other without. Each mesh moves by one
-clip of the library, drawn by lot too. `--use seen` takes the first list, `apparel_blind.txt`, whose pictures have been
-looked at since. Answers are lines "NUMBER A" or "NUMBER B"; "=" stands for no difference.
+clip of the library, drawn by lot too. `--use first` and `second` take the lists whose pictures have been looked at
+since, `apparel_blind.txt` and `apparel_blind_2.txt`. Answers are lines "NUMBER A" or "NUMBER B"; "=" stands for no
+difference.
 """
 
 from __future__ import annotations
@@ -69,7 +70,25 @@ FRESH = (  # others of the same kind, none of which was moved or looked at in mo
     "edvakf/MMD.js 13085b49 MEIKO.pmd",
     "edvakf/MMD.js 14a866b0 Rin_Kagamine.pmd",
 )  # fmt: skip
-LISTS = {"seen": ("apparel_blind.txt", 2830, 830_000, SEEN), "fresh": ("apparel_blind_2.txt", 2831, 880_000, FRESH)}
+THIRD = (  # what wears such of 158 other files that were looked at at rest, and the people of `apparel_files.md`
+    "sgozz/combat-sim 5c423774 warrior.glb",
+    "Norsninja/siege_bakery fc338af6 ogre.glb",
+    "SergeBressloff/SpeakAndSee3D 9a46ae6c soldier.glb",
+    "noufali/website-cover c9b720fa Nouf Dancing.fbx",
+    "shAdow-XJY/SCUT2022_Portal 20537688 paimon.obj",
+    "AlexaVas/3D-Portfolio edf679d2 character.glb",
+    "edvakf/MMD.js ba6641a9 Neru_Akita.pmd",
+    "edvakf/MMD.js e6d66f6b Haku_Yowane.pmd",
+    "edvakf/MMD.js 29c9f42e Rin_Kagamene_act2.pmd",
+    "edvakf/MMD.js 1278f96a Meiko_Sakine.pmd",
+    "mmdagent/mmdagent-mirror 1b21e6fc mei.pmd",
+    "m2wasabi/jThree-Azure-StarterDemo ba9f48b1 index.pmx",
+)  # fmt: skip
+LISTS = {
+    "first": ("apparel_blind.txt", 2830, 830_000, SEEN),
+    "second": ("apparel_blind_2.txt", 2831, 880_000, FRESH),
+    "third": ("apparel_blind_3.txt", 2832, 890_000, THIRD),
+}
 """Name of each list, what its lot is drawn by, its first seed, and its files."""
 
 
@@ -106,7 +125,7 @@ def bare(kind: str, what: str, archive: Path) -> Character:
 
         found = dressed_person(closet(str(archive / "makehuman")), int(what)).character(what)
     else:
-        _, blob, name = what.split(" ")
+        _, blob, name = what.split(" ", 2)
         found = load_character(archive / "files" / f"{blob}_{name}", unit="m")
         stands = resolve_axes(found)
         found, _ = in_metres(turned(found, stands.up, stands.front), "auto", "+y")
@@ -130,7 +149,7 @@ def main() -> None:
     parser.add_argument("--key", type=Path)
     parser.add_argument("--answers", type=Path, nargs="+")
     parser.add_argument("--draw", action="store_true")
-    parser.add_argument("--use", choices=tuple(LISTS), default="fresh")
+    parser.add_argument("--use", choices=tuple(LISTS), default="third")
     asked = parser.parse_args()
     if asked.draw:
         draw(asked.archive, asked.use)
