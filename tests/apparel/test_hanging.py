@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+import trimesh
 
-from bunraku.apparel.hanging import hanging_mask
+from bunraku.apparel.hanging import _fused_skirt, hanging_mask
 from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES
 
 Mesh = tuple[np.ndarray, np.ndarray]
@@ -77,3 +78,42 @@ def test_long_hair_is_hair_and_a_face_is_none() -> None:
     tail = _tube([(0.02, 1.55), (0.04, 1.3), (0.04, 0.9), (0.01, 0.7)], z=-0.18)
     chin = _tube([(0.02, 1.5), (0.03, 1.42), (0.01, 1.36)], z=0.09)
     assert _marked(0.1, tail, chin) == [1.0, 0.0]
+
+
+def _at(x: float, y: float, z: float, half: tuple[float, float, float]) -> Mesh:
+    """A closed box about a place."""
+    box = trimesh.creation.box(2 * np.array(half)).subdivide().subdivide()
+    return np.asarray(box.vertices) + [x, y, z], np.asarray(box.faces)
+
+
+def test_a_belts_end_and_a_shirt_stay_and_a_tail_does_not() -> None:
+    """A short piece at the side of a hip, a tube about the trunk that ends at the hips, and a rod behind the pelvis."""
+    end = _at(0.2, 0.8, 0.05, (0.01, 0.06, 0.01))
+    shirt = _tube([(0.17, 1.25), (0.18, 1.0), (0.18, 0.84)])
+    tail = _at(0.0, 0.85, -0.35, (0.02, 0.02, 0.12))
+    assert _marked(0.9, end, shirt, tail) == [0.0, 0.0, 1.0]
+
+
+def test_a_tail_that_reaches_the_head_is_no_hair() -> None:
+    vertices, faces, joints, weights, number = _person(_at(0.0, 1.2, -0.4, (0.02, 0.35, 0.02)))
+    weights[number == 4] = np.eye(JOINT_COUNT)[0]
+    said = np.where(number == 4, 0.9, 0.0)
+    mask, hair = hanging_mask(vertices, faces, joints, weights, np.ones(len(vertices)), said, said > 0.5)
+    assert mask[number == 4].all() and not hair.any()
+
+
+@pytest.mark.parametrize("notched", [False, True])
+def test_a_skirt_of_one_surface_with_the_body(notched: bool) -> None:
+    """It is found down to its hem; what goes in between the legs, as legs that a cape joins behind do, is none."""
+    _, _, joints, _, _ = _person(SKIRT)
+    heights = np.linspace(0.8, 0.5, 16)
+    outer = [(0.2 + 0.1 * (0.8 - y) / 0.3, y) for y in heights]
+    points, faces = _tube([(0.02, 1.6), (0.1, 1.5), (0.15, 1.3), (0.15, 0.95), *outer, (0.02, 0.5)])
+    skirt = points[:, 1] < 0.81
+    front = skirt & (np.abs(np.arctan2(points[:, 0], points[:, 2])) < 0.6)
+    if notched:
+        points[front] *= [0.25, 1, 0.25]
+    every = np.ones(len(points), bool)
+    found = _fused_skirt(points, faces, every, np.full(len(points), 0.45), joints, 1.6)
+    assert not found.any() if notched else found[skirt].mean() > 0.9 and not found[points[:, 1] > 0.96].any()
+    assert not _fused_skirt(points, faces, every, np.full(len(points), 0.1), joints, 1.6).any()

@@ -18,6 +18,8 @@ __all__ = ["eased_border", "fitted_clothes", "joint_weights_of_handles", "joints
 
 _HIPS = tuple(JOINT_NAMES.index(name) for name in ("left_hip", "right_hip"))
 _ABOVE_COLLARS = tuple(JOINT_NAMES.index(name) for name in ("left_collar", "right_collar"))
+_ARMS = [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
+BESIDE = 0.1  # of a part: what arms hold so little of hangs on no arm, however near one is
 _LIMBS = [
     [JOINT_NAMES.index(f"{side}_{part}") for part in parts]
     for side in ("left", "right")
@@ -93,6 +95,8 @@ def fitted_clothes(
         else:
             near = body[tree.query(vertices[own], min(_NEAR, len(body)))[1].reshape(-1)]
             share = weights[near].mean(axis=0)
+            if weights[rows][:, _ARMS].sum(axis=1).mean() < BESIDE:  # a knot at the hip lies beside a hand
+                share[_ARMS] = 0
         out[rows] = np.eye(JOINT_COUNT, dtype=np.float32)[_carrying(share)]
     part = _layers_as_one(bare, out)
     count = int(part.max(initial=-1)) + 1

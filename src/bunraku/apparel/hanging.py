@@ -1,5 +1,5 @@
 """What hangs on a person by its shape, whole: skirts, which go round both legs together; hair that comes down from the
-skull; and what does not hang: trousers, which go round one leg each, gloves and shoes.
+skull; and what does not hang: trousers, which go round one leg each, shirts, ends of belts, gloves and shoes.
 
 The segmentation network says how likely points are apparel. It knows what it was trained on, and its border runs
 through the midst of a part. Shape says where a part begins and ends.
@@ -8,9 +8,10 @@ through the midst of a part. Shape says where a part begins and ends.
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import ConvexHull, cKDTree
 
 from bunraku.body.layout import JOINT_NAMES
-from bunraku.geometry.axes import covered, directions_about, goes_round
+from bunraku.geometry.axes import covered, direction_bins, directions_about, goes_round
 from bunraku.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
 __all__ = ["hanging_mask"]
@@ -27,14 +28,30 @@ LEAST = 0.004
 """Of the surface: smaller pieces below the hips are not looked at."""
 CROTCH = 0.02
 """Over the height: how far below the hips' joints a skirt must reach."""
+FUSED = 0.35
+"""Mean likelihood of what goes round both legs of a body of one surface, from which on it is a skirt: thighs touch."""
+DEEP = 0.05
+"""Over the height: so far below the hips a skirt of one surface with the body reaches."""
+BULGES, BINS = 0.8, 24
+"""Of the convex line about it, that the line of a skirt reaches in so many directions."""
+LEVELS = 0.012
+"""Over the height: from one level at which such a surface is cut to the next."""
+STIFF = 0.13
+"""Over the height: what is shorter between the knees and the waist is a knot, a pocket or the end of a belt."""
 LONG = 0.12
 """Over the height: what reaches so far below the base of the skull is hair, though some of it lies before the face."""
 BELOW = 0.05
 """Over the height: how far below the base of the skull hair must reach."""
+HELD = 0.03
+"""Over the height: hair begins so near to what the head holds. A tail may reach as high."""
+SHIRT, HEM = 0.65, 0.04
+"""Of the directions about the trunk that a shirt covers; over the height: how far below the hips it ends at most."""
 SIDE = 0.9
 """A leg of trousers lies on one side with so much of it."""
 _PELVIS, _WAIST, _HEAD = (JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "head"))
-_HIPS, _KNEES = ([JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")] for part in ("hip", "knee"))
+_HIPS, _KNEES, _ANKLES = (
+    [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")] for part in ("hip", "knee", "ankle")
+)
 _ARMS = tuple(
     JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")
 )
@@ -81,18 +98,29 @@ def hanging_mask(
     skull = points[own[:, _HEAD] > 0.5]
     top, front = (float(skull[:, axis].max()) if len(skull) else np.inf for axis in (1, 2))
     hair = np.zeros(count, bool)
+    near_skull = np.zeros(len(points), bool)
+    if len(skull):
+        near_skull = cKDTree(skull).query(points, distance_upper_bound=HELD * height)[0] < np.inf
     for number in np.flatnonzero(small & (mean > HAIR)):
         rows = piece == number
-        if _hair(points[rows], joints, top, height) and not (
-            _face(points[rows], joints, top, front) and points[rows, 1].min() > joints[_HEAD, 1] - LONG * height
+        if (
+            near_skull[rows].any()
+            and _hair(points[rows], joints, top, height)
+            and not (
+                _face(points[rows], joints, top, front) and points[rows, 1].min() > joints[_HEAD, 1] - LONG * height
+            )
         ):
             hair |= rows
     skirt, trousers = _below_the_hips(points, edges, piece, area, joints, height)
+    skirt |= _fused_skirt(points, clean.faces, ~small[piece], likely[first], joints, height)
+    for number in np.unique(piece[skirt]):
+        skirt |= (piece == number) & _to_the_waist(points, piece == number, joints, height)
     out = (out & ~trousers) | skirt
     carried = own[:, _ENDS].sum(axis=1) > 0.5
     sleeve = small & (np.bincount(piece, area * own[:, _ARMS].sum(axis=1)) > 0.5 * size)
     carried |= sleeve[piece]
     out = (out & (~carried | (points[:, 1] > joints[_HEAD, 1]))) | skirt | hair
+    out &= ~_stays(points, edges, out, skirt | hair, joints, height)
     return out[clean.index], hair[clean.index]
 
 
@@ -120,8 +148,7 @@ def _below_the_hips(
     """Points of skirts and of legs of trousers, shape (P,) each, bool: what goes round both legs together below the
     hips, and what goes round one.
     """
-    crotch = float(joints[_HIPS, 1].mean()) - CROTCH * height
-    waist = 0.5 * float(joints[_PELVIS, 1] + joints[_WAIST, 1])
+    crotch = _crotch(joints, height)
     skirt, trousers = np.zeros(len(points), bool), np.zeros(len(points), bool)
     middle = joints[_HIPS].mean(axis=0)
     below = points[:, 1] < crotch
@@ -134,10 +161,125 @@ def _below_the_hips(
             trousers |= rows
         elif covered(np.arctan2(own[:, 0] - middle[0], own[:, 2] - middle[2])) >= AROUND:
             skirt |= rows
-    for number in np.unique(piece[skirt]):  # up to the waist
-        own = (piece == number) & (points[:, 1] >= crotch) & (points[:, 1] < waist)
-        skirt |= own & _outer(points, piece == number, joints)
     return skirt, trousers
+
+
+def _to_the_waist(points: np.ndarray, rows: np.ndarray, joints: np.ndarray, height: float) -> np.ndarray:
+    """Points of a surface with a skirt that lie between the crotch and the waist, shape (P,)."""
+    crotch, waist = _crotch(joints, height), 0.5 * float(joints[_PELVIS, 1] + joints[_WAIST, 1])
+    return np.asarray((points[:, 1] >= crotch) & (points[:, 1] < waist) & _outer(points, rows, joints))
+
+
+def _crotch(joints: np.ndarray, height: float) -> float:
+    return float(joints[_HIPS, 1].mean()) - CROTCH * height
+
+
+def _fused_skirt(
+    points: np.ndarray, faces: np.ndarray, large: np.ndarray, likely: np.ndarray, joints: np.ndarray, height: float
+) -> np.ndarray:  # fmt: skip
+    """Points of a skirt that is one surface with the body, shape (P,), bool: cut at any height from the hips down to
+    its hem, one line of the surface goes round both legs.
+
+    Args:
+        points, faces: The surface.
+        large: Points that are of a piece which may be the body, shape (P,).
+        likely: Probability to be apparel, shape (P,).
+        joints: J [m], shape (22, 3).
+        height: Of the character [m].
+    """
+    out = np.zeros(len(points), bool)
+    faces = faces[large[faces].all(axis=1)]
+    crotch = _crotch(joints, height)
+    middle = joints[_HIPS].mean(axis=0)
+    first, levels = crotch + 0.5 * LEVELS * height, 0
+    while len(faces):
+        level = first - levels * LEVELS * height
+        lines, ends = _cut(points, faces, level)
+        if not len(lines):
+            break
+        part = mesh_parts(ends, len(lines))
+        share = ((points[lines[:, 0], 1] - level) / (points[lines[:, 0], 1] - points[lines[:, 1], 1]))[:, None]
+        places = points[lines[:, 0]] * (1 - share) + points[lines[:, 1]] * share
+        chosen = np.zeros(len(lines), bool)
+        for number in np.flatnonzero(np.bincount(part) >= 8):
+            own = places[part == number]
+            legs = [_leg_at(joints, side, level) for side in (0, 1)]
+            around = all(covered(np.arctan2(*(own - centre)[:, [0, 2]].T)) >= AROUND for centre in (middle, *legs))
+            if around and _bulges(own[:, [0, 2]]):
+                chosen |= part == number
+        if not chosen.any():
+            break
+        band = np.flatnonzero(large & (np.abs(points[:, 1] - level) <= 0.5 * LEVELS * height))
+        out[lines[chosen].reshape(-1)] = True
+        if len(band):
+            out[band] = chosen[cKDTree(places).query(points[band])[1]]
+        levels += 1
+    if levels * LEVELS < DEEP or likely[out].mean() < FUSED:
+        return np.zeros(len(points), bool)
+    return out
+
+
+def _cut(points: np.ndarray, faces: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
+    """Edges of a surface that a level crosses, shape (E, 2), and which of them a face joins, shape (G, 2)."""
+    above = points[:, 1] > level
+    crossed = faces[(above[faces].any(axis=1)) & ~above[faces].all(axis=1)]
+    sides = np.sort(np.stack([crossed, np.roll(crossed, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
+    over = above[sides[:, 0]] != above[sides[:, 1]]  # two of the three of each face
+    lines, place = np.unique(sides[over], axis=0, return_inverse=True)
+    return lines, place.reshape(-1, 2)
+
+
+def _bulges(line: np.ndarray) -> bool:
+    """Whether a closed line (P, 2) is nowhere far inside the convex one about it, as that about two legs is."""
+    centre = line.mean(axis=0)
+    hull = ConvexHull(line, qhull_options="QJ").equations  # inside where normal x + offset < 0
+    away = line - centre
+    bins = direction_bins(np.arctan2(away[:, 0], away[:, 1]), BINS)
+    reach = np.zeros(BINS)
+    gap = -(hull[:, :2] @ centre + hull[:, 2])
+    slope = np.maximum(away @ hull[:, :2].T, 1e-12)
+    np.maximum.at(reach, bins, 1 / np.maximum((gap / slope).min(axis=1), 1e-9))  # 1 on the convex line
+    return bool((reach[np.unique(bins)] >= BULGES).mean() >= AROUND)
+
+
+def _leg_at(joints: np.ndarray, side: int, level: float) -> np.ndarray:
+    """The middle of a leg at a height [m], shape (3,)."""
+    line = joints[[_HIPS[side], _KNEES[side], _ANKLES[side]]]
+    return np.array([np.interp(-level, -line[:, 1], line[:, axis]) for axis in range(3)])
+
+
+def _stays(
+    points: np.ndarray, edges: np.ndarray, mask: np.ndarray, known: np.ndarray, joints: np.ndarray, height: float
+) -> np.ndarray:  # fmt: skip
+    """Points of parts that stay with the body, shape (P,), bool: a shirt, which goes round the trunk and ends at the
+    hips, and short stiff pieces between the knees and the waist, unless they are behind, as tails are.
+
+    Args:
+        points, edges: The surface.
+        mask: What may hang, shape (P,).
+        known: Points that are known to hang, shape (P,).
+        joints: J [m], shape (22, 3).
+        height: Of the character [m].
+    """
+    out = np.zeros(len(points), bool)
+    part = mesh_parts(edges[mask[edges].all(axis=1)], len(points))
+    pelvis, knees, waist = joints[_PELVIS], float(joints[_KNEES, 1].max()), float(joints[_WAIST, 1])
+    crotch = _crotch(joints, height)
+    for number in np.unique(part[mask & ~known]):
+        rows = mask & (part == number)
+        own = points[rows]
+        if known[rows].any():
+            continue
+        low, high = own.min(axis=0), own.max(axis=0)
+        centre = 0.5 * (low + high)
+        round_it = covered(np.arctan2(own[:, 0] - pelvis[0], own[:, 2] - pelvis[2])) >= SHIRT
+        if round_it and crotch - HEM * height < low[1] < waist and high[1] < joints[_HEAD, 1]:
+            out |= rows
+        short = float(np.linalg.norm(high - low)) < STIFF * height
+        behind = own[:, 2].max() < pelvis[2] and abs(centre[0] - pelvis[0]) < 0.05 * height
+        if short and knees < centre[1] < waist and not behind:
+            out |= rows
+    return out
 
 
 def _legs(

@@ -32,7 +32,7 @@ from bunraku.nn.checkpoints import dated_checkpoint
 from bunraku.physics.chains.after.outside import outside
 from bunraku.physics.chains.after.over_legs import over_legs
 from bunraku.physics.chains.after.together import swung_less, together
-from bunraku.physics.chains.after.torn import torn_parts
+from bunraku.physics.chains.after.torn import eased, own_way, torn_parts
 from bunraku.physics.chains.animated import with_apparel
 from bunraku.physics.chains.laid import Chained
 from bunraku.physics.chains.manners_file import manners_beside
@@ -47,11 +47,11 @@ from bunraku.pipelines.requests.apparel import Apparel
 __all__ = ["animated_clothed", "chained", "dressed", "learned", "shipped_displacement"]
 
 Progress = Callable[[str, float], None]
-LEAST = 0.01
-"""Share of the vertices under which `auto` takes a mesh to have no apparel."""
+LEAST = 0.004
+"""Share of the surface under which `auto` takes a mesh to have no apparel."""
 RATE = 30.0
-CALMER = 2
-"""How often what is torn is made to swing half as far."""
+CALMER = 3
+"""How often what is torn is eased; from the second time on it swings half as far too."""
 WHOLE = 3
 """How often chains are laid anew without the parts that they tear."""
 _log = logging.getLogger(__name__)
@@ -113,13 +113,16 @@ def dressed(
         if not _person(animation, anatomy):
             return animation
         clothed, _, _ = animated_clothed(animation)
-        if clothed.apparel.mean() < LEAST:
+        if _little(animation.character, clothed.apparel):
             return animation
         problem = "" if artist_mask_file(animation.character) else too_much(animation.character, clothed.apparel)
         if problem:
             _log.warning("%s", problem)
             return animation
-        return _whole(animation, clothed, stiffness, gravity, progress)
+        try:
+            return _whole(animation, clothed, stiffness, gravity, progress)
+        except CharacterError:  # all of it is too short to swing
+            return animation
     if str(apparel) == "chains":
         clothed, _, _ = animated_clothed(animation)
         return _whole(animation, clothed, stiffness, gravity, progress)
@@ -184,27 +187,39 @@ def _chained(
 ) -> tuple[RigAnimation, Chained]:  # fmt: skip
     progress = progress or (lambda stage, done: None)
     progress("apparel", 0.0)
-    body = _unified(animation.character) if isinstance(animation, RigAnimation) else None
-    if body is not None and isinstance(animation, RigAnimation):
-        moved, bones = animation.at(RATE), body.bones
-    else:
-        handles = animation.animation() if isinstance(animation, RigAnimation) else animation
-        moved, bones = on_handle_rig(handles.at(RATE)), np.arange(JOINT_COUNT)
+    moved, bones = _boned(animation)
     made = laid_over(moved.character, clothed, bones, stiffness, gravity)
     found = steady_simulation(made.on(moved), made.rig(tied=False), progress=lambda done: progress("apparel", done))
     for problem in found.report.problems():
         _log.warning("%s: %s", animation.character.name, problem)
     calm = together(found.animation, made.chains, made.near)
-    calm = over_legs(calm, made.chains, made.near, clothed, bones)
+    assert moved.character.rig is not None
+    calm = over_legs(calm, made.chains, made.near, clothed, bones, moved.character.rig)
     return outside(calm, made.chains, clothed, bones), made
+
+
+def _boned(animation: Animation | RigAnimation) -> tuple[RigAnimation, np.ndarray]:
+    """An animation on its bones, or on its handles as bones, and the bone that each of the 22 joints is."""
+    body = _unified(animation.character) if isinstance(animation, RigAnimation) else None
+    if body is not None and isinstance(animation, RigAnimation):
+        return animation.at(RATE), body.bones
+    handles = animation.animation() if isinstance(animation, RigAnimation) else animation
+    return on_handle_rig(handles.at(RATE)), np.arange(JOINT_COUNT)
+
+
+def _little(character: Character, apparel: np.ndarray) -> bool:
+    """Whether so little of a mesh is apparel that it has none."""
+    areas = character.areas
+    return float(areas[apparel].sum()) < LEAST * float(areas.sum())
 
 
 def _whole(
     animation: Animation | RigAnimation, clothed: ClothedCharacter, stiffness: float, gravity: float,
     progress: Progress | None,
 ) -> Animation | RigAnimation:  # fmt: skip
-    """`chained` with the parts that it would tear swinging less, and going with the body where that does not help; as
-    it is where that are all. What somebody said to be apparel moves all the same, and a line says so.
+    """`chained` with what it would tear mended: torn places go over to the skin of the body, their parts swing less,
+    and go with the body where that does not help; as it is where that are all. What somebody said to be apparel moves
+    all the same, and a line says so.
     """
     plain, own = animation.at(RATE), artist_mask_file(animation.character) is not None
     name = animation.character.name
@@ -215,11 +230,7 @@ def _whole(
             if attempt:
                 break
             raise
-        torn = torn_parts(clothed, found.vertices, plain.vertices, len(found))
-        for _ in range(CALMER):
-            if torn:
-                found = swung_less(found, made.chains, made.of_vertices(np.isin(clothed.part, list(torn))))
-                torn = torn_parts(clothed, found.vertices, plain.vertices, len(found))
+        found, torn = _mended(animation, plain, found, made, clothed)
         if not torn:
             return found
         count = len(torn)
@@ -228,10 +239,31 @@ def _whole(
             return found
         _log.warning("%s: %d parts of hair or clothes would be torn and go with the body", name, count)
         kept = clothed.apparel & ~np.isin(clothed.part, list(torn))
-        if kept.mean() < LEAST:
+        if _little(animation.character, kept):
             break
         clothed, _, _ = animated_clothed(animation, kept)
     return animation
+
+
+def _mended(
+    animation: Animation | RigAnimation, plain: Animation | RigAnimation, found: RigAnimation, made: Chained,
+    clothed: ClothedCharacter,
+) -> tuple[RigAnimation, dict[int, float]]:  # fmt: skip
+    """An animation of chains with what they tear eased and calmed, and the parts that are torn all the same."""
+    skin = _boned(animation)[0].character.rig
+    assert skin is not None
+    free = np.ones(len(clothed.rest), np.float32)
+    swings, torn = found, torn_parts(clothed, found.vertices, plain.vertices, len(found))
+    for attempt in range(CALMER):
+        if not torn:
+            break
+        if attempt:
+            swings = swung_less(swings, made.chains, made.of_vertices(np.isin(clothed.part, list(torn))))
+            found = eased(swings, skin, free)
+        free = free * own_way(clothed, found.vertices, plain.vertices, len(found), torn)
+        found = eased(swings, skin, free)
+        torn = torn_parts(clothed, found.vertices, plain.vertices, len(found))
+    return found, torn
 
 
 def animated_clothed(

@@ -268,7 +268,11 @@ def _kind(clothed: ClothedCharacter, joint: int, points: np.ndarray, along: np.n
         if cover >= ROUND:
             return "skirt"
         thin = _thickness(points)
-        return "skirt" if cover > BROAD and thin < 0.35 else "tail" if thin >= 0.35 or width < 0.1 else "ribbon"
+        if cover > BROAD and thin < 0.35:
+            return "skirt"
+        begins = points[along <= np.percentile(along, 20)].mean(axis=0) - clothed.joints[_HIPS[0]]
+        behind = begins[2] < 0 and abs(begins[0]) < -begins[2]
+        return "tail" if behind and (thin >= 0.35 or width < 0.1) else "ribbon"
     if joint in (JOINT_NAMES.index("spine2"), JOINT_NAMES.index("spine3"), *(
             JOINT_NAMES.index(f"{side}_collar") for side in ("left", "right"))):  # fmt: skip
         return "cape" if cover > BROAD and length > 0.15 * clothed.scale else "ribbon"

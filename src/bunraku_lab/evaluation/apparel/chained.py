@@ -49,7 +49,7 @@ def chained_clip(clip: TrueClip, told: Character | None = None) -> tuple[np.ndar
         return body.vertices(), 0
     found = steady_simulation(made.on(body), made.rig(tied=False))
     moved = together(found.animation, made.chains, made.near)
-    moved = over_legs(moved, made.chains, made.near, clothed, np.arange(JOINT_COUNT))
+    moved = over_legs(moved, made.chains, made.near, clothed, np.arange(JOINT_COUNT), rig)
     moved = outside(moved, made.chains, clothed, np.arange(JOINT_COUNT))
     return moved.vertices(), sum(one.frame >= 0 for one in found.report.recoveries)
 

@@ -19,6 +19,7 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.handles.inference.graph import farthest_points
+from bunraku.physics.chains.after.over_legs import LegsUnder
 from bunraku.physics.chains.chain import Chain
 
 __all__ = ["outside"]
@@ -39,6 +40,7 @@ _LIMB = np.array([
     for name in JOINT_NAMES
 ])  # fmt: skip
 """Of each joint: the trunk, an arm or a leg."""
+_LEG_LIMBS = (3, 4)
 SMOOTH = 0.05
 """Of the turns in time, standard deviation [s]."""
 
@@ -61,14 +63,27 @@ def outside(
     found = _Links.of(animation, chains, clothed, depth)
     if not len(found.vertex):
         return animation
-    affine = animation.transforms()[:, bones]
+    every = animation.transforms()
+    affine = every[:, bones]
+    skirt = np.flatnonzero([found.kind[link] == "skirt" for link in found.link])
+    places, holders = found.rest[skirt].astype(float), found.holder[found.link[skirt]]
+    legs = LegsUnder(clothed, places, holders, bones, every) if len(skirt) else None
+    sheet = np.zeros(len(found.vertex), bool)
+    sheet[skirt] = True
     ways = None
     for _ in range(PASSES):
         moved = found.points(animation)
         ways = ways or [_ways(points, frame, one, clothed.scale) for frame, one in zip(affine, moved, strict=True)]
         push = np.zeros(moved.shape)
+        if legs is not None:
+            push[:, skirt] = legs.push(moved[:, skirt])
         for frame, (own, limbs) in enumerate(zip(moved, ways, strict=True)):
-            for rows, way in limbs:
+            for rows, way, limb in limbs:
+                if limb in _LEG_LIMBS:  # a skirt goes outwards, whichever way out of a leg is nearer
+                    kept = np.flatnonzero(~sheet[rows])
+                    if not len(kept):
+                        continue
+                    rows, way = rows[kept], way.take(kept)
                 inside, step = depth.push(own[rows], way, found.gap[rows], MOST * clothed.scale)
                 some = rows[inside]
                 more = np.square(step).sum(axis=1) > np.square(push[frame, some]).sum(axis=1)
@@ -79,9 +94,11 @@ def outside(
     return animation
 
 
-def _ways(points: BodyPoints, affine: np.ndarray, own: np.ndarray, size: float) -> list[tuple[np.ndarray, Unposed]]:
-    """Ways back to the rest pose of points (M, 3), and which points each is for: by the trunk and by each limb that is
-    near. What lies between a hand and a thigh must leave both.
+def _ways(
+    points: BodyPoints, affine: np.ndarray, own: np.ndarray, size: float
+) -> list[tuple[np.ndarray, Unposed, int]]:
+    """Ways back to the rest pose of points (M, 3), which points each is for, and which limb: by the trunk and by each
+    limb that is near. What lies between a hand and a thigh must leave both.
     """
     blend = points.blends(affine)
     placed = points.placed(blend)
@@ -97,7 +114,7 @@ def _ways(points: BodyPoints, affine: np.ndarray, own: np.ndarray, size: float) 
         true = limb[nearest_index(way(own[rows]), points.rest)] == number
         if true.any():
             kept = np.flatnonzero(true)
-            out.append((rows[kept], way.take(kept)))
+            out.append((rows[kept], way.take(kept), int(number)))
     return out
 
 
@@ -119,6 +136,8 @@ class _Links:
     ):  # fmt: skip
         self.vertex, self.link, self.weights, self.gap, self.rest, self.size = vertex, link, weights, gap, rest, size
         self.bones = np.concatenate([chain.bones for chain in chains])
+        self.kind = [chain.kind for chain in chains for _ in chain.bones]
+        self.holder = np.array([chain.holder for chain in chains for _ in chain.bones])
         row = {int(bone): number for number, bone in enumerate(self.bones)}
         self.above = np.full(len(self.bones), -1)
         for chain in chains:

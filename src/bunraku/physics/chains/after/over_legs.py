@@ -1,4 +1,5 @@
-"""Skirts laid over legs: a column that a leg has passed is turned outwards until the leg is behind it, as a skirt that
+"""Skirts laid over legs. A column that a leg has passed goes back towards the skin of the bare mesh, which goes with
+the legs, as far as it must; where that does not help it is turned outwards until the leg is behind it, as a skirt that
 is driven by the thighs would be. What turns is smooth in time and from column to column.
 """
 
@@ -8,17 +9,20 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+from scipy.spatial import cKDTree
 
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.body.layout import JOINT_NAMES
+from bunraku.core.character import Rig
 from bunraku.core.rig_animation import RigAnimation
+from bunraku.core.skinning import skin
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.physics.chains.chain import Chain
 
-__all__ = ["over_legs"]
+__all__ = ["LegsUnder", "over_legs"]
 
-SAMPLES = 6
+SAMPLES = 8
 """Places of a thigh, and of a shin, that are looked at."""
 THICK = 0.045
 """Over the size [m]: half the thickness of a leg that no skin shows."""
@@ -28,8 +32,18 @@ WIDE = 0.08
 """Over the size [m]: a leg that is so far beside a column counts whole for it."""
 FARTHEST = 1.4
 """As far as a column turns [rad]."""
-SPREAD = 0.6
+SPREAD = 0.4
 """Of its turn, that its neighbours have at least."""
+NEAREST = 24
+"""Vertices whose skin says where a point of a column would go with the bare mesh."""
+BACK = np.linspace(0, 1, 6)
+"""How far a column goes back to the skin: the least of these that takes it over the legs."""
+ENOUGH = 0.03
+"""So far a leg may be beyond a column [rad]."""
+DEEPEST = 0.2
+"""Over the size [m]: a leg that is farther beyond a point is none of its."""
+ABOUT = 0.06
+"""Over the size [m]: a point stands for no more than what lies so far about it."""
 HOLD, SMOOTH = 0.15, 0.06
 """How long a turn is held, and its standard deviation in time [s]."""
 _LEGS = [
@@ -39,7 +53,7 @@ _LEGS = [
 
 def over_legs(
     animation: RigAnimation, chains: Sequence[Chain], near: Sequence[tuple[int, int, float]],
-    clothed: ClothedCharacter, bones: np.ndarray,
+    clothed: ClothedCharacter, bones: np.ndarray, bare: Rig,
 ) -> RigAnimation:  # fmt: skip
     """An animation whose skirts lie over the legs.
 
@@ -49,40 +63,183 @@ def over_legs(
         near: Pairs of chains that are neighbours, as of `LaidChains`.
         clothed: The same mesh.
         bones: The bone of the rig that each of the 22 joints is, shape (22,).
+        bare: The rig without the chains, whose skin goes with the legs.
     """
     skirts = [number for number, chain in enumerate(chains) if chain.kind == "skirt"]
     if not skirts:
         return animation
     affine = animation.transforms()
-    world, heads = animation.world()
-    extra = np.zeros((len(animation), len(chains)))
-    axes = {}
     posed, rest, thick = _legs(affine, clothed, bones)
-    for number in skirts:
-        chain = chains[number]
-        back = np.swapaxes(affine[:, chain.holder, :3, :3], 1, 2)
-        origin = affine[:, chain.holder, :3, 3]
-        legs = np.einsum("nab,npb->npa", back, posed - origin[:, None])
-        end = heads[:, chain.bones[-1]] + world[:, chain.bones[-1]] @ (chain.points[-1] - chain.points[-2])
-        line = np.concatenate([heads[:, chain.bones], end[:, None]], axis=1)
-        line = np.einsum("nab,npb->npa", back, line - origin[:, None])
-        out = chain.points[len(chain.points) // 2] - clothed.joints[0]
-        out = np.array([out[0], 0.0, out[2]]) / max(float(np.hypot(out[0], out[2])), 1e-9)
-        axes[number] = np.cross([0.0, -1.0, 0.0], out)
-        wide = max(float(chain.width.max()), WIDE * clothed.scale)
-        # the holder's rest frame lies along the world's axes, so the rest pose is one frame more
-        turn = _turns(np.concatenate([rest[None], legs]), np.concatenate([chain.points[None], line]), out, thick, wide)
-        extra[:, number] = np.clip((turn[1:] - turn[:1]).max(axis=1), 0, FARTHEST)
-    whole = np.array(extra)
-    for one, other, _ in near:
-        whole[:, one] = np.maximum(whole[:, one], SPREAD * extra[:, other])
-        whole[:, other] = np.maximum(whole[:, other], SPREAD * extra[:, one])
-    size = max(1, round(HOLD * animation.fps))
-    whole = gaussian_filter1d(maximum_filter1d(whole, size, axis=0), SMOOTH * animation.fps, axis=0, mode="nearest")
+    columns = {number: _Column(chains[number], clothed, rest, thick) for number in skirts}
+    share = np.zeros((len(animation), len(chains)))
+    worlds = animation.world()
+    lines, backs = {}, {}
+    for number, column in columns.items():
+        legs = column.local(posed, affine)
+        lines[number] = column.local(column.posed(*worlds), affine)
+        backs[number] = column.local(_on_skin(column.chain, animation, clothed, bare, affine), affine)
+        turns = np.stack(
+            [column.turn(legs, lines[number] + some * (backs[number] - lines[number])) for some in BACK], axis=1
+        )
+        good = turns <= np.maximum(turns.min(axis=1, keepdims=True), ENOUGH)
+        share[:, number] = BACK[good.argmax(axis=1)]
+    share = _spread(share, near, animation.fps)
     rotations = np.array(animation.rotations, np.float64)
-    for number, axis in axes.items():
-        bone = int(chains[number].bones[0])
-        rotations[:, bone] = matrix_from_axis_angle(whole[:, number, None] * axis) @ rotations[:, bone]
+    for number, column in columns.items():
+        line = lines[number] + share[:, number, None, None] * (backs[number] - lines[number])
+        _aim(rotations, worlds[0], column.chain, affine[:, column.chain.holder, :3, :3], lines[number], line)
+    animation = _with(animation, rotations)
+    worlds = animation.world()
+    extra = np.zeros((len(animation), len(chains)))
+    for number, column in columns.items():
+        line = column.local(column.posed(*worlds), affine)
+        extra[:, number] = np.clip(column.turn(column.local(posed, affine), line), 0, FARTHEST)
+    extra = _spread(extra, near, animation.fps)
+    rotations = np.array(animation.rotations, np.float64)
+    for number, column in columns.items():
+        bone = int(column.chain.bones[0])
+        rotations[:, bone] = matrix_from_axis_angle(extra[:, number, None] * column.axis) @ rotations[:, bone]
+    return _with(animation, rotations)
+
+
+class LegsUnder:
+    """How far points of skirts would have to go outwards for the legs to lie behind them.
+
+    Args:
+        clothed: The character.
+        points: At rest [m], shape (M, 3).
+        holders: The bone that carries each, shape (M,).
+        bones: The bone of the rig that each of the 22 joints is, shape (22,).
+        affine: Transforms of all bones, shape (N, B, 3, 4).
+    """
+
+    def __init__(
+        self, clothed: ClothedCharacter, points: np.ndarray, holders: np.ndarray, bones: np.ndarray, affine: np.ndarray
+    ):
+        self.most = DEEPEST * clothed.scale
+        self.legs, rest, self.thick = _legs(affine, clothed, bones)
+        away = points - clothed.joints[0]
+        away[:, 1] = 0
+        out = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+        self.out = np.einsum("nmab,mb->nma", affine[:, holders, :3, :3], out)
+        # a point stands for the surface about it, and legs pass between points
+        next_one = cKDTree(points).query(points, min(3, len(points)))[0]
+        self.about = np.minimum(next_one.reshape(len(points), -1)[:, -1], ABOUT * clothed.scale)
+        self.least = _beyond(points[None], rest[None], out[None], self.thick, self.about)[0]
+
+    def push(self, points: np.ndarray) -> np.ndarray:
+        """The way of points (N, M, 3) [m], 0 where legs are behind them."""
+        beyond = np.maximum(_beyond(points, self.legs, self.out, self.thick, self.about) - self.least, 0)
+        return np.asarray(np.where(beyond < self.most, beyond, 0.0)[..., None] * self.out)
+
+
+def _beyond(
+    points: np.ndarray, legs: np.ndarray, out: np.ndarray, thick: np.ndarray, about: np.ndarray
+) -> np.ndarray:  # fmt: skip
+    """How far balls (N, P, 3), half so thick (P,), reach beyond points (N, M, 3), each of which stands for what lies so
+    far about it (M,), in their directions, shape (N, M).
+    """
+    found = np.zeros(points.shape[:2])
+    for place, radius in zip(np.swapaxes(legs, 0, 1), thick, strict=True):
+        away = place[:, None] - points
+        ahead = (away * out).sum(axis=-1)
+        beside = np.sqrt(np.maximum(np.square(away).sum(axis=-1) - np.square(ahead), 0))
+        left = radius**2 - np.square(np.maximum(beside - about, 0))
+        found = np.maximum(found, np.where(left > 0, ahead + np.sqrt(np.maximum(left, 0)), 0))
+    return found
+
+
+class _Column:
+    """A column of a skirt and the legs at rest: what it is measured by in the frame of what carries it."""
+
+    def __init__(self, chain: Chain, clothed: ClothedCharacter, rest: np.ndarray, thick: np.ndarray):
+        self.chain, self.thick = chain, thick
+        out = chain.points[len(chain.points) // 2] - clothed.joints[0]
+        self.out = np.array([out[0], 0.0, out[2]]) / max(float(np.hypot(out[0], out[2])), 1e-9)
+        self.axis = np.cross([0.0, -1.0, 0.0], self.out)
+        self.wide = max(float(chain.width.max()), WIDE * clothed.scale)
+        # what carries it lies along the world's axes at rest
+        self.least = _turns(rest[None], chain.points[None], self.out, thick, self.wide)[0]
+
+    def local(self, points: np.ndarray, affine: np.ndarray) -> np.ndarray:
+        """Points [m] in the frame of what carries it, shape (N, P, 3)."""
+        own = affine[:, self.chain.holder]
+        return np.asarray(np.einsum("nba,npb->npa", own[:, :3, :3], points - own[:, None, :3, 3]))
+
+    def posed(self, world: np.ndarray, heads: np.ndarray) -> np.ndarray:
+        """Its points [m], shape (N, R + 1, 3)."""
+        chain = self.chain
+        last = chain.bones[-1]
+        end = heads[:, last] + world[:, last] @ (chain.points[-1] - chain.points[-2])
+        return np.asarray(np.concatenate([heads[:, chain.bones], end[:, None]], axis=1))
+
+    def turn(self, legs: np.ndarray, line: np.ndarray) -> np.ndarray:
+        """How far a line of its points would have to turn to lie over the legs as at rest [rad], shape (N,)."""
+        return np.asarray(np.maximum(_turns(legs, line, self.out, self.thick, self.wide) - self.least, 0).max(axis=1))
+
+
+def _on_skin(
+    chain: Chain, animation: RigAnimation, clothed: ClothedCharacter, bare: Rig, affine: np.ndarray
+) -> np.ndarray:  # fmt: skip
+    """Where the points of a column would be if what it holds went with the bare mesh [m], shape (N, R + 1, 3)."""
+    rig = animation.character.rig
+    assert rig is not None
+    held = (rig.weights * np.isin(rig.indices, chain.bones)).sum(axis=1)
+    rows = np.flatnonzero(held > 0.25 * held.max())
+    gap = np.linalg.norm(clothed.rest[rows] - chain.points[:, None], axis=-1)
+    near = np.argsort(gap, axis=1)[:, :NEAREST]
+    chosen, place = np.unique(rows[near], return_inverse=True)
+    bones = np.unique(bare.indices[chosen])
+    weights = np.zeros((len(chosen), len(bones)), np.float32)
+    columns = np.searchsorted(bones, bare.indices[chosen])
+    np.add.at(weights, (np.arange(len(chosen))[:, None], columns), bare.weights[chosen])
+    moved = skin(clothed.rest[chosen].astype(np.float32), weights, affine[:, bones, :3].astype(np.float32))
+    place = place.reshape(near.shape)
+    offset = chain.points - clothed.rest[chosen][place].mean(axis=1)
+    turned = np.einsum("nab,pb->npa", affine[:, chain.holder, :3, :3], offset)
+    return np.asarray(moved[:, place].mean(axis=2) + turned)
+
+
+def _spread(values: np.ndarray, near: Sequence[tuple[int, int, float]], fps: float) -> np.ndarray:
+    """Values of columns (N, C) that their neighbours share in part, held and smooth in time."""
+    whole = np.array(values)
+    for one, other, _ in near:
+        whole[:, one] = np.maximum(whole[:, one], SPREAD * values[:, other])
+        whole[:, other] = np.maximum(whole[:, other], SPREAD * values[:, one])
+    size = max(1, round(HOLD * fps))
+    return np.asarray(gaussian_filter1d(maximum_filter1d(whole, size, axis=0), SMOOTH * fps, axis=0, mode="nearest"))
+
+
+def _aim(
+    rotations: np.ndarray, world: np.ndarray, chain: Chain, frame: np.ndarray, line: np.ndarray, goal: np.ndarray
+) -> None:  # fmt: skip
+    """Turn the links of a chain, whose points (N, R + 1, 3) are given in a frame (N, 3, 3), along those of a goal."""
+    before = np.diff(line, axis=1)
+    after = np.diff(goal, axis=1)
+    above = None
+    for link, bone in enumerate(chain.bones):
+        turn = _least_rotation(before[:, link], after[:, link])
+        turn = frame @ turn @ np.swapaxes(frame, 1, 2)
+        own = turn @ world[:, bone]
+        if above is None:  # what carries it stays
+            parent = world[:, bone] @ np.swapaxes(rotations[:, bone], 1, 2)
+        else:
+            parent = above
+        rotations[:, bone] = np.swapaxes(parent, 1, 2) @ own
+        above = own
+
+
+def _least_rotation(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The least rotations that turn vectors along others, shape (N, 3) each -> (N, 3, 3)."""
+    one = one / np.maximum(np.linalg.norm(one, axis=1, keepdims=True), 1e-9)
+    other = other / np.maximum(np.linalg.norm(other, axis=1, keepdims=True), 1e-9)
+    cross = np.cross(one, other)
+    sine = np.linalg.norm(cross, axis=1, keepdims=True)
+    angle = np.arctan2(sine, (one * other).sum(axis=1, keepdims=True))
+    return np.asarray(matrix_from_axis_angle(cross / np.maximum(sine, 1e-9) * np.minimum(angle, 3.0)))
+
+
+def _with(animation: RigAnimation, rotations: np.ndarray) -> RigAnimation:
     return RigAnimation(animation.character, rotations, animation.translations, animation.fps, animation.reference)
 
 
@@ -101,7 +258,7 @@ def _turns(legs: np.ndarray, line: np.ndarray, out: np.ndarray, thick: np.ndarra
     lateral = np.abs(away @ np.cross([0.0, 1.0, 0.0], out))
     drop = np.maximum.accumulate(-chain[..., 1], axis=1) + 1e-6 * np.arange(line.shape[1])
     there = np.stack([np.interp(v, d, o) for v, d, o in zip(down, drop, chain @ out, strict=True)])
-    counts = smooth_step((lateral - 0.9 * wide) / (0.7 * wide + 1.2 * thick), 1.0, 0.0)
+    counts = smooth_step((lateral - 0.4 * wide) / (0.4 * wide + 0.8 * thick), 1.0, 0.0)
     counts = counts * ((down > 0.25 * thick) & (down < drop[:, -1:] + thick))
     level = np.maximum(down, 1e-6)
     return np.asarray(np.maximum((np.arctan2(beyond, level) - np.arctan2(there, level)) * counts, 0))

@@ -40,12 +40,15 @@ def together(
         count = share * ALIKE.get(chains[one].kind, OTHERS)
         beside[one].append((other, count))
         beside[other].append((one, count))
+    sags = _sags(turns, chains)
+    turns = [turn - sags.get(number, 0.0) for number, turn in enumerate(turns)]
     for _ in range(PASSES):
         turns = [
             _mean(own, [(turns[other], count) for other, count in some])
             for own, some in zip(turns, beside, strict=True)
         ]
     rotations = np.array(animation.rotations, np.float64)
+    turns = [turn + sags.get(number, 0.0) for number, turn in enumerate(turns)]
     for chain, own in zip(chains, turns, strict=True):
         rotations[:, chain.bones] = matrix_from_axis_angle(own)
     return RigAnimation(animation.character, rotations, animation.translations, animation.fps, animation.reference)
@@ -58,6 +61,28 @@ def swung_less(animation: RigAnimation, chains: Sequence[Chain], chosen: Collect
         bones = chains[number].bones
         rotations[:, bones] = matrix_from_axis_angle(LESS * axis_angle_from_matrix(rotations[:, bones]))
     return RigAnimation(animation.character, rotations, animation.translations, animation.fps, animation.reference)
+
+
+def _sags(turns: Sequence[np.ndarray], chains: Sequence[Chain]) -> dict[int, np.ndarray]:
+    """What all columns of a skirt turn alike, each about its own axis, as it sags or spreads, by the number of the
+    chain, shape (N, R, 3) each: an average of turns about axes that lie all round would lose it.
+    """
+    out: dict[int, np.ndarray] = {}
+    skirts = [number for number, chain in enumerate(chains) if chain.kind == "skirt"]
+    for name in {chains[number].name.rpartition("_")[0] for number in skirts}:
+        rows = [number for number in skirts if chains[number].name.rpartition("_")[0] == name]
+        away = np.array([chains[number].points[-1] for number in rows])
+        away -= away.mean(axis=0)
+        away[:, 1] = 0
+        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+        axes = np.cross(away, [0.0, 1.0, 0.0])
+        for link in range(max(len(chains[number]) for number in rows)):
+            some = [place for place, number in enumerate(rows) if len(chains[number]) > link]
+            alike = np.mean([turns[rows[place]][:, link] @ axes[place] for place in some], axis=0)
+            for place in some:
+                sag = out.setdefault(rows[place], np.zeros_like(turns[rows[place]]))
+                sag[:, link] = alike[:, None] * axes[place]
+    return out
 
 
 def _mean(own: np.ndarray, others: list[tuple[np.ndarray, float]]) -> np.ndarray:
