@@ -1,5 +1,6 @@
 import csv
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +14,10 @@ from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.extractor_config import ExtractorConfig
 from bunraku.diffusion.features import decode, encode
 from bunraku.diffusion.generation import networks
+from bunraku.diffusion.inference.few_steps import fingerprint
 from bunraku.errors import FormatError, OptionError
 from bunraku.geometry.rotations import matrix_y
+from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion import samples as motion_samples
 from bunraku_lab.evaluation.motion.blocks import BARS
@@ -132,6 +135,24 @@ def test_what_is_chosen_has_a_row_of_its_own(folder, tmp_path):
     assert set(other) == {"real", "tapmo", "tapmo_equal", "tapmo_chosen"}
     assert other["tapmo_equal"] == other["tapmo"]
     assert other["tapmo_chosen"]["fid"]["mean"] != rows["tapmo_chosen"]["fid"]["mean"]
+
+
+def test_the_distilled_steps_have_a_row_where_they_are_of_these_weights(folder, tmp_path):
+    default = replace(settings(folder, tmp_path / "work"), best_of=2, mdm=None, steps=None, repeats=0, examples=False)
+    without = evaluate_motion(replace(default, checkpoint=folder / "tapmo.safetensors"))
+    assert set(without["rows"]) == {"real", "tapmo", "tapmo_guided", "tapmo_chosen"}
+    assert without["fid_distilled"] is None and without["r_precision_1_over_real_distilled"] is None
+    own = tmp_path / "tapmo.safetensors"
+    shutil.copy(folder / "tapmo.safetensors", own)
+    state = load_checkpoint(own, "diffusion", half=True)[0]
+    change = {"motion_out.weight.up": np.zeros((len(state["motion_out.weight"]), 1), np.float32)}
+    change["motion_out.weight.down"] = np.zeros((1, state["motion_out.weight"].shape[1]), np.float32)
+    config = {"of": fingerprint(state), "visited": [900, 300], "guidance": 2.5, "critic": False, "notes": {}}
+    save_checkpoint(tmp_path / "few-steps.safetensors", change, config, "few-steps", half=True)
+    found = evaluate_motion(replace(default, checkpoint=own))
+    assert set(found["rows"]) == {*without["rows"], "tapmo_distilled"}
+    assert found["rows"]["tapmo"] == without["rows"]["tapmo"]
+    assert found["fid_distilled"] == found["rows"]["tapmo_distilled"]["fid"]["mean"] != found["fid"]
 
 
 def test_the_same_seed_gives_the_same_table_and_a_cache_is_used(folder, tmp_path, monkeypatch):

@@ -23,7 +23,8 @@ _COLUMNS = (
     ("mm_dist", "MM-Dist"), ("diversity", "Diversity"), ("multimodality", "MModality"),
 )  # fmt: skip
 _NAMES = {
-    "real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)", "tapmo_guided": "- guided",
+    "real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)",
+    "tapmo_distilled": "- four steps", "tapmo_guided": "- guided",
     "tapmo_led": "- from examples", "tapmo_chosen": "- as chosen", "others": "Others",
 }  # fmt: skip
 

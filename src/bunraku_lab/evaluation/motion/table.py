@@ -210,7 +210,7 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     Returns:
         Numbers and lists that JSON can say: "rows" by name ("real", "tapmo", "tapmo_mdm"), each measure with "mean" and
         "half" (of the 95 % interval); "counts"; and at the top level the figures that the bars are about:
-        "r_precision_1" and "r_precision_1_over_real" (2 and 3 likewise), "fid", "fid_over_tapmo_mdm",
+        "r_precision_1" and "r_precision_1_over_real" (2 and 3 likewise), "fid", "fid_distilled", "fid_over_tapmo_mdm",
         "fid_real_halves", "fid_steps_ratio", "mm_dist", "diversity", "multimodality", and what `motion_blocks` adds. A
         figure that was not measured is None.
 
@@ -261,12 +261,12 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         )
         vectors = embed_motions(extractor, repeated).reshape(len(named), config.repeats, -1) if repeated else None
         rows[name] = Row(embed_motions(extractor, motions), vectors)
-    for name, candidates, examples in _ways(config):
+    for name, candidates, examples, guided in _ways(config, models["tapmo"]):
         found = choose_motions(
             [Request(window.sentence, window.frames) for window in windows],
             replace(
                 sampling, steps=config.steps, guidance=config.guidance, candidates=candidates, examples=examples,
-                classifier_guidance=config.classifier_guidance,
+                classifier_guidance=guided,
             ), models["tapmo"],
             folder=config.work, progress=partial(_told, report, f"motions of {name}"),
         )  # fmt: skip
@@ -310,13 +310,22 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     return result
 
 
-def _ways(config: MotionEvalConfig) -> list[tuple[str, int, bool]]:
-    """Rows of motions made as `animate` makes them: name, candidates, and whether they start from examples."""
+def _ways(config: MotionEvalConfig, checkpoint: Path) -> list[tuple[str, int, bool, bool]]:
+    """Rows of motions made as `animate` makes them: name, candidates, whether they start from examples, and whether the
+    critic guides them. The few steps that were distilled hold guidance of their own, so they have a row without any.
+    """
+    from bunraku.diffusion.generation.networks import Networks
+
     if config.best_of == 1:
         return []
-    guided = [("tapmo_guided", 1, False)] if config.classifier_guidance else []
-    led = [("tapmo_led", 1, True)] if config.examples else []
-    return [*guided, *led, ("tapmo_chosen", config.best_of, config.examples)]
+    critic, ways = config.classifier_guidance, []
+    if config.steps is None and config.guidance is None and Networks(checkpoint).few_steps is not None:
+        ways.append(("tapmo_distilled", 1, False, False))
+    if critic:
+        ways.append(("tapmo_guided", 1, False, True))
+    if config.examples:
+        ways.append(("tapmo_led", 1, True, critic))
+    return [*ways, ("tapmo_chosen", config.best_of, config.examples, critic)]
 
 
 def _told(report: Report, stage: str, done: int, total: int) -> None:
@@ -383,10 +392,11 @@ def _summary(rows: Mapping[str, Row]) -> dict[str, Any]:
     for index in (1, 2, 3):
         key = f"r_precision_{index}"
         result[f"{key}_over_real"] = ours[key]["mean"] / max(real[key]["mean"], 1e-12)
-    for name in ("guided", "led", "chosen"):
+    for name in ("distilled", "guided", "led", "chosen"):
         row = table.get(f"tapmo_{name}")
         share = None if row is None else row["r_precision_1"]["mean"] / max(real["r_precision_1"]["mean"], 1e-12)
         result[f"r_precision_1_over_real_{name}"] = share
+    result["fid_distilled"] = table["tapmo_distilled"]["fid"]["mean"] if "tapmo_distilled" in table else None
     mdm = table.get("tapmo_mdm")
     result["fid_over_tapmo_mdm"] = None if mdm is None else ours["fid"]["mean"] / max(mdm["fid"]["mean"], 1e-12)
     result["fid_real"] = real["fid"]["mean"]
