@@ -28,7 +28,10 @@ BAND = 0.09
 """Distances beyond this are as good as this, over the character's size [m]."""
 _MOST_CELLS = 2_000_000
 _FACES = 6_000
-CLOSE = 2.0  # cells from the surface within which every point is asked whether it is inside
+OUTSIDE = 2.5
+"""Cells from the body beyond which distances outside of it are good to a cell or two: nothing asks for more there."""
+_ROUGH = 1.5  # how far a surface may be from the cells of its triangles' middles [cells]
+CLOSE = 1.0  # cells from the surface within which every point is asked whether it is inside
 _KEPT = 3
 """Grids of the last bodies; one takes up to 8 MB."""
 
@@ -202,16 +205,21 @@ def _grid(vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel:
     corners = np.stack(np.meshgrid(*(np.arange(count) for count in shape), indexing="ij"), axis=-1)
     points = low + cell * corners.reshape(-1, 3)
     rest, triangles, _ = split_long_edges(np.asarray(volume.rest, np.float64), np.asarray(volume.faces, np.int64), cell)
-    # no triangle is farther from the cell of its middle than two cells, so what is left out is beyond the band
     bare = np.ones(shape, bool)
     middle = np.round((rest[triangles].mean(axis=1) - low) / cell).astype(np.int64)
     bare[tuple(np.clip(middle, 0, np.array(shape) - 1).T)] = False
-    some = np.flatnonzero(distance_transform_edt(bare).reshape(-1) <= band / cell + 3)
-    gap = np.full(len(points), np.inf)
-    gap[some] = surface_distances(points[some], rest, triangles, cell, band + cell)
+    # what lies farther than this from the cells of all middles is farther than `OUTSIDE` from all faces
+    about = distance_transform_edt(bare).reshape(-1)
+    some = about <= OUTSIDE + _ROUGH
+    gap = np.where(about * cell <= band, about * cell, np.inf)
+    gap[some] = surface_distances(points[some], rest, triangles, cell, np.inf)
+    inside = _inside(points, gap, cell, shape, volume)
+    # far outside it does not matter how far
+    some = inside & ~some & np.isfinite(gap)
+    gap[some] = surface_distances(points[some], rest, triangles, cell, np.inf)
     near = np.isfinite(gap)
     out = np.full(len(points), band, np.float32)
-    out[near] = np.minimum(gap[near], band) * np.where(_inside(points, gap, cell, shape, volume)[near], -1, 1)
+    out[near] = np.minimum(gap[near], band) * np.where(inside[near], -1, 1)
     # what is far from all faces is inside or outside as a whole
     regions, count = label(~near.reshape(shape))
     regions = regions.reshape(-1)

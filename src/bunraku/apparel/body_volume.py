@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError
@@ -103,6 +104,6 @@ class BodyVolume:
 
 
 def _means(values: np.ndarray, groups: np.ndarray, count: int) -> np.ndarray:
-    out = np.zeros((count, values.shape[1]))
-    np.add.at(out, groups, values)
+    each = np.arange(len(groups))
+    out = csr_matrix((np.ones(len(groups)), (groups, each)), (count, len(groups))) @ values.astype(np.float64)
     return np.asarray(out / np.maximum(out.sum(axis=1, keepdims=True), 1e-12), np.float32)

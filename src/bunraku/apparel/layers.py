@@ -61,11 +61,14 @@ class Layers:
 
     Args:
         clothed: The character; its body has weights of its own.
-        vertices: The apparel vertices that are moved, shape (A,).
+        vertices: The apparel vertices that are moved, in order, shape (A,).
+
+    Attributes:
+        seen: The vertices of the mesh whose place as their skin moves them is asked for, shape (S,).
     """
 
     def __init__(self, clothed: ClothedCharacter, vertices: np.ndarray):
-        self.scale = clothed.scale
+        self.scale, self.seen = clothed.scale, np.zeros(0, np.int64)
         # what moves as one part may be several sheets
         part = apparel_parts(clothed.rest, clothed.faces, clothed.part >= 0)
         hips = clothed.joints[list(LEGS[:2]), 1].mean()
@@ -82,20 +85,20 @@ class Layers:
         few = _thinned(clothed, part, np.arange(len(part)))
         others = [(number, few[part[few] != number]) for number in range(int(part.max(initial=-1)) + 1)]
         self.rest = _Over(clothed, part, vertices, np.arange(len(vertices)), others, OVER_PARTS)
-
-    @property
-    def seen(self) -> np.ndarray:
-        """The vertices of the mesh whose place as their skin moves them is asked for, shape (S,)."""
-        if not len(self.skirt):
-            return np.zeros(0, np.int64)
         own = [self.skirt.vertices, self.skirt.used, *([self.rest.used] if len(self.rest) else [])]
-        return np.unique(np.concatenate(own))
+        self.seen = np.unique(np.concatenate(own))
+        self.hung, self.legs = (np.searchsorted(self.seen, row) for row in own[:2])
+        if len(self.rest):
+            # what of it is apparel is where the stage has brought it
+            self.beneath = np.searchsorted(self.seen, self.rest.used)
+            self.moved = np.flatnonzero(np.isin(self.rest.used, vertices))
+            self.mover = np.searchsorted(vertices, self.rest.used[self.moved])
 
     def clip(
         self, positions: np.ndarray, skinned: np.ndarray, progress: Callable[[float], None] | None = None
     ) -> np.ndarray:
-        """The same for all frames of a clip, shapes (N, A, 3) and (N, V, 3), of which the rows that are `seen` count;
-        what is changed is smooth in time. `progress` is called with the share done.
+        """The same for all frames of a clip, shapes (N, A, 3) and (N, S, 3); what is changed is smooth in time.
+        `progress` is called with the share done.
         """
         if not len(self.skirt):
             return positions
@@ -114,30 +117,34 @@ class Layers:
 
         Args:
             positions: Of the apparel vertices [m], shape (A, 3).
-            skinned: All vertices as their skin moves them [m], shape (V, 3).
+            skinned: The vertices that are `seen` as their skin moves them [m], shape (S, 3).
         """
         if not len(self.skirt):
             return positions
-        out, whole = np.array(positions, np.float32), np.array(skinned, np.float32)
+        out, skinned = np.array(positions, np.float32), np.asarray(skinned, np.float32)
         over = self.skirt
-        back = whole[over.vertices] - out[over.rows]
+        back = skinned[self.hung] - out[over.rows]
         step = back[over.chosen]
-        height, beside, ways = over.seen(out, whole)
-        rise = (step[:, None] * ways).sum(axis=-1)
-        lack = np.where(over.counts & (rise > LEAST * self.scale), over.clear - height, 0) * beside
-        share = np.clip(lack / np.maximum(rise, LEAST * self.scale), 0, 1).max(axis=1)
-        share = np.maximum(share, over.spread(share[:, None], share)[over.chosen, 0])
-        out[over.rows] += (self.below * (over.back @ share))[:, None] * back
+        row, lack, beside, ways = over.lacking(out, skinned[self.legs], np.inf)
+        rise = np.einsum("ap,pa->p", ways, step[row])
+        share = np.where(rise > LEAST * self.scale, lack * beside / np.maximum(rise, LEAST * self.scale), 0)
+        share = over.largest(row, np.minimum(share, 1))
+        if share.any():
+            share = np.maximum(share, over.spread(share[:, None], share)[over.chosen, 0])
+            out[over.rows] += (self.below * (over.back @ share))[:, None] * back
         over = self.rest
         if len(over):
+            points = skinned[self.beneath]
             for _ in range(ROUNDS):
-                whole[over.vertices] = out
-                height, beside, ways = over.seen(out, whole)
-                lack = np.where(over.counts, over.clear - height, 0)
-                lack = np.where((lack > 0) & (lack < MOST * self.scale), lack * beside, 0)
-                most = lack.max(axis=1)
-                share = lack**2  # the deepest points say where to, all of them, so that nothing jumps between frames
-                push = np.einsum("ck,cka->ca", share * lack, ways) / np.maximum(share.sum(axis=1), 1e-12)[:, None]
+                points[self.moved] = out[self.mover]
+                row, lack, beside, ways = over.lacking(out, points, MOST * self.scale)
+                lack *= beside
+                most = over.largest(row, lack)
+                if not most.any():
+                    break
+                # the deepest points say where to, all of them, so that nothing jumps between frames
+                sums = np.stack([np.bincount(row, lack**3 * way, len(over)) for way in ways], axis=1)
+                push = sums / np.maximum(np.bincount(row, lack**2, len(over)), 1e-12)[:, None]
                 out[over.rows] += over.spread(push, np.minimum(most / (SOFT * self.scale), 1))
         return out
 
@@ -178,21 +185,28 @@ class _Over:
                 found = cKDTree(rest[beneath]).query(positions[own], near)
                 gap[own, :near] = found[0].reshape(len(own), near)
                 points[own, :near] = beneath[found[1].reshape(len(own), near)]
-        used = np.zeros(len(rest), bool)
-        used[points] = True
-        corners = clothed.faces[used[clothed.faces].any(axis=1)]
-        self.used, local = np.unique(np.concatenate([points.reshape(-1), corners.reshape(-1)]), return_inverse=True)
-        self.under, self.corners = local[: points.size].reshape(points.shape), local[points.size :].reshape(-1, 3)
+        row, column = np.nonzero((gap <= how.reach * scale) & np.isfinite(gap))
+        points = points[row, column]
+        self._beneath(clothed.faces, points)
         ways = vertex_normals(rest[self.used], self.corners)[self.under]
-        height = ((positions[:, None] - rest[points]) * ways).sum(axis=-1)
-        self.counts = (height > BENEATH * scale) & (gap <= how.reach * scale) & np.isfinite(gap)
-        if not self.counts.any():
+        height = ((positions[row] - rest[points]) * ways).sum(axis=-1)
+        counts = height > BENEATH * scale
+        if not counts.any():
             return
-        self.chosen = chosen
-        self.clear = np.minimum(height, how.clear * scale).astype(np.float32)
+        self._beneath(clothed.faces, points[counts])
+        self.chosen, self.row, self.mine = chosen, row[counts], rows[chosen]
+        self.clear = np.minimum(height[counts], how.clear * scale).astype(np.float32)
         self.together = under[0][0] is None  # two layers of a skirt go together
         self.beside = tuple(scale * bound for bound in how.beside)
         self._shares(positions, rest[self.vertices], part[self.vertices], SPREAD * scale)
+
+    def _beneath(self, faces: np.ndarray, points: np.ndarray) -> None:
+        """The points that something lies over, and the faces that say which way is out of them."""
+        used = np.zeros(int(faces.max()) + 1, bool)
+        used[points] = True
+        corners = faces[used[faces].any(axis=1)]
+        self.used, local = np.unique(np.concatenate([points, corners.reshape(-1)]), return_inverse=True)
+        self.under, self.corners = local[: len(points)], local[len(points) :].reshape(-1, 3)
 
     def _shares(self, positions: np.ndarray, rest: np.ndarray, part: np.ndarray, spread: float) -> None:
         """How much each chosen vertex counts near each other one of its part, and for each vertex."""
@@ -214,20 +228,41 @@ class _Over:
     def __len__(self) -> int:
         return len(self.chosen)
 
-    def seen(self, positions: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """How far each chosen vertex is over each of its points [m], shape (C, K), how much it counts, from 0, far
-        beside its way out, to 1, and these ways, shape (C, K, 3).
+    def lacking(
+        self, positions: np.ndarray, points: np.ndarray, most: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Where a chosen vertex is not as far over one of its points as it must be: the number of the vertex, shape
+        (L,), by how much [m], how much that counts, from 0, far beside the way out of the point, to 1, and these ways,
+        shape (3, L).
 
         Args:
             positions: Of all apparel vertices [m], shape (A, 3).
-            whole: Of all vertices [m], shape (V, 3).
+            points: Of what is `used` [m], shape (U, 3).
+            most: Who lacks as much or more is passed over [m].
         """
-        points = whole[self.used]
-        ways = vertex_normals(points, self.corners)[self.under].astype(np.float32)
-        away = positions[self.rows[self.chosen]][:, None] - points[self.under]
-        height = (away * ways).sum(axis=-1)
-        aside = np.sqrt(np.maximum(np.square(away).sum(axis=-1) - height**2, 0))
-        return height, smooth_step(aside, *self.beside[::-1]).astype(np.float32), ways
+        ways = vertex_normals(points, self.corners).astype(np.float32).T.take(self.under, axis=1)
+        away = positions[self.mine].T.take(self.row, axis=1)
+        away -= points.T.take(self.under, axis=1)
+        height = np.einsum("ap,ap->p", away, ways)
+        lack = self.clear - height
+        short = np.flatnonzero((lack > 0) & (lack < most))
+        away = away[:, short]
+        aside = np.sqrt(np.maximum(np.einsum("ap,ap->p", away, away) - height[short] ** 2, 0))
+        beside = smooth_step(aside, *self.beside[::-1]).astype(np.float32)
+        return self.row[short], lack[short], beside, ways[:, short]
+
+    def largest(self, row: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """The largest value of each chosen vertex, 0 where it has none, shape (C,), float32.
+
+        Args:
+            row: Whose each is, in order, shape (L,).
+            values: Shape (L,).
+        """
+        out = np.zeros(len(self), np.float32)
+        if len(row):
+            begins = np.flatnonzero(np.diff(row, prepend=-1))
+            out[row[begins]] = np.maximum(np.maximum.reduceat(values, begins), 0)
+        return out
 
     def spread(self, values: np.ndarray, moved: np.ndarray) -> np.ndarray:
         """Values of the chosen vertices, which count as much as they are `moved` (C,), smooth and for all vertices:

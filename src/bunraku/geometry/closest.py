@@ -163,7 +163,8 @@ def surface_distances(
         p = some[row] - first[triangle]
         pp, pu, pv = ((p * other).sum(axis=-1) for other in (p, u[triangle], v[triangle]))
         square = _closest(pp, pu, pv, *dots[:, triangle])[0]
-        np.minimum.at(out, start + row, np.sqrt(square))
+        begins = np.flatnonzero(np.diff(row, prepend=-1))
+        out[start + row[begins]] = np.sqrt(np.minimum.reduceat(square, begins))
     return out
 
 

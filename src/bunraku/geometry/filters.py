@@ -13,6 +13,7 @@ __all__ = ["correlated", "gaussian", "running_least", "running_mean", "running_m
 EDGES = ("nearest", "mirror", "wrap")
 CUT = 4.0
 """Deviations from its middle at which a Gaussian ends."""
+_COLUMNS = 256  # at a time: few enough for the cache
 
 
 def _padded(values: np.ndarray, before: int, after: int, edge: str) -> np.ndarray:
@@ -46,13 +47,18 @@ def correlated(values: np.ndarray, kernel: np.ndarray, edge: str = "nearest") ->
     count, reach = len(values), len(kernel) // 2
     if count == 0:
         return values.copy()
-    longer = _padded(np.asarray(values, np.float64), reach, reach, edge)
-    out = longer[reach : reach + count] * kernel[reach]
-    for away in range(reach, 0, -1):
-        both = longer[reach - away : reach - away + count] + longer[reach + away : reach + away + count]
-        both *= kernel[reach - away]
-        out += both
-    return np.asarray(out.astype(values.dtype, copy=False))
+    columns = values.reshape(count, -1)
+    found = np.empty_like(columns)
+    for first in range(0, columns.shape[1], _COLUMNS):
+        some = np.asarray(columns[:, first : first + _COLUMNS], np.float64)
+        longer = _padded(some, reach, reach, edge)
+        out = longer[reach : reach + count] * kernel[reach]
+        for away in range(reach, 0, -1):
+            both = longer[reach - away : reach - away + count] + longer[reach + away : reach + away + count]
+            both *= kernel[reach - away]
+            out += both
+        found[:, first : first + _COLUMNS] = out
+    return found.reshape(values.shape)
 
 
 def gaussian(values: np.ndarray, deviation: float, edge: str = "nearest") -> np.ndarray:

@@ -40,7 +40,7 @@ def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
     reach = np.maximum.reduceat(away, starts)
     unit = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) / 10
     dipoles = (sums[:, :3] / unit**2).astype(np.float32)
-    out = np.empty(len(points))
+    out, number = np.empty(len(points)), np.zeros(len(vertices), np.int64)
     for some in _clusters(points, _POINTS):
         own = points[some]
         middle = (own.min(axis=0) + own.max(axis=0)) / 2
@@ -49,10 +49,14 @@ def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
         # Over their size about their middle, so that single precision does.
         own = ((own - middle) / unit).astype(np.float32)
         found = _of_dipoles(own, ((centers[far] - middle) / unit).astype(np.float32), dipoles[far])
-        near = [clusters[number] for number in np.flatnonzero(~far)]
+        near = [clusters[one] for one in np.flatnonzero(~far)]
         if near:
-            used, index = np.unique(faces[np.concatenate(near)], return_inverse=True)
-            found += _of_faces(own, ((vertices[used] - middle) / unit).astype(np.float32), index.reshape(-1, 3))
+            corner = faces[np.concatenate(near)]
+            here = np.zeros(len(vertices), bool)  # np.unique sorts, which takes longer
+            here[corner] = True
+            used = np.flatnonzero(here)
+            number[used] = np.arange(len(used))
+            found += _of_faces(own, ((vertices[used] - middle) / unit).astype(np.float32), number[corner])
         out[some] = found / (4 * np.pi)
     return out
 
@@ -87,8 +91,9 @@ def _of_faces(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np
     """
     a, b, c = vertices[faces].transpose(1, 0, 2)
     one, none = np.ones((len(faces), 1), np.float32), np.zeros((len(faces), 1), np.float32)
-    across = np.cross(a, b) + np.cross(b, c) + np.cross(c, a)
-    top = np.hstack([-across, none, (a * np.cross(b, c)).sum(axis=1, keepdims=True)])
+    bc = _cross(b, c)
+    across = _cross(a, b) + bc + _cross(c, a)
+    top = np.hstack([-across, none, (a * bc).sum(axis=1, keepdims=True)])
     pairs = [np.hstack([-x - y, one, (x * y).sum(axis=1, keepdims=True)]) for x, y in ((a, b), (b, c), (c, a))]
     known = np.vstack([points.T, (points**2).sum(axis=1), np.ones(len(points), np.float32)])
     volume, ab, bc, ca = (np.vstack([top, *pairs]) @ known).reshape(4, len(faces), len(points))
@@ -102,3 +107,12 @@ def _of_faces(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np
     ab += bc
     ab += ca
     return np.asarray(2 * np.arctan2(volume, ab).sum(axis=0, dtype=np.float64))
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """As `np.cross`, which takes longer for a few hundred, shape (F, 3)."""
+    out = np.empty_like(a)
+    for axis in range(3):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        out[:, axis] = a[:, i] * b[:, j] - a[:, j] * b[:, i]
+    return out

@@ -336,9 +336,8 @@ def _learned(
     if safe:
         layers = Layers(clothed, chosen)
         if len(layers.seen):
-            whole = np.zeros((len(transforms), len(clothed.rest), 3), np.float32)
-            whole[:, layers.seen] = moved.vertices(chosen=layers.seen)
-            positions = layers.clip(positions, whole, lambda done: progress("layers", done))
+            beneath = moved.vertices(chosen=layers.seen)
+            positions = layers.clip(positions, beneath, lambda done: progress("layers", done))
     offsets = np.zeros((len(transforms), len(clothed.rest), 3), np.float32)
     offsets[:, chosen] = eased_border(clothed)[chosen, None] * (positions - skinned)
     progress("apparel", 1.0)

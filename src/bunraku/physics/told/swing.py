@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_matrix
 
 from bunraku.apparel.clothed import FREE
 from bunraku.apparel.swing import SWING_NUMBERS, Swing
@@ -82,9 +83,13 @@ def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
     count = len(character.vertices)
     out, most, total = np.zeros((count, SWING_NUMBERS)), np.zeros(count), np.zeros(count)
     axes = np.broadcast_to(np.eye(3), (count, 3, 3)).copy()
+    whose = np.repeat(np.arange(count), own.indices.shape[1])
+    skin = coo_matrix((own.weights.reshape(-1), (whose, own.indices.reshape(-1))), (count, len(own.names))).tocsc()
+    skin.sum_duplicates()
     for bone, body in _moved_bones(rig, own.parents).items():
-        held = np.where(own.indices == bone, own.weights, 0).sum(axis=1)
-        rows = np.flatnonzero(held > 1e-4)
+        column = slice(skin.indptr[bone], skin.indptr[bone + 1])
+        some = skin.data[column] > 1e-4
+        rows, held = skin.indices[column][some], skin.data[column][some]
         if not len(rows) or body not in joints:
             continue
         chain = [body]
@@ -94,10 +99,10 @@ def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
         while heaviest.get(line[-1], -1) >= 0:
             line.append(heaviest[line[-1]])
         own_swing = _swing(rig, chain, line, joints, character.vertices[rows].astype(np.float64))
-        out[rows] += held[rows, None] * own_swing.rows()
-        total[rows] += held[rows]
-        first = held[rows] > most[rows]
-        axes[rows[first]], most[rows] = own_swing.axes[first], np.maximum(most[rows], held[rows])
+        out[rows] += held[:, None] * own_swing.rows()
+        total[rows] += held
+        first = held > most[rows]
+        axes[rows[first]], most[rows] = own_swing.axes[first], np.maximum(most[rows], held)
     found = Swing.of_rows((out / np.maximum(total, 1e-9)[:, None]).astype(np.float32))
     return replace(found, axes=axes.astype(np.float32), share=total.astype(np.float32))
 
