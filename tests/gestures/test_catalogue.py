@@ -19,6 +19,7 @@ from bunraku.retarget.body_motion import body_handle_motion
 AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 WHIPS = ("throw", "pitch", "tennis", "serve")
 KNEELING = ("kneel", "both knees", "propose")
+CROSSED = ("cross legs",)
 
 
 def palms(motion):
@@ -68,12 +69,12 @@ def test_every_gesture_is_whole(number):
     for side in ("left", "right"):
         ankle = positions[:, AT[f"{side}_ankle"]]
         assert ankle[:, 1].min() > 0.07
-        if one.name not in (*KNEELING, "tie shoes", "hop") and not one.steps:
+        if one.name not in (*KNEELING, *CROSSED, "tie shoes", "hop") and not one.steps:
             assert np.ptp(ankle, axis=0).max() < 0.01  # feet stand, however the pelvis sways
         fastest = 0.65 if one.name in WHIPS else 0.45  # 9 m/s, a fast punch, and 13 of who throws
         assert np.linalg.norm(np.diff(palms(motion)[side], axis=0), axis=1).max() < fastest
     if not one.steps:
-        stands = {"stand up": (-1,), "sit": (0,)} | dict.fromkeys(KNEELING, (0,))
+        stands = {"stand up": (-1,), "sit": (0,)} | dict.fromkeys((*KNEELING, *CROSSED), (0,))
         ends = [palms(motion)["right"][frame] for frame in stands.get(one.name, (0, -1))]
         np.testing.assert_allclose(ends, [[-0.27, 0.845, 0.06]] * len(ends), atol=0.05)
     if one.cycle is not None:
@@ -108,6 +109,36 @@ def test_who_sits_has_the_feet_on_the_ground_and_the_thighs_level():
         assert positions[-1 - seated, 0, 1] - positions[seated, 0, 1] > 0.35
         heights = lowest_of(gesture_motion(gesture(name)))
         assert heights.min() > -0.02 and heights.max() < 0.03
+
+
+def test_who_sits_with_crossed_legs_has_each_foot_on_the_other_side_or_a_knee_over_the_other():
+    floor, chair = (gesture_motion(found) for found in gestures() if found.name == "cross legs")
+    _, positions = floor.world()
+    left, right = (positions[-1, AT[f"{side}_ankle"]] for side in ("left", "right"))
+    assert left[0] < 0 < right[0] and positions[-1, 0, 1] < 0.2  # the left foot is on the right, and so the other way
+    knees = positions[-1, [AT["left_knee"], AT["right_knee"]]]
+    assert knees[0, 0] > 0.3 and knees[1, 0] < -0.3
+    assert abs(lowest_of(floor)[-1]) < 0.02
+    _, positions = chair.world()
+    assert positions[-1, AT["right_ankle"], 0] > positions[-1, AT["left_ankle"], 0]
+    assert positions[-1, AT["right_knee"], 1] > positions[-1, AT["left_knee"], 1] + 0.05
+    assert 0.5 < positions[-1, 0, 1] < 0.65
+
+
+@pytest.mark.parametrize("name", ["sweep", "hoe", "dig"])
+def test_both_hands_hold_a_shaft_that_goes_to_and_fro(name):
+    there = palms(gesture_motion(gesture(name)))
+    away = np.linalg.norm(there["left"] - there["right"], axis=1)[30:-30]
+    assert away.min() > 0.15 and away.max() < 0.5
+    middle = (there["left"] + there["right"])[30:-30] / 2
+    assert np.ptp(middle, axis=0).max() > 0.3  # to a side, or up and down
+
+
+def test_who_cycles_pedals_with_one_foot_down_while_the_other_is_up():
+    _, positions = gesture_motion(gesture("cycle")).world()
+    left, right = (positions[:, AT[f"{side}_ankle"], 1] for side in ("left", "right"))
+    assert np.ptp(left) > 0.3 and np.corrcoef(left, right)[0, 1] < -0.95
+    assert ((left[1:] > left.mean()) & (left[:-1] <= left.mean())).sum() >= 5
 
 
 def test_a_raised_arm_is_far_above_the_head_and_the_other_hangs():

@@ -77,3 +77,28 @@ def test_what_somebody_is_doing_beside_a_finite_verb_is_a_part_of_its_own():
     assert [clause.text for clause in clauses] == ["The person walks forward", "The person picks up his toolbox"] or [
         part.text for part in clauses[0].parts
     ] == ["the person walks forward", "the person picks up his toolbox"]
+
+
+def test_who_sits_down_and_crosses_the_legs_does_both_at_once():
+    *_, last = parse("a man walks forward, sits on the ground and crosses his legs").clauses
+    assert last.actions == ("cross legs",) and "floor" in last.traits
+    assert len(parse("a person sits down, then lies down").clauses) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "action"),
+    [
+        ("Bend knees", "squat"),
+        ("Open door", "open door"),
+        ("ascends a staircase", "climb"),
+        ("mops to and fro", "sweep"),
+    ],
+)
+def test_commands_without_an_article_are_read(text, action):
+    (clause,) = parse(text).clauses
+    assert clause.actions == (action,)
+
+
+def test_back_and_forth_is_no_second_voice():
+    (clause,) = parse("a person works a mop back and forth with both hands").clauses
+    assert clause.meanwhile is None

@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bunraku.core.motion import SkeletalMotion
+from bunraku.geometry.rotations import matrix_y
 from bunraku.gestures.accompany import accompanied
 from bunraku.gestures.manner import AS_USUAL, Manner
 from bunraku.gestures.play import FPS, posed
-from bunraku.gestures.pose import Gesture, Key, Pose, moved
+from bunraku.gestures.pose import HANGING, Gesture, Key, Pose, moved
 from bunraku.gestures.standing import SIDES, Standing, captured, mirrored, swaying
 from bunraku.gestures.tracks import HandTrack, Tracks
 
@@ -76,6 +77,12 @@ SHIFTS, MOST_SHIFTED = (0.1, 0.24), 2.5
 """How far the pelvis of who makes a gesture goes to and fro at the least, drawn from these [m], as of the middle half
 of captured people who make one; and how many times as far as of somebody who only stands at the most.
 """
+TURNS = (10.0, 24.0)
+"""The same of how far it turns to and fro [degrees], and up to as many times as far."""
+DIPS, OUT = (0.015, 0.045), 0.7
+"""How far it goes down at the most with hands that go out, drawn from these [m], and how far these go out for all of
+that [m].
+"""
 WITH_BUSY = 0.85
 """Share of gestures of the hands that are made by somebody who was captured with busy hands, whose legs and trunk are
 livelier: beside them a shaken head is not seen.
@@ -118,9 +125,34 @@ def performed(
     with_hands = any(not tracks.hands[side].rests.all() for side, _ in SIDES)
     if idles and busy and random.random() < WITH_BUSY and with_hands:
         standing = replace(_standing(busy, frames, random, manner.closed, moments), hands=standing.hands)
+    own = random.spawn(1)[0]
     if gesture.steps:
         standing = replace(standing, feet={side: None for side, _ in SIDES})
+    else:
+        standing, tracks = _turning(standing, own), _dipping(tracks, own)
     return posed(tracks, times, moments, standing, fps)
+
+
+def _turning(standing: Standing, random: np.random.Generator) -> Standing:
+    """Somebody whose pelvis turns to and fro at least as far as that of people who use their hands."""
+    pelvis = standing.rotations[:, 0]
+    angle = np.unwrap(np.arctan2(pelvis[:, 0, 2], pelvis[:, 2, 2]))
+    reach = np.degrees(np.ptp(angle))
+    more = np.clip(random.uniform(*TURNS) / max(float(reach), 1e-3), 1, MOST_SHIFTED) - 1
+    rotations = standing.rotations.copy()
+    rotations[:, 0] = matrix_y(more * (angle - angle.mean())) @ pelvis
+    return replace(standing, rotations=rotations)
+
+
+def _dipping(tracks: Tracks, random: np.random.Generator) -> Tracks:
+    """Key poses in which the knees of who stands give way a little where a hand goes out."""
+    stands = np.minimum(*[tracks.feet[side].rests for side, _ in SIDES])
+    away = [
+        np.where(hand.rests | (hand.on == 3), 0, np.linalg.norm(hand.palm - HANGING.palm, axis=1))
+        for hand in tracks.hands.values()
+    ]
+    dip = random.uniform(*DIPS) * stands * np.clip(np.max(away, axis=0) / OUT, 0, 1)
+    return replace(tracks, hips=tracks.hips - dip[:, None] * [0, 1, 0])
 
 
 def _standing(

@@ -266,8 +266,9 @@ def _now(predicate: str) -> str:
 
 
 def handed_on(clauses: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
-    """Clauses with their seconds in which a thing that is taken in one and put somewhere in the next is one clause:
-    hands do not let go of it between.
+    """Clauses with their seconds in which a thing that is taken in one and put somewhere in the next is one clause,
+    since hands do not let go of it between; so is what says more of how somebody is down: "sits down and crosses the
+    legs".
 
     Args:
         clauses: Texts in English, and seconds of each.
@@ -279,8 +280,19 @@ def handed_on(clauses: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
             if first.stations[-1].does != "put" and second.stations[0].does == "hold" and handling_of(joined):
                 found[-1] = joined, found[-1][1] + seconds
                 continue
+        if found and _more_of(found[-1][0], text):
+            found[-1] = f"{found[-1][0].rstrip(' .,')} and {subject_of(text)[1]}", found[-1][1] + seconds
+            continue
         found.append((text, seconds))
     return found
+
+
+def _more_of(first: str, second: str) -> bool:
+    """Whether a clause says how somebody is down who goes down in the one before."""
+    rows = lexicon().actions
+    before, after = actions_of(first), actions_of(second)
+    covered = frozenset[str]().union(*(rows[action].covers for action in after))
+    return bool(before and after) and all(rows[one].down for one in (*before, *after)) and covered.issuperset(before)
 
 
 def parts_of(clause: str) -> list[str]:

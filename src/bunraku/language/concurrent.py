@@ -24,7 +24,7 @@ _HELD = r"(?:\s*,?\s+with|\s*,)\s+(?=(?:(?:both|the|his|her|their|its)\s+)*(?:ha
 """Before how the arms are held: "lunges, hands on hips", "walks with the arms crossed"."""
 _JOINTS = tuple(
     re.compile(joint, re.IGNORECASE)
-    for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!then\b)", r"\s*,\s*(?=\w+ing\b)", _HELD)
+    for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!(?:then|forth)\b)", r"\s*,\s*(?=\w+ing\b)", _HELD)
 )
 
 
