@@ -12,7 +12,7 @@ from bunraku.core.character import Character, Rig
 from bunraku.core.vrm_model import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
 from bunraku.geometry.rotations import matrix_from_axis_angle, quaternion_from_matrix
 from bunraku.io import save_character
-from bunraku.physics.vrm_steps import VrmValues, vrm_tails
+from bunraku.physics.vrm_steps import VrmValues, between_frames, link_turns, vrm_steps
 
 STUDIO = Path(__file__).resolve().parents[2] / "studio"
 DOWN = np.array([0.0, -1, 0])
@@ -68,8 +68,13 @@ def test_the_page_swings_springs_as_the_specification_says(swung, stiffness, dra
     turns, places = swaying()
     rest = rod().rig.positions
     heads = places + np.einsum("nij,j->ni", turns, rest[1] - rest[0])
-    values = VrmValues(*(np.array([value]) for value in (stiffness, drag, gravity)))
-    wanted = vrm_tails(turns, heads, np.diff(rest[1:], axis=0), values, 60.0)[0]
+    values = VrmValues(*(np.array([[value]]) for value in (stiffness, drag, gravity)))
+    turn, head = between_frames(turns[:, None], heads[:, None], 60.0)
+    links = []
+    for bone in np.diff(rest[1:], axis=0)[:, None]:
+        links.append(np.stack(list(vrm_steps(turn, head, bone, values)))[:, :, 0])
+        turn, head = link_turns(turn, head, bone, links[-1]), links[-1]
+    wanted = np.concatenate(links, axis=1)
     found = swung(VrmSpring("rod", joints, ()), turns, places)
     assert np.abs(wanted[:, 2] - wanted[:1, 2]).max() > 0.2
     np.testing.assert_allclose(found[:, 2:], wanted, atol=2e-5)
