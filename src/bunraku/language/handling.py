@@ -80,7 +80,7 @@ class Handling:
     Args:
         stations: One after the other; all heights are said.
         hands: "both", "left", "right", or "one" for either.
-        said: More is said than that it is taken from the floor, put down or carried, as people were captured.
+        said: More is said than that something is taken from the floor, put down or carried, as people were captured.
         repeated: It is done again and again.
     """
 
@@ -124,6 +124,7 @@ def handling_of(text: str) -> Handling | None:
         (bool(hands) and not (held and hands == "both"))
         or {"take", "put"} <= {one.does for one in found}
         or any(map(_tells, found))
+        or any(one.does == "take" and "table" in kinds for one in found)
     )
     if not hands:
         far = any(one.place.height in ("overhead", "floor") for one in stations)
