@@ -80,6 +80,30 @@ def test_long_hair_is_hair_and_a_face_is_none() -> None:
     assert _marked(0.1, tail, chin) == [1.0, 0.0]
 
 
+@pytest.mark.parametrize("shape", ["legs", "arms"])
+def test_skin_that_reaches_the_skull_is_no_hair(shape: str) -> None:
+    """A loose piece from the neck down of which a network says a little, as of hair; it goes round limbs."""
+    neck = _tube([(0.06, 1.46), (0.06, 1.2), (0.16, 1.1)])
+    if shape == "legs":
+        limbs = [_tube([(0.085, 0.8), (0.075, 0.5), (0.065, 0.1)], x) for x in (0.1, -0.1)]
+    else:
+        limbs = [_tube([(0.04, 0.0), (0.04, 0.15), (0.04, 0.3)]) for _ in range(2)]
+        limbs = [(one[0][:, [1, 0, 2]] * [side, 1, 1] + [0.15 * side, 1.2, 0], one[1])
+                 for one, side in zip(limbs, (1, -1), strict=True)]  # fmt: skip
+    points = np.concatenate([neck[0], *(one[0] for one in limbs)])
+    first = len(neck[0])
+    faces = np.concatenate([neck[1], *(one[1] + first + place * len(one[0]) for place, one in enumerate(limbs))])
+    sewn = [[48, first, first + 1], [48, first + len(limbs[0][0]), first + len(limbs[0][0]) + 1]]
+    vertices, corners, joints, weights, number = _person((points, np.concatenate([faces, sewn])))
+    for side, out in (("left", 1), ("right", -1)):
+        joints[JOINT_NAMES.index(f"{side}_shoulder")] = out * 0.15, 1.2, 0
+        joints[JOINT_NAMES.index(f"{side}_elbow")] = out * 0.45, 1.2, 0
+    skin = number == 4
+    areas = np.where(skin, 0.2, 1.0)  # less than a third of the surface, as where clothes hide the rest
+    mask, hair = hanging_mask(vertices, corners, joints, weights, areas, 0.1 * skin, np.zeros(len(vertices), bool))
+    assert not hair.any() and not mask.any()
+
+
 def _at(x: float, y: float, z: float, half: tuple[float, float, float]) -> Mesh:
     """A closed box about a place."""
     box = trimesh.creation.box(2 * np.array(half)).subdivide().subdivide()

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
 from bunraku.body.layout import JOINT_NAMES
-from bunraku.geometry.axes import covered, direction_bins, directions_about, goes_round
+from bunraku.geometry.axes import ROUND, covered, direction_bins, directions_about, goes_round
 from bunraku.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
 __all__ = ["hanging_mask"]
@@ -46,11 +46,18 @@ HELD = 0.03
 """Over the height: hair begins so near to what the head holds. A tail may reach as high."""
 SHIRT, HEM = 0.65, 0.04
 """Of the directions about the trunk that a shirt covers; over the height: how far below the hips it ends at most."""
+THICK = 0.06
+"""Over the height: half as thick an upper arm is at most."""
+EARS = 0.1
+"""Of the way from the middle of the head to its front: the face begins there."""
 SIDE = 0.9
 """A leg of trousers lies on one side with so much of it."""
-_PELVIS, _WAIST, _HEAD = (JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "head"))
+_PELVIS, _WAIST, _NECK, _HEAD = (JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "neck", "head"))
 _HIPS, _KNEES, _ANKLES = (
     [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")] for part in ("hip", "knee", "ankle")
+)
+_SHOULDERS, _ELBOWS = (
+    [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "elbow")
 )
 _ARMS = tuple(
     JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")
@@ -101,17 +108,21 @@ def hanging_mask(
     near_skull = np.zeros(len(points), bool)
     if len(skull):
         near_skull = cKDTree(skull).query(points, distance_upper_bound=HELD * height)[0] < np.inf
-    for number in np.flatnonzero(small & (mean > HAIR)):
+    skirt, trousers = _below_the_hips(points, edges, piece, area, joints, height)
+    legs = np.isin(np.arange(len(size)), piece[trousers])
+    for number in np.flatnonzero(small & (mean > HAIR) & ~legs):
         rows = piece == number
         if (
             near_skull[rows].any()
+            and not _skin(points[rows], joints, top, height)
             and _hair(points[rows], joints, top, height)
             and not (
                 _face(points[rows], joints, top, front) and points[rows, 1].min() > joints[_HEAD, 1] - LONG * height
             )
         ):
             hair |= rows
-    skirt, trousers = _below_the_hips(points, edges, piece, area, joints, height)
+    ahead = points[:, 2] > joints[_HEAD, 2] + EARS * (front - joints[_HEAD, 2])
+    out &= ~(~small[piece] & (own[:, _HEAD] > 0.5) & ahead)  # a face that is one surface with the body
     skirt |= _fused_skirt(points, clean.faces, ~small[piece], likely[first], joints, height)
     for number in np.unique(piece[skirt]):
         skirt |= (piece == number) & _to_the_waist(points, piece == number, joints, height)
@@ -131,6 +142,20 @@ def _hair(points: np.ndarray, joints: np.ndarray, top: float, height: float) -> 
         return False
     ends = points[:, 1] <= np.percentile(points[:, 1], 10)
     return float(np.hypot(*(points[ends] - head)[:, [0, 2]].T).mean()) > 0.03 * height
+
+
+def _skin(points: np.ndarray, joints: np.ndarray, top: float, height: float) -> bool:
+    """Whether a piece goes round an upper arm or the neck, as skin does; hair goes round neither."""
+    thin, high = THICK * height, top - float(joints[_HEAD, 1])
+    lines = [(one, other, thin, ROUND) for one, other in zip(_SHOULDERS, _ELBOWS, strict=True)]
+    for first, last, reach, least in (*lines, (_NECK, _HEAD, 0.5 * high, AROUND)):
+        start, line = joints[first], joints[last] - joints[first]
+        along = (points - start) @ line / max(float(line @ line), 1e-12)
+        away = np.linalg.norm(points - start - along[:, None] * line, axis=1)
+        near = (along > 0.2) & (along < 1) & (away < reach)
+        if near.any() and covered(directions_about(points[near], start, joints[last])) >= least:
+            return True
+    return False
 
 
 def _face(points: np.ndarray, joints: np.ndarray, top: float, front: float) -> bool:

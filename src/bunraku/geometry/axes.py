@@ -13,6 +13,7 @@ from bunraku.errors import OptionError
 __all__ = [
     "AXES",
     "ORIENTATIONS",
+    "ROUND",
     "axis_name",
     "axis_vector",
     "covered",
