@@ -77,7 +77,8 @@ def test_a_span_joins_more_smoothly_than_what_would_be_there_without_the_rest(cl
     pasted = put_back(free, clip, np.zeros(30, bool), 40, 80, fade=0)
     made = edit_motion(clip, clause_of("jumps"), span=(2, 4), checkpoint=checkpoint, seed=9)
     jump = [np.abs(np.diff(encode(motion)[[39, 40]][:, 10:], axis=0)).mean() for motion in (pasted, made)]
-    assert jump[1] < 0.6 * jump[0]
+    usual = [np.median(np.abs(np.diff(encode(motion)[:, 10:], axis=0)).mean(axis=1)) for motion in (clip, free)]
+    assert jump[1] < 0.9 * min(usual) and jump[0] > 1.05 * max(usual)  # no more than from any frame to the next
 
 
 def test_the_same_seed_gives_the_same_edit(clip, checkpoint):
