@@ -82,21 +82,13 @@ def build_meshes(
     """
     from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
-    folder.mkdir(parents=True, exist_ok=True)
-    sweep(folder)
-    out: dict[str, list[MeshSample]] = {"train": [], "val": [], "test": []}
-    for seed in range(first, first + count):
-        name = f"wardrobe_{seed:06d}"
-        path = folder / f"{name}.npz"
-        if not path.is_file():
-            try:
-                _write(path, mesh_sample(wardrobe_character(seed), name, seed))
-            except BunrakuError:
-                continue
-        out[character_split(name)].append(_read(path))
-        if progress:
-            progress((seed - first + 1) / count)
-    return out
+    def made(seed: int, name: str) -> MeshSample | None:
+        try:
+            return mesh_sample(wardrobe_character(seed), name, seed)
+        except BunrakuError:
+            return None
+
+    return _by_split(folder, "wardrobe", range(first, first + count), made, progress)
 
 
 def bare_meshes(folder: Path, source: Path) -> list[MeshSample]:
@@ -143,17 +135,32 @@ def worn_meshes(folder: Path, clothes: Path, count: int, first: int = 700_000) -
     from bunraku_lab.synthetic.dressed.people import dressed_person
     from bunraku_lab.synthetic.wardrobe.makehuman import closet
 
+    def made(seed: int, name: str) -> MeshSample:
+        person = dressed_person(closet(str(clothes)), seed)
+        return _seen(person.character(name), person.joints, person.piece.joints, person.hangs, name, seed)
+
+    return _by_split(folder, "worn", range(first, first + count), made)
+
+
+def _by_split(
+    folder: Path, kind: str, seeds: range, made: Callable[[int, str], MeshSample | None],
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, list[MeshSample]]:  # fmt: skip
+    """Samples of seeds by the split of their names, each made once and kept in a folder; None is left out."""
     folder.mkdir(parents=True, exist_ok=True)
     sweep(folder)
     out: dict[str, list[MeshSample]] = {"train": [], "val": [], "test": []}
-    for seed in range(first, first + count):
-        name = f"worn_{seed:06d}"
+    for done, seed in enumerate(seeds, 1):
+        name = f"{kind}_{seed:06d}"
         path = folder / f"{name}.npz"
         if not path.is_file():
-            person = dressed_person(closet(str(clothes)), seed)
-            character, weights = person.character(name), person.piece.joints
-            _write(path, _seen(character, person.joints, weights, person.hangs, name, seed))
+            sample = made(seed, name)
+            if sample is None:
+                continue
+            _write(path, sample)
         out[character_split(name)].append(_read(path))
+        if progress:
+            progress(done / len(seeds))
     return out
 
 

@@ -7,6 +7,7 @@ what comes nearest to that (least squares), the links above it first. What turns
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -199,7 +200,7 @@ class _Links:
             rotations[:, bone] = matrix_from_axis_angle(local) @ rotations[:, bone]
             carried[:, number, 0] = turn + own
             carried[:, number, 1] = moment + np.cross(own, heads[:, bone])
-        return RigAnimation(animation.character, rotations, animation.translations, animation.fps, animation.reference)
+        return replace(animation, rotations=rotations)
 
 
 def _least_turn(lever: np.ndarray, push: np.ndarray, count: np.ndarray, firm: float) -> np.ndarray:

@@ -6,6 +6,7 @@ is driven by the thighs would be. What turns is smooth in time and from column t
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
@@ -88,7 +89,7 @@ def over_legs(
     for number, column in columns.items():
         line = lines[number] + share[:, number, None, None] * (backs[number] - lines[number])
         _aim(rotations, worlds[0], column.chain, affine[:, column.chain.holder, :3, :3], lines[number], line)
-    animation = _with(animation, rotations)
+    animation = replace(animation, rotations=rotations)
     worlds = animation.world()
     extra = np.zeros((len(animation), len(chains)))
     for number, column in columns.items():
@@ -99,7 +100,7 @@ def over_legs(
     for number, column in columns.items():
         bone = int(column.chain.bones[0])
         rotations[:, bone] = matrix_from_axis_angle(extra[:, number, None] * column.axis) @ rotations[:, bone]
-    return _with(animation, rotations)
+    return replace(animation, rotations=rotations)
 
 
 class LegsUnder:
@@ -237,10 +238,6 @@ def _least_rotation(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     sine = np.linalg.norm(cross, axis=1, keepdims=True)
     angle = np.arctan2(sine, (one * other).sum(axis=1, keepdims=True))
     return np.asarray(matrix_from_axis_angle(cross / np.maximum(sine, 1e-9) * np.minimum(angle, 3.0)))
-
-
-def _with(animation: RigAnimation, rotations: np.ndarray) -> RigAnimation:
-    return RigAnimation(animation.character, rotations, animation.translations, animation.fps, animation.reference)
 
 
 def _turns(legs: np.ndarray, line: np.ndarray, out: np.ndarray, thick: np.ndarray, wide: float) -> np.ndarray:

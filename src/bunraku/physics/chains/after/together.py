@@ -5,6 +5,7 @@ is averaged with those of the links beside it, by how much of the skin they shar
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def together(
     turns = [turn + sags.get(number, 0.0) for number, turn in enumerate(turns)]
     for chain, own in zip(chains, turns, strict=True):
         rotations[:, chain.bones] = matrix_from_axis_angle(own)
-    return RigAnimation(animation.character, rotations, animation.translations, animation.fps, animation.reference)
+    return replace(animation, rotations=rotations)
 
 
 def swung_less(animation: RigAnimation, chains: Sequence[Chain], chosen: Collection[int]) -> RigAnimation:
@@ -60,7 +61,7 @@ def swung_less(animation: RigAnimation, chains: Sequence[Chain], chosen: Collect
     for number in chosen:
         bones = chains[number].bones
         rotations[:, bones] = matrix_from_axis_angle(LESS * axis_angle_from_matrix(rotations[:, bones]))
-    return RigAnimation(animation.character, rotations, animation.translations, animation.fps, animation.reference)
+    return replace(animation, rotations=rotations)
 
 
 def _sags(turns: Sequence[np.ndarray], chains: Sequence[Chain]) -> dict[int, np.ndarray]:

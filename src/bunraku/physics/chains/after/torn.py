@@ -96,7 +96,7 @@ def eased(animation: RigAnimation, rig: Rig, own: np.ndarray) -> RigAnimation:
         np.concatenate([grown.weights * share, rig.weights * (1 - share)], axis=1),
     )  # fmt: skip
     character = replace(animation.character, rig=skin)
-    return RigAnimation(character, animation.rotations, animation.translations, animation.fps, animation.reference)
+    return replace(animation, character=character)
 
 
 def _bad_edges(
