@@ -250,10 +250,12 @@ def _mended(
     clothed: ClothedCharacter,
 ) -> tuple[RigAnimation, dict[int, float]]:  # fmt: skip
     """An animation of chains with what they tear eased and calmed, and the parts that are torn all the same."""
+    swings, torn = found, torn_parts(clothed, found.vertices, plain.vertices, len(found))
+    if not torn:
+        return found, torn
     skin = _boned(animation)[0].character.rig
     assert skin is not None
     free = np.ones(len(clothed.rest), np.float32)
-    swings, torn = found, torn_parts(clothed, found.vertices, plain.vertices, len(found))
     for attempt in range(CALMER):
         if not torn:
             break
