@@ -82,14 +82,13 @@ class ExampleBank:
         """Examples of each sentence.
 
         Args:
-            text: Encoded sentences; of their vectors the ranker reads as much as it knows.
+            text: Encoded sentences.
             without: For each sentence the takes that are not looked at.
         """
-        size = self.ranker.config.pooled_size
-        vectors = sentence_vectors(self.ranker, TextBatch(text.tokens, text.mask, text.pooled[:, :size])) / RADIUS
+        vectors = self.vectors(text)
         excluded = [()] * len(vectors) if without is None else without
         rows = [self.nearest(*pair) for pair in zip(vectors, excluded, strict=True)]
-        found = [[self._example(*one) for one in row] for row in rows]
+        found = [[self.example(*one) for one in row] for row in rows]
         lengths = np.zeros((len(rows), self.count), np.int64)
         longest = max((len(values) for row in found for values, _ in row), default=1)
         values = np.zeros((len(rows), self.count, longest, len(self.statistics.mean)), np.float32)
@@ -101,7 +100,17 @@ class ExampleBank:
                 pooled[row, index] = vector
         return RetrievedExamples(values, lengths, pooled)
 
-    def _example(self, index: int, mirrored: bool) -> tuple[np.ndarray, np.ndarray]:
+    def vectors(self, text: TextBatch) -> np.ndarray:
+        """The ranker's unit vectors of encoded sentences, of whose own vectors it reads as much as it knows, shape (B,
+        V).
+        """
+        size = self.ranker.config.pooled_size
+        return sentence_vectors(self.ranker, TextBatch(text.tokens, text.mask, text.pooled[:, :size])) / RADIUS
+
+    def example(self, index: int, mirrored: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Features of an example in the network's units, shape (N, D), float16, and the vector of its sentence, shape
+        (P,).
+        """
         key = (index, mirrored)
         if key not in self._known:
             features, text = self.pack.features(index)[: self.frames], self.pack.examples[index].texts[0]

@@ -66,6 +66,8 @@ class TrainingConfig(RunSettings):
         examples: Captured examples that the network attends to, retrieved among `example_pack`; 0 trains without.
         example_pack: What `bunraku data examples` wrote; None takes the shipped examples.
         text_folder: Folder with CLIP, in place of the built-in text encoder.
+        workers: Processes that draw rows ahead into a pool on the device; 0 draws each batch when it is due.
+        pool: Rows in it, the newest. Each is learned from as often as the device is faster than the processes.
         device: "cuda", "cpu" or another of torch; None takes CUDA when it is there.
         bf16: Compute in bfloat16 where torch says it is safe and the device has it in hardware.
         save_every: Minutes between saved states.
@@ -111,6 +113,8 @@ class TrainingConfig(RunSettings):
     examples: int = 0
     example_pack: Path | None = None
     text_folder: Path | None = None
+    workers: int = 0
+    pool: int = 50_000
     device: str | None = None
     bf16: bool = True
     save_every: float = 5.0

@@ -48,7 +48,14 @@ class MeshBank:
         Returns:
             Features (B, 448), and whether they are known, shape (B,): a creature that the bank lacks has the null mesh.
         """
-        chosen, known = np.zeros(size, np.int64), np.ones(size, bool)
+        chosen = self.choose(meshes, size, random, cross)
+        return self.features[torch.from_numpy(np.maximum(chosen, 0))], chosen >= 0
+
+    def choose(
+        self, meshes: Sequence[str | None] | None, size: int, random: np.random.Generator, cross: float = 0.0
+    ) -> np.ndarray:
+        """Row of the feature that `draw` gives each row of a batch, -1 where it is not known, shape (B,)."""
+        chosen = np.zeros(size, np.int64)
         for index, name in enumerate(meshes or [None] * size):
             pick, any_body = random.random(), random.random() < cross
             if name is None:
@@ -58,10 +65,10 @@ class MeshBank:
                 continue
             rows = self.rows.get(name.partition("~")[0])
             if rows is None:
-                known[index] = False
+                chosen[index] = -1
             else:
                 chosen[index] = rows[int(pick * len(rows))]
-        return self.features[torch.from_numpy(chosen)], known
+        return chosen
 
 
 def load_mesh_bank(path: Path, size: int) -> MeshBank:

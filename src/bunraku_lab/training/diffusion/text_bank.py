@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import torch
 
 from bunraku.errors import WeightsError
+from bunraku.language import encoders
 from bunraku.language.encoders import TextEncoder
 from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku_lab.nn.text import TextBatch, tensors_of
@@ -24,6 +27,7 @@ class TextBank:
         sentences: What to keep.
         cache: File to keep them in between runs; written again when the sentences or the encoder change.
         progress: Called with (done, total) while encoding.
+        workers: Processes that encode; 0 for none beside this one.
     """
 
     def __init__(
@@ -32,6 +36,7 @@ class TextBank:
         sentences: Sequence[str],
         cache: str | Path | None = None,
         progress: Callable[[int, int], None] | None = None,
+        workers: int = 0,
     ):
         self._encoder = encoder
         sentences = sorted(set(sentences))
@@ -49,14 +54,14 @@ class TextBank:
                     return
             except WeightsError:
                 pass  # a broken cache is made again
+        parts = [sentences[start : start + 256] for start in range(0, len(sentences), 256)]
         tokens, lengths, pooled = [], [], []
-        for start in range(0, len(sentences), 256):
-            part = tensors_of(encoder.encode(sentences[start : start + 256]))
+        for done, part in enumerate(_encoded(encoder, parts, workers)):
             tokens.append(part.tokens[part.mask].half())
             lengths.append(part.mask.sum(1))
             pooled.append(part.pooled)
             if progress is not None:
-                progress(min(start + 256, len(sentences)), len(sentences))
+                progress(min(256 * (done + 1), len(sentences)), len(sentences))
         self._tokens = torch.cat(tokens) if tokens else torch.zeros(0, encoder.token_size, dtype=torch.float16)
         self._offsets = torch.cat(
             [
@@ -94,3 +99,24 @@ class TextBank:
             tokens[index, : len(values)] = values
             mask[index, : len(values)] = True
         return TextBatch(tokens, mask, torch.stack([vector for _, vector in rows]))
+
+
+def _encoded(encoder: TextEncoder, parts: Sequence[Sequence[str]], workers: int) -> Iterator[TextBatch]:
+    """Each part in its turn."""
+    if workers < 2:
+        yield from (tensors_of(encoder.encode(part)) for part in parts)
+        return
+    forked = multiprocessing.get_context("fork")  # so that nobody loads the encoder again
+    with ProcessPoolExecutor(workers, forked, _know, (encoder,)) as pool:
+        yield from map(tensors_of, pool.map(_encode, parts))
+
+
+_known: list[TextEncoder] = []  # of a process that encodes
+
+
+def _know(encoder: TextEncoder) -> None:
+    _known[:] = [encoder]
+
+
+def _encode(sentences: Sequence[str]) -> encoders.TextBatch:
+    return _known[0].encode(sentences)

@@ -8,17 +8,16 @@ Under `accelerate launch` several processes train together: each draws batches o
 from __future__ import annotations
 
 import math
-import queue
-import threading
+import multiprocessing
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from bunraku.diffusion.denoiser_config import PRESETS, DenoiserConfig
-from bunraku.diffusion.examples.attended import ExampleBank, example_bank, take_of
+from bunraku.diffusion.examples.attended import example_bank
 from bunraku.diffusion.examples.pack import ExamplePack, load_examples, read_pack
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError, WeightsError
@@ -29,11 +28,10 @@ from bunraku_lab.datasets.characters.bank_file import load_character_bank
 from bunraku_lab.datasets.motions.bundle import read_bundle
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
-from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
-from bunraku_lab.nn.text import TextBatch
+from bunraku_lab.training.diffusion.batch_source import BatchesAhead, BatchSource, PooledBatches, Sources
 from bunraku_lab.training.diffusion.card import training_card, write_card
 from bunraku_lab.training.diffusion.clip_data import load_clips
-from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture, MotionBatch
+from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture
 from bunraku_lab.training.diffusion.config import SHIPPED
 from bunraku_lab.training.diffusion.mesh_bank import load_mesh_bank
 from bunraku_lab.training.diffusion.rehearsal import rehearsal_clips
@@ -41,7 +39,7 @@ from bunraku_lab.training.diffusion.text_bank import TextBank
 from bunraku_lab.training.diffusion.trainer import Example, Trainer, TrainingConfig
 from bunraku_lab.training.diffusion.warm_start import start_from
 from bunraku_lab.training.runs.events import EventLog
-from bunraku_lab.training.runs.processes import Processes, open_processes
+from bunraku_lab.training.runs.processes import open_processes
 from bunraku_lab.training.runs.runs import Stop, logged_columns
 from bunraku_lab.training.runs.training_run import TrainingRun
 
@@ -54,51 +52,6 @@ def _statistics(path: Path) -> FeatureStatistics | None:
         return None
     model = load_training_state(path).models["model"]
     return FeatureStatistics(model["mean"].numpy(), model["std"].numpy())
-
-
-@dataclass(frozen=True)
-class _Sources:
-    """What rows get beside their motions: sentences encoded, and examples where the network attends to them."""
-
-    text: TextBank
-    examples: ExampleBank | None = None
-
-    def __call__(self, batch: MotionBatch) -> tuple[TextBatch, RetrievedExamples | None]:
-        text = self.text(batch.sentences)
-        if self.examples is None:
-            return text, None
-        found = self.examples(text.arrays(), [{take_of(name) for name in own} for own in batch.clips])
-        return text, RetrievedExamples(*map(torch.from_numpy, (found.values, found.lengths, found.pooled)))
-
-
-def _prefetch(
-    clips: ClipSet, sources: _Sources, config: TrainingConfig, processes: Processes, first: int, stop: threading.Event
-) -> tuple[queue.Queue[Any], threading.Thread]:
-    """Batches from step `first` on, and the thread that makes them ahead. Of P processes, number i takes batch
-    P * step + i.
-    """
-    ready: queue.Queue[Any] = queue.Queue(maxsize=3)
-
-    def put(item: object) -> None:
-        while not stop.is_set():
-            try:
-                return ready.put(item, timeout=0.2)
-            except queue.Full:
-                continue
-
-    def work() -> None:
-        number = processes.count * first + processes.index
-        try:
-            while not stop.is_set():
-                batch = clips.batch(config.seed, number, config.batch, config.compose)
-                put((number, batch, *sources(batch)))
-                number += processes.count
-        except Exception as error:  # handed to the training loop
-            put(error)
-
-    thread = threading.Thread(target=work, name="batches", daemon=True)
-    thread.start()
-    return ready, thread
 
 
 def _pack(config: TrainingConfig) -> ExamplePack:
@@ -138,6 +91,14 @@ def train_diffusion(
         raise OptionError(f"the preset '{config.preset}' is unknown; choose one of: {', '.join(PRESETS)}")
     if config.batch < 1 or (config.minutes is not None and config.minutes <= 0) or (config.steps or 0) < 0:
         raise OptionError("batch, minutes and steps must be positive")
+    if config.workers < 0 or (config.workers and config.pool < config.batch):
+        raise OptionError("workers must be 0 or more, and the pool must hold a batch")
+    if config.workers and "fork" not in multiprocessing.get_all_start_methods():
+        raise OptionError("this system cannot fork processes; leave out --workers")
+    if config.workers and config.character_bank is not None:
+        raise OptionError(
+            "the losses of --character-bank need batches that are drawn when they are due; leave out --workers"
+        )
     if not 0 <= config.rehearse < 1:
         raise OptionError(f"the share that is rehearsed must be 0 to below 1, not {config.rehearse:g}")
     shipped = load_denoiser(shipped_checkpoint("diffusion")) if config.start == SHIPPED else None
@@ -175,6 +136,7 @@ def train_diffusion(
                 _sentences([train, val]),
                 config.out / "captions.safetensors",
                 lambda done, total: bar.update(task, completed=done, total=total),
+                config.workers,
             )
     if network is None:
         sizes: dict[str, Any] = {
@@ -206,23 +168,21 @@ def train_diffusion(
     elif config.start is not None:
         start_from(config.start if shipped is None else shipped_checkpoint("diffusion"), trainer.model)
         trainer.average.load_state_dict(trainer.model.state_dict())
-    sources = _Sources(bank)
+    sources = Sources(bank)
     if network.examples:
-        sources = _Sources(bank, example_bank(network, statistics, _pack(config), encoder))
+        sources = Sources(bank, example_bank(network, statistics, _pack(config), encoder))
     examples = _validation(trainer, val, sources) if processes.main else []
     console.print(
         f"{len(train.clips)} training and {len(val.clips)} validation clips, {len(bank)} sentences, "
         f"{sum(value.numel() for value in trainer.model.parameters()) / 1e6:.1f} M parameters, {trainer.device}, "
         f"{processes.count} process{'es' if processes.count > 1 else ''}, from step {trainer.step}"
     )
-    ended = threading.Event()
-    ready, thread = _prefetch(train, sources, config, processes, trainer.step, ended)
-    run = _Run(trainer, network, ready, examples, console)
+    source = (PooledBatches if config.workers else BatchesAhead)(trainer, train, sources)
+    run = _Run(trainer, network, source, examples, console)
     try:
         path = run.learn(run.tell)
     finally:
-        ended.set()
-        thread.join()  # a process that ends while a thread is inside torch is aborted
+        source.close()
     if processes.main:
         write_card(path, card)
     console.print(
@@ -232,7 +192,7 @@ def train_diffusion(
     return path
 
 
-def _validation(trainer: Trainer, clips: ClipSet, sources: _Sources) -> list[Example]:
+def _validation(trainer: Trainer, clips: ClipSet, sources: Sources) -> list[Example]:
     """Fixed crops with fixed noise at fixed steps."""
     if len(clips.clips) < 2:
         return []
@@ -259,7 +219,7 @@ class _Run(TrainingRun):
     Args:
         trainer: Networks and optimisers.
         network: The denoiser's config.
-        ready: Batches from the trainer's step on.
+        source: Batches from the trainer's step on.
         examples: What is validated.
         console: Of rich.
     """
@@ -272,11 +232,11 @@ class _Run(TrainingRun):
         self,
         trainer: Trainer,
         network: DenoiserConfig,
-        ready: queue.Queue[Any],
+        source: BatchSource,
         examples: list[Example],
         console: Any,
     ):
-        self.trainer, self.network, self.ready, self.console = trainer, network, ready, console
+        self.trainer, self.network, self.source, self.console = trainer, network, source, console
         self.config, self.out, self.stop, self.held_out = trainer.config, trainer.config.out, Stop(), examples
         self.main, self.first = trainer.processes.main, trainer.step
         self.begin = self.last = time.monotonic()
@@ -313,13 +273,10 @@ class _Run(TrainingRun):
 
     def train_step(self) -> dict[str, float]:
         """One step on the next batch, with the time since the one before."""
-        item = self.ready.get()
-        if isinstance(item, Exception):
-            raise item
-        number, batch, text, found = item
         trainer = self.trainer
+        example = self.source.next()
         trainer.asked = self.stop.asked
-        told = trainer.update(trainer.example(batch, text, [self.config.seed, number], examples=found))
+        told = trainer.update(example)
         now = time.monotonic()
         trainer.seconds += now - self.last
         self.last, self.step = now, trainer.step

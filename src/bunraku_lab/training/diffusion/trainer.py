@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ from bunraku_lab.nn.diffusion.noise import add_noise, alphas_cumprod
 from bunraku_lab.nn.text import TextBatch
 from bunraku_lab.training.diffusion.clip_rows import MotionBatch
 from bunraku_lab.training.diffusion.config import TrainingConfig
+from bunraku_lab.training.diffusion.drawn_rows import DrawnRows
 from bunraku_lab.training.diffusion.mesh_bank import MeshBank
 from bunraku_lab.training.diffusion.mesh_learning import MeshDraw, MeshLearning
 from bunraku_lab.training.losses.contact_loss import contact_loss
@@ -48,6 +50,14 @@ class Example:
     of_body: Tensor
     draw: MeshDraw | None = None
     examples: RetrievedExamples | None = None
+
+    def to(self, device: torch.device) -> Example:
+        """The same on a device; what is drawn of characters lies on its own."""
+        moved: dict[str, Any] = {}
+        for field in fields(self):
+            part = getattr(self, field.name)
+            moved[field.name] = part if part is None or field.name == "draw" else part.to(device)
+        return Example(**moved)
 
 
 class Trainer:
@@ -115,39 +125,44 @@ class Trainer:
         """Noise, steps, characters and dropped conditions for a batch: a pure function of the seed."""
         random = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0] >> 1))
         size = len(batch.lengths)
-        clean = torch.from_numpy(batch.values)
-        noise = torch.randn(clean.shape, generator=random)
-        step = torch.randint(TRAINING_STEPS, (size,), generator=random)
-        drop_text = torch.rand(size, generator=random) < (self.config.drop_text if train else -1)
-        drop_mesh = torch.rand(size, generator=random) < (self.config.drop_mesh if train else 2)
-        if train and self.config.drop_tokens:
-            text = replace(
-                text, mask=text.mask & (torch.rand(text.mask.shape, generator=random) >= self.config.drop_tokens)
-            )
-        if train and examples is not None:
-            shown = torch.rand(size, generator=random) >= self.config.drop_examples
-            examples = replace(examples, lengths=examples.lengths * shown[:, None])
-        mesh, draw, meshes = None, None, batch.meshes
+        mesh, known, meshes = None, np.ones(size, bool), batch.meshes
         choice, cross = np.random.default_rng([*seed, 11]), self.config.cross if train else 0.0
         if self.mesh_bank is not None:
             mesh, known = self.mesh_bank.draw(meshes, size, choice, cross)
-            drop_mesh |= ~torch.from_numpy(known)
-        if self.learning is not None and train:
-            draw = self.learning.draw(choice, batch.lengths, meshes, cross)
-        if draw is not None and self.learning is not None:
-            bank, rows = self.learning.bank, draw.rows.cpu()
-            mesh = torch.zeros(size, bank.features.shape[1]) if mesh is None else mesh.clone()
-            drop_mesh = drop_mesh if self.mesh_bank is not None else torch.ones_like(drop_mesh)
-            mesh[rows] = bank.features[draw.characters].cpu()
-            drop_mesh[rows] = False
-        return Example(
-            clean.to(self.device), noise.to(self.device), step.to(self.device),
-            torch.from_numpy(batch.lengths).to(self.device),
-            text.to(self.device), None if mesh is None else mesh.to(self.device), ~drop_text.to(self.device),
-            ~drop_mesh.to(self.device),
-            torch.tensor([mesh is None for mesh in batch.meshes], device=self.device), draw,
-            None if examples is None else examples.to(self.device),
+        rows = DrawnRows(
+            torch.from_numpy(batch.values), torch.from_numpy(batch.lengths), text, mesh, torch.from_numpy(known),
+            torch.tensor([name is None for name in meshes]), examples,
         )  # fmt: skip
+        example = self.noised(rows, random, train)
+        if self.learning is not None and train:
+            example.draw = draw = self.learning.draw(choice, batch.lengths, meshes, cross)
+            if draw is not None:
+                bank, drawn = self.learning.bank, draw.rows.cpu()
+                own = torch.zeros(size, bank.features.shape[1]) if mesh is None else mesh.clone()
+                own[drawn] = bank.features[draw.characters].cpu()
+                example.keep_mesh &= mesh is not None
+                example.keep_mesh[drawn] = True
+                example.mesh = own
+        return example.to(self.device)
+
+    def noised(self, rows: DrawnRows, random: torch.Generator, train: bool = True) -> Example:
+        """Noise, steps and dropped conditions for rows, drawn on their device."""
+        size, device, config = len(rows.lengths), rows.clean.device, self.config
+        text, examples = rows.text, rows.examples
+        noise = torch.randn(rows.clean.shape, generator=random, device=device)
+        step = torch.randint(TRAINING_STEPS, (size,), generator=random, device=device)
+        drop_text = torch.rand(size, generator=random, device=device) < (config.drop_text if train else -1)
+        drop_mesh = torch.rand(size, generator=random, device=device) < (config.drop_mesh if train else 2)
+        if train and config.drop_tokens:
+            shown = torch.rand(text.mask.shape, generator=random, device=device) >= config.drop_tokens
+            text = replace(text, mask=text.mask & shown)
+        if train and examples is not None:
+            shown = torch.rand(size, generator=random, device=device) >= config.drop_examples
+            examples = replace(examples, lengths=examples.lengths * shown[:, None])
+        keep_mesh = ~drop_mesh & rows.known
+        return Example(
+            rows.clean, noise, step, rows.lengths, text, rows.mesh, ~drop_text, keep_mesh, rows.person, None, examples
+        )
 
     def predict(self, model: Denoiser, example: Example) -> tuple[Tensor, Tensor]:
         """x0 in network units and the adaptation from the noised motions, shapes (B, N, D) and (B, N, K, 3)."""
