@@ -1,0 +1,109 @@
+import numpy as np
+import pytest
+import torch
+
+from bunraku.diffusion.features import FeatureStatistics
+from bunraku.errors import OptionError
+from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
+from bunraku_lab.training.diffusion.clip_data import load_clips
+from bunraku_lab.training.diffusion.clip_rows import ClipSet
+from bunraku_lab.training.diffusion.mesh_bank import MeshBank
+from bunraku_lab.training.diffusion.row_pool import FedPool, RowPool
+from bunraku_lab.training.diffusion.row_workers import MadeRows, RowMaker, RowWorkers
+from bunraku_lab.training.diffusion.text_bank import TextBank
+from bunraku_lab.training.diffusion.train import TrainingConfig, train_diffusion
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture
+def maker(swings, encoder):
+    clips = load_clips(swings)
+    statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
+    meshes = MeshBank(torch.arange(12.0).view(3, 4), {}, np.arange(3))
+    return RowMaker(ClipSet(clips, statistics, frames=60), TextBank(encoder, []), 5, 0.0, meshes)
+
+
+def rows(first, count=4, frames=5, found=()):
+    """Made rows that each tell their number in all that they hold."""
+    numbers = np.arange(first, first + count)
+    values = np.broadcast_to(numbers[:, None, None], (count, frames, 3)).astype(np.float16)
+    examples = np.array([[3, 8]] * count if found else np.zeros((count, 0)), np.int64)
+    tokens = np.broadcast_to(numbers[:, None, None], (count, 2, 6)).astype(np.float16)
+    pooled = np.broadcast_to(numbers[:, None], (count, 6)).astype(np.float32)
+    return MadeRows(
+        values, np.full(count, frames), tokens, np.full(count, 2), pooled, numbers % 3 - 1, numbers % 2 == 0,
+        examples, examples[:, ::-1], dict(found),
+    )  # fmt: skip
+
+
+def test_processes_make_what_this_one_makes_and_tell_what_went_wrong(maker):
+    workers = RowWorkers(maker, 2, first=3)
+    try:
+        found = [made for made, _ in zip(workers, range(4), strict=False)]
+    finally:
+        workers.close()
+    wanted = [maker(number) for number in range(3, 9)]
+    for made in found:
+        assert any(
+            made.values.shape == one.values.shape
+            and (made.values == one.values).all()
+            and (made.mesh == one.mesh).all()
+            and (made.tokens == one.tokens).all()
+            for one in wanted
+        )
+    assert len({made.values.tobytes() for made in found}) == 4
+    broken = RowWorkers(RowMaker(maker.clips, None, 5, 0.0), 1)
+    try:
+        with pytest.raises(TypeError):
+            next(iter(broken))
+    finally:
+        broken.close()
+
+
+def test_a_pool_gives_rows_whole_and_keeps_the_newest():
+    features = {
+        3: (np.full((4, 3), 0.5, np.float16), np.full(6, 3.0)),
+        8: (np.ones((2, 3), np.float16), np.full(6, 8.0)),
+    }
+    meshes = MeshBank(torch.arange(12.0).view(3, 4), {}, np.arange(3))
+    pool = RowPool(8, 7, CPU, meshes)
+    for first in (0, 4, 8):
+        pool.add(rows(first, found=features.items()))
+    assert len(pool) == 8 and pool.added == 12
+    drawn = pool.draw(200, torch.Generator().manual_seed(0))
+    number = drawn.clean[:, 0, 0]
+    assert set(number.int().tolist()) == set(range(4, 12))
+    assert drawn.clean.shape == (200, 7, 3) and not drawn.clean[:, 5:].any() and (drawn.lengths == 5).all()
+    assert (drawn.clean[:, :5] == number[:, None, None]).all() and (drawn.text.pooled == number[:, None]).all()
+    assert (drawn.text.tokens[:, :2] == number[:, None, None]).all() and (drawn.text.mask.sum(1) == 2).all()
+    assert (drawn.known == (number % 3 > 0)).all() and (drawn.person == (number % 2 == 0)).all()
+    known = drawn.known
+    assert (drawn.mesh[known] == meshes.features[(number[known] % 3 - 1).long()]).all()
+    assert (drawn.examples.lengths == torch.tensor([4, 2])).all() and (drawn.examples.values[:, 0, :4] == 0.5).all()
+    assert (drawn.examples.pooled[:, 0] == 3).all() and not drawn.examples.values[:, 1, 2:].any()
+    turned = pool.draw(3, torch.Generator().manual_seed(0), nearest=True)
+    assert (turned.examples.lengths == torch.tensor([2, 4])).all()
+
+
+def test_a_fed_pool_waits_for_as_many_rows_as_it_is_asked_for(maker):
+    fed = FedPool(RowPool(300, 60, CPU, maker.meshes), RowWorkers(maker, 1))
+    try:
+        fed.feed(130)
+        assert len(fed.pool) >= 130
+        fed.feed(10_000)
+        assert len(fed.pool) == 300
+    finally:
+        fed.close()
+
+
+def test_a_denoiser_trains_on_a_pool(swings, tmp_path, config, encoder):
+    how = {"data": swings, "minutes": None, "batch": 4, "device": "cpu", "workers": 1, "pool": 64}
+    path = train_diffusion(TrainingConfig(out=tmp_path / "run", steps=3, **how), config(), encoder)
+    assert load_denoiser(path).notes["steps"] == 3
+    train_diffusion(TrainingConfig(out=tmp_path / "run", steps=5, **how), config(), encoder)  # it goes on
+    assert load_denoiser(path).notes["steps"] == 5
+    with pytest.raises(OptionError, match="pool must hold a batch"):
+        train_diffusion(TrainingConfig(out=tmp_path / "other", **{**how, "pool": 2}), config(), encoder)
+    with pytest.raises(OptionError, match="leave out --workers"):
+        train_diffusion(TrainingConfig(out=tmp_path / "other", character_bank=swings, **how), config(), encoder)
