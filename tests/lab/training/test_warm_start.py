@@ -88,3 +88,14 @@ def test_added_blocks_start_without_effect(tmp_path):
     values = torch.randn(2, 16, TINY.features)
     torch.testing.assert_close(predict(new, values), predict(old, values), atol=1e-6, rtol=1e-5)
     assert new.example_in.weight.shape == (32, 2 * 4 * TINY.features)
+
+
+@pytest.mark.parametrize("before", [{"examples": 2}, {"convolution": 3}])
+def test_a_block_that_is_added_beside_another_begins_without_effect(before, tmp_path):
+    old = denoiser(replace(TINY, **before))
+    new = build_denoiser(replace(TINY, examples=2, convolution=3)).eval()
+    new.mean.copy_(old.mean), new.std.copy_(old.std)
+    start_from(save_denoiser(tmp_path / "old.safetensors", old, half=False), new)
+    new.adaptation_out.load_state_dict(old.adaptation_out.state_dict())
+    values = torch.randn(2, 16, TINY.features)
+    assert torch.allclose(predict(old, values), predict(new, values), atol=1e-4)
