@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bunraku.gestures.catalogue import read_places
 from bunraku.gestures.handling import handled
 from bunraku.gestures.perform import performed
+from bunraku.gestures.places import read_places
 from bunraku.gestures.play import gesture_motion
 from bunraku.gestures.standing import AT
 from bunraku.language.handling import Handling, Place, Station, handling_of

@@ -9,13 +9,13 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 from bunraku.errors import FormatError
 from bunraku.gestures.flow import STEP, foot_on, through
-from bunraku.gestures.pose import HANGING, Foot, Gesture, Hand, Key, Pose, Repeat, again, moved
+from bunraku.gestures.pose import Foot, Gesture, Hand, Key, Pose, Repeat, again, moved
 
-__all__ = ["STANDING", "gesture_of", "gestures", "read_gestures", "read_parts", "read_places"]
+__all__ = ["STANDING", "gesture_of", "gestures", "read_gestures", "gesture_row", "hand_row", "pose_row", "read_parts"]
 
 FILE = Path(__file__).with_name("gestures.toml")
 _SECTION = re.compile(r"^(?=\[)", re.MULTILINE)
@@ -37,13 +37,13 @@ def _read(row: Table, rows: Table, path: Path) -> Gesture:
     """The gesture of a row, with what all rows of its file share."""
     shared = {kind: rows.get(kind, {}) for kind in ("hands", "feet", "poses")}
     try:
-        return _gesture(row, {kind: shared[kind] | row.get(kind, {}) for kind in shared}, rows["frames"])
+        return gesture_row(row, {kind: shared[kind] | row.get(kind, {}) for kind in shared}, rows["frames"])
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(path, f"gesture {row.get('name')!r} is wrong at {error}") from error
 
 
-def _gesture(row: Table, named: dict[str, Table], frames: Table) -> Gesture:
-    poses = {name: _pose(pose, named) for name, pose in named["poses"].items()}
+def gesture_row(row: Table, named: dict[str, Table], frames: Table) -> Gesture:
+    poses = {name: pose_row(pose, named) for name, pose in named["poses"].items()}
     cycle = tuple(row["cycle"]) if "cycle" in row else None
     keys: Sequence[Key]
     repeat: Repeat | None = None
@@ -63,7 +63,7 @@ def _gesture(row: Table, named: dict[str, Table], frames: Table) -> Gesture:
     return Gesture(row["name"], tuple(row["texts"]), tuple(keys), cycle, steps, repeat, handed, row.get("at", ""))
 
 
-def _pose(row: Table, named: dict[str, Table]) -> Pose:
+def pose_row(row: Table, named: dict[str, Table]) -> Pose:
     row = dict(row)
     if "hands" in row:
         row["right"] = row["left"] = row.pop("hands")
@@ -72,7 +72,7 @@ def _pose(row: Table, named: dict[str, Table]) -> Pose:
     made: dict[str, Any] = {}
     for name, value in row.items():
         if name in ("right", "left"):
-            made[name] = _hand(named["hands"][value] if isinstance(value, str) else value)
+            made[name] = hand_row(named["hands"][value] if isinstance(value, str) else value)
         elif name in ("right_foot", "left_foot"):
             made[name] = _foot(named["feet"][value] if isinstance(value, str) else value)
         else:
@@ -80,7 +80,7 @@ def _pose(row: Table, named: dict[str, Table]) -> Pose:
     return Pose(**made)
 
 
-def _hand(row: Table) -> Hand:
+def hand_row(row: Table) -> Hand:
     return Hand(**{name: _value(value) for name, value in row.items()})
 
 
@@ -115,7 +115,7 @@ def _frames(table: Table, named: dict[str, Table]) -> list[Pose]:
     """The poses of a table, of which `pose` is what stays the same."""
     tracks: dict[str, Any] = {name: value for name, value in table.items() if name != "pose"}
     count = len(next(one if isinstance(one, list) else next(iter(one.values())) for one in tracks.values()))
-    still, found = _pose(table["pose"], named), []
+    still, found = pose_row(table["pose"], named), []
     for index in range(count):
         parts = {}
         for name, value in tracks.items():
@@ -139,32 +139,9 @@ def read_parts() -> dict[str, tuple[str, Pose]]:
     rows = tomllib.loads(own)["parts"]
     named: dict[str, Table] = {"hands": {}, "feet": {}}
     return {
-        name: (row["said"], _pose({kind: value for kind, value in row.items() if kind != "said"}, named))
+        name: (row["said"], pose_row({kind: value for kind, value in row.items() if kind != "said"}, named))
         for name, row in rows.items()
     }
-
-
-class PlaceRow(TypedDict):
-    """How somebody is at a place for things: both hands there, one hand there, the other one then, and the body."""
-
-    both: Hand
-    one: Hand
-    other: Hand
-    pose: Pose
-
-
-@functools.cache
-def read_places() -> dict[str, PlaceRow]:
-    """The places of `[places]` by their names."""
-    own = next(one for one in _sections() if one.startswith("[places]"))
-    named: dict[str, Table] = {"hands": {}, "feet": {}}
-    return {name: _place(row, named) for name, row in tomllib.loads(own)["places"].items()}
-
-
-def _place(row: Table, named: dict[str, Table]) -> PlaceRow:
-    pose = {kind: value for kind, value in row.items() if kind not in ("both", "one", "other")}
-    other = _hand(row["other"]) if "other" in row else HANGING
-    return {"both": _hand(row["both"]), "one": _hand(row["one"]), "other": other, "pose": _pose(pose, named)}
 
 
 @functools.cache
@@ -186,9 +163,7 @@ def gesture_of(texts: tuple[str, ...]) -> Gesture | None:
     """
     if not texts:
         return None
-    shared = "".join(
-        one for one in _sections() if not one.startswith(("[[gesture]]", "[frames.", "[parts]", "[places]"))
-    )
+    shared = "".join(one for one in _sections() if not one.startswith(("[[gesture]]", "[frames.", "[parts]")))
     for section in _sections():
         if not section.startswith("[[gesture]]") or json.dumps(texts[0], ensure_ascii=False) not in section:
             continue

@@ -16,6 +16,7 @@ from bunraku.language.handling import handling_of
 from bunraku.language.lexicon.cues import said_cues
 from bunraku.language.lexicon.reading import actions_of, said_traits, words_of
 from bunraku.language.lexicon.tables import lexicon
+from bunraku.language.told import told_of, with_names
 
 __all__ = [
     "SHORTEST_CLAUSE",
@@ -62,19 +63,8 @@ _NO_VERB = re.compile(
 )
 _TOLD_BY = re.compile(r"(?P<who>(?:an?|the)\s+[^,.;]+?)(?:,\s+|\s+)(?P<rest>(?:\w+ly\s+)?\w+ing\b.*)", re.IGNORECASE)
 """Somebody who is told in many words before a participle."""
-_ALONG = frozenset(
-    ["forward", "forwards", "ahead", "backward", "backwards", "back", "around", "along", "sideways", "up", "down"]
-)
-"""Words that end what somebody on the way does."""
-_PRONOUNS = frozenset(("someone", "somebody", "he", "she", "it", "they"))
-_DETERMINERS = frozenset(("a", "an", "the", "one", "this", "that", "my", "our", "his", "her", "their", "its"))
 _LONGEST_NAME = 3
 """Words that name somebody, behind an article."""
-_PEOPLE = frozenset((
-    "person", "someone", "somebody", "man", "woman", "boy", "girl", "guy", "human", "character", "figure", "he", "she",
-    "they", "people", "body",
-))  # fmt: skip
-_SAID_OF_PEOPLE = frozenset(("old", "young", "tired", "happy", "sad"))
 _FINITE = ("third", "is")
 _CLAUSE = ("third", "gerund", "plain", "is")
 _ONGOING = re.compile(r"\b(?P<joint>and|then)\s+(?:is|are|was|were)\s+(?P<verb>\w+ing)\b", re.IGNORECASE)
@@ -144,8 +134,8 @@ def subject_of(clause: str) -> tuple[str, str]:
     names, stop = clause.split(None, _LONGEST_NAME + 1), 0
     if len(names) < 2:
         return "", clause
-    first = names[0].lower()
-    most = 1 if first in _PRONOUNS else _LONGEST_NAME + 1 if first in _DETERMINERS else 0
+    first, grammar = names[0].lower(), lexicon().grammar
+    most = 1 if first in grammar["subjects"] else _LONGEST_NAME + 1 if first in grammar["names"] else 0
     for number, name in enumerate(names[:most], 1):
         stop = clause.index(name, stop) + len(name)
         if number > 1 and name.lower() in ("and", "or", "of"):
@@ -167,7 +157,8 @@ def of_creature(clause: str) -> str:
     if not subject:
         return with_subject(clause, "it")
     names = [word for word in subject.lower().split() if word not in ("a", "an", "the", "this", "that")]
-    known = names and names[-1] in _PEOPLE and len(names) < 3 and set(names[:-1]) <= _SAID_OF_PEOPLE
+    people, said = lexicon().grammar["people"], lexicon().grammar["said of people"]
+    known = names and names[-1] in people and len(names) < 3 and said.issuperset(names[:-1])
     return f"it {rest}" if known else clause
 
 
@@ -229,13 +220,14 @@ def as_told(text: str) -> str:
         subject, rest = "a person", found["rest"]
         text = f"{subject} is {rest}"
     words, spans = words_of(rest)
+    along = lexicon().grammar["along"]
     if begins(rest, "third", "past"):
         return _ONGOING.sub(_finite, text)
     if not begins(rest, "gerund"):
         return text
     for number, word in enumerate(words[2:], 2):
         before = words[number - 1]
-        if word in lexicon().third and (before.endswith("ly") or before in _ALONG) and words[number - 2] != ",":
+        if word in lexicon().third and (before.endswith("ly") or before in along) and words[number - 2] != ",":
             start = spans[number][0]
             return f"{subject} is {rest[:start].rstrip()} and {rest[start:]}"
     return text
@@ -311,14 +303,19 @@ def parts_of(clause: str) -> list[str]:
     forms = [form for form in ("third", "gerund", "plain") if begins(pieces[0], form)]
     parts = [pieces[0]]
     for joint, piece in zip(pieces[1::2], map(_now, pieces[2::2]), strict=True):
-        if begins(piece, *forms) and not _NO_VERB.match(piece) and actions_of(piece) and actions_of(parts[-1]):
+        if begins(piece, *forms) and not _NO_VERB.match(piece) and all(map(_says, (piece, parts[-1]))):
             parts.append(piece)
         else:
             parts[-1] += joint + piece
     told = [frozenset(actions_of(part)) for part in parts]
+    parts = with_names(parts)
     if len(parts) < 2 or any(one & other for one, other in zip(told, told[1:], strict=False)):
         return []
     return [as_caption(with_subject(part, subject)) for part in parts]
+
+
+def _says(piece: str) -> bool:
+    return bool(actions_of(piece)) or told_of(piece) is not None
 
 
 def shared(clauses: Sequence[str], seconds: float) -> list[float]:

@@ -15,31 +15,16 @@ from bunraku.language.details import body_stems
 from bunraku.language.known.vocabulary import action_stems, stem
 from bunraku.language.lexicon.reading import actions_of, words_of
 from bunraku.language.lexicon.tables import lexicon
+from bunraku.language.lexicon.things import Kind, named_in
+from bunraku.language.lexicon.things import things as known_things
+from bunraku.language.phrasing import named_hands
 
 __all__ = ["Handling", "Place", "Station", "handling_of"]
 
 _HANDLED = frozenset(("handle", "pick up", "put down", "carry", "reach"))
 """Actions that say no more than that a thing is handled."""
-_FROM = frozenset(("from", "off"))
-_TO = frozenset(("to", "onto", "into", "over", "above", "towards", "toward", "till"))
-_ENDS = frozenset((
-    "and", "then", "while", "before", "after", ",", ".", ";", "with", "from", "off", "to", "onto", "into", "over",
-    "above", "on", "in", "at", "under", "beside", "near", "next", "behind", "towards", "toward", "up", "down", "back",
-    "away", "out", "using", "until", "as", "for",
-))  # fmt: skip
-_PARTICLES = frozenset(("up", "down", "back", "away", "out"))
 _WORN = frozenset(("on", "off"))
 """After a verb, without a thing: something that is worn."""
-_PRONOUNS = frozenset(("it", "them", "something", "anything", "things", "stuff", "one"))
-_DETERMINERS = frozenset((
-    "a", "an", "the", "his", "her", "their", "its", "some", "this", "that", "these", "those", "another", "one", "two",
-    "your", "my",
-))  # fmt: skip
-_BEFORE_NAMES = _DETERMINERS | {"from", "off", "on", "at", "in", "of", "with"}
-"""After these no verb stands: "from lower ground"."""
-_LIMBS = frozenset(("hand", "hands", "arm", "arms"))
-_TOUCHED = frozenset(("floor", "low", "table"))
-"""Heights at which hands are laid on something that is no part of the body."""
 _PUT = frozenset(("floor", "low", "table", "high"))
 """Heights at which something is put down by who carries it there."""
 _MOST = 6
@@ -50,7 +35,7 @@ class Place(NamedTuple):
     """Where a thing is.
 
     Args:
-        height: Of `[places]` in `gestures.toml`; "" where nothing is said of it.
+        height: Of the lexicon's `levels`; "" where nothing is said of it.
         way: "left", "right", "aside" for either of them; "" for straight ahead.
     """
 
@@ -65,7 +50,7 @@ class Station(NamedTuple):
     """One thing that is done with what is handled.
 
     Args:
-        does: "take", "hold" or "put"; "touch" of hands alone.
+        does: "take", "hold" or "put".
         place: Where.
     """
 
@@ -108,7 +93,7 @@ def handling_of(text: str) -> Handling | None:
     starts = [at for at in range(len(words)) if _verb(words, at)]
     segments = [_Segment.of(words, at, stop) for at, stop in zip(starts, [*starts[1:], len(words)], strict=False)]
     found: list[Station] = []
-    things = []
+    things: list[str] = []
     for segment in segments:
         if segment.thing is None and not (found and (segment.source or segment.goal)):
             continue
@@ -116,19 +101,21 @@ def handling_of(text: str) -> Handling | None:
         things.append(segment.thing or "")
     if not found:
         return None
-    kinds = {kind for kind in ("both", "one", "table") if any(_is(thing, kind) for thing in things)}
-    hands = _hands(words)
-    stations = _whole(found, "table" in kinds)
+    kinds = [kind for thing in things for kind in _kinds(thing)]
+    small = any(_level(kind.height) == "table" for kind in kinds)
+    hands = named_hands(words)
+    stations = _whole(found, small)
     held = all(one.does == "hold" for one in found)
     said = (
         (bool(hands) and not (held and hands == "both"))
         or {"take", "put"} <= {one.does for one in found}
         or any(map(_tells, found))
-        or any(one.does == "take" and "table" in kinds for one in found)
+        or any(one.does == "take" and small for one in found)
     )
     if not hands:
         far = any(one.place.height in ("overhead", "floor") for one in stations)
-        hands = "both" if "both" in kinds or (far and not kinds) else "one"
+        taken = {kind.hands for kind in kinds}
+        hands = "both" if "both" in taken or (far and taken <= {""}) else "one"
     return Handling(tuple(stations), hands, said, "weights" in words or "weightlifting" in words)
 
 
@@ -148,16 +135,15 @@ class _Segment(NamedTuple):
     def of(cls, words: Sequence[str], at: int, stop: int) -> _Segment:
         kind = _verb(words, at)
         thing, after = _thing(words, at + 1, stop, kind)
-        if thing is None and kind == "put" and words[stop - 1] not in _LIMBS and _LIMBS.intersection(words[at:stop]):
-            kind, thing = "touch", ""
+        grammar = lexicon().grammar
         places = {"from": Place(), "to": Place(), "at": Place()}
         mode = "at"
         own = words[at + 1 : stop]
         for number in range(after, stop):
             word = words[number]
-            if word in _FROM:
+            if word in grammar["from"]:
                 mode = "from"
-            elif word in _TO:
+            elif word in grammar["to"]:
                 mode = "to"
             elif word in ("with", "using", "and", ",", "in", "at", "of") and mode == "to" and places["to"]:
                 mode = "at"
@@ -171,15 +157,13 @@ class _Segment(NamedTuple):
         goal = self.goal or self.at
         if self.kind == "take":
             source = self.source or self.at
-            if not (source.height or self.up or _is(self.thing or "", "both")):
+            if not (source.height or self.up or any(kind.hands == "both" for kind in _kinds(self.thing or ""))):
                 source = Place("table", source.way)
             return [Station("take", source), Station("hold", self.goal)]
         if self.kind in ("lift", "raise"):
             own = Place("chest" if self.kind == "lift" else "high")
             there = goal if goal.height else _added(goal, own)
             return [*away, Station("hold", there)]
-        if self.kind == "touch":
-            return [Station("touch", goal)] if goal.height in _TOUCHED else []
         if self.kind == "hold" or (self.kind == "carry" and not (self.source or goal.way or goal.height in _PUT)):
             return [Station("hold", goal)]
         if self.kind == "put":
@@ -196,30 +180,36 @@ class _Segment(NamedTuple):
 
 def _verb(words: Sequence[str], at: int) -> str:
     """The kind of handling that a verb says; "" for none."""
-    named = at > 0 and words[at - 1] in _BEFORE_NAMES
+    grammar = lexicon().grammar
+    named = at > 0 and (words[at - 1] in grammar["determiners"] or words[at - 1] in grammar["before names"])
     return "" if named else lexicon().handling_verbs.get(words[at], "")
 
 
-def _is(thing: str, kind: str) -> bool:
-    return bool(set(thing.split()) & lexicon().things[kind])
+def _kinds(thing: str) -> list[Kind]:
+    """The kinds of things that are carried among some words."""
+    words = thing.split()
+    return [one.means for one in named_in(known_things().kinds, words, 0, len(words)) if "portable" in one.means.kinds]
 
 
-def _listed(word: str) -> bool:
-    return any(word in some for some in lexicon().things.values())
+def _level(height: float) -> str:
+    """The level that is nearest to a height [m]."""
+    levels = lexicon().levels
+    return min(levels, key=lambda name: abs(levels[name] - height))
 
 
 def _thing(words: Sequence[str], at: int, stop: int, kind: str) -> tuple[str | None, int]:
     """The words for what is handled, None where no thing is named, and the number of the word after them."""
-    while at < stop and (words[at] in _PARTICLES or words[at].endswith("ly")):
+    grammar = lexicon().grammar
+    while at < stop and (words[at] in grammar["particles"] or words[at].endswith("ly")):
         at += 1
-    if at < stop and words[at] in _PRONOUNS:
+    if at < stop and words[at] in grammar["pronouns"]:
         return words[at], at + 1
     last = at
-    while last < min(stop, at + _MOST) and words[last] not in _ENDS and words[last].isalnum():
+    while last < min(stop, at + _MOST) and words[last] not in grammar["ends"] and words[last].isalnum():
         last += 1
     named = words[at:last]
-    listed = any(map(_listed, named))
-    if not named or not (named[0] in _DETERMINERS or listed):
+    listed = bool(_kinds(" ".join(named)))
+    if not named or not (named[0] in grammar["determiners"] or listed):
         return None, at
     if any(stem(word) in body_stems() for word in named) or (last < stop and words[last] in _WORN and last == stop - 1):
         return None, at
@@ -233,13 +223,17 @@ def _place(words: Sequence[str], at: int) -> Place:
     after = words[at + 1] if at + 1 < len(words) else ""
     before = words[at - 1] if at else ""
     if word in ("left", "right"):
-        return Place() if after in _LIMBS or (after == "side" and before == "with") else Place("", word)
+        of_hand = after in lexicon().grammar["limbs"] or (after == "side" and before == "with")
+        return Place() if of_hand else Place("", word)
     for height, said in lexicon().heights.items():
         if word in said:
             near = words[max(at - 4, 0) : at]
             if height == "overhead" and word == "head" and not {"over", "above", "on"} & set(near):
                 continue
             return Place(height)
+    kind = known_things().kinds.get(word)
+    if kind is not None and kind.place:
+        return Place(_level(kind.height))
     return Place("", "aside") if word in lexicon().aside else Place()
 
 
@@ -253,19 +247,6 @@ def _tells(station: Station) -> bool:
     return bool(way) or (station.does == "hold" and bool(height) and height != "chest") or height not in (
         "", "floor", "down", "chest",
     )  # fmt: skip
-
-
-def _hands(words: Sequence[str]) -> str:
-    """The hands that are named: "both", "left", "right", "one", or "" for none."""
-    for at, word in enumerate(words):
-        after = words[at + 1 : at + 3]
-        if word in ("both", "two") and _LIMBS.intersection(after):
-            return "both"
-        if word == "hands" and _verb(words, at - 1 - (words[at - 1] in _DETERMINERS)) == "put":
-            return "both"
-        if word in ("left", "right", "one", "single") and after and after[0] in _LIMBS:
-            return "one" if word == "single" else word
-    return ""
 
 
 def _whole(stations: Sequence[Station], small: bool) -> list[Station]:

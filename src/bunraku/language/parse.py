@@ -22,11 +22,11 @@ from bunraku.language.clauses import (
 )
 from bunraku.language.concurrent import moved_part, split_voices
 from bunraku.language.details import added_words, count_of
-from bunraku.language.handling import handling_of
 from bunraku.language.lexicon.cues import said_cues
 from bunraku.language.lexicon.reading import actions_of, locomotion_of, said_traits
 from bunraku.language.prompts import check_prompt, narrow, parse_sequence, timed_sequence
 from bunraku.language.sentence import Clause, Sentence, Turn
+from bunraku.language.told import told_of, with_names
 from bunraku.language.understood import check_understood
 
 __all__ = ["clause_of", "clauses_of", "parse"]
@@ -53,6 +53,7 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
     timed = timed_sequence(parse_sequence(narrow(prompt)), seconds)
     parts = [(check_understood(part, force), length) for part, length in timed]
     clauses = [clause for found, length in parts for clause in handed_on(timed_clauses(as_told(found.english), length))]
+    clauses = list(zip(with_names([text for text, _ in clauses]), [length for _, length in clauses], strict=True))
     found = [part for part, _ in parts]
     loop = any("loop" in said_traits(part.prompt) for part in found)
     notes = [note for part in found for note in part.notes]
@@ -97,7 +98,7 @@ def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = (), parts: t
     return Clause(
         text, seconds, subject, person, actions, moved_part(text), locomotion_of(predicate), cues, traits,
         _turn(cues, traits, actions), _goes_straight(cues, traits), count_of(person), added_words(predicate, actions),
-        handling_of(person), voices=voices, parts=parts,
+        told_of(person), voices=voices, parts=parts,
     )  # fmt: skip
 
 

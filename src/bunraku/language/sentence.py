@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from bunraku.language.handling import Handling
+from bunraku.language.told import Told
 
 __all__ = ["Clause", "Sentence", "Turn", "UnknownWord", "in_stretches"]
 
@@ -65,7 +65,7 @@ class Clause:
         straight: Whether somebody goes forward or on, with nothing of a turn, a curve or a side.
         count: How often it is done; None where it says nothing of that.
         added: Words for parts of the body and movements that it says beyond its actions.
-        handling: What is done with a thing, where that is all that it says.
+        told: What is done with a thing, or follows from where somebody walks or looks, where that is all that it says.
         moves: What the body of `for_body` then does: "fly", "swim" and "slither", or how it is on the ground: "step",
             "run", "stay", "lie"; "" for neither.
         voices: Where a movement of the legs is joined with a gesture, the one and the other; none otherwise.
@@ -86,7 +86,7 @@ class Clause:
     straight: bool = False
     count: int | None = None
     added: tuple[str, ...] = ()
-    handling: Handling | None = None
+    told: Told | None = None
     moves: str = ""
     voices: tuple[Clause, ...] = field(default=())
     parts: tuple[Clause, ...] = field(default=())

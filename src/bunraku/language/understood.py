@@ -21,6 +21,7 @@ from bunraku.language.lexicon.reading import words_of as words_in
 from bunraku.language.lexicon.tables import lexicon
 from bunraku.language.prompts import check_prompt, narrow
 from bunraku.language.sentence import UnknownWord
+from bunraku.language.told import thing_words, told_of
 from bunraku.language.words import Translation, translate
 
 __all__ = ["Understanding", "check_understood", "understood"]
@@ -133,7 +134,10 @@ def _english(prompt: str, language: str) -> Understanding:
     if said != prompt:
         found = _english(said, language)
         return replace(found, prompt=prompt, unknown=_placed(found.unknown, prompt))
-    words = words_of(prompt)
+    told = thing_words(prompt)
+    spans = words_in(prompt)[1]
+    starts = {spans[number][0] for number in told}
+    words = [word._replace(known=word.known or word.start in starts) for word in words_of(prompt)]
     slips = {word: corrected(word.text) for word in words if not word.known}
     telling = [word for word in words if word.text.lower() not in FUNCTION_WORDS]
     if sum(word.known or bool(slips[word]) for word in telling) < _SURE * len(telling):
@@ -197,7 +201,7 @@ def _says_something(text: str, known: list[str], count: int) -> bool:
     """Whether a sentence says a movement, or consists of known words that say something."""
     if not count or len(known) < _SHARE * count:
         return False
-    if says_action(text):
+    if says_action(text) or told_of(text) is not None:
         return True
     return len(known) == count and any(word.lower() not in FUNCTION_WORDS for word in known)
 

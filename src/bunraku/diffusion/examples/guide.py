@@ -19,9 +19,9 @@ from bunraku.diffusion.examples.retrieve import Found
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
 from bunraku.diffusion.splicing import END, held, played, rests
 from bunraku.geometry.easing import smooth_step
-from bunraku.gestures.handling import handled
 from bunraku.gestures.manner import AS_USUAL, Manner
 from bunraku.gestures.parts import at_part
+from bunraku.gestures.told import made_of
 
 if TYPE_CHECKING:
     from bunraku.gestures.pose import Gesture
@@ -108,8 +108,8 @@ def laid(
     """
     closed = manner.closed
     gesture = pack.gesture(found.number)
-    if gesture is not None and found.handling is not None:
-        gesture = handled(found.handling)
+    if gesture is not None and found.told is not None:
+        gesture = made_of(found.told)
     elif gesture is not None and found.part:
         gesture = at_part(gesture, found.part)
     if gesture is not None and not (closed and gesture.cycle is None):

@@ -13,9 +13,9 @@ import numpy as np
 from bunraku.diffusion.examples.pack import ExamplePack, Said, said_by
 from bunraku.gestures.parts import part_in
 from bunraku.language.details import tells_all
-from bunraku.language.handling import Handling
 from bunraku.language.lexicon.reading import goes_ahead, stays_down
 from bunraku.language.sentence import Clause
+from bunraku.language.told import Told, says_more
 
 __all__ = ["Found", "Retrieved", "retrieve"]
 
@@ -80,7 +80,7 @@ class Found(NamedTuple):
         score: Mean of the cosine of the sentence with its nearest sentence, and of that with its motion.
         part: The part of the body at which a gesture is done in place of its own (`gestures.parts`); "" for its own.
         times: How often a captured one is done that shows one time of what is counted.
-        handling: What is done with a thing, as a gesture through the places that are named (`gestures.handling`).
+        told: What is done with a thing, or follows from one, as a gesture of its own (`gestures.told`).
     """
 
     number: int
@@ -88,7 +88,7 @@ class Found(NamedTuple):
     score: float
     part: str = ""
     times: int = 1
-    handling: Handling | None = None
+    told: Told | None = None
 
 
 class Retrieved(NamedTuple):
@@ -114,14 +114,12 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
         clause: Of one thing that is done.
         vector: The ranker's unit vector of it, shape (V,).
     """
-    handling = (
-        [] if clause.handling is None else [Found(one, False, 1.0, "", 1, clause.handling) for one in pack.handled]
-    )
-    if clause.handling is not None and clause.handling.said and handling:
-        return Retrieved(handling)
+    told = [] if clause.told is None else [Found(one, False, 1.0, "", 1, clause.told) for one in pack.handled]
+    if told and says_more(clause.told):
+        return Retrieved(told)
     found = _retrieved(pack, clause, vector, frozenset())
-    if handling and not found.found:
-        return Retrieved(handling)
+    if told and not found.found:
+        return Retrieved(told)
     limbed = any(f"{side} {limb}" in clause.cues for side in ("left", "right") for limb in ("arm", "leg"))
     let_go = _WAYS if limbed and "goes" not in clause.traits else frozenset[str]()
     let_go |= _COUNTS if clause.count and 1 < clause.count <= MOST_TIMES else frozenset[str]()

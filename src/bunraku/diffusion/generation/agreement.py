@@ -41,7 +41,7 @@ def agreement(clause: Clause, motion: HandleMotion) -> float | None:
         That of the claim that holds least, from -1, the contrary, to 1; None where nothing is claimed that could be
         seen.
     """
-    if len(motion) < 8 or clause.handling is not None:
+    if len(motion) < 8 or clause.told is not None:
         return None  # "to the left" is where a thing is put
     if "then" in clause.cues and len(clause.actions) != 1:
         return None  # of several things that follow each other, no one holds throughout

@@ -10,7 +10,8 @@
 | `otherwise` | what some kinds of body do in place of a locomotion (see `Otherwise`); the first that fits counts |
 | `cues` | what `cues.sentence_cues` counts and the network is conditioned on: training knows it, it stays as it is |
 | `places` | what a "left" or "right" may be the side of |
-| `handling` | verbs of who takes, holds and puts things, the things, and places for them (`language.handling`) |
+| `handling` | verbs of who takes, holds and puts things, and words for heights, in metres too (`language.handling`) |
+| `grammar` | words that part a clause (`language.phrasing`): what may stand before a noun, after a thing, and so on |
 | `traits` | what else a clause says (`Clause.traits`) |
 | `numbers`, `adverbs` | words that count, and those of them that count alone: "twice" |
 | `body` | words for parts of the body, beside those of `foreign.table` |
@@ -151,9 +152,10 @@ class Lexicon:
         body: Words for parts of the body.
         holding: Verbs that say where a part of the body is, in all their forms.
         handling_verbs: What each form of a verb does with a thing.
-        things: Words for things, by how they are held.
         heights: Words for places of things, by their heights.
+        levels: What these are in metres, for a body of 1.84 m.
         aside: Words for a place beside.
+        grammar: Words that part a clause, by what they are.
         words: All words of the phrases, and of the rows' names.
     """
 
@@ -176,9 +178,10 @@ class Lexicon:
     body: tuple[str, ...]
     holding: frozenset[str]
     handling_verbs: dict[str, str]
-    things: dict[str, frozenset[str]]
     heights: dict[str, frozenset[str]]
+    levels: dict[str, float]
     aside: frozenset[str]
+    grammar: dict[str, frozenset[str]]
     words: frozenset[str]
 
 
@@ -194,6 +197,7 @@ class _Table(TypedDict):
     traits: dict[str, list[str]]
     places: dict[str, list[str]]
     handling: dict[str, Any]
+    grammar: dict[str, str]
     synonyms: list[tuple[str, str]]
     ground: dict[str, str]
     otherwise: list[dict[str, Any]]
@@ -249,10 +253,7 @@ def lexicon() -> Lexicon:
     for kind, listed in data["handling"]["verbs"].items():
         for verb in listed.split():
             handled |= dict.fromkeys((verb, *verbs[verb]), kind)
-    things, heights = (
-        {kind: frozenset(listed.split()) for kind, listed in data["handling"][table].items()}
-        for table in ("things", "heights")
-    )
+    heights = {name: frozenset(listed.split()) for name, listed in data["handling"]["heights"].items()}
     past = {form: verb for verb, forms in verbs.items() for form in forms[2:]}
     past = {form: verb for form, verb in past.items() if form not in verbs and form not in third | gerund}
     phrases, words = _phrases(data, verbs)
@@ -268,8 +269,9 @@ def lexicon() -> Lexicon:
         verbs, frozenset(third), frozenset(gerund), past, lemmas, actions, by_form[0], by_form[1], phrases,
         {section: tuple(data[section]) for section in ("actions", "cues", "traits")}, where,
         dict(data["synonyms"]), data["ground"], tuple(otherwise), data["numbers"],
-        frozenset(data["adverbs"].split()), tuple(data["body"].split()), holding, handled, things, heights,
-        frozenset(data["handling"]["aside"].split()), words.union(*things.values(), *heights.values()),
+        frozenset(data["adverbs"].split()), tuple(data["body"].split()), holding, handled, heights,
+        data["handling"]["levels"], frozenset(data["handling"]["aside"].split()),
+        {name: frozenset(listed.split()) for name, listed in data["grammar"].items()}, words.union(*heights.values()),
     )  # fmt: skip
 
 

@@ -1,0 +1,129 @@
+"""What hands do with a thing where it is: a dog is patted, a door opened, a button pressed, a letter given.
+
+Which thing, how high it is and what is done with it is knowledge of the table `lexicon.things`. Things that are taken
+from place to place are for `handling`.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from bunraku.language.lexicon.reading import words_of
+from bunraku.language.lexicon.things import Kind, Named, named_in, things
+from bunraku.language.phrasing import does_else, named_hands, object_of, verbs_in, way_in, zone_of
+
+__all__ = ["Contact", "contact_of", "contact_words"]
+
+_THROUGH = "see through"
+_ON = frozenset(("on", "onto", "upon", "against", "over"))
+_HAND = frozenset(("hand", "hands", "palm", "palms"))
+_GIVEN = frozenset(("portable",))
+_NEAR = 4
+"""Words after an animal among which its part is."""
+
+
+class Contact(NamedTuple):
+    """What hands do with a thing.
+
+    Args:
+        deed: Of `[deeds]` in `things.toml`.
+        hands: "both", "left", "right", or "one" for either.
+        height: Where palms meet it, for a body of 1.84 m [m]; 0 where the deed itself says it.
+        surface: Which way it faces there: "top", "front" or "grip".
+        way: "left" or "right"; "" for straight ahead.
+    """
+
+    deed: str
+    hands: str
+    height: float = 0.0
+    surface: str = "front"
+    way: str = ""
+
+
+@functools.lru_cache(maxsize=1024)
+def contact_of(text: str) -> Contact | None:
+    """What a clause says that hands do with a thing; None where it says nothing of that, or something else beside it.
+
+    Args:
+        text: In English.
+    """
+    words = words_of(text)[0]
+    for verb, zone, deed, thing in _found(words):
+        if not does_else(text, verb, zone):
+            return _made(words, zone, deed, thing)
+    return None
+
+
+def contact_words(text: str) -> frozenset[int]:
+    """The numbers of the words of a text that say what is done with things."""
+    found: set[int] = set()
+    for verb, _, _, thing in _found(words_of(text)[0]):
+        found.update((verb, *(range(thing.start, thing.stop) if thing else ())))
+    return frozenset(found)
+
+
+def _found(words: Sequence[str]) -> list[tuple[int, range, str, Named[Kind] | None]]:
+    """Each verb of a text whose deed is known: its number, what belongs to it, the deed, and the thing."""
+    table = things()
+    found: list[tuple[int, range, str, Named[Kind] | None]] = []
+    for verb, said in verbs_in(words, table.verbs | dict.fromkeys(table.looks, _THROUGH)):
+        zone = zone_of(words, verb)
+        what, goes = _meant(words, said, zone)
+        thing = _thing(words, goes, what) if what else None
+        if thing is not None:
+            found.append((verb, zone, thing.means.deeds[what], thing))
+        elif what == "hold out" or (what in table.defaults and not _HAND.intersection(words[zone.start : zone.stop])):
+            found.append((verb, zone, table.defaults[what], None))
+    return found
+
+
+def _meant(words: Sequence[str], what: str, zone: range) -> tuple[str, range]:
+    """What a verb says is done, "" for nothing, and the words among which its thing is."""
+    own = words[zone.start : zone.stop]
+    hand = next((at for at in zone if words[at] in _HAND), -1)
+    if what == _THROUGH:
+        return (what if {"through", "with"} & set(own) else ""), zone
+    if what in ("give", "hold", "reach out") and _alone(words, hand, zone) and (what == "give" or "out" in own):
+        return "hold out", range(0)
+    if what == "hold" and "out" in own:
+        return "give", zone
+    if what in ("lay", "press") and hand >= 0 and _ON.intersection(words[hand : zone.stop]):
+        return "lay", range(hand + 1, zone.stop)
+    if what == "lay" or (what == "lean" and not _ON.intersection(own)):
+        return "", zone
+    return what, zone
+
+
+def _alone(words: Sequence[str], hand: int, zone: range) -> bool:
+    """Whether a hand is what somebody holds out, and no "hand signals"."""
+    near = object_of(words, zone)
+    return hand == near.stop - 1 and len(near) < _NEAR
+
+
+def _thing(words: Sequence[str], zone: range, what: str) -> Named[Kind] | None:
+    """The last of what the verb has first, "a car window", that this is done with; of who drinks anything after it."""
+    table = things()
+    near = object_of(words, zone)
+    for some, last in ((near, -1), (zone, 0)):
+        known = [one for one in named_in(table.kinds, words, some.start, some.stop) if what in one.means.deeds]
+        if what == "give":
+            known = [one for one in known if _GIVEN & one.means.kinds]
+        if known:
+            return known[last]
+        if what not in table.defaults and what != _THROUGH:
+            return None
+    return None
+
+
+def _made(words: Sequence[str], zone: range, deed: str, thing: Named[Kind] | None) -> Contact:
+    hands, way = named_hands(words), way_in(words, zone)
+    if not hands and "hands" in words[zone.start : zone.stop]:
+        hands = "both"
+    if thing is None:
+        return Contact(deed, hands or "one", way=way)
+    kind = thing.means
+    part = things().parts.intersection(words[thing.stop : min(thing.stop + _NEAR, zone.stop)])
+    height = kind.head if part and kind.head else kind.height
+    return Contact(deed, hands or kind.hands or "one", height, kind.surface, way)

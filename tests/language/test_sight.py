@@ -1,0 +1,36 @@
+"""Where a sentence says that somebody looks: up is negative, as a head's pitch."""
+
+import pytest
+
+from bunraku.language.sight import sight_of
+
+
+def test_where_somebody_looks_follows_from_what_is_seen():
+    for text in ("a child gazes at a skyscraper", "gazes at the stars"):
+        assert sight_of(text).pitch < -20
+    for text in ("a person gazes at the ocean", "watches the sunset", "looks into the distance"):
+        seen = sight_of(text)
+        assert abs(seen.pitch) < 5 and seen.sweep > 10 and not seen.lean
+    for text in ("looks down into a canyon", "peers into a well", "stands at a precipice and looks down"):
+        seen = sight_of(text)
+        assert seen.pitch > 20 and seen.lean > 10
+    assert sight_of("looks down at the feet").pitch > 20
+    assert abs(sight_of("stares at a painting on the wall").pitch) < 5
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "looks at his watch",
+        "looks around the room",
+        "looks over his shoulder",
+        "looks for a house",
+        "shades his eyes and looks at the sea",
+        "walks and looks at the sea",
+        "looks to the left",
+        "looks up at the sky",
+        "looks tired",
+    ],
+)
+def test_gestures_of_looking_and_what_is_done_beside_it_are_none(text):
+    assert sight_of(text) is None
