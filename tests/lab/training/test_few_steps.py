@@ -1,21 +1,32 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from bunraku.diffusion.extractor_config import RADIUS, ExtractorConfig
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.diffusion.inference.denoiser import load_denoiser, load_denoiser_of_few_steps
-from bunraku.diffusion.sampling.sampler import Solver, sample
+from bunraku.diffusion.inference.few_steps import load_few_steps
+from bunraku.diffusion.sampling.classifier_guidance import ClassifierGuidance, Spoken
+from bunraku.diffusion.sampling.sampler import Solver, Steering, Window, sample, sample_windows
 from bunraku.diffusion.sampling.solvers import alphas_cumprod
 from bunraku.errors import OptionError
+from bunraku.geometry.filters import gaussian
 from bunraku_lab.nn.checkpoints import load_training_state
+from bunraku_lab.nn.diffusion.checkpoint import load_denoiser as load_torch_denoiser
 from bunraku_lab.nn.diffusion.checkpoint import save_denoiser
 from bunraku_lab.nn.diffusion.low_rank import changes_of, with_changes
+from bunraku_lab.nn.diffusion.matching import Extractor
+from bunraku_lab.nn.running.networks import running_denoiser, running_extractor
+from bunraku_lab.nn.text import tensors_of
 from bunraku_lab.training.diffusion.clip_data import load_clips
 from bunraku_lab.training.diffusion.clip_rows import ClipSet
+from bunraku_lab.training.diffusion.drawn_rows import DrawnRows
+from bunraku_lab.training.few_steps.teacher import Teacher, smoothed
 from bunraku_lab.training.few_steps.train import FewStepsConfig, train_few_steps
-from bunraku_lab.training.few_steps.trajectories import Lessons, ddim, places
+from bunraku_lab.training.few_steps.trajectories import draw_trajectories, places, visited_steps
 
 
 @pytest.fixture
@@ -28,9 +39,18 @@ def teacher(tmp_path, denoiser, swings):
     return save_denoiser(tmp_path / "diffusion.safetensors", model, half=False)
 
 
-def rows(teacher, swings, count=3):
-    model = load_denoiser(teacher)
-    return model, ClipSet(load_clips(swings), FeatureStatistics(model.mean, model.std), frames=60).fixed(count)
+def rows(teacher, swings, encoder, count=3):
+    """A torch denoiser and held rows of different lengths, the last one a creature's."""
+    model = load_torch_denoiser(teacher).float()
+    batch = ClipSet(load_clips(swings), FeatureStatistics(model.mean.numpy(), model.std.numpy()), frames=60).fixed(
+        count
+    )
+    lengths = batch.lengths - np.arange(count) * 7
+    values = torch.from_numpy(batch.values * (np.arange(batch.values.shape[1]) < lengths[:, None])[..., None])
+    yes = torch.ones(count, dtype=torch.bool)
+    person = yes & (torch.arange(count) < count - 1)
+    text = tensors_of(encoder.encode(batch.sentences))
+    return model, DrawnRows(values, torch.from_numpy(lengths), text, None, ~yes, person, None), batch.sentences
 
 
 def test_a_change_begins_without_effect_and_alone_learns():
@@ -59,37 +79,83 @@ def test_places_are_those_of_ddim():
     np.testing.assert_allclose(places((936, 562))[1], (0, 1))
 
 
+@pytest.mark.parametrize("critic", [False, True])
+def test_the_teacher_draws_what_users_see(teacher, swings, encoder, critic):
+    """The same noise through the sampler for arrays, with and without the critic's pull."""
+    model, own, sentences = rows(teacher, swings, encoder)
+    noise = torch.randn(own.clean.shape, generator=torch.Generator().manual_seed(3))
+    network, lengths = running_denoiser(model), own.lengths.numpy()
+    longest, guidance, pull = noise.shape[1], 2.0, None
+    if critic:
+        torch.manual_seed(4)
+        sizes = {"text_size": encoder.token_size, "pooled_size": encoder.pooled_size}
+        pull = Extractor(ExtractorConfig(width=16, layers=1, heads=2, feedforward=16, **sizes)).eval()
+        array = running_extractor(pull)
+        goals = array.text(encoder.encode(sentences)) / RADIUS
+        spans = [(row * longest, row * longest + int(length)) for row, length in enumerate(lengths)]
+        spoken = [Spoken(span, goal) for span, goal, person in zip(spans, goals, own.person, strict=True) if person]
+        steering = Steering(ClassifierGuidance(array, network.mean, network.std, spoken))
+    else:
+        steering = Steering()
+    windows = [
+        Window(np.arange(row * longest, row * longest + length), np.ones(length, np.float32), row)
+        for row, length in enumerate(lengths)
+    ]
+    flat = noise.numpy().reshape(-1, noise.shape[2])
+    wanted = sample_windows(network, encoder.encode(sentences), windows, flat, Solver(20, guidance), steering).values
+    drawn = Teacher(model, pull, guidance)(own, noise)
+    for row, (length, one) in enumerate(zip(lengths, wanted.reshape(noise.shape), strict=True)):
+        np.testing.assert_allclose(drawn[row, :length], one[:length], atol=2e-3)
+
+
+def test_a_smoothed_row_is_that_of_its_own_length():
+    values = torch.randn(2, 30, 4)
+    found = smoothed(values, torch.tensor([30, 11]))
+    for row, length in enumerate((30, 11)):
+        np.testing.assert_allclose(found[row, :length], gaussian(values[row, :length].numpy(), 2.0), atol=1e-5)
+    assert not found[1, 11:].any()
+
+
 def test_targets_lead_from_node_to_node_and_to_the_teachers_motion(teacher, swings, encoder):
-    model, batch = rows(teacher, swings)
-    lessons = Lessons(model, encoder, None, 2.0)
-    found = lessons.draw(batch, None, np.random.default_rng(0))
-    assert [one.node for one in found] == [node for node in range(4) for _ in range(3)]
-    for row in range(3):
-        own = found[row::3]
-        for one, after in zip(own, own[1:], strict=False):
-            np.testing.assert_allclose(ddim(lessons.visited, one.node, one.noisy, one.target), after.noisy, atol=5e-3)
-    noise = np.random.default_rng(0).standard_normal(batch.values.shape, np.float32)
-    np.testing.assert_array_equal(found[0].noisy, noise[0, : batch.lengths[0]].astype(np.float16))
-    drawn = Lessons(model, encoder, None, 2.0).draw(batch, None, np.random.default_rng(0))
-    np.testing.assert_array_equal(drawn[-1].target, found[-1].target)
+    model, own, _ = rows(teacher, swings, encoder)
+    draws = Teacher(model, None, 2.0)
+    found = draw_trajectories(draws, own, torch.Generator().manual_seed(0))
+    noise = torch.randn(own.clean.shape, generator=torch.Generator().manual_seed(0))
+    assert found.start == 0 and found.lessons == 12 and torch.equal(found.stations[0], noise.half())
+    torch.testing.assert_close(found.stations[-1].float(), draws(own, noise), atol=5e-3, rtol=1e-2)
+    nodes = torch.tensor([3, 1])
+    told, here, there = found.some(torch.tensor([2, 0]), nodes)
+    assert torch.equal(told.lengths, own.lengths[[2, 0]]) and torch.equal(told.text.mask, own.text.mask[[2, 0]])
+    assert torch.equal(here[0], found.stations[3, 2].float()) and torch.equal(there[1], found.stations[2, 0].float())
+    again = draw_trajectories(draws, own, torch.Generator().manual_seed(0))
+    assert torch.equal(again.stations, found.stations)
 
 
 def test_trajectories_begin_at_noised_captures_or_where_the_student_is(teacher, swings, encoder):
-    model, batch = rows(teacher, swings)
-    lessons = Lessons(model, encoder, None, 2.0)
-    led = lessons.draw(batch, None, np.random.default_rng(0), 2)
-    assert {one.node for one in led} == {2, 3}
-    noise = np.random.default_rng(0).standard_normal(batch.values.shape, np.float32)
-    share = alphas_cumprod()[lessons.visited[2]]
-    expected = math.sqrt(share) * batch.values[1] + math.sqrt(1 - share) * noise[1]
-    np.testing.assert_allclose(led[1].noisy, expected[: batch.lengths[1]], atol=4e-3)
-    rolled = lessons.draw(batch, None, np.random.default_rng(0), 3, lambda x, *_: x * 0 + 0.25)
-    assert {one.node for one in rolled} == {3} and (rolled[0].noisy == np.float16(0.25)).all()
+    model, own, _ = rows(teacher, swings, encoder)
+    draws = Teacher(model, None, 2.0)
+    led = draw_trajectories(draws, own, torch.Generator().manual_seed(0), 2)
+    assert led.start == 2 and led.lessons == 6
+    noise = torch.randn(own.clean.shape, generator=torch.Generator().manual_seed(0))
+    share = alphas_cumprod()[visited_steps(draws)[2]]
+    expected = math.sqrt(share) * own.clean + math.sqrt(1 - share) * noise
+    torch.testing.assert_close(led.stations[0].float(), expected, atol=4e-3, rtol=1e-3)
+    rolled = draw_trajectories(draws, own, torch.Generator().manual_seed(0), 3, lambda _, x, stop: x * 0 + stop)
+    assert rolled.lessons == 3 and (rolled.stations[0] == 3).all()
 
 
 def test_the_student_comes_near_to_its_teacher_and_runs(teacher, swings, encoder, tmp_path):
     """Four steps of a trained student end nearer to twenty guided ones than four steps without changes do."""
-    how = {"data": swings, "diffusion": teacher, "guidance": 1.5, "rank": 8, "batch": 8, "rows": 8, "rate": 3e-3}
+    how = {
+        "data": swings,
+        "diffusion": teacher,
+        "guidance": 1.5,
+        "rank": 8,
+        "batch": 8,
+        "rows": 8,
+        "rate": 3e-3,
+        "critic": False,
+    }
     config = FewStepsConfig(out=tmp_path / "run", minutes=0, steps=150, validate_every=50, bf16=False, uses=4, **how)
     log = []
     path = train_few_steps(config, log.append, encoder=encoder)
@@ -117,11 +183,21 @@ def test_a_stopped_run_goes_on(teacher, swings, encoder, tmp_path):
         "batch": 4,
         "rows": 4,
         "bf16": False,
+        "critic": False,
     }
     train_few_steps(FewStepsConfig(out=tmp_path / "run", steps=2, **how), encoder=encoder)
     path = train_few_steps(FewStepsConfig(out=tmp_path / "run", steps=4, **how), encoder=encoder)
     state = load_training_state(path.with_name("state.safetensors"))
     assert state.step == 4 and int(state.values["drawn"]) >= 2
+    started = train_few_steps(
+        FewStepsConfig(out=tmp_path / "next", steps=1, rate=1e-12, start=path, **how), encoder=encoder
+    )
+    before, after = (load_few_steps(one).changes["steer.weight"] for one in (path, started))
+    np.testing.assert_allclose(before[0], after[0], atol=1e-4)
+    with pytest.raises(OptionError, match="give their rank"):
+        train_few_steps(FewStepsConfig(out=tmp_path / "wide", steps=1, rank=3, start=path, **how), encoder=encoder)
+    pooled = train_few_steps(FewStepsConfig(out=tmp_path / "pool", steps=2, workers=1, pool=64, **how), encoder=encoder)
+    assert len(load_few_steps(pooled).visited) == 4
     with pytest.raises(OptionError, match="another network"):
         train_few_steps(FewStepsConfig(out=tmp_path / "run", steps=5, rank=3, **how), encoder=encoder)
 
@@ -130,3 +206,5 @@ def test_shares_are_checked(teacher, swings, encoder, tmp_path):
     config = FewStepsConfig(data=swings, diffusion=teacher, out=tmp_path / "run", led=0.8, rolled=0.3)
     with pytest.raises(OptionError, match="at most 1"):
         train_few_steps(config, encoder=encoder)
+    with pytest.raises(OptionError, match="leave the critic out"):
+        train_few_steps(replace(config, rolled=0.1), encoder=encoder)

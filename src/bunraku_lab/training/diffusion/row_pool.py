@@ -100,8 +100,11 @@ class RowPool:
             random: Draws them, on the pool's device.
             nearest: With the examples that who animates finds, also those of the row's own clip.
         """
+        return self.rows(torch.randint(len(self), (size,), generator=random, device=self.device), nearest)
+
+    def rows(self, rows: Tensor, nearest: bool = False) -> DrawnRows:
+        """Those in some places of the pool (B,); see `draw`."""
         arrays = self._arrays
-        rows = torch.randint(len(self), (size,), generator=random, device=self.device)
         tokens, count = arrays["tokens"][rows].float(), arrays["text_lengths"][rows]
         mask = torch.arange(TEXT_LENGTH, device=self.device) < count[:, None]
         mesh = arrays["mesh"][rows]

@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection, wait
 import numpy as np
 
 from bunraku.diffusion.examples.attended import ExampleBank, take_of
-from bunraku_lab.training.diffusion.clip_rows import ClipSet
+from bunraku_lab.training.diffusion.clip_rows import ClipSet, MotionBatch
 from bunraku_lab.training.diffusion.mesh_bank import MeshBank
 from bunraku_lab.training.diffusion.text_bank import TextBank
 
@@ -64,6 +64,7 @@ class RowMaker:
         meshes: f_phi of many characters; None for the null mesh only.
         cross: Share of people's rows that take any character.
         examples: What the network attends to; None for nothing.
+        bucket: Neighbouring batches that share their draws, sorted by length, to pad little.
     """
 
     clips: ClipSet
@@ -73,15 +74,20 @@ class RowMaker:
     meshes: MeshBank | None = None
     cross: float = 0.0
     examples: ExampleBank | None = None
-    _sent: set[int] = field(default_factory=set)
+    bucket: int = 1
+    _sent: set[int] = field(default_factory=set, init=False)
 
     def __call__(self, number: int, size: int = ROWS) -> MadeRows:
         """Batch `number` of the endless series of the seed."""
-        batch = self.clips.batch(self.seed, number, size, self.compose, bucket=1)
-        text = self.text(batch.sentences)
+        batch = self.clips.batch(self.seed, number, size, self.compose, self.bucket)
+        return self.made(batch, np.random.default_rng([self.seed, number, 11]))
+
+    def made(self, batch: MotionBatch, random: np.random.Generator) -> MadeRows:
+        """A batch with all that is told of it; `random` draws its meshes."""
+        text, size = self.text(batch.sentences), len(batch.lengths)
         mesh = np.full(size, -1)
         if self.meshes is not None:
-            mesh = self.meshes.choose(batch.meshes, size, np.random.default_rng([self.seed, number, 11]), self.cross)
+            mesh = self.meshes.choose(batch.meshes, size, random, self.cross)
         found = nearest = np.zeros((size, 0), np.int64)
         if self.examples is not None:
             vectors = self.examples.vectors(text.arrays())

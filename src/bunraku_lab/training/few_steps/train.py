@@ -9,8 +9,7 @@ A run folder holds `state.safetensors` (to go on from), `few-steps.safetensors` 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -18,23 +17,36 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bunraku.diffusion.examples.attended import example_bank
+from bunraku.diffusion.examples.pack import load_examples
+from bunraku.diffusion.extractor_config import RANKER
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
-from bunraku.diffusion.inference.denoiser import load_denoiser as load_teacher
-from bunraku.diffusion.inference.extractor import load_critic
 from bunraku.diffusion.inference.few_steps import KIND, fingerprint
 from bunraku.errors import OptionError
 from bunraku.formats.files import weights_file
-from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku.language.encoders import CuedEncoder, TextEncoder, text_encoder
 from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint, shipped_checkpoint
 from bunraku_lab.nn.checkpoints import TrainingState
 from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
-from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
 from bunraku_lab.nn.diffusion.low_rank import changes_of, with_changes
+from bunraku_lab.nn.diffusion.matching import load_extractor
 from bunraku_lab.training.diffusion.clip_data import load_clips
 from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture
-from bunraku_lab.training.diffusion.mesh_bank import MeshBank, load_mesh_bank
-from bunraku_lab.training.few_steps.trajectories import Lesson, Lessons, Told, ddim, places
+from bunraku_lab.training.diffusion.drawn_rows import DrawnRows
+from bunraku_lab.training.diffusion.mesh_bank import load_mesh_bank
+from bunraku_lab.training.diffusion.row_workers import RowMaker
+from bunraku_lab.training.diffusion.text_bank import TextBank
+from bunraku_lab.training.few_steps.rows import PooledRows, RowsInTurn, RowSource
+from bunraku_lab.training.few_steps.teacher import Teacher
+from bunraku_lab.training.few_steps.trajectories import (
+    STEPS,
+    Trajectories,
+    ddim,
+    draw_trajectories,
+    places,
+    visited_steps,
+)
 from bunraku_lab.training.losses.motion_loss import motion_losses
 from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
 from bunraku_lab.training.runs.half_precision import bf16_is_fast
@@ -43,6 +55,8 @@ from bunraku_lab.training.runs.training_run import Progress, Report
 
 __all__ = ["FewStepsConfig", "FewStepsRun", "train_few_steps"]
 
+_HELD = 48
+"""Rows of held-out clips that are validated on."""
 _KEPT = ("adaptation_out",)
 """Layers that keep their matrices: what the adaptation says is not learned from."""
 
@@ -60,12 +74,16 @@ class FewStepsConfig(StepSettings):
         rank: Of the changes.
         rows: Trajectories that are drawn at once.
         uses: How many times a lesson is used, on the average.
-        kept: Lessons from which each batch is drawn, the newest.
+        kept: Trajectories from which each batch is drawn, the newest.
         led: Share of trajectories that begin at noised captured motions.
         rolled: Share of trajectories that begin where the student's own steps have led.
         velocity_weight: Of the loss of differences from frame to frame.
         compose: Share of rows that join two or three clips.
-        bf16: Compute in bfloat16 where the processor has it in hardware.
+        start: Changes of another distillation to start a new run from.
+        workers: Processes that draw rows ahead into a pool on the device; 0 draws each batch when it is due.
+        pool: Rows in it, the newest.
+        device: "cuda", "cpu" or another of torch; None takes CUDA when it is there.
+        bf16: Compute in bfloat16 where the device has it in hardware.
     """
 
     data: Path = Path("runs/data/motions")
@@ -77,15 +95,27 @@ class FewStepsConfig(StepSettings):
     rank: int = 32
     rows: int = 32
     uses: float = 6.0
-    kept: int = 6000
+    kept: int = 1500
     led: float = 0.35
     rolled: float = 0.25
     batch: int = 32
     rate: float = 4e-4
     velocity_weight: float = 2.0
     compose: float = 0.1
+    start: Path | None = None
+    workers: int = 0
+    pool: int = 50_000
+    device: str | None = None
     bf16: bool = True
-    least: ClassVar[dict[str, float]] = {**StepSettings.least, "rank": 1, "rows": 1, "uses": 0.1, "kept": 64}
+    least: ClassVar[dict[str, float]] = {
+        **StepSettings.least,
+        "rank": 1,
+        "rows": 1,
+        "uses": 0.1,
+        "kept": 1,
+        "workers": 0,
+        "pool": 1,
+    }
 
 
 class FewStepsRun(AveragedRun[torch.nn.Module]):
@@ -94,41 +124,55 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
     Args:
         config: Settings.
         diffusion: Path of the teacher.
-        lessons: Draws what is learned.
-        clips: Rows to draw of, and those that are held out.
-        bank: f_phi of many characters.
+        teacher: Draws what is learned.
+        source: Rows to draw of, by the number of their batch.
+        held: Rows that are held out; None for none.
     """
 
     kind = KIND
     config: FewStepsConfig
 
     def __init__(
-        self,
-        config: FewStepsConfig,
-        diffusion: Path,
-        lessons: Lessons,
-        clips: tuple[ClipSet, ClipSet],
-        bank: MeshBank | None,
+        self, config: FewStepsConfig, diffusion: Path, teacher: Teacher, source: RowSource, held: DrawnRows | None
     ):
-        self.config, self.diffusion, self.lessons, self.bank = config, diffusion, lessons, bank
-        self.clips, held = clips
-        self.set_up(lambda: with_changes(load_denoiser(diffusion), config.rank, _KEPT))
-        self.kept: deque[Lesson] = deque(maxlen=config.kept)
+        self.config, self.diffusion, self.teacher, self.source = config, diffusion, teacher, source
+        self.device, self.bf16 = teacher.model.mean.device, teacher.bf16
+        self.set_up(
+            lambda: with_changes(load_denoiser(diffusion).float(), config.rank, _KEPT).to(self.device), self._begin
+        )
+        self.visited = visited_steps(teacher)
+        self.kept: deque[Trajectories] = deque(maxlen=max(1, config.kept // config.rows))
         self.owed, self.drawn = 0.0, 0
-        self.weights = torch.from_numpy(feature_weights())
-        self.share = torch.from_numpy(places(lessons.visited)[:, 1].astype(np.float32))
-        self.bf16 = config.bf16 and bf16_is_fast("cpu")
-        self.held_out = []
-        if len(held.clips) > 1:
-            rows = held.fixed(48)
-            self.held_out = lessons.draw(
-                rows, self._meshes(rows.meshes, np.random.default_rng(2)), np.random.default_rng(3)
+        self.weights = torch.from_numpy(feature_weights()).to(self.device)
+        self.places = torch.from_numpy(places(self.visited).astype(np.float32)).to(self.device)
+        self.held = None if held is None else draw_trajectories(teacher, held, self._noise(-1))
+        self.held_out = [] if self.held is None else [self.held]
+
+    def _begin(self, model: torch.nn.Module) -> None:
+        """Give a new student the changes that the run starts from.
+
+        Raises:
+            OptionError: They have another rank, or are of another network.
+        """
+        if self.config.start is None:
+            return
+        changes, _ = load_checkpoint(self.config.start, KIND)
+        own = {
+            name.replace(".weight.", ".parametrizations.weight.0."): torch.from_numpy(value)
+            for name, value in changes.items()
+        }
+        try:
+            strange = model.load_state_dict(own, strict=False).unexpected_keys
+        except RuntimeError as error:
+            strange = [str(error).splitlines()[-1].strip()]
+        if strange:
+            raise OptionError(
+                f"{self.config.start}: a run cannot start from these changes ({strange[0]}); give their rank"
             )
 
-    def _meshes(self, names: Sequence[str | None], random: np.random.Generator) -> np.ndarray | None:
-        if self.bank is None:
-            return None
-        return self.bank.draw(names, len(names), random)[0].numpy()
+    def _noise(self, number: int) -> torch.Generator:
+        seed = np.random.SeedSequence([self.config.seed, number + 1]).generate_state(1, np.uint64)[0]
+        return torch.Generator(self.device).manual_seed(int(seed >> 1))
 
     def extras(self) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
         """Also how many batches were drawn: who goes on draws lessons anew, from the next one on."""
@@ -142,126 +186,97 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
 
     def draw(self) -> None:
         """Trajectories of a further batch of rows."""
-        config, random = self.config, self.rng
-        batch = self.clips.batch(config.seed, self.drawn, config.rows, config.compose)
+        config, random, nodes = self.config, self.rng, len(self.visited)
+        rows, noise = self.source(self.drawn), self._noise(self.drawn)
         self.drawn += 1
-        known = self.bank is not None and random.random() < 0.5
-        meshes = self._meshes(batch.meshes, random) if known else None
+        if random.random() < 0.5:
+            rows = replace(rows, mesh=None)
         way = random.random()
-        nodes = len(self.lessons.visited)
         if way < config.led:
-            found = self.lessons.draw(batch, meshes, random, nodes // 2)
+            found = draw_trajectories(self.teacher, rows, noise, nodes // 2)
         elif way < config.led + config.rolled and self.step:
-            found = self.lessons.draw(batch, meshes, random, int(random.integers(1, nodes)), self.rolled)
+            found = draw_trajectories(self.teacher, rows, noise, int(random.integers(1, nodes)), self.rolled)
         else:
-            found = self.lessons.draw(batch, meshes, random)
-        self.kept.extend(found)
-        self.owed += config.uses * len(found) / config.batch
+            found = draw_trajectories(self.teacher, rows, noise)
+        self.kept.append(found)
+        self.owed += config.uses * found.lessons / config.batch
 
     @torch.no_grad()
-    def rolled(self, noise: np.ndarray, lengths: np.ndarray, told: list[Told], stop: int) -> np.ndarray:
+    def rolled(self, rows: DrawnRows, x: Tensor, stop: int) -> Tensor:
         """The student's x (B, N, D) at a node, from noise."""
-        x = noise
         for node in range(stop):
-            x0 = self._predict(self.average, x, lengths, np.full(len(x), node), told).numpy()
-            x = ddim(self.lessons.visited, node, x, x0)
+            nodes = torch.full((len(x),), node, device=self.device)
+            x = ddim(self.visited, node, x, self._predict(self.average, rows, x, nodes))
         return x
 
-    def _predict(
-        self, model: torch.nn.Module, x: np.ndarray, lengths: np.ndarray, nodes: np.ndarray, told: Sequence[Told]
-    ) -> Tensor:
+    def _predict(self, model: torch.nn.Module, rows: DrawnRows, x: Tensor, nodes: Tensor) -> Tensor:
         """x0 (B, N, D) of rows that are at nodes (B,)."""
-        text, found = _batched(told)
-        known = np.array([one.mesh is not None for one in told])
-        size = next((len(one.mesh) for one in told if one.mesh is not None), 1)
-        mesh = np.stack([np.zeros(size, np.float32) if one.mesh is None else one.mesh for one in told])
-        keep = torch.ones(len(told), dtype=torch.bool)
-        steps = torch.tensor([self.lessons.visited[node] for node in nodes])
         assert isinstance(model, Denoiser)
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.bf16):
-            condition = model.condition(
-                *text, torch.from_numpy(mesh) if known.any() else None, keep, torch.from_numpy(known), found
-            )
-            predicted, _ = model(torch.from_numpy(x), steps, torch.from_numpy(lengths), condition)
+        text, keep = rows.text, torch.ones_like(rows.known)
+        known = rows.known if rows.mesh is not None else ~keep
+        steps = torch.tensor(self.visited, device=self.device)[nodes]
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bf16):
+            condition = model.condition(text.tokens, text.mask, text.pooled, rows.mesh, keep, known, rows.examples)
+            predicted, _ = model(x, steps, rows.lengths, condition)
         return predicted.float()
 
-    def _loss(self, model: torch.nn.Module, lessons: Sequence[Lesson]) -> Tensor:
+    def _loss(self, model: torch.nn.Module, found: Trajectories, some: Tensor, nodes: Tensor) -> Tensor:
         """How far the student is from each target, by how much it counts at the next node, shape (B,)."""
-        lengths = np.array([len(one.noisy) for one in lessons])
-        noisy, target = (_padded([getattr(one, name) for one in lessons], lengths) for name in ("noisy", "target"))
-        nodes = np.array([one.node for one in lessons])
-        predicted = self._predict(model, noisy, lengths, nodes, [one.told for one in lessons])
-        place, change = motion_losses(predicted, torch.from_numpy(target), torch.from_numpy(lengths), self.weights)
-        return self.share[torch.from_numpy(nodes)] * (place + self.config.velocity_weight * change)
+        rows, here, there = found.some(some, nodes)
+        longest = int(rows.lengths.max())
+        here, there = here[:, :longest], there[:, :longest]
+        own, clean = (part[:, None, None] for part in self.places[nodes].unbind(1))
+        real = (torch.arange(longest, device=self.device) < rows.lengths[:, None])[..., None]
+        target = (there - own * here) / clean * real
+        predicted = self._predict(model, rows, here * real, nodes)
+        place, change = motion_losses(predicted, target, rows.lengths, self.weights)
+        return self.places[nodes, 1] * (place + self.config.velocity_weight * change)
 
     def step_loss(self) -> tuple[Tensor, dict[str, float]]:
-        """The loss of the next batch of lessons."""
+        """The loss of the next batch of lessons, halves of which are of two batches of rows."""
         while self.owed < 1:
             self.draw()
         self.owed -= 1
-        size = self.config.batch
-        chosen = self.rng.integers(len(self.kept), size=4 * size)
-        some = sorted((self.kept[index] for index in chosen), key=lambda one: len(one.noisy))  # to pad little
-        start = int(self.rng.integers(3 * size + 1))
-        return self._loss(self.model, some[start : start + size]).mean(), {"drawn": float(self.drawn)}
+        parts = []
+        for size in (self.config.batch - self.config.batch // 2, self.config.batch // 2):
+            found = self.kept[int(self.rng.integers(len(self.kept)))]
+            some = self.rng.integers(len(found), size=size)
+            nodes = self.rng.integers(found.start, len(self.visited), size=size)
+            if size:
+                parts.append(self._loss(self.model, found, *(self._moved(part) for part in (some, nodes))))
+        return torch.cat(parts).mean(), {"drawn": float(self.drawn)}
+
+    def _moved(self, numbers: np.ndarray) -> Tensor:
+        return torch.from_numpy(numbers).to(self.device)
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
         """The loss on trajectories of held-out sentences at each node, and how far the student's own steps end from the
         teacher's [network units, root of the mean square].
         """
+        assert self.held is not None
         found: dict[str, float] = {}
-        for node in range(len(self.lessons.visited)):
-            own = [one for one in self.held_out if one.node == node]
-            found[f"node_{node}"] = float(self._loss(self.average, own).mean())
-        first = [one for one in self.held_out if one.node == 0]
-        last = [one for one in self.held_out if one.node == len(self.lessons.visited) - 1]
-        lengths = np.array([len(one.noisy) for one in first])
-        told = [one.told for one in first]
-        x = self.rolled(_padded([one.noisy for one in first], lengths), lengths, told, len(self.lessons.visited))
-        ends = _padded([one.target for one in last], lengths)
-        real = np.arange(x.shape[1]) < lengths[:, None]
-        found["ends"] = float(np.sqrt(np.square(x - ends)[real].mean()))
+        every = torch.arange(len(self.held), device=self.device)
+        for node in range(len(self.visited)):
+            found[f"node_{node}"] = float(
+                self._loss(self.average, self.held, every, torch.full_like(every, node)).mean()
+            )
+        rows, x, _ = self.held.some(every, torch.zeros_like(every))
+        x, ends = self.rolled(rows, x, len(self.visited)), self.held.stations[-1].float()
+        real = torch.arange(x.shape[1], device=self.device) < rows.lengths[:, None]
+        found["ends"] = float((x - ends)[real].square().mean().sqrt())
         found["spread"] = float(x[real].std() / ends[real].std())
         return found
 
     def write(self, note: TrainingNote) -> Path:
         """The averaged changes."""
         state, _ = load_checkpoint(self.diffusion, "diffusion", half=True)
-        changes = {name: value.numpy() for name, value in changes_of(self.average).items()}
+        changes = {name: value.cpu().numpy() for name, value in changes_of(self.average).items()}
         config = {
-            "of": fingerprint(state), "visited": list(self.lessons.visited), "guidance": self.lessons.guidance,
-            "critic": self.lessons.critic is not None, "notes": dict(note),
+            "of": fingerprint(state), "visited": list(self.visited), "guidance": self.teacher.guidance,
+            "critic": self.teacher.critic is not None, "notes": dict(note),
         }  # fmt: skip
         return save_checkpoint(self.checkpoint, changes, config, KIND, half=True)
-
-
-def _padded(parts: Sequence[np.ndarray], lengths: np.ndarray) -> np.ndarray:
-    out = np.zeros((len(parts), int(lengths.max()), parts[0].shape[1]), np.float32)
-    for row, part in zip(out, parts, strict=True):
-        row[: len(part)] = part
-    return out
-
-
-def _batched(told: Sequence[Told]) -> tuple[tuple[Tensor, Tensor, Tensor], RetrievedExamples | None]:
-    """Sentences and examples of rows side by side."""
-    longest = max(one.text.mask.shape[1] for one in told)
-    tokens = np.zeros((len(told), longest, told[0].text.tokens.shape[2]), np.float32)
-    mask = np.zeros((len(told), longest), bool)
-    for row, one in enumerate(told):
-        size = one.text.mask.shape[1]
-        tokens[row, :size], mask[row, :size] = one.text.tokens[0], one.text.mask[0]
-    pooled = np.concatenate([one.text.pooled for one in told])
-    text = torch.from_numpy(tokens), torch.from_numpy(mask), torch.from_numpy(pooled)
-    found = [one.examples for one in told if one.examples is not None]
-    if not found:
-        return text, None
-    frames = max(one.values.shape[2] for one in found)
-    values = np.zeros((len(found), found[0].values.shape[1], frames, found[0].values.shape[3]), np.float32)
-    for row, example in enumerate(found):
-        values[row, :, : example.values.shape[2]] = example.values[0]
-    parts = values, np.concatenate([one.lengths for one in found]), np.concatenate([one.pooled for one in found])
-    return text, RetrievedExamples(*map(torch.from_numpy, parts))
 
 
 def train_few_steps(
@@ -287,21 +302,46 @@ def train_few_steps(
     if config.led < 0 or config.rolled < 0 or config.led + config.rolled > 1:
         raise OptionError("led and rolled must be shares whose sum is at most 1")
     diffusion = config.diffusion or shipped_checkpoint("diffusion")
-    teacher = load_teacher(diffusion)
+    device = torch.device(config.device or ("cuda" if torch.cuda.is_available() else "cpu"))
+    model = load_denoiser(diffusion, device).float()
+    critic = None
+    if config.critic and weights_file("critic.safetensors").is_file():
+        critic = load_extractor(shipped_checkpoint("critic"), device, RANKER).float()
+        if model.config.text_encoder.removesuffix(CuedEncoder.SUFFIX) != critic.config.text_encoder:
+            raise OptionError(
+                f"{diffusion}: its text encoder is not that of the critic, {critic.config.text_encoder}; leave the "
+                "critic out with --no-critic"
+            )
+    bf16 = config.bf16 and bf16_is_fast(device)
+    teacher = Teacher(model, critic, config.guidance, STEPS, bf16)
 
     def told(done: int, total: int) -> None:
         if progress is not None:
             progress("clips", done / total)
 
     clips = load_clips(config.data, told, splits={"train", "val"})
-    statistics = FeatureStatistics(teacher.mean, teacher.std)
+    statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
     mixture = Mixture(balance=0.25, most_drawn=20)
-    train, held = (ClipSet(clips, statistics, split, teacher.config.frames, mixture) for split in ("train", "val"))
+    train, held = (ClipSet(clips, statistics, split, model.config.frames, mixture) for split in ("train", "val"))
     if not train.clips:
         raise OptionError(
             f"{config.data}: there are no training clips; build the data again with 'bunraku data motions'"
         )
-    critic = load_critic() if config.critic and weights_file("critic.safetensors").is_file() else None
-    lessons = Lessons(teacher, encoder or text_encoder(teacher.config.text_encoder), critic, config.guidance)
-    bank = None if config.mesh_bank is None else load_mesh_bank(config.mesh_bank, teacher.config.mesh_features)
-    return FewStepsRun(config, diffusion, lessons, (train, held), bank).learn(report, progress)
+    encoder = encoder or text_encoder(model.config.text_encoder)
+    bank = None if config.mesh_bank is None else load_mesh_bank(config.mesh_bank, model.config.mesh_features)
+    examples = example_bank(model.config, statistics, load_examples(), encoder) if model.config.examples else None
+    maker = RowMaker(train, TextBank(encoder, []), config.seed, config.compose, bank, 0.0, examples)
+    frames, rows = model.config.frames, None
+    if len(held.clips) > 1:
+        fixed = held.fixed(_HELD)
+        made = replace(maker, clips=held).made(fixed, np.random.default_rng(2))
+        rows = RowsInTurn(maker, len(fixed.lengths), frames, device).of(made)
+    source: RowSource
+    if config.workers:
+        source = PooledRows(maker, config.workers, config.rows, config.pool, frames, device)
+    else:
+        source = RowsInTurn(replace(maker, bucket=4), config.rows, frames, device)
+    try:
+        return FewStepsRun(config, diffusion, teacher, source, rows).learn(report, progress)
+    finally:
+        source.close()
