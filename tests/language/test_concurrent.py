@@ -28,10 +28,10 @@ ARMS = np.isin(np.arange(30), PARTS["arms"])
         ("walks forward and shakes the head", "walks forward", "shakes the head", "head"),
         ("walks forward, waving", "walks forward", "waving", "arms"),
         ("the robot marches, and waves", "the robot marches", "the robot waves", "arms"),
-        ("a man walks with the hands on his hips", "a man walks", "the hands on his hips", "arms and head"),
-        ("a man lunges, hands on hips", "a man lunges", "hands on hips", "arms and head"),
-        ("a man performs a lunge, hands on hips", "a man performs a lunge", "hands on hips", "arms and head"),
-        ("walks, while raising the right arm", "walks", "raising the right arm", "arms"),
+        ("a man walks with the hands on his hips", "a man walks", "the hands on his hips", "arms"),
+        ("a man lunges, hands on hips", "a man lunges", "hands on hips", "arms"),
+        ("a man performs a lunge, hands on hips", "a man performs a lunge", "hands on hips", "arms"),
+        ("walks, while raising the right arm", "walks", "raising the right arm", "right arm"),
     ],
 )
 def test_legs_and_gestures_are_told_apart(sentence, body, gesture, part):

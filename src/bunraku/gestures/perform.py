@@ -312,7 +312,7 @@ def _cycles(gesture: Gesture, span: float, tempo: float, random: np.random.Gener
         head = []
     else:
         laps = int(np.ceil(span * tempo / period)) + 1
-        if head and random.random() < 0.4:
+        if head and not gesture.begins and random.random() < 0.4:
             head = []
     first = head[0][0] if head else start
     parts: list[_Part] = [([(time - first, pose) for time, pose in head], 0.0, tempo, 1.0)] if head else []

@@ -126,6 +126,7 @@ class Gesture:
         handed: It is done with these very hands by everybody: nobody shakes hands with the left.
         at: The part of the body at which the right hand does it, where that may be another (`gestures.parts`); "" for
             none.
+        begins: What comes before its cycle is always shown; else somebody may be at it from the first moment.
     """
 
     name: str
@@ -136,6 +137,7 @@ class Gesture:
     repeat: Repeat | None = None
     handed: bool = False
     at: str = ""
+    begins: bool = False
 
     @property
     def seconds(self) -> float:

@@ -11,7 +11,19 @@ from bunraku.body.reference import reference_body
 from bunraku.core.motion import SkeletalMotion
 from bunraku.geometry.rotations import heading, matrix_y
 
-__all__ = ["AT", "PALM", "SIDES", "Hanging", "Planted", "Standing", "captured", "mirrored", "stands_well", "swaying"]
+__all__ = [
+    "AT",
+    "PALM",
+    "SIDES",
+    "Hanging",
+    "Planted",
+    "Standing",
+    "captured",
+    "mirrored",
+    "stands_well",
+    "still",
+    "swaying",
+]
 
 AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 """Numbers of the joints by their names."""
@@ -81,6 +93,13 @@ class Standing:
     hands: dict[str, Hanging | None]
     feet: dict[str, Planted | None]
     sways: bool = False
+
+
+def still(frames: int) -> Standing:
+    """Somebody who does not move at all, for so many frames."""
+    none = np.zeros((frames, 3))
+    nothing: dict[str, None] = {side: None for side, _ in SIDES}
+    return Standing(none, np.tile(_STILL, (frames, 1, 1, 1)), none, none, dict(nothing), dict(nothing))
 
 
 def swaying(seed: int, moments: np.ndarray) -> Standing:

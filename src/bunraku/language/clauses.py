@@ -16,6 +16,7 @@ from bunraku.language.handling import handling_of
 from bunraku.language.lexicon.cues import said_cues
 from bunraku.language.lexicon.reading import actions_of, said_traits, words_of
 from bunraku.language.lexicon.tables import lexicon
+from bunraku.language.limbs.posing import posing_of
 from bunraku.language.told import told_of, with_names
 
 __all__ = [
@@ -260,7 +261,7 @@ def _now(predicate: str) -> str:
 def handed_on(clauses: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
     """Clauses with their seconds in which a thing that is taken in one and put somewhere in the next is one clause,
     since hands do not let go of it between; so is what says more of how somebody is down: "sits down and crosses the
-    legs".
+    legs", and what limbs do one after the other: "kneels, then raises both arms".
 
     Args:
         clauses: Texts in English, and seconds of each.
@@ -272,11 +273,20 @@ def handed_on(clauses: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
             if first.stations[-1].does != "put" and second.stations[0].does == "hold" and handling_of(joined):
                 found[-1] = joined, found[-1][1] + seconds
                 continue
+        if found and _of_limbs(joined := f"{found[-1][0].rstrip(' .,')}, then {subject_of(text)[1]}"):
+            found[-1] = joined, found[-1][1] + seconds
+            continue
         if found and _more_of(found[-1][0], text):
             found[-1] = f"{found[-1][0].rstrip(' .,')} and {subject_of(text)[1]}", found[-1][1] + seconds
             continue
         found.append((text, seconds))
     return found
+
+
+def _of_limbs(text: str) -> bool:
+    """Whether a text says nothing but what limbs do."""
+    posing = posing_of(subject_of(text)[1])
+    return posing is not None and not posing.rest
 
 
 def _more_of(first: str, second: str) -> bool:

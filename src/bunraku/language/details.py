@@ -20,7 +20,6 @@ MOST = 99
 _TIMES = frozenset(("time", "times"))
 _OBJECT = 3
 """Words after a verb that says where a part of the body is among which the part is; that is what they add."""
-_HAND = frozenset(stems(["hand"]))
 _LIMBS = {"arms": ("arm", "hand"), "legs": ("leg", "foot"), "head": ("head",)}
 """Words for the limbs of a part of the body."""
 
@@ -95,8 +94,6 @@ def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:
         root = stem(word)
         if word in lexicon().holding and body_stems().intersection(stems(words[at + 1 : at + 1 + _OBJECT])):
             continue
-        if word == "back" and limbs & _HAND & frozenset(stems(words[at + 1 : at + 1 + _OBJECT])):
-            continue  # that of the hand that is moved
         if word in FUNCTION_WORDS or word.endswith("ly") or not word.isalpha():
             continue
         if (root in body_stems() and root not in limbs) or (root in verbs and root not in own):

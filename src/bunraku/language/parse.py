@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 
 from bunraku.errors import OptionError
 from bunraku.language.clauses import (
@@ -19,14 +20,16 @@ from bunraku.language.clauses import (
     shared,
     subject_of,
     timed_clauses,
+    with_subject,
 )
 from bunraku.language.concurrent import moved_part, split_voices
 from bunraku.language.details import added_words, count_of
 from bunraku.language.lexicon.cues import said_cues
 from bunraku.language.lexicon.reading import actions_of, locomotion_of, said_traits
+from bunraku.language.limbs.posing import Posing, posing_of
 from bunraku.language.prompts import check_prompt, narrow, parse_sequence, timed_sequence
 from bunraku.language.sentence import Clause, Sentence, Turn
-from bunraku.language.told import told_of, with_names
+from bunraku.language.told import says_more, told_of, with_names
 from bunraku.language.understood import check_understood
 
 __all__ = ["clause_of", "clauses_of", "parse"]
@@ -85,6 +88,14 @@ def clause_of(text: str, seconds: float = 0.0) -> Clause:
         text: In English.
         seconds: How long it lasts [s].
     """
+    subject, predicate = subject_of(text)
+    posing = posing_of(predicate)
+    if posing is not None and posing.rest:
+        body = _clause(with_subject(posing.rest, subject), seconds)
+        return _clause(text, seconds, (body, _limbs(posing, subject, seconds)))
+    if posing is not None:
+        clause = _clause(text, seconds)
+        return clause if says_more(told_of(clause.person)) else replace(clause, told=posing)
     voices = tuple(_clause(voice, seconds) for voice in split_voices(text))
     parts = [] if voices else parts_of(text)
     if not parts or seconds / len(parts) < SHORTEST_CLAUSE:
@@ -100,6 +111,12 @@ def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = (), parts: t
         _turn(cues, traits, actions), _goes_straight(cues, traits), count_of(person), added_words(predicate, actions),
         told_of(person), voices=voices, parts=parts,
     )  # fmt: skip
+
+
+def _limbs(posing: Posing, subject: str, seconds: float) -> Clause:
+    """What limbs do meanwhile as a clause of its own."""
+    said = _clause(with_subject(posing.text, subject), seconds)
+    return replace(said, told=replace(posing, rest=""), part=" and ".join(posing.parts))
 
 
 def _goes_straight(cues: frozenset[str], traits: frozenset[str]) -> bool:

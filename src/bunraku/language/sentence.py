@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
+from bunraku.language.limbs.posing import Posing
 from bunraku.language.told import Told
 
 __all__ = ["Clause", "Sentence", "Turn", "UnknownWord", "in_stretches"]
@@ -65,7 +66,8 @@ class Clause:
         straight: Whether somebody goes forward or on, with nothing of a turn, a curve or a side.
         count: How often it is done; None where it says nothing of that.
         added: Words for parts of the body and movements that it says beyond its actions.
-        told: What is done with a thing, or follows from where somebody walks or looks, where that is all that it says.
+        told: What is done with a thing, follows from where somebody walks or looks, or is done by limbs, where that is
+            all that it says.
         moves: What the body of `for_body` then does: "fly", "swim" and "slither", or how it is on the ground: "step",
             "run", "stay", "lie"; "" for neither.
         voices: Where a movement of the legs is joined with a gesture, the one and the other; none otherwise.
@@ -86,7 +88,7 @@ class Clause:
     straight: bool = False
     count: int | None = None
     added: tuple[str, ...] = ()
-    told: Told | None = None
+    told: Told | Posing | None = None
     moves: str = ""
     voices: tuple[Clause, ...] = field(default=())
     parts: tuple[Clause, ...] = field(default=())
@@ -101,6 +103,12 @@ class Clause:
         voices = tuple(replace(one, seconds=seconds) for one in self.voices)
         parts = tuple(one.lasting(one.seconds * seconds / self.seconds) for one in self.parts if self.seconds)
         return replace(self, seconds=seconds, voices=voices, parts=parts)
+
+    @property
+    def limbs_meanwhile(self) -> Posing | None:
+        """What limbs do while something else goes on; None for nothing."""
+        told = None if self.meanwhile is None else self.meanwhile.told
+        return told if isinstance(told, Posing) else None
 
     @property
     def meanwhile(self) -> Clause | None:

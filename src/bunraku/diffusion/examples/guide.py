@@ -19,9 +19,11 @@ from bunraku.diffusion.examples.retrieve import Found
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
 from bunraku.diffusion.splicing import END, held, played, rests
 from bunraku.geometry.easing import smooth_step
+from bunraku.gestures.limbs.gesture import limb_gesture
 from bunraku.gestures.manner import AS_USUAL, Manner
 from bunraku.gestures.parts import at_part
 from bunraku.gestures.told import made_of
+from bunraku.language.limbs.posing import Posing
 
 if TYPE_CHECKING:
     from bunraku.gestures.pose import Gesture
@@ -109,7 +111,7 @@ def laid(
     closed = manner.closed
     gesture = pack.gesture(found.number)
     if gesture is not None and found.told is not None:
-        gesture = made_of(found.told)
+        gesture = limb_gesture(found.told) if isinstance(found.told, Posing) else made_of(found.told)
     elif gesture is not None and found.part:
         gesture = at_part(gesture, found.part)
     if gesture is not None and not (closed and gesture.cycle is None):

@@ -12,8 +12,10 @@ import numpy as np
 
 from bunraku.diffusion.examples.pack import ExamplePack, Said, said_by
 from bunraku.gestures.parts import part_in
+from bunraku.language.clauses import subject_of
 from bunraku.language.details import tells_all
 from bunraku.language.lexicon.reading import goes_ahead, stays_down
+from bunraku.language.limbs.posing import Posing, posing_of
 from bunraku.language.sentence import Clause
 from bunraku.language.told import Told, says_more
 
@@ -80,7 +82,8 @@ class Found(NamedTuple):
         score: Mean of the cosine of the sentence with its nearest sentence, and of that with its motion.
         part: The part of the body at which a gesture is done in place of its own (`gestures.parts`); "" for its own.
         times: How often a captured one is done that shows one time of what is counted.
-        told: What is done with a thing, or follows from one, as a gesture of its own (`gestures.told`).
+        told: What is done with a thing, follows from one, or is done by limbs, as a gesture of its own
+            (`gestures.told`).
     """
 
     number: int
@@ -88,7 +91,7 @@ class Found(NamedTuple):
     score: float
     part: str = ""
     times: int = 1
-    told: Told | None = None
+    told: Told | Posing | None = None
 
 
 class Retrieved(NamedTuple):
@@ -105,9 +108,10 @@ class Retrieved(NamedTuple):
 
 
 def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved:
-    """Examples that show what a clause says. What is done with a thing is a gesture through the places that it names,
-    or as captured where it names none. Where none shows all of it, those count that show it once, to be done as often
-    as is said, and those with the limb that is meant, whichever way its movement goes.
+    """Examples that show what a clause says. What limbs do is a gesture of these, and what is done with a thing one
+    through the places that it names, or as captured where it names none. Where none shows all of it, those count that
+    show it once, to be done as often as is said, and those with the limb that is meant, whichever way its movement
+    goes.
 
     Args:
         pack: To choose from.
@@ -115,7 +119,11 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
         vector: The ranker's unit vector of it, shape (V,).
     """
     told = [] if clause.told is None else [Found(one, False, 1.0, "", 1, clause.told) for one in pack.handled]
-    if told and says_more(clause.told):
+    if told and isinstance(clause.told, Posing):
+        return Retrieved(_telling(pack, clause, clause.told) or told)
+    if clause.limbs_meanwhile is not None:
+        return Retrieved([])  # what else is done is shown apart
+    if told and not isinstance(clause.told, Posing) and says_more(clause.told):
         return Retrieved(told)
     found = _retrieved(pack, clause, vector, frozenset())
     if told and not found.found:
@@ -126,6 +134,21 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
     if found.found or found.lacking or not let_go & clause.cues:
         return found
     return _retrieved(pack, clause, vector, let_go)
+
+
+def _telling(pack: ExamplePack, clause: Clause, posing: Posing) -> list[Found]:
+    """The gestures with a sentence that says the very same of limbs as a clause does."""
+    found = []
+    for index in np.flatnonzero(pack.made).tolist():
+        if pack.said(index).actions != frozenset(clause.actions):
+            continue
+        own = [posing_of(subject_of(text)[1]) for text in pack.examples[index].texts]
+        same = [one.bare for one in own if one is not None and not one.rest]
+        for mirrored, wanted in ((False, posing.bare), (True, posing.mirrored.bare)):
+            if wanted in same:
+                found.append(Found(index, mirrored, 1.0))
+                break
+    return found
 
 
 def _retrieved(pack: ExamplePack, clause: Clause, vector: np.ndarray, let_go: frozenset[str]) -> Retrieved:

@@ -12,6 +12,7 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.language.description.track import SIDES, Track
+from bunraku.language.limbs.posing import Posing
 from bunraku.language.sentence import Clause
 
 __all__ = ["agreement"]
@@ -41,7 +42,9 @@ def agreement(clause: Clause, motion: HandleMotion) -> float | None:
         That of the claim that holds least, from -1, the contrary, to 1; None where nothing is claimed that could be
         seen.
     """
-    if len(motion) < 8 or clause.told is not None:
+    if clause.limbs_meanwhile is not None:
+        clause = clause.body
+    if len(motion) < 8 or not (clause.told is None or isinstance(clause.told, Posing)):
         return None  # "to the left" is where a thing is put
     if "then" in clause.cues and len(clause.actions) != 1:
         return None  # of several things that follow each other, no one holds throughout

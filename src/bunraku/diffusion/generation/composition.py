@@ -9,6 +9,7 @@ import numpy as np
 
 from bunraku.body.parts import kept_handles
 from bunraku.diffusion.features import feature_mask
+from bunraku.language.limbs.posing import Posing
 from bunraku.language.sentence import Clause
 
 __all__ = ["PartTrack"]
@@ -32,10 +33,18 @@ class PartTrack:
     handles: np.ndarray
 
     @classmethod
-    def of(cls, motion: int, script: Sequence[Clause]) -> PartTrack | None:
-        """The second time line of a motion with these clauses; None where nothing is done meanwhile in any."""
-        own = [kept_handles(made.part.split(" and ")) for clause in script if (made := clause.meanwhile) is not None]
-        texts = tuple((clause.meanwhile or clause).text for clause in script)
+    def of(cls, motion: int, script: Sequence[Clause], limbs: bool = True) -> PartTrack | None:
+        """The second time line of a motion with these clauses; None where nothing is done meanwhile in any.
+
+        Args:
+            motion: Its number.
+            script: Its clauses.
+            limbs: What limbs are told to do is on that line, too; else it is laid over the motion (`overlay`).
+        """
+        voices = [clause.meanwhile for clause in script]
+        voices = [one if one is not None and (limbs or not isinstance(one.told, Posing)) else None for one in voices]
+        own = [kept_handles(made.part.split(" and ")) for made in voices if made is not None]
+        texts = tuple((made or clause.body).text for made, clause in zip(voices, script, strict=True))
         return cls(motion, texts, np.any(own, axis=0)) if own else None
 
     def follow(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:

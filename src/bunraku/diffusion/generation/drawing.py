@@ -144,6 +144,7 @@ def draw_candidates(
         critic: What guides them towards their sentences; None for nothing.
     """
     from bunraku.diffusion.generation.composition import PartTrack
+    from bunraku.diffusion.generation.overlay import with_limbs
     from bunraku.diffusion.generation.ranking import Drawn, script_agreement
     from bunraku.diffusion.sampling.sampler import Steering
     from bunraku.diffusion.sampling.windows import plan_windows, sample_plans
@@ -152,7 +153,8 @@ def draw_candidates(
     model = how.denoiser
     lengths = [frames_of([clause.seconds for clause in script], model.config.fps) for script in scripts]
     plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
-    tracks = [track for index, script in enumerate(scripts) if (track := PartTrack.of(index, script))]
+    told = [second is not None for _, second in examples]  # limbs are then laid over the motion
+    tracks = [track for row, script in enumerate(scripts) if (track := PartTrack.of(row, script, not told[row]))]
     sentences = [clause.body.text for script in scripts for clause in script]
     text = texts.batch(sentences + [sentence for track in tracks for sentence in track.sentences])
     statistics = FeatureStatistics(model.mean, model.std)
@@ -192,15 +194,19 @@ def draw_candidates(
     for track, own in zip(tracks, found[len(scripts) :], strict=True):
         found[track.motion] = replace(own, adaptation=track.adapt(found[track.motion].adaptation, own.adaptation))
     drawn = []
-    for part, script, own_lengths, example in zip(found, scripts, lengths, starts, strict=False):
+    for row, (part, script, own_lengths, example) in enumerate(zip(found, scripts, lengths, starts, strict=False)):
         frames = np.arange(sum(own_lengths) + loop) % len(part.values)
         timed = list(zip(script, own_lengths, strict=True))
         features = steadied(statistics.restore(part.values), loop)
         if not loop and path is None:
             features = straightened(features, timed, model.config.fps)
             features = turned_as_asked(features, timed, model.config.fps)
+        limbs = examples[row][1]
+        if limbs is not None and any(clause.limbs_meanwhile for clause in script):
+            gesture = statistics.restore(limbs.on(own_lengths, sizes[row], statistics, closed=loop).values)
+            features = with_limbs(features, gesture, timed)
         features = features[frames]
-        said = script_agreement(features, timed) if how.candidates > 1 and path is None else None
+        said = script_agreement(features, timed, example is not None) if how.candidates > 1 and path is None else None
         drawn.append(Drawn(features, part.adaptation[frames], timed, said, example is not None))
     return drawn
 

@@ -16,6 +16,7 @@ from bunraku.diffusion.features import decode
 from bunraku.diffusion.generation.agreement import agreement
 from bunraku.diffusion.generation.finishing import clause_spans
 from bunraku.diffusion.inference.extractor import Extractor, embed_motions
+from bunraku.language.limbs.posing import Posing
 from bunraku.language.sentence import Clause
 
 __all__ = ["Drawn", "choose", "script_agreement", "script_scores"]
@@ -81,15 +82,18 @@ def script_scores(
     return total / np.maximum(weight, 1)
 
 
-def script_agreement(motion: np.ndarray, script: Sequence[tuple[Clause, int]]) -> float | None:
+def script_agreement(motion: np.ndarray, script: Sequence[tuple[Clause, int]], led: bool = False) -> float | None:
     """How far a motion does what its sentences plainly say: the `agreement` of the one that holds least.
 
     Args:
         motion: Features, shape (N, 271).
         script: Its clauses with the frames that each lasts.
+        led: It starts from examples, so that limbs go where they are told.
     """
     found = []
     for clause, span in clause_spans(script):
+        if led and isinstance(clause.told, Posing):
+            continue
         part = motion[span]
         score = agreement(clause, decode(part)) if len(part) >= SHORTEST else None
         if score is not None:

@@ -17,6 +17,7 @@ __all__ = [
     "is_cyclic",
     "locomotion_of",
     "main_actions",
+    "longest_phrase",
     "said_otherwise",
     "said_phrases",
     "said_traits",
@@ -83,6 +84,16 @@ def _end(phrase: Phrase, words: Sequence[str], start: int) -> int:
     elif after and stop < len(words) and words[stop] in after[0]:
         return 0
     return stop
+
+
+def longest_phrase(phrases: Iterable[Phrase], words: Sequence[str], start: int) -> tuple[Phrase, int] | None:
+    """The longest of some phrases that stands here, and the number of the word after it; None where none does."""
+    best: tuple[Phrase, int] | None = None
+    for phrase in phrases:
+        stop = _end(phrase, words, start)
+        if stop and (best is None or stop > best[1]):
+            best = phrase, stop
+    return best
 
 
 def actions_of(text: str) -> tuple[str, ...]:
@@ -159,16 +170,12 @@ def in_known_words(text: str) -> str:
     words, spans = words_of(text)
     out, copied, index = "", 0, 0
     while index < len(words):
-        best: tuple[int, Phrase] | None = None
-        for phrase in table.phrases.get(words[index], ()):
-            if phrase.section == "synonyms":
-                stop = _end(phrase, words, index)
-                if stop and (best is None or stop > best[0]):
-                    best = stop, phrase
+        own = [phrase for phrase in table.phrases.get(words[index], ()) if phrase.section == "synonyms"]
+        best = longest_phrase(own, words, index)
         if best is None:
             index += 1
             continue
-        stop, phrase = best
+        phrase, stop = best
         known = table.synonyms[phrase.name]
         if known:
             first = text[spans[index][0] : spans[index][1]]

@@ -12,6 +12,7 @@
 | `places` | what a "left" or "right" may be the side of |
 | `handling` | verbs of who takes, holds and puts things, and words for heights, in metres too (`language.handling`) |
 | `grammar` | words that part a clause (`language.phrasing`): what may stand before a noun, after a thing, and so on |
+| `posing` | limbs, their ways and places, and verbs of who poses them (`language.limbs.phrases`), by kind and value |
 | `traits` | what else a clause says (`Clause.traits`) |
 | `numbers`, `adverbs` | words that count, and those of them that count alone: "twice" |
 | `body` | words for parts of the body, beside those of `foreign.table` |
@@ -34,6 +35,7 @@ from __future__ import annotations
 
 import functools
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any, NamedTuple, TypedDict
@@ -156,6 +158,7 @@ class Lexicon:
         levels: What these are in metres, for a body of 1.84 m.
         aside: Words for a place beside.
         grammar: Words that part a clause, by what they are.
+        posing: Phrases of limbs, by the words that they may begin with.
         words: All words of the phrases, and of the rows' names.
     """
 
@@ -182,6 +185,7 @@ class Lexicon:
     levels: dict[str, float]
     aside: frozenset[str]
     grammar: dict[str, frozenset[str]]
+    posing: dict[str, list[Phrase]]
     words: frozenset[str]
 
 
@@ -198,6 +202,7 @@ class _Table(TypedDict):
     places: dict[str, list[str]]
     handling: dict[str, Any]
     grammar: dict[str, str]
+    posing: dict[str, list[str]]
     synonyms: list[tuple[str, str]]
     ground: dict[str, str]
     otherwise: list[dict[str, Any]]
@@ -256,7 +261,12 @@ def lexicon() -> Lexicon:
     heights = {name: frozenset(listed.split()) for name, listed in data["handling"]["heights"].items()}
     past = {form: verb for verb, forms in verbs.items() for form in forms[2:]}
     past = {form: verb for form, verb in past.items() if form not in verbs and form not in third | gerund}
-    phrases, words = _phrases(data, verbs)
+    rows = [("actions", name, action["said"]) for name, action in data["actions"].items()]
+    rows += [(section, name, said) for section in ("cues", "traits", "places") for name, said in data[section].items()]
+    rows += [("synonyms", said, (said,)) for said, _ in data["synonyms"]]
+    phrases, said_words = _phrases(rows, data["classes"], verbs)
+    posing, posing_words = _phrases([("posing", *row) for row in data["posing"].items()], data["classes"], verbs)
+    words = said_words | posing_words | {word for name in data["actions"] for word in name.replace("-", " ").split()}
     otherwise = []
     for row in data["otherwise"]:
         otherwise.append(Otherwise(**{**row, "locomotion": tuple(row["locomotion"]), "bodies": tuple(row["bodies"])}))
@@ -271,18 +281,20 @@ def lexicon() -> Lexicon:
         dict(data["synonyms"]), data["ground"], tuple(otherwise), data["numbers"],
         frozenset(data["adverbs"].split()), tuple(data["body"].split()), holding, handled, heights,
         data["handling"]["levels"], frozenset(data["handling"]["aside"].split()),
-        {name: frozenset(listed.split()) for name, listed in data["grammar"].items()}, words.union(*heights.values()),
+        {name: frozenset(listed.split()) for name, listed in data["grammar"].items()}, posing,
+        words.union(*heights.values()),
     )  # fmt: skip
 
 
-def _phrases(data: _Table, verbs: dict[str, tuple[str, ...]]) -> tuple[dict[str, list[Phrase]], frozenset[str]]:
-    """All phrases by the words that they may begin with, and all words in them."""
+def _phrases(
+    rows: Iterable[tuple[str, str, Iterable[str]]], classes: dict[str, str], verbs: dict[str, tuple[str, ...]]
+) -> tuple[dict[str, list[Phrase]], frozenset[str]]:
+    """The phrases of rows (section, name, what says it) by the words that they may begin with, and all words of actions
+    and limbs.
+    """
     sets: dict[str, frozenset[str]] = {}  # of what stands between two spaces
     index: dict[str, list[Phrase]] = {}
     known: set[str] = set()
-    rows = [("actions", name, action["said"]) for name, action in data["actions"].items()]
-    rows += [(section, name, said) for section in ("cues", "traits", "places") for name, said in data[section].items()]
-    rows += [("synonyms", said, (said,)) for said, _ in data["synonyms"]]
     for section, name, said in rows:
         for text in said:
             first = last = gap = False
@@ -298,7 +310,7 @@ def _phrases(data: _Table, verbs: dict[str, tuple[str, ...]]) -> tuple[dict[str,
                 if plain not in sets:
                     some: list[str] = []
                     for word in plain.split("/"):
-                        listed = data["classes"][word[1:-1]].split() if word[0] == "<" else (word,)
+                        listed = classes[word[1:-1]].split() if word[0] == "<" else (word,)
                         for one in listed:
                             verb = one.strip("{+}")
                             if one[0] != "{":
@@ -306,7 +318,7 @@ def _phrases(data: _Table, verbs: dict[str, tuple[str, ...]]) -> tuple[dict[str,
                             else:
                                 some += (verb, *(verbs[verb] if "+" in one else verbs[verb][:2]))
                     sets[plain] = frozenset(some)
-                    if section == "actions":
+                    if section in ("actions", "posing"):
                         known.update(some)
                 if sign == "!" and not variants[0]:
                     before = sets[plain]
@@ -334,6 +346,4 @@ def _phrases(data: _Table, verbs: dict[str, tuple[str, ...]]) -> tuple[dict[str,
                 phrase = Phrase(section, name, tuple(row), before, tuple(after), ahead, first, last, gap, alone)
                 for word in row[0] or ():
                     index.setdefault(word, []).append(phrase)
-    for name in data["actions"]:
-        known.update(name.replace("-", " ").split())
     return index, frozenset(known)

@@ -1,0 +1,205 @@
+"""What a sentence says limbs do, as a gesture: poses of a stance, of limbs that are held, and of those that move."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import replace
+
+from bunraku.gestures.flow import STEP, through
+from bunraku.gestures.limbs.arms import LOW
+from bunraku.gestures.limbs.composed import limbed, stance_pose, way_down
+from bunraku.gestures.pose import Gesture, Key, Pose, Repeat, again
+from bunraku.language.limbs.phrases import Target
+from bunraku.language.limbs.posing import Posing, Stance, Step
+
+__all__ = ["limb_gesture"]
+
+NAME = "limbs"
+THERE, BACK = 0.95, 1.0
+"""Seconds to where a limb goes, and back."""
+STAYS, SHORTLY = 1.8, 0.9
+"""Seconds that it is there: at the end, and before something else is done."""
+DOWN = 0.8
+"""Seconds of each part of the way down from standing."""
+ALIVE = 4.0
+"""Period in which who holds limbs somewhere moves a little [s]."""
+PERIODS = {"arm": 1.3, "elbow": 1.3, "leg": 1.5, "knee": 1.5, "heel": 1.4, "head": 1.9, "trunk": 2.4, "hips": 1.8}
+"""Seconds of once to and fro."""
+LIES = 60.0
+"""Tilt of the pelvis from which on somebody lies [degrees]."""
+ROUND = 8
+"""Poses of a circle."""
+TIMES = 4
+FROM = {"arm": ("ahead", "up", "back", "down"), "leg": ("ahead", "side", "back", "side")}
+"""The ways that a limb goes through in a circle; others go ahead, to the right, back and to the left."""
+
+
+@functools.lru_cache(maxsize=64)
+def limb_gesture(posing: Posing) -> Gesture:
+    """What a sentence says limbs do, by somebody who stands, or is as it says."""
+    stance = posing.stance or Stance()
+    posing = _bent_together(posing)
+    base = limbed(stance, posing.held)
+    low = stance.name != "stand"
+    legs = any(one.limb in ("leg", "knee", "heel") for one in posing.targets) and not low
+    keys: list[Key] = []
+    if low and stance.goes:
+        keys = [(0.0, Pose())]
+        for pose in way_down(stance):
+            keys.append((keys[-1][0] + DOWN, pose))
+        keys.append((keys[-1][0] + DOWN, stance_pose(stance)))
+    start = keys[-1][0] + THERE if keys else 0.0
+    if not posing.steps:
+        keys += [(start, base), (start + ALIVE / 2, _alive(base)), (start + ALIVE, base)]
+        return Gesture(NAME, (), tuple(keys), (start, start + ALIVE), legs, begins=True)
+    if len(posing.steps) == 1 and posing.steps[0].again and not keys:
+        poses, period = _cycle(stance, posing.held, posing.steps[0])
+        count = len(poses)
+        smooth = count > 2
+        played, repeat = again(poses, period, TIMES, start=THERE, end=BACK, rest=base)
+        if smooth:
+            return _circled(base, poses, period, legs)
+        return Gesture(NAME, (), played, (repeat.start, repeat.stop - repeat.period), legs, repeat)
+    keys.append((start, base))
+    lowered = [one for one in posing.steps[0].targets if one.limb in ("arm", "leg", "knee") and one.ways == {"down"}]
+    if lowered:  # who lowers something has it up before
+        raised = [one._replace(ways=frozenset(["up"])) for one in lowered]
+        keys = [(time, pose if time < start else limbed(stance, [*posing.held, *raised])) for time, pose in keys]
+    stays = posing.steps[-1].stays or bool(lowered)
+    moment, before = start + 0.3, list(posing.held)
+    keys.append((moment, keys[-1][1]))
+    for number, step in enumerate(posing.steps):
+        last = number == len(posing.steps) - 1
+        if not step.besides:
+            before = list(posing.held)
+        if step.again:
+            poses, period = _cycle(stance, before, step)
+            for turn in range(2 if not last else 3):
+                for share, pose in enumerate(poses):
+                    keys.append((moment + THERE + period * (turn + share / len(poses)), pose))
+            moment = keys[-1][0]
+            continue
+        before = _replaced(before, step.targets)
+        pose = limbed(stance, before)
+        if step.alternately:
+            pose = limbed(stance, [*posing.held, *_of_side(step.targets, "left")])
+        moment += THERE
+        keys.append((moment, pose))
+        moment += STAYS if last else SHORTLY
+        keys.append((moment, pose))
+    if stays:
+        pose = keys[-1][1]
+        keys += [(moment + ALIVE / 2, _alive(pose)), (moment + ALIVE, pose)]
+        return Gesture(NAME, (), tuple(keys), (moment, moment + ALIVE), legs, begins=True)
+    keys.append((moment + BACK, base))
+    return Gesture(NAME, (), tuple(keys), None, legs)
+
+
+def _bent_together(posing: Posing) -> Posing:
+    """Who bends with the hands on the knees has them there only while he is bent."""
+    bends = any(one.limb == "trunk" and one.ways & {"ahead", "down"} for step in posing.steps for one in step.targets)
+    low = [one for one in posing.held if one.at in LOW] if bends else []
+    if not low:
+        return posing
+    first, *others = posing.steps
+    held = tuple(one for one in posing.held if one not in low)
+    return replace(posing, held=held, steps=(first._replace(targets=(*first.targets, *low)), *others))
+
+
+def _replaced(targets: Sequence[Target], others: Sequence[Target]) -> list[Target]:
+    """Targets of which those of limbs that others say go elsewhere are left out, and these others."""
+    kept = [
+        one for one in targets
+        if not any(
+            _same(one.limb) == _same(other.limb) and (one.side == other.side or "both" in (one.side, other.side))
+            for other in others
+        )
+    ]  # fmt: skip
+    return [*kept, *others]
+
+
+def _same(limb: str) -> str:
+    return {"elbow": "arm", "knee": "leg", "heel": "leg"}.get(limb, limb)
+
+
+def _of_side(targets: Sequence[Target], side: str) -> list[Target]:
+    return [one._replace(side=side) if one.side in ("both", "one") else one for one in targets]
+
+
+def _cycle(stance: Stance, held: Sequence[Target], step: Step) -> tuple[list[Pose], float]:
+    """The poses of once to and fro, or once round, and its seconds."""
+    period = max(PERIODS.get(one.limb, 1.6) for one in step.targets)
+    if step.alternately:
+        right, left = (limbed(stance, _replaced(held, _of_side(step.targets, side))) for side in ("right", "left"))
+        rest = limbed(stance, held)
+        return [right, rest, left, rest], 1.4 * period
+    if any("round" in one.to for one in step.targets):
+        plain = [one for one in step.targets if "round" not in one.to]
+        circled = [one for one in step.targets if "round" in one.to]
+        ways = [[_on_circle(one, number / ROUND) for one in circled] for number in range(ROUND)]
+        return [_mixed_pose(stance, held, plain, some) for some in ways], 1.2 * period
+    common = [one._replace(to=frozenset()) for one in step.targets]
+    first = limbed(stance, _replaced(held, common))
+    ends = [_other_end(one) for one in step.targets if one.to]
+    second = limbed(stance, _replaced(held, ends) if ends else held)
+    return [first, second], period if ends else 1.5 * period
+
+
+def _other_end(target: Target) -> Target:
+    """The other end of what goes to and fro: what is said of both stays."""
+    opposite = {
+        "back": {"ahead"},
+        "ahead": {"back"},
+        "down": {"up"},
+        "right": {"left"},
+        "left": {"right"},
+        "in": {"side"},
+    }
+    (to,) = target.to
+    ways = target.ways - opposite.get(to, set()) | {"together" if to == "in" else to}
+    return target._replace(ways=frozenset(ways), to=frozenset())
+
+
+def _on_circle(target: Target, share: float) -> tuple[Target, Target, float]:
+    """Two ways between which a limb is at this share of a circle, and how far on from the one to the other."""
+    ways = FROM.get(_same(target.limb), ("ahead", "right", "back", "left"))
+    at = share * len(ways)
+    plain = target._replace(to=frozenset())
+    kept = target.ways - {"ahead", "back"}
+    first, second = (plain._replace(ways=frozenset({ways[int(at + more) % len(ways)]} | kept)) for more in (0, 1))
+    return first, second, at % 1
+
+
+def _mixed_pose(
+    stance: Stance, held: Sequence[Target], plain: Sequence[Target], circled: Sequence[tuple[Target, Target, float]]
+) -> Pose:
+    """A pose with each limb that circles at its place between two ways."""
+    first = limbed(stance, _replaced(held, [*plain, *[one for one, _, _ in circled]]))
+    second = limbed(stance, _replaced(held, [*plain, *[other for _, other, _ in circled]]))
+    share = circled[0][2]
+    return through([(0.0, first), (1.0, second)])[round(share / STEP)][1] if share else first
+
+
+def _circled(base: Pose, poses: Sequence[Pose], period: float, legs: bool) -> Gesture:
+    """Poses of a circle passed through without a stop."""
+    keys: list[Key] = [(0.0, base)]
+    length = round(period / STEP) * STEP
+    for turn in range(TIMES):
+        keys += [(THERE + length * (turn + number / len(poses)), pose) for number, pose in enumerate(poses)]
+    over = THERE + length * TIMES
+    keys += [(over, poses[0]), (over + BACK, base)]
+    flowing = through([(round(time / STEP) * STEP, pose) for time, pose in keys])
+    repeat = Repeat(THERE, length, TIMES)
+    return Gesture(NAME, (), flowing, (repeat.start, repeat.stop - repeat.period), legs, repeat)
+
+
+def _alive(pose: Pose) -> Pose:
+    """A pose a little later, of somebody who holds it: nobody is quite still."""
+    x, y, z = pose.hips
+    ahead, turn, aside = pose.lean
+    nod, look, tilt = pose.head
+    if abs(pose.tilt) > LIES:
+        return replace(pose, head=(nod, look + 16, tilt))
+    head = (nod + 3, look - 8, tilt + 2)
+    return replace(pose, lean=(ahead + 2, turn + 4, aside + 1.5), head=head, hips=(x + 0.015, y, z))

@@ -1,0 +1,218 @@
+"""Feet where a sentence says, of somebody who stands, sits, kneels or lies, and the pelvis over those that stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bunraku.body.reference import reference_body
+from bunraku.gestures.flow import foot_on
+from bunraku.gestures.pose import Foot, Pose, Vector
+from bunraku.gestures.standing import AT, SIDES
+from bunraku.language.limbs.phrases import Target
+from bunraku.language.limbs.posing import Stance
+
+__all__ = ["with_legs"]
+
+LEG, THIGH, SHANK = 0.89, 0.448, 0.454
+"""From hip to ankle of a leg that is nearly straight, from hip to knee, from knee to ankle [m]."""
+OVER = 0.1
+"""How far the pelvis goes over the foot that stands [m]."""
+AHEAD, BACK, SIDE, KNEE = 46.0, 37.0, 40.0, 80.0
+"""How far a leg, or a thigh, goes from hanging as usual [degrees]."""
+MOST = 108.0
+STRAIGHT = {"hip": 84.0, "chest": 98.0, "shoulder": 104.0, "head": 108.0}
+"""The same of a straight leg by the height where the foot goes, and the most."""
+THIGH_AT = {"hip": 90.0, "chest": 116.0}
+"""The same of a thigh by the height where the knee goes."""
+LIFTED = 0.09
+"""Height of an ankle over which it is in the air [m]."""
+
+
+def with_legs(pose: Pose, stance: Stance, targets: Sequence[Target]) -> Pose:
+    """A pose with legs where some targets say.
+
+    Args:
+        pose: Of the stance alone.
+        stance: How somebody is.
+        targets: Of legs and of the pelvis.
+    """
+    for one in targets:
+        if one.limb == "hips":
+            pose = _shifted(pose, one)
+        elif one.side == "both":
+            pose = _both(pose, stance, one)
+        else:
+            pose = _single(pose, stance, one, "right" if one.side == "one" else one.side)
+    return _grounded(pose) if stance.name in ("stand", "squat") and targets else pose
+
+
+def _shifted(pose: Pose, target: Target) -> Pose:
+    """The pelvis to a side, ahead or back."""
+    ways, far = target.ways, target.amount
+    way = float("left" in ways or target.at_side == "left") - float("right" in ways or target.at_side == "right")
+    along = float("ahead" in ways) - float("back" in ways)
+    x, y, z = pose.hips
+    ahead, turn, aside = pose.lean
+    hips = (x + 0.13 * way * far, y - 0.01 * abs(way), z + 0.18 * along * far)
+    return replace(pose, hips=hips, lean=(ahead - 18 * along * far, turn, aside + 5 * way * far))
+
+
+def _both(pose: Pose, stance: Stance, target: Target) -> Pose:
+    ways, far = target.ways, target.amount
+    right, left = pose.right_foot, pose.left_foot
+    if stance.name in ("chair", "back", "belly", "floor"):
+        if "crossed" in ways and stance.name == "chair":
+            right, left = Foot((-0.2, 0.4, 0.36), 15, (-0.2, 0.8, 1)), Foot((0.08, 0.081, 0.02))
+        elif "crossed" in ways:
+            right, left = (replace(foot, ankle=(0.01, *foot.ankle[1:])) for foot in (right, left))
+        else:
+            right, left = (_free(pose, stance, target, side) for side in ("right", "left"))
+        return replace(pose, right_foot=right, left_foot=left)
+    if "crossed" in ways:
+        right, left = Foot((-0.09, 0.081, 0.12), turn=-4), Foot((-0.03, 0.081, -0.02), turn=2)
+        return replace(pose, right_foot=right, left_foot=left)
+    x, y, z = pose.hips
+    if "tiptoe" in ways:
+        foot = foot_on(0.1, 0.0, 34 * min(far, 1.3))
+        return replace(pose, hips=(x, y + 0.075, z + 0.05), right_foot=foot, left_foot=foot)
+    if ways & {"apart", "side", "together"}:
+        foot = Foot((0.055 if "together" in ways else 0.12 + 0.22 * far, 0.081, 0))
+        pose = replace(pose, right_foot=foot, left_foot=foot)
+    if "bent" in ways:
+        ahead, turn, aside = pose.lean
+        pose = replace(pose, hips=(x, y - 0.2 * far, z - 0.05 * far), lean=(ahead + 12 * far, turn, aside))
+    return pose
+
+
+def _single(pose: Pose, stance: Stance, target: Target, side: str) -> Pose:
+    """A leg that goes somewhere, with the pelvis of who stands over the other one where it is lifted."""
+    sign = dict(SIDES)[side]
+    foot = _free(pose, stance, target, side)
+    if foot.ankle[1] > LIFTED and stance.name in ("stand", "squat"):
+        x, y, z = pose.hips
+        ahead, turn, aside = pose.lean
+        out, _, along = np.array(foot.ankle) - Foot().ankle
+        lean = (ahead - (6 * along if along > 0 else 36 * along), turn, aside - sign * 14 * out)
+        pose = replace(pose, hips=(x - sign * OVER, y - 0.012, z), lean=lean)
+        foot = _free(pose, stance, target, side)
+    return replace(pose, right_foot=foot) if side == "right" else replace(pose, left_foot=foot)
+
+
+def _free(pose: Pose, stance: Stance, target: Target, side: str) -> Foot:
+    """A foot in the air, or on the ground where it stands elsewhere."""
+    sign = dict(SIDES)[side]
+    own = pose.right_foot if side == "right" else pose.left_foot
+    hip = reference_body().joints.astype(float)[AT[f"{side}_hip"]] + pose.hips
+    if stance.name in ("back", "belly", "floor"):
+        return _lying(own, hip, sign, stance, target)
+    if stance.name == "chair":
+        return _seated(own, hip, sign, target)
+    if stance.name in ("kneel", "both knees", "crossed"):
+        return own
+    return _standing(own, hip, sign, target, side)
+
+
+def _seated(own: Foot, hip: np.ndarray, sign: float, target: Target) -> Foot:
+    ways, far = target.ways, target.amount
+    if "apart" in ways:
+        return replace(own, ankle=(0.12 + 0.16 * far, *own.ankle[1:]), knee=(0.6, 0, 1))
+    if "back" in ways:
+        return _aimed(hip, sign, np.array([0, -0.05, 1.0]), own, folded=118)
+    if target.limb == "leg" and ways & {"ahead", "up", "straight"}:
+        return _aimed(hip, sign, np.array([0, -0.16 + 0.15 * (far - 1), 1.0]), own)
+    return _aimed(hip, sign, np.array([0, 0.45 * far, 1.0]), own, folded=95) if ways & {"up"} or target.at else own
+
+
+def _standing(own: Foot, hip: np.ndarray, sign: float, target: Target, side: str) -> Foot:
+    ways, far = target.ways, target.amount
+    level = target.at if target.by == "level" else {"chest": "chest", "belly": "chest"}.get(target.at, "")
+    if target.at in ("buttocks", "back"):
+        return _aimed(hip, sign, np.array([0, -1.0, 0.08]), own, folded=128)
+    if target.at == "knee" and target.limb in ("leg", "heel"):
+        return Foot((-0.08, 0.53, 0.03), 50, (1, 0, 0.5), 40)
+    if "lifted" in ways:
+        return Foot((0.12, 0.42, 0.06), 28, (0.15, 0, 1))
+    if "apart" in ways:
+        return Foot((0.12 + 0.3 * far, 0.081, 0))
+    if "tiptoe" in ways:
+        return foot_on(0.12, 0.0, 34)
+    if "bent" in ways and not level:
+        return _aimed(hip, sign, np.array([0, -1.0, 0.15]), own, folded=80 * min(far, 1.5))
+    if "back" in ways:
+        return _aimed(hip, sign, _ahead(-min(BACK * far, 50)), own)
+    aside = 1.0 if "side" in ways or side in ways else -1.0 if ways & {"left", "right"} else 0.0
+    if aside and "ahead" not in ways:
+        turn = np.radians(min((SIDE if aside > 0 else 0.8 * SIDE) * far, 75)) * aside
+        return _aimed(hip, sign, np.array([sign * np.sin(turn), -np.cos(turn), 0.0 if aside > 0 else 0.25]), own)
+    if target.limb == "leg" and (level or ways & {"ahead", "straight"}):
+        return _aimed(hip, sign, _ahead(min(STRAIGHT.get(level, AHEAD * far), MOST)), own)
+    angle = THIGH_AT.get(level, KNEE * min(far, 1.35))
+    return _aimed(hip, sign, _ahead(angle), own, folded=angle + 4)
+
+
+def _ahead(degrees: float) -> np.ndarray:
+    """The direction of a leg so far ahead of hanging down."""
+    turn = np.radians(degrees)
+    return np.array([0, -np.cos(turn), np.sin(turn)])
+
+
+def _aimed(hip: np.ndarray, sign: float, way: np.ndarray, own: Foot, folded: float = 0.0) -> Foot:
+    """A foot of a leg whose thigh points into a direction, straight or with the knee folded so far [degrees]."""
+    way = way / np.linalg.norm(way)
+    turn = np.radians(folded)
+    shank = np.array(
+        [way[0], way[1] * np.cos(turn) - way[2] * np.sin(turn), way[1] * np.sin(turn) + way[2] * np.cos(turn)]
+    )
+    ankle = hip + THIGH * way + (SHANK if folded else LEG - THIGH) * shank
+    front = np.array([0.1 * sign, way[2], -way[1]])  # to where a knee is bent
+    if folded:
+        front = hip + THIGH * way - 0.5 * (hip + ankle)
+    pitch = np.degrees(np.arctan2(-shank[2], -shank[1]))
+    pitch = 0.5 * pitch if pitch < 0 and not folded else pitch + 12
+    return Foot(_vector(ankle * [sign, 1, 1]), float(np.clip(pitch, -75, 120)), _vector(front * [sign, 1, 1]), own.turn)
+
+
+def _lying(own: Foot, hip: np.ndarray, sign: float, stance: Stance, target: Target) -> Foot:
+    """The foot of who lies, or sits on the floor with straight legs."""
+    ways, far = target.ways, target.amount
+    x, y, z = own.ankle
+    if "apart" in ways or ("side" in ways and "up" not in ways):
+        return replace(own, ankle=(0.13 + 0.3 * min(far, 1.4), y, z - np.sign(z) * 0.06))
+    if stance.name == "belly":
+        turn = np.radians(22 * min(far, 1.4))
+        if "bent" in ways or target.limb in ("knee", "heel"):
+            return replace(own, ankle=(x, 0.46, float(hip[2] - THIGH)), pitch=60.0)
+        ankle = hip + LEG * np.array([0.02 * sign, np.sin(turn), -np.cos(turn)])
+        return replace(own, ankle=_vector(ankle * [sign, 1, 1]))
+    if "bent" in ways and not ways & {"up"}:
+        return Foot((0.13, 0.081, float(hip[2] + 0.5)), 0.0, (0.15, 1.0, 0.3), 8)
+    if target.limb == "knee" or target.at in ("chest", "belly"):
+        return _aimed(hip, sign, np.array([0, 1.0, -0.1 if target.at else 0.25]), own, folded=95)
+    if not ways & {"up", "ahead", "straight"} and target.by != "level":
+        return own
+    turn = np.radians(min((62 if stance.name == "back" else 24) * far, 88))
+    ankle = hip + LEG * np.array([0.02 * sign, np.sin(turn), np.cos(turn)])
+    return Foot(_vector(ankle * [sign, 1, 1]), -70.0, (0.1, 1.0, -0.4), 6)
+
+
+def _grounded(pose: Pose) -> Pose:
+    """A pose whose pelvis is so low that feet on the ground are reached."""
+    rest = reference_body().joints.astype(float)
+    low = 0.0
+    for side, sign in SIDES:
+        foot: Foot = getattr(pose, f"{side}_foot")
+        if foot.ankle[1] < 0.2:
+            hip = rest[AT[f"{side}_hip"]] + pose.hips
+            away = np.array(foot.ankle) * [sign, 1, 1] - hip
+            across = min(float(np.hypot(away[0], away[2])), LEG - 0.05)
+            low = max(low, hip[1] - foot.ankle[1] - float(np.sqrt((LEG + 0.006) ** 2 - across**2)))
+    x, y, z = pose.hips
+    return replace(pose, hips=(x, y - low, z)) if low > 0 else pose
+
+
+def _vector(values: np.ndarray) -> Vector:
+    x, y, z = np.asarray(values, float).tolist()
+    return x, y, z

@@ -1,0 +1,290 @@
+"""What a clause says limbs do: how somebody is (stands, sits, kneels, lies, squats), which limbs go where, and what
+else goes on meanwhile.
+
+A phrase is one of limbs where all of its words are (`limbs.phrases`): "raises the left arm to the side" is, "raises the
+left arm in greeting" is not. What is left of a clause goes on meanwhile, where it leaves the limbs that are told
+free: who walks can hold the hands behind the back, and who throws cannot.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from bunraku.language.lexicon.reading import actions_of, words_of
+from bunraku.language.lexicon.tables import Action, lexicon
+from bunraku.language.limbs.phrases import LIMBS, OTHER, Phrase, Target, participle, phrases_of, segments_of, targets_of
+
+__all__ = ["Posing", "Stance", "Step", "posing_of"]
+
+_LEGS = frozenset(("leg", "knee", "heel"))
+_LOW = frozenset(("knee", "leg", "heel", "floor", "buttocks"))
+"""Places that hands reach with the help of all of the body."""
+_POSTURES = frozenset(("lean", "bend", "tilt", "stretch", "spread", "cross", "clasp"))
+"""Verbs of which "-ing" beside something else says how somebody is held."""
+_PARTS = {"head": "head", "trunk": "upper body", "shoulders": "arms"}
+_GOES_ON = frozenset(("and", "then", "comma"))
+
+
+class Step(NamedTuple):
+    """What limbs do at a time.
+
+    Args:
+        targets: Where they go.
+        stays: They are held there.
+        again: They go there and back again and again.
+        alternately: First the one of the left, then that of the right side.
+        besides: What limbs did before is kept meanwhile.
+    """
+
+    targets: tuple[Target, ...]
+    stays: bool = False
+    again: bool = False
+    alternately: bool = False
+    besides: bool = False
+
+
+class Stance(NamedTuple):
+    """How somebody is.
+
+    Args:
+        name: "stand", "chair", "seat" of who sits anywhere, "floor", "crossed" (who sits there with crossed legs),
+            "kneel", "both knees", "squat", "back" or "belly" (who lies).
+        side: That of the knee that is down; "" for either.
+        goes: It is said that somebody goes down to it.
+    """
+
+    name: str = "stand"
+    side: str = ""
+    goes: bool = False
+
+
+@dataclass(frozen=True)
+class Posing:
+    """What a clause says limbs do.
+
+    Args:
+        stance: How somebody is; None where nothing is said of it.
+        held: Where limbs are all the time.
+        steps: What they do, one after the other.
+        rest: What goes on meanwhile, as the words stand there; "" for nothing.
+        text: The words of the limbs.
+    """
+
+    stance: Stance | None
+    held: tuple[Target, ...]
+    steps: tuple[Step, ...]
+    rest: str = ""
+    text: str = ""
+
+    @property
+    def bare(self) -> Posing:
+        """The same without its words, for comparison."""
+        return replace(self, rest="", text="")
+
+    @property
+    def mirrored(self) -> Posing:
+        """The same with left and right exchanged."""
+        stance = self.stance and self.stance._replace(side=OTHER.get(self.stance.side, self.stance.side))
+        steps = tuple([step._replace(targets=tuple([one.mirrored for one in step.targets])) for step in self.steps])
+        return replace(self, stance=stance, held=tuple([one.mirrored for one in self.held]), steps=steps)
+
+    @property
+    def targets(self) -> tuple[Target, ...]:
+        """All that limbs do."""
+        return (*self.held, *(target for step in self.steps for target in step.targets))
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Parts of the body that are told (`body.parts.PARTS`)."""
+        found: dict[str, None] = {}
+        for one in self.targets:
+            arm = f"{one.side} arm" if one.side in OTHER else "arms"
+            found[arm if one.limb in ("arm", "elbow") else _PARTS.get(one.limb, "lower body")] = None
+        return tuple(found)
+
+
+@functools.lru_cache(maxsize=1024)
+def posing_of(predicate: str) -> Posing | None:
+    """What a clause says limbs do; None where it says nothing of that, or something that needs the same limbs besides.
+
+    Args:
+        predicate: In English, without who does it.
+    """
+    words, spans = words_of(predicate)
+    phrases = phrases_of(words)
+    segments = segments_of(phrases)
+    reader, left, told = _Reader(), list[tuple[str, list[Phrase]]](), list[list[Phrase]]()
+    open_limbs: list[Phrase] = []
+    for number, (join, own) in enumerate(segments):
+        some, open_limbs = [*open_limbs, *own], []
+        following = segments[number + 1][0] if number + 1 < len(segments) else ""
+        if following == "and" and {one.kind for one in own} <= {"part", "side"}:
+            open_limbs = some  # "the arms and the legs spread"
+        elif reader.read(join, some):
+            told.append(some)
+        else:
+            left.append((join, some))
+    reader.cross_legs()
+    if not (reader.held or reader.steps) or open_limbs:
+        return None
+    begins = {one.start: before.stop for before, one in itertools.pairwise(phrases)}
+    rest, text = (_text(predicate, spans, some, begins) for some in ([some for _, some in left], told))
+    found = Posing(reader.stance, tuple(reader.held), tuple(reader.steps), rest, text)
+    at_once = len(left) == 1 and left[0][0] != "with" and all(join != "then" for join, _ in segments)
+    return found if not rest or (at_once and _free(rest, found)) else None
+
+
+class _Reader:
+    """The things that a clause says of limbs, read one after the other."""
+
+    def __init__(self) -> None:
+        self.stance: Stance | None = None
+        self.held: list[Target] = []
+        self.steps: list[Step] = []
+        self.verb, self.mode, self.sided = "", "", ""
+        self.last: tuple[Target, ...] = ()
+
+    def read(self, join: str, phrases: Sequence[Phrase]) -> bool:
+        """Whether some phrases are of limbs, or of how somebody is; then they are read."""
+        kinds = {one.kind for one in phrases}
+        if "other" in kinds:
+            return False
+        if "stance" in kinds:
+            return "does" not in kinds and self._stance(phrases)
+        if "only" in kinds or "still" in kinds:
+            return self._legs_stay(phrases, kinds)
+        return self._limbs(join, phrases, kinds)
+
+    def cross_legs(self) -> None:
+        """Who sits, on no chair, and crosses the legs sits on the floor, cross-legged."""
+        targets = [*self.held, *(one for step in self.steps for one in step.targets)]
+        crosses = any(one.limb == "leg" and "crossed" in one.ways for one in targets)
+        if self.stance is None or self.stance.name not in ("seat", "floor") or not crosses:
+            return
+        self.stance = self.stance._replace(name="crossed")
+        self.held = [one for one in self.held if one.limb != "leg"]
+        left = [step._replace(targets=tuple([one for one in step.targets if one.limb != "leg"])) for step in self.steps]
+        self.steps = [step for step in left if step.targets]
+
+    def _stance(self, phrases: Sequence[Phrase]) -> bool:
+        verb = next(one for one in phrases if one.kind == "stance").value
+        parts = {one.value: one.words[-1] for one in phrases if one.kind == "part"}
+        sides = [one.value for one in phrases if one.kind == "side"]
+        ways = {one.value for one in phrases if one.kind == "way"}
+        if "up" in ways or self.stance is not None:
+            return False
+        if self.steps:  # "raises the arms while standing"
+            return verb == "stand" and not parts and not ways
+        side = next((one for one in sides if one in OTHER), "")
+        if verb == "stand" and "leg" in parts and parts["leg"] in ("leg", "foot"):
+            self.held.append(Target("leg", OTHER.get(side, "one"), frozenset(["lifted"])))
+        elif verb == "stand" and set(parts) - {"floor"}:
+            return False
+        if "tiptoe" in ways:
+            self.held.append(Target("heel", "both", frozenset(["tiptoe"])))
+        name = {"sit": "seat", "lie": "back"}.get(verb, verb)
+        if verb == "sit":
+            name = next((one for one in ("floor", "chair") if one in parts), "crossed" if "crossed" in ways else name)
+            name = "crossed" if "crossed" in ways and name != "chair" else name
+        elif verb == "kneel" and (parts.get("knee") == "knees" or "both" in sides):
+            name = "both knees"
+        elif verb == "lie" and {"belly", "chest", "face"} & set(parts):
+            name = "belly"
+        self.stance = Stance(name, side if verb == "kneel" else "", "down" in ways)
+        return True
+
+    def _legs_stay(self, phrases: Sequence[Phrase], kinds: AbstractSet[str]) -> bool:
+        """Whether phrases say that legs stay where they are, or that something else is all that moves."""
+        parts = {LIMBS.get(one.value, "") for one in phrases if one.kind == "part"}
+        legs = parts & {*_LEGS, ""}
+        if not parts or (parts - _LEGS if "still" in kinds else legs):
+            return False
+        self.held.append(Target("leg", "both", frozenset(["still"])))
+        return True
+
+    def _limbs(self, join: str, phrases: Sequence[Phrase], kinds: AbstractSet[str]) -> bool:
+        verbs = [one for one in phrases if one.kind == "does"]
+        goes_on = join in _GOES_ON and not (join == "comma" and "part" in kinds)
+        verb = self.verb if goes_on else ""
+        if verbs:  # "lowers the raised arm", "keeps the arms stretched"
+            told = [one.value for one in verbs if not participle(one) and one.value != "hold"]
+            verb = told[0] if told else verbs[-1].value
+        targets = targets_of(phrases, verb, self.last, self.sided)
+        if not targets:
+            holds = verb == "hold" and bool(verbs and self.steps) and "part" not in kinds  # "and holds it"
+            if holds:
+                self.steps[-1] = self.steps[-1]._replace(stays=True)
+            return holds
+        again = bool(kinds & {"again", "alternately"}) or any(one.to for one in targets)
+        acts = _acts(join, phrases, verbs) if verbs else goes_on and self.mode == "step"
+        self.mode = "step" if acts or again else "held"
+        if self.mode == "held":
+            self.held += targets
+        elif join == "while" and self.steps:
+            before = self.steps[-1]
+            self.steps[-1] = before._replace(targets=(*before.targets, *targets), again=before.again or again)
+        else:
+            besides = join in ("and", "comma") and bool(self.steps)
+            self.steps.append(Step(targets, "stays" in kinds, again, "alternately" in kinds, besides))
+        if self.mode == "step" or not self.steps:
+            self.last = targets
+        self.verb = verb
+        self.sided = next((one.side for one in targets if one.side != "both"), self.sided)
+        return True
+
+
+def _acts(join: str, phrases: Sequence[Phrase], verbs: Sequence[Phrase]) -> bool:
+    """Whether verbs say what somebody does, and not how he is: "leaning back" is a posture where it is joined to
+    something else, and so is a form that says nothing ("spread") after its limb.
+    """
+    word, table = verbs[0].words[0], lexicon()
+    if any(one.value == "hold" for one in verbs):
+        return False
+    if word in table.gerund:
+        return join in ("", "and", "then") or verbs[0].value not in _POSTURES
+    return word in table.third or (word in table.verbs and join != "with" and phrases[0] is verbs[0])
+
+
+def _text(
+    predicate: str, spans: Sequence[tuple[int, int]], segments: Sequence[Sequence[Phrase]], begins: Mapping[int, int]
+) -> str:
+    """The words of some phrases as they stand there, with what stands between those of each, and before the first."""
+    found = [(begins.get(some[0].start, 0), some[-1].stop - 1) for some in segments]
+    return " and ".join(predicate[spans[first][0] : spans[last][1]] for first, last in found)
+
+
+def _free(rest: str, posing: Posing) -> bool:
+    """Whether who does something can pose limbs meanwhile: nobody does on legs what legs are told otherwise, and arms
+    that swing or are bent go with the legs of who walks.
+    """
+    if posing.stance is not None and posing.stance.name != "stand":
+        return False
+    if any(one.limb in {*_LEGS, "hips"} and "still" not in one.ways for one in posing.targets):
+        return False
+    if any(one.at in _LOW or one.to & {"ahead", "back"} or _loose(one) for one in posing.targets):
+        return False
+    if any(one.limb == "trunk" for step in posing.steps for one in step.targets):
+        return False
+    rows = [lexicon().actions[action] for action in actions_of(rest)]
+    arms = any(part.endswith(("arm", "arms", "upper body")) for part in posing.parts)
+    for row in rows:
+        on_foot = _on_foot(row) or any(lexicon().actions[one].locomotion in ("walk", "run") for one in row.covers)
+        busy = "arms" in row.part if arms else row.part == "head" and "head" in posing.parts
+        if busy or not (on_foot or row.part):
+            return False
+    return bool(rows)
+
+
+def _loose(target: Target) -> bool:
+    """Whether an arm is only said to be bent or straight."""
+    return target.limb in ("arm", "elbow") and target.ways <= {"bent", "straight"} and not (target.at or target.to)
+
+
+def _on_foot(row: Action) -> bool:
+    """Whether an action is one of the legs, whatever it does with the arms."""
+    return bool(row.locomotion) or row.part == "legs" or row.turning or row.ahead
