@@ -26,6 +26,9 @@ from bunraku.language.understood import understood
         ("rests a hand on a tombstone", "touch", 0.6, 1.0),
         ("a person puts both hands on the desk", "touch", 0.8, 1.05),
         ("leans against a tree", "lean", 1.1, 1.6),
+        ("pats a child on the head", "pat", 0.8, 1.3),
+        ("puts a hand on somebody's shoulder", "touch", 1.2, 1.6),
+        ("touches the contraption", "touch", 0.8, 1.4),  # which the table does not know
     ],
 )
 def test_what_is_done_and_how_high_follows_from_the_thing(text, deed, lowest, highest):
@@ -76,6 +79,9 @@ def test_a_thing_is_on_the_side_that_is_said():
         "strokes with trunk rotation to the left",
         "rests on the bed",
         "looks at a telescope",
+        "strokes his beard",
+        "pats her head",
+        "turns the contraption",
     ],
 )
 def test_what_is_no_deed_at_a_thing_or_not_all_that_is_done_is_none(text):

@@ -20,6 +20,9 @@ from bunraku.language.parse import parse
         ("steps carefully over broken glass", "sharp"),
         ("trudges through sand dunes", "soft"),
         ("walks along the beach", "soft"),
+        ("steps over a log", "obstacle"),
+        ("steps over a puddle", "obstacle"),
+        ("walks the plank", "narrow"),
         ("walks up a steep hill", "uphill"),
         ("climbs a hill", "uphill"),
         ("walks down a hill", "downhill"),
@@ -39,7 +42,7 @@ def test_the_ground_is_read(text, ground):
     "text",
     [
         "walks along the river",
-        "steps over a log",
+        "jumps over a log",
         "climbs a rope",
         "climbs a ladder",
         "runs through the snow",

@@ -18,6 +18,12 @@ def test_where_somebody_looks_follows_from_what_is_seen():
     assert abs(sight_of("stares at a painting on the wall").pitch) < 5
 
 
+def test_what_hands_meet_is_as_low_as_that_and_what_is_not_known_is_straight_ahead():
+    pitches = [sight_of(f"looks at the {thing}").pitch for thing in ("statue", "vase", "box")]
+    assert pitches == sorted(pitches) and pitches[0] < 20 < 40 < pitches[2]
+    assert abs(sight_of("looks at the contraption").pitch) < 5
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -30,6 +36,7 @@ def test_where_somebody_looks_follows_from_what_is_seen():
         "looks to the left",
         "looks up at the sky",
         "looks tired",
+        "looks at his hands",
     ],
 )
 def test_gestures_of_looking_and_what_is_done_beside_it_are_none(text):

@@ -14,6 +14,7 @@ def test_all_deeds_and_grounds_of_the_table_are_made_and_all_that_are_made_are_s
     assert grounds == set(read_treads())
     said = {what for kind in table.kinds.values() for what in (*kind.deeds, *kind.going)}
     assert set(table.verbs.values()) >= said - {"see through"}
+    assert {table.unknown.deeds[what] for what in table.unknown.deeds} <= deeds
 
 
 def test_several_hundred_things_stand_where_people_of_that_height_meet_them():

@@ -32,6 +32,8 @@ LEANS, GOES = 42.0, 0.22
 """How far the trunk leans after hands that go ahead [degrees/m], and how far the pelvis goes with them [m/m]."""
 BENDS, SINKS = 30.0, 0.2
 """The same after hands that go down."""
+ARM = 0.5
+"""How far ahead things are that stand upright, at the least [m]."""
 START, END = 0.9, 0.9
 """Seconds from standing to what is done again and again, and back."""
 TIMES = 6
@@ -96,10 +98,19 @@ def _poses(row: Mapping[str, Any], contact: Contact) -> list[Pose]:
             late = count // 2 if row.get("apart") and sign > 0 else 0
             by = path[(number + late) % count] @ frame
             goes += by / (2 if contact.hands == "both" else 1)
-            hands[side] = _on(own, by, hold, face, turns[number])
+            away = _away(own, contact)
+            hands[side] = _on(own, by + away, hold, face, turns[number])
         share = number / max(count - 1, 1)
-        found.append(_followed(replace(base, **hands), goes, row.get("opens", 0.0) * share))
+        opens, bows = (share * row.get(name, 0.0) for name in ("opens", "bows"))
+        found.append(_followed(replace(base, **hands), goes, opens, bows))
     return found
+
+
+def _away(hand: Hand, contact: Contact) -> np.ndarray:
+    """How far a hand is beyond where it holds what it has taken, on what stands upright: at arm's length."""
+    if contact.surface == "top" or contact.way:
+        return np.zeros(3)
+    return np.array([0, 0, max(ARM - hand.palm[2], 0.0)])
 
 
 def _on(hand: Hand, by: np.ndarray, hold: Mapping[str, Sequence[float]], face: np.ndarray, turn: float) -> Hand:
@@ -111,14 +122,16 @@ def _on(hand: Hand, by: np.ndarray, hold: Mapping[str, Sequence[float]], face: n
     return replace(hand, palm=palm, fingers=fingers, faces=faces)
 
 
-def _followed(pose: Pose, goes: np.ndarray, opens: float) -> Pose:
-    """A pose whose trunk and pelvis go with hands that go so far from where they were at first, and turn so far."""
+def _followed(pose: Pose, goes: np.ndarray, opens: float, bows: float) -> Pose:
+    """A pose whose trunk and pelvis go with hands that go so far from where they were at first [m], turn so far to the
+    left, and lean so far over them [degrees].
+    """
     _, up, ahead = goes.tolist()
     down = min(up, 0.0)
     x, y, z = pose.hips
     lean, head = pose.lean, pose.head
-    hips = (x, y + SINKS * down, z + GOES * ahead)
-    leans = (lean[0] + LEANS * ahead - BENDS * down, lean[1] + 0.5 * opens, lean[2])
+    hips = (x, y + SINKS * down, z + GOES * ahead - 0.005 * bows)
+    leans = (lean[0] + LEANS * ahead - BENDS * down + bows, lean[1] + 0.5 * opens, lean[2])
     looks = (head[0], head[1] - 0.4 * opens, head[2])  # at what is opened
     return replace(pose, hips=hips, lean=leans, head=looks, turn=pose.turn + 0.5 * opens)
 

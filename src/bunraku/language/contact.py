@@ -10,9 +10,9 @@ import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from bunraku.language.lexicon.reading import words_of
+from bunraku.language.lexicon.reading import said_phrases, words_of
 from bunraku.language.lexicon.things import Kind, Named, named_in, things
-from bunraku.language.phrasing import does_else, named_hands, object_of, verbs_in, way_in, zone_of
+from bunraku.language.phrasing import does_else, named_hands, names_a_thing, object_of, verbs_in, way_in, zone_of
 
 __all__ = ["Contact", "contact_of", "contact_words"]
 
@@ -50,8 +50,10 @@ def contact_of(text: str) -> Contact | None:
         text: In English.
     """
     words = words_of(text)[0]
+    starts = said_phrases(text)["actions"].values()
     for verb, zone, deed, thing in _found(words):
-        if not does_else(text, verb, zone):
+        known = thing is None or thing.means is not things().unknown
+        if not does_else(text, verb, zone) and (known or verb not in starts):
             return _made(words, zone, deed, thing)
     return None
 
@@ -60,7 +62,8 @@ def contact_words(text: str) -> frozenset[int]:
     """The numbers of the words of a text that say what is done with things."""
     found: set[int] = set()
     for verb, _, _, thing in _found(words_of(text)[0]):
-        found.update((verb, *(range(thing.start, thing.stop) if thing else ())))
+        known = thing is not None and thing.means is not things().unknown
+        found.update((verb, *(range(thing.start, thing.stop) if thing and known else ())))
     return frozenset(found)
 
 
@@ -113,8 +116,11 @@ def _thing(words: Sequence[str], zone: range, what: str) -> Named[Kind] | None:
         if known:
             return known[last]
         if what not in table.defaults and what != _THROUGH:
-            return None
-    return None
+            break
+    known = named_in(table.kinds, words, near.start, near.stop)
+    if known or what not in table.unknown.deeds or not names_a_thing(words, near):
+        return None
+    return Named(near.start, near.stop, table.unknown)
 
 
 def _made(words: Sequence[str], zone: range, deed: str, thing: Named[Kind] | None) -> Contact:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from bunraku.language.lexicon.reading import actions_of, said_phrases
 from bunraku.language.lexicon.tables import lexicon
 
-__all__ = ["does_else", "named_hands", "object_of", "verbs_in", "way_in", "zone_of"]
+__all__ = ["does_else", "named_hands", "names_a_thing", "object_of", "verbs_in", "way_in", "zone_of"]
 
 
 def verbs_in(words: Sequence[str], verbs: Mapping[str, str]) -> list[tuple[int, str]]:
@@ -46,6 +46,13 @@ def object_of(words: Sequence[str], zone: range) -> range:
     while stop < zone.stop and words[stop] not in ends:
         stop += 1
     return range(start, stop)
+
+
+def names_a_thing(words: Sequence[str], some: range) -> bool:
+    """Whether some words are a noun that is no part of the body: "the contraption"."""
+    table, own = lexicon(), words[some.start : some.stop]
+    body = table.grammar["limbs"] | table.grammar["parts"] | {*table.body}
+    return len(own) > 1 and own[0] in table.grammar["determiners"] and not body.intersection(own)
 
 
 def does_else(text: str, verb: int, zone: range) -> bool:

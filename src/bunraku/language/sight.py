@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Sequence
 
 from bunraku.language.lexicon.reading import actions_of, said_phrases, words_of
 from bunraku.language.lexicon.tables import lexicon
 from bunraku.language.lexicon.things import Named, Sight, named_in, things
-from bunraku.language.phrasing import does_else, verbs_in, zone_of
+from bunraku.language.phrasing import does_else, names_a_thing, object_of, verbs_in, zone_of
 
 __all__ = ["sight_of", "sight_words"]
+
+EYES, AWAY = 1.7, 1.6
+"""How high eyes are, and how far away somebody stands who looks at a thing that hands meet [m]."""
 
 
 @functools.lru_cache(maxsize=1024)
 def sight_of(text: str) -> Sight | None:
-    """Where a clause says that somebody looks; None where it says nothing of that, or something else beside it, or
-    names nothing that is known.
+    """Where a clause says that somebody looks; None where it says nothing of that, or something else beside it. What is
+    not known is straight ahead.
 
     Args:
         text: In English.
@@ -40,7 +44,7 @@ def sight_words(text: str) -> frozenset[int]:
 
 def _found(words: Sequence[str]) -> list[tuple[int, range, Named[Sight]]]:
     """Each verb of looking with what belongs to it and what is seen: what is named after it or, where nothing is,
-    before it where somebody stands, "at a cliff and looks down".
+    before it where somebody stands, "at a cliff and looks down"; of a thing that hands meet, how high it is.
     """
     table, found = things(), []
     for verb, _ in verbs_in(words, dict.fromkeys(table.looks, "")):
@@ -55,6 +59,14 @@ def _found(words: Sequence[str]) -> list[tuple[int, range, Named[Sight]]]:
             named = [
                 Named(start, stop, sight) for start, stop, meant in before for name, sight in meant if name in ways
             ]
+        near = object_of(words, zone)
+        if not named and (table.looks[words[verb]] or "at" in words[zone.start : near.start]):
+            known = named_in(table.kinds, words, near.start, near.stop)
+            if known:
+                down = math.degrees(math.atan2(EYES - known[-1].means.height, AWAY))
+                named = [Named(known[-1].start, known[-1].stop, Sight(down))]
+            elif names_a_thing(words, near):
+                named = [Named(near.start, near.start, table.level)]
         if named and words[zone.start] not in lexicon().grammar["sought"]:
             found.append((verb, zone, named[0]))
     return found

@@ -15,6 +15,7 @@ from bunraku.gestures.parts import part_in
 from bunraku.language.clauses import subject_of
 from bunraku.language.details import tells_all
 from bunraku.language.lexicon.reading import goes_ahead, stays_down
+from bunraku.language.lexicon.tables import lexicon
 from bunraku.language.limbs.posing import Posing, posing_of
 from bunraku.language.sentence import Clause
 from bunraku.language.told import Told, says_more
@@ -29,8 +30,6 @@ SOME = 4
 """Examples to choose from that are enough to do without those that show more beside what is meant."""
 NEAR_MADE = 0.05
 """The same where the nearest is made by code, since what is captured shows that less plainly."""
-_PASSING = frozenset(("idle", "walk", "handle"))
-"""What hardly disturbs: standing, a few steps before or after, and a thing in the hand."""
 LEAST = 0.6
 """Mean cosine from which an example is one at all."""
 LEAST_MADE = 0.4
@@ -45,8 +44,6 @@ is what its words say: the ranker has never seen it, and takes sit-ups for sitti
 """
 _PACE = {"slow", "fast"}
 """What an example must not say that was not requested."""
-_HEIGHTS = frozenset(("high", "low"))
-"""Of which an example does not say the other one."""
 _NOTHING = said_by([]).actions
 _TURNS = {"turn", "turn around", "spin", "circle"}
 _SIDED = frozenset(f"{side} {limb}" for side in ("left", "right") for limb in ("arm", "leg", "turn", "go")) | {
@@ -203,7 +200,9 @@ def _besides(pack: ExamplePack, found: Found, query: Said) -> int:
     """
     said = pack.said(found.number)
     ways = (said.mirrored_cues if found.mirrored else said.cues) & _ADDED_WAYS - query.cues
-    return len(said.besides - query.actions - _PASSING) + (len(ways) if pack.made[found.number] else 0)
+    rows = lexicon().actions
+    others = [one for one in said.besides - query.actions if one not in rows or not rows[one].passing]
+    return len(others) + (len(ways) if pack.made[found.number] else 0)
 
 
 def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tuple[tuple[str, ...], str]:
@@ -236,9 +235,10 @@ def _shown(query: Said) -> frozenset[str]:
 def _fits(said: Said, mirrored: bool, query: Said, wanted: frozenset[str], near: float) -> bool:
     if near < SAME and said.actions != query.actions:
         return False
-    shown = said.traits
-    for here, there in (("chair", "floor"), ("floor", "chair")):
-        if here in query.traits and there in shown:
+    shown, cues = said.traits, said.mirrored_cues if mirrored else said.cues
+    for pair in lexicon().contrary:
+        asked, told = (pair & (names.cues | names.traits) for names in (query, said._replace(cues=cues)))
+        if asked and told and not asked & told:
             return False
     if query.actions == {"hop"} and "one foot" in query.traits and "one foot" not in shown:
         return False
@@ -253,8 +253,5 @@ def _fits(said: Said, mirrored: bool, query: Said, wanted: frozenset[str], near:
     if query.actions == {"raise arm"} and ("both" in shown) != ("both" in query.traits):
         return False
     if query.actions <= {"walk", "run"} and "halts" in shown and "halts" not in query.traits:
-        return False
-    cues = said.mirrored_cues if mirrored else said.cues
-    if _HEIGHTS & query.cues and _HEIGHTS & cues and not _HEIGHTS & query.cues & cues:
         return False
     return wanted <= cues and cues & _PACE <= query.cues

@@ -13,6 +13,7 @@
 | `handling` | verbs of who takes, holds and puts things, and words for heights, in metres too (`language.handling`) |
 | `grammar` | words that part a clause (`language.phrasing`): what may stand before a noun, after a thing, and so on |
 | `posing` | limbs, their ways and places, and verbs of who poses them (`language.limbs.phrases`), by kind and value |
+| `contrary` | cues and traits that exclude each other |
 | `traits` | what else a clause says (`Clause.traits`) |
 | `numbers`, `adverbs` | words that count, and those of them that count alone: "twice" |
 | `body` | words for parts of the body, beside those of `foreign.table` |
@@ -66,6 +67,7 @@ class Action:
         ahead: Who does it goes somewhere, so that "forward" says something of it.
         down: Who does it is down at its end, if it is not said that he gets up.
         vague: It is said only where nothing else is.
+        passing: It hardly disturbs in an example of something else: standing, a few steps, a thing in the hand.
     """
 
     said: tuple[str, ...]
@@ -81,6 +83,7 @@ class Action:
     ahead: bool = False
     down: bool = False
     vague: bool = False
+    passing: bool = False
 
 
 @dataclass(frozen=True)
@@ -157,6 +160,7 @@ class Lexicon:
         heights: Words for places of things, by their heights.
         levels: What these are in metres, for a body of 1.84 m.
         aside: Words for a place beside.
+        contrary: Cues and traits of which an example does not say another than is said.
         grammar: Words that part a clause, by what they are.
         posing: Phrases of limbs, by the words that they may begin with.
         words: All words of the phrases, and of the rows' names.
@@ -184,6 +188,7 @@ class Lexicon:
     heights: dict[str, frozenset[str]]
     levels: dict[str, float]
     aside: frozenset[str]
+    contrary: tuple[frozenset[str], ...]
     grammar: dict[str, frozenset[str]]
     posing: dict[str, list[Phrase]]
     words: frozenset[str]
@@ -201,6 +206,7 @@ class _Table(TypedDict):
     traits: dict[str, list[str]]
     places: dict[str, list[str]]
     handling: dict[str, Any]
+    contrary: list[list[str]]
     grammar: dict[str, str]
     posing: dict[str, list[str]]
     synonyms: list[tuple[str, str]]
@@ -281,6 +287,7 @@ def lexicon() -> Lexicon:
         dict(data["synonyms"]), data["ground"], tuple(otherwise), data["numbers"],
         frozenset(data["adverbs"].split()), tuple(data["body"].split()), holding, handled, heights,
         data["handling"]["levels"], frozenset(data["handling"]["aside"].split()),
+        tuple(map(frozenset, data["contrary"])),
         {name: frozenset(listed.split()) for name, listed in data["grammar"].items()}, posing,
         words.union(*heights.values()),
     )  # fmt: skip

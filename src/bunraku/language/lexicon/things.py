@@ -4,12 +4,12 @@
 
 | section | a row |
 | --- | --- |
-| `kinds` | a kind of thing (see `Kind`), all else as the kind that it `is`; a noun with a number is so high |
+| `kinds` | a kind of thing (see `Kind`), all else as what it `is`; a noun with a number is so high; `unknown`: others |
 | `verbs` | what is done with things, and its verbs |
 | `defaults` | what is done where no thing is named |
 | `parts` | parts of animals that are as high as their heads |
 | `sights` | where things are seen (see `Sight`), and their nouns |
-| `sight verbs` | verbs of who looks; `sight words` say where whatever they stand before is seen |
+| `sight verbs` | verbs of who looks, `seen` those without "at"; `sight words` before a noun say where it is seen |
 | `grounds` | how somebody walks there (`[grounds]` of `things.toml`), its nouns, and words before them ("-": none) |
 | `ground verbs` | verbs of who walks there, by the word that they stand for: who crosses ice walks across it |
 | `actions` | actions of the lexicon that are no more than walking, or looking, there |
@@ -112,7 +112,9 @@ class Things:
         defaults: What is done where no thing is named.
         parts: Parts of animals that are as high as their heads.
         sights: Where what a noun means is seen, the likeliest first, each with the name of the sight.
-        looks: All forms of verbs of who looks.
+        unknown: What a thing is that no noun says.
+        level: Where such a thing is seen.
+        looks: All forms of verbs of who looks, and whether what is seen follows without "at".
         ways: Names of the sights that a word before a noun says.
         grounds: What walking is like there.
         walks: The word before a ground that each form of a verb of walking stands for; "-" for none.
@@ -124,7 +126,9 @@ class Things:
     defaults: dict[str, str]
     parts: frozenset[str]
     sights: dict[str, tuple[tuple[str, Sight], ...]]
-    looks: frozenset[str]
+    unknown: Kind
+    level: Sight
+    looks: dict[str, bool]
     ways: dict[str, list[str]]
     grounds: dict[str, tuple[Ground, ...]]
     walks: dict[str, str]
@@ -157,7 +161,8 @@ def things() -> Things:
         {form: what for what, some in data[table].items() for verb in some.split() for form in _forms(verb)}
         for table in ("verbs", "ground verbs")
     )
-    looks = frozenset(form for verb in data["sight verbs"].split() for form in _forms(verb))
+    seen = data["seen"].split()
+    looks = {form: verb in seen for verb in data["sight verbs"].split() for form in _forms(verb)}
     ways: dict[str, list[str]] = {}
     for name, some in data["sight words"].items():
         for word in some.split():
@@ -165,7 +170,8 @@ def things() -> Things:
     same = {name: frozenset(actions) for name, actions in data["actions"].items()}
     return Things(
         nouns, verbs, data["defaults"], frozenset(data["parts"].split()),
-        {noun: tuple(found) for noun, found in sights.items()}, looks, ways,
+        {noun: tuple(found) for noun, found in sights.items()}, kinds["unknown"],
+        Sight(float(data["sights"]["level"]["pitch"])), looks, ways,
         {noun: tuple(found) for noun, found in grounds.items()}, walks, same,
     )  # fmt: skip
 
