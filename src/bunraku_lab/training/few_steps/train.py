@@ -307,7 +307,8 @@ def train_few_steps(
     critic = None
     if config.critic and weights_file("critic.safetensors").is_file():
         critic = load_extractor(shipped_checkpoint("critic"), device, RANKER).float()
-        if model.config.text_encoder.removesuffix(CuedEncoder.SUFFIX) != critic.config.text_encoder:
+        own, read = (one.config.text_encoder.removesuffix(CuedEncoder.SUFFIX) for one in (model, critic))
+        if own != read or critic.config.pooled_size > model.config.pooled_size:
             raise OptionError(
                 f"{diffusion}: its text encoder is not that of the critic, {critic.config.text_encoder}; leave the "
                 "critic out with --no-critic"
