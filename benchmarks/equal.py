@@ -42,6 +42,8 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=32)
     parser.add_argument("--rate", type=float, default=6e-4)
     parser.add_argument("--warmup", type=int, default=60)
+    parser.add_argument("--workers", type=int, default=0, help="processes that draw rows ahead")
+    parser.add_argument("--device", help="'cuda', 'cpu'; CUDA where it is there")
     parser.add_argument("--pool", type=int, default=128, help="windows")
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--sampled", type=int, default=8, help="steps of the sampler")
@@ -60,7 +62,16 @@ def main() -> None:
             shutil.copy(known, out)
         settings = {**PEOPLE, **VARIANTS[name], "learning_rate": args.rate, "warmup": args.warmup, "seed": 0}
         return train_diffusion(
-            TrainingConfig(data=args.data, out=out, minutes=None, steps=args.steps, batch=args.batch, **settings)
+            TrainingConfig(
+                data=args.data,
+                out=out,
+                minutes=None,
+                steps=args.steps,
+                batch=args.batch,
+                workers=args.workers,
+                device=args.device,
+                **settings,
+            )
         )
 
     rows = {}

@@ -26,9 +26,12 @@ SOURCES = (HERE if (HERE / "src").is_dir() else HERE.parent) / "src"
 sys.path.insert(0, str(SOURCES))
 
 BUNDLE, WEIGHTS, LOG = "bundle.safetensors", "diffusion.safetensors", "log.csv"
-TEXT = Path("bunraku") / "weights" / "text.safetensors"
+WEIGHT_FILES = Path("bunraku") / "weights"
+TEXT = WEIGHT_FILES / "text.safetensors"
+ALONG = {TEXT, *(WEIGHT_FILES / name for name in ("ranker.safetensors", "examples.safetensors", "examples.json"))}
+"""Weights that go along: those that rows are told by."""
 LARGEST = 1 << 18
-"""Of a file beside the code that goes along [bytes]; the page, the samples and all weights but one stay."""
+"""Of a file beside the code that goes along [bytes]; the page, the samples and all weights but a few stay."""
 RESERVE = 25.0
 """Of the limit, kept for writing the state and the pieces [s]."""
 
@@ -43,7 +46,7 @@ def pack(options: argparse.Namespace) -> None:
         position = path.relative_to(SOURCES)
         left = "__pycache__" in position.parts or "static" in position.parts
         small = path.suffix == ".py" or path.stat().st_size <= LARGEST
-        if path.is_file() and not left and (("weights" not in position.parts and small) or position == TEXT):
+        if path.is_file() and not left and (("weights" not in position.parts and small) or position in ALONG):
             (out / "src" / position).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, out / "src" / position)
     shutil.copyfile(__file__, out / "gpu.py")
@@ -52,7 +55,7 @@ def pack(options: argparse.Namespace) -> None:
     else:
         facts = write_bundle(options.data, out / BUNDLE, options.mesh_bank, options.people)
         print(f"{facts.clips} clips, handles off by {facts.error * 100:.2f} cm on average")
-    parts = {"data": [out / BUNDLE], "text encoder": [out / "src" / TEXT]}
+    parts = {"data": [out / BUNDLE], "text encoder, ranker, examples": [out / "src" / path for path in sorted(ALONG)]}
     parts["all"] = [path for path in out.rglob("*") if path.is_file()]
     for name, paths in parts.items():
         print(f"{name}: {sum(path.stat().st_size for path in paths) / 2**20:.1f} MiB")
@@ -72,11 +75,12 @@ def train(options: argparse.Namespace) -> None:
     alarm.start()
     from bunraku_lab.training.diffusion.train import TrainingConfig, train_diffusion
 
-    settings = {"batch": options.batch, "learning_rate": options.learning_rate, "steps": options.steps}
+    names = ("batch", "learning_rate", "steps", "examples", "convolution", "drop_tokens", "ema", "warmup", "pool")
+    settings = {name: getattr(options, name) for name in names}
     config = TrainingConfig(
         data=options.data or HERE / BUNDLE, out=options.run, preset=options.preset, start=options.start,
         device=options.device, threads=options.threads or min(os.cpu_count() or 1, 16), minutes=options.minutes,
-        save_every=options.save_every, compose=0.15, creatures=0.2, events=0.3,
+        save_every=options.save_every, compose=0.15, creatures=0.2, events=0.3, workers=options.workers,
         **{name: value for name, value in settings.items() if value is not None},
     )  # fmt: skip
     try:
@@ -134,6 +138,13 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--steps", type=int, help="at most")
     one.add_argument("--batch", type=int)
     one.add_argument("--learning-rate", type=float)
+    one.add_argument("--warmup", type=int, help="steps")
+    one.add_argument("--ema", type=float, help="decay of the averaged weights")
+    one.add_argument("--examples", type=int, help="captured examples that the network attends to")
+    one.add_argument("--convolution", type=int, help="tokens that a convolution reaches over")
+    one.add_argument("--drop-tokens", type=float, help="share of the text tokens that rows lack")
+    one.add_argument("--workers", type=int, default=0, help="processes that draw rows into a pool on the device")
+    one.add_argument("--pool", type=int, help="rows in it")
     one.add_argument("--threads", type=int, help="of the processor")
     one.add_argument("--save-every", type=float, default=2.0, help="minutes")
     one.add_argument("--piece", type=int, default=16, help="MiB of the largest file that comes back")
