@@ -16,7 +16,8 @@ from bunraku.language.handling import handling_of
 from bunraku.language.lexicon.cues import said_cues
 from bunraku.language.lexicon.reading import actions_of, said_traits, words_of
 from bunraku.language.lexicon.tables import lexicon
-from bunraku.language.limbs.posing import posing_of
+from bunraku.language.limbs.phrases import names_limb
+from bunraku.language.limbs.posing import Posing, posing_of
 from bunraku.language.told import told_of, with_names
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "as_told",
     "begins",
     "handed_on",
+    "limbs_told",
     "of_creature",
     "of_person",
     "parts_of",
@@ -283,9 +285,15 @@ def handed_on(clauses: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
     return found
 
 
+def limbs_told(clause: str) -> Posing | None:
+    """What a clause says limbs do, who does it or which limb its subject; None where it says nothing of that."""
+    subject, predicate = subject_of(clause)
+    return posing_of(clause if subject and names_limb(subject) else predicate)
+
+
 def _of_limbs(text: str) -> bool:
     """Whether a text says nothing but what limbs do."""
-    posing = posing_of(subject_of(text)[1])
+    posing = limbs_told(text)
     return posing is not None and not posing.rest
 
 

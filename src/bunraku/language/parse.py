@@ -5,7 +5,7 @@ fields.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from bunraku.errors import OptionError
@@ -15,6 +15,7 @@ from bunraku.language.clauses import (
     as_present,
     as_told,
     handed_on,
+    limbs_told,
     of_person,
     parts_of,
     shared,
@@ -26,7 +27,8 @@ from bunraku.language.concurrent import moved_part, split_voices
 from bunraku.language.details import added_words, count_of
 from bunraku.language.lexicon.cues import said_cues
 from bunraku.language.lexicon.reading import actions_of, locomotion_of, said_traits
-from bunraku.language.limbs.posing import Posing, posing_of
+from bunraku.language.lexicon.tables import lexicon
+from bunraku.language.limbs.posing import Posing, Stance
 from bunraku.language.prompts import check_prompt, narrow, parse_sequence, timed_sequence
 from bunraku.language.sentence import Clause, Sentence, Turn
 from bunraku.language.told import says_more, told_of, with_names
@@ -35,6 +37,8 @@ from bunraku.language.understood import check_understood
 __all__ = ["clause_of", "clauses_of", "parse"]
 
 
+_STANCES = {"sit": "seat", "kneel": "kneel", "both knees": "both knees", "lie": "back", "squat": "squat"}
+"""How somebody is after an action (`Stance`)."""
 _ROUND = frozenset(("spin", "circle"))
 """Actions of who turns all the way round."""
 
@@ -58,18 +62,40 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
     clauses = [clause for found, length in parts for clause in handed_on(timed_clauses(as_told(found.english), length))]
     clauses = list(zip(with_names([text for text, _ in clauses]), [length for _, length in clauses], strict=True))
     found = [part for part, _ in parts]
+    read = [clause_of(as_caption(as_present(text)), length) for text, length in clauses]
     loop = any("loop" in said_traits(part.prompt) for part in found)
     notes = [note for part in found for note in part.notes]
     return Sentence(
         prompt,
         "; ".join(part.english for part in found),
         found[0].language,
-        tuple(clause_of(as_caption(as_present(text)), length) for text, length in clauses),
+        tuple(_with_stances(read)),
         tuple(word for part in found for word in part.unknown),
         tuple(pair for part in found for pair in part.corrected),
         (*notes, "it asks for a loop: add --loop (loop=True in Python)") if loop else tuple(notes),
         loop=loop,
     )
+
+
+def _with_stances(clauses: Iterable[Clause]) -> Iterator[Clause]:
+    """Clauses in a row in which arms and head are moved as somebody is by then: who has sat down claps sitting."""
+    stance: Stance | None = None
+    for clause in clauses:
+        told = clause.told
+        if isinstance(told, Posing):
+            if told.stance is None and stance is not None:
+                clause = replace(clause, told=replace(told, stance=stance))
+            stance = (told.stance or stance or Stance())._replace(goes=False)
+        elif clause.actions:
+            down = next((_STANCES[action] for action in reversed(clause.actions) if action in _STANCES), "")
+            stays = stance is not None and all(
+                lexicon().actions[one].part not in ("", "legs") for one in clause.actions
+            )
+            if stays and not down:
+                clause = replace(clause, stance=stance)
+            else:
+                stance = Stance(down) if down and "gets up" not in clause.traits else None
+        yield clause
 
 
 def clauses_of(script: Iterable[tuple[str, float]]) -> tuple[Clause, ...]:
@@ -88,14 +114,14 @@ def clause_of(text: str, seconds: float = 0.0) -> Clause:
         text: In English.
         seconds: How long it lasts [s].
     """
-    subject, predicate = subject_of(text)
-    posing = posing_of(predicate)
+    posing, subject = limbs_told(text), subject_of(text)[0]
     if posing is not None and posing.rest:
         body = _clause(with_subject(posing.rest, subject), seconds)
         return _clause(text, seconds, (body, _limbs(posing, subject, seconds)))
     if posing is not None:
         clause = _clause(text, seconds)
-        return clause if says_more(told_of(clause.person)) else replace(clause, told=posing)
+        things = any(one.at in ("floor", "chair") for one in posing.targets) and says_more(told_of(clause.person))
+        return clause if things else replace(clause, told=posing)
     voices = tuple(_clause(voice, seconds) for voice in split_voices(text))
     parts = [] if voices else parts_of(text)
     if not parts or seconds / len(parts) < SHORTEST_CLAUSE:

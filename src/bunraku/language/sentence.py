@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from bunraku.language.limbs.posing import Posing
+from bunraku.language.limbs.posing import Posing, Stance
 from bunraku.language.told import Told
 
 __all__ = ["Clause", "Sentence", "Turn", "UnknownWord", "in_stretches"]
@@ -68,6 +68,7 @@ class Clause:
         added: Words for parts of the body and movements that it says beyond its actions.
         told: What is done with a thing, follows from where somebody walks or looks, or is done by limbs, where that is
             all that it says.
+        stance: How somebody is who does it, if that follows from what was said before.
         moves: What the body of `for_body` then does: "fly", "swim" and "slither", or how it is on the ground: "step",
             "run", "stay", "lie"; "" for neither.
         voices: Where a movement of the legs is joined with a gesture, the one and the other; none otherwise.
@@ -89,6 +90,7 @@ class Clause:
     count: int | None = None
     added: tuple[str, ...] = ()
     told: Told | Posing | None = None
+    stance: Stance | None = None
     moves: str = ""
     voices: tuple[Clause, ...] = field(default=())
     parts: tuple[Clause, ...] = field(default=())

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bunraku.gestures.catalogue import gestures
+from bunraku.gestures.limbs.composed import in_stance
 from bunraku.gestures.limbs.gesture import limb_gesture
 from bunraku.gestures.play import gesture_motion
 from bunraku.gestures.standing import AT
-from bunraku.language.limbs.posing import posing_of
+from bunraku.language.limbs.posing import Stance, posing_of
 
 
 def joints(predicate):
@@ -96,3 +98,28 @@ def test_alternately_is_one_side_after_the_other():
     positions, _ = joints("lifts the knees alternately")
     left, right = (at(positions, f"{side}_knee")[:, 1] for side in ("left", "right"))
     assert left.max() > 0.8 and right.max() > 0.8 and np.minimum(left, right).max() < 0.7
+
+
+def test_a_gesture_of_the_hands_in_a_stance():
+    clap = next(one for one in gestures() if one.name == "clap")
+    _, standing = gesture_motion(clap).world()
+    _, seated = gesture_motion(in_stance(clap, Stance("chair"))).world()
+    assert at(standing, "pelvis")[:, 1].min() > 0.95 and at(seated, "pelvis")[:, 1].max() < 0.7
+    for positions in (standing, seated):
+        away = np.linalg.norm(at(positions, "left_wrist") - at(positions, "right_wrist"), axis=1)
+        assert away.min() < 0.2
+    hop = next(one for one in gestures() if one.name == "hop")
+    assert in_stance(hop, Stance("chair")) is hop
+
+
+def test_who_lies_down_sits_before():
+    positions, _ = joints("lies down on the back and raises both arms")
+    pelvis, head = at(positions, "pelvis")[:, 1], at(positions, "head")[:, 1]
+    assert pelvis[0] > 0.95 and (head > 0.5)[pelvis < 0.2].any() and head[-1] < 0.35
+
+
+def test_a_foot_that_is_held_comes_to_the_hand():
+    positions, rotations = joints("holds the left foot with the left hand")
+    away = np.linalg.norm(at(positions, "left_wrist") - at(positions, "left_ankle"), axis=1)
+    assert away.max() < 0.3 and at(positions, "left_ankle")[:, 1].min() > 0.4
+    assert rotations[:, AT["spine3"], 1, 1].min() > 0.75  # upright

@@ -109,3 +109,31 @@ def test_the_mirror_image_of_what_is_said():
 def test_limbs_one_after_the_other_are_one_clause():
     (clause,) = parse("a person kneels down, then raises both arms, then lowers them").clauses
     assert clause.told.stance.goes and len(clause.told.steps) == 2
+
+
+def test_the_other_limb():
+    (one,) = read("stands on the left leg and stretches the other leg forward").steps
+    assert plain(one.targets) == {("right", "leg", "ahead", "")}
+    held = read("holds the right arm up and the other arm out to the side").held
+    assert plain(held) == {("right", "arm", "up", ""), ("left", "arm", "side", "")}
+
+
+def test_a_limb_that_is_the_subject():
+    clause = clause_of("one leg swings back and forth")
+    assert clause.told.steps[0].again and clause.told.targets[0].limb == "leg"
+
+
+def test_the_other_hand_is_free():
+    clause = clause_of("waves with the right hand while holding the left hand on the hip")
+    assert clause.limbs_meanwhile.parts == ("left arm",) and clause.body.actions == ("wave",)
+    assert read("waves with the left hand while holding the left hand on the hip") is None
+
+
+def test_who_is_down_stays_down():
+    sat, waves, raises = parse(
+        "sits down on a chair, waves with the left hand, then walks away with crossed arms"
+    ).clauses
+    assert sat.stance is None and waves.stance.name == "seat" and raises.stance is None
+    assert raises.limbs_meanwhile.stance is None
+    *_, last = parse("kneels down, claps, then raises both arms").clauses
+    assert last.told.stance.name == "kneel" and not last.told.stance.goes

@@ -151,4 +151,4 @@ def _manner(clause: Clause) -> Manner:
     said = [pace for cue, pace in PACES.items() if cue in clause.cues]
     goes = "goes" in clause.traits or goes_ahead(clause.actions)
     lasts = goes and all(map(is_cyclic, clause.actions)) and clause.count is None and "halts" not in clause.traits
-    return Manner(clause.count, said[0] if len(said) == 1 else 1.0, lasts=lasts)
+    return Manner(clause.count, said[0] if len(said) == 1 else 1.0, lasts=lasts, stance=clause.stance)

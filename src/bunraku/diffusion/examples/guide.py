@@ -19,6 +19,7 @@ from bunraku.diffusion.examples.retrieve import Found
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
 from bunraku.diffusion.splicing import END, held, played, rests
 from bunraku.geometry.easing import smooth_step
+from bunraku.gestures.limbs.composed import in_stance
 from bunraku.gestures.limbs.gesture import limb_gesture
 from bunraku.gestures.manner import AS_USUAL, Manner
 from bunraku.gestures.parts import at_part
@@ -114,6 +115,8 @@ def laid(
         gesture = limb_gesture(found.told) if isinstance(found.told, Posing) else made_of(found.told)
     elif gesture is not None and found.part:
         gesture = at_part(gesture, found.part)
+    if gesture is not None and manner.stance is not None and not isinstance(found.told, Posing):
+        gesture = in_stance(gesture, manner.stance)
     if gesture is not None and not (closed and gesture.cycle is None):
         features = _performed(pack, gesture, frames, random, manner)
         if found.mirrored:

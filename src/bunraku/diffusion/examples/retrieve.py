@@ -12,11 +12,11 @@ import numpy as np
 
 from bunraku.diffusion.examples.pack import ExamplePack, Said, said_by
 from bunraku.gestures.parts import part_in
-from bunraku.language.clauses import subject_of
+from bunraku.language.clauses import limbs_told
 from bunraku.language.details import tells_all
 from bunraku.language.lexicon.reading import goes_ahead, stays_down
 from bunraku.language.lexicon.tables import lexicon
-from bunraku.language.limbs.posing import Posing, posing_of
+from bunraku.language.limbs.posing import Posing
 from bunraku.language.sentence import Clause
 from bunraku.language.told import Told, says_more
 
@@ -139,7 +139,7 @@ def _telling(pack: ExamplePack, clause: Clause, posing: Posing) -> list[Found]:
     for index in np.flatnonzero(pack.made).tolist():
         if pack.said(index).actions != frozenset(clause.actions):
             continue
-        own = [posing_of(subject_of(text)[1]) for text in pack.examples[index].texts]
+        own = [limbs_told(text) for text in pack.examples[index].texts]
         same = [one.bare for one in own if one is not None and not one.rest]
         for mirrored, wanted in ((False, posing.bare), (True, posing.mirrored.bare)):
             if wanted in same:

@@ -14,21 +14,24 @@ import numpy as np
 from bunraku.gestures.limbs.arms import ARM, hand_of, low_place, postures, vector
 from bunraku.gestures.limbs.legs import with_legs
 from bunraku.gestures.play import posed
-from bunraku.gestures.pose import HANGING, Pose, Vector
+from bunraku.gestures.pose import HANGING, Foot, Gesture, Pose, Vector
 from bunraku.gestures.standing import AT, SIDES, still
 from bunraku.gestures.tracks import Tracks
 from bunraku.language.limbs.phrases import Target
 from bunraku.language.limbs.posing import Stance
 
-__all__ = ["limbed", "stance_pose", "way_down"]
+__all__ = ["in_stance", "limbed", "stance_pose", "way_down"]
 
-AHEAD, SIDE, BACK, TWIST = 28.0, 25.0, 22.0, 46.0
+AHEAD, SIDE, BACK, TWIST = 28.0, 25.0, 30.0, 46.0
 """How far the trunk leans or twists as usual [degrees]."""
 BENDS, BOWS = 2.2, 1.6
 """How much farther who bends, or bows, goes than who leans."""
 NODS, TURNS, TILTS = 38.0, 58.0, 28.0
 """The same of the head."""
 MOST_LEAN = 80.0
+BEHIND = 0.1
+"""How far behind the pelvis a place is that nobody bends for [m]."""
+_THROUGH = {"back": "floor", "belly": "both knees"}
 HANGS = 24.0
 """Lean from which on arms that nothing is said of hang down from the shoulders [degrees]."""
 
@@ -66,8 +69,27 @@ def stance_pose(stance: Stance) -> Pose:
     return mirrored_pose(pose) if stance.side == "left" else pose
 
 
+def in_stance(gesture: Gesture, stance: Stance) -> Gesture:
+    """A gesture of who stands, done by who sits, kneels or lies; one that moves the legs as it is."""
+    poses = [pose for _, pose in gesture.keys]
+    if gesture.steps or any(pose.tilt or Foot() != pose.right_foot or Foot() != pose.left_foot for pose in poses):
+        return gesture
+    base = stance_pose(stance)
+
+    def placed(pose: Pose) -> Pose:
+        right = base.right if pose.right == HANGING else pose.right
+        left = base.left if pose.left == HANGING else pose.left
+        lean, head = _sum(pose.lean, base.lean), _sum(pose.head, base.head)
+        return replace(base, right=right, left=left, lean=lean, head=head, shrug=pose.shrug)
+
+    return replace(gesture, keys=tuple([(time, placed(pose)) for time, pose in gesture.keys]))
+
+
 def way_down(stance: Stance) -> list[Pose]:
     """Poses on the way from standing."""
+    if stance.name in _THROUGH:  # who lies down sits or kneels first
+        other = Stance(_THROUGH[stance.name])
+        return [*way_down(other), stance_pose(other)]
     found = postures("ways").get("chair" if stance.name == "seat" else stance.name)
     return [] if found is None else [mirrored_pose(found) if stance.side == "left" else found]
 
@@ -123,22 +145,23 @@ def _with_head(pose: Pose, target: Target) -> Pose:
 
 
 def _reaching(pose: Pose, stance: Stance, arms: Sequence[Target]) -> Pose:
-    """A pose bent so far that hands reach what is low."""
-    for _ in range(16):
+    """A pose bent so far that hands reach what is low ahead, if bending brings them nearer."""
+    before, nearest = pose, np.inf
+    while pose.lean[0] <= MOST_LEAN:
         _, positions = joints_of(pose)
         far = 0.0
         for one in arms:
             for side in _sides(one):
                 goal = low_place(one, side, positions)
-                if goal is not None:
+                if goal is not None and goal[2] > positions[AT["pelvis"], 2] - BEHIND:
                     far = max(far, float(np.linalg.norm(goal - positions[AT[f"{side}_shoulder"]])) - ARM)
-        if far <= 0 or pose.lean[0] >= MOST_LEAN:
-            return pose
+        if far <= 0 or far >= nearest:
+            return pose if far <= 0 else before
+        before, nearest = pose, far
         x, y, z = pose.hips
-        stands = stance.name == "stand"
-        hips = (x, y - 0.012, z - 0.009) if stands else pose.hips
+        hips = (x, y - 0.012, z - 0.009) if stance.name == "stand" else pose.hips
         pose = replace(pose, lean=_sum(pose.lean, (5.0, 0.0, 0.0)), hips=hips)
-    return pose
+    return before
 
 
 def _sides(target: Target) -> tuple[str, ...]:

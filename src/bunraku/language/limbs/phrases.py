@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from bunraku.language.known.vocabulary import FUNCTION_WORDS
-from bunraku.language.lexicon.reading import longest_phrase
+from bunraku.language.lexicon.reading import longest_phrase, words_of
 from bunraku.language.lexicon.tables import lexicon
 
-__all__ = ["LIMBS", "OTHER", "Phrase", "Target", "participle", "phrases_of", "segments_of", "targets_of"]
+__all__ = ["LIMBS", "OTHER", "Phrase", "Target", "names_limb", "participle", "phrases_of", "segments_of", "targets_of"]
 
 LIMBS = {
     "arm": "arm", "elbow": "elbow", "leg": "leg", "knee": "knee", "heel": "heel", "head": "head", "face": "head",
@@ -34,6 +34,7 @@ _GOES = {
     "bend": {"arm": "bent", "elbow": "bent", "leg": "bent", "knee": "bent", "trunk": "ahead"},
     "bow": {"trunk": "ahead", "head": "down"}, "tuck": {"head": "down", "knee": "up", "elbow": "down"},
     "clasp": {"arm": "together"}, "stretch": {"arm": "straight", "leg": "straight"}, "tilt": {"head": "right"},
+    "hang": {"arm": "down", "leg": "down", "head": "down"},
 }  # fmt: skip
 """Where a limb goes by a verb that says no more of it."""
 _SHAPES = frozenset(("cross", "bend", "clasp"))
@@ -143,6 +144,13 @@ def _sided(phrases: Sequence[Phrase], number: int) -> list[Phrase]:
     return [side] if len(one.words) == 1 else [one._replace(kind="by", value="on"), side]
 
 
+def names_limb(text: str) -> bool:
+    """Whether a text is the name of a limb: "the left leg"."""
+    found = phrases_of(words_of(text)[0])
+    limbs = [one.value in LIMBS for one in found if one.kind == "part"]
+    return bool(limbs) and all(limbs) and {one.kind for one in found} <= {"part", "side"}
+
+
 def participle(phrase: Phrase) -> bool:
     """Whether a verb is in a form that is no verb of a sentence: "raised"."""
     word, table = phrase.words[0], lexicon()
@@ -170,16 +178,16 @@ def segments_of(phrases: Sequence[Phrase]) -> list[tuple[str, list[Phrase]]]:
     return [*found, (join, own)] if own else found
 
 
-def targets_of(phrases: Sequence[Phrase], verb: str, last: Sequence[Target], sided: str) -> tuple[Target, ...]:
+def targets_of(phrases: Sequence[Phrase], verb: str, last: Sequence[Target], other: str) -> tuple[Target, ...]:
     """Where the limbs of some phrases go; none where that is not said.
 
     Args:
         phrases: Of one thing that is said, none of them "other".
         verb: What is done; "" where nothing says it.
         last: What was said before, of which "it" and "then to the right" are.
-        sided: The side that was said before, of which "the other" is the other one.
+        other: The side of "the other" limb.
     """
-    said = _said(phrases, verb, sided)
+    said = _said(phrases, verb, other)
     if said is None:
         return ()
     limbs, ways, plain = said
@@ -200,6 +208,8 @@ def targets_of(phrases: Sequence[Phrase], verb: str, last: Sequence[Target], sid
         ways = ways if ways & _WAYS else ways | {start}
         plain = plain._replace(to=frozenset([_ENDS[start]]))
     found = tuple([_of_limb(limb, side, ways, plain, verb) for limb, side in limbs])
+    if verb == "hold" and plain.at == "leg" and limbs[0][0] == "arm":  # the foot comes to the hand
+        found += (Target("leg", plain.at_side or "one", at="buttocks", by="on"),)
     return found if all(one.ways & _WAYS or one.at or one.to for one in found) else ()
 
 
@@ -210,6 +220,8 @@ def _of_limb(limb: str, side: str, ways: frozenset[str], plain: Target, verb: st
         ways = frozenset(["down"])
     elif usual and (not (ways & _WAYS or plain.at or plain.to) or (verb in _SHAPES and limb != "trunk")):
         ways |= {usual}
+    if limb == "heel" and "up" in ways:
+        ways = ways - {"up"} | {"tiptoe"}
     if limb == "trunk" and verb in ("bend", "bow"):
         ways |= {"bowed" if verb == "bow" else "bent"}
     if limb in ("head", "trunk") and verb in _TURNED:
@@ -218,7 +230,7 @@ def _of_limb(limb: str, side: str, ways: frozenset[str], plain: Target, verb: st
 
 
 def _said(
-    phrases: Sequence[Phrase], verb: str, sided: str
+    phrases: Sequence[Phrase], verb: str, other: str
 ) -> tuple[list[tuple[str, str]], frozenset[str], Target] | None:
     """Limbs with their sides, ways, and a target with all else that some phrases say; None where they make no sense."""
     limbs: list[tuple[str, str]] = []
@@ -239,7 +251,7 @@ def _said(
                 plain = plain._replace(at=plain.at or value, by=plain.by or pending or "on", at_side=at_side)
             else:
                 many = one.words[-1].endswith("s") or one.words[-1] == "feet"
-                own = OTHER.get(sided, "left") if side == "other" else side
+                own = other if side == "other" else side
                 limbs.append((limb, own or ("both" if many else "one") if limb in _PAIRED else "both"))
             side = ""
         elif kind == "side":

@@ -15,7 +15,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from bunraku.language.lexicon.reading import actions_of, words_of
+from bunraku.language.lexicon.reading import actions_of, said_phrases, words_of
 from bunraku.language.lexicon.tables import Action, lexicon
 from bunraku.language.limbs.phrases import LIMBS, OTHER, Phrase, Target, participle, phrases_of, segments_of, targets_of
 
@@ -120,6 +120,7 @@ def posing_of(predicate: str) -> Posing | None:
     segments = segments_of(phrases)
     reader, left, told = _Reader(), list[tuple[str, list[Phrase]]](), list[list[Phrase]]()
     open_limbs: list[Phrase] = []
+    unread: list[Phrase] | None = None
     for number, (join, own) in enumerate(segments):
         some, open_limbs = [*open_limbs, *own], []
         following = segments[number + 1][0] if number + 1 < len(segments) else ""
@@ -127,8 +128,12 @@ def posing_of(predicate: str) -> Posing | None:
             open_limbs = some  # "the arms and the legs spread"
         elif reader.read(join, some):
             told.append(some)
+            unread = None
+        elif join == "with" and unread is not None:
+            unread.extend(some)  # "kicks with the right leg"
         else:
             left.append((join, some))
+            unread = some
     reader.cross_legs()
     if not (reader.held or reader.steps) or open_limbs:
         return None
@@ -146,7 +151,7 @@ class _Reader:
         self.stance: Stance | None = None
         self.held: list[Target] = []
         self.steps: list[Step] = []
-        self.verb, self.mode, self.sided = "", "", ""
+        self.verb, self.mode, self.other = "", "", "left"
         self.last: tuple[Target, ...] = ()
 
     def read(self, join: str, phrases: Sequence[Phrase]) -> bool:
@@ -182,9 +187,12 @@ class _Reader:
             return verb == "stand" and not parts and not ways
         side = next((one for one in sides if one in OTHER), "")
         if verb == "stand" and "leg" in parts and parts["leg"] in ("leg", "foot"):
-            self.held.append(Target("leg", OTHER.get(side, "one"), frozenset(["lifted"])))
+            self.other = OTHER.get(side, "one")
+            self.held.append(Target("leg", self.other, frozenset(["lifted"])))
         elif verb == "stand" and set(parts) - {"floor"}:
             return False
+        if "apart" in ways:
+            self.held.append(Target("leg", "both", frozenset(["apart"])))
         if "tiptoe" in ways:
             self.held.append(Target("heel", "both", frozenset(["tiptoe"])))
         name = {"sit": "seat", "lie": "back"}.get(verb, verb)
@@ -214,12 +222,14 @@ class _Reader:
         if verbs:  # "lowers the raised arm", "keeps the arms stretched"
             told = [one.value for one in verbs if not participle(one) and one.value != "hold"]
             verb = told[0] if told else verbs[-1].value
-        targets = targets_of(phrases, verb, self.last, self.sided)
+        if join == "with" and kinds <= {"part", "side"}:
+            return self._by_hand(phrases)
+        if verb == "hold" and verbs and self.steps and "part" not in kinds:
+            self.steps[-1] = self.steps[-1]._replace(stays=True)  # "and holds it up"
+            return True
+        targets = targets_of(phrases, verb, self.last, self.other)
         if not targets:
-            holds = verb == "hold" and bool(verbs and self.steps) and "part" not in kinds  # "and holds it"
-            if holds:
-                self.steps[-1] = self.steps[-1]._replace(stays=True)
-            return holds
+            return False
         again = bool(kinds & {"again", "alternately"}) or any(one.to for one in targets)
         acts = _acts(join, phrases, verbs) if verbs else goes_on and self.mode == "step"
         self.mode = "step" if acts or again else "held"
@@ -234,7 +244,21 @@ class _Reader:
         if self.mode == "step" or not self.steps:
             self.last = targets
         self.verb = verb
-        self.sided = next((one.side for one in targets if one.side != "both"), self.sided)
+        self.other = next((OTHER.get(one.side, "left") for one in targets if one.side != "both"), self.other)
+        return True
+
+    def _by_hand(self, phrases: Sequence[Phrase]) -> bool:
+        """Whether phrases say with which hands the last thing is done: "covers the head with both hands"."""
+        sides = [one.value for one in phrases if one.kind == "side"]
+        hands = all(LIMBS.get(one.value, "side") == "arm" for one in phrases if one.kind == "part")
+        if not (hands and sides and any(one.limb == "arm" for one in self.last)):
+            return False
+        told = tuple([one._replace(side=sides[0]) if one.limb == "arm" else one for one in self.last])
+        if self.steps and self.steps[-1].targets == self.last:
+            self.steps[-1] = self.steps[-1]._replace(targets=told)
+        else:
+            self.held = [*self.held[: len(self.held) - len(told)], *told]
+        self.last = told
         return True
 
 
@@ -245,6 +269,8 @@ def _acts(join: str, phrases: Sequence[Phrase], verbs: Sequence[Phrase]) -> bool
     word, table = verbs[0].words[0], lexicon()
     if any(one.value == "hold" for one in verbs):
         return False
+    if word in table.gerund and phrases[0].kind in ("part", "side"):
+        return False  # "one arm pointing up"
     if word in table.gerund:
         return join in ("", "and", "then") or verbs[0].value not in _POSTURES
     return word in table.third or (word in table.verbs and join != "with" and phrases[0] is verbs[0])
@@ -271,13 +297,20 @@ def _free(rest: str, posing: Posing) -> bool:
     if any(one.limb == "trunk" for step in posing.steps for one in step.targets):
         return False
     rows = [lexicon().actions[action] for action in actions_of(rest)]
-    arms = any(part.endswith(("arm", "arms", "upper body")) for part in posing.parts)
+    arms = [part for part in posing.parts if part.endswith(("arm", "arms", "upper body"))]
+    spared = arms and all(part in ("left arm", "right arm") and _spares(rest, part) for part in arms)
     for row in rows:
         on_foot = _on_foot(row) or any(lexicon().actions[one].locomotion in ("walk", "run") for one in row.covers)
-        busy = "arms" in row.part if arms else row.part == "head" and "head" in posing.parts
-        if busy or not (on_foot or row.part):
+        busy = "arms" in row.part and not spared if arms else row.part == "head" and "head" in posing.parts
+        if busy or not (on_foot or row.part or posing.parts == ("head",)):
             return False
     return bool(rows)
+
+
+def _spares(rest: str, arm: str) -> bool:
+    """Whether something is said to be done with the other arm alone."""
+    side, words = arm.partition(" ")[0], words_of(rest)[0]
+    return OTHER[side] in words and side not in words and "both arms" not in said_phrases(rest)["cues"]
 
 
 def _loose(target: Target) -> bool:
