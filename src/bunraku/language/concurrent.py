@@ -18,13 +18,9 @@ from bunraku.language.lexicon.tables import lexicon
 __all__ = ["moved_part", "split_voices"]
 
 _GESTURING = ("arms", "head", "arms and head")
-_RAISING = ("raise", "lift", "swing")
-_LIMBS = frozenset(("hand", "hands", "arm", "arms", "fist", "fists"))
-_HELD = r"(?:\s*,?\s+with|\s*,)\s+(?=(?:(?:both|the|his|her|their|its)\s+)*(?:hands?|arms?)\b)"
-"""Before how the arms are held: "lunges, hands on hips", "walks with the arms crossed"."""
 _JOINTS = tuple(
     re.compile(joint, re.IGNORECASE)
-    for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!(?:then|forth)\b)", r"\s*,\s*(?=\w+ing\b)", _HELD)
+    for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!(?:then|forth)\b)", r"\s*,\s*(?=\w+ing\b)")
 )
 
 
@@ -58,8 +54,6 @@ def moved_part(clause: str) -> str:
     part = table.parts.get(verb, "")
     if part in ("legs", "arms", "head"):
         return part
-    if table.lemmas.get(verb) in _RAISING and not _LIMBS.isdisjoint(words):
-        return "arms"
     held = handling_of(clause)
     if held is not None and held.said and held.only_held:
         return "arms"  # a thing that is carried as captured people carry it is no gesture
