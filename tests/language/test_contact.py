@@ -27,6 +27,10 @@ from bunraku.language.understood import understood
         ("a person puts both hands on the desk", "touch", 0.8, 1.05),
         ("leans against a tree", "lean", 1.1, 1.6),
         ("pats a child on the head", "pat", 0.8, 1.3),
+        ("strokes the neck of a camel", "stroke", 1.5, 2.0),
+        ("presses a key on the control panel", "press", 1.0, 1.4),
+        ("rests both hands on the gizmo", "touch", 0.8, 1.4),
+        ("opens a can", "open held", 0.8, 1.3),
         ("puts a hand on somebody's shoulder", "touch", 1.2, 1.6),
         ("touches the contraption", "touch", 0.8, 1.4),  # which the table does not know
     ],
@@ -82,6 +86,7 @@ def test_a_thing_is_on_the_side_that_is_said():
         "strokes his beard",
         "pats her head",
         "turns the contraption",
+        "an open-hand strike",
     ],
 )
 def test_what_is_no_deed_at_a_thing_or_not_all_that_is_done_is_none(text):

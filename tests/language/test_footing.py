@@ -23,6 +23,8 @@ from bunraku.language.parse import parse
         ("steps over a log", "obstacle"),
         ("steps over a puddle", "obstacle"),
         ("walks the plank", "narrow"),
+        ("steps over a sleeping dog", "obstacle"),
+        ("fights his way through a blizzard", "windy"),
         ("walks up a steep hill", "uphill"),
         ("climbs a hill", "uphill"),
         ("walks down a hill", "downhill"),
@@ -51,6 +53,8 @@ def test_the_ground_is_read(text, ground):
         "a martial artist steps around into a deep stance",
         "walks across the room",
         "pushes a button",
+        "walks backwards through the snow",
+        "walks through the snow and waves",
     ],
 )
 def test_other_ways_and_what_nobody_walks_on_are_none(text):

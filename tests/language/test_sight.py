@@ -2,6 +2,7 @@
 
 import pytest
 
+from bunraku.language.parse import parse
 from bunraku.language.sight import sight_of
 
 
@@ -41,3 +42,10 @@ def test_what_hands_meet_is_as_low_as_that_and_what_is_not_known_is_straight_ahe
 )
 def test_gestures_of_looking_and_what_is_done_beside_it_are_none(text):
     assert sight_of(text) is None
+
+
+def test_what_limbs_do_beside_a_ground_is_a_voice_of_its_own_and_a_look_down_at_a_cliff_is_none():
+    (clause,) = parse("stands at a precipice and looks down").clauses
+    assert clause.told.lean > 10 and not clause.voices
+    (clause,) = parse("walks through the snow with the arms raised").clauses
+    assert clause.body.told.ground == "deep" and clause.meanwhile.text == "the arms raised"

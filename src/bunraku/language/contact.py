@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from bunraku.language.lexicon.reading import said_phrases, words_of
+from bunraku.language.lexicon.tables import lexicon
 from bunraku.language.lexicon.things import Kind, Named, named_in, things
 from bunraku.language.phrasing import does_else, named_hands, names_a_thing, object_of, verbs_in, way_in, zone_of
 
@@ -50,7 +51,8 @@ def contact_of(text: str) -> Contact | None:
         text: In English.
     """
     words = words_of(text)[0]
-    starts = said_phrases(text)["actions"].values()
+    rows, said = lexicon().actions, said_phrases(text)["actions"]
+    starts = {start for action, start in said.items() if not rows[action].passing}
     for verb, zone, deed, thing in _found(words):
         known = thing is None or thing.means is not things().unknown
         if not does_else(text, verb, zone) and (known or verb not in starts):
@@ -106,21 +108,30 @@ def _alone(words: Sequence[str], hand: int, zone: range) -> bool:
 
 
 def _thing(words: Sequence[str], zone: range, what: str) -> Named[Kind] | None:
-    """The last of what the verb has first, "a car window", that this is done with; of who drinks anything after it."""
-    table = things()
-    near = object_of(words, zone)
-    for some, last in ((near, -1), (zone, 0)):
-        known = [one for one in named_in(table.kinds, words, some.start, some.stop) if what in one.means.deeds]
-        if what == "give":
-            known = [one for one in known if _GIVEN & one.means.kinds]
-        if known:
-            return known[last]
-        if what not in table.defaults and what != _THROUGH:
-            break
-    known = named_in(table.kinds, words, near.start, near.stop)
-    if known or what not in table.unknown.deeds or not names_a_thing(words, near):
+    """The last of what the verb has first, "a car window", that this is done with, or what that is of or on, "the neck
+    of a camel"; of who drinks anything after it; of what is not known the usual.
+    """
+    table, near = things(), object_of(words, zone)
+    known = _done_with(words, near, what)
+    if known:
+        return known[-1]
+    if near.stop < zone.stop and words[near.stop] in ("of", "on"):
+        of = _done_with(words, object_of(words, range(near.stop + 1, zone.stop)), what)
+        known = [one for one in of if not _GIVEN & one.means.kinds]
+    elif what in table.defaults or what == _THROUGH:
+        known = _done_with(words, zone, what)
+    if known:
+        return known[0]
+    named = named_in(table.kinds, words, near.start, near.stop)
+    if named or what not in table.unknown.deeds or not names_a_thing(words, near):
         return None
     return Named(near.start, near.stop, table.unknown)
+
+
+def _done_with(words: Sequence[str], some: range, what: str) -> list[Named[Kind]]:
+    """The things among some words that something is done with."""
+    known = [one for one in named_in(things().kinds, words, some.start, some.stop) if what in one.means.deeds]
+    return [one for one in known if _GIVEN & one.means.kinds] if what == "give" else known
 
 
 def _made(words: Sequence[str], zone: range, deed: str, thing: Named[Kind] | None) -> Contact:
@@ -130,6 +141,7 @@ def _made(words: Sequence[str], zone: range, deed: str, thing: Named[Kind] | Non
     if thing is None:
         return Contact(deed, hands or "one", way=way)
     kind = thing.means
-    part = things().parts.intersection(words[thing.stop : min(thing.stop + _NEAR, zone.stop)])
+    about = range(max(thing.start - _NEAR, zone.start), min(thing.stop + _NEAR, zone.stop))
+    part = things().parts.intersection(words[about.start : about.stop])
     height = kind.head if part and kind.head else kind.height
     return Contact(deed, hands or kind.hands or "one", height, kind.surface, way)

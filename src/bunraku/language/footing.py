@@ -8,7 +8,7 @@ import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from bunraku.language.lexicon.reading import actions_of, words_of
+from bunraku.language.lexicon.reading import actions_of, said_phrases, words_of
 from bunraku.language.lexicon.tables import lexicon
 from bunraku.language.lexicon.things import named_in, things
 from bunraku.language.phrasing import object_of, verbs_in, zone_of
@@ -36,8 +36,13 @@ def footing_of(text: str) -> Footing | None:
     Args:
         text: In English.
     """
-    found = _found(words_of(text)[0])
-    return found[0][2] if found and things().actions["walk"].issuperset(actions_of(text)) else None
+    words, starts = words_of(text)[0], said_phrases(text)["actions"]
+    for verb, zone, footing, own in _found(words):
+        way = "way" in words[zone.start : own.start]  # "fights his way through"
+        others = [action for action in actions_of(text) if action not in things().actions["walk"]]
+        if all(zone.start < starts[one] < own.stop or (way and starts[one] == verb) for one in others):
+            return footing
+    return None
 
 
 def footing_words(text: str) -> frozenset[int]:

@@ -115,13 +115,14 @@ def clause_of(text: str, seconds: float = 0.0) -> Clause:
         seconds: How long it lasts [s].
     """
     posing, subject = limbs_told(text), subject_of(text)[0]
-    if posing is not None and posing.rest:
-        body = _clause(with_subject(posing.rest, subject), seconds)
-        return _clause(text, seconds, (body, _limbs(posing, subject, seconds)))
     if posing is not None:
-        clause = _clause(text, seconds)
-        things = any(one.at in ("floor", "chair") for one in posing.targets) and says_more(told_of(clause.person))
-        return clause if things else replace(clause, told=posing)
+        whole = _clause(text, seconds)
+        body = _clause(with_subject(posing.rest, subject), seconds) if posing.rest else None
+        if body is not None and not (says_more(whole.told) and body.told != whole.told):
+            return replace(whole, voices=(body, _limbs(posing, subject, seconds)))
+        # limbs may be how a thing is met: "stands at a cliff and looks down"
+        things = body is not None or any(one.at in ("floor", "chair") for one in posing.targets)
+        return whole if things and says_more(whole.told) else replace(whole, told=posing)
     voices = tuple(_clause(voice, seconds) for voice in split_voices(text))
     parts = [] if voices else parts_of(text)
     if not parts or seconds / len(parts) < SHORTEST_CLAUSE:

@@ -36,9 +36,11 @@ def sight_of(text: str) -> Sight | None:
 
 def sight_words(text: str) -> frozenset[int]:
     """The numbers of the words of a text that say what is looked at."""
-    found: set[int] = set()
-    for verb, _, seen in _found(words_of(text)[0]):
-        found.update((verb, *range(seen.start, seen.stop)))
+    words, found = words_of(text)[0], set[int]()
+    for verb, zone, seen in _found(words):
+        some = [(one.start, one.stop) for one in named_in(things().sights, words, zone.start, zone.stop)]
+        some += [(seen.start, seen.stop)] if seen.means != things().level else []
+        found.update((verb, *(at for ends in some for at in range(*ends))))
     return frozenset(found)
 
 

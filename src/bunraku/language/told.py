@@ -27,9 +27,9 @@ def told_of(text: str) -> Told | None:
     return footing_of(text) or contact_of(text) or sight_of(text) or handling_of(text)
 
 
-def says_more(told: Told | None) -> bool:
-    """Whether it is more than what people were captured doing with things."""
-    return told is not None and (not isinstance(told, Handling) or told.said)
+def says_more(told: object) -> bool:
+    """Whether it is one of the forms of `Told`, and more than what people were captured doing with things."""
+    return isinstance(told, Told) and (not isinstance(told, Handling) or told.said)
 
 
 def thing_words(text: str) -> frozenset[int]:
