@@ -2,9 +2,14 @@
 
 import numpy as np
 
+from bunraku.core.motion import SkeletalMotion
+from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.gestures.catalogue import STANDING
 from bunraku.gestures.looking import looked
-from bunraku.gestures.play import gesture_motion
-from bunraku.gestures.standing import AT
+from bunraku.gestures.perform import performed
+from bunraku.gestures.play import gesture_motion, posed
+from bunraku.gestures.standing import AT, swaying
+from bunraku.gestures.tracks import Tracks
 from bunraku.language.sight import sight_of
 
 
@@ -27,3 +32,16 @@ def test_the_gaze_goes_up_down_and_along():
 def test_who_looks_over_a_cliff_leans_over_it():
     depth, lean = gaze("looks over the cliff")
     assert np.median(depth[:, 0]) < -30 and np.median(lean) > 15
+
+
+def test_who_looks_at_the_ground_by_himself_looks_up_as_far_as_anybody():
+    moments = np.arange(120) / 20
+    level = posed(Tracks.of(STANDING.keys), np.array([0, 9.5]), moments, swaying(1, moments), 20)
+    rotations = level.rotations.copy()
+    rotations[:, AT["neck"]] = rotations[:, AT["neck"]] @ matrix_from_axis_angle(np.array([np.radians(35), 0, 0]))
+    bent = SkeletalMotion(level.skeleton, rotations, level.root_translation, level.fps)
+    ups = []
+    for idle in (level, bent):
+        motion = performed(looked(sight_of("gazes at the stars")), 120, (idle,), np.random.default_rng(0))
+        ups.append(np.degrees(np.arcsin(np.median(motion.world()[0][40:80, AT["head"], 1, 2]))))
+    assert ups[0] > 20 and abs(ups[0] - ups[1]) < 8

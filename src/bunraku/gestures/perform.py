@@ -15,7 +15,7 @@ from bunraku.gestures.accompany import accompanied
 from bunraku.gestures.manner import AS_USUAL, Manner
 from bunraku.gestures.play import FPS, posed
 from bunraku.gestures.pose import HANGING, Gesture, Key, Pose, moved
-from bunraku.gestures.standing import SIDES, Standing, captured, mirrored, swaying
+from bunraku.gestures.standing import AT, SIDES, Standing, captured, mirrored, swaying
 from bunraku.gestures.tracks import HandTrack, Tracks
 
 __all__ = ["Variation", "performed"]
@@ -73,6 +73,7 @@ TOUCH = 0.17
 """Distance of two palms, or of a palm from the middle of the trunk, with which they touch something [m]."""
 _TRUNK = np.array([0.0, 1.25, 0.0])
 _RISES = 0.03
+_SPINE = ("spine1", "spine2", "spine3", "neck", "head")
 SHIFTS, MOST_SHIFTED = (0.1, 0.24), 2.5
 """How far the pelvis of who makes a gesture goes to and fro at the least, drawn from these [m], as of the middle half
 of captured people who make one; and how many times as far as of somebody who only stands at the most.
@@ -125,12 +126,25 @@ def performed(
     with_hands = any(not tracks.hands[side].rests.all() for side, _ in SIDES)
     if idles and busy and random.random() < WITH_BUSY and with_hands:
         standing = replace(_standing(busy, frames, random, manner.closed, moments), hands=standing.hands)
+    elif not with_hands:
+        standing = _level(standing)
     own = random.spawn(1)[0]
     if gesture.steps:
         standing = replace(standing, feet={side: None for side, _ in SIDES})
     else:
         standing, tracks = _turning(standing, own), _dipping(tracks, own)
     return posed(tracks, times, moments, standing, fps)
+
+
+def _level(standing: Standing) -> Standing:
+    """Somebody who looks straight ahead on average, up and down as before: of a look up by who looks at the ground
+    nothing is left.
+    """
+    world = standing.rotations[:, 0]
+    for joint in _SPINE:
+        world = world @ standing.rotations[:, AT[joint]]
+    down = np.degrees(np.arcsin(np.clip(-world[:, 1, 2], -1, 1))).mean()
+    return replace(standing, head=standing.head - [down, 0, 0])
 
 
 def _turning(standing: Standing, random: np.random.Generator) -> Standing:
