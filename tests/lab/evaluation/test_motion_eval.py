@@ -153,6 +153,9 @@ def test_the_distilled_steps_have_a_row_where_they_are_of_these_weights(folder, 
     assert set(found["rows"]) == {*without["rows"], "tapmo_distilled"}
     assert found["rows"]["tapmo"] == without["rows"]["tapmo"]
     assert found["fid_distilled"] == found["rows"]["tapmo_distilled"]["fid"]["mean"] != found["fid"]
+    config["visited"] = [950, 500, 100]  # distilled again: what is kept of the steps before is not taken for these
+    save_checkpoint(tmp_path / "few-steps.safetensors", change, config, "few-steps", half=True)
+    assert evaluate_motion(replace(default, checkpoint=own))["fid_distilled"] != found["fid_distilled"]
 
 
 def test_the_same_seed_gives_the_same_table_and_a_cache_is_used(folder, tmp_path, monkeypatch):

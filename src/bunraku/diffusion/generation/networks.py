@@ -50,8 +50,13 @@ class Networks:
         The changes are a file beside its weights, or the shipped ones where they are of these weights.
         """
         path, changed = dated_checkpoint("diffusion", self.checkpoint)
-        beside = path.with_name("few-steps.safetensors")
-        return _load_few(path, changed, *dated(beside if beside.is_file() else weights_file("few-steps.safetensors")))
+        return _load_few(path, changed, *dated(self.few_steps_file))
+
+    @property
+    def few_steps_file(self) -> Path:
+        """Where the changes are; it need not exist."""
+        beside = dated_checkpoint("diffusion", self.checkpoint)[0].with_name("few-steps.safetensors")
+        return beside if beside.is_file() else weights_file("few-steps.safetensors")
 
     @cached_property
     def ranker(self) -> Extractor:

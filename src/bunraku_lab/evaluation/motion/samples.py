@@ -158,9 +158,12 @@ def choose_motions(
         progress: Called with (motions done, total).
     """
     from bunraku.diffusion.generation.generate import generate_motions
+    from bunraku.diffusion.generation.networks import Networks
     from bunraku.language.parse import clauses_of
 
-    home = None if folder is None else folder / _key(checkpoint_digest(checkpoint), requests, sampling, None, True)
+    few = [Networks(checkpoint).few_steps_file] if sampling.steps is None and sampling.guidance is None else []
+    digest = " ".join(checkpoint_digest(path) for path in (checkpoint, *few) if path.is_file())
+    home = None if folder is None else folder / _key(digest, requests, sampling, None, True)
 
     def drawn(rows: list[int], number: int) -> np.ndarray:
         motions = generate_motions(
@@ -231,8 +234,7 @@ def _key(
     wanted = [[request.sentence, request.frames] for request in requests]
     how = [sampling.steps, sampling.guidance, sampling.method, sampling.seed, adapt, BATCH]
     if sampling.candidates > 1 or sampling.examples or sampling.classifier_guidance:
-        few = ("few-steps",) if sampling.steps is None and sampling.guidance is None else ()
-        files = [path for name in (*CHOOSING, *few) if (path := weights_file(f"{name}.safetensors")).is_file()]
+        files = [path for name in CHOOSING if (path := weights_file(f"{name}.safetensors")).is_file()]
         how += [sampling.candidates, sampling.examples, sampling.classifier_guidance, *map(checkpoint_digest, files)]
     say = [digest, wanted, how, None if mesh is None else np.asarray(mesh, float).round(4).tolist()]
     return hashlib.sha256(json.dumps(say).encode()).hexdigest()[:20]
