@@ -110,4 +110,5 @@ def test_who_walks_and_sips_has_two_voices():
 def test_words_of_things_are_understood_where_something_is_done_with_them():
     found = understood("Pet the pony")
     assert found.ok and not found.unknown
+    assert understood("touches a cactus").language == "en"  # "touches" is French, too
     assert [word.word for word in understood("a gecko dances").unknown] == ["gecko"]

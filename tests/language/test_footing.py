@@ -23,6 +23,8 @@ from bunraku.language.parse import parse
         ("steps over a log", "obstacle"),
         ("steps over a puddle", "obstacle"),
         ("walks the plank", "narrow"),
+        ("wades along the street", "deep"),
+        ("shuffles over black ice", "slippery"),
         ("steps over a sleeping dog", "obstacle"),
         ("fights his way through a blizzard", "windy"),
         ("walks up a steep hill", "uphill"),

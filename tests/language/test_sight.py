@@ -16,6 +16,7 @@ def test_where_somebody_looks_follows_from_what_is_seen():
         seen = sight_of(text)
         assert seen.pitch > 20 and seen.lean > 10
     assert sight_of("looks down at the feet").pitch > 20
+    assert sight_of("gazes across the valley").pitch < 5 < 20 < sight_of("looks into the valley").pitch
     assert abs(sight_of("stares at a painting on the wall").pitch) < 5
 
 

@@ -34,6 +34,8 @@ BENDS, SINKS = 30.0, 0.2
 """The same after hands that go down."""
 ARM = 0.5
 """How far ahead things are that stand upright, at the least [m]."""
+HIGH = 1.1
+"""From where on what faces up is as far away [m]."""
 START, END = 0.9, 0.9
 """Seconds from standing to what is done again and again, and back."""
 TIMES = 6
@@ -107,8 +109,8 @@ def _poses(row: Mapping[str, Any], contact: Contact) -> list[Pose]:
 
 
 def _away(hand: Hand, contact: Contact) -> np.ndarray:
-    """How far a hand is beyond where it holds what it has taken, on what stands upright: at arm's length."""
-    if contact.surface == "top" or contact.way:
+    """How far a hand is beyond where it holds what it has taken, on what stands upright or is high: at arm's length."""
+    if (contact.surface == "top" and contact.height < HIGH) or contact.way:
         return np.zeros(3)
     return np.array([0, 0, max(ARM - hand.palm[2], 0.0)])
 

@@ -65,6 +65,9 @@ def _found(words: Sequence[str]) -> list[tuple[int, range, Footing, range]]:
             if own is not None:
                 found.append((verb, zone, Footing(own.name), range(start, stop)))
                 break
+        else:
+            if words[verb] in table.treads:
+                found.append((verb, zone, Footing(table.treads[words[verb]]), range(zone.start, zone.start)))
     for verb, what in verbs_in(words, table.verbs):
         zone = zone_of(words, verb)
         near = object_of(words, zone)

@@ -62,7 +62,7 @@ def _found(words: Sequence[str]) -> list[tuple[int, range, Named[Sight]]]:
                 Named(start, stop, sight) for start, stop, meant in before for name, sight in meant if name in ways
             ]
         near = object_of(words, zone)
-        if not named and (table.looks[words[verb]] or "at" in words[zone.start : near.start]):
+        if not named and (table.looks[words[verb]] or "at" in ways):
             known = named_in(table.kinds, words, near.start, near.stop)
             if known:
                 down = math.degrees(math.atan2(EYES - known[-1].means.height, AWAY))

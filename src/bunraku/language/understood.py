@@ -94,7 +94,10 @@ def understood(prompt: str) -> Understanding:
     check_prompt(prompt)
     plain = narrow(prompt)
     translation = translate(plain)
-    found = _foreign(plain, translation) if translation.concepts else _english(plain, translation.language)
+    if translation.concepts and told_of(plain) is None:  # "touches" is French, too
+        found = _foreign(plain, translation)
+    else:
+        found = _english(plain, "en" if translation.concepts else translation.language)
     denied, rest = _denied(found.english)
     if denied:
         found = replace(found, denied=denied, ok=found.ok and says_action(rest))

@@ -10,7 +10,7 @@
 | `parts` | parts of animals that are as high as their heads |
 | `sights` | where things are seen (see `Sight`), and their nouns |
 | `sight verbs` | verbs of who looks, `seen` those without "at"; `sight words` before a noun say where it is seen |
-| `grounds` | how somebody walks there (`[grounds]` of `things.toml`), its nouns, and words before them ("-": none) |
+| `grounds` | how somebody walks there (`[grounds]` of `things.toml`), nouns, words before them ("-": none), own verbs |
 | `ground verbs` | verbs of who walks there, by the word that they stand for: who crosses ice walks across it |
 | `actions` | actions of the lexicon that are no more than walking, or looking, there |
 
@@ -118,6 +118,7 @@ class Things:
         ways: Names of the sights that a word before a noun says.
         grounds: What walking is like there.
         walks: The word before a ground that each form of a verb of walking stands for; "-" for none.
+        treads: How somebody walks by a form of a verb alone: who wades is in water.
         actions: Actions that are no more than walking, or looking, there.
     """
 
@@ -132,6 +133,7 @@ class Things:
     ways: dict[str, list[str]]
     grounds: dict[str, tuple[Ground, ...]]
     walks: dict[str, str]
+    treads: dict[str, str]
     actions: dict[str, frozenset[str]]
 
 
@@ -162,6 +164,12 @@ def things() -> Things:
         for table in ("verbs", "ground verbs")
     )
     seen = data["seen"].split()
+    treads = {
+        form: name
+        for name, row in data["grounds"].items()
+        for verb in row.get("verbs", "").split()
+        for form in _forms(verb)
+    }
     looks = {form: verb in seen for verb in data["sight verbs"].split() for form in _forms(verb)}
     ways: dict[str, list[str]] = {}
     for name, some in data["sight words"].items():
@@ -172,7 +180,7 @@ def things() -> Things:
         nouns, verbs, data["defaults"], frozenset(data["parts"].split()),
         {noun: tuple(found) for noun, found in sights.items()}, kinds["unknown"],
         Sight(float(data["sights"]["level"]["pitch"])), looks, ways,
-        {noun: tuple(found) for noun, found in grounds.items()}, walks, same,
+        {noun: tuple(found) for noun, found in grounds.items()}, walks, treads, same,
     )  # fmt: skip
 
 
