@@ -16,9 +16,9 @@ _TRANSFER = "--baselines has no transfer network: bunraku train transfer-baselin
 _JUDGES = (
     "Networks judge networks here: critic, ranker and extractor are of one kind, trained apart on the same sentences, "
     "and a ratio over 1 to real is no proof of better than captured. TapMo (MDM) has had 5,000 steps of 32 clips where "
-    "its weights are those of this repository, and the shipped network 30,140 of 64 and 11,305 of 32, so its row is in "
-    "our favour. The fair one is ours after as many steps; docs/tried.md has an equal pair of earlier networks, 7,211 "
-    "steps each."
+    "its weights are those of this repository, and the shipped network 30,140 of 64, 11,305 of 32 and 1,574 of 512, so "
+    "its row is in our favour. The fair one is ours after as many steps; docs/tried.md has an equal pair of earlier "
+    "networks, 7,211 steps each."
 )
 
 _PEOPLE = "people rank them: bunraku study make, then bunraku evaluate study"
