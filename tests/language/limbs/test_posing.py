@@ -137,3 +137,16 @@ def test_who_is_down_stays_down():
     assert raises.limbs_meanwhile.stance is None
     *_, last = parse("kneels down, claps, then raises both arms").clauses
     assert last.told.stance.name == "kneel" and not last.told.stance.goes
+
+
+def test_hands_that_take_a_limb():
+    (pulls,) = read("pulls the left knee up to the chest with both hands").steps
+    assert ("both", "arm", "knee") in plain(pulls.targets) and pulls.targets[0].limb == "knee"
+    (lifts,) = read("lifts the right foot backwards and holds it with the right hand").steps
+    assert lifts.stays and plain(lifts.targets) == {("right", "leg", "buttocks"), ("right", "arm", "leg")}
+
+
+def test_comparisons_say_nothing_of_limbs():
+    found = read("runs with the arms spread like wings")
+    assert found.rest == "runs" and plain(found.held) == {("both", "arm", "side", "")}
+    assert read("walks like a zombie with the arms stretched out in front").rest == "walks like a zombie"

@@ -56,7 +56,7 @@ def _shifted(pose: Pose, target: Target) -> Pose:
     along = float("ahead" in ways) - float("back" in ways)
     x, y, z = pose.hips
     ahead, turn, aside = pose.lean
-    hips = (x + 0.13 * way * far, y - 0.01 * abs(way), z + 0.18 * along * far)
+    hips = (x + 0.16 * way * far, y - 0.01 * abs(way), z + 0.18 * along * far)
     return replace(pose, hips=hips, lean=(ahead - 18 * along * far, turn, aside + 5 * way * far))
 
 
@@ -121,8 +121,9 @@ def _seated(own: Foot, hip: np.ndarray, sign: float, target: Target) -> Foot:
         return replace(own, ankle=(0.12 + 0.16 * far, *own.ankle[1:]), knee=(0.6, 0, 1))
     if "back" in ways:
         return _aimed(hip, sign, np.array([0, -0.05, 1.0]), own, folded=118)
-    if target.limb == "leg" and ways & {"ahead", "up", "straight"}:
-        return _aimed(hip, sign, np.array([0, -0.16 + 0.15 * (far - 1), 1.0]), own)
+    if target.limb == "leg" and ways & {"ahead", "up", "straight", "side"}:
+        out = 0.3 * sign if "side" in ways else 0.0
+        return _aimed(hip, sign, np.array([out, -0.16 + 0.15 * (far - 1), 1.0]), own)
     return _aimed(hip, sign, np.array([0, 0.45 * far, 1.0]), own, folded=95) if ways & {"up"} or target.at else own
 
 

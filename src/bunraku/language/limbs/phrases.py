@@ -48,7 +48,11 @@ _LOOKS = frozenset(("up", "down", "left", "right", "back"))
 _ENDS = {"ahead": "back", "back": "ahead", "left": "right", "right": "left"}
 """The other end of what swings."""
 _AMOUNTS = {"small": 0.5, "half": 0.6, "large": 1.45}
-_BEFORE_NOUNS = frozenset(("a", "an", "the", "two", "three", "four", "five", "several", "some", "deep", "into"))
+_JOINS = frozenset(("and", "but", "then", "while", "with", ","))
+"""Words before which a comparison ends: "spread like wings"."""
+_BEFORE_NOUNS = frozenset(
+    ("a", "an", "the", "two", "three", "four", "five", "several", "some", "deep", "low", "into", "from")
+)
 
 
 class Target(NamedTuple):
@@ -108,7 +112,10 @@ def phrases_of(words: Sequence[str]) -> list[Phrase]:
     while at < len(words):
         best = longest_phrase(table.get(words[at], ()), words, at)
         stop = at + 1 if best is None else best[1]
-        if best is not None:
+        if words[at] == "like":
+            stop = next((number for number in range(at + 1, len(words)) if words[number] in _JOINS), len(words))
+            found.append(Phrase("like", "", tuple(words[at:stop]), at, stop))
+        elif best is not None:
             kind, _, value = best[0].name.partition(" ")
             if kind in ("does", "stance") and _noun(words, at, found):
                 kind = "other"
@@ -119,9 +126,14 @@ def phrases_of(words: Sequence[str]) -> list[Phrase]:
     return [one for number in range(len(found)) for one in _sided(found, number)]
 
 
+def _of_past(word: str) -> bool:
+    """Whether a word is no verb but for one of the past, or a gerund: "raised" may stand before a noun."""
+    return word not in lexicon().verbs and word not in lexicon().third
+
+
 def _noun(words: Sequence[str], at: int, before: Sequence[Phrase]) -> bool:
     """Whether what looks like a verb is a noun: "two squats", "knee lifts"."""
-    if at and words[at - 1] in _BEFORE_NOUNS and words[at] in {*lexicon().verbs, *lexicon().third}:
+    if at and words[at - 1] in _BEFORE_NOUNS and (words[at - 1] == "from" or not _of_past(words[at])):
         return True
     part = before[-1] if before and before[-1].stop == at and before[-1].kind == "part" else None
     if part is None or words[at] not in lexicon().third or words[at - 1].endswith("s"):
@@ -198,6 +210,8 @@ def targets_of(phrases: Sequence[Phrase], verb: str, last: Sequence[Target], oth
     if not limbs:
         goes_on = (ways or plain.at) and not any(one.kind == "does" for one in phrases)
         return tuple([_of_limb(one.limb, one.side, ways, plain, "") for one in last]) if goes_on else ()
+    if limbs[0][0] == "trunk" and plain.at == "hip":  # "bends at the hips"
+        plain = plain._replace(at="", by="")
     leans_on = limbs[0][0] == "trunk" and plain.at and (plain.at != "arm" or not ways)
     if plain.by == "off" or leans_on or (verb == "look" and not ways & _LOOKS):
         return ()

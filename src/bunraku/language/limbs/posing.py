@@ -24,7 +24,7 @@ __all__ = ["Posing", "Stance", "Step", "posing_of"]
 _LEGS = frozenset(("leg", "knee", "heel"))
 _LOW = frozenset(("knee", "leg", "heel", "floor", "buttocks"))
 """Places that hands reach with the help of all of the body."""
-_POSTURES = frozenset(("lean", "bend", "tilt", "stretch", "spread", "cross", "clasp"))
+_POSTURES = frozenset(("lean", "bend", "tilt", "stretch", "spread", "cross", "clasp", "hang"))
 """Verbs of which "-ing" beside something else says how somebody is held."""
 _PARTS = {"head": "head", "trunk": "upper body", "shoulders": "arms"}
 _GOES_ON = frozenset(("and", "then", "comma"))
@@ -218,7 +218,8 @@ class _Reader:
     def _limbs(self, join: str, phrases: Sequence[Phrase], kinds: AbstractSet[str]) -> bool:
         verbs = [one for one in phrases if one.kind == "does"]
         goes_on = join in _GOES_ON and not (join == "comma" and "part" in kinds)
-        verb = self.verb if goes_on else ""
+        inherits = goes_on and (self.mode == "step" or not kinds & {"way", "level", "by"})
+        verb = self.verb if inherits else ""
         if verbs:  # "lowers the raised arm", "keeps the arms stretched"
             told = [one.value for one in verbs if not participle(one) and one.value != "hold"]
             verb = told[0] if told else verbs[-1].value
@@ -249,17 +250,27 @@ class _Reader:
 
     def _by_hand(self, phrases: Sequence[Phrase]) -> bool:
         """Whether phrases say with which hands the last thing is done: "covers the head with both hands"."""
-        sides = [one.value for one in phrases if one.kind == "side"]
+        side = next((one.value for one in phrases if one.kind == "side"), "")
         hands = all(LIMBS.get(one.value, "side") == "arm" for one in phrases if one.kind == "part")
-        if not (hands and sides and any(one.limb == "arm" for one in self.last)):
+        if not (hands and side and self.last) or any(one.limb in ("trunk", "hips", "shoulders") for one in self.last):
             return False
-        told = tuple([one._replace(side=sides[0]) if one.limb == "arm" else one for one in self.last])
+        told = tuple([one._replace(side=side) if one.limb == "arm" else one for one in self.last])
+        if not any(one.limb == "arm" for one in told):
+            told = _held_by(told[0], side)
         if self.steps and self.steps[-1].targets == self.last:
             self.steps[-1] = self.steps[-1]._replace(targets=told)
         else:
-            self.held = [*self.held[: len(self.held) - len(told)], *told]
+            self.held = [*self.held[: len(self.held) - len(self.last)], *told]
         self.last = told
         return True
+
+
+def _held_by(target: Target, side: str) -> tuple[Target, ...]:
+    """A limb with the hand that takes it where it goes: a foot that goes back comes up to it."""
+    at = {"knee": "knee", "head": "head"}.get(target.limb, "leg")
+    if at == "leg" and "back" in target.ways:
+        target = target._replace(ways=frozenset(), at="buttocks", by="on")
+    return target, Target("arm", side, at=at, by="on", at_side=target.side if target.side in OTHER else "")
 
 
 def _acts(join: str, phrases: Sequence[Phrase], verbs: Sequence[Phrase]) -> bool:
@@ -302,7 +313,8 @@ def _free(rest: str, posing: Posing) -> bool:
     for row in rows:
         on_foot = _on_foot(row) or any(lexicon().actions[one].locomotion in ("walk", "run") for one in row.covers)
         busy = "arms" in row.part and not spared if arms else row.part == "head" and "head" in posing.parts
-        if busy or not (on_foot or row.part or posing.parts == ("head",)):
+        turns = row.alone and not posing.steps
+        if busy or not (on_foot or turns or row.part or posing.parts == ("head",)):
             return False
     return bool(rows)
 
