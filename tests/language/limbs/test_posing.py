@@ -150,3 +150,8 @@ def test_comparisons_say_nothing_of_limbs():
     found = read("runs with the arms spread like wings")
     assert found.rest == "runs" and plain(found.held) == {("both", "arm", "side", "")}
     assert read("walks like a zombie with the arms stretched out in front").rest == "walks like a zombie"
+
+
+def test_the_other_without_its_limb():
+    held = read("walks with one hand on the head and the other on the hip").held
+    assert plain(held) == {("one", "arm", "head"), ("left", "arm", "hip")}

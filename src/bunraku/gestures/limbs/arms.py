@@ -150,7 +150,7 @@ def _stretched(
     elif stance.name == "belly":  # and overhead ahead
         overhead = bool(ways & {"ahead", "up"}) and "side" not in ways
         way = chest @ (np.array([sign * 0.12, 1.0, 0.05]) if overhead else np.array([way[0], min(way[1], 0.0), 0.05]))
-    reach = ARM * (0.72 if "bent" in ways else 1.1)  # farther than it reaches, so that it stays straight
+    reach = ARM * (0.72 if "bent" in ways else 1.2)  # farther than it reaches, so that it stays straight
     goal = shoulder + reach * way
     if "together" in ways:
         goal[0] = positions[AT["spine3"], 0] + sign * 0.02

@@ -22,9 +22,9 @@ from bunraku.language.limbs.posing import Stance
 
 __all__ = ["in_stance", "limbed", "stance_pose", "way_down"]
 
-AHEAD, SIDE, BACK, TWIST = 28.0, 25.0, 30.0, 46.0
+AHEAD, SIDE, BACK, TWIST = 28.0, 25.0, 34.0, 46.0
 """How far the trunk leans or twists as usual [degrees]."""
-BENDS, BOWS = 2.2, 1.6
+BENDS, BOWS = 2.2, 1.9
 """How much farther who bends, or bows, goes than who leans."""
 NODS, TURNS, TILTS = 38.0, 58.0, 28.0
 """The same of the head."""
@@ -120,13 +120,13 @@ def _with_trunk(pose: Pose, stance: Stance, target: Target) -> Pose:
     if ways & {"ahead", "down"}:
         ahead = (max(more, BENDS) if "down" in ways else more) * AHEAD * far
     elif "back" in ways:
-        ahead = -BACK * far
+        ahead = -BACK * far * (1.4 if more > 1 else 1.0)
     side = float("right" in ways) - float(bool(ways & {"left", "side"}))
     if "turned" in ways:
         turn = -side * TWIST * far
     else:
         aside = side * SIDE * far * (1.3 if "bent" in ways else 1.0)
-    ahead = float(np.clip(ahead, -40, 115))
+    ahead = float(np.clip(ahead, -65, 115))
     over = max(ahead - 45, 0) * 0.5 if stance.name == "stand" else 0.0  # the pelvis takes what the spine does not
     x, y, z = pose.hips
     hips = (x + 0.0025 * aside, y, z - 0.0022 * ahead) if stance.name in ("stand", "squat") else pose.hips

@@ -203,6 +203,7 @@ def targets_of(phrases: Sequence[Phrase], verb: str, last: Sequence[Target], oth
     if said is None:
         return ()
     limbs, ways, plain = said
+    limbs = [(limb or last[0].limb, side) for limb, side in limbs if limb or last]
     if not limbs and any(one.kind == "it" for one in phrases):
         limbs = [(one.limb, one.side) for one in last]
     if not limbs and (verb in _OF_TRUNK or verb == "look"):
@@ -252,6 +253,9 @@ def _said(
     side = pending = ""
     for number, one in enumerate(phrases):
         kind, value = one.kind, one.value
+        if side == "other" and not limbs and kind not in ("part", "does", "amount"):
+            limbs.append(("", other))  # "one hand on the head and the other on the hip"
+            side = ""
         if kind == "part":
             limb = LIMBS.get(value, "")
             touches = verb in _AT_PARTS and not (pending or limbs) and limb not in ("arm", "elbow", "")
