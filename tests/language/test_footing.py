@@ -24,6 +24,7 @@ from bunraku.language.parse import parse
         ("steps over a puddle", "obstacle"),
         ("walks the plank", "narrow"),
         ("wades along the street", "deep"),
+        ("gropes along a corridor", "dark"),
         ("shuffles over black ice", "slippery"),
         ("steps over a sleeping dog", "obstacle"),
         ("fights his way through a blizzard", "windy"),
