@@ -18,8 +18,6 @@ from bunraku.language.phrasing import does_else, named_hands, names_a_thing, obj
 __all__ = ["Contact", "contact_of", "contact_words"]
 
 _THROUGH = "see through"
-_ON = frozenset(("on", "onto", "upon", "against", "over"))
-_HAND = frozenset(("hand", "hands", "palm", "palms"))
 _GIVEN = frozenset(("portable",))
 _NEAR = 4
 """Words after an animal among which its part is."""
@@ -79,24 +77,26 @@ def _found(words: Sequence[str]) -> list[tuple[int, range, str, Named[Kind] | No
         thing = _thing(words, goes, what) if what else None
         if thing is not None:
             found.append((verb, zone, thing.means.deeds[what], thing))
-        elif what == "hold out" or (what in table.defaults and not _HAND.intersection(words[zone.start : zone.stop])):
+        elif what == "hold out" or (
+            what in table.defaults and not lexicon().grammar["hands"].intersection(words[zone.start : zone.stop])
+        ):
             found.append((verb, zone, table.defaults[what], None))
     return found
 
 
 def _meant(words: Sequence[str], what: str, zone: range) -> tuple[str, range]:
     """What a verb says is done, "" for nothing, and the words among which its thing is."""
-    own = words[zone.start : zone.stop]
-    hand = next((at for at in zone if words[at] in _HAND), -1)
+    own, grammar = words[zone.start : zone.stop], lexicon().grammar
+    hand = next((at for at in zone if words[at] in grammar["hands"]), -1)
     if what == _THROUGH:
-        return (what if {"through", "with"} & set(own) else ""), zone
+        return (what if grammar["seen through"].intersection(own) else ""), zone
     if what in ("give", "hold", "reach out") and _alone(words, hand, zone) and (what == "give" or "out" in own):
         return "hold out", range(0)
     if what == "hold" and "out" in own:
         return "give", zone
-    if what in ("lay", "press") and hand >= 0 and _ON.intersection(words[hand : zone.stop]):
+    if what in ("lay", "press") and hand >= 0 and grammar["laid"].intersection(words[hand : zone.stop]):
         return "lay", range(hand + 1, zone.stop)
-    if what == "lay" or (what == "lean" and not _ON.intersection(own)):
+    if what == "lay" or (what == "lean" and not grammar["laid"].intersection(own)):
         return "", zone
     return what, zone
 
