@@ -155,3 +155,10 @@ def test_comparisons_say_nothing_of_limbs():
 def test_the_other_without_its_limb():
     held = read("walks with one hand on the head and the other on the hip").held
     assert plain(held) == {("one", "arm", "head"), ("left", "arm", "hip")}
+
+
+def test_a_manner_is_limbs_in_one_word():
+    sad = read("walks sadly")
+    assert sad.rest == "walks sadly" and {one.limb for one in sad.held} == {"head", "trunk"}
+    assert {one.limb for one in read("jogs happily with the hands on the hips").held} == {"head", "trunk", "arm"}
+    assert read("claps happily") is None and read("sneaks cautiously") is None

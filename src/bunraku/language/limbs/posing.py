@@ -26,6 +26,8 @@ _LOW = frozenset(("knee", "leg", "heel", "floor", "buttocks"))
 """Places that hands reach with the help of all of the body."""
 _POSTURES = frozenset(("lean", "bend", "tilt", "stretch", "spread", "cross", "clasp", "hang"))
 """Verbs of which "-ing" beside something else says how somebody is held."""
+_PLAIN = frozenset(("walk", "run"))
+"""Actions that a manner changes; others have their own."""
 _PARTS = {"head": "head", "trunk": "upper body", "shoulders": "arms"}
 _GOES_ON = frozenset(("and", "then", "comma"))
 
@@ -135,6 +137,8 @@ def posing_of(predicate: str) -> Posing | None:
             left.append((join, some))
             unread = some
     reader.cross_legs()
+    if reader.manners and _PLAIN.issuperset(actions_of(_text(predicate, spans, [some for _, some in left], {}))):
+        reader.held += reader.manners
     if not (reader.held or reader.steps) or open_limbs:
         return None
     begins = {one.start: before.stop for before, one in itertools.pairwise(phrases)}
@@ -153,12 +157,16 @@ class _Reader:
         self.steps: list[Step] = []
         self.verb, self.mode, self.other = "", "", "left"
         self.last: tuple[Target, ...] = ()
+        self.manners: list[Target] = []
 
     def read(self, join: str, phrases: Sequence[Phrase]) -> bool:
         """Whether some phrases are of limbs, or of how somebody is; then they are read."""
         kinds = {one.kind for one in phrases}
-        if "other" in kinds:
-            return False
+        for one in phrases:
+            if one.kind == "manner" and (meant := posing_of(one.value)) is not None:
+                self.manners += meant.targets
+        if "other" in kinds or kinds <= {"manner", "amount"}:
+            return "other" not in kinds
         if "stance" in kinds:
             return "does" not in kinds and self._stance(phrases)
         if "only" in kinds or "still" in kinds:
@@ -308,7 +316,7 @@ def _free(rest: str, posing: Posing) -> bool:
     if any(one.limb == "trunk" for step in posing.steps for one in step.targets):
         return False
     rows = [lexicon().actions[action] for action in actions_of(rest)]
-    arms = [part for part in posing.parts if part.endswith(("arm", "arms", "upper body"))]
+    arms = [part for part in posing.parts if part.endswith(("arm", "arms"))]  # they go along with a trunk
     spared = arms and all(part in ("left arm", "right arm") and _spares(rest, part) for part in arms)
     for row in rows:
         on_foot = _on_foot(row) or any(lexicon().actions[one].locomotion in ("walk", "run") for one in row.covers)
