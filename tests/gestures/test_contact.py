@@ -91,6 +91,16 @@ def test_a_cup_goes_to_the_mouth_and_binoculars_to_the_eyes():
     assert (there[:, 1] > 1.6).all() and (there[:, 2] > 0.1).all()
 
 
+def test_who_drives_and_who_rows_sits_and_rows_with_the_whole_trunk():
+    for text in ("drives a car", "rows a boat"):
+        height = made(text).world()[1][:, 0, 1]
+        assert height[0] - height[60] > 0.4
+    ahead = palms(made("rows a boat"))[40:-40, :, 2]
+    assert (np.ptp(ahead, axis=0) > 0.45).all() and np.corrcoef(*ahead.T)[0, 1] > 0.9
+    turned = palms(made("drives a car"))[40:-40, :, 1]
+    assert np.corrcoef(*turned.T)[0, 1] < -0.9
+
+
 def test_a_letter_is_held_out_with_the_palm_up():
     motion = made("hands a letter to somebody")
     there, rotations = palms(motion)[40, 1], motion.world()[0][40, AT["right_wrist"]]

@@ -32,6 +32,8 @@ def test_the_gaze_goes_up_down_and_along():
 def test_who_looks_over_a_cliff_leans_over_it():
     depth, lean = gaze("looks over the cliff")
     assert np.median(depth[:, 0]) < -30 and np.median(lean) > 15
+    pelvis = gesture_motion(looked(sight_of("looks under the bed"))).world()[1][:, 0, 1]
+    assert pelvis[0] - np.median(pelvis) > 0.2 and np.median(gaze("looks under the bed")[1]) > 45
 
 
 def test_who_looks_at_the_ground_by_himself_looks_up_as_far_as_anybody():

@@ -31,6 +31,10 @@ from bunraku.language.understood import understood
         ("presses a key on the control panel", "press", 1.0, 1.4),
         ("rests both hands on the gizmo", "touch", 0.8, 1.4),
         ("opens a can", "open held", 0.8, 1.3),
+        ("pours water into a glass", "pour", 0.8, 1.3),
+        ("waters the plants", "water", 0.4, 1.0),
+        ("drives a truck", "drive", 0.5, 1.5),
+        ("rows a boat", "row", 0.3, 1.5),
         ("puts a hand on somebody's shoulder", "touch", 1.2, 1.6),
         ("touches the contraption", "touch", 0.8, 1.4),  # which the table does not know
     ],

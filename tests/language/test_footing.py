@@ -25,6 +25,7 @@ from bunraku.language.parse import parse
         ("walks the plank", "narrow"),
         ("wades along the street", "deep"),
         ("gropes along a corridor", "dark"),
+        ("mows the lawn", "pushed"),
         ("shuffles over black ice", "slippery"),
         ("steps over a sleeping dog", "obstacle"),
         ("fights his way through a blizzard", "windy"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 
+from bunraku.gestures.places import read_places
 from bunraku.gestures.pose import Gesture, Hand, Pose, again
 from bunraku.language.lexicon.things import Sight
 
@@ -15,6 +16,10 @@ PERIOD, TIMES = 6.0, 3
 """Seconds of a gaze to both sides and back, and how often it goes so."""
 LEAST = 3.0
 """How far it goes to both sides of who looks at one thing [degrees]."""
+LEANS = 12.0
+"""Lean of the trunk from which on arms keep the balance, and knees bend by so much again [degrees]."""
+BENT = 2.0
+"""How often so from where on hands are on the knees."""
 OUT = Hand((0.36, 0.98, -0.04), (0.3, -0.9, 0.2), (-0.9, 0.0, 0.2), (0.35, 0.0, -1.0))
 """A hand of who leans over a depth."""
 
@@ -34,8 +39,6 @@ def _turned(sight: Sight, aside: float) -> Pose:
     head = ((1 - share) * sight.pitch - 0.3 * sight.lean, (1 - CHEST) * aside, 0.0)
     if not sight.lean > LEANS:
         return Pose(lean=lean, head=head)
-    return Pose(right=OUT, left=OUT, lean=lean, head=head, hips=(0.0, -0.04, -0.1))
-
-
-LEANS = 12.0
-"""Lean of the trunk from which on arms keep the balance [degrees]."""
+    low = max(sight.lean - LEANS, 0.0) / LEANS
+    hand = read_places()["low"].other if low > BENT else OUT
+    return Pose(right=hand, left=hand, lean=lean, head=head, hips=(0.0, -0.08 * low, -0.08 - 0.02 * low))

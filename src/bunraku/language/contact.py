@@ -115,9 +115,10 @@ def _thing(words: Sequence[str], zone: range, what: str) -> Named[Kind] | None:
     known = _done_with(words, near, what)
     if known:
         return known[-1]
-    if near.stop < zone.stop and words[near.stop] in ("of", "on"):
+    joint = words[near.stop] if near.stop < zone.stop else ""
+    if joint in ("of", "on", "into"):
         of = _done_with(words, object_of(words, range(near.stop + 1, zone.stop)), what)
-        known = [one for one in of if not _GIVEN & one.means.kinds]
+        known = [one for one in of if joint == "into" or not _GIVEN & one.means.kinds]
     elif what in table.defaults or what == _THROUGH:
         known = _done_with(words, zone, what)
     if known:
