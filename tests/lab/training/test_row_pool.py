@@ -1,3 +1,5 @@
+import threading
+
 import numpy as np
 import pytest
 import torch
@@ -95,6 +97,27 @@ def test_a_fed_pool_waits_for_as_many_rows_as_it_is_asked_for(maker):
         assert len(fed.pool) == 300
     finally:
         fed.close()
+
+
+def test_a_pool_whose_processes_fail_is_closed():
+    """While more waits to be taken than is taken."""
+
+    class Failing:
+        closed = False
+
+        def __iter__(self):
+            yield from (rows(4 * number) for number in range(8))
+            raise ValueError("out of clips")
+
+        def close(self):
+            self.closed = True
+
+    workers = Failing()
+    fed = FedPool(RowPool(8, 7, CPU), workers)
+    closing = threading.Thread(target=fed.close)
+    closing.start()
+    closing.join(20)
+    assert workers.closed and not closing.is_alive()
 
 
 def test_a_denoiser_trains_on_a_pool(swings, tmp_path, config, encoder):

@@ -143,17 +143,20 @@ class FedPool:
     def _receive(self) -> None:
         try:
             for rows in self.workers:
-                while not self._ended.is_set():
-                    try:
-                        self._ready.put(rows, timeout=0.2)
-                        break
-                    except queue.Full:
-                        continue
-                if self._ended.is_set():
+                if not self._put(rows):
                     return
         except Exception as error:  # handed to the training loop
-            if not self._ended.is_set():
-                self._ready.put(error)
+            self._put(error)
+
+    def _put(self, made: Any) -> bool:
+        """Hand on what came, unless the pool ends first."""
+        while not self._ended.is_set():
+            try:
+                self._ready.put(made, timeout=0.2)
+                return True
+            except queue.Full:
+                continue
+        return False
 
     def feed(self, least: int = 0) -> None:
         """Take what is ready, and wait until the pool has `least` rows.

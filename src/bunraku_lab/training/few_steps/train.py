@@ -55,6 +55,8 @@ from bunraku_lab.training.runs.training_run import Progress, Report
 
 __all__ = ["FewStepsConfig", "FewStepsRun", "train_few_steps"]
 
+_BATCHES = 4
+"""Of rows that are kept at the least, so that a step's lessons are not all of one kind of start."""
 _HELD = 48
 """Rows of held-out clips that are validated on."""
 _KEPT = ("adaptation_out",)
@@ -141,7 +143,7 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
             lambda: with_changes(load_denoiser(diffusion).float(), config.rank, _KEPT).to(self.device), self._begin
         )
         self.visited = visited_steps(teacher)
-        self.kept: deque[Trajectories] = deque(maxlen=max(1, config.kept // config.rows))
+        self.kept: deque[Trajectories] = deque(maxlen=max(_BATCHES, config.kept // config.rows))
         self.owed, self.drawn = 0.0, 0
         self.weights = torch.from_numpy(feature_weights()).to(self.device)
         self.places = torch.from_numpy(places(self.visited).astype(np.float32)).to(self.device)
@@ -238,8 +240,9 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
             self.draw()
         self.owed -= 1
         parts = []
+        lessons = np.array([found.lessons for found in self.kept])  # each counts the same
         for size in (self.config.batch - self.config.batch // 2, self.config.batch // 2):
-            found = self.kept[int(self.rng.integers(len(self.kept)))]
+            found = self.kept[int(self.rng.choice(len(self.kept), p=lessons / lessons.sum()))]
             some = self.rng.integers(len(found), size=size)
             nodes = self.rng.integers(found.start, len(self.visited), size=size)
             if size:
