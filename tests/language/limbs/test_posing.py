@@ -162,3 +162,14 @@ def test_a_manner_is_limbs_in_one_word():
     assert sad.rest == "walks sadly" and {one.limb for one in sad.held} == {"head", "trunk"}
     assert {one.limb for one in read("jogs happily with the hands on the hips").held} == {"head", "trunk", "arm"}
     assert read("claps happily") is None and read("sneaks cautiously") is None
+
+
+def test_stances_and_limbs_that_are_said_shortly():
+    assert read("swings the arms up and down while squatting").stance.name == "squat"
+    one, other = read("raises one knee, then the other").steps
+    assert plain(one.targets) == {("one", "knee", "up", "")} and plain(other.targets) == {("left", "knee", "up", "")}
+    assert plain(read("sits on the floor with the arms around the knees").held) == {("both", "arm", "knee")}
+    assert read("steps forward with the right foot and raises both arms").rest == "steps forward with the right foot"
+    assert plain(read("stands with the arms and the legs spread").held) == {
+        ("both", "arm", "side", ""), ("both", "leg", "apart", ""),
+    }  # fmt: skip

@@ -26,6 +26,8 @@ ALIVE = 4.0
 """Period in which who holds limbs somewhere moves a little [s]."""
 PERIODS = {"arm": 1.3, "elbow": 1.3, "leg": 1.5, "knee": 1.5, "heel": 1.4, "head": 1.9, "trunk": 2.4, "hips": 1.8}
 """Seconds of once to and fro."""
+SHAPES, BESIDE = frozenset(("bent", "tiptoe")), frozenset(("apart", "together"))
+"""Ways of legs that go together with others."""
 LIES = 60.0
 """Tilt of the pelvis from which on somebody lies [degrees]."""
 ROUND = 8
@@ -108,11 +110,14 @@ def _bent_together(posing: Posing) -> Posing:
 
 
 def _replaced(targets: Sequence[Target], others: Sequence[Target]) -> list[Target]:
-    """Targets of which those of limbs that others say go elsewhere are left out, and these others."""
+    """Targets without those of limbs that others say go elsewhere, and these others; legs that stand apart may be bent
+    so.
+    """
     kept = [
         one for one in targets
         if not any(
-            _same(one.limb) == _same(other.limb) and (one.side == other.side or "both" in (one.side, other.side))
+            not (other.ways <= SHAPES and one.ways & BESIDE)
+            and _same(one.limb) == _same(other.limb) and (one.side == other.side or "both" in (one.side, other.side))
             for other in others
         )
     ]  # fmt: skip

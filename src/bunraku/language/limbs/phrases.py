@@ -144,12 +144,14 @@ def _noun(words: Sequence[str], at: int, before: Sequence[Phrase]) -> bool:
 def _sided(phrases: Sequence[Phrase], number: int) -> list[Phrase]:
     """A "left" or "right" as the side of the limb after it, or else as a way; what says nothing is left out."""
     one = phrases[number]
+    after = phrases[number + 1].kind if number + 1 < len(phrases) else ""
     if one.kind == "aside":
         return []
+    if one.kind == "round" and len(one.words) == 1 and after in ("part", "side"):
+        return [one._replace(kind="by", value="on")]  # "the arms around the knees"
     if one.value not in OTHER:
         return [one]
-    after = (other for other in phrases[number + 1 : number + 3] if other.kind not in ("does", "amount"))
-    named = next(after, None)
+    named = next((other for other in phrases[number + 1 : number + 3] if other.kind not in ("does", "amount")), None)
     if named is None or named.kind != "part":
         return [one._replace(kind="way")]
     side = one._replace(kind="side")
@@ -213,7 +215,9 @@ def targets_of(phrases: Sequence[Phrase], verb: str, last: Sequence[Target], oth
         return tuple([_of_limb(one.limb, one.side, ways, plain, "") for one in last]) if goes_on else ()
     if limbs[0][0] == "trunk" and plain.at == "hip":  # "bends at the hips"
         plain = plain._replace(at="", by="")
-    leans_on = limbs[0][0] == "trunk" and plain.at and (plain.at != "arm" or not ways)
+    if limbs[0][0] == "head" and plain.at == "chest":
+        ways, plain = ways | {"down"}, plain._replace(at="", by="")
+    leans_on = plain.at and (limbs[0][0] == "head" or (limbs[0][0] == "trunk" and (plain.at != "arm" or not ways)))
     if plain.by == "off" or leans_on or (verb == "look" and not ways & _LOOKS):
         return ()
     if verb == "circle" and not plain.to:
@@ -290,6 +294,8 @@ def _said(
             plain = plain._replace(to=frozenset(["round"]))
         elif kind == "stance":
             return None
+    if side == "other" and not limbs:
+        limbs.append(("", other))  # "raises one knee, then the other"
     if "beside" in ways:  # what goes up and down there is out to the side
         ways = ways - {"beside"} | {"side" if plain.to else "down"}
     return limbs, frozenset(ways), plain._replace(by=plain.by or (pending if pending == "off" else ""))

@@ -125,8 +125,9 @@ def posing_of(predicate: str) -> Posing | None:
     unread: list[Phrase] | None = None
     for number, (join, own) in enumerate(segments):
         some, open_limbs = [*open_limbs, *own], []
-        following = segments[number + 1][0] if number + 1 < len(segments) else ""
-        if following == "and" and {one.kind for one in own} <= {"part", "side"}:
+        following, after = segments[number + 1] if number + 1 < len(segments) else ("", [])
+        shared = following == "and" and (after[0].kind != "does" or participle(after[0]))
+        if shared and {one.kind for one in own} <= {"part", "side"}:
             open_limbs = some  # "the arms and the legs spread"
         elif reader.read(join, some):
             told.append(some)
@@ -168,7 +169,7 @@ class _Reader:
         if "other" in kinds or kinds <= {"manner", "amount"}:
             return "other" not in kinds
         if "stance" in kinds:
-            return "does" not in kinds and self._stance(phrases)
+            return "does" not in kinds and self._stance(join, phrases)
         if "only" in kinds or "still" in kinds:
             return self._legs_stay(phrases, kinds)
         return self._limbs(join, phrases, kinds)
@@ -184,15 +185,15 @@ class _Reader:
         left = [step._replace(targets=tuple([one for one in step.targets if one.limb != "leg"])) for step in self.steps]
         self.steps = [step for step in left if step.targets]
 
-    def _stance(self, phrases: Sequence[Phrase]) -> bool:
+    def _stance(self, join: str, phrases: Sequence[Phrase]) -> bool:
         verb = next(one for one in phrases if one.kind == "stance").value
         parts = {one.value: one.words[-1] for one in phrases if one.kind == "part"}
         sides = [one.value for one in phrases if one.kind == "side"]
         ways = {one.value for one in phrases if one.kind == "way"}
         if "up" in ways or self.stance is not None:
             return False
-        if self.steps:  # "raises the arms while standing"
-            return verb == "stand" and not parts and not ways
+        if self.steps and join != "while":
+            return False
         side = next((one for one in sides if one in OTHER), "")
         if verb == "stand" and "leg" in parts and parts["leg"] in ("leg", "foot"):
             self.other = OTHER.get(side, "one")
