@@ -52,8 +52,8 @@ from bunraku.retarget.body_motion import body_handle_motion
 from bunraku_lab.description.describe import inside
 from bunraku_lab.description.wording import computed_sentence
 from bunraku_lab.training import idles as who
-from bunraku_lab.training.diffusion.clip_data import ClipEntry, load_clips
-from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture
+from bunraku_lab.training.rows.clip_data import ClipEntry, load_clips
+from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
 
 __all__ = ["ExampleSettings", "build_examples"]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from bunraku.diffusion.features import decode
 from bunraku.language.description.track import SIDES, Track, runs
-from bunraku_lab.training.diffusion.clip_data import ClipEntry
+from bunraku_lab.training.rows.clip_data import ClipEntry
 
 __all__ = ["BUSY", "IDLE", "IdleBounds", "idling"]
 

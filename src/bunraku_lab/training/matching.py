@@ -19,7 +19,7 @@ from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TextEncoder
 from bunraku_lab.nn.diffusion.matching import Extractor, load_extractor, save_extractor
-from bunraku_lab.training.diffusion.text_bank import TextBank
+from bunraku_lab.training.rows.text_bank import TextBank
 from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
 from bunraku_lab.training.runs.settings import StepSettings
 

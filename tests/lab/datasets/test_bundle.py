@@ -17,8 +17,8 @@ from bunraku.retarget.body_motion import body_handle_motion
 from bunraku_lab.datasets.motions.bundle import KIND, read_bundle, write_bundle
 from bunraku_lab.datasets.motions.clips import load_clip, write_clip, write_index
 from bunraku_lab.datasets.motions.packing import pack_motion, unpack_motion
-from bunraku_lab.training.diffusion.clip_data import load_clips
-from bunraku_lab.training.diffusion.mesh_bank import load_mesh_bank
+from bunraku_lab.training.rows.clip_data import load_clips
+from bunraku_lab.training.rows.mesh_bank import load_mesh_bank
 
 
 def person(frames=50, seed=0):

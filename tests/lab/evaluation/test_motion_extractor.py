@@ -99,7 +99,7 @@ def test_training_brings_motions_and_their_sentences_together(data, tmp_path):
     path = train_extractor(settings(data, tmp_path / "run", steps=120), rows.append, WordEncoder())
     assert rows[-1]["loss"] < 0.3 * rows[0]["loss"]
     model = load_extractor(path)
-    from bunraku_lab.training.diffusion.clip_data import load_clips
+    from bunraku_lab.training.rows.clip_data import load_clips
 
     clips = load_clips(data, splits={"test"})
     sentences = embed_sentences(model, WordEncoder(), [entry["texts"][0] for entry in clips.values()])

@@ -7,9 +7,9 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.diffusion.features import ROOT_SIZE, FeatureStatistics, mirror
 from bunraku.errors import FormatError
 from bunraku.language.captions.phrases import creature_variants
-from bunraku_lab.training.diffusion.clip_data import load_clips
-from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture
-from bunraku_lab.training.diffusion.training_clip import TrainingClip
+from bunraku_lab.training.rows.clip_data import load_clips
+from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
+from bunraku_lab.training.rows.training_clip import TrainingClip
 
 
 def entry(features, text, split="train"):

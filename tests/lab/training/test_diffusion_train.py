@@ -64,8 +64,8 @@ def test_text_tokens_are_dropped_in_training_alone(settings, config, encoder, sw
     """Of all tokens about as many as asked for; sentence vectors stay, and noise and steps are those without it."""
     from bunraku.diffusion.features import FeatureStatistics
     from bunraku_lab.nn.text import tensors_of
-    from bunraku_lab.training.diffusion.clip_data import load_clips
-    from bunraku_lab.training.diffusion.clip_rows import ClipSet
+    from bunraku_lab.training.rows.clip_data import load_clips
+    from bunraku_lab.training.rows.clip_rows import ClipSet
 
     found = load_clips(swings)
     statistics = FeatureStatistics.measure([entry["features"] for entry in found.values()])
@@ -103,7 +103,7 @@ def test_training_learns(settings, config, encoder):
 
 def test_no_thread_outlives_a_run(settings, config, encoder, monkeypatch):
     """One that is inside torch when the process ends would abort it."""
-    from bunraku_lab.training.diffusion.clip_rows import ClipSet
+    from bunraku_lab.training.rows.clip_rows import ClipSet
 
     batch = ClipSet.batch
 

@@ -7,8 +7,8 @@ import pytest
 
 from bunraku.diffusion.features import FeatureStatistics, decode
 from bunraku.language.description.track import Phrase
-from bunraku_lab.training.diffusion.event_pool import ENOUGH, EventPool
-from bunraku_lab.training.diffusion.training_clip import TrainingClip
+from bunraku_lab.training.rows.event_pool import ENOUGH, EventPool
+from bunraku_lab.training.rows.training_clip import TrainingClip
 
 
 def turn(side, start=5):

@@ -2,7 +2,7 @@ import re
 
 import numpy as np
 
-from bunraku_lab.training.diffusion.joining import link
+from bunraku_lab.training.rows.joining import link
 
 
 def order(sentence, words):

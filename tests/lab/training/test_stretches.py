@@ -1,4 +1,4 @@
-from bunraku_lab.training.diffusion.stretches import agreeing, joined_sentence, stretch_phrases, stretch_variants
+from bunraku_lab.training.rows.stretches import agreeing, joined_sentence, stretch_phrases, stretch_variants
 
 TEXTS = ("someone walks fast and turns left", "a brisk walk with a left turn", "walk fast, turn left")
 

@@ -3,7 +3,7 @@
 import torch
 
 from bunraku.language.encoders import MiniLMEncoder
-from bunraku_lab.training.diffusion.text_bank import TextBank
+from bunraku_lab.training.rows.text_bank import TextBank
 
 
 def test_what_is_kept_is_what_the_first_sitting_learned_from(tmp_path):

@@ -18,7 +18,7 @@ from bunraku_lab.evaluation.motion.samples import Request, checkpoint_digest, ma
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Report
 from bunraku_lab.evaluation.motion.windows import Window, draw_windows, window_features
 from bunraku_lab.evaluation.report import Bar
-from bunraku_lab.training.diffusion.clip_data import ClipEntry, load_clips, people
+from bunraku_lab.training.rows.clip_data import ClipEntry, load_clips, people
 
 __all__ = [
     "BARS",

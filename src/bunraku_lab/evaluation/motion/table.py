@@ -39,7 +39,7 @@ from bunraku_lab.evaluation.motion.samples import (
     make_motions,
 )
 from bunraku_lab.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
-from bunraku_lab.training.diffusion.clip_data import ClipEntry, load_clips, people
+from bunraku_lab.training.rows.clip_data import ClipEntry, load_clips, people
 
 __all__ = ["MotionEvalConfig", "Report", "Row", "evaluate_motion", "measure_rows", "table_windows"]
 

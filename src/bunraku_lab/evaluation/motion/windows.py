@@ -16,7 +16,7 @@ import numpy as np
 from bunraku.diffusion.features import mirror
 from bunraku.errors import OptionError
 from bunraku.language.captions.phrases import caption_group, caption_variants, mirror_words, normalise_label
-from bunraku_lab.training.diffusion.clip_data import ClipEntry
+from bunraku_lab.training.rows.clip_data import ClipEntry
 
 __all__ = ["LENGTHS", "SHORTEST", "Window", "candidate_sentences", "draw_windows", "window_features", "window_meaning"]
 

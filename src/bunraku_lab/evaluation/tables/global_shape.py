@@ -41,7 +41,7 @@ from bunraku_lab.evaluation.tables.distortion import (
     transfers_of,
 )
 from bunraku_lab.nn.baselines.pose_transfer import TransferNetwork
-from bunraku_lab.training.diffusion.clip_data import load_clips, people
+from bunraku_lab.training.rows.clip_data import load_clips, people
 
 __all__ = ["body_samples", "measure_handles"]
 

@@ -22,7 +22,7 @@ from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.nn.diffusion.noise import add_noise, alphas_cumprod
 from bunraku_lab.nn.text import tensors_of
-from bunraku_lab.training.diffusion.clip_rows import ClipSet
+from bunraku_lab.training.rows.clip_rows import ClipSet
 
 __all__ = ["AdaptationPairs", "PairPlan", "collect_pairs"]
 

@@ -38,8 +38,8 @@ from bunraku_lab.training.adaptation.config import FRAMES, AdaptationConfig
 from bunraku_lab.training.adaptation.head import AdaptationHead, label_distance, whitening
 from bunraku_lab.training.adaptation.mesh_losses import MeshLosses
 from bunraku_lab.training.adaptation.pairs import AdaptationPairs, PairPlan, collect_pairs
-from bunraku_lab.training.diffusion.clip_data import load_clips
-from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture
+from bunraku_lab.training.rows.clip_data import load_clips
+from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
 from bunraku_lab.training.diffusion.mesh_learning import local_motion
 from bunraku_lab.training.losses.batched_fit import fit_locals
 from bunraku_lab.training.runs.events import EventLog

@@ -7,9 +7,9 @@ from typing import Protocol
 
 import torch
 
-from bunraku_lab.training.diffusion.drawn_rows import DrawnRows
-from bunraku_lab.training.diffusion.row_pool import FedPool, RowPool
-from bunraku_lab.training.diffusion.row_workers import MadeRows, RowMaker, RowWorkers
+from bunraku_lab.training.rows.drawn_rows import DrawnRows
+from bunraku_lab.training.rows.row_pool import FedPool, RowPool
+from bunraku_lab.training.rows.row_workers import MadeRows, RowMaker, RowWorkers
 
 __all__ = ["PooledRows", "RowSource", "RowsInTurn"]
 

@@ -21,7 +21,7 @@ from bunraku.geometry.filters import CUT
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.nn.diffusion.matching import Extractor
 from bunraku_lab.nn.text import TextBatch
-from bunraku_lab.training.diffusion.drawn_rows import DrawnRows
+from bunraku_lab.training.rows.drawn_rows import DrawnRows
 
 __all__ = ["Teacher", "smoothed"]
 

@@ -12,9 +12,9 @@ from multiprocessing.connection import Connection, wait
 import numpy as np
 
 from bunraku.diffusion.examples.attended import ExampleBank, take_of
-from bunraku_lab.training.diffusion.clip_rows import ClipSet, MotionBatch
-from bunraku_lab.training.diffusion.mesh_bank import MeshBank
-from bunraku_lab.training.diffusion.text_bank import TextBank
+from bunraku_lab.training.rows.clip_rows import ClipSet, MotionBatch
+from bunraku_lab.training.rows.mesh_bank import MeshBank
+from bunraku_lab.training.rows.text_bank import TextBank
 
 __all__ = ["MadeRows", "RowMaker", "RowWorkers"]
 

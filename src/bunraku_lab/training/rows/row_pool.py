@@ -15,9 +15,9 @@ from torch import Tensor
 from bunraku.language.encoders import TEXT_LENGTH
 from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
 from bunraku_lab.nn.text import TextBatch
-from bunraku_lab.training.diffusion.drawn_rows import DrawnRows
-from bunraku_lab.training.diffusion.mesh_bank import MeshBank
-from bunraku_lab.training.diffusion.row_workers import MadeRows, RowWorkers
+from bunraku_lab.training.rows.drawn_rows import DrawnRows
+from bunraku_lab.training.rows.mesh_bank import MeshBank
+from bunraku_lab.training.rows.row_workers import MadeRows, RowWorkers
 
 __all__ = ["FedPool", "RowPool"]
 

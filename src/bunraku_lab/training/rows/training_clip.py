@@ -12,8 +12,8 @@ from bunraku.diffusion.splicing import END, held, join_point, played, rests
 from bunraku.language.captions.phrases import caption_group
 from bunraku.language.lexicon.reading import is_cyclic, main_actions
 from bunraku_lab.description.wording import all_variants, clauses
-from bunraku_lab.training.diffusion.clip_data import ClipEntry
-from bunraku_lab.training.diffusion.stretches import agreeing, stretch_phrases, stretch_variants
+from bunraku_lab.training.rows.clip_data import ClipEntry
+from bunraku_lab.training.rows.stretches import agreeing, stretch_phrases, stretch_variants
 
 __all__ = ["TrainingClip"]
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from bunraku.diffusion.examples.joins import FEWEST, Joins, standing_stretches
 from bunraku.diffusion.features import FeatureStatistics
-from bunraku_lab.training.diffusion.training_clip import TrainingClip
+from bunraku_lab.training.rows.training_clip import TrainingClip
 
 __all__ = ["goes", "joins_of"]
 

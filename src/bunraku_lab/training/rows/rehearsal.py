@@ -7,7 +7,7 @@ rehearsal of what it learned before is the plainest remedy, and captured example
 from __future__ import annotations
 
 from bunraku.diffusion.examples.pack import ExamplePack
-from bunraku_lab.training.diffusion.clip_data import MIN_FRAMES, ClipEntry
+from bunraku_lab.training.rows.clip_data import MIN_FRAMES, ClipEntry
 
 __all__ = ["rehearsal_clips"]
 

@@ -14,7 +14,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.description.track import Phrase, Track
 from bunraku_lab.description.events import find_punches, find_seats
-from bunraku_lab.training.diffusion.training_clip import TrainingClip
+from bunraku_lab.training.rows.training_clip import TrainingClip
 
 __all__ = ["EventPool"]
 

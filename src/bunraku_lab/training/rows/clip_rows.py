@@ -19,12 +19,12 @@ from bunraku.language.captions.phrases import caption_group, mirror_words
 from bunraku.language.description.track import Phrase
 from bunraku_lab.description.describe import describe, inside
 from bunraku_lab.description.wording import borrowed_sentence, can_do, computed_sentence, creature_subjects, verbs
-from bunraku_lab.training.diffusion.clip_data import MIN_FRAMES, ClipEntry
-from bunraku_lab.training.diffusion.event_pool import EventPool
-from bunraku_lab.training.diffusion.joining import link
-from bunraku_lab.training.diffusion.joins import goes, joins_of
-from bunraku_lab.training.diffusion.stretches import goes_on, joined_sentence
-from bunraku_lab.training.diffusion.training_clip import TrainingClip
+from bunraku_lab.training.rows.clip_data import MIN_FRAMES, ClipEntry
+from bunraku_lab.training.rows.event_pool import EventPool
+from bunraku_lab.training.rows.joining import link
+from bunraku_lab.training.rows.joins import goes, joins_of
+from bunraku_lab.training.rows.stretches import goes_on, joined_sentence
+from bunraku_lab.training.rows.training_clip import TrainingClip
 
 __all__ = ["ClipSet", "MotionBatch", "Row"]
 
