@@ -21,12 +21,12 @@ from bunraku_lab.nn.diffusion.low_rank import changes_of, with_changes
 from bunraku_lab.nn.diffusion.matching import Extractor
 from bunraku_lab.nn.running.networks import running_denoiser, running_extractor
 from bunraku_lab.nn.text import tensors_of
-from bunraku_lab.training.rows.clip_data import load_clips
-from bunraku_lab.training.rows.clip_rows import ClipSet
-from bunraku_lab.training.rows.drawn_rows import DrawnRows
 from bunraku_lab.training.few_steps.teacher import Teacher, smoothed
 from bunraku_lab.training.few_steps.train import FewStepsConfig, train_few_steps
 from bunraku_lab.training.few_steps.trajectories import draw_trajectories, places, visited_steps
+from bunraku_lab.training.rows.clip_data import load_clips
+from bunraku_lab.training.rows.clip_rows import ClipSet
+from bunraku_lab.training.rows.drawn_rows import DrawnRows
 
 
 @pytest.fixture

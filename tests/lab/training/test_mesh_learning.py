@@ -4,8 +4,8 @@ import torch
 
 from bunraku.errors import FormatError
 from bunraku_lab.datasets.characters.bank_file import load_character_bank
-from bunraku_lab.training.rows.mesh_bank import MeshBank, load_mesh_bank
 from bunraku_lab.training.diffusion.mesh_learning import MeshLearning, local_motion
+from bunraku_lab.training.rows.mesh_bank import MeshBank, load_mesh_bank
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ import pytest
 from bunraku.diffusion.examples.pack import load_examples
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku_lab.training.diffusion.card import training_card, write_card
+from bunraku_lab.training.diffusion.config import TrainingConfig
 from bunraku_lab.training.rows.clip_data import ClipEntry
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
-from bunraku_lab.training.diffusion.config import TrainingConfig
 from bunraku_lab.training.rows.rehearsal import rehearsal_clips
 
 

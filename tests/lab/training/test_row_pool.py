@@ -7,13 +7,13 @@ import torch
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError
 from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
+from bunraku_lab.training.diffusion.train import TrainingConfig, train_diffusion
 from bunraku_lab.training.rows.clip_data import load_clips
 from bunraku_lab.training.rows.clip_rows import ClipSet
 from bunraku_lab.training.rows.mesh_bank import MeshBank
 from bunraku_lab.training.rows.row_pool import FedPool, RowPool
 from bunraku_lab.training.rows.row_workers import MadeRows, RowMaker, RowWorkers
 from bunraku_lab.training.rows.text_bank import TextBank
-from bunraku_lab.training.diffusion.train import TrainingConfig, train_diffusion
 
 CPU = torch.device("cpu")
 

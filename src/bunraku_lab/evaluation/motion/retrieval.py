@@ -24,8 +24,8 @@ from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.nn.diffusion.noise import add_noise, alphas_cumprod
 from bunraku_lab.nn.text import tensors_of
-from bunraku_lab.training.rows.clip_data import load_clips
 from bunraku_lab.training.losses.motion_loss import motion_losses
+from bunraku_lab.training.rows.clip_data import load_clips
 from bunraku_lab.training.runs.half_precision import bf16_is_fast
 
 __all__ = ["candidate_errors", "draw_candidates", "retrieval", "wilson_interval"]

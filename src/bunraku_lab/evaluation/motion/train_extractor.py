@@ -25,9 +25,9 @@ from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku_lab.evaluation.motion.metrics import r_precision
 from bunraku_lab.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
 from bunraku_lab.nn.running.networks import running_extractor
+from bunraku_lab.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
 from bunraku_lab.training.rows.clip_data import ClipEntry, load_people
 from bunraku_lab.training.rows.text_bank import TextBank
-from bunraku_lab.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
 from bunraku_lab.training.runs.half_precision import bf16_is_fast
 
 __all__ = ["ExtractorTrainConfig", "ExtractorTrainer", "retrieval_of", "train_extractor"]

@@ -38,10 +38,10 @@ from bunraku_lab.training.adaptation.config import FRAMES, AdaptationConfig
 from bunraku_lab.training.adaptation.head import AdaptationHead, label_distance, whitening
 from bunraku_lab.training.adaptation.mesh_losses import MeshLosses
 from bunraku_lab.training.adaptation.pairs import AdaptationPairs, PairPlan, collect_pairs
-from bunraku_lab.training.rows.clip_data import load_clips
-from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
 from bunraku_lab.training.diffusion.mesh_learning import local_motion
 from bunraku_lab.training.losses.batched_fit import fit_locals
+from bunraku_lab.training.rows.clip_data import load_clips
+from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
 from bunraku_lab.training.runs.events import EventLog
 from bunraku_lab.training.runs.runs import Stop, learning_rate, plain_settings
 from bunraku_lab.training.runs.training_run import Progress, Report, TrainingRun

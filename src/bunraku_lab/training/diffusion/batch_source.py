@@ -13,11 +13,11 @@ import torch
 from bunraku.diffusion.examples.attended import ExampleBank, take_of
 from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
 from bunraku_lab.nn.text import TextBatch
+from bunraku_lab.training.diffusion.trainer import Example, Trainer
 from bunraku_lab.training.rows.clip_rows import ClipSet, MotionBatch
 from bunraku_lab.training.rows.row_pool import FedPool, RowPool
 from bunraku_lab.training.rows.row_workers import RowMaker, RowWorkers
 from bunraku_lab.training.rows.text_bank import TextBank
-from bunraku_lab.training.diffusion.trainer import Example, Trainer
 
 __all__ = ["BatchSource", "BatchesAhead", "PooledBatches", "Sources"]
 

@@ -10,8 +10,8 @@ from bunraku.errors import WeightsError
 from bunraku.formats.files import atomic_write
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.datasets.motions.sources import credit_lines
-from bunraku_lab.training.rows.clip_data import ClipEntry
 from bunraku_lab.training.diffusion.config import SHIPPED, TrainingConfig
+from bunraku_lab.training.rows.clip_data import ClipEntry
 
 __all__ = ["training_card", "write_card"]
 

@@ -30,14 +30,14 @@ from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
 from bunraku_lab.training.diffusion.batch_source import BatchesAhead, BatchSource, PooledBatches, Sources
 from bunraku_lab.training.diffusion.card import training_card, write_card
+from bunraku_lab.training.diffusion.config import SHIPPED
+from bunraku_lab.training.diffusion.trainer import Example, Trainer, TrainingConfig
+from bunraku_lab.training.diffusion.warm_start import start_from
 from bunraku_lab.training.rows.clip_data import load_clips
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
-from bunraku_lab.training.diffusion.config import SHIPPED
 from bunraku_lab.training.rows.mesh_bank import load_mesh_bank
 from bunraku_lab.training.rows.rehearsal import rehearsal_clips
 from bunraku_lab.training.rows.text_bank import TextBank
-from bunraku_lab.training.diffusion.trainer import Example, Trainer, TrainingConfig
-from bunraku_lab.training.diffusion.warm_start import start_from
 from bunraku_lab.training.runs.events import EventLog
 from bunraku_lab.training.runs.processes import open_processes
 from bunraku_lab.training.runs.runs import Stop, logged_columns

@@ -21,13 +21,13 @@ from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
 from bunraku_lab.nn.diffusion.noise import add_noise, alphas_cumprod
 from bunraku_lab.nn.text import TextBatch
-from bunraku_lab.training.rows.clip_rows import MotionBatch
 from bunraku_lab.training.diffusion.config import TrainingConfig
-from bunraku_lab.training.rows.drawn_rows import DrawnRows
-from bunraku_lab.training.rows.mesh_bank import MeshBank
 from bunraku_lab.training.diffusion.mesh_learning import MeshDraw, MeshLearning
 from bunraku_lab.training.losses.contact_loss import contact_loss
 from bunraku_lab.training.losses.motion_loss import motion_losses, step_weights
+from bunraku_lab.training.rows.clip_rows import MotionBatch
+from bunraku_lab.training.rows.drawn_rows import DrawnRows
+from bunraku_lab.training.rows.mesh_bank import MeshBank
 from bunraku_lab.training.runs.half_precision import bf16_is_fast
 from bunraku_lab.training.runs.processes import Processes
 from bunraku_lab.training.runs.runs import careful_step, follow_weights, learning_rate

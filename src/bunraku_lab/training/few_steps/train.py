@@ -31,12 +31,6 @@ from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.nn.diffusion.low_rank import changes_of, with_changes
 from bunraku_lab.nn.diffusion.matching import load_extractor
-from bunraku_lab.training.rows.clip_data import load_clips
-from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
-from bunraku_lab.training.rows.drawn_rows import DrawnRows
-from bunraku_lab.training.rows.mesh_bank import load_mesh_bank
-from bunraku_lab.training.rows.row_workers import RowMaker
-from bunraku_lab.training.rows.text_bank import TextBank
 from bunraku_lab.training.few_steps.rows import PooledRows, RowsInTurn, RowSource
 from bunraku_lab.training.few_steps.teacher import Teacher
 from bunraku_lab.training.few_steps.trajectories import (
@@ -48,6 +42,12 @@ from bunraku_lab.training.few_steps.trajectories import (
     visited_steps,
 )
 from bunraku_lab.training.losses.motion_loss import motion_losses
+from bunraku_lab.training.rows.clip_data import load_clips
+from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
+from bunraku_lab.training.rows.drawn_rows import DrawnRows
+from bunraku_lab.training.rows.mesh_bank import load_mesh_bank
+from bunraku_lab.training.rows.row_workers import RowMaker
+from bunraku_lab.training.rows.text_bank import TextBank
 from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
 from bunraku_lab.training.runs.half_precision import bf16_is_fast
 from bunraku_lab.training.runs.settings import StepSettings

@@ -22,8 +22,8 @@ from torch import Tensor
 from bunraku.diffusion.sampling.solvers import alphas_cumprod
 from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
 from bunraku_lab.nn.text import TextBatch
-from bunraku_lab.training.rows.drawn_rows import DrawnRows
 from bunraku_lab.training.few_steps.teacher import Teacher
+from bunraku_lab.training.rows.drawn_rows import DrawnRows
 
 __all__ = ["NODES", "STEPS", "Trajectories", "ddim", "draw_trajectories", "places", "visited_steps"]
 

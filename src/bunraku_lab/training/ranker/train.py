@@ -23,10 +23,10 @@ from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.lexicon.reading import actions_of
 from bunraku_lab.nn.diffusion.matching import Extractor
+from bunraku_lab.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
 from bunraku_lab.training.rows.clip_data import load_people
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture, MotionBatch
 from bunraku_lab.training.rows.text_bank import TextBank
-from bunraku_lab.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
 from bunraku_lab.training.runs.half_precision import bf16_is_fast
 
 __all__ = ["RankerTrainConfig", "RankerTrainer", "spoilt", "train_ranker"]
