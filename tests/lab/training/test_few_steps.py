@@ -79,10 +79,13 @@ def test_places_are_those_of_ddim():
     np.testing.assert_allclose(places((936, 562))[1], (0, 1))
 
 
-@pytest.mark.parametrize("critic", [False, True])
-def test_the_teacher_draws_what_users_see(teacher, swings, encoder, critic):
-    """The same noise through the sampler for arrays, with and without the critic's pull."""
+@pytest.mark.parametrize(("critic", "mesh"), [(False, False), (True, False), (True, True)])
+def test_the_teacher_draws_what_users_see(teacher, swings, encoder, critic, mesh):
+    """The same noise through the sampler for arrays, with and without the critic's pull and characters."""
     model, own, sentences = rows(teacher, swings, encoder)
+    if mesh:
+        features = torch.randn(len(own.lengths), model.config.mesh_features, generator=torch.Generator().manual_seed(9))
+        own = replace(own, mesh=features, known=torch.ones_like(own.known))
     noise = torch.randn(own.clean.shape, generator=torch.Generator().manual_seed(3))
     network, lengths = running_denoiser(model), own.lengths.numpy()
     longest, guidance, pull = noise.shape[1], 2.0, None
@@ -102,7 +105,9 @@ def test_the_teacher_draws_what_users_see(teacher, swings, encoder, critic):
         for row, length in enumerate(lengths)
     ]
     flat = noise.numpy().reshape(-1, noise.shape[2])
-    wanted = sample_windows(network, encoder.encode(sentences), windows, flat, Solver(20, guidance), steering).values
+    given = None if own.mesh is None else own.mesh.numpy()
+    text, solver = encoder.encode(sentences), Solver(20, guidance)
+    wanted = sample_windows(network, text, windows, flat, solver, steering, mesh_features=given).values
     drawn = Teacher(model, pull, guidance)(own, noise)
     for row, (length, one) in enumerate(zip(lengths, wanted.reshape(noise.shape), strict=True)):
         np.testing.assert_allclose(drawn[row, :length], one[:length], atol=2e-3)
