@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from palms import palms as both_palms
 
 from bunraku.anatomy.ground import lowest
 from bunraku.body.layout import JOINT_NAMES
@@ -23,12 +24,8 @@ CROSSED = ("cross legs",)
 
 
 def palms(motion):
-    """Middle of each palm by forward kinematics: 9 cm from the wrist along the hand, which lies along x at rest."""
-    rotations, positions = motion.world()
-    return {
-        side: positions[:, AT[f"{side}_wrist"]] + 0.09 * sign * rotations[:, AT[f"{side}_wrist"]][:, :, 0]
-        for side, sign in (("left", 1), ("right", -1))
-    }
+    """Middle of each palm by its side, shape (N, 3) each."""
+    return dict(zip(("left", "right"), both_palms(motion).swapaxes(0, 1), strict=True))
 
 
 def gesture(name):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from palms import palms
 
 from bunraku.gestures.contact import touched
 from bunraku.gestures.perform import performed
@@ -9,19 +10,6 @@ from bunraku.gestures.places import things_file
 from bunraku.gestures.play import gesture_motion
 from bunraku.gestures.standing import AT
 from bunraku.language.contact import Contact, contact_of
-
-
-def palms(motion):
-    """Palms of the left and the right hand: left of the body, over the ground, ahead [m], shape (N, 2, 3)."""
-    rotations, positions = motion.world()
-    sides = (("left", 1), ("right", -1))
-    return np.stack(
-        [
-            positions[:, AT[f"{side}_wrist"]] + 0.09 * sign * rotations[:, AT[f"{side}_wrist"]][:, :, 0]
-            for side, sign in sides
-        ],
-        axis=1,
-    )
 
 
 def made(text):

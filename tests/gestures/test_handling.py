@@ -2,27 +2,14 @@
 
 import numpy as np
 import pytest
+from palms import palms
 
 from bunraku.gestures.handling import handled
 from bunraku.gestures.perform import performed
 from bunraku.gestures.places import read_places
 from bunraku.gestures.play import gesture_motion
-from bunraku.gestures.standing import AT
 from bunraku.language.handling import Handling, Place, Station, handling_of
 from bunraku.language.lexicon.tables import lexicon
-
-
-def palms(motion):
-    """Both palms: to the left of the body, over the ground, ahead [m], shape (N, 2, 3)."""
-    rotations, positions = motion.world()
-    sides = (("left", 1), ("right", -1))
-    return np.stack(
-        [
-            positions[:, AT[f"{side}_wrist"]] + 0.09 * sign * rotations[:, AT[f"{side}_wrist"]][:, :, 0]
-            for side, sign in sides
-        ],
-        axis=1,
-    )
 
 
 def at_stations(text, motion=None):

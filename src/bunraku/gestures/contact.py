@@ -13,7 +13,7 @@ import numpy as np
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.gestures.catalogue import gesture_row
 from bunraku.gestures.places import place_pose, things_file
-from bunraku.gestures.pose import Gesture, Hand, Pose, Vector, again
+from bunraku.gestures.pose import Gesture, Hand, Pose, again, mirrored_pose, vector
 from bunraku.gestures.standing import SIDES
 from bunraku.language.contact import Contact
 
@@ -71,14 +71,7 @@ def _named(row: Mapping[str, Any]) -> dict[str, Any]:
 
 def _of_side(pose: Pose, hands: str) -> Pose:
     """A pose of the right hand as one of the hand that is named."""
-    if hands != "left":
-        return pose
-    lean, head = ((a, -b, -c) for a, b, c in (pose.lean, pose.head))
-    x, y, z = pose.hips
-    return replace(
-        pose, right=pose.left, left=pose.right, lean=lean, head=head, hips=(-x, y, z), turn=-pose.turn,
-        right_foot=pose.left_foot, left_foot=pose.right_foot,
-    )  # fmt: skip
+    return mirrored_pose(pose) if hands == "left" else pose
 
 
 def _poses(row: Mapping[str, Any], contact: Contact) -> list[Pose]:
@@ -120,7 +113,7 @@ def _on(hand: Hand, by: np.ndarray, hold: Mapping[str, Sequence[float]], face: n
     fingers, faces = (np.array(hold[part], float) @ face for part in ("fingers", "faces"))
     axis = fingers / np.linalg.norm(fingers)
     faces = matrix_from_axis_angle(axis * math.radians(turn)) @ faces
-    palm, fingers, faces = (_vector(one) for one in (np.array(hand.palm) + by, fingers, faces))
+    palm, fingers, faces = (vector(one) for one in (np.array(hand.palm) + by, fingers, faces))
     return replace(hand, palm=palm, fingers=fingers, faces=faces)
 
 
@@ -136,8 +129,3 @@ def _followed(pose: Pose, goes: np.ndarray, opens: float, bows: float) -> Pose:
     leans = (lean[0] + LEANS * ahead - BENDS * down + bows, lean[1] + 0.5 * opens, lean[2])
     looks = (head[0], head[1] - 0.4 * opens, head[2])  # at what is opened
     return replace(pose, hips=hips, lean=leans, head=looks, turn=pose.turn + 0.5 * opens)
-
-
-def _vector(values: np.ndarray) -> Vector:
-    x, y, z = values.tolist()
-    return x, y, z

@@ -12,7 +12,7 @@ import numpy as np
 
 from bunraku.geometry.rotations import matrix_y
 from bunraku.gestures.catalogue import hand_row, pose_row
-from bunraku.gestures.pose import HANGING, Hand, Pose, Vector
+from bunraku.gestures.pose import HANGING, Hand, Pose, vector
 from bunraku.gestures.standing import SIDES
 
 __all__ = ["PlaceRow", "place_pose", "read_places", "things_file"]
@@ -95,7 +95,7 @@ def place_pose(height: str | float, way: str, hands: str, held: bool = False) ->
     def placed(hand: Hand, sign: float) -> Hand:
         out = np.array([sign, 1, 1])
         palm, fingers, faces, elbow = (
-            _vector(out * (turned @ (out * np.array(one)))) for one in (hand.palm, hand.fingers, hand.faces, hand.elbow)
+            vector(out * (turned @ (out * np.array(one)))) for one in (hand.palm, hand.fingers, hand.faces, hand.elbow)
         )
         return Hand(palm, fingers, faces, elbow, on=carrier)
 
@@ -106,11 +106,6 @@ def place_pose(height: str | float, way: str, hands: str, held: bool = False) ->
     hips = matrix_y(np.array(np.radians(side * HIPS))) @ np.array(base.hips) + [side * OVER, 0, 0]
     lean, head = base.lean, base.head
     return replace(
-        base, right=made["right"], left=made["left"], hips=_vector(hips), turn=side * HIPS,
+        base, right=made["right"], left=made["left"], hips=vector(hips), turn=side * HIPS,
         lean=(lean[0], lean[1] + side * CHEST, lean[2]), head=(head[0], head[1] + side * HEAD, head[2]),
     )  # fmt: skip
-
-
-def _vector(values: np.ndarray) -> Vector:
-    x, y, z = values.tolist()
-    return x, y, z

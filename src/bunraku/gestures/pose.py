@@ -10,10 +10,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-__all__ = ["HANGING", "Foot", "Gesture", "Hand", "Key", "Pose", "Repeat", "again", "moved"]
+import numpy as np
+
+__all__ = ["HANGING", "Foot", "Gesture", "Hand", "Key", "Pose", "Repeat", "again", "mirrored_pose", "moved", "vector"]
 
 Vector = tuple[float, float, float]
 DOWN = (0.0, -1.0, 0.0)
+
+
+def vector(values: np.ndarray) -> Vector:
+    """Three numbers as a key pose keeps them."""
+    x, y, z = np.asarray(values, float).tolist()
+    return x, y, z
 
 
 @dataclass(frozen=True)
@@ -197,4 +205,14 @@ def moved(pose: Pose, by: Sequence[float]) -> Pose:
         pose, hips=on(pose.hips, 1), right=hand(pose.right, -1), left=hand(pose.left, 1),
         right_foot=replace(pose.right_foot, ankle=on(pose.right_foot.ankle, -1)),
         left_foot=replace(pose.left_foot, ankle=on(pose.left_foot.ankle, 1)),
+    )  # fmt: skip
+
+
+def mirrored_pose(pose: Pose) -> Pose:
+    """The mirror image of a pose."""
+    lean, head = ((ahead, -left, -aside) for ahead, left, aside in (pose.lean, pose.head))
+    x, y, z = pose.hips
+    return replace(
+        pose, right=pose.left, left=pose.right, right_foot=pose.left_foot, left_foot=pose.right_foot, hips=(-x, y, z),
+        turn=-pose.turn, lean=lean, head=head,
     )  # fmt: skip

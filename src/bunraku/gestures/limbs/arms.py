@@ -13,12 +13,12 @@ import numpy as np
 
 from bunraku.body.reference import reference_body
 from bunraku.gestures.catalogue import pose_row, read_parts
-from bunraku.gestures.pose import Hand, Pose, Vector
+from bunraku.gestures.pose import Hand, Pose, vector
 from bunraku.gestures.standing import AT, SIDES
 from bunraku.language.limbs.phrases import Target
 from bunraku.language.limbs.posing import Stance
 
-__all__ = ["ARM", "LOW", "hand_of", "low_place", "postures", "vector"]
+__all__ = ["ARM", "LOW", "hand_of", "low_place", "postures"]
 
 FILE = Path(__file__).with_name("postures.toml")
 ARM = 0.625
@@ -167,8 +167,3 @@ def _stretched(
     fingers, faces, elbow = (chest.T @ one for one in (way, faces, elbow))
     out = np.array([sign, 1, 1])
     return Hand(vector(palm * out), vector(fingers * out), vector(faces * out), vector(elbow * out))
-
-
-def vector(values: np.ndarray) -> Vector:
-    x, y, z = np.asarray(values, float).tolist()
-    return x, y, z

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.gestures.limbs.arms import ARM, hand_of, low_place, postures, vector
+from bunraku.gestures.limbs.arms import ARM, hand_of, low_place, postures
 from bunraku.gestures.limbs.legs import with_legs
 from bunraku.gestures.play import posed
-from bunraku.gestures.pose import HANGING, Foot, Gesture, Pose, Vector
+from bunraku.gestures.pose import HANGING, Foot, Gesture, Pose, Vector, mirrored_pose, vector
 from bunraku.gestures.standing import AT, SIDES, still
 from bunraku.gestures.tracks import Tracks
 from bunraku.language.limbs.phrases import Target
@@ -92,16 +92,6 @@ def way_down(stance: Stance) -> list[Pose]:
         return [*way_down(other), stance_pose(other)]
     found = postures("ways").get("chair" if stance.name == "seat" else stance.name)
     return [] if found is None else [mirrored_pose(found) if stance.side == "left" else found]
-
-
-def mirrored_pose(pose: Pose) -> Pose:
-    """The mirror image of a pose."""
-    lean, head = ((ahead, -left, -aside) for ahead, left, aside in (pose.lean, pose.head))
-    x, y, z = pose.hips
-    return replace(
-        pose, right=pose.left, left=pose.right, right_foot=pose.left_foot, left_foot=pose.right_foot, hips=(-x, y, z),
-        turn=-pose.turn, lean=lean, head=head,
-    )  # fmt: skip
 
 
 def joints_of(pose: Pose) -> tuple[np.ndarray, np.ndarray]:

@@ -57,11 +57,9 @@ def limb_gesture(posing: Posing) -> Gesture:
         return Gesture(NAME, (), tuple(keys), (start, start + ALIVE), legs, begins=True)
     if len(posing.steps) == 1 and posing.steps[0].again and not keys:
         poses, period = _cycle(stance, posing.held, posing.steps[0])
-        count = len(poses)
-        smooth = count > 2
-        played, repeat = again(poses, period, TIMES, start=THERE, end=BACK, rest=base)
-        if smooth:
+        if len(poses) > 2:
             return _circled(base, poses, period, legs)
+        played, repeat = again(poses, period, TIMES, start=THERE, end=BACK, rest=base)
         return Gesture(NAME, (), played, (repeat.start, repeat.stop - repeat.period), legs, repeat)
     keys.append((start, base))
     lowered = [one for one in posing.steps[0].targets if one.limb in ("arm", "leg", "knee") and one.ways == {"down"}]

@@ -9,7 +9,7 @@ import numpy as np
 
 from bunraku.body.reference import reference_body
 from bunraku.gestures.flow import foot_on
-from bunraku.gestures.pose import Foot, Pose, Vector
+from bunraku.gestures.pose import Foot, Pose, vector
 from bunraku.gestures.standing import AT, SIDES
 from bunraku.language.limbs.phrases import Target
 from bunraku.language.limbs.posing import Stance
@@ -173,7 +173,7 @@ def _aimed(hip: np.ndarray, sign: float, way: np.ndarray, own: Foot, folded: flo
         front = hip + THIGH * way - 0.5 * (hip + ankle)
     pitch = np.degrees(np.arctan2(-shank[2], -shank[1]))
     pitch = 0.5 * pitch if pitch < 0 and not folded else pitch + 12
-    return Foot(_vector(ankle * [sign, 1, 1]), float(np.clip(pitch, -75, 120)), _vector(front * [sign, 1, 1]), own.turn)
+    return Foot(vector(ankle * [sign, 1, 1]), float(np.clip(pitch, -75, 120)), vector(front * [sign, 1, 1]), own.turn)
 
 
 def _lying(own: Foot, hip: np.ndarray, sign: float, stance: Stance, target: Target) -> Foot:
@@ -187,7 +187,7 @@ def _lying(own: Foot, hip: np.ndarray, sign: float, stance: Stance, target: Targ
         if "bent" in ways or target.limb in ("knee", "heel"):
             return replace(own, ankle=(x, 0.46, float(hip[2] - THIGH)), pitch=60.0)
         ankle = hip + LEG * np.array([0.02 * sign, np.sin(turn), -np.cos(turn)])
-        return replace(own, ankle=_vector(ankle * [sign, 1, 1]))
+        return replace(own, ankle=vector(ankle * [sign, 1, 1]))
     if "bent" in ways and not ways & {"up"}:
         return Foot((0.13, 0.081, float(hip[2] + 0.5)), 0.0, (0.15, 1.0, 0.3), 8)
     if target.limb == "knee" or target.at in ("chest", "belly"):
@@ -196,7 +196,7 @@ def _lying(own: Foot, hip: np.ndarray, sign: float, stance: Stance, target: Targ
         return own
     turn = np.radians(min((62 if stance.name == "back" else 24) * far, 88))
     ankle = hip + LEG * np.array([0.02 * sign, np.sin(turn), np.cos(turn)])
-    return Foot(_vector(ankle * [sign, 1, 1]), -70.0, (0.1, 1.0, -0.4), 6)
+    return Foot(vector(ankle * [sign, 1, 1]), -70.0, (0.1, 1.0, -0.4), 6)
 
 
 def _grounded(pose: Pose) -> Pose:
@@ -212,8 +212,3 @@ def _grounded(pose: Pose) -> Pose:
             low = max(low, hip[1] - foot.ankle[1] - float(np.sqrt((LEG + 0.006) ** 2 - across**2)))
     x, y, z = pose.hips
     return replace(pose, hips=(x, y - low, z)) if low > 0 else pose
-
-
-def _vector(values: np.ndarray) -> Vector:
-    x, y, z = np.asarray(values, float).tolist()
-    return x, y, z
