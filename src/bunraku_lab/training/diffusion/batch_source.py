@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import queue
-import threading
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from bunraku_lab.training.rows.clip_rows import ClipSet, MotionBatch
 from bunraku_lab.training.rows.row_pool import FedPool, RowPool
 from bunraku_lab.training.rows.row_workers import RowMaker, RowWorkers
 from bunraku_lab.training.rows.text_bank import TextBank
+from bunraku_lab.training.runs.ahead import Ahead
 
 __all__ = ["BatchSource", "BatchesAhead", "PooledBatches", "Sources"]
 
@@ -61,42 +62,23 @@ class BatchesAhead:
 
     def __init__(self, trainer: Trainer, clips: ClipSet, sources: Sources):
         self.trainer, self.clips, self.sources = trainer, clips, sources
-        self._ready: queue.Queue[Any] = queue.Queue(maxsize=3)
-        self._ended = threading.Event()
-        self._first = trainer.step
-        self._thread = threading.Thread(target=self._work, name="batches", daemon=True)
-        self._thread.start()
+        self._ahead = Ahead(self._made(trainer.step), 3)
 
-    def _put(self, item: object) -> None:
-        while not self._ended.is_set():
-            try:
-                return self._ready.put(item, timeout=0.2)
-            except queue.Full:
-                continue
-
-    def _work(self) -> None:
+    def _made(self, first: int) -> Iterator[tuple[int, MotionBatch, TextBatch, RetrievedExamples | None]]:
         processes, config = self.trainer.processes, self.trainer.config
-        number = processes.count * self._first + processes.index
-        try:
-            while not self._ended.is_set():
-                batch = self.clips.batch(config.seed, number, config.batch, config.compose)
-                self._put((number, batch, *self.sources(batch)))
-                number += processes.count
-        except Exception as error:  # handed to the training loop
-            self._put(error)
+        for number in itertools.count(processes.count * first + processes.index, processes.count):
+            batch = self.clips.batch(config.seed, number, config.batch, config.compose)
+            yield number, batch, *self.sources(batch)
 
     def next(self) -> Example:
         """See `BatchSource`."""
-        item = self._ready.get()
-        if isinstance(item, Exception):
-            raise item
-        number, batch, text, found = item
+        number, batch, text, found = self._ahead.take()
         return self.trainer.example(batch, text, [self.trainer.config.seed, number], examples=found)
 
     def close(self) -> None:
         """See `BatchSource`."""
-        self._ended.set()
-        self._thread.join()  # a process that ends while a thread is inside torch is aborted
+        self._ahead.end()
+        self._ahead.join()
 
 
 class PooledBatches:
@@ -115,8 +97,6 @@ class PooledBatches:
         maker = RowMaker(
             clips, sources.text, config.seed, config.compose, trainer.mesh_bank, config.cross, sources.examples
         )
-        if clips.events > 0:
-            clips.event_pool()  # once for all of them
         workers = RowWorkers(maker, config.workers, processes.count * trainer.step + processes.index, processes.count)
         self._least = min(config.pool, 8 * config.batch)
         self.fed = FedPool(RowPool(config.pool, clips.frames, trainer.device, trainer.mesh_bank), workers)

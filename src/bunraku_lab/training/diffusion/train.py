@@ -8,7 +8,6 @@ Under `accelerate launch` several processes train together: each draws batches o
 from __future__ import annotations
 
 import math
-import multiprocessing
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -38,6 +37,7 @@ from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
 from bunraku_lab.training.rows.mesh_bank import load_mesh_bank
 from bunraku_lab.training.rows.rehearsal import rehearsal_clips
 from bunraku_lab.training.rows.text_bank import TextBank
+from bunraku_lab.training.runs.ahead import forking
 from bunraku_lab.training.runs.events import EventLog
 from bunraku_lab.training.runs.processes import open_processes
 from bunraku_lab.training.runs.runs import Stop, logged_columns
@@ -93,8 +93,8 @@ def train_diffusion(
         raise OptionError("batch, minutes and steps must be positive")
     if config.workers < 0 or (config.workers and config.pool < config.batch):
         raise OptionError("workers must be 0 or more, and the pool must hold a batch")
-    if config.workers and "fork" not in multiprocessing.get_all_start_methods():
-        raise OptionError("this system cannot fork processes; leave out --workers")
+    if config.workers:
+        forking()
     if config.workers and config.character_bank is not None:
         raise OptionError(
             "the losses of --character-bank need batches that are drawn when they are due; leave out --workers"

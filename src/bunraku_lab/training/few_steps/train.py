@@ -48,6 +48,7 @@ from bunraku_lab.training.rows.drawn_rows import DrawnRows
 from bunraku_lab.training.rows.mesh_bank import load_mesh_bank
 from bunraku_lab.training.rows.row_workers import RowMaker
 from bunraku_lab.training.rows.text_bank import TextBank
+from bunraku_lab.training.runs.ahead import forking
 from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
 from bunraku_lab.training.runs.half_precision import bf16_is_fast
 from bunraku_lab.training.runs.settings import StepSettings
@@ -304,6 +305,8 @@ def train_few_steps(
     config.prepare()
     if config.led < 0 or config.rolled < 0 or config.led + config.rolled > 1:
         raise OptionError("led and rolled must be shares whose sum is at most 1")
+    if config.workers:
+        forking()
     diffusion = config.diffusion or shipped_checkpoint("diffusion")
     device = torch.device(config.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     model = load_denoiser(diffusion, device).float()

@@ -5,10 +5,6 @@ A device learns from a row in a hundredth of the time in which a processor draws
 
 from __future__ import annotations
 
-import queue
-import threading
-from typing import Any
-
 import torch
 from torch import Tensor
 
@@ -18,6 +14,7 @@ from bunraku_lab.nn.text import TextBatch
 from bunraku_lab.training.rows.drawn_rows import DrawnRows
 from bunraku_lab.training.rows.mesh_bank import MeshBank
 from bunraku_lab.training.rows.row_workers import MadeRows, RowWorkers
+from bunraku_lab.training.runs.ahead import Ahead
 
 __all__ = ["FedPool", "RowPool"]
 
@@ -135,28 +132,7 @@ class FedPool:
 
     def __init__(self, pool: RowPool, workers: RowWorkers):
         self.pool, self.workers = pool, workers
-        self._ready: queue.Queue[Any] = queue.Queue(maxsize=8)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._receive, name="rows", daemon=True)
-        self._thread.start()
-
-    def _receive(self) -> None:
-        try:
-            for rows in self.workers:
-                if not self._put(rows):
-                    return
-        except Exception as error:  # handed to the training loop
-            self._put(error)
-
-    def _put(self, made: Any) -> bool:
-        """Hand on what came, unless the pool ends first."""
-        while not self._ended.is_set():
-            try:
-                self._ready.put(made, timeout=0.2)
-                return True
-            except queue.Full:
-                continue
-        return False
+        self._ahead = Ahead(workers, 8)
 
     def feed(self, least: int = 0) -> None:
         """Take what is ready, and wait until the pool has `least` rows.
@@ -164,14 +140,11 @@ class FedPool:
         Raises:
             Exception: What a process raised.
         """
-        while len(self.pool) < min(least, self.pool.size) or not self._ready.empty():
-            rows = self._ready.get()
-            if isinstance(rows, Exception):
-                raise rows
-            self.pool.add(rows)
+        while len(self.pool) < min(least, self.pool.size) or self._ahead.waits:
+            self.pool.add(self._ahead.take())
 
     def close(self) -> None:
         """End the processes."""
-        self._ended.set()
+        self._ahead.end()
         self.workers.close()
-        self._thread.join()
+        self._ahead.join()

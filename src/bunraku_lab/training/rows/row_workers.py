@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import signal
 from collections.abc import Iterator
 from contextlib import suppress
@@ -15,6 +14,7 @@ from bunraku.diffusion.examples.attended import ExampleBank, take_of
 from bunraku_lab.training.rows.clip_rows import ClipSet, MotionBatch
 from bunraku_lab.training.rows.mesh_bank import MeshBank
 from bunraku_lab.training.rows.text_bank import TextBank
+from bunraku_lab.training.runs.ahead import forking
 
 __all__ = ["MadeRows", "RowMaker", "RowWorkers"]
 
@@ -82,6 +82,11 @@ class RowMaker:
         batch = self.clips.batch(self.seed, number, size, self.compose, self.bucket)
         return self.made(batch, np.random.default_rng([self.seed, number, 11]))
 
+    def prepare(self) -> None:
+        """Find what is slow to find, once for all processes that make rows."""
+        if self.clips.events > 0:
+            self.clips.event_pool()
+
     def made(self, batch: MotionBatch, random: np.random.Generator) -> MadeRows:
         """A batch with all that is told of it; `random` draws its meshes."""
         text, size = self.text(batch.sentences), len(batch.lengths)
@@ -127,10 +132,14 @@ class RowWorkers:
         count: How many.
         first: Number of the first batch.
         step: What comes between the numbers.
+
+    Raises:
+        OptionError: This system cannot fork processes.
     """
 
     def __init__(self, maker: RowMaker, count: int, first: int = 0, step: int = 1):
-        context = multiprocessing.get_context("fork")  # clips are not copied
+        context = forking()
+        maker.prepare()
         self._next, self._by = first, step
         self._pipes: list[Connection] = []
         self._processes = []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -15,6 +14,7 @@ from bunraku.language import encoders
 from bunraku.language.encoders import TextEncoder
 from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku_lab.nn.text import TextBatch, tensors_of
+from bunraku_lab.training.runs.ahead import forking
 
 __all__ = ["TextBank"]
 
@@ -106,8 +106,7 @@ def _encoded(encoder: TextEncoder, parts: Sequence[Sequence[str]], workers: int)
     if workers < 2:
         yield from (tensors_of(encoder.encode(part)) for part in parts)
         return
-    forked = multiprocessing.get_context("fork")  # so that nobody loads the encoder again
-    with ProcessPoolExecutor(workers, forked, _know, (encoder,)) as pool:
+    with ProcessPoolExecutor(workers, forking(), _know, (encoder,)) as pool:
         yield from map(tensors_of, pool.map(_encode, parts))
 
 
