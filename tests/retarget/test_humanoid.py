@@ -13,8 +13,8 @@ from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import MotionError
 from bunraku.geometry.surface import vertex_areas
 from bunraku.handles.from_rig import rig_handles
-from bunraku.io import load_motion
 from bunraku.io.humanoid import humanoid_motion
+from bunraku.io.motions import load_motion
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.from_mesh import handle_motion_of_body
 from bunraku.samples import sample_character

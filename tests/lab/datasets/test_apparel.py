@@ -17,7 +17,7 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError, OptionError
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.physics import simulate
+from bunraku.physics.simulate import simulate
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel import build as building
 from bunraku_lab.datasets.apparel.plan import (
