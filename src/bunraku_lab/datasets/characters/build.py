@@ -168,8 +168,9 @@ def build_characters(
         FormatError: There is no such file under the folder.
     """
     from bunraku.io import load_character
-    from bunraku.samples import sample_character, sample_names
+    from bunraku.samples import sample_names
     from bunraku_lab.synthetic.families import appendage_names, code_made_character, code_made_names
+    from bunraku_lab.synthetic.samples import make_sample
 
     folder, cache = Path(folder), Path(cache)
     files = rigged_files(folder)
@@ -187,7 +188,7 @@ def build_characters(
             name + suffix: maker for suffix, maker in _variants(partial(load_character, file), mesh_vertices).items()
         }
     for sample in sample_names():
-        makers[f"samples/{sample}"] = (partial(sample_character, sample, rigged=True), mesh_vertices)
+        makers[f"samples/{sample}"] = (partial(make_sample, sample, rigged=True), mesh_vertices)
     for family, seed in [*code_made_names(code_made), *appendage_names(appendages)]:
         makers[f"code_made/{family}_{seed}"] = (partial(code_made_character, family, seed), mesh_vertices)
     whole = [name for name in makers if "~" not in name]
