@@ -18,7 +18,6 @@ HEAVY = (
     "transformers",
     "diffusers",
     "trimesh",
-    "moderngl",
     "av",
     "scipy",
     "igl",
@@ -46,7 +45,7 @@ def test_command_line_import_is_light():
 
 
 def test_core_types_do_not_load_the_networks():
-    heavy = {"torch", "transformers", "diffusers", "moderngl", "av", "trimesh"}
+    heavy = {"torch", "transformers", "diffusers", "av", "trimesh"}
     assert not loaded_after("import bunraku\nbunraku.Character, bunraku.Animation, bunraku.HandleMotion").intersection(
         heavy
     )

@@ -16,7 +16,7 @@ from bunraku.cli.output.outputs import size_text
 
 __all__ = ["Doctor", "Finding"]
 
-PACKAGES = ("numpy", "scipy", "fast-simplification", "moderngl", "av")
+PACKAGES = ("numpy", "scipy", "fast-simplification", "av")
 WEIGHTS = {
     "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",
     "orientation": "`bunraku animate` and `bunraku rig` do not see how a mesh stands; they need --up and --front",
@@ -137,18 +137,14 @@ def _processor() -> Iterator[Finding]:
 
 
 def _preview() -> Iterator[Finding]:
-    from bunraku.render import backend
-
-    chosen = backend()
-    yield Finding("preview", "ok", f"{chosen.name} renderer: {chosen.reason}")
     from bunraku.render.loops.native import native
 
     loops = native()
     if loops.library is not None:
-        yield Finding("preview loops", "ok", f"compiled: {loops.reason}")
+        yield Finding("preview", "ok", f"compiled loops: {loops.reason}")
     else:
         cost = "previews are the same pictures, and take about ten times as long; install a C compiler such as gcc"
-        yield Finding("preview loops", "optional", f"in numpy: {loops.reason}", cost)
+        yield Finding("preview", "optional", f"loops in numpy: {loops.reason}", cost)
 
 
 def _weights() -> Iterator[Finding]:
