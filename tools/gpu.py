@@ -94,7 +94,7 @@ def train(options: argparse.Namespace) -> None:
 
 def bring(options: argparse.Namespace) -> None:
     """Pieces of the weights, and the log, where they are fetched from."""
-    from bunraku.formats.pieces import split_file
+    from bunraku_lab.training.pieces import split_file
 
     pieces = split_file(options.run / WEIGHTS, options.out, options.piece << 20)
     if len(pieces) + 1 > options.files:
@@ -104,7 +104,7 @@ def bring(options: argparse.Namespace) -> None:
 
 
 def join(options: argparse.Namespace) -> None:
-    from bunraku.formats.pieces import join_pieces
+    from bunraku_lab.training.pieces import join_pieces
 
     joined = join_pieces(options.folder, options.output)
     from bunraku_lab.nn.diffusion.checkpoint import load_denoiser  # not before: it loads torch

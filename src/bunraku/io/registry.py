@@ -141,7 +141,7 @@ def load_character(
     unit: str = "auto",
     clips: float | None = None,
 ) -> Character:
-    """Read a character from GLB, glTF, VRM, FBX, OBJ, PLY, STL, or the rig text of RigNet.
+    """Read a character from GLB, glTF, VRM, FBX, OBJ, PLY or STL.
 
     The vertices of GLB, glTF, VRM and FBX are in world space, those of FBX turned from the frame and unit that the file
     states.

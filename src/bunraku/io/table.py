@@ -81,7 +81,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         "OBJ",
         (".obj",),
-        character="bunraku.formats.mesh.rignet:read_obj_with_rig",
+        character="bunraku.formats.mesh.obj:read_obj",
         animation="bunraku.formats.mesh.sequences:write_obj_sequence",
         points="bunraku.formats.mesh.sequences:write_obj_sequence",
     ),
@@ -150,7 +150,6 @@ FORMATS: tuple[Format, ...] = (
         rigged="bunraku.formats.mmd.export:write_character",
     ),
     Format("PMD", (".pmd",), (b"Pmd",), character="bunraku.formats.mmd.pmd:read_pmd"),
-    Format("RigNet", (".txt",), character="bunraku.formats.mesh.rignet:read_rignet"),
     Format(
         "HTML",
         (".html",),

@@ -54,11 +54,6 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "Apparel",
         "simulate the apparel of characters in motion, as data to train on",
     ),
-    ("data", "push-out"): (
-        "bunraku_lab.cli.data.push_out",
-        "PushOutData",
-        "push the apparel of stored data out of the bodies",
-    ),
     ("train", "handles"): ("bunraku_lab.cli.train", "handles", "train the Mesh Handle Predictor"),
     ("train", "orientation"): (
         "bunraku_lab.cli.train",
@@ -126,11 +121,6 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "bunraku_lab.cli.evaluate.tables",
         "EvaluateTables",
         "measure the papers' tables, theirs and ours side by side",
-    ),
-    ("evaluate", "study"): (
-        "bunraku_lab.cli.evaluate.study",
-        "EvaluateStudy",
-        "tell what people said in a blind study",
     ),
     ("evaluate", "apparel"): (
         "bunraku_lab.cli.evaluate.apparel",

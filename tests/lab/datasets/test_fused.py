@@ -10,12 +10,12 @@ from bunraku.core.character import Character, Rig
 from bunraku.errors import CharacterError
 from bunraku.geometry.surface import face_normals
 from bunraku.samples import sample_names
-from bunraku.samples.fields import bar
 from bunraku_lab.datasets.characters.build import build_characters, training_character
 from bunraku_lab.datasets.characters.fused import fused_character
 from bunraku_lab.datasets.characters.remeshed import fused_mesh
 from bunraku_lab.datasets.characters.training_character import TrainingCharacter
 from bunraku_lab.synthetic.families.shapes import block_mesh
+from bunraku_lab.synthetic.samples.fields import bar
 
 DATA = Path(__file__).parents[2] / "formats" / "data"
 

@@ -8,11 +8,11 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
-from bunraku.samples import sample_character
 from bunraku_lab.datasets.characters.remeshed import blocky_surface, filled_cells, fused_surface, on_plinth
 from bunraku_lab.datasets.characters.surfaces import build_surfaces, clip_poses, load_surfaces, remade
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.datasets.motions.posed_people import clips_of_people, posed_people
+from bunraku_lab.synthetic.samples import make_sample
 from bunraku_lab.synthetic.wardrobe.character import wardrobe_character
 
 
@@ -70,7 +70,7 @@ def test_a_thick_figure_on_a_plinth_has_no_surface_inside(seed):
 def test_surfaces_of_a_rigged_file_are_read_back(tmp_path):
     folder = tmp_path / "archive"
     folder.mkdir()
-    robot = sample_character("robot", rigged=True)
+    robot = make_sample("robot", rigged=True)
     still = np.broadcast_to(np.eye(3), (5, len(robot.rig.names), 3, 3))
     RigAnimation(robot, still, np.zeros((5, len(robot.rig.names), 3))).save(folder / "robot.glb")
     faces, poses = clip_poses(folder / "robot.glb", "robot", np.random.default_rng(0), 3)

@@ -4,7 +4,6 @@ import pytest
 from bunraku.body.layout import HANDLE_MIRROR, HANDLE_NAMES
 from bunraku.errors import OptionError
 from bunraku.geometry.surface import vertex_normals
-from bunraku.samples.fields import ball, bar
 from bunraku.skeletons.bone_names import handle_of_joints
 from bunraku_lab.synthetic.families import (
     EVALUATION_SEED,
@@ -15,6 +14,7 @@ from bunraku_lab.synthetic.families import (
 )
 from bunraku_lab.synthetic.families.model import Chain, Model, Style
 from bunraku_lab.synthetic.families.shapes import block_mesh, melted_mesh, sheet_mesh
+from bunraku_lab.synthetic.samples.fields import ball, bar
 
 H = {name: index for index, name in enumerate(HANDLE_NAMES)}
 UPRIGHT = ("humanoid", "mascot", "mech", "seahorse")

@@ -9,10 +9,10 @@ import torch
 from bunraku.errors import OptionError
 from bunraku.geometry.axes import ORIENTATIONS
 from bunraku.handles.inference.orientation import OrientationConfig
-from bunraku.samples import sample_character
 from bunraku_lab.datasets.characters.build import training_character
 from bunraku_lab.datasets.characters.surfaces import SurfaceBank
 from bunraku_lab.nn.checkpoints import load_training_state
+from bunraku_lab.synthetic.samples import make_sample
 from bunraku_lab.training.orientation.measures import (
     UPRIGHT,
     fitted_temperature,
@@ -28,8 +28,7 @@ SMALL = OrientationConfig(width=16, layers=1, heads=2, anchors=24)
 @pytest.fixture(scope="module")
 def characters():
     return [
-        training_character(sample_character(name, rigged=True), f"samples/{name}", 300)
-        for name in ("mushroom", "robot")
+        training_character(make_sample(name, rigged=True), f"samples/{name}", 300) for name in ("mushroom", "robot")
     ]
 
 

@@ -118,9 +118,9 @@ RIGGED = (".glb", ".fbx", ".obj")
 
 def rigged_files(folder: Path) -> list[Path]:
     """Files under a folder that may hold rigged characters: GLB, FBX, and OBJ with a rig text (see
-    `bunraku.formats.mesh.rignet`).
+    `bunraku_lab.datasets.characters.rignet`).
     """
-    from bunraku.formats.mesh.rignet import find_rig
+    from bunraku_lab.datasets.characters.rignet import find_rig
 
     files = [file for file in folder.rglob("*") if file.suffix.lower() in RIGGED and file.is_file()]
     return sorted(file for file in files if file.suffix.lower() != ".obj" or find_rig(file) is not None)
@@ -167,9 +167,10 @@ def build_characters(
     Raises:
         FormatError: There is no such file under the folder.
     """
-    from bunraku.io import load_character
-    from bunraku.samples import sample_character, sample_names
+    from bunraku.samples import sample_names
+    from bunraku_lab.datasets.characters.rignet import load_rigged
     from bunraku_lab.synthetic.families import appendage_names, code_made_character, code_made_names
+    from bunraku_lab.synthetic.samples import make_sample
 
     folder, cache = Path(folder), Path(cache)
     files = rigged_files(folder)
@@ -184,10 +185,10 @@ def build_characters(
         name = file.relative_to(folder).with_suffix("").as_posix()
         name += file.suffix if name in makers else ""  # the same character in two formats
         makers |= {
-            name + suffix: maker for suffix, maker in _variants(partial(load_character, file), mesh_vertices).items()
+            name + suffix: maker for suffix, maker in _variants(partial(load_rigged, file), mesh_vertices).items()
         }
     for sample in sample_names():
-        makers[f"samples/{sample}"] = (partial(sample_character, sample, rigged=True), mesh_vertices)
+        makers[f"samples/{sample}"] = (partial(make_sample, sample, rigged=True), mesh_vertices)
     for family, seed in [*code_made_names(code_made), *appendage_names(appendages)]:
         makers[f"code_made/{family}_{seed}"] = (partial(code_made_character, family, seed), mesh_vertices)
     whole = [name for name in makers if "~" not in name]

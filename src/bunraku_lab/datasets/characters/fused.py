@@ -15,7 +15,6 @@ from bunraku.core.character import Character, Rig, top_influences
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError
 from bunraku.geometry.surface import face_normals, vertex_normals
-from bunraku.samples.meshing import neighbour_average
 from bunraku_lab.datasets.characters.known_rigs import facing_turn
 from bunraku_lab.datasets.characters.remeshed import filled_cells, fused_mesh
 from bunraku_lab.datasets.characters.training_character import (
@@ -25,6 +24,7 @@ from bunraku_lab.datasets.characters.training_character import (
     random_pose,
 )
 from bunraku_lab.synthetic.families.shapes import thinned
+from bunraku_lab.synthetic.samples.meshing import neighbour_average
 
 __all__ = ["fused_character"]
 

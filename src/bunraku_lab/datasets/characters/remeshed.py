@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import binary_closing, gaussian_filter, label
 
-from bunraku.samples.isosurface import grid_surface
+from bunraku_lab.synthetic.samples.isosurface import grid_surface
 
 __all__ = ["blocky_surface", "filled_cells", "fused_mesh", "fused_surface", "on_plinth"]
 

@@ -21,7 +21,7 @@ _JUDGES = (
     "networks, 7,211 steps each."
 )
 
-_PEOPLE = "people rank them: bunraku study make, then bunraku evaluate study"
+_PEOPLE = "people rank them"
 FLOOR = "MDM-SFR, floor without training"
 _EITHER = {"MDM-SFR": _TRANSFER, FLOOR: "the trained one stands in its place"}
 METHODS = ("MDM-SR", "MDM-SFR", FLOOR, "ours")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku.samples.assembly import Bones, Piece, assemble, mirror_bones, mirror_piece, solid
-from bunraku.samples.surfaces import ball_mesh, box_mesh, cylinder_mesh, ring_mesh
+from bunraku_lab.synthetic.samples.assembly import Bones, Piece, assemble, mirror_bones, mirror_piece, solid
+from bunraku_lab.synthetic.samples.surfaces import ball_mesh, box_mesh, cylinder_mesh, ring_mesh
 
 __all__ = ["build"]
 
@@ -33,7 +33,7 @@ _BONES: Bones = mirror_bones(
 
 
 def build(detail: float, rigged: bool) -> Character:
-    """See `bunraku.samples.sample_character`."""
+    """See `bunraku_lab.synthetic.samples.make_sample`."""
     cells = 0.07 / float(np.sqrt(detail))
     around = 2 * int(7 * np.sqrt(detail) + 0.5)
     level = 1 if detail < 0.7 else 2 if detail < 2.5 else 3

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bunraku.errors import FormatError, OptionError
-from bunraku.formats.pieces import join_pieces, split_file
+from bunraku_lab.training.pieces import join_pieces, split_file
 
 
 @pytest.fixture

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku.samples.assembly import Bones, assemble, clay, mirror_bones, mirror_piece
-from bunraku.samples.features import button, eye, stroke
-from bunraku.samples.fields import Field, ball, bar, limb, mirrored
-from bunraku.samples.paint import Paint, bump, either, slab
+from bunraku_lab.synthetic.samples.assembly import Bones, assemble, clay, mirror_bones, mirror_piece
+from bunraku_lab.synthetic.samples.features import button, eye, stroke
+from bunraku_lab.synthetic.samples.fields import Field, ball, bar, limb, mirrored
+from bunraku_lab.synthetic.samples.paint import Paint, bump, either, slab
 
 __all__ = ["build"]
 
@@ -72,7 +72,7 @@ def _field() -> Field:
 
 
 def build(detail: float, rigged: bool) -> Character:
-    """See `bunraku.samples.sample_character`."""
+    """See `bunraku_lab.synthetic.samples.make_sample`."""
     rim = slab(1, 0.665)
 
     def gills(points: np.ndarray) -> np.ndarray:

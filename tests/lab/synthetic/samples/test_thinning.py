@@ -4,7 +4,7 @@ import igl
 import numpy as np
 import trimesh
 
-from bunraku.samples.thinning import thinned
+from bunraku_lab.synthetic.samples.thinning import thinned
 
 
 def test_a_ball_stays_a_closed_ball():

@@ -7,11 +7,11 @@ from itertools import pairwise
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku.samples.assembly import Bones, Piece, assemble, clay, mirror_bones, mirror_piece, solid
-from bunraku.samples.features import eye
-from bunraku.samples.fields import Field, ball, bar, limb, mirrored
-from bunraku.samples.paint import Paint, both, bump, either, slab
-from bunraku.samples.surfaces import plate_mesh, tube_mesh
+from bunraku_lab.synthetic.samples.assembly import Bones, Piece, assemble, clay, mirror_bones, mirror_piece, solid
+from bunraku_lab.synthetic.samples.features import eye
+from bunraku_lab.synthetic.samples.fields import Field, ball, bar, limb, mirrored
+from bunraku_lab.synthetic.samples.paint import Paint, both, bump, either, slab
+from bunraku_lab.synthetic.samples.surfaces import plate_mesh, tube_mesh
 
 __all__ = ["build"]
 
@@ -172,7 +172,7 @@ def _spikes() -> list[Piece]:
 
 
 def build(detail: float, rigged: bool) -> Character:
-    """See `bunraku.samples.sample_character`."""
+    """See `bunraku_lab.synthetic.samples.make_sample`."""
 
     def underside(points: np.ndarray) -> np.ndarray:
         # a band along belly, throat and tail: a strip about x = 0 on whatever faces forward and down

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bunraku import FormatError, load_character
+from bunraku.errors import FormatError
+from bunraku_lab.datasets.characters.rignet import load_rigged
 
 OBJ = (
     "\n".join(f"v {x} {y} {z}" for y in (0, 1, 2) for x, z in ((-1, 0), (1, 0), (0, 1)))
@@ -44,9 +45,8 @@ def put(folder: Path, layout: str, rig: str = RIG, obj: str = OBJ) -> tuple[Path
 
 
 @pytest.mark.parametrize("layout", ["beside", "remesh", "archive", "archive remesh"])
-@pytest.mark.parametrize("which", [0, 1])
-def test_layouts(tmp_path, layout, which):
-    character = load_character(put(tmp_path, layout)[which])
+def test_layouts(tmp_path, layout):
+    character = load_rigged(put(tmp_path, layout)[0])
     rig = character.rig
     assert rig.names == ("hips", "chest", "head") and rig.parents.tolist() == [-1, 0, 1]
     assert np.allclose(rig.positions, [[0, 0.5, 0.3], [0, 1.5, 0.3], [0, 2, 0.3]])
@@ -65,17 +65,15 @@ def test_layouts(tmp_path, layout, which):
     assert character.source.suffix == ".obj"  # what is written keeps the OBJ's materials and UVs
 
 
-def test_an_obj_alone_has_no_rig_and_a_text_alone_is_refused(tmp_path):
+def test_an_obj_alone_has_no_rig(tmp_path):
     mesh, text = put(tmp_path, "beside")
     text.rename(tmp_path / "other_rig.txt")
-    assert load_character(mesh).rig is None
-    with pytest.raises(FormatError, match="no mesh to this rig"):
-        load_character(tmp_path / "other_rig.txt")
+    assert load_rigged(mesh).rig is None
 
 
 def test_vertices_without_a_line_take_the_weights_of_their_neighbours(tmp_path):
     mesh, _ = put(tmp_path, "beside", RIG.replace("skin 2 hips 1.0\n", ""))
-    assert np.allclose(load_character(mesh).rig.dense_weights()[2], [0.5, 0.5, 0])
+    assert np.allclose(load_rigged(mesh).rig.dense_weights()[2], [0.5, 0.5, 0])
 
 
 @pytest.mark.parametrize(("old", "new", "match"), [
@@ -100,19 +98,18 @@ def test_vertices_without_a_line_take_the_weights_of_their_neighbours(tmp_path):
 ])  # fmt: skip
 def test_wrong_texts(tmp_path, old, new, match):
     mesh, text = put(tmp_path, "beside", RIG.replace(old, new))
-    for path in (mesh, text):
-        with pytest.raises(FormatError, match=match) as caught:
-            load_character(path)
-        assert str(text) in str(caught.value)
+    with pytest.raises(FormatError, match=match) as caught:
+        load_rigged(mesh)
+    assert str(text) in str(caught.value)
 
 
 def test_texts_without_joints_or_of_another_mesh(tmp_path):
     for rig, match in (("hello\n", "line 1 starts with 'hello'"), ("\n", "has no joints"), (RIG.split("skin")[0],
     "has no skin lines"),
                        (RIG.split("skin 4")[0], "skin lines for 4 of the 9 vertices")):  # fmt: skip
-        text = put(tmp_path, "beside", rig)[1]
+        mesh, text = put(tmp_path, "beside", rig)
         with pytest.raises(FormatError, match=match):
-            load_character(text)
+            load_rigged(mesh)
     text.write_bytes(b"\0" * 100)
     with pytest.raises(FormatError, match="binary data"):
-        load_character(text)
+        load_rigged(mesh)

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bunraku.samples.assembly import Piece, solid
-from bunraku.samples.fields import Field
-from bunraku.samples.surfaces import ball_mesh, tube_mesh
+from bunraku_lab.synthetic.samples.assembly import Piece, solid
+from bunraku_lab.synthetic.samples.fields import Field
+from bunraku_lab.synthetic.samples.surfaces import ball_mesh, tube_mesh
 
 __all__ = ["button", "eye", "onto_surface", "stroke"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku.samples.assembly import Bones, Piece, assemble, clay, mirror_bones, mirror_piece
-from bunraku.samples.features import button, eye, stroke
-from bunraku.samples.fields import Field, Lump, ball, bar, limb, mirrored
-from bunraku.samples.paint import Paint, both, bump, slab
+from bunraku_lab.synthetic.samples.assembly import Bones, Piece, assemble, clay, mirror_bones, mirror_piece
+from bunraku_lab.synthetic.samples.features import button, eye, stroke
+from bunraku_lab.synthetic.samples.fields import Field, Lump, ball, bar, limb, mirrored
+from bunraku_lab.synthetic.samples.paint import Paint, both, bump, slab
 
 __all__ = ["HUMAN_BONES", "arm_lumps", "build", "face_pieces", "head_lumps"]
 
@@ -130,7 +130,7 @@ def _hair() -> Field:
 
 
 def build(detail: float, rigged: bool) -> Character:
-    """See `bunraku.samples.sample_character`."""
+    """See `bunraku_lab.synthetic.samples.make_sample`."""
     paints = [
         Paint(SHIRT, both(slab(0, -0.348, 0.348), slab(1, 0.862, 1.3))),
         Paint(SKIN, bump((0, 1.275, 0.005), (0.088, 0.062, 0.1))),

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bunraku.core.character import Character, Rig, top_influences
-from bunraku.samples.fields import Field
-from bunraku.samples.meshing import field_mesh, neighbour_average
-from bunraku.samples.paint import Paint, paint_mesh, rgb
+from bunraku_lab.synthetic.samples.fields import Field
+from bunraku_lab.synthetic.samples.meshing import field_mesh, neighbour_average
+from bunraku_lab.synthetic.samples.paint import Paint, paint_mesh, rgb
 
 __all__ = ["Bones", "Piece", "assemble", "clay", "mirror_bones", "mirror_piece", "solid"]
 
@@ -124,6 +124,9 @@ def assemble(name: str, pieces: Sequence[Piece], bones: Bones, rigged: bool) -> 
     starts = np.cumsum([0] + [len(piece.vertices) for piece in pieces[:-1]])
     faces = np.concatenate([piece.faces + start for piece, start in zip(pieces, starts, strict=True)])
     colors = np.concatenate([piece.colors for piece in pieces])
+    # Faces of one colour together, so that a file can hold each colour as one primitive and keep the order.
+    _, shade = np.unique(colors[faces[:, 0]], axis=0, return_inverse=True)
+    faces = faces[np.argsort(shade.ravel(), kind="stable")]
     rig = None
     if rigged:
         names = tuple(bones)

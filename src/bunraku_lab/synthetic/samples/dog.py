@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku.samples.assembly import Bones, assemble, clay, mirror_bones, mirror_piece, solid
-from bunraku.samples.features import eye
-from bunraku.samples.fields import Field, ball, bar, limb, mirrored
-from bunraku.samples.paint import Paint, both, bump, either, slab
-from bunraku.samples.surfaces import ball_mesh, cylinder_mesh, ring_mesh, tube_mesh
+from bunraku_lab.synthetic.samples.assembly import Bones, assemble, clay, mirror_bones, mirror_piece, solid
+from bunraku_lab.synthetic.samples.features import eye
+from bunraku_lab.synthetic.samples.fields import Field, ball, bar, limb, mirrored
+from bunraku_lab.synthetic.samples.paint import Paint, both, bump, either, slab
+from bunraku_lab.synthetic.samples.surfaces import ball_mesh, cylinder_mesh, ring_mesh, tube_mesh
 
 __all__ = ["build"]
 
@@ -89,7 +89,7 @@ def _field() -> Field:
 
 
 def build(detail: float, rigged: bool) -> Character:
-    """See `bunraku.samples.sample_character`."""
+    """See `bunraku_lab.synthetic.samples.make_sample`."""
     paints = [
         Paint(CREAM, either(
             both(slab(1, 0.25, 0.66), bump((0, 0.40, 0.16), (0.10, 0.22, 0.30))),

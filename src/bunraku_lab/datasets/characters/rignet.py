@@ -18,10 +18,11 @@ import numpy as np
 from bunraku.core.character import Character, Rig
 from bunraku.errors import FormatError
 from bunraku.formats.files import MAX_BYTES, check_text, read_bounded
-from bunraku.formats.mesh.obj import read_obj
 from bunraku.formats.skins import borrow_weights, strongest
+from bunraku.io import load_character
+from bunraku.io.units import in_metres
 
-__all__ = ["find_mesh", "find_rig", "read_obj_with_rig", "read_rignet"]
+__all__ = ["find_rig", "load_rigged"]
 
 MAX_JOINTS, MAX_SHARES, INFLUENCES = 10_000, 50_000_000, 16
 _SUFFIXES = ("", "_remesh", "_ori")
@@ -41,43 +42,22 @@ class _Text:
     lines: int  # how many vertices have a skin line
 
 
-def read_rignet(path: Path, data: bytes) -> Character:
-    """Read a rig text and the OBJ that belongs to it.
+def load_rigged(path: Path, *, rest: str = "bind") -> Character:
+    """Read a character, an OBJ with the rig of the text that belongs to it where there is one.
 
     Args:
-        path: The text.
-        data: Its bytes.
+        path: The file, of any format of `bunraku.load_character`.
+        rest: As for `bunraku.load_character`.
 
     Raises:
-        FormatError: There is no mesh to it, or one of the two is broken.
+        FormatError: The file or the rig text is broken.
         CharacterError: The mesh is no character.
     """
-    text = _read_text(path, data)
-    mesh = find_mesh(path)
-    if mesh is None:
-        raise FormatError(
-            path,
-            "there is no mesh to this rig; put its .obj beside it, or keep the folders obj and rig_info of the "
-            "archive together",
-        )
-    character = read_obj(mesh, read_bounded(mesh))
-    return _rigged(character, text, path)
-
-
-def read_obj_with_rig(path: Path, data: bytes) -> Character:
-    """Read an OBJ, with the rig of the text that belongs to it where there is one.
-
-    Args:
-        path: The OBJ.
-        data: Its bytes.
-
-    Raises:
-        FormatError: The mesh or the rig is broken.
-        CharacterError: The mesh is no character.
-    """
-    character = read_obj(path, data)
-    rig = find_rig(path)
-    return character if rig is None else _rigged(character, _read_text(rig, read_bounded(rig)), rig)
+    rig = find_rig(path) if path.suffix.lower() == ".obj" else None
+    if rig is None:
+        return load_character(path, rest=rest)
+    character = _rigged(load_character(path, unit="m"), _read_text(rig, read_bounded(rig)), rig)
+    return in_metres(character, "auto", None)[0]
 
 
 def find_rig(mesh: Path) -> Path | None:
@@ -87,19 +67,6 @@ def find_rig(mesh: Path) -> Path | None:
     if mesh.parent.name.startswith("obj"):
         folder = mesh.parent.parent / f"rig_info{mesh.parent.name.removeprefix('obj')}"
         candidates += [folder / f"{mesh.stem}.txt", folder / f"{mesh.stem}_rig.txt"]
-    return next((path for path in candidates if os.path.isfile(path)), None)
-
-
-def find_mesh(rig: Path) -> Path | None:
-    """The OBJ that belongs to a rig text, None where there is none."""
-    candidates = (
-        [rig.with_name(f"{rig.stem.removesuffix('_rig')}{suffix}.obj") for suffix in _SUFFIXES]
-        if rig.stem.endswith("_rig")
-        else []
-    )
-    if rig.parent.name.startswith("rig_info"):
-        folder = rig.parent.parent / f"obj{rig.parent.name.removeprefix('rig_info')}"
-        candidates.append(folder / f"{rig.stem.removesuffix('_rig')}.obj")
     return next((path for path in candidates if os.path.isfile(path)), None)
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku.samples.assembly import Bones, Piece, assemble, clay, solid
-from bunraku.samples.fields import Field, ball, bar, limb, mirrored
-from bunraku.samples.paint import Paint, both, bump, either, slab
-from bunraku.samples.person import HUMAN_BONES, arm_lumps, face_pieces, head_lumps
-from bunraku.samples.surfaces import ring_mesh, sheet_mesh
+from bunraku_lab.synthetic.samples.assembly import Bones, Piece, assemble, clay, solid
+from bunraku_lab.synthetic.samples.fields import Field, ball, bar, limb, mirrored
+from bunraku_lab.synthetic.samples.paint import Paint, both, bump, either, slab
+from bunraku_lab.synthetic.samples.person import HUMAN_BONES, arm_lumps, face_pieces, head_lumps
+from bunraku_lab.synthetic.samples.surfaces import ring_mesh, sheet_mesh
 
 __all__ = ["build"]
 
@@ -115,7 +115,7 @@ def _skirt(detail: float) -> list[Piece]:
 
 
 def build(detail: float, rigged: bool) -> Character:
-    """See `bunraku.samples.sample_character`."""
+    """See `bunraku_lab.synthetic.samples.make_sample`."""
     paints = [
         Paint(DRESS, both(slab(0, -0.16, 0.16), slab(1, 0.78, 1.125))),
         Paint(DRESS, both(slab(0, -0.118, 0.118), slab(1, 1.1, 1.3))),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from bunraku.samples.isosurface import CUBE, marching_cubes
+from bunraku_lab.synthetic.samples.isosurface import CUBE, marching_cubes
 
 THEIRS = np.array([0, 1, 3, 2, 4, 5, 7, 6])
 """Corners of a cube in the order of libigl."""

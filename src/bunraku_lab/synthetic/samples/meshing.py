@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from bunraku.samples.fields import Field
-from bunraku.samples.isosurface import grid_surface
-from bunraku.samples.thinning import thinned
+from bunraku_lab.synthetic.samples.fields import Field
+from bunraku_lab.synthetic.samples.isosurface import grid_surface
+from bunraku_lab.synthetic.samples.thinning import thinned
 
 __all__ = ["field_mesh", "marched", "mirror_mesh", "neighbour_average"]
 
