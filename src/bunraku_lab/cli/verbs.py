@@ -137,9 +137,4 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "EvaluateApparel",
         "measure learned apparel on characters and motions that it has not seen",
     ),
-    ("evaluate", "retrieval"): (
-        "bunraku_lab.cli.evaluate.retrieval",
-        "Retrieval",
-        "test how well sentences are found back from motions",
-    ),
 }

@@ -132,7 +132,7 @@ def measure_tables(config: TablesConfig, report: Report | None = None) -> list[d
 def _group(table: PaperTable, config: TablesConfig, report: Report) -> Group | None:
     if table.paper == "mmdmc":
         return _apparel_group(config, report)
-    groups = {"1": _motion_group, "2": _distortion_group, "3 stand-in": _stand_in_group}
+    groups = {"1": _motion_group, "2": _distortion_group}
     return groups[table.key](config, report) if table.key in groups else None
 
 
@@ -221,25 +221,6 @@ def _distortion_group(config: TablesConfig, report: Report) -> Group:
     files = ",".join(sorted(path.name for path in characters.rglob("*") if path.is_file()))
     others = {**trained, **({} if config.data is None else {"data": config.data / "index.json"})}
     return Group("distortion", run, {**_seen(config, "diffusion", "handles"), "mdm": mdm, "characters": files}, others)
-
-
-def _stand_in_group(config: TablesConfig, report: Report) -> Group:
-    characters = _needed(config.characters, "--characters", "folder of rigged characters")
-    mdm = _needed(config.mdm, "--mdm", "weights of the encoder-only network")
-    data = _needed(config.data, "--data", "folder that `bunraku data motions` wrote")
-
-    def run(parts: Parts) -> Figures:
-        from bunraku_lab.evaluation.tables.stand_in import StandInConfig, measure_stand_in
-
-        count, prompts = (4, 3) if config.quick else (15, 6)
-        how = StandInConfig(characters, mdm, data, trained.get(TRANSFER), count, prompts, seed=config.seed)
-        return measure_stand_in(how, report, parts)
-
-    trained = _weights(config, (TRANSFER,))
-    files = ",".join(sorted(path.name for path in characters.rglob("*") if path.is_file()))
-    of = {**_seen(config, "diffusion", "handles"), **trained, "mdm": mdm, "characters": files,
-          "data": data / "index.json"}  # fmt: skip
-    return Group("stand-in", run, of)
 
 
 def _apparel_group(config: TablesConfig, report: Report) -> Group:
