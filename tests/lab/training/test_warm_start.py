@@ -5,7 +5,8 @@ import torch
 
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.errors import OptionError
-from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.checkpoint import save_denoiser
+from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.training.diffusion.warm_start import rescaled, start_from
 
 TINY = DenoiserConfig(
@@ -15,7 +16,7 @@ TINY = DenoiserConfig(
 
 def denoiser(config=TINY, seed=0):
     torch.manual_seed(seed)
-    model = build_denoiser(config).eval()
+    model = Denoiser(config).eval()
     with torch.no_grad():
         for value in model.parameters():
             value.add_(0.05 * torch.randn_like(value))
@@ -78,9 +79,9 @@ def test_another_network_is_refused(tmp_path):
         start_from(path, denoiser(replace(TINY, width=48)))
 
 
-def test_added_blocks_start_without_effect(tmp_path):
-    """A network with a convolution and with examples begins as the one that it starts from."""
-    old, new = denoiser(), build_denoiser(replace(TINY, convolution=3, examples=2)).eval()
+def test_attention_to_examples_starts_without_effect(tmp_path):
+    """A network with examples begins as the one that it starts from."""
+    old, new = denoiser(), Denoiser(replace(TINY, examples=2)).eval()
     new.mean.copy_(old.mean)
     new.std.copy_(old.std)
     start_from(save_denoiser(tmp_path / "old.safetensors", old, half=False), new)
@@ -88,14 +89,3 @@ def test_added_blocks_start_without_effect(tmp_path):
     values = torch.randn(2, 16, TINY.features)
     torch.testing.assert_close(predict(new, values), predict(old, values), atol=1e-6, rtol=1e-5)
     assert new.example_in.weight.shape == (32, 2 * 4 * TINY.features)
-
-
-@pytest.mark.parametrize("before", [{"examples": 2}, {"convolution": 3}])
-def test_a_block_that_is_added_beside_another_begins_without_effect(before, tmp_path):
-    old = denoiser(replace(TINY, **before))
-    new = build_denoiser(replace(TINY, examples=2, convolution=3)).eval()
-    new.mean.copy_(old.mean), new.std.copy_(old.std)
-    start_from(save_denoiser(tmp_path / "old.safetensors", old, half=False), new)
-    new.adaptation_out.load_state_dict(old.adaptation_out.state_dict())
-    values = torch.randn(2, 16, TINY.features)
-    assert torch.allclose(predict(old, values), predict(new, values), atol=1e-4)

@@ -1,4 +1,4 @@
-"""The table of generated motion (A.2 of TapMo): real data, our denoiser, and "TapMo (MDM)", in one protocol.
+"""The table of generated motion (A.2 of TapMo): real data and our denoiser in one protocol.
 
 Windows of clips that no training saw are drawn once (`motion_windows`); each model makes a motion of each window's
 length from its sentence, once. A run then draws `clips` of the windows without repetition, and for each 31 sentences
@@ -54,8 +54,6 @@ class MotionEvalConfig:
         data: Folder that `bunraku data motions` wrote.
         characters: Folder of rigged characters, for the ARAP-Loss and the creatures; None leaves these out.
         checkpoint: Weights of the denoiser; None takes the shipped ones.
-        mdm: Weights of the encoder-only denoiser, "TapMo (MDM)"; None leaves its row out.
-        equal: Weights of ours after as many steps as those; None leaves their row out.
         motions: Folder of another method's motions of the windows' sentences (`others`); None leaves their row out.
         extractor: Weights of the feature extractor; None takes the shipped ones.
         work: Folder in which generated motions are kept.
@@ -81,8 +79,6 @@ class MotionEvalConfig:
     data: Path = Path("runs/data/motions")
     characters: Path | None = None
     checkpoint: Path | None = None
-    mdm: Path | None = None
-    equal: Path | None = None
     motions: Path | None = None
     extractor: Path | None = None
     work: Path = Path("runs/evaluation")
@@ -208,9 +204,9 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         report: Called with a stage's name and the share done.
 
     Returns:
-        Numbers and lists that JSON can say: "rows" by name ("real", "tapmo", "tapmo_mdm"), each measure with "mean" and
+        Numbers and lists that JSON can say: "rows" by name ("real", "tapmo"), each measure with "mean" and
         "half" (of the 95 % interval); "counts"; and at the top level the figures that the bars are about:
-        "r_precision_1" and "r_precision_1_over_real" (2 and 3 likewise), "fid", "fid_distilled", "fid_over_tapmo_mdm",
+        "r_precision_1" and "r_precision_1_over_real" (2 and 3 likewise), "fid", "fid_distilled",
         "fid_real_halves", "fid_steps_ratio", "mm_dist", "diversity", "multimodality", and what `motion_blocks` adds. A
         figure that was not measured is None.
 
@@ -226,48 +222,34 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     _check(config)
     report = report or (lambda stage, done: None)
     extractor = load_extractor(config.extractor or shipped_checkpoint("extractor"))
-    models = {"tapmo": config.checkpoint or shipped_checkpoint("diffusion")}
-    if config.mdm is not None:
-        models["tapmo_mdm"] = config.mdm
-    if config.equal is not None:
-        models["tapmo_equal"] = config.equal
-    loaded = {name: load_generator(path) for name, path in models.items()}
+    checkpoint = config.checkpoint or shipped_checkpoint("diffusion")
+    model, own_encoder = load_generator(checkpoint)
     clips, windows = table_windows(config, report)
     elsewhere = draw_windows(clips, config.references, np.random.default_rng([config.seed, 12]))
     named = _distinct(windows, config.prompts)
     sampling = config.sampler()
 
-    encoder = encoder_of(extractor.config.text_encoder, loaded["tapmo"][1])
+    encoder = encoder_of(extractor.config.text_encoder, own_encoder)
     sentences = embed_sentences(extractor, encoder, [window.sentence for window in windows])
     real, references = (
         embed_motions(extractor, [window_features(clips, window) for window in part]) for part in (windows, elsewhere)
     )
-    rows = {"real": Row(real)}
-    for name, (model, own_encoder) in loaded.items():
-        digest = checkpoint_digest(models[name])
-
-        def progress(done: int, total: int, name: str = name) -> None:
-            report(f"motions of {name}", done / total)
-
-        requests = [Request(window.sentence, window.frames) for window in windows]
-        motions = make_motions(
-            model, own_encoder, requests, sampling, folder=config.work, digest=digest, progress=progress
-        )
-        again = [Request(window.sentence, window.frames) for window in named for _ in range(config.repeats)]
-        repeated = (
-            make_motions(model, own_encoder, again, sampling, folder=config.work, digest=digest)
-            if config.repeats > 1
-            else []
-        )
-        vectors = embed_motions(extractor, repeated).reshape(len(named), config.repeats, -1) if repeated else None
-        rows[name] = Row(embed_motions(extractor, motions), vectors)
-    for name, candidates, examples, guided in _ways(config, models["tapmo"]):
+    make = partial(
+        make_motions, model, own_encoder, sampling=sampling, folder=config.work, digest=checkpoint_digest(checkpoint)
+    )
+    requests = [Request(window.sentence, window.frames) for window in windows]
+    motions = make(requests, progress=partial(_told, report, "motions of tapmo"))
+    again = [Request(window.sentence, window.frames) for window in named for _ in range(config.repeats)]
+    repeated = make(again) if config.repeats > 1 else []
+    vectors = embed_motions(extractor, repeated).reshape(len(named), config.repeats, -1) if repeated else None
+    rows = {"real": Row(real), "tapmo": Row(embed_motions(extractor, motions), vectors)}
+    for name, candidates, examples, guided in _ways(config, checkpoint):
         found = choose_motions(
-            [Request(window.sentence, window.frames) for window in windows],
+            requests,
             replace(
                 sampling, steps=config.steps, guidance=config.guidance, candidates=candidates, examples=examples,
                 classifier_guidance=guided,
-            ), models["tapmo"],
+            ), checkpoint,
             folder=config.work, progress=partial(_told, report, f"motions of {name}"),
         )  # fmt: skip
         rows[name] = Row(embed_motions(extractor, found))
@@ -282,8 +264,6 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     if config.reference_steps:
         result |= _steps_ratio(extractor, rows["tapmo"].vectors, references, windows, config, report)
     left_out: dict[str, str] = {}
-    if config.mdm is None:
-        left_out["fid_over_tapmo_mdm"] = "--mdm names no weights"
     if not config.reference_steps:
         left_out["fid_steps_ratio"] = "it needs --reference-steps 1000"
     result["left_out"] = left_out
@@ -299,11 +279,9 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         "runs": config.runs,
     }
     result["counts"] |= {"candidates": config.candidates, "steps": sampling.steps, "guidance": sampling.guidance}
-    result["parameters"] = {
-        name: sum(value.size for part, value in load_checkpoint(path, KIND)[0].items() if part not in ("mean", "std"))
-        for name, path in models.items()
-    }
-    result["notes"] = {name: model.notes for name, (model, _) in loaded.items()} | {"extractor": extractor.notes}
+    state = load_checkpoint(checkpoint, KIND)[0]
+    result["parameters"] = sum(value.size for name, value in state.items() if name not in ("mean", "std"))
+    result["notes"] = {"tapmo": model.notes, "extractor": extractor.notes}
     result["settings"] = {
         key: str(value) if isinstance(value, Path) else value for key, value in asdict(config).items()
     }
@@ -397,7 +375,5 @@ def _summary(rows: Mapping[str, Row]) -> dict[str, Any]:
         share = None if row is None else row["r_precision_1"]["mean"] / max(real["r_precision_1"]["mean"], 1e-12)
         result[f"r_precision_1_over_real_{name}"] = share
     result["fid_distilled"] = table["tapmo_distilled"]["fid"]["mean"] if "tapmo_distilled" in table else None
-    mdm = table.get("tapmo_mdm")
-    result["fid_over_tapmo_mdm"] = None if mdm is None else ours["fid"]["mean"] / max(mdm["fid"]["mean"], 1e-12)
     result["fid_real"] = real["fid"]["mean"]
     return result

@@ -17,10 +17,8 @@ from bunraku_lab.nn.diffusion.denoiser import Denoiser
 __all__ = ["rescaled", "start_from"]
 
 _HEAD = "adaptation_out."
-_FREE = {"adaptation_mesh", "adaptation_frame", "convolution", "examples"}
-"""What may differ: the adaptation's layer is small and is trained anew, and blocks that are added begin without
-effect.
-"""
+_FREE = {"adaptation_mesh", "adaptation_frame", "examples"}
+"""What may differ: the adaptation's layer is small and trained anew, and examples begin without effect."""
 _TEXT = {"text_encoder", "pooled_size"}
 """What may differ where the new encoder is the old one with cues: they begin without effect."""
 
@@ -60,18 +58,6 @@ def _widened(weight: torch.Tensor, size: int) -> torch.Tensor:
     return torch.cat([weight * (before / size) ** 0.5, cues], dim=1)
 
 
-def _with_added(own: torch.Tensor, fresh: torch.Tensor, old: DenoiserConfig, new: DenoiserConfig) -> torch.Tensor:
-    """What steers the added blocks of a network, shape (blocks * rows, ...): its own of those that it has, fresh ones
-    of those that it gets.
-    """
-    blocks = [[name for name in ("convolution", "examples") if getattr(config, name)] for config in (old, new)]
-    if blocks[0] == blocks[1]:
-        return own
-    parts = dict(zip(blocks[0], own.chunk(len(blocks[0])), strict=True))
-    others = dict(zip(blocks[1], fresh.chunk(len(blocks[1])), strict=True))
-    return torch.cat([parts.get(name, others[name]).float() for name in blocks[1]])
-
-
 def start_from(path: str | Path, model: Denoiser) -> None:
     """Give a new denoiser the weights of a checkpoint, in the units of its own statistics; its adaptation's layer stays
     as it is.
@@ -100,8 +86,5 @@ def start_from(path: str | Path, model: Denoiser) -> None:
     if model.config.examples and not old.config.examples:  # examples are read as motions are
         state["example_in.weight"] = state["motion_in.weight"].repeat(1, EXAMPLE_TOKENS) / EXAMPLE_TOKENS
         state["example_in.bias"] = state["motion_in.bias"].clone()
-    for name, value in state.items():  # steering of the blocks that both have
-        if "_more" in name:
-            state[name] = _with_added(value, model.state_dict()[name].cpu(), old.config, model.config)
     kept = {name: value for name, value in state.items() if not name.startswith(_HEAD)}
     model.load_state_dict(kept, strict=False)
