@@ -21,6 +21,7 @@ from bunraku_lab.evaluation.apparel.rivals import rival_rows, rivals_of
 from bunraku_lab.evaluation.apparel.rows import clip_row, drift_row, frame_milliseconds, ten_frames
 from bunraku_lab.evaluation.parts import Parts, at_once
 from bunraku_lab.evaluation.report import Bar, figure, measured_in, reached_bars
+from bunraku_lab.nn.checkpoints import lab_checkpoint
 from bunraku_lab.training.apparel.networks.refinement import load_refinement
 
 __all__ = ["APPAREL_BARS", "ApparelEvalConfig", "evaluate_apparel"]
@@ -132,7 +133,7 @@ def evaluate_apparel(
     known_body = body is not None or _ships("apparel-body")
     refinement = config.refinement
     if refinement is None and _ships("apparel-refinement"):
-        refinement = shipped_checkpoint("apparel-refinement")
+        refinement = lab_checkpoint("apparel-refinement")
     merging = None if refinement is None else load_refinement(refinement)
     paper = None if config.literal is None else load_displacement(config.literal)
 
@@ -239,7 +240,7 @@ def _literal(row: dict[str, Any]) -> dict[str, Any]:
 
 def _ships(name: str) -> bool:
     try:
-        shipped_checkpoint(name)
+        lab_checkpoint(name)
     except WeightsError:
         return False
     return True

@@ -39,6 +39,7 @@ from bunraku_lab.evaluation.motion.samples import (
     make_motions,
 )
 from bunraku_lab.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
+from bunraku_lab.nn.checkpoints import lab_checkpoint
 from bunraku_lab.training.rows.clip_data import ClipEntry, load_clips, people
 
 __all__ = ["MotionEvalConfig", "Report", "Row", "evaluate_motion", "measure_rows", "table_windows"]
@@ -221,7 +222,7 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
 
     _check(config)
     report = report or (lambda stage, done: None)
-    extractor = load_extractor(config.extractor or shipped_checkpoint("extractor"))
+    extractor = load_extractor(config.extractor or lab_checkpoint("extractor"))
     checkpoint = config.checkpoint or shipped_checkpoint("diffusion")
     model, own_encoder = load_generator(checkpoint)
     clips, windows = table_windows(config, report)

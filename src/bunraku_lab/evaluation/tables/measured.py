@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from bunraku.errors import BunrakuError, OptionError, WeightsError
-from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.evaluation.apparel.names import OURS
 from bunraku_lab.evaluation.apparel.rivals import FILES
 from bunraku_lab.evaluation.parts import Parts
@@ -23,6 +22,7 @@ from bunraku_lab.evaluation.tables.paper_table import (
     measured_table,
 )
 from bunraku_lab.evaluation.tables.tapmo import HANDLE_FID, MDM, TAPMO
+from bunraku_lab.nn.checkpoints import lab_checkpoint
 
 __all__ = ["PAPERS", "TablesConfig", "measure_tables"]
 
@@ -157,7 +157,7 @@ def _seen(config: TablesConfig, *names: str) -> dict[str, Any]:
     found: dict[str, Any] = {"quick": config.quick, "seed": config.seed}
     for name in names:
         try:
-            found[name] = shipped_checkpoint(name)
+            found[name] = lab_checkpoint(name)
         except WeightsError:
             found[name] = "missing"
     return found
@@ -242,7 +242,7 @@ def _apparel_group(config: TablesConfig, report: Report) -> Group:
 
     trained = _weights(config, (*FILES.values(), *BODIES))
     others = [path for name, path in trained.items() if name in BODIES]
-    bodies = config.bodies or ((shipped_checkpoint("apparel-body"), *others) if others else ())
+    bodies = config.bodies or ((lab_checkpoint("apparel-body"), *others) if others else ())
     given = {f"body {number}": path for number, path in enumerate(bodies)}
     index = "simulated" if data is None else next(iter(sorted(data.glob("*.json"))), data)
     sizes = {"clips": clips, "least": least}
