@@ -74,12 +74,6 @@ class EvaluateMotion(Printed):
     """What is chosen from starts from captured examples."""
     classifier_guidance: bool = True
     """What is predicted is guided towards its sentence by the ranker's gradient, in the rows beside the network's."""
-    reference_steps: int = 0
-    """Compare the default sampler with so many steps of DDPM's, 1000 for the paper's; hours on a processor. 0 leaves it
-    out.
-    """
-    reference_clips: int = 256
-    """Motions that this comparison is made on."""
     quick: bool = False
     """Few motions, 3 runs, and only what is fast: minutes, and wide intervals."""
     only: Annotated[Literal["table", "viewer"] | None, tyro.conf.arg(help_behavior_hint="")] = None
@@ -95,8 +89,6 @@ class EvaluateMotion(Printed):
         check_range("--steps", self.steps, 1, 1000)
         check_range("--guidance", self.guidance, 0, 20)
         check_range("--best-of", self.best_of, 1, 16)
-        check_range("--reference-steps", self.reference_steps, 0, 1000)
-        check_range("--reference-clips", self.reference_clips, 2, 100_000)
         check_range("--seed", self.seed, 0, 2**31)
         check_source(self.data, "make it with `bunraku data motions`")
         check_source(self.characters, "give one with rigged characters")
@@ -121,8 +113,7 @@ class EvaluateMotion(Printed):
             candidates=self.candidates,
             steps=self.steps, guidance=self.guidance, best_of=self.best_of, examples=self.examples,
             classifier_guidance=self.classifier_guidance,
-            reference_steps=self.reference_steps,
-            reference_clips=self.reference_clips, seed=self.seed,
+            seed=self.seed,
         )  # fmt: skip
         if self.prompts_to is not None:
             with stages() as report:

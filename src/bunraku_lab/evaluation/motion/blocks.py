@@ -53,7 +53,6 @@ BARS = {
     "r_precision_1_over_real_guided": Bar("- one sample that is guided towards its sentence", 1.0),
     "r_precision_1_over_real_led": Bar("- one sample that is guided and starts from an example", 1.0),
     "r_precision_1_over_real_chosen": Bar("- as `animate` chooses (--best-of 3)", 1.08),
-    "fid_steps_ratio": Bar("FID of the default sampler over that of the many steps", most=1.1),
     "fid_real": Bar("FID of the real data (what a perfect generator reaches)"),
     "fid_real_halves": Bar("FID between two halves of the real clips"),
     "arap_ratio_seen": Bar("ARAP-Loss with the adaptation over without, seen", most=0.87),

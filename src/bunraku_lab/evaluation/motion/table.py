@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.diffusion.inference.extractor import Extractor, embed_motions, embed_sentences, load_extractor
+from bunraku.diffusion.inference.extractor import embed_motions, embed_sentences, load_extractor
 from bunraku.errors import OptionError
 from bunraku.language.encoders import encoder_of
 from bunraku_lab.evaluation.motion.metrics import (
@@ -72,8 +72,6 @@ class MotionEvalConfig:
             does; 1 for none, and no such row.
         examples: What is chosen from starts from captured examples, as in `animate`.
         classifier_guidance: What is predicted is guided towards its sentence, as in `animate`.
-        reference_steps: Steps of DDPM's sampler that the default is compared with; 0 leaves the comparison out.
-        reference_clips: Motions that it is compared on.
         seed: Of everything random.
     """
 
@@ -96,8 +94,6 @@ class MotionEvalConfig:
     best_of: int = 1
     examples: bool = True
     classifier_guidance: bool = True
-    reference_steps: int = 0
-    reference_clips: int = 256
     seed: int = 0
 
     def sampler(self) -> SamplerSettings:
@@ -208,7 +204,7 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         Numbers and lists that JSON can say: "rows" by name ("real", "tapmo"), each measure with "mean" and
         "half" (of the 95 % interval); "counts"; and at the top level the figures that the bars are about:
         "r_precision_1" and "r_precision_1_over_real" (2 and 3 likewise), "fid", "fid_distilled",
-        "fid_real_halves", "fid_steps_ratio", "mm_dist", "diversity", "multimodality", and what `motion_blocks` adds. A
+        "fid_real_halves", "mm_dist", "diversity", "multimodality", and what `motion_blocks` adds. A
         figure that was not measured is None.
 
     Raises:
@@ -261,13 +257,7 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
 
     result = _summary(rows)
     result["fid_real_halves"] = _halves(elsewhere, references, config.runs, config.seed)
-    result["fid_steps_ratio"] = None
-    if config.reference_steps:
-        result |= _steps_ratio(extractor, rows["tapmo"].vectors, references, windows, config, report)
-    left_out: dict[str, str] = {}
-    if not config.reference_steps:
-        left_out["fid_steps_ratio"] = "it needs --reference-steps 1000"
-    result["left_out"] = left_out
+    result["left_out"] = {}
     counts = {
         "clips": len({window.clip for window in windows}),
         "meanings": len({window.meaning for window in windows}),
@@ -322,43 +312,8 @@ def _check(config: MotionEvalConfig) -> None:
             "an evaluation needs a pool of 4 or more, from 2 to all of it drawn a run, 1 or more runs, and 4 or more "
             "candidates"
         )
-    if config.reference_steps < 0 or config.reference_steps > 1000 or config.reference_clips < 2:
-        raise OptionError("the comparison of samplers takes 0 to 1,000 steps and at least 2 motions")
     if (config.steps is not None and not 1 <= config.steps <= 1000) or config.prompts < 1 or config.repeats < 0:
         raise OptionError("steps must be 1 to 1,000, prompts 1 or more, repeats 0 or more")
-
-
-def _steps_ratio(
-    extractor: Extractor,
-    fast: np.ndarray,
-    references: np.ndarray,
-    windows: list[Window],
-    config: MotionEvalConfig,
-    report: Report,
-) -> dict[str, float]:
-    """FID of the default sampler and of many DDPM steps on the same windows, against the reference windows."""
-    from bunraku.diffusion.generation.networks import load_generator
-    from bunraku.nn.checkpoints import shipped_checkpoint
-
-    path = config.checkpoint or shipped_checkpoint("diffusion")
-    model, encoder = load_generator(path)
-    sampling = replace(config.sampler(), steps=config.reference_steps, method="ddpm")
-    count = min(config.reference_clips, len(windows))
-    requests = [Request(window.sentence, window.frames) for window in windows[:count]]
-
-    def progress(done: int, total: int) -> None:
-        report(f"{sampling.steps} steps", done / total)
-
-    motions = make_motions(
-        model, encoder, requests, sampling, folder=config.work, digest=checkpoint_digest(path), progress=progress
-    )
-    reference = fid(embed_motions(extractor, motions), references)
-    here = fid(fast[:count], references)
-    return {
-        "fid_steps_ratio": here / max(reference, 1e-12),
-        "fid_default_steps": here,
-        "fid_reference_steps": reference,
-    }
 
 
 def _summary(rows: Mapping[str, Row]) -> dict[str, Any]:
