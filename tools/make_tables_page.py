@@ -1,6 +1,6 @@
 """Write docs/tables.md, the papers' tables with our figures, from what `bunraku evaluate tables --json` printed.
 
-    bunraku evaluate tables --paper tapmo --data data/motions --characters archive --mdm MDM.safetensors
+    bunraku evaluate tables --paper tapmo --data data/motions --characters archive
         --baselines benchmarks/weights --json > a.json
     bunraku evaluate tables --paper mmdmc --apparel data/apparel --baselines benchmarks/weights --json > b.json
     python tools/make_tables_page.py a.json b.json

@@ -24,11 +24,6 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "MeshBank",
         "write the mesh features of characters to train with",
     ),
-    ("data", "surfaces"): (
-        "bunraku_lab.cli.data.surfaces",
-        "Surfaces",
-        "make surfaces to train the orientation network on",
-    ),
     ("data", "character-bank"): (
         "bunraku_lab.cli.data.character_bank",
         "CharacterBank",
@@ -126,10 +121,5 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "bunraku_lab.cli.evaluate.apparel",
         "EvaluateApparel",
         "measure learned apparel on characters and motions that it has not seen",
-    ),
-    ("evaluate", "retrieval"): (
-        "bunraku_lab.cli.evaluate.retrieval",
-        "Retrieval",
-        "test how well sentences are found back from motions",
     ),
 }

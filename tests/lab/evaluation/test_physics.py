@@ -18,7 +18,6 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, OptionError
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.physics import apparel_rig
 from bunraku.physics.from_file import apparel_rig
 from bunraku_lab.datasets.apparel.body_inside import deep_inside
 from bunraku_lab.datasets.apparel.build import body_animation
