@@ -75,7 +75,7 @@ demo: $(READY) demo/$(SAMPLE).glb
 	@echo "animation: demo/$(SAMPLE)-animated.glb"
 	@echo "video:     demo/$(SAMPLE)-animated.mp4"
 
-demo/$(SAMPLE).glb: $(READY) $(wildcard src/bunraku/samples/*.glb)
+demo/$(SAMPLE).glb: $(READY) $(wildcard src/bunraku/files/samples/*.glb)
 	@$(BIN)/bunraku samples $(SAMPLE) -o demo
 	@touch $@
 
@@ -88,7 +88,7 @@ test: $(DEVELOP) .venv/.validator .venv/.browser
 
 # The Khronos validator checks every GLB that the tests write, and three.js opens some. Both come from npm; without npm those tests are skipped and
 # say so, as those with Blender are where there is none.
-.venv/.validator: $(DEVELOP) tests/formats/validator/package.json tools/check_viewers/package.json
+.venv/.validator: $(DEVELOP) tests/files/validator/package.json tools/check_viewers/package.json
 	@if command -v npm >/dev/null; then for folder in tests/formats/validator tools/check_viewers; do \
 		npm install --silent --no-audit --no-fund --no-package-lock --prefix $$folder || echo "npm install failed in $$folder; its tests are skipped"; \
 		done; fi

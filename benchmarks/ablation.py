@@ -18,14 +18,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from bunraku.body.layout import HANDLE_MIRROR
+from bunraku.core.body.layout import HANDLE_MIRROR
 from bunraku_lab.datasets.characters.build import load_characters, reference_characters
 from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter
-from bunraku_lab.nn.handles.graph import mesh_graph
-from bunraku_lab.nn.handles.predictor import load_predictor
-from bunraku_lab.training.handles.mesh_augmentation import MeshAugmentation
-from bunraku_lab.training.handles.train import HandleTrainConfig, HandleTrainer, validate_handles
-from bunraku_lab.training.losses.handle_losses import LossConfig
+from bunraku_lab.nn.graph import mesh_graph
+from bunraku_lab.nn.handles import load_predictor
+from bunraku_lab.training.handles import HandleTrainConfig, HandleTrainer, MeshAugmentation, validate_handles
+from bunraku_lab.training.losses.handles import LossConfig
 
 LOSS = LossConfig(smoothness=0.1)  # every loss that was ever tried is on
 NONE = MeshAugmentation(slide_rate=0, coarse_rate=0, hole_rate=0, split_rate=0, noise=0, normal_noise=0)

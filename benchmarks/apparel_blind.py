@@ -22,18 +22,17 @@ from pathlib import Path
 import numpy as np
 
 from bunraku import transfer
-from bunraku.clips import all_clips, clip
+from bunraku.anatomy.handles.orientation import resolve_axes
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
-from bunraku.formats.gltf.turning import turned
-from bunraku.handles.orientation import resolve_axes
-from bunraku.io import load_character
-from bunraku.io.units import in_metres
+from bunraku.files import load_character
+from bunraku.files.gltf.read import turned
+from bunraku.files.registry import in_metres
+from bunraku.generation.library import all_clips, clip
 from bunraku.pipelines.animate import rig
 from bunraku.pipelines.apparel import dressed
 from bunraku.render.frames import render_animation
-from bunraku.render.sheets import assemble
-from bunraku.render.video import write_png
+from bunraku.render.pictures import assemble, write_png
 
 FOLDER = Path(__file__).parent
 EACH = 10
@@ -95,12 +94,12 @@ LISTS = {
 def draw(archive: Path, use: str) -> None:
     """Write the list: kind, what, and the clip that it moves by."""
     from bunraku_lab.synthetic.dressed.people import dressed_person
-    from bunraku_lab.synthetic.wardrobe.makehuman import closet
+    from bunraku_lab.synthetic.wardrobe.character import open_closet
 
     name, lot, first, pool = LISTS[use]
     rng = np.random.default_rng(lot)
     rows = [("wardrobe", str(first + number)) for number in range(EACH)]
-    seed, clothes = first, closet(str(archive / "makehuman"))
+    seed, clothes = first, open_closet(str(archive / "makehuman"))
     while len(rows) < 2 * EACH:
         outfit = dressed_person(clothes, seed).outfit
         if any(word in outfit for word in WORDS):
@@ -121,9 +120,9 @@ def bare(kind: str, what: str, archive: Path) -> Character:
         found = wardrobe_character(int(what))
     elif kind == "makehuman":
         from bunraku_lab.synthetic.dressed.people import dressed_person
-        from bunraku_lab.synthetic.wardrobe.makehuman import closet
+        from bunraku_lab.synthetic.wardrobe.character import open_closet
 
-        found = dressed_person(closet(str(archive / "makehuman")), int(what)).character(what)
+        found = dressed_person(open_closet(str(archive / "makehuman")), int(what)).character(what)
     else:
         _, blob, name = what.split(" ", 2)
         found = load_character(archive / "files" / f"{blob}_{name}", unit="m")

@@ -14,9 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from bunraku.apparel.chains.from_bones import apparel_bones
 from bunraku.apparel.mask import moved_joints
 from bunraku.core.character import Character
-from bunraku.physics.chains.from_bones import apparel_bones
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 

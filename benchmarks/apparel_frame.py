@@ -38,12 +38,12 @@ def measure(seed: int, frames: int) -> dict[str, Any]:
     """Times of all stages of all frames [s], and how large the character is."""
     import numpy as np
 
-    from bunraku.apparel.displacement.player import ApparelPlayer
-    from bunraku.apparel.unified import UnifiedBody
-    from bunraku.physics.told.clothed import clothed_from_file
+    from bunraku.apparel.body import UnifiedBody
+    from bunraku.apparel.learned.player import ApparelPlayer
+    from bunraku.apparel.physics.clothed_from_file import clothed_from_file
     from bunraku.pipelines.apparel import shipped_displacement
     from bunraku_lab.datasets.apparel.build import body_animation
-    from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
+    from bunraku_lab.synthetic.stock_motions import stock_motion
     from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
     character = wardrobe_character(seed)

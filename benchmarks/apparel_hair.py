@@ -17,13 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.apparel.fitting import carried
 from bunraku.apparel.mask import moved_joints
-from bunraku.body.layout import HANDLE_NAMES
+from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character
-from bunraku.io import load_character
-from bunraku.physics.chains.fitted import carried
+from bunraku.files import load_character
 from bunraku.pipelines.animate import rig
-from bunraku.pipelines.clothes import body_of_handles, told_apart
+from bunraku.pipelines.clothes import body_of_handles, separate_apparel
 from bunraku.retarget.rig_parts import understood_rig
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
@@ -76,7 +76,7 @@ def main() -> None:
             continue
         handles = rig(replace(character, rig=None, avatar=None, source=None))
         weights = np.array(handles.weights, np.float64)
-        share, joint = carried(told_apart(character, *body_of_handles(character, handles)[::-1], None))
+        share, joint = carried(separate_apparel(character, *body_of_handles(character, handles)[::-1], None))
         moved = weights * (1 - share[:, None]) + np.eye(weights.shape[1])[joint] * share[:, None]
         shares.append([
             float((row[hair][:, limb].sum(axis=1) > SHARE).mean()) for row in (weights, moved)

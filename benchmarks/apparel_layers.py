@@ -15,9 +15,9 @@ import numpy as np
 
 import bunraku
 from bunraku.apparel.clothed import LEGS
-from bunraku.apparel.displacement.player import ApparelPlayer
 from bunraku.apparel.fitting import eased_border
 from bunraku.apparel.layers import LEG, Layers
+from bunraku.apparel.learned.player import ApparelPlayer
 from bunraku.pipelines.apparel import animated_clothed, shipped_displacement
 from bunraku.render import render_frames
 from bunraku_lab.synthetic.wardrobe import wardrobe_character

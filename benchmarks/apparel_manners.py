@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.io import load_character
-from bunraku_lab.evaluation.apparel.told_chains import kind_priors, prior_errors, told_chains, told_table
+from bunraku.files import load_character
+from bunraku_lab.evaluation.apparel.chains import chains_from_file, file_chain_table, kind_priors, prior_errors
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 
@@ -26,11 +26,11 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=60)
     asked = parser.parse_args()
     logging.disable(logging.WARNING)
-    real = [chain for path in asked.files for chain in told_chains(load_character(path))]
+    real = [chain for path in asked.files for chain in chains_from_file(load_character(path))]
     made = [chain for seed in range(asked.first, asked.first + asked.count)
-            for chain in told_chains(wardrobe_character(seed))]  # fmt: skip
+            for chain in chains_from_file(wardrobe_character(seed))]  # fmt: skip
     print("10th, 50th and 90th percentile of files, and of the wardrobe")
-    print(told_table({"files": real, "wardrobe": made}))
+    print(file_chain_table({"files": real, "wardrobe": made}))
     print("\nmedians of the files: limit [degrees], stiffness, damping")
     for kind, (limit, stiffness, damping) in kind_priors(real).items():
         print(f"  {kind or 'all':<8}{np.degrees(limit):8.1f}{stiffness:8.2f}{damping:8.3f}")

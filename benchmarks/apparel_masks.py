@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.apparel.body import UnifiedBody
+from bunraku.apparel.chains.from_shape import shape_chains
+from bunraku.apparel.learned.segmentation import find_apparel
 from bunraku.apparel.mask import apparel_mask
-from bunraku.apparel.segmentation.predict import find_apparel
-from bunraku.apparel.unified import UnifiedBody
-from bunraku.io import load_character
-from bunraku.physics.chains.from_shape import shape_chains
-from bunraku.pipelines.clothes import told_apart
+from bunraku.files import load_character
+from bunraku.pipelines.clothes import separate_apparel
 
 
 def agreement(mask: np.ndarray, true: np.ndarray) -> float:
@@ -39,7 +39,7 @@ def main() -> None:
             continue
         body = UnifiedBody.of(character)
         alone = find_apparel(character.vertices, character.faces, body.joints).mask
-        clothed = told_apart(character, body.joints, body.weights, None)
+        clothed = separate_apparel(character, body.joints, body.weights, None)
         laid = shape_chains(clothed)
         moved = np.zeros(len(true), bool)
         moved[laid.vertices[laid.shares.sum(axis=1) > 0.5]] = True

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.apparel.artist_mask import artist_mask
-from bunraku.io import load_character
+from bunraku.apparel.mask import artist_mask
+from bunraku.files import load_character
 from bunraku.pipelines.animate import rig
 from bunraku.pipelines.clothes import apparel_of
 

@@ -130,11 +130,11 @@ def make(args: argparse.Namespace) -> None:
 
     import numpy as np
 
-    from bunraku.body.reference import reference_body
+    from bunraku.core.body.reference import reference_body
     from bunraku.errors import OptionError
     from bunraku.language.parse import parse
     from bunraku.pipelines.animator import Animator
-    from bunraku.pipelines.requests.request import Request
+    from bunraku.pipelines.requests import Request
 
     body = reference_body()
     requests, rows = [], []
@@ -193,8 +193,7 @@ def write_sheet(animation: Any, path: Path, number: int) -> None:
     import numpy as np
 
     from bunraku.render.frames import render_animation
-    from bunraku.render.sheets import assemble
-    from bunraku.render.video import write_png
+    from bunraku.render.pictures import assemble, write_png
 
     motion = animation.motion
     times = np.linspace(0, (len(motion) - 1) / motion.fps, FRAMES)
@@ -209,8 +208,8 @@ def from_above(motion: Any, frames: Any, width: int, height: int = 300) -> Any:
     import numpy as np
     from PIL import Image, ImageDraw, ImageFont
 
-    from bunraku.geometry.rotations import heading
-    from bunraku.render.camera import view_axes
+    from bunraku.core.geometry.rotations import heading
+    from bunraku.render.stage import view_axes
 
     right = view_axes()[0][[0, 2]]
     axes = np.stack([right, [-right[1], right[0]]])  # to the right and towards the viewer, over the ground

@@ -28,8 +28,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bunraku.core.motion import SkeletalMotion, Skeleton
-from bunraku.formats.bvh.write import write_bvh
-from bunraku.io.motions import load_motion
+from bunraku.files.motions.bvh import write_bvh
+from bunraku.pipelines.motions.read import load_motion
 
 
 def made_up(frames: int, joints: int, fps: float) -> SkeletalMotion:

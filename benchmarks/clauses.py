@@ -32,10 +32,10 @@ def main() -> None:
 
     import numpy as np
 
-    from bunraku.diffusion.features import encode
-    from bunraku.diffusion.generation.generate import generate_motions
-    from bunraku.diffusion.generation.networks import load_generator
-    from bunraku.diffusion.inference.extractor import embed_motions, embed_sentences, load_extractor
+    from bunraku.generation.extractor import embed_motions, embed_sentences, load_extractor
+    from bunraku.generation.features import encode
+    from bunraku.generation.generate import generate_motions
+    from bunraku.generation.networks import load_generator
     from bunraku.language.parse import clauses_of, parse
     from bunraku_lab.nn.checkpoints import lab_checkpoint
 

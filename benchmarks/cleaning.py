@@ -18,12 +18,12 @@ import numpy as np
 
 import bunraku
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.body.reference import reference_body
+from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.pipelines.animate import generate, rig
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku_lab.evaluation.motion.quality import CLEANING, stage_effects
+from bunraku_lab.evaluation.motion.characters import CLEANING, stage_effects
 
 PROMPTS = (
     "a person walks forward", "a person runs forward", "a person walks in a circle", "a person dances",

@@ -18,15 +18,15 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.anatomy.handles.orientation import SURE, resolve_axes, upright
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.errors import BunrakuError
-from bunraku.formats.gltf.turning import turned
-from bunraku.handles.orientation import SURE, resolve_axes, upright
-from bunraku.io import load_character
+from bunraku.files import load_character
+from bunraku.files.gltf.read import turned
 from bunraku.pipelines.animator import Animator
-from bunraku.pipelines.requests.request import Request, Sampling
-from bunraku_lab.evaluation.handles.stretch import edge_error
+from bunraku.pipelines.requests import Request, Sampling
+from bunraku_lab.evaluation.handles.measures import edge_error
 
 LIST = Path(__file__).with_suffix(".json")
 FRAMES = 6

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.anatomy.handles.predict import predict_handles
 from bunraku.errors import BunrakuError
-from bunraku.handles.predict import predict_handles
 from bunraku_lab.evaluation.handles.measures import main_handles, part_purity
 from bunraku_lab.evaluation.handles.subjects import Subject, find_files, load_subject, subject_name
-from bunraku_lab.evaluation.handles.trials import pose_errors, resolution_differences
+from bunraku_lab.evaluation.handles.table import pose_errors, resolution_differences
 
 
 def measured(one: Subject, resolutions: bool) -> list[float]:

@@ -37,12 +37,12 @@ def main() -> None:
 
     import numpy as np
 
-    from bunraku.io import load_character
+    from bunraku.files import load_character
     from bunraku.language.parse import parse
     from bunraku.pipelines.animator import Animator
-    from bunraku.pipelines.requests.request import Request, Sampling
+    from bunraku.pipelines.requests import Request, Sampling
     from bunraku.retarget.fit import Stages
-    from bunraku_lab.evaluation.motion.viewer.gaits import gait_of
+    from bunraku_lab.evaluation.motion.viewer import gait_of
 
     animator = Animator.shipped()
     sentence = parse(args.prompt, args.seconds)

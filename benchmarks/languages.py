@@ -19,11 +19,11 @@ import argparse
 import json
 from pathlib import Path
 
-from bunraku.language.foreign import tagger
-from bunraku.language.foreign.table import LANGUAGES
-from bunraku.language.lexicon.reading import actions_of
+from bunraku.language import foreign_tagger
+from bunraku.language.lexicon import actions_of
 from bunraku.language.parse import parse
 from bunraku.language.understood import understood
+from bunraku.language.word_table import LANGUAGES
 
 SENTENCES = 200
 
@@ -58,13 +58,12 @@ def read(sentence: str) -> frozenset[str]:
 
 def pairs(folder: Path, measured: Path, split: str) -> None:
     """The second table."""
-    from bunraku_lab.training.language.likeness import MEANT, NOT_MEANT, likeness_of
-    from bunraku_lab.training.language.pairs import lot, read_pairs
+    from bunraku_lab.training.language import MEANT, NOT_MEANT, drawn_number, likeness_of, read_pairs
 
     like = likeness_of(json.loads(measured.read_text(encoding="utf-8")))
     print("\n| | F1 of what is meant | exactly | F1 of all that the rules find | exactly | said of none |")
     print("| --- | --- | --- | --- | --- | --- |")
-    found = sorted(read_pairs(folder, [split]), key=lambda pair: lot(pair.other, "measure"))
+    found = sorted(read_pairs(folder, [split]), key=lambda pair: drawn_number(pair.other, "measure"))
     for language, name in LANGUAGES.items():
         meant: list[tuple[frozenset[str], frozenset[str]]] = []
         ruled: list[tuple[frozenset[str], frozenset[str]]] = []
@@ -97,10 +96,10 @@ def main() -> None:
     parser.add_argument("--pairs", type=Path)
     parser.add_argument("--likeness", type=Path, default=Path("runs/tagger/likeness.json"))
     parser.add_argument("--split", default="held", help="held, or val, which sets the bar from which it is sure")
-    parser.add_argument("--sure", type=float, default=tagger.SURE)
+    parser.add_argument("--sure", type=float, default=foreign_tagger.SURE)
     parser.add_argument("--without-tagger", action="store_true")
     args = parser.parse_args()
-    tagger.SURE = 2.0 if args.without_tagger else args.sure
+    foreign_tagger.SURE = 2.0 if args.without_tagger else args.sure
     if args.split == "held":
         captions()
     if args.pairs is not None:

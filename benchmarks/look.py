@@ -40,13 +40,13 @@ def main() -> None:
     import numpy as np
 
     from bunraku.anatomy.anatomy import Anatomy
-    from bunraku.body.reference import reference_body
+    from bunraku.core.body.reference import reference_body
     from bunraku.core.motion import HandleMotion
-    from bunraku.diffusion.generation.generate import generate_motions
+    from bunraku.generation.generate import generate_motions
     from bunraku.language.parse import parse
     from bunraku.retarget.fit import Stages, fit_motion
     from bunraku_lab.datasets.motions.clips import load_clip, load_index
-    from bunraku_lab.evaluation.motion.viewer.look import hands_in_body, sliding_contacts
+    from bunraku_lab.evaluation.motion.viewer import hands_in_body, sliding_contacts
 
     body = reference_body()
     anatomy = Anatomy.of(body.character(), body.handles)

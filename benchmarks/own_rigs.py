@@ -17,16 +17,15 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.anatomy.joints import reference_joints
-from bunraku.body.layout import HANDLE_NAMES
-from bunraku.cli.options.orientation import stand_up
-from bunraku.core.animation import Animation
+from bunraku.cli.options import stand_up
+from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character
-from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import BunrakuError
-from bunraku.formats.gltf.read import Source
-from bunraku.io import load_character
+from bunraku.files import load_character
+from bunraku.files.gltf.read import Source
 from bunraku.pipelines.animator import Animator, Body
-from bunraku.pipelines.requests.request import Request, Sampling
+from bunraku.pipelines.requests import Request, Sampling
 from bunraku.retarget.rig_parts import RigParts
 
 ENDS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}

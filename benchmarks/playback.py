@@ -42,12 +42,12 @@ def main() -> None:
 
     import numpy as np
 
-    from bunraku.body.layout import JOINT_NAMES
-    from bunraku.diffusion.examples.pack import load_examples
-    from bunraku.diffusion.features import decode
-    from bunraku.diffusion.generation.generate import generate_motions
+    from bunraku.core.body.layout import JOINT_NAMES
+    from bunraku.generation.features import decode
+    from bunraku.generation.generate import generate_motions
+    from bunraku.generation.pack import load_examples
     from bunraku.language.parse import parse
-    from bunraku_lab.evaluation.motion.seams import posed_positions
+    from bunraku_lab.evaluation.motion.metrics import posed_positions
 
     def joints(motion: Any) -> Any:
         return posed_positions(motion)[:, :22].astype(np.float32)

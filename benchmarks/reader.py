@@ -63,7 +63,7 @@ def rules(sentence: str) -> Frames:
 
 
 def _frames_of(clause: Any) -> Frames:
-    from bunraku.language.limbs.posing import Posing
+    from bunraku.language.posing import Posing
 
     posing = clause.told if isinstance(clause.told, Posing) else None
     stance = clause.stance or (posing.stance if posing else None)
@@ -162,7 +162,7 @@ def main() -> None:
     parser.add_argument("--errors", action="store_true", help="print the sentences whose actions are not exact")
     args = parser.parse_args()
 
-    from bunraku.language.lexicon.tables import lexicon
+    from bunraku.language.lexicon import lexicon
 
     known = set(lexicon().actions)
     meant = labels("reader_300.labels.jsonl")

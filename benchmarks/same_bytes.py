@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import bunraku
-from bunraku.core.animated import AnimatedCharacter
+from bunraku.core.animation import AnimatedCharacter
 
 CHARACTERS = ("person", "dancer", "dog", "dragon", "mushroom", "robot")
 SENTENCES = (

@@ -91,10 +91,10 @@ def sampling_step() -> tuple[float, float]:
     """Seconds of one guided prediction of x0, ours and the reference's."""
     import numpy as np
 
-    from bunraku.diffusion.generation.networks import load_generator
-    from bunraku.diffusion.inference.layers import Condition
-    from bunraku.diffusion.sampling.noise import row_noise
-    from bunraku.nn.threads import one_thread
+    from bunraku.core.nn.layers import one_thread
+    from bunraku.generation.layers import Condition
+    from bunraku.generation.networks import load_generator
+    from bunraku.generation.sampler import row_noise
 
     model, encoder = load_generator()
     text = encoder.encode(["a person walks forward"])
@@ -120,9 +120,9 @@ def character_of(size: int, folder: Path) -> Path:
     import numpy as np
     import trimesh
 
-    from bunraku.body.reference import reference_body
+    from bunraku.core.body.reference import reference_body
     from bunraku.core.character import Character
-    from bunraku.io import save_character
+    from bunraku.files import save_character
 
     body = reference_body()
     mesh = trimesh.Trimesh(body.vertices, body.faces, process=False)
@@ -148,14 +148,13 @@ def time_size(size: int) -> dict[str, float]:
     import trimesh
 
     import bunraku
+    from bunraku.anatomy.handles.predict import _model, predict_handles
     from bunraku.core.animation import Animation
+    from bunraku.core.geometry.simplify import network_mesh
+    from bunraku.core.nn.checkpoints import shipped_checkpoint
     from bunraku.core.skinning import skin, skin_basis, skin_reference
-    from bunraku.geometry.simplify import network_mesh
-    from bunraku.handles.predict import _model, predict_handles
-    from bunraku.nn.checkpoints import shipped_checkpoint
-    from bunraku_lab.nn.edge_conv import EdgeConv, edge_conv_reference
-    from bunraku_lab.nn.handles.graph import mesh_graph
-    from bunraku_lab.nn.handles.predictor import load_predictor
+    from bunraku_lab.nn.graph import EdgeConv, edge_conv_reference, mesh_graph
+    from bunraku_lab.nn.handles import load_predictor
 
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -214,7 +213,7 @@ def export_reference(animation: object, path: Path) -> None:
     import pygltflib as gl
 
     from bunraku.core.animation import Animation
-    from bunraku.geometry.rotations import quaternion_from_matrix
+    from bunraku.core.geometry.rotations import quaternion_from_matrix
 
     assert isinstance(animation, Animation)
     tree, blob = gl.GLTF2(), bytearray()

@@ -39,28 +39,28 @@ STAGES: dict[str, tuple[str, ...]] = {
     "imports": ("builtins:__import__", "importlib:import_module"),
     "options": ("bunraku.cli.app:_parse",),
     "sentence": ("bunraku.language.parse:parse",),
-    "load": ("bunraku.io.registry:load_character",),
-    "orientation": ("bunraku.handles.orientation:resolve_axes",),
-    "network mesh": ("bunraku.geometry.simplify:network_views",),
-    "handles' network": ("bunraku.handles.predict:predict_weights",),
-    "handles on vertices": ("bunraku.handles.predict:predict_handles",),
+    "load": ("bunraku.files.registry:load_character",),
+    "orientation": ("bunraku.anatomy.handles.orientation:resolve_axes",),
+    "network mesh": ("bunraku.core.geometry.simplify:network_views",),
+    "handles' network": ("bunraku.anatomy.handles.predict:predict_weights",),
+    "handles on vertices": ("bunraku.anatomy.handles.predict:predict_handles",),
     "anatomy": (
         "bunraku.anatomy.anatomy:Anatomy.of", "bunraku.anatomy.anatomy:Anatomy.measured",
         "bunraku.anatomy.anatomy:decimated",
     ),
-    "reading weights": ("bunraku.nn.checkpoints:load_checkpoint", "bunraku.language.encoders:text_encoder"),
-    "encoding": ("bunraku.diffusion.generation.texts:Texts.__init__",),
-    "retrieval": ("bunraku.diffusion.examples.guidance_examples:GuidanceExamples.__init__",),
-    "examples": ("bunraku.diffusion.examples.guidance_examples:GuidanceExamples.of",),
-    "denoiser": ("bunraku.diffusion.inference.denoiser:Denoiser.__call__",),
-    "pull": ("bunraku.diffusion.sampling.classifier_guidance:Pull.__call__",),
-    "drawing": ("bunraku.diffusion.generation.drawing:draw_candidates",),
-    "choosing": ("bunraku.diffusion.generation.ranking:choose",),
-    "ways": ("bunraku.pipelines.bodies:moved_ways",),
-    "fit: hands clear": ("bunraku.retarget.stages.hands_clear:HandsClear.__call__",),
+    "reading weights": ("bunraku.core.nn.checkpoints:load_checkpoint", "bunraku.language.encoders:text_encoder"),
+    "encoding": ("bunraku.generation.networks:Texts.__init__",),
+    "retrieval": ("bunraku.generation.guide:GuidanceExamples.__init__",),
+    "examples": ("bunraku.generation.guide:GuidanceExamples.of",),
+    "denoiser": ("bunraku.generation.denoiser:Denoiser.__call__",),
+    "pull": ("bunraku.generation.classifier_guidance:Pull.__call__",),
+    "drawing": ("bunraku.generation.candidates:draw_candidates",),
+    "choosing": ("bunraku.generation.ranking:choose",),
+    "ways": ("bunraku.pipelines.bodies:apply_locomotion",),
+    "fit: hands clear": ("bunraku.retarget.stages.hands:HandsClear.__call__",),
     "fit: shape": ("bunraku.retarget.stages.shape:Shape.__call__",),
     "fit: the rest": ("bunraku.retarget.fit:fit_motion",),
-    "write": ("bunraku.io.registry:save",),
+    "write": ("bunraku.files.registry:save",),
 }  # fmt: skip
 """Rows, and the functions that each is."""
 
@@ -112,9 +112,9 @@ class Watch:
 
 def watch(told: dict[str, Any]) -> None:
     """Play the command in this process; print what each stage took."""
-    from bunraku.startup import hurry
+    from bunraku.__main__ import lazy_imports
 
-    hurry(told["words"])
+    lazy_imports(told["words"])
     timer = Watch()
     timer.spent["start of Python"] = time.process_time()
     for row, places in STAGES.items():

@@ -26,12 +26,12 @@ import trimesh
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.character import Character
-from bunraku.diffusion.generation.drawing import GUIDANCE, STEPS
-from bunraku.io import load_character, save_character
+from bunraku.files import load_character, save_character
+from bunraku.generation.candidates import GUIDANCE, STEPS
 from bunraku.pipelines.animate import animate, generate, rig
 from bunraku.pipelines.apply import apply_motion
-from bunraku.studio.tasks.making import DRAFT_STAGES
-from bunraku.studio.workspace.opened import Settings, opened_character
+from bunraku.studio.takes import DRAFT_STAGES
+from bunraku.studio.workspace import Settings, opened_character
 from bunraku_lab.synthetic.samples import make_sample
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "studio"))

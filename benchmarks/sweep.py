@@ -3,7 +3,7 @@
     python benchmarks/sweep.py CHARACTERS -o outputs/sweep [--prompt "a person walks forward"] [--limit 20] [--sheet]
 
 For each file: the whole of `bunraku.animate` and `save`; the GLB played by an independent reading of the glTF rules
-(`tests/formats/gltf_player.py`) against the library's own vertices; vertex count and order, UVs, materials and images
+(`tests/files/gltf_player.py`) against the library's own vertices; vertex count and order, UVs, materials and images
 against the source; and the Khronos validator where node and `npm install` in tests/formats/validator are there. Ends
 with status 1 when anything failed.
 """

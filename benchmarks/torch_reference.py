@@ -24,22 +24,19 @@ import numpy as np
 import torch
 
 import bunraku
-from bunraku.diffusion.generation.networks import Networks
-from bunraku.diffusion.inference.examples import RetrievedExamples
-from bunraku.diffusion.inference.few_steps import load_few_steps
-from bunraku.handles import predict
-from bunraku.handles.inference.graph import OrderedGraph
-from bunraku.handles.inference.predictor import HandlePrediction
-from bunraku.handles.predict import Predictor
-from bunraku.nn.checkpoints import load_checkpoint, shipped_checkpoint
+from bunraku.anatomy.handles import predict
+from bunraku.anatomy.handles.networks import HandlePrediction, OrderedGraph
+from bunraku.anatomy.handles.predict import Predictor
+from bunraku.core.nn.checkpoints import load_checkpoint, shipped_checkpoint
+from bunraku.generation.denoiser import RetrievedExamples, load_few_steps
+from bunraku.generation.networks import Networks
 from bunraku.pipelines.animator import Animator
-from bunraku.pipelines.requests.request import Request, Sampling
-from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
-from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples as TensorExamples
-from bunraku_lab.nn.diffusion.matching import Extractor, load_extractor
-from bunraku_lab.nn.handles.graph import MeshGraph
-from bunraku_lab.nn.handles.predictor import load_predictor
-from bunraku_lab.nn.text import tensors_of
+from bunraku.pipelines.requests import Request, Sampling
+from bunraku_lab.nn.denoiser import RetrievedExamples as TensorExamples
+from bunraku_lab.nn.denoiser import load_denoiser
+from bunraku_lab.nn.graph import MeshGraph
+from bunraku_lab.nn.handles import load_predictor
+from bunraku_lab.nn.text import Extractor, load_extractor, tensors_of
 
 PROMPTS = (
     "walks forward, then waves with the left hand",

@@ -34,7 +34,7 @@ SIZES = (5_000, 20_000, 200_000)
 def turn(folder: Path) -> dict[str, tuple[float, float]]:
     """Seconds of the processor and of the clock of each row, in this process."""
     import bunraku
-    from bunraku.body.reference import reference_body
+    from bunraku.core.body.reference import reference_body
     from bunraku.pipelines.animate import animate, rig
 
     small, middle, large = (bunraku.load_character(folder / f"{size}.glb") for size in SIZES)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
-from bunraku.body.layout import HANDLE_NAMES
+from bunraku.core.body.layout import HANDLE_NAMES
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "outputs")
 folder.mkdir(parents=True, exist_ok=True)

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
-from bunraku.body.layout import HANDLE_NAMES
-from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "outputs")
 folder.mkdir(parents=True, exist_ok=True)

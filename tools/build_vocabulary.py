@@ -68,7 +68,7 @@ def main() -> None:
         OUT.write_text(json.dumps(vocabulary(clips), separators=(",", ":")) + "\n", encoding="utf-8")
         print(f"{OUT}: {OUT.stat().st_size / 1000:.1f} kB")
         return
-    from bunraku.language.known import vocabulary as known
+    from bunraku.language import vocabulary as known
 
     half = vocabulary(clips[::2])
     known._written = lambda: half

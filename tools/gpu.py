@@ -37,7 +37,7 @@ RESERVE = 25.0
 
 
 def pack(options: argparse.Namespace) -> None:
-    from bunraku_lab.datasets.motions.bundle import write_bundle
+    from bunraku_lab.datasets.motions.clips import write_bundle
 
     out = options.output
     out.mkdir(parents=True, exist_ok=True)
@@ -107,7 +107,7 @@ def join(options: argparse.Namespace) -> None:
     from bunraku_lab.training.pieces import join_pieces
 
     joined = join_pieces(options.folder, options.output)
-    from bunraku_lab.nn.diffusion.checkpoint import load_denoiser  # not before: it loads torch
+    from bunraku_lab.nn.denoiser import load_denoiser  # not before: it loads torch
 
     for path in joined:
         notes = load_denoiser(path).notes

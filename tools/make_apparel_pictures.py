@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
-from bunraku.apparel.unified import UnifiedBody
+from bunraku.apparel.body import UnifiedBody
 from bunraku.pipelines.apparel import dressed
 from bunraku.render import contact_sheet, render_frames, save_preview
 from bunraku_lab.datasets.apparel.build import body_animation
-from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
+from bunraku_lab.synthetic.stock_motions import stock_motion
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 OUT = Path(__file__).parents[1] / "docs/pictures"

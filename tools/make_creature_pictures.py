@@ -19,14 +19,14 @@ import bunraku
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.cli import main as bunraku_command
 from bunraku.core.animation import Animation
-from bunraku.io import save_character
-from bunraku.io.play import load_animation
+from bunraku.files import save_character
+from bunraku.files.clips import load_animation
+from bunraku.files.samples import sample_character
 from bunraku.pipelines.animate import animate, rig
 from bunraku.pipelines.apply import apply_motion
 from bunraku.render import contact_sheet, render_animation
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.samples import sample_character
 from bunraku_lab.evaluation.transfer.character import facing_character
 from bunraku_lab.evaluation.transfer.quadrupeds import captured_animal
 from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character

@@ -22,10 +22,9 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.pipelines.animate import rig
 from bunraku.pipelines.animator import Animator
-from bunraku.pipelines.requests.request import Request, Sampling
+from bunraku.pipelines.requests import Request, Sampling
 from bunraku.render import contact_sheet, render_animation
-from bunraku_lab.evaluation.transfer.character import facing_character
-from bunraku_lab.evaluation.transfer.ground import ground_heights, off_ground
+from bunraku_lab.evaluation.transfer.character import facing_character, ground_heights, off_ground
 from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character
 
 OUT = Path(__file__).parents[1] / "docs/pictures"

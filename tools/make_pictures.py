@@ -17,13 +17,13 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
+from bunraku.anatomy.anatomy import body_handle_motion
 from bunraku.core.character import Character
+from bunraku.files.samples import sample_character, sample_names
 from bunraku.gestures.catalogue import gestures as all_gestures
 from bunraku.gestures.play import gesture_motion
 from bunraku.pipelines.animate import animate, rig
 from bunraku.render import contact_sheet, render_animation, render_still
-from bunraku.retarget.body_motion import body_handle_motion
-from bunraku.samples import sample_character, sample_names
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
 PROMPTS = (

@@ -16,8 +16,7 @@ from bunraku.core.character import Character
 from bunraku.pipelines.animate import rig
 from bunraku.render import contact_sheet, render_animation, render_still
 from bunraku.retarget.fit import fit_motion
-from bunraku_lab.evaluation.handles.rest_pose_transfer import TRANSFER_POSES, code_made_motions
-from bunraku_lab.evaluation.handles.rest_poses import posed_limbs
+from bunraku_lab.evaluation.handles.rest_poses import TRANSFER_POSES, code_made_motions, posed_limbs
 from bunraku_lab.evaluation.handles.subjects import subject
 from bunraku_lab.synthetic.samples import make_sample
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from PIL import Image
 
+from bunraku.files.samples import sample_character, sample_names
 from bunraku.render.frames import render_still
-from bunraku.samples import sample_character, sample_names
 
 SIZE = 192, 144
 TARGET = Path(__file__).resolve().parents[1] / "studio" / "public"

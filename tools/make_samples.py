@@ -1,4 +1,4 @@
-"""Make the sample characters that the package ships: src/bunraku/samples/NAME.glb.
+"""Make the sample characters that the package ships: src/bunraku/files/samples/NAME.glb.
 
 python tools/make_samples.py
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from bunraku.samples import sample_names
+from bunraku.files.samples import sample_names
 from bunraku_lab.synthetic.samples import write_sample
 
 TARGET = Path(__file__).resolve().parents[1] / "src" / "bunraku" / "samples"

@@ -10,13 +10,13 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from bunraku.io import save_character
-from bunraku.samples import sample_character
+from bunraku.files import save_character
+from bunraku.files.samples import sample_character
 from bunraku.studio.projects import pack_project
 from bunraku.studio.state import SAMPLE
 from bunraku.studio.store import Store
-from bunraku.studio.tasks.table import run_task
-from bunraku.studio.workspace.workspace import Workspace
+from bunraku.studio.tasks import run_task
+from bunraku.studio.workspace import Workspace
 
 NAME = "dragon"
 SCRIPT = [{"text": "walks forward", "seconds": 4}]

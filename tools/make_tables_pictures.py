@@ -14,25 +14,23 @@ import numpy as np
 
 import bunraku
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.apparel.displacement.weights import load_displacement
-from bunraku.body.from_handles import skeleton_from_handles
-from bunraku.body.reference import reference_body
+from bunraku.apparel.learned.network import load_displacement
 from bunraku.core.animation import Animation
+from bunraku.core.body.joint_rotations import skeleton_from_handles
+from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character
+from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.core.skinning import skin
-from bunraku.diffusion.generation.generate import generate_motion
-from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.generation.generate import generate_motion
 from bunraku.render import contact_sheet, render_frames
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku_lab.baselines.skeletal_retarget import copied_motion, rig_by_embedding
-from bunraku_lab.baselines.transfer_target import source_motion
+from bunraku_lab.baselines.pose_transfer import copied_motion, rig_by_embedding, source_motion
 from bunraku_lab.evaluation.apparel.clips import made_clips
-from bunraku_lab.evaluation.apparel.names import UNTRAINED
-from bunraku_lab.evaluation.apparel.rivals import rival_mover, rivals_of
-from bunraku_lab.evaluation.tables.distortion import NO_STAGES, transferred_motion
+from bunraku_lab.evaluation.apparel.rivals import UNTRAINED, rival_mover, rivals_of
 from bunraku_lab.evaluation.tables.measured import TRANSFER
-from bunraku_lab.nn.baselines.pose_transfer import load_transfer
-from bunraku_lab.training.apparel.networks.tiled import clothed_by_mask, tiled
+from bunraku_lab.evaluation.tables.tapmo import NO_STAGES, transferred_motion
+from bunraku_lab.nn.pose_transfer import load_transfer
+from bunraku_lab.training.apparel.body import clothed_by_mask, tiled
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
 PROMPT, SECONDS, SEED, MOMENTS, SIZE = "a person kicks with the left leg", 3.0, 3, 6, (180, 220)

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.apparel.physics.simulate import simulate
+from bunraku.core.animation import RigAnimation
 from bunraku.core.character import Character
-from bunraku.core.rig_animation import RigAnimation
-from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.physics.simulate import simulate
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.render import contact_sheet, render_animation, render_still
 from bunraku_lab.synthetic.wardrobe import wardrobe_character, wardrobe_costume
 

@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 from safetensors.numpy import load_file, save_file
 
+from bunraku.core.nn.checkpoints import planes_of
 from bunraku.language.encoders import RARE, SCALES, TEXT_LENGTH
-from bunraku.language.known.tokenizer import WordPieces
-from bunraku.nn.checkpoints import planes_of
+from bunraku.language.tokenizer import WordPieces
 
 SOURCES = Path(__file__).resolve().parents[1] / "src" / "bunraku"
 OUT = SOURCES / "weights" / "text.safetensors"

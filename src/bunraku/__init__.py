@@ -11,10 +11,10 @@ Importing the package loads nothing heavy: each public name is fetched from its 
 
 from __future__ import annotations
 
-from bunraku.interrupt import is_command_line, watch
+from bunraku.core.interrupt import is_command_line, watch_interrupts
 
 if is_command_line():  # what follows takes a while
-    watch()
+    watch_interrupts()
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -31,24 +31,20 @@ from bunraku.errors import (
 )
 
 if TYPE_CHECKING:
-    from bunraku import clips
-    from bunraku.core.animated import AnimatedCharacter
-    from bunraku.core.animation import Animation
+    from bunraku.anatomy.handles.orientation import Orientation, guess_orientation, upright
+    from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
     from bunraku.core.character import Character, Handles, Rig
     from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
-    from bunraku.core.rig_animation import RigAnimation
-    from bunraku.handles.orientation import Orientation, guess_orientation, upright
-    from bunraku.io import load_character, save_character
-    from bunraku.io.motions import load_motion
-    from bunraku.io.presets import save_for
-    from bunraku.io.save_clips import save_clips
-    from bunraku.pipelines.animate import animate, generate, rig, with_skeleton
+    from bunraku.files import load_character, save_character
+    from bunraku.files.presets import save_clips, save_for
+    from bunraku.files.samples import sample_character
+    from bunraku.generation import library as clips
+    from bunraku.pipelines.animate import animate, edit, generate, rig, with_skeleton
     from bunraku.pipelines.animator import Animator
-    from bunraku.pipelines.edit import edit
-    from bunraku.pipelines.requests.request import Request
+    from bunraku.pipelines.motions.read import load_motion
+    from bunraku.pipelines.requests import Request
     from bunraku.pipelines.transfer import transfer
-    from bunraku.retarget.stages.switches import Stages
-    from bunraku.samples import sample_character
+    from bunraku.retarget.stages import Stages
 
 __version__ = "0.1.0"
 
@@ -92,51 +88,51 @@ __all__ = [
 ]
 
 _HOME = {
-    "AnimatedCharacter": "bunraku.core.animated",
+    "AnimatedCharacter": "bunraku.core.animation",
     "Animation": "bunraku.core.animation",
     "Animator": "bunraku.pipelines.animator",
     "Character": "bunraku.core.character",
     "HandleMotion": "bunraku.core.motion",
     "Handles": "bunraku.core.character",
-    "Orientation": "bunraku.handles.orientation",
-    "Request": "bunraku.pipelines.requests.request",
+    "Orientation": "bunraku.anatomy.handles.orientation",
+    "Request": "bunraku.pipelines.requests",
     "Rig": "bunraku.core.character",
-    "RigAnimation": "bunraku.core.rig_animation",
+    "RigAnimation": "bunraku.core.animation",
     "SkeletalMotion": "bunraku.core.motion",
     "Skeleton": "bunraku.core.motion",
-    "Stages": "bunraku.retarget.stages.switches",
+    "Stages": "bunraku.retarget.stages",
     "animate": "bunraku.pipelines.animate",
-    "edit": "bunraku.pipelines.edit",
+    "edit": "bunraku.pipelines.animate",
     "generate": "bunraku.pipelines.animate",
-    "guess_orientation": "bunraku.handles.orientation",
-    "load_character": "bunraku.io",
-    "load_motion": "bunraku.io.motions",
+    "guess_orientation": "bunraku.anatomy.handles.orientation",
+    "load_character": "bunraku.files",
+    "load_motion": "bunraku.pipelines.motions.read",
     "rig": "bunraku.pipelines.animate",
-    "sample_character": "bunraku.samples",
-    "save_character": "bunraku.io",
-    "save_clips": "bunraku.io.save_clips",
-    "save_for": "bunraku.io.presets",
+    "sample_character": "bunraku.files.samples",
+    "save_character": "bunraku.files",
+    "save_clips": "bunraku.files.presets",
+    "save_for": "bunraku.files.presets",
     "transfer": "bunraku.pipelines.transfer",
-    "upright": "bunraku.handles.orientation",
+    "upright": "bunraku.anatomy.handles.orientation",
     "with_skeleton": "bunraku.pipelines.animate",
 }
 
 
-_ROOMS = {"clips": "bunraku.clips"}
+_ROOMS = {"clips": "bunraku.generation.library"}
 """Rooms that are public as they are."""
 
 provide(
-    save="bunraku.io.registry:save",
-    resolve_axes="bunraku.handles.orientation:resolve_axes",
-    handle_animation="bunraku.retarget.rig_motion:handle_animation",
-    write_humanoid_bvh="bunraku.io.humanoid:write_humanoid_bvh",
-    write_humanoid_vrma="bunraku.io.humanoid:write_humanoid_vrma",
-    write_motion_bvh="bunraku.io.skeletal:write_motion_bvh",
-    write_motion_npz="bunraku.io.skeletal:write_motion_npz",
-    write_motion_vrma="bunraku.io.skeletal:write_motion_vrma",
-    write_character_vmd="bunraku.io.mmd_motion:write_character_vmd",
-    check_mmd_character="bunraku.io.mmd_motion:check_character",
-    write_html="bunraku.render.html:write_html",
+    save="bunraku.files.registry:save",
+    resolve_axes="bunraku.anatomy.handles.orientation:resolve_axes",
+    handle_animation="bunraku.retarget.to_reference:handle_animation",
+    write_humanoid_bvh="bunraku.pipelines.motions.humanoid:write_humanoid_bvh",
+    write_humanoid_vrma="bunraku.pipelines.motions.humanoid:write_humanoid_vrma",
+    write_motion_bvh="bunraku.pipelines.motions.humanoid:write_motion_bvh",
+    write_motion_npz="bunraku.pipelines.motions.humanoid:write_motion_npz",
+    write_motion_vrma="bunraku.pipelines.motions.humanoid:write_motion_vrma",
+    write_character_vmd="bunraku.pipelines.motions.humanoid:write_character_vmd",
+    check_mmd_character="bunraku.pipelines.motions.humanoid:check_character",
+    write_html="bunraku.render.preview:write_html",
     save_preview="bunraku.render.preview:save_preview",
 )
 

@@ -1,4 +1,4 @@
-// The mask of hair and clothes on a mesh (src/bunraku/studio/workspace/mask.py), and a brush that paints it: what lies
+// The mask of hair and clothes on a mesh (src/bunraku/studio/dressing.py), and a brush that paints it: what lies
 // within a radius of where it touches, along the surface, so that a skirt is painted and not the leg below it.
 
 import { Vector3 } from "three";

@@ -1,4 +1,4 @@
-// A take's clip: what the joints of a skin do (src/bunraku/studio/workspace/clips.py), and its pose at any time.
+// A take's clip: what the joints of a skin do (src/bunraku/studio/wire.py), and its pose at any time.
 
 import { Quaternion, Vector3, type Bone } from "three";
 

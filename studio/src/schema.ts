@@ -1,4 +1,4 @@
-// What comes from elsewhere, checked: a view that was kept, a project's, a link's. The server checks the same (src/bunraku/studio/view.py);
+// What comes from elsewhere, checked: a view that was kept, a project's, a link's. The server checks the same (src/bunraku/studio/records.py);
 // tests/studio/views.json holds both to the same answers.
 
 import type { Apparel, Doc, Pin, Pose, Sentence, Vec3 } from "./types";

@@ -3,7 +3,7 @@
 import { Color, type Bone } from "three";
 import type { Chain, Character } from "./types";
 
-/** The parent of each of the 30 handles (src/bunraku/body/layout.py). */
+/** The parent of each of the 30 handles (src/bunraku/core/body/layout.py). */
 export const PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21, 15, 15, 9, 9, 0, 28];
 
 /** Pairs of joints between which bones are drawn: of the file's own, or of the handles by the parts that they play. */
@@ -38,7 +38,7 @@ export interface Strand {
 }
 
 /** The chains of a character; `count` bones of its model are there, of which the handles are first, then the links of all
- * chains, then their ends (src/bunraku/physics/chains/laid.py). */
+ * chains, then their ends (src/bunraku/apparel/chains/chain_rig.py). */
 export function strandsOf(one: Character, count: number): Strand[] {
   const chains = one.chains ?? [];
   const handles = one.positions?.length ?? 0;

@@ -1,6 +1,6 @@
 // Springs of bones as VRM 1.0 moves them (VRMC_springBone): in steps of a sixtieth of a second each tail goes on as it went,
 // is drawn towards where it rests and downwards, keeps its distance to its head, and is pushed out of colliders. They stand
-// in the extras of a GLB (src/bunraku/formats/gltf/scene/spring_write.py). All is kept in flat arrays: nothing is allocated
+// in the extras of a GLB (src/bunraku/files/gltf/vrm.py). All is kept in flat arrays: nothing is allocated
 // from frame to frame.
 
 import type { Bone } from "three";

@@ -114,7 +114,7 @@ export interface Job {
   about: { character?: string; takes?: string[]; opens?: string; export?: string };
 }
 
-/** What a program wants of a file (src/bunraku/io/presets.py). */
+/** What a program wants of a file (src/bunraku/files/presets.py). */
 export interface Preset {
   name: string;
   title: string;

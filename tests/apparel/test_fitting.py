@@ -1,10 +1,18 @@
+"""Apparel on a body: depth, fitting and layers."""
+
 import numpy as np
 import pytest
+import trimesh
 
+from bunraku.apparel.body import BAND, CELL, OUTSIDE, Unposed, body_depth
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.fitting import fitted_clothes, without_worn
-from bunraku.apparel.parts import whole_pieces
-from bunraku.body.layout import JOINT_NAMES
-from bunraku.body.reference import reference_body
+from bunraku.apparel.layers import Layers
+from bunraku.apparel.nodes import whole_pieces
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES
+from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
+from bunraku.core.geometry.surface import winding_numbers
 
 
 def tube(radius, low, high, around=24, rings=12):
@@ -97,3 +105,223 @@ def test_what_goes_round_an_arm_is_worn_by_it():
     assert not found[arm].any() and found[shirt & (np.abs(points[:, 0]) < 0.08)].all() and not found[legs].any()
     behind = shirt & (points[:, 2] < body.joints[JOINT_NAMES.index("left_elbow"), 2])
     assert without_worn(points, faces, body.joints, weights, behind)[arm & behind].any()
+
+
+AROUND, HEIGHTS = 32, np.linspace(0.3, 0.85, 24)
+
+
+def layered_tube(radius, heights=HEIGHTS):
+    """An upright tube about the axis through the origin, its normals outward."""
+    angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, AROUND, endpoint=False), heights)
+    points = np.stack([radius * np.sin(angle), height, radius * np.cos(angle)], axis=-1).reshape(-1, 3)
+    here = np.arange(len(points)).reshape(len(heights), AROUND)
+    after = np.roll(here, -1, axis=1)
+    quads = np.stack([here[:-1], after[:-1], after[1:], here[1:]], axis=-1).reshape(-1, 4)
+    return points, np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
+
+
+LEG, SKIRT, HAIR = (slice(number * AROUND * len(HEIGHTS), (number + 1) * AROUND * len(HEIGHTS)) for number in range(3))
+
+
+@pytest.fixture(scope="module")
+def clothed():
+    """One leg in a skirt, and something carried by the head around both."""
+    tubes = [layered_tube(radius) for radius in (0.08, 0.16, 0.2)]
+    rest = np.concatenate([points for points, _ in tubes]).astype(np.float32)
+    faces = np.concatenate([own + number * len(tubes[0][0]) for number, (_, own) in enumerate(tubes)])
+    weights = np.zeros((len(rest), 22), np.float32)
+    for rows, joint in ((LEG, "left_knee"), (SKIRT, "pelvis"), (HAIR, "head")):
+        weights[rows, JOINT_NAMES.index(joint)] = 1
+    part = np.repeat([-1, 0, 1], len(tubes[0][0]))
+    joints = np.array(reference_body().joints[:22], np.float32)
+    joints[1:3, 1] = 0.9
+    blank = np.zeros(2, np.float32)
+    return ClothedCharacter(rest, faces, joints, weights, part >= 0, part, blank, blank)
+
+
+@pytest.fixture(scope="module")
+def layers(clothed):
+    return Layers(clothed, np.flatnonzero(clothed.part >= 0))
+
+
+def pose(clothed, forward):
+    """The leg goes forward, and with it the front of what hangs over it, as its skin says."""
+    out = clothed.rest.copy()
+    out[LEG, 2] += forward
+    front = np.clip(clothed.rest[SKIRT.start :, 2] / 0.16, 0, 1)
+    out[SKIRT.start :, 2] += forward * front
+    return out
+
+
+def front_of(points, rest):
+    """Largest z in the middle of the front at each height."""
+    near = np.abs(rest[:, 0]) < 0.02
+    return np.array([points[near & (np.abs(rest[:, 1] - height) < 1e-5), 2].max() for height in HEIGHTS])
+
+
+def test_a_leg_that_has_come_through_is_covered_again_and_the_back_stays(clothed, layers):
+    skinned = pose(clothed, 0.25)
+    positions = clothed.rest[SKIRT.start :]
+    laid = np.concatenate([skinned[LEG], layers(positions, skinned[layers.seen])])
+    assert front_of(positions, clothed.rest[SKIRT.start :])[12] < 0.08 + 0.25  # it had come through
+    fronts = [front_of(laid[rows], clothed.rest[rows]) for rows in (LEG, SKIRT, HAIR)]
+    inner = slice(2, -2)
+    assert (fronts[1] > fronts[0])[inner].all()
+    assert (fronts[2] > fronts[1])[inner].all()  # and what lay over the skirt lies over it
+    back = clothed.rest[:, 2] < -0.1
+    np.testing.assert_allclose(
+        laid[back & (np.arange(len(laid)) >= SKIRT.start)], clothed.rest[SKIRT.start :][back[SKIRT.start :]], atol=1e-6
+    )
+
+
+def test_what_lies_right_stays_where_it_is(clothed, layers):
+    for under in (clothed.rest, pose(clothed, 0.02)):  # the leg stays under the skirt
+        found = layers(clothed.rest[SKIRT.start :], under[layers.seen])
+        np.testing.assert_array_equal(found, clothed.rest[SKIRT.start :])
+
+
+def test_what_lacks_height_is_what_a_look_at_every_pair_finds(clothed, layers):
+    """The skirt over the leg, against the words of the rule, one vertex and point after the other."""
+    skinned = pose(clothed, 0.25)
+    over, rest = layers.skirt, clothed.rest.astype(np.float64)
+    row, lack, _, ways = over.lacking(clothed.rest[SKIRT.start :], skinned[over.used], np.inf)
+    found = {}
+    for number, height, way in zip(over.mine[row], lack, ways.T, strict=True):
+        found.setdefault(int(number), []).append((float(height), way))
+    leg = clothed.faces[(clothed.faces < LEG.stop).all(axis=1)]
+    normals = [np.zeros((LEG.stop, 3)) for _ in range(2)]
+    for out, points in zip(normals, (rest, skinned.astype(np.float64)), strict=True):
+        for a, b, c in leg:
+            out[[a, b, c]] += np.cross(points[b] - points[a], points[c] - points[a])
+        out /= np.linalg.norm(out, axis=1, keepdims=True)
+    wanted = {}
+    for number in over.mine:
+        own = rest[SKIRT.start + number]
+        near = np.argsort(np.linalg.norm(rest[LEG] - own, axis=1), kind="stable")[:32]
+        for point in near:
+            clear = (own - rest[point]) @ normals[0][point]
+            short = min(clear, 0.015 * clothed.scale) - (own - skinned[point]) @ normals[1][point]
+            if clear > 0.002 * clothed.scale and short > 0:
+                wanted.setdefault(int(number), []).append((short, normals[1][point]))
+    assert wanted.keys() == found.keys() and len(wanted) > 50
+    for number, pairs in wanted.items():
+        assert max(pair[0] for pair in found[number]) == pytest.approx(max(pair[0] for pair in pairs), abs=1e-5)
+
+
+def test_in_a_clip_the_skirt_goes_over_the_leg_without_a_jump(clothed, layers):
+    frames = 24
+    skinned = np.stack([pose(clothed, forward) for forward in np.linspace(0, 0.25, frames)])
+    positions = np.repeat(clothed.rest[None, SKIRT.start :], frames, axis=0)
+    told = []
+    laid = layers.clip(positions, skinned[:, layers.seen], told.append)
+    steps = np.linalg.norm(np.diff(laid, axis=0), axis=-1).max(axis=1)
+    assert steps.max() < 3 * 0.25 / frames
+    assert told[0] == 0 and all(0 <= share < 1 for share in told)
+
+
+def test_apparel_that_does_not_hang_over_legs_is_left_alone(clothed):
+    weights = clothed.weights.copy()
+    weights[LEG] = np.eye(22)[JOINT_NAMES.index("spine1")]
+    other = ClothedCharacter(
+        clothed.rest,
+        clothed.faces,
+        clothed.joints,
+        weights,
+        clothed.apparel,
+        clothed.part,
+        clothed.stiffness,
+        clothed.damping,
+    )
+    positions = clothed.rest[SKIRT.start :] + 0.1
+    assert Layers(other, np.flatnonzero(clothed.part >= 0))(positions, clothed.rest) is positions
+
+
+RADIUS = 0.3
+
+
+@pytest.fixture(scope="module")
+def ball():
+    mesh = trimesh.creation.icosphere(4, RADIUS)
+    weights = np.zeros((len(mesh.vertices), JOINT_COUNT), np.float32)
+    weights[:, 0] = 1
+    none = np.zeros(len(mesh.vertices), bool)
+    return body_depth(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces), weights, none)
+
+
+def test_distances_from_a_ball(ball):
+    random = np.random.default_rng(0)
+    points = random.uniform(-0.4, 0.4, (500, 3)).astype(np.float32)
+    found, slope = ball.at(points)
+    true = np.linalg.norm(points, axis=1) - RADIUS
+    wanted = np.clip(true, -BAND, BAND)
+    near = (true > -BAND + 1.8 * CELL) & (true < (OUTSIDE - 1.8) * CELL)
+    assert np.abs(found - wanted)[near].max() < 0.1 * CELL
+    inside = true < 0
+    assert np.abs(found - wanted)[inside].max() < CELL and np.abs(found - wanted).max() < 2 * CELL
+    outward = points[near] / np.linalg.norm(points[near], axis=1, keepdims=True)
+    assert (slope[near] * outward).sum(axis=1).min() > 0.95
+    # beyond the grid it is as far as anything is, and its middle is inside although no face is near
+    assert ball.at(np.array([[9.0, 0, 0], [0, 0, 0]], np.float32))[0].tolist() == pytest.approx([BAND, -BAND])
+
+
+def test_points_are_pushed_out_in_any_pose(ball):
+    turn = matrix_from_axis_angle(np.array([0.4, -1.0, 0.7]))
+    shift = np.array([1.0, 2.0, -0.5])
+    rest = np.array([[0.25, 0, 0], [0, 0.31, 0], [0, 0, 0.26], [0, 0.35, 0.1]])
+    points = (rest @ turn.T + shift).astype(np.float32)
+    blend = np.repeat(np.concatenate([turn, shift[:, None]], axis=1)[None], 4, axis=0)
+    unposed = Unposed.of(blend, np.zeros(4, np.int64))
+    gap = np.array([0.02, 0.02, -0.05, 0.02], np.float32)
+    moved = (ball.pushed(points, unposed, gap, 0.1) - shift) @ turn
+    assert np.linalg.norm(moved, axis=1) == pytest.approx([0.32, 0.32, 0.26, np.hypot(0.35, 0.1)], abs=2e-3)
+    np.testing.assert_allclose(moved[3], rest[3], atol=1e-6)
+    np.testing.assert_allclose(ball.pushed(points, unposed, gap, 0.005)[0], points[0], atol=1e-6)  # too deep
+
+
+def test_only_points_near_the_body_are_looked_at_and_none_is_missed(ball):
+    """Against the distance of every point: whoever is less far than its gap, by less than the most, is moved."""
+    random = np.random.default_rng(1)
+    points = random.uniform(-0.4, 0.4, (3000, 3)).astype(np.float32)
+    gap = random.uniform(-0.05, 0.5 * CELL, len(points)).astype(np.float32)
+    still = np.tile(np.eye(3, 4, dtype=np.float32), (len(points), 1, 1))
+    rows, step = ball.push(points, Unposed.of(still, np.zeros(len(points), np.int64)), gap, 0.08)
+    distance, slope = ball.at(points)
+    short = gap - distance
+    np.testing.assert_array_equal(rows, np.flatnonzero((short > 0) & (short < 0.08)))
+    wanted = short[rows, None] * slope[rows] / np.maximum(np.square(slope[rows]).sum(axis=1), 0.1)[:, None]
+    np.testing.assert_allclose(step, wanted, atol=1e-6)
+    assert 200 < len(rows) < 2000
+
+
+def test_what_is_all_apparel_has_no_body():
+    mesh = trimesh.creation.icosphere(1, RADIUS)
+    count = len(mesh.vertices)
+    weights = np.ones((count, JOINT_COUNT), np.float32) / JOINT_COUNT
+    assert body_depth(np.asarray(mesh.vertices), np.asarray(mesh.faces), weights, np.ones(count, bool)) is None
+
+
+def test_a_body_is_measured_once_and_another_anew(ball):
+    mesh = trimesh.creation.icosphere(4, RADIUS)
+    weights = np.zeros((len(mesh.vertices), JOINT_COUNT), np.float32)
+    weights[:, 0] = 1
+    none, vertices = np.zeros(len(mesh.vertices), bool), np.asarray(mesh.vertices, np.float32)
+    first = body_depth(vertices, np.asarray(mesh.faces), weights, none)
+    assert body_depth(vertices.copy(), np.asarray(mesh.faces), weights, none) is first
+    larger = body_depth(vertices * np.float32(1.1), np.asarray(mesh.faces), weights, none)
+    assert larger.values.shape != first.values.shape or not np.array_equal(larger.values, first.values)
+
+
+def test_a_body_with_a_hole_is_closed_in_the_middle_of_it():
+    """A ball without a cap, whose inside is told from its outside by winding numbers at every point of the grid."""
+    mesh = trimesh.creation.icosphere(4, RADIUS)
+    vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces)
+    faces = faces[(vertices[faces][:, :, 1] < 0.8 * RADIUS).all(axis=1)]
+    weights = np.zeros((len(vertices), JOINT_COUNT), np.float32)
+    weights[:, 0] = 1
+    grid = body_depth(vertices, faces, weights, np.zeros(len(vertices), bool))
+    shape = np.array(grid.values.shape)
+    points = grid.low + grid.cell * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
+    near = np.abs(grid.values) < BAND - CELL
+    inside = np.abs(winding_numbers(points[near].astype(np.float64), vertices, faces)) > 0.5
+    assert inside.any() and not inside.all()
+    assert np.mean((grid.values[near] < 0) == inside) > 0.9995

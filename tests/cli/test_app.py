@@ -1,18 +1,19 @@
-"""The command line's frame: help, version, exit statuses."""
+"""The command line as a whole, and bad input."""
 
 import errno
 import os
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 import bunraku
 from bunraku.cli import main
 from bunraku.cli.app import _explain, all_verbs
-from bunraku.cli.output.checks import slug
-from bunraku.cli.output.outputs import size_text
-from bunraku.cli.verbs.samples import Samples
+from bunraku.cli.clips import Samples
+from bunraku.cli.outputs import size_text, slug
 
 
 @pytest.mark.parametrize("verb", all_verbs())
@@ -197,3 +198,198 @@ def test_an_interrupt_of_what_torch_calls_while_it_is_loaded_is_no_abort():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.returncode == 130 and done.stderr == "bunraku: interrupted\n"
+
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1.5, 0], [0, 0, 1]], "<f4")
+NOT_NUMBERS = np.where(CORNERS == 1.5, np.nan, CORNERS).astype("<f4")
+PLY = (
+    b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+    b"end_header\n0 0 0\n1 1 1\n"
+)
+
+# Name of the file, its bytes or what makes them of the fixture `glb`, and a word of the reason.
+BAD_FILES = {
+    "empty.glb": (b"", "empty"),
+    "no-mesh.glb": (lambda glb: glb(CORNERS[:0], np.zeros((0, 3), "<u2")), "empty"),
+    "points.glb": (lambda glb: glb(CORNERS, None), "without faces"),
+    "truncated.glb": (lambda glb: glb()[:-20], "truncated"),
+    "header-only.glb": (lambda glb: glb()[:10], "truncated"),
+    "nan.glb": (lambda glb: glb(NOT_NUMBERS), "not numbers"),
+    "one-point.glb": (lambda glb: glb(CORNERS * 0), "one point"),
+    "text.glb": (b"this is not a mesh at all, whatever its name says", "broken"),
+    "empty.obj": (b"# nothing\n", "empty"),
+    "points.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "without faces"),
+    "nan.obj": (b"v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "not numbers"),
+    "points.ply": (PLY, "without faces"),
+    "truncated.stl": (b"\0" * 80 + b"\x10\0\0\0" + b"\0" * 50, ""),
+    "scene.fbx": (b"Kaydara FBX Binary  \0", "ends in the middle of its header"),
+    "scene.dae": (b"<COLLADA>", "not a format"),
+    "noise": (bytes(range(256)) * 4, "without a suffix"),
+}
+
+
+@pytest.mark.parametrize("verb", ["animate", "rig", "inspect", "render"])
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_bad_file(fails, glb, tmp_path, name, verb):
+    content, reason = BAD_FILES[name]
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content(glb))
+    words = {
+        "animate": ["walks", "-o", tmp_path / "out.glb"],
+        "rig": ["-o", tmp_path / "out.glb"],
+        "render": ["-o", tmp_path / "out.png"],
+    }
+    sentence = fails(verb, path, *words.get(verb, []))
+    assert name in sentence and reason in sentence
+
+
+def test_three_gigabytes(fails, tmp_path):
+    path = tmp_path / "huge.glb"
+    with path.open("wb") as file:
+        file.write(b"glTF")
+        file.truncate(3 << 30)  # a hole: no disk is used
+    assert "3.0 GiB" in fails("animate", path, "walks", "-o", tmp_path / "out.glb")
+
+
+def test_missing_file_and_folder(fails, tmp_path):
+    assert "no such file" in fails("animate", tmp_path / "nowhere.glb", "walks", "-o", tmp_path / "out.glb")
+    assert "folder" in fails("inspect", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--seconds", "0"], "--seconds must be from 0.5 to 36000, not 0"),
+        (["--seconds", "-1"], "not -1"),
+        (["--seconds", "36001"], "not 36001"),
+        (["--seconds", "nan"], "not nan"),
+        (["--seconds", "inf"], "not inf"),
+        (["--fps", "0"], "--fps must be from 1 to 240"),
+        (["--steps", "0"], "--steps"),
+        (["--guidance", "-3"], "--guidance"),
+        (["--seed", "-1"], "--seed"),
+        (["-o", "out.dae"], "'.dae' cannot be written here; end the name in .glb"),
+        (["-o", "out"], "a file without a suffix"),
+        (["--preview", "out.avi"], ".mp4"),
+        (["--without", "magic"], "there are smooth, gait, blocks, rest-pose"),
+    ],
+)
+def test_bad_option_of_animate(fails, good, monkeypatch, tmp_path, options, reason):
+    monkeypatch.chdir(tmp_path)
+    assert reason in fails("animate", good, "walks", *options)
+
+
+@pytest.mark.parametrize(
+    ("prompt", "reason"), [("", "empty"), (" \t\n", "empty"), ("?!", "no words"), ("walk " * 2000, "10,000 characters")]
+)
+def test_bad_prompt(fails, good, tmp_path, prompt, reason):
+    assert reason in fails("animate", good, prompt, "-o", tmp_path / "out.glb")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that even root cannot write to")
+def test_a_prompt_that_is_not_understood_is_refused_before_the_work(fails, good, tmp_path):
+    said = fails("animate", good, "asdf qwer", "-o", tmp_path / "out.glb")
+    assert "'asdf', 'qwer'" in said and "--force" in said and said.count("'a person ") == 3
+    assert "'zxcv'" in fails("edit", good, "zxcv", "--keep", "legs", "-o", tmp_path / "out.glb")
+    (tmp_path / "prompts.txt").write_text("walks\nqwer zxcv\n", encoding="utf-8")
+    assert "line 2: no movement" in fails("animate", good, "--prompts", tmp_path / "prompts.txt")
+    assert "no handle motion" in fails("edit", good, "zxcv", "--force", "--keep", "legs", "-o", tmp_path / "out.glb")
+
+
+@pytest.mark.parametrize("verb", [["animate", "walks"], ["rig"]])
+def test_folder_that_cannot_be_written(fails, good, verb):
+    assert "cannot be written" in fails(verb[0], good, *verb[1:], "-o", "/proc/out.glb")
+
+
+def test_output_folder_missing_or_a_file(fails, good, tmp_path):
+    assert "do not exist" in fails("animate", good, "walks", "-o", tmp_path / "a" / "b" / "out.glb")
+    assert "not a folder" in fails("animate", good, "walks", "-o", good / "out.glb")
+    folder = tmp_path / "folder.glb"
+    folder.mkdir()
+    assert "folder" in fails("rig", good, "-o", folder)
+
+
+def test_input_is_not_overwritten(fails, good):
+    before = good.read_bytes()
+    assert "overwrite" in fails("rig", good, "-o", good)
+    assert good.read_bytes() == before
+
+
+def test_outputs_that_would_meet(fails, good, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for one, other in (("walk.glb", "./walk.glb"), ("walk.obj", "walk.ply")):
+        assert "both" in fails("animate", good, "walks", "-o", one, "-o", other)
+
+
+def test_a_folder_of_other_files_is_known_before_the_work(fails, good, tmp_path, monkeypatch):
+    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))  # any work would fail for the lack of weights
+    (tmp_path / "walk").mkdir()
+    (tmp_path / "walk" / "letter.txt").write_text("mine")
+    assert "holds other files" in fails("animate", good, "walks", "-o", tmp_path / "walk.obj")
+
+
+def test_motion_without_a_character(fails, good, tmp_path):
+    motion = tmp_path / "motion.npz"
+    np.savez(motion, a=np.zeros(3))
+    assert "--character" in fails("render", motion)
+    assert "--character" in fails("render", good, "--character", good)
+    assert "motion.npz" in fails("inspect", motion)
+
+
+def test_unknown_sample_command_and_group(fails, tmp_path):
+    assert "person" in fails("samples", "persona", "-o", tmp_path)
+    assert "did you mean 'animate'" in fails("animte")
+    assert "did you mean 'motions'" in fails("data", "motion")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["animate"],
+        ["animate", "a.glb", "walks", "--seconds", "soon"],
+        ["inspect", "a.glb", "--nonsense"],
+        [],
+        ["train"],
+    ],
+)
+def test_usage_errors_have_status_2(capsys, words):
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert said.out + said.err and "Traceback" not in said.err
+
+
+def test_nothing_heavy_loads_before_the_checks(good, tmp_path):
+    """In a fresh interpreter, bad options are refused without torch or the text encoder."""
+    calls = [
+        ["animate", str(good), "walks", "--seconds", "36001"],
+        ["animate", str(good), ""],
+        ["animate", str(good), "walks", "-o", str(tmp_path / "out.dae")],
+        ["animate", str(tmp_path / "nowhere.glb"), "walks"],
+    ]
+    code = (
+        f"import sys\nfrom bunraku.cli import main\nfor call in {calls!r}:\n    assert main(call) == 2\n"
+        f"print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"torch", "transformers", "diffusers", "trimesh"}.intersection(done.stdout.split())
+
+
+LIMITED = """
+import resource, sys
+from bunraku.cli import main
+sys.dont_write_bytecode = True  # what Python keeps of the modules would be cut off too, for good
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))  # as a disk with room for 1 kB
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_full_disk(tmp_path):
+    """Nothing half-written stays when the disk takes no more."""
+    out = tmp_path / "out"
+    out.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, "samples", "mushroom", "-o", str(out)], capture_output=True, text=True
+    )
+    assert done.returncode == 2, done.stderr
+    assert "bunraku: error: " in done.stderr and "Traceback" not in done.stderr
+    assert list(out.iterdir()) == []

@@ -1,6 +1,6 @@
 import pytest
 
-from bunraku.cli.options.directing import parse_path, parse_pin
+from bunraku.cli.options import parse_path, parse_pin
 from bunraku.errors import OptionError
 
 

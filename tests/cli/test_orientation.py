@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bunraku.anatomy.handles.orientation import Orientation, ResolvedAxes, resolved_axes
 from bunraku.cli import main
 from bunraku.cli.app import _joined
-from bunraku.cli.options.orientation import resolve_file, said_axes
-from bunraku.cli.verbs.inspect import describe
+from bunraku.cli.inspect import describe
+from bunraku.cli.options import resolve_file, said_axes
+from bunraku.core.geometry.axes import ORIENTATIONS, upright_rotation
+from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.errors import WeightsError
-from bunraku.geometry.axes import ORIENTATIONS, upright_rotation
-from bunraku.handles.orientation import Orientation, ResolvedAxes, resolved_axes
-from bunraku.io import load_character, save_character
-from bunraku.io.registry import read_motion
-from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.samples import sample_character
+from bunraku.files import load_character, save_character
+from bunraku.files.registry import read_motion
+from bunraku.files.samples import sample_character
 
 
 def need_weights(*names):

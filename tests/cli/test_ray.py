@@ -13,10 +13,9 @@ from pathlib import Path
 import pytest
 
 from bunraku.cli import main
-from bunraku.cli.transfer.jobs import Pair
-from bunraku.cli.transfer.runs import run_pairs
-from bunraku.io.play import load_animation
-from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
+from bunraku.cli.transfer import Pair, run_pairs
+from bunraku.files.clips import load_animation
+from bunraku_lab.synthetic.stock_motions import stock_motion
 
 ray = pytest.importorskip("ray", reason="ray is not installed; pip install 'bunraku[ray]'")
 PAIRS = 40
@@ -53,7 +52,7 @@ def test_a_node_that_goes_away_loses_nothing(cluster, tmp_path, monkeypatch):
     """The transfers are stood in for, so that this is about the cluster; the transfers themselves have their tests."""
     found, second = cluster
     ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # its workers do not know the tests' folder
-    monkeypatch.setattr("bunraku.cli.transfer.runs._run_batch", slow_batch)
+    monkeypatch.setattr("bunraku.cli.transfer._run_batch", slow_batch)
     pairs = [Pair(Path("c.glb"), Path("m.bvh"), tmp_path / f"{number}.out") for number in range(PAIRS)]
     said: Counter[Path] = Counter()
     for done, (pair, reason) in enumerate(run_pairs(pairs, None, "ray")):

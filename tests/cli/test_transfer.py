@@ -1,32 +1,36 @@
-"""`bunraku transfer`: one pair, many pairs, what is done already and what is wrong."""
+"""`bunraku transfer` and `bunraku animate` for many files."""
+
+from __future__ import annotations
 
 import json
 import multiprocessing
 import os
 import shutil
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
 from mmd_bytes import Bone, plank, pmx
 
 from bunraku import transfer
-from bunraku.body.layout import JOINT_NAMES
-from bunraku.body.reference import reference_body
 from bunraku.cli import main
-from bunraku.cli.output.ledger import note, still_to_do
-from bunraku.cli.transfer.jobs import Settings, holds_character, marks_of, pairs_of
-from bunraku.cli.transfer.runs import run_pairs
+from bunraku.cli.animate import characters_of, clips_of, passes
+from bunraku.cli.manifest import note_done, unfinished
+from bunraku.cli.transfer import Settings, holds_character, marks_of, pairs_of, run_pairs
+from bunraku.core.animation import RigAnimation
+from bunraku.core.body.layout import JOINT_NAMES
+from bunraku.core.body.reference import reference_body
+from bunraku.core.files import weights_file
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import SkeletalMotion, Skeleton
-from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError
-from bunraku.formats.bvh.write import write_bvh
-from bunraku.formats.mmd.vmd import load_vmd
-from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.io import load_character
-from bunraku.io.motions import load_motion
-from bunraku.retarget.mmd.play import mmd_animation
-from bunraku.retarget.mmd.standard import standard_model
+from bunraku.files import load_character
+from bunraku.files.clips import load_clip
+from bunraku.files.mmd.vmd import load_vmd
+from bunraku.files.motions.bvh import write_bvh
+from bunraku.pipelines.motions.read import load_motion
+from bunraku.retarget.mmd_motion import mmd_animation, standard_model
 
 
 def waving(skeleton=None, frames=8):
@@ -242,10 +246,10 @@ def test_another_file_of_the_same_name_size_and_time_is_another(files):
     first, second = (pairs_of([person], [path], folder) for path in (files / "wave.bvh", other))
     folder.mkdir()
     first[0].output.write_bytes(b"done")
-    note(*next(iter(marks_of(first, Settings()).items())))
-    assert still_to_do(marks_of(first, Settings())) == []
+    note_done(*next(iter(marks_of(first, Settings()).items())))
+    assert unfinished(marks_of(first, Settings())) == []
     with pytest.raises(FormatError, match="--overwrite"):
-        still_to_do(marks_of(second, Settings()))
+        unfinished(marks_of(second, Settings()))
 
 
 def test_a_batch_never_replaces_a_file_that_it_did_not_write(files, fails, capsys):
@@ -260,3 +264,78 @@ def test_a_batch_never_replaces_a_file_that_it_did_not_write(files, fails, capsy
     assert run(*words) == 0 and "2 of 2 files are there already" in capsys.readouterr().out
     own.write_bytes(b"changed by the user")
     assert run(*words) == 2 and own.read_bytes() == b"changed by the user"
+
+
+needs_weights = pytest.mark.skipif(
+    not (weights_file("diffusion.safetensors")).is_file(), reason="the shipped weights are not there"
+)
+QUICK = ("--seconds", "0.5", "--steps", "2", "--candidates", "1")
+
+
+def test_clips_of_a_pass_stay_together():
+    prompts = [f"walks {number}" for number in range(5)]
+    clips = clips_of(Path("out"), Path("c.glb"), prompts, 2, lambda character, prompt: f"{character} {prompt}")
+    assert [clip.path.name for clip in clips[:2]] == ["001-walks-0.glb", "002-walks-1.glb"]
+    assert [(clip.number, clip.beside[clip.number]) for clip in clips] == [
+        (number % 2, prompt) for number, prompt in enumerate(prompts)
+    ]
+    assert [len(some) for some in passes(clips)] == [2, 2, 1]
+    assert [len(some) for some in passes([clips[0], clips[3], clips[4]])] == [1, 1, 1]
+    same = clips_of(Path("out"), Path("c.glb"), ["walks"] * 4, 2, lambda character, prompt: prompt)
+    assert [len(some) for some in passes(same)] == [2, 2]  # equal passes are not one
+
+
+def test_characters_of_a_folder(tmp_path):
+    with pytest.raises(FormatError, match="no character"):
+        characters_of(tmp_path)
+    for name in ("b.obj", "a.GLB", "a.ply", "notes.txt", "walk.bvh"):
+        (tmp_path / name).write_text("x")
+    (tmp_path / "folder.glb").mkdir()
+    found = {path.name: name for path, name in characters_of(tmp_path).items()}
+    assert found == {"a.GLB": "a.GLB", "a.ply": "a.ply", "b.obj": "b"}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("walks", "--preview", "p.mp4"), "without --preview"),
+        (("walks", "--jobs", "none"), "--jobs is a number"),
+        (("",), "prompt is empty"),
+    ],
+)
+def test_what_a_folder_does_not_take(tmp_path, capsys, words, said):
+    (tmp_path / "a.glb").write_bytes(b"glTF")
+    assert main(["animate", str(tmp_path), *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_clips_do_not_go_among_the_characters(good, capsys):
+    assert main(["animate", str(good.parent), "walks", "-o", str(good.parent)]) == 2
+    assert "among the characters" in capsys.readouterr().err
+    assert main(["animate", str(good), "walks", "--jobs", "2"]) == 2
+    assert "leave it out" in capsys.readouterr().err
+
+
+@needs_weights
+def test_a_folder_of_characters_on_two_processes(tmp_path, capsys):
+    folder, out, alone = tmp_path / "characters", tmp_path / "out", tmp_path / "alone"
+    assert main(["samples", "mushroom", "-o", str(folder)]) == 0
+    shutil.copy2(folder / "mushroom.glb", folder / "second.glb")
+    (folder / "bad.glb").write_bytes(b"glTF and nothing")
+    (tmp_path / "lines.txt").write_text("a person walks\nwaves\n")
+    words = ["--prompts", str(tmp_path / "lines.txt"), *QUICK]
+    capsys.readouterr()
+    assert main(["animate", str(folder), *words, "--jobs", "2", "-o", str(out)]) == 1
+    said = capsys.readouterr().err.splitlines()
+    assert [line for line in said if "failed" in line and "bad.glb" in line]
+    made = sorted(path.relative_to(out).as_posix() for path in out.rglob("*.glb"))
+    names = ("001-a-person-walks.glb", "002-waves.glb")
+    assert made == [f"{character}/{name}" for character in ("mushroom", "second") for name in names]
+    assert main(["animate", str(folder / "mushroom.glb"), *words, "-o", str(alone)]) == 0
+    for name in names:
+        one, other = load_clip(out / "mushroom" / name).motion, load_clip(alone / name).motion
+        np.testing.assert_allclose(one.rotations, other.rotations, atol=1e-4)
+        assert (out / "second" / name).read_bytes() == (out / "mushroom" / name).read_bytes()
+    capsys.readouterr()
+    assert main(["animate", str(folder), *words, "-o", str(out)]) == 1  # the bad one is tried again, nothing else
+    assert "4 of 6 clips are there already" in capsys.readouterr().out

@@ -13,10 +13,10 @@ import pytest
 import bunraku
 from bunraku.cli import main
 from bunraku.cli.app import all_verbs
-from bunraku.cli.verbs.inspect import describe
-from bunraku.core.request.limits import WHOLE
-from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.samples import sample_names
+from bunraku.cli.inspect import describe
+from bunraku.core.nn.checkpoints import shipped_checkpoint
+from bunraku.core.request import WHOLE
+from bunraku.files.samples import sample_names
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -224,13 +224,11 @@ def test_what_is_whole_is_named_when_the_rest_fails(tmp_path, monkeypatch, capsy
 def test_limits_and_defaults_agree_with_the_library():
     sequence, generate = (
         importlib.import_module("bunraku.language.prompts"),
-        importlib.import_module("bunraku.diffusion.generation.generate"),
+        importlib.import_module("bunraku.generation.generate"),
     )
     assert (WHOLE.low, WHOLE.high) == (sequence.SHORTEST, sequence.LONGEST)
     text = (ROOT / "docs" / "cli.md").read_text()
-    few = importlib.import_module("bunraku.diffusion.inference.few_steps").load_few_steps(
-        shipped_checkpoint("few-steps")
-    )
+    few = importlib.import_module("bunraku.generation.denoiser").load_few_steps(shipped_checkpoint("few-steps"))
     assert f"; {len(few.visited)} by default" in text and f"{generate.STEPS} with `--guidance`" in text
     assert few.guidance == generate.GUIDANCE and f"{generate.GUIDANCE} by default" in text
 

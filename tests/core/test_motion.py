@@ -1,13 +1,19 @@
-"""Handle motion against Eq. 3 written out, and the rules of the core types."""
+"""Motions, paths over the ground, and animations that carry a rig."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bunraku.core.animation import Animation
+from bunraku import RigAnimation
+from bunraku.core.animation import Animation, end_to_start
+from bunraku.core.body.layout import JOINT_NAMES
+from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Handles, Rig, top_influences
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, line_up, local_rotations
-from bunraku.errors import CharacterError, MotionError
+from bunraku.core.skinning import skin_reference
+from bunraku.core.travel import GroundPath, bent_to_path
+from bunraku.errors import CharacterError, MotionError, OptionError
 
 
 def random_motion(frames=3, handles=4, seed=0):
@@ -124,3 +130,129 @@ def test_rig_weights_as_a_matrix():
     np.testing.assert_allclose(rig.dense_weights(), [[0.25, 0, 0.75], [0, 1, 0]])
     with pytest.raises(CharacterError, match="joint that does not exist"):
         Rig(("a",), [-1], np.eye(4)[None], [[1]], [[1.0]])
+
+
+def test_a_path_goes_through_its_points_from_the_first_to_the_last():
+    path = GroundPath(((0, 0), (1, 2), (3, 2)))
+    positions = path.positions(121, 20)
+    np.testing.assert_allclose(positions[[0, -1]], [[0, 0], [3, 2]], atol=1e-6)
+    assert np.linalg.norm(positions - [1, 2], axis=1).min() < 0.05
+    speed = np.linalg.norm(np.diff(positions, axis=0), axis=1) * 20
+    assert speed[0] < 0.3 * speed.max() and speed[-1] < 0.3 * speed.max()
+    assert np.abs(speed[20:100] - speed[20:100].mean()).max() < 0.25 * speed.mean()
+
+
+def test_times_are_kept():
+    path = GroundPath(((0, 0), (0, 1), (0, 4)), (0.0, 2.0, 3.0))
+    np.testing.assert_allclose(path.positions(81, 20)[[0, 40, 60, 80]], [[0, 0], [0, 1], [0, 4], [0, 4]], atol=1e-6)
+    with pytest.raises(OptionError, match="after the end"):
+        path.positions(40, 20)
+
+
+def test_who_walks_a_path_looks_along_it():
+    path = GroundPath(((0, 0), (2, 0)))
+    np.testing.assert_allclose(path.headings(41, 20), np.pi / 2, atol=1e-6)  # +X is a quarter turn from +Z
+    np.testing.assert_allclose(path.headings(41, 20, backwards=True), 1.5 * np.pi, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [((),), (((0, 0),),), (((0, 0), (0, 0)),), (((0, 0), (0, float("inf"))),), (((0, 0), (0, 9999)),),
+     (((0, 0), (0, 1)), (0.0,)), (((0, 0), (0, 1)), (1.0, 2.0)), (((0, 0), (0, 1), (0, 2)), (0.0, 2.0, 2.0))],
+)  # fmt: skip
+def test_paths_that_are_none(values):
+    with pytest.raises(OptionError):
+        GroundPath(*values)
+
+
+def test_a_root_is_brought_to_its_path_and_keeps_its_sway():
+    frames, path = 100, GroundPath(((0, 0), (0, 4)))
+    root = np.zeros((frames, 3))
+    root[:, 0] = 0.3 + 0.02 * np.sin(np.arange(frames) * 1.5)
+    motion = HandleMotion(np.zeros((frames, 2, 3)), np.broadcast_to(np.eye(3), (frames, 2, 3, 3)), root,
+                          np.broadcast_to(np.eye(3), (frames, 3, 3)))  # fmt: skip
+    found = bent_to_path(motion, path).root_translation
+    off = found[:, [0, 2]] - path.positions(frames, 20)
+    assert np.linalg.norm(off, axis=1).max() < 0.05
+    assert np.ptp(off[20:80, 0]) > 0.02
+
+
+@pytest.fixture(scope="module")
+def character():
+    return reference_body().character()
+
+
+def swinging(character, frames=3, seed=0):
+    random = np.random.default_rng(seed)
+    bones = len(character.rig.names)
+    turns = matrix_from_axis_angle(0.5 * random.normal(size=(frames, bones, 3)))
+    return RigAnimation(character, turns, 0.05 * random.normal(size=(frames, bones, 3)), 20.0)
+
+
+def test_identities_and_zeros_are_the_rest_pose(character):
+    bones = len(character.rig.names)
+    still = RigAnimation(character, np.tile(np.eye(3), (2, bones, 1, 1)), np.zeros((2, bones, 3)))
+    assert np.abs(still.vertices() - character.vertices).max() < 1e-6
+    turns, heads = still.world()
+    assert np.allclose(turns, np.eye(3)) and np.allclose(heads, character.rig.positions)
+
+
+def test_world_and_back(character):
+    animation = swinging(character)
+    again = RigAnimation.of_world(character, *animation.world(), 20.0)
+    assert np.abs(again.rotations - animation.rotations).max() < 1e-6
+    assert np.abs(again.translations - animation.translations).max() < 1e-6
+
+
+def test_vertices_are_those_of_linear_blend_skinning(character):
+    animation = swinging(character)
+    want = skin_reference(character.vertices, character.rig.dense_weights(), animation.transforms())
+    assert np.abs(animation.vertices() - want).max() < 1e-5
+    assert np.abs(animation.animation().vertices([2]) - want[2:]).max() < 1e-5
+
+
+def test_what_is_no_animation_is_refused(character):
+    bones = len(character.rig.names)
+    with pytest.raises(MotionError, match="shape"):
+        RigAnimation(character, np.zeros((2, bones - 1, 3, 3)), np.zeros((2, bones, 3)))
+    with pytest.raises(MotionError, match="not numbers"):
+        RigAnimation(character, np.full((2, bones, 3, 3), np.nan), np.zeros((2, bones, 3)))
+    with pytest.raises(MotionError, match="at least one frame"):
+        RigAnimation(character, np.zeros((0, bones, 3, 3)), np.zeros((0, bones, 3)))
+    with pytest.raises(CharacterError, match="no rig"):
+        RigAnimation(
+            Character("bare", character.vertices, character.faces), np.zeros((2, bones, 3, 3)), np.zeros((2, bones, 3))
+        )
+
+
+FPS = 20.0
+
+
+def walking(character, way, turn, frames=21):
+    """One that goes a way [m] with an arm that swings, and turns about +Y [rad]."""
+    turns, moves = np.zeros((frames, 22, 3)), np.zeros((frames, 22, 3))
+    share = np.linspace(0, 1, frames)[:, None]
+    turns[:, JOINT_NAMES.index("left_shoulder"), 0] = np.sin(3 * share[:, 0])
+    turns[:, 0, 1] = turn * share[:, 0]
+    moves[:, 0] = share * way
+    return RigAnimation(character, matrix_from_axis_angle(turns), moves, FPS)
+
+
+def test_each_goes_on_where_the_one_before_ends():
+    body = reference_body().character()
+    first, second = walking(body, [0, 0, 2], np.pi / 2), walking(body, [0, 0, 1], 0.0)
+    whole = end_to_start([first, second])
+    assert len(whole) == len(first) + len(second) - 1
+    places = whole.world()[1]
+    assert np.abs(places[: len(first)] - first.world()[1]).max() < 1e-5
+    # A quarter to the left, so the second one's way along +Z is along +X.
+    assert np.allclose(places[-1, 0] - places[len(first) - 1, 0], [1, 0, 0], atol=1e-3)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=-1).max(axis=1)
+    assert steps[len(first) - 2 : len(first) + 8].max() < 2.0 * steps[: len(first) - 1].max()
+
+
+def test_one_alone_stays_as_it_is():
+    body = reference_body().character()
+    first = walking(body, [1, 0, 2], 1.0)
+    whole = end_to_start([first])
+    assert np.array_equal(whole.rotations, first.rotations) and np.array_equal(whole.translations, first.translations)

@@ -1,23 +1,23 @@
-"""Gestures made by code: hands are where their key poses say, feet stand, and sentences say what is done."""
+"""The gestures of the catalogue, and the parts of the body that perform them."""
 
 import numpy as np
 import pytest
 from palms import palms as both_palms
 
-from bunraku.anatomy.ground import lowest
-from bunraku.body.layout import JOINT_NAMES
-from bunraku.body.reference import reference_body
+from bunraku.anatomy.anatomy import body_handle_motion
+from bunraku.anatomy.plan import lowest
+from bunraku.core.body.layout import JOINT_NAMES
+from bunraku.core.body.reference import reference_body
 from bunraku.errors import FormatError
-from bunraku.gestures.catalogue import STANDING, gesture_of, gestures, read_gestures
-from bunraku.gestures.flow import foot_on, through
+from bunraku.gestures.catalogue import STANDING, at_part, gesture_of, gestures, part_in, read_gestures, read_parts
 from bunraku.gestures.perform import performed
 from bunraku.gestures.play import gesture_motion
-from bunraku.gestures.pose import HANGING, Gesture, Hand, Pose, Repeat, again
-from bunraku.language.lexicon.reading import actions_of
+from bunraku.gestures.pose import HANGING, Gesture, Hand, Pose, Repeat, again, foot_on, through
+from bunraku.gestures.standing import AT
+from bunraku.language.lexicon import actions_of
 from bunraku.language.understood import understood
-from bunraku.retarget.body_motion import body_handle_motion
 
-AT = {name: index for index, name in enumerate(JOINT_NAMES)}
+JOINT_AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 WHIPS = ("throw", "pitch", "tennis", "serve")
 KNEELING = ("kneel", "both knees", "propose")
 CROSSED = ("cross legs",)
@@ -40,7 +40,7 @@ def test_a_palm_is_where_its_key_says_and_faces_that_way():
     sway = 0.03  # the chest moves while somebody stands
     np.testing.assert_allclose(there["right"][20], [-0.2, 1.4, 0.4], atol=sway)
     np.testing.assert_allclose(there["left"][20], [0.27, 0.845, 0.06], atol=sway)
-    assert rotations[20, AT["right_wrist"]][:, 1] @ [0, 0, -1] > 0.95  # the back of a hand at rest is up
+    assert rotations[20, JOINT_AT["right_wrist"]][:, 1] @ [0, 0, -1] > 0.95  # the back of a hand at rest is up
     assert np.ptp(there["right"], axis=0)[1] > 0.5 > np.ptp(there["left"], axis=0)[1] * 10
 
 
@@ -64,7 +64,7 @@ def test_every_gesture_is_whole(number):
     assert len(motion) == round(20 * one.seconds) + 1
     np.testing.assert_allclose(np.linalg.det(rotations.reshape(-1, 3, 3)), 1, atol=1e-5)
     for side in ("left", "right"):
-        ankle = positions[:, AT[f"{side}_ankle"]]
+        ankle = positions[:, JOINT_AT[f"{side}_ankle"]]
         assert ankle[:, 1].min() > 0.07
         if one.name not in (*KNEELING, *CROSSED, "tie shoes", "hop") and not one.steps:
             assert np.ptp(ankle, axis=0).max() < 0.01  # feet stand, however the pelvis sways
@@ -85,24 +85,24 @@ def test_every_gesture_is_whole(number):
 def test_who_ties_a_shoe_kneels_with_both_hands_at_it():
     _, positions = gesture_motion(gesture("tie shoes")).world()
     there = positions[50:80]
-    assert (there[:, [AT["left_knee"], AT["right_knee"]], 1].min(axis=1) < 0.15).all()
+    assert (there[:, [JOINT_AT["left_knee"], JOINT_AT["right_knee"]], 1].min(axis=1) < 0.15).all()
     for hand in ("left_wrist", "right_wrist"):
-        assert np.linalg.norm(there[:, AT[hand]] - there[:, AT["left_ankle"]], axis=1).max() < 0.42
+        assert np.linalg.norm(there[:, JOINT_AT[hand]] - there[:, JOINT_AT["left_ankle"]], axis=1).max() < 0.42
 
 
 def test_who_kneels_has_a_knee_on_the_ground_and_both_where_so_said():
     for name, count in (("kneel", 1), ("both knees", 2)):
         _, positions = gesture_motion(gesture(name)).world()
-        knees = positions[-1, [AT["left_knee"], AT["right_knee"]], 1]
+        knees = positions[-1, [JOINT_AT["left_knee"], JOINT_AT["right_knee"]], 1]
         assert (knees < 0.12).sum() == count and knees.min() > 0.02
 
 
 def test_who_sits_has_the_feet_on_the_ground_and_the_thighs_level():
     for name, seated in (("sit", -1), ("stand up", 0)):
         rotations, positions = gesture_motion(gesture(name)).world()
-        pelvis, knee, ankle = (positions[seated, AT[part]] for part in ("left_hip", "left_knee", "left_ankle"))
+        pelvis, knee, ankle = (positions[seated, JOINT_AT[part]] for part in ("left_hip", "left_knee", "left_ankle"))
         assert abs(pelvis[1] - knee[1]) < 0.1 and knee[2] - pelvis[2] > 0.3 and abs(knee[2] - ankle[2]) < 0.1
-        assert rotations[seated, AT["spine3"]][1, 1] > 0.95  # upright
+        assert rotations[seated, JOINT_AT["spine3"]][1, 1] > 0.95  # upright
         assert positions[-1 - seated, 0, 1] - positions[seated, 0, 1] > 0.35
         heights = lowest_of(gesture_motion(gesture(name)))
         assert heights.min() > -0.02 and heights.max() < 0.03
@@ -111,14 +111,14 @@ def test_who_sits_has_the_feet_on_the_ground_and_the_thighs_level():
 def test_who_sits_with_crossed_legs_has_each_foot_on_the_other_side_or_a_knee_over_the_other():
     floor, chair = (gesture_motion(found) for found in gestures() if found.name == "cross legs")
     _, positions = floor.world()
-    left, right = (positions[-1, AT[f"{side}_ankle"]] for side in ("left", "right"))
+    left, right = (positions[-1, JOINT_AT[f"{side}_ankle"]] for side in ("left", "right"))
     assert left[0] < 0 < right[0] and positions[-1, 0, 1] < 0.2  # the left foot is on the right, and so the other way
-    knees = positions[-1, [AT["left_knee"], AT["right_knee"]]]
+    knees = positions[-1, [JOINT_AT["left_knee"], JOINT_AT["right_knee"]]]
     assert knees[0, 0] > 0.3 and knees[1, 0] < -0.3
     assert abs(lowest_of(floor)[-1]) < 0.02
     _, positions = chair.world()
-    assert positions[-1, AT["right_ankle"], 0] > positions[-1, AT["left_ankle"], 0]
-    assert positions[-1, AT["right_knee"], 1] > positions[-1, AT["left_knee"], 1] + 0.05
+    assert positions[-1, JOINT_AT["right_ankle"], 0] > positions[-1, JOINT_AT["left_ankle"], 0]
+    assert positions[-1, JOINT_AT["right_knee"], 1] > positions[-1, JOINT_AT["left_knee"], 1] + 0.05
     assert 0.5 < positions[-1, 0, 1] < 0.65
 
 
@@ -133,7 +133,7 @@ def test_both_hands_hold_a_shaft_that_goes_to_and_fro(name):
 
 def test_who_cycles_pedals_with_one_foot_down_while_the_other_is_up():
     _, positions = gesture_motion(gesture("cycle")).world()
-    left, right = (positions[:, AT[f"{side}_ankle"], 1] for side in ("left", "right"))
+    left, right = (positions[:, JOINT_AT[f"{side}_ankle"], 1] for side in ("left", "right"))
     assert np.ptp(left) > 0.3 and np.corrcoef(left, right)[0, 1] < -0.95
     assert ((left[1:] > left.mean()) & (left[:-1] <= left.mean())).sum() >= 5
 
@@ -153,7 +153,7 @@ def test_a_punch_goes_straight_ahead_and_the_other_fist_stays_up():
 
 def test_who_hops_is_in_the_air_with_both_feet_and_lands_on_one():
     _, positions = gesture_motion(gesture("hop")).world()
-    right, left = (positions[20:60, AT[f"{side}_ankle"], 1] for side in ("right", "left"))
+    right, left = (positions[20:60, JOINT_AT[f"{side}_ankle"], 1] for side in ("right", "left"))
     assert left.min() > 0.35 and right.min() < 0.1 and right.max() > 0.2
 
 
@@ -184,7 +184,7 @@ def test_who_leaves_the_ground_comes_back_to_it():
 def test_who_steps_on_the_spot_stays_there_and_lifts_one_knee_after_the_other():
     _, positions = gesture_motion(gesture("march in place")).world()
     assert np.ptp(positions[:, 0], axis=0)[[0, 2]].max() < 0.1
-    knees = positions[:, [AT["left_knee"], AT["right_knee"]], 1] > 0.85
+    knees = positions[:, [JOINT_AT["left_knee"], JOINT_AT["right_knee"]], 1] > 0.85
     assert knees[:, 0].any() and knees[:, 1].any() and not knees.all(axis=1).any()
 
 
@@ -194,7 +194,7 @@ def test_feet_that_are_down_do_not_slide(name):
     _, positions = motion.world()
     assert positions[-1, 0, 2] - positions[0, 0, 2] > 0.5
     for side in ("left", "right"):
-        ball = positions[:, AT[f"{side}_foot"]]
+        ball = positions[:, JOINT_AT[f"{side}_foot"]]
         down = (ball[1:, 1] < 0.032) & (ball[:-1, 1] < 0.032)
         assert down.mean() > 0.2
         assert np.linalg.norm(np.diff(ball[:, [0, 2]], axis=0), axis=1)[down].max() < 0.04
@@ -209,9 +209,9 @@ def test_hands_on_the_ground_stay_where_they_are():
 
 def test_who_does_sit_ups_lies_on_the_back_and_comes_up_to_the_knees():
     rotations, positions = gesture_motion(gesture("sit-up")).world()
-    chest = rotations[:, AT["spine3"]][:, 1, 1]  # of the upper body's axis, how far it is up
+    chest = rotations[:, JOINT_AT["spine3"]][:, 1, 1]  # of the upper body's axis, how far it is up
     assert chest.min() < 0.2 and chest.max() > 0.85
-    assert np.ptp(positions[:, AT["left_ankle"]], axis=0).max() < 0.01 and positions[:, 0, 1].max() < 0.2
+    assert np.ptp(positions[:, JOINT_AT["left_ankle"]], axis=0).max() < 0.01 and positions[:, 0, 1].max() < 0.2
 
 
 def test_who_climbs_begins_on_the_ground_and_gets_up_in_rungs():
@@ -221,7 +221,7 @@ def test_who_climbs_begins_on_the_ground_and_gets_up_in_rungs():
         up = positions[:, 0, 1] - positions[0, 0, 1]
         assert up[-1] > 1.5 and np.diff(up).min() > -0.002
         assert up[-1] % 0.6 == pytest.approx(0.0, abs=0.01) or up[-1] % 0.6 == pytest.approx(0.6, abs=0.01)
-        assert positions[0, AT["left_ankle"], 1] == pytest.approx(0.081, abs=0.01)
+        assert positions[0, JOINT_AT["left_ankle"], 1] == pytest.approx(0.081, abs=0.01)
         assert np.abs(np.diff(up)[-2:]).max() < 0.01  # at rest
 
 
@@ -249,12 +249,12 @@ def test_a_foot_rolls_over_its_ball_and_its_heel(pitch):
     bent = Pose(hips=(0, -0.15, 0), left_foot=foot_on(0.12, 0.2, pitch))
     motion = gesture_motion(Gesture("step", (), ((0.0, Pose()), (1.0, bent))))
     rotations, positions = motion.world()
-    flat = [positions[-1, AT["left_ankle"]][2], positions[-1, AT["left_foot"]][2]]
+    flat = [positions[-1, JOINT_AT["left_ankle"]][2], positions[-1, JOINT_AT["left_foot"]][2]]
     if pitch >= 0:
-        assert positions[-1, AT["left_foot"], 1] == pytest.approx(0.027, abs=0.006)
+        assert positions[-1, JOINT_AT["left_foot"], 1] == pytest.approx(0.027, abs=0.006)
         assert flat[1] == pytest.approx(0.355, abs=0.012)
     else:
-        heel = positions[-1, AT["left_ankle"]] + rotations[-1, AT["left_ankle"]] @ [0, -0.081, -0.05]
+        heel = positions[-1, JOINT_AT["left_ankle"]] + rotations[-1, JOINT_AT["left_ankle"]] @ [0, -0.081, -0.05]
         assert heel[1] == pytest.approx(0.0, abs=0.005) and heel[2] == pytest.approx(0.15, abs=0.01)
 
 
@@ -262,7 +262,7 @@ def test_standing_goes_on_without_a_stop():
     motion = gesture_motion(STANDING)
     _, positions = motion.world()
     assert 0.004 < np.ptp(positions[:, 0], axis=0).max() < 0.03
-    assert len(motion) > 180 and np.ptp(positions[:, AT["head"]], axis=0).max() > 0.01
+    assert len(motion) > 180 and np.ptp(positions[:, JOINT_AT["head"]], axis=0).max() > 0.01
 
 
 def test_cycles_are_laid_evenly_between_two_rests():
@@ -278,8 +278,10 @@ def test_both_arms_keep_their_bones():
     _, positions = gesture_motion(gesture("violin")).world()
     for side in ("left", "right"):
         for one, two in ((f"{side}_shoulder", f"{side}_elbow"), (f"{side}_elbow", f"{side}_wrist")):
-            length = np.linalg.norm(positions[:, AT[one]] - positions[:, AT[two]], axis=1)
-            np.testing.assert_allclose(length, np.linalg.norm(body.joints[AT[one]] - body.joints[AT[two]]), atol=1e-4)
+            length = np.linalg.norm(positions[:, JOINT_AT[one]] - positions[:, JOINT_AT[two]], axis=1)
+            np.testing.assert_allclose(
+                length, np.linalg.norm(body.joints[JOINT_AT[one]] - body.joints[JOINT_AT[two]]), atol=1e-4
+            )
 
 
 ROWS = """
@@ -330,7 +332,7 @@ def test_a_wrong_row_is_named(tmp_path, wrong, right):
 def test_who_brushes_the_hair_strokes_it_from_the_top_down_beside_the_head():
     motion = gesture_motion(gesture("brush hair"))
     _, positions = motion.world()
-    hand = palms(motion)["right"][16:-12] - positions[16:-12, AT["head"]]
+    hand = palms(motion)["right"][16:-12] - positions[16:-12, JOINT_AT["head"]]
     assert np.ptp(hand[:, 1]) > 0.25 and np.linalg.norm(hand, axis=1).max() < 0.4
     assert ((hand[1:-1, 1] < hand[:-2, 1]) & (hand[1:-1, 1] <= hand[2:, 1])).sum() == 3
 
@@ -345,7 +347,7 @@ def test_a_gesture_alone_is_read_as_it_is_among_all():
 def test_who_looks_aside_turns_the_head_to_the_right_and_who_looks_up_raises_the_face():
     def face(name):
         rotations, _ = gesture_motion(gesture(name)).world()
-        return rotations[:, AT["head"]] @ [0, 0, 1]
+        return rotations[:, JOINT_AT["head"]] @ [0, 0, 1]
 
     aside, up = face("look aside"), face("look up")
     assert np.degrees(np.arctan2(-aside[:, 0], aside[:, 2])).max() > 50 and aside[:, 0].max() < 0.1
@@ -355,13 +357,13 @@ def test_who_looks_aside_turns_the_head_to_the_right_and_who_looks_up_raises_the
 def test_who_balances_stands_on_the_right_foot_below_the_pelvis():
     _, positions = gesture_motion(gesture("balance")).world()
     there = positions[30:90]
-    assert (there[:, AT["left_ankle"], 1] - there[:, AT["right_ankle"], 1]).min() > 0.3
-    assert np.abs(there[:, 0, 0] - there[:, AT["right_ankle"], 0]).max() < 0.07
+    assert (there[:, JOINT_AT["left_ankle"], 1] - there[:, JOINT_AT["right_ankle"], 1]).min() > 0.3
+    assert np.abs(there[:, 0, 0] - there[:, JOINT_AT["right_ankle"], 0]).max() < 0.07
 
 
 def test_who_ducks_goes_down_at_once_and_who_pushes_does_so_with_both_hands():
     _, positions = gesture_motion(gesture("duck")).world()
-    head = positions[:, AT["head"], 1]
+    head = positions[:, JOINT_AT["head"], 1]
     assert head[0] - head[8:24].max() > 0.5 and abs(head[-1] - head[0]) < 0.03
     motion = gesture_motion(gesture("push"))
     there = palms(motion)
@@ -374,8 +376,66 @@ def test_who_hops_to_the_right_stands_between_hops_and_goes_on_to_the_right(seed
     one = next(one for one in gestures() if "hops to the right" in one.texts)
     motion = performed(one, 100, [], np.random.default_rng(seed))
     _, positions = motion.world()
-    feet = positions[:, [AT["left_ankle"], AT["right_ankle"]]]
+    feet = positions[:, [JOINT_AT["left_ankle"], JOINT_AT["right_ankle"]]]
     assert np.linalg.norm(feet[:, 0] - feet[:, 1], axis=1).max() < 0.4  # both go the same way
     assert motion.root_translation[-1, 0] < -1
     speed = np.linalg.norm(np.diff(feet.mean(axis=1)[:, [0, 2]], axis=0), axis=1) * 20
     assert (speed < 0.15).mean() > 0.3 and speed.max() > 0.8
+
+
+def wrist_from(name, part, joint):
+    """Distance of the right wrist from a joint in the midst of a gesture at a part [m]."""
+    one = at_part(gesture(name), part)
+    positions = gesture_motion(one).world()[1]
+    middle = slice(round(20 * 1.0), round(20 * (one.seconds - 0.9)))
+    return np.linalg.norm(positions[middle, AT["right_wrist"]] - positions[middle, AT[joint]], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("scratches his chin", "chin"),
+        ("touches the back of the head", "back-head"),
+        ("touches the back", "back"),
+        ("a person rubs the back of her neck", "back-neck"),
+        ("pats his left knee", "knee"),
+    ],
+)
+def test_the_longest_words_name_the_part(text, name):
+    found = part_in(text)
+    assert found is not None and found.name == name
+    assert set(found.words) <= set(text.split())
+
+
+def test_nothing_is_named_that_no_hand_reaches():
+    assert part_in("scratches the door") is None
+    assert part_in("touches the toes") is None
+
+
+@pytest.mark.parametrize("name", ["scratch", "touch", "rub"])
+def test_the_hand_is_at_the_part(name):
+    assert wrist_from(name, "knee", "right_knee").max() < 0.25 < wrist_from(name, "knee", "head").min()
+    assert wrist_from(name, "shoulder", "left_shoulder").max() < 0.3
+    assert wrist_from(name, "chin", "neck").max() < 0.3
+    assert wrist_from(name, "thigh", "right_hip").max() < 0.45
+
+
+def test_it_moves_along_the_surface_and_rests_before_and_after():
+    own, chin = gesture("scratch"), at_part(gesture("scratch"), "chin")
+    assert chin.keys[0][1] == chin.keys[-1][1] == Pose()
+    assert [time for time, _ in chin.keys] == [time for time, _ in own.keys]
+    moved = np.subtract(chin.keys[1][1].right.palm, chin.keys[2][1].right.palm)
+    before = np.subtract(own.keys[1][1].right.palm, own.keys[2][1].right.palm)
+    assert np.linalg.norm(moved) == pytest.approx(np.linalg.norm(before))
+    out = np.array(chin.keys[1][1].right.faces) / np.linalg.norm(chin.keys[1][1].right.faces)
+    assert abs(moved @ out) < 0.6 * np.linalg.norm(moved)
+
+
+def test_every_part_can_be_reached():
+    for name in read_parts():
+        positions = gesture_motion(at_part(gesture("touch"), name)).world()[1]
+        there = at_part(gesture("touch"), name).keys[1][1].right
+        frame = round(20 * 0.8)
+        if there.on == "chest":  # which hardly moves: the palm is 9 cm from the wrist
+            palm = np.array(there.palm) * [-1, 1, 1]
+            assert np.linalg.norm(positions[frame, AT["right_wrist"]] - palm) < 0.16, name

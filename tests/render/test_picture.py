@@ -7,10 +7,8 @@ import pytest
 
 from bunraku.errors import OptionError
 from bunraku.render import Camera, render_frames
-from bunraku.render.camera import Framing
-from bunraku.render.software import SoftwareRenderer
-from bunraku.render.stage import set_stage
-from bunraku.render.surface import build_surface, linear_from_srgb, srgb_from_linear
+from bunraku.render.renderer import SoftwareRenderer
+from bunraku.render.stage import Framing, build_surface, linear_from_srgb, set_stage, srgb_from_linear
 
 SIZE = (96, 64)
 RED, BLUE = (220, 20, 20), (20, 20, 220)

@@ -9,18 +9,22 @@ import pytest
 from mmd_bytes import Bone, plank, pmx
 from scipy.spatial.transform import Rotation
 
-from bunraku.body.layout import JOINT_NAMES
-from bunraku.core.mmd_model import MmdAppend, MmdBone, MmdIk, MmdIkLink, mmd_model
+from bunraku.core.avatars import MmdAppend, MmdBone, MmdIk, MmdIkLink, mmd_model
+from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.motion import SkeletalMotion
 from bunraku.errors import FormatError, MotionError, OptionError
-from bunraku.formats.mmd.vmd import VmdMotion, VmdTrack, load_vmd, read_vmd
-from bunraku.formats.mmd.vmd_write import pack_vmd
-from bunraku.io import load_character
-from bunraku.retarget.mmd.cost import pose_work
-from bunraku.retarget.mmd.play import mmd_animation, mmd_poses_to_smpl, play_vmd
-from bunraku.retarget.mmd.pose import pose_mmd
-from bunraku.retarget.mmd.retarget import mmd_clip, mmd_motion
-from bunraku.retarget.mmd.standard import standard_model, vmd_motion
+from bunraku.files import load_character
+from bunraku.files.mmd.vmd import VmdMotion, VmdTrack, load_vmd, pack_vmd, read_vmd
+from bunraku.retarget.mmd_motion import (
+    mmd_animation,
+    mmd_clip,
+    mmd_motion,
+    mmd_poses_to_smpl,
+    play_vmd,
+    standard_model,
+    vmd_motion,
+)
+from bunraku.retarget.mmd_pose import pose_mmd, pose_work
 
 DATA = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/mmd")
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="needs the unpacked MMD characters")
@@ -201,8 +205,8 @@ def test_a_vmd_with_switches_on_a_model_and_onto_smpl():
 
 
 def test_a_vmd_file_is_a_motion_for_any_character(tmp_path):
-    from bunraku.formats.mmd.vmd_write import MmdClip, write_vmd
-    from bunraku.io.motions import load_motion
+    from bunraku.files.mmd.vmd import MmdClip, write_vmd
+    from bunraku.pipelines.motions.read import load_motion
 
     path = write_vmd(MmdClip(legs(31)), tmp_path / "feet.vmd")
     motion = load_motion(path, fps=20.0)
@@ -222,7 +226,7 @@ def test_motions_and_models_that_do_not_fit():
     motion = vmd_motion(vmd_of(legs(3)))
     with pytest.raises(MotionError, match="standard names"):
         mmd_motion(strange, motion)
-    from bunraku.body.reference import reference_body
+    from bunraku.core.body.reference import reference_body
 
     with pytest.raises(MotionError, match="no MMD model"):
         mmd_motion(reference_body().character(), motion)
@@ -232,7 +236,7 @@ def dance(frames=20):
     """A motion of SMPL's joints on the standard model's bones that no MMD motion would make, with the spine in one
     piece.
     """
-    from bunraku.body.reference import reference_body
+    from bunraku.core.body.reference import reference_body
 
     rng, time = np.random.default_rng(1), np.linspace(0, 3, frames)[:, None, None]
     angles = (
@@ -252,7 +256,7 @@ def test_smpl_onto_mmd_bones_and_back():
     assert set(clip.ik_off) == {"左足ＩＫ", "左つま先ＩＫ", "右足ＩＫ", "右つま先ＩＫ"} and len(clip) == 20
     back = vmd_motion(read_vmd(Path("dance.vmd"), pack_vmd(clip)), model)
     assert degrees(motion.world()[0], back.world()[0]).max() < 0.05
-    from bunraku.body.reference import leg_length
+    from bunraku.core.body.reference import leg_length
 
     scale = leg_length(back.skeleton.positions) / leg_length(motion.skeleton.positions)
     travel, wanted = np.ptp(back.root_translation, axis=0), np.ptp(motion.root_translation, axis=0) * scale
@@ -291,7 +295,7 @@ def test_an_animation_of_the_rig_as_keys_and_played_again(tmp_path):
     tracks = {name: (np.zeros((40, 3)), np.swapaxes(solved.rotations[:, parent], -1, -2) @ solved.rotations[:, index])
               for index, (name, parent) in enumerate(zip(plain.names, plain.parents,
               strict=True)) if parent >= 0}  # fmt: skip
-    from bunraku.core.rig_animation import RigAnimation
+    from bunraku.core.animation import RigAnimation
 
     poses = pose_mmd(mmd_model(character), tracks)
     clip = mmd_clip(RigAnimation.of_world(character, poses.rotations, poses.positions, 30.0))
@@ -373,8 +377,8 @@ def test_an_animation_of_an_mmd_character_is_saved_as_vmd(tmp_path):
     with pytest.raises(FormatError, match="the humanoid skeleton is told by the 30 handles"):
         animation.animation().save(tmp_path / "bones.vmd")
     assert not (tmp_path / "bones.vmd").exists()
-    from bunraku.body.reference import reference_body
-    from bunraku.core.rig_animation import RigAnimation
+    from bunraku.core.animation import RigAnimation
+    from bunraku.core.body.reference import reference_body
 
     person = reference_body().character()
     with pytest.raises(FormatError, match="is none; transfer onto a .pmx"):

@@ -19,9 +19,9 @@ from pathlib import Path
 import bunraku
 from bunraku.core.character import Character
 from bunraku.errors import BunrakuError
-from bunraku.io import save_character
+from bunraku.files import save_character
+from bunraku.files.samples import sample_character, sample_names
 from bunraku.render import save_preview, save_still
-from bunraku.samples import sample_character, sample_names
 
 PROMPTS = (
     "a person walks forward", "jumps, then waves with the left hand", "dances", "kicks:1; turns around:1",

@@ -9,7 +9,7 @@ import torch
 from stops import DRAWN_ANEW, INTERRUPTED, KILLED, Command, Killer, contents, interrupt, make_inputs
 
 from bunraku.cli.app import all_verbs
-from bunraku.nn.checkpoints import save_checkpoint
+from bunraku.core.nn.checkpoints import save_checkpoint
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs the /proc of Linux")
 

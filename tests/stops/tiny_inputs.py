@@ -22,7 +22,7 @@ def make_clips(folder: Path) -> None:
 
 def make_characters(folder: Path) -> None:
     """A folder of two rigged characters."""
-    from bunraku.io import save_character
+    from bunraku.files import save_character
     from bunraku_lab.synthetic.samples import make_sample
 
     (folder / "characters").mkdir()
@@ -33,7 +33,7 @@ def make_characters(folder: Path) -> None:
 def make_motions(folder: Path) -> None:
     """Clips as `bunraku data motions` writes them, to train on and to validate with."""
     from bunraku_lab.datasets.motions.clips import write_clip, write_index
-    from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
+    from bunraku_lab.synthetic.stock_motions import stock_motion
 
     out, index = folder / "motions", {}
     out.mkdir()
@@ -50,8 +50,8 @@ def make_motions(folder: Path) -> None:
 
 def make_archive(folder: Path) -> None:
     """A motion archive as `bunraku data motions` reads it: bodies that bend, in its packed form."""
-    from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
-    from bunraku.body.reference import reference_body
+    from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+    from bunraku.core.body.reference import reference_body
 
     body, random, lengths = reference_body(), np.random.default_rng(0), [30, 24, 40, 36]
     planes = []
@@ -76,7 +76,7 @@ def make_archive(folder: Path) -> None:
 
 def make_weights(folder: Path) -> None:
     """The shipped denoiser, for what learns on top of it."""
-    from bunraku.nn.checkpoints import shipped_checkpoint
+    from bunraku.core.nn.checkpoints import shipped_checkpoint
 
     (folder / "weights").mkdir()
     shutil.copy(shipped_checkpoint("diffusion"), folder / "weights" / "diffusion.safetensors")

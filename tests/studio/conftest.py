@@ -144,8 +144,7 @@ def app_client(tmp_path):
     pytest.importorskip("httpx2", reason="Starlette's test client needs httpx2")
     from starlette.testclient import TestClient
 
-    from bunraku.studio.server.app import studio_app
-    from bunraku.studio.server.safety import Keys
+    from bunraku.studio.server.app import Keys, studio_app
 
     def start():
         app = studio_app(tmp_path / "folder", Keys(token="secret"), warm=False)

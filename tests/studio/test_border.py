@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from bunraku.core.request.json_form import DEEPEST, MOST_BYTES, MOST_VALUES, read_json
+from bunraku.core.request import DEEPEST, MOST_BYTES, MOST_VALUES, read_json
 from bunraku.errors import OptionError
-from bunraku.studio.view import read_view
+from bunraku.studio.records import read_view
 
 VIEWS = json.loads((Path(__file__).parent / "views.json").read_text(encoding="utf-8"))
 SAMPLE = Path(__file__).parents[2] / "src" / "bunraku" / "studio" / "sample.bunraku"
@@ -288,7 +288,7 @@ def test_the_page_and_the_server_know_the_same_fields():
     """The names of a view, in the page's source and in the server's dataclass."""
     from dataclasses import fields
 
-    from bunraku.studio.view import View
+    from bunraku.studio.records import View
 
     source = (Path(__file__).parents[2] / "studio" / "src" / "schema.ts").read_text(encoding="utf-8")
     block = source.partition("const FIELDS")[2].partition("{\n")[2].partition("\n};")[0]
@@ -297,5 +297,5 @@ def test_the_page_and_the_server_know_the_same_fields():
 
 
 def test_importing_the_schema_loads_no_network():
-    code = "import sys, bunraku.studio.records, bunraku.studio.view; assert 'torch' not in sys.modules"
+    code = "import sys, bunraku.studio.records, bunraku.studio.records; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)

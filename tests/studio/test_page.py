@@ -16,13 +16,13 @@ from scipy.spatial import cKDTree
 
 from bunraku import load_character, save_character
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.diffusion.generation.drawing import GUIDANCE
-from bunraku.io.clips import load_clip_animation
-from bunraku.render.camera import Camera
-from bunraku.render.loops import kernels
-from bunraku.retarget.stages.pins import end_positions, limb_ends
-from bunraku.samples import sample_character
-from bunraku.studio.workspace.clips import load_handles, load_take
+from bunraku.files.clips import load_clip_animation
+from bunraku.files.samples import sample_character
+from bunraku.generation.candidates import GUIDANCE
+from bunraku.render import kernels
+from bunraku.render.stage import Camera
+from bunraku.retarget.pins import end_positions, limb_ends
+from bunraku.studio.wire import load_handles, load_take
 
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium; on Debian: apt-get install chromium"),
@@ -415,7 +415,7 @@ def test_characters_are_dropped(page, tmp_path, kind):
     elif kind == "fbx":
         path.write_bytes(gzip.decompress((FILES / "boxman_y_up_m.fbx.gz").read_bytes()))
     elif kind == "pmx":
-        from bunraku.formats.mmd.export import save_pmx
+        from bunraku.files.mmd.write import save_pmx
         from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
         save_pmx(wardrobe_character(3), path)

@@ -1,8 +1,14 @@
+"""What the studio stores and tells, and whom it lets in."""
+
+import http.client
 import json
+import time
 
 import pytest
 
 from bunraku.errors import FormatError
+from bunraku.studio.jobs import MOST, Changes
+from bunraku.studio.server.app import POLICY, Keys
 from bunraku.studio.store import NotThere, Store
 
 
@@ -54,3 +60,134 @@ def test_a_record_that_cannot_be_written_changes_nothing(tmp_path):
         one.change("takes", made["id"], star=True, junk="x" * (5 << 20))
     assert one.get("takes", made["id"])["star"] is False
     assert json.loads((tmp_path / "takes" / made["id"] / "record.json").read_text())["star"] is False
+
+
+def test_the_latest_of_each_thing_is_told_once_in_order():
+    one = Changes()
+    start = one.since(0)["event"]
+    for number in range(50):
+        one.tell("job", {"id": "a", "done": number})
+    one.tell("take", {"id": "a"})
+    one.tell("job", {"id": "b"})
+    one.tell("job", {"id": "a", "done": 50})
+    found = one.since(start)
+    assert found["changes"] == [["take", {"id": "a"}], ["job", {"id": "b"}], ["job", {"id": "a", "done": 50}]]
+    assert one.since(found["event"]) == {"event": found["event"], "missed": False, "changes": []}
+    one.tell("gone", {"kind": "takes", "id": "a"})
+    assert one.since(found["event"])["changes"] == [["gone", {"kind": "takes", "id": "a"}]]
+
+
+def test_what_is_forgotten_or_was_never_given_is_asked_for_anew():
+    one = Changes()
+    for number in range(MOST + 10):
+        one.tell("take", {"id": str(number)})
+    assert one.since(3)["missed"] and not one.since(10)["missed"] and len(one.since(10)["changes"]) == MOST
+    assert one.since(MOST + 11)["missed"]
+
+
+@pytest.mark.parametrize("after", ["9" * 5000, "9" * 16, "-1", "1.5", "x", "", "²", "٣"])
+def test_numbers_that_are_none(client, after):
+    answer = client.get("/api/changes", params={"after": after})
+    assert answer.status_code == 400 and "whole number" in answer.json()["error"]
+
+
+def test_twelve_tabs_and_three_hundred_lines_get_their_answers(studio):
+    """Nothing of a page holds a line: each asks and is answered, so a browser's six lines to a host are enough."""
+    host, port = studio.base.removeprefix("http://").split(":")
+    head = {"authorization": f"Bearer {studio.token}", "host": f"localhost:{port}"}
+    lines = [http.client.HTTPConnection(host, int(port), timeout=60) for _ in range(300)]
+    longest = 0.0
+    for _ in range(2):
+        for line in lines:
+            start = time.monotonic()
+            line.request("GET", "/api/changes", headers=head)
+            answer = line.getresponse()
+            answer.read()
+            longest = max(longest, time.monotonic() - start)
+            assert answer.status == 200
+    for line in lines:
+        line.close()
+    print(f"longest answer: {1000 * longest:.0f} ms")
+    assert longest < 5
+
+
+def test_two_tabs_do_not_overwrite_each_others_view(client):
+    made = client.post("/api/projects", json={"view": {"seed": 1}}).json()
+    keep = lambda seed, revision: client.put(  # noqa: E731
+        f"/api/projects/{made['id']}", json={"view": {"seed": seed}, "revision": revision}
+    )
+    assert keep(2, made["revision"]).json()["revision"] == made["revision"] + 1
+    refused = keep(3, made["revision"])  # another tab that has the same project, a duplicate say
+    assert refused.status_code == 409 and refused.json()["kind"] == "Newer"
+    assert client.get(f"/api/projects/{made['id']}").json()["view"] == {"seed": 2}
+    assert keep(4, made["revision"] + 1).status_code == 200
+
+
+def test_views_do_not_pile_up(client, monkeypatch):
+    monkeypatch.setattr("bunraku.studio.routes.general.MOST_PROJECTS", 3)
+    names = [client.post("/api/projects", json={"view": {"seed": seed}}).json()["id"] for seed in range(3)]
+    client.put(f"/api/projects/{names[0]}", json={"view": {"seed": 9}})
+    client.post("/api/projects", json={"view": {}})
+    left = [one["id"] for one in client.get("/api/projects").json()["projects"]]
+    assert len(left) == 3 and names[0] in left and names[1] not in left
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({}, 200),
+        ({"authorization": ""}, 401),
+        ({"authorization": "Bearer other"}, 401),
+        ({"authorization": "Basic secret"}, 401),
+        ({"origin": "http://localhost:8734"}, 200),
+        ({"origin": "http://evil.example"}, 403),
+        ({"origin": "http://localhost:1"}, 403),
+        ({"origin": "null"}, 403),
+        ({"host": "evil.example:8734"}, 403),
+        ({"host": "127.0.0.1:8734"}, 200),
+        ({"host": "localhost.evil.example"}, 403),
+        ({"sec-fetch-site": "cross-site"}, 403),
+        ({"sec-fetch-site": "same-origin"}, 200),
+    ],
+)
+def test_who_is_let_in(client, headers, status):
+    answer = client.get("/api/jobs", headers=headers)
+    assert answer.status_code == status
+    if status != 200:
+        assert set(answer.json()) == {"error", "kind"} and answer.json()["error"][-1] != "."
+
+
+def test_a_token_of_other_letters_is_no_fault(client):
+    answer = client.get("/api/jobs", headers={"authorization": "Bearer s\u00e9cret".encode("latin-1")})
+    assert answer.status_code == 401
+
+
+def test_the_page_needs_no_token_and_may_load_nothing_from_elsewhere(client):
+    page = client.get("/", headers={"authorization": ""})
+    assert page.status_code == 200 and "<script" in page.text
+    policy = page.headers["content-security-policy"]
+    assert policy == POLICY and "http" not in policy and "unsafe" not in policy and "*" not in policy
+    assert page.headers["x-content-type-options"] == "nosniff" and page.headers["referrer-policy"] == "no-referrer"
+    assert "http://" not in page.text and "https://" not in page.text
+
+
+def test_files_outside_of_the_page_are_not_served(client):
+    for path in ("/../app.py", "/%2e%2e/app.py", "/..%2fapp.py", "/static/../../errors.py"):
+        assert client.get(path).status_code in (403, 404)
+
+
+def test_a_password_gives_the_token_and_a_wrong_one_does_not(client):
+    client.app.state.keys.__dict__["password"] = "long enough"
+    headers = {"authorization": ""}
+    wrong = client.post("/api/login", json={"password": "guess"}, headers=headers)
+    assert wrong.status_code == 401
+    right = client.post("/api/login", json={"password": "long enough"}, headers=headers)
+    assert right.json() == {"token": "secret"}
+
+
+def test_without_a_password_nobody_logs_in(client):
+    assert client.post("/api/login", json={"password": ""}).status_code == 401
+
+
+def test_tokens_are_long_and_not_alike():
+    assert len({Keys().token for _ in range(100)}) == 100 and len(Keys().token) >= 32

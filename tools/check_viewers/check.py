@@ -17,19 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from viewers import (
-    blender_missing,
-    blender_vertices,
-    godot_missing,
-    godot_vertices,
-    three_missing,
-    three_vertices,
-)
+from viewers import blender_missing, blender_vertices, godot_missing, godot_vertices, three_missing, three_vertices
 
 import bunraku
-from bunraku.core.point_animation import PointAnimation
+from bunraku.core.animation import PointAnimation
 from bunraku.errors import BunrakuError
-from bunraku.io.motions import load_motion
+from bunraku.pipelines.motions.read import load_motion
 from bunraku.pipelines.to_reference import reference_motion
 from bunraku.pipelines.transfer import apply_transfer
 from bunraku.retarget.rig_parts import is_humanoid_rig

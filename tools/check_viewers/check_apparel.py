@@ -18,14 +18,14 @@ import numpy as np
 
 from bunraku import Character, save_character, transfer
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.core.rig_animation import RigAnimation
-from bunraku.geometry.rotations import quaternion_from_matrix
-from bunraku.physics.chains.avatars import mmd_avatar, vrm_avatar
-from bunraku.physics.chains.laid import Chained
-from bunraku.physics.chains.moving import steady_simulation
+from bunraku.apparel.chains.avatars import mmd_avatar, vrm_avatar
+from bunraku.apparel.chains.chain_rig import Chained
+from bunraku.apparel.chains.moving import steady_simulation
+from bunraku.core.animation import RigAnimation
+from bunraku.core.geometry.rotations import quaternion_from_matrix
 from bunraku.pipelines.animate import rig
 from bunraku.pipelines.clothes import rig_with_chains
-from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
+from bunraku_lab.synthetic.stock_motions import stock_motion
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 HERE = Path(__file__).parent

@@ -19,15 +19,14 @@ import numpy as np
 from fbx_viewers import READERS, Shown
 
 import bunraku
-from bunraku.core.animation import Animation
+from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.character import Character, Handles
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion
-from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import BunrakuError
-from bunraku.formats.fbx.write.bones import Bones
-from bunraku.formats.fbx.write.meshes import meshes_of
-from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.io.save_clips import save_clips
+from bunraku.files.fbx.write_meshes import meshes_of
+from bunraku.files.fbx.write_motion import Bones
+from bunraku.files.presets import save_clips
 
 CLIPS, FPS, FRAMES = ("idle", "walk", "Run fast", "Attack"), 30.0, 60
 TIMES = np.array([0, 7, 23, 42, 59]) / FPS

@@ -1,7 +1,5 @@
-"""What a body is: its joints, legs and plan, and how it stands; worked out once from a character and its handles.
-
-An `Anatomy` is made where a run begins and passed on to whatever asks something of the body. What not every run needs
-is worked out when it is first asked for, and kept in the object itself.
+"""What a body is: its joints, legs and plan, and how it stands, worked out once from a character and its handles; and
+motions of SMPL's 22 joints as handle motions of the reference body.
 """
 
 from __future__ import annotations
@@ -12,23 +10,29 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from bunraku.anatomy.blocks import block_rest
-from bunraku.anatomy.ground import Reach, standing, stride_scale
-from bunraku.anatomy.joints import Joints, find_joints, reference_joints, refined_joints
+from bunraku.anatomy.handles.limbs import LIMB_HANDLES
+from bunraku.anatomy.joints import (
+    Joints,
+    LimbView,
+    attach_joints,
+    by_limb,
+    find_joints,
+    further_limbs,
+    limb_views,
+    reference_joints,
+    refined_joints,
+)
 from bunraku.anatomy.legs import Leg, find_arms, find_legs, find_stumps
-from bunraku.anatomy.limbs import LimbView, by_limb, further_limbs, limb_views
-from bunraku.anatomy.plan import BodyPlan, plan_of
-from bunraku.anatomy.rest_pose import rest_of_limbs, stance_of, upright
-from bunraku.body.layout import HANDLE_NAMES
-from bunraku.body.reference import reference_body
+from bunraku.anatomy.plan import BodyPlan, Reach, plan_of, reference_reach, standing, stride_scale
+from bunraku.anatomy.rest_pose import block_rest, rest_of_limbs, stance_of, upright
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES
+from bunraku.core.body.reference import leg_length, reference_body
 from bunraku.core.character import Character, Handles
-from bunraku.core.motion import HandleMotion
-from bunraku.errors import CharacterError
-from bunraku.geometry.extremes import extreme_points, part_extremes
-from bunraku.geometry.surface import vertex_areas
-from bunraku.handles.limbs import LIMB_HANDLES
+from bunraku.core.geometry.surface import extreme_points, part_extremes, vertex_areas
+from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.errors import CharacterError, MotionError
 
-__all__ = ["Anatomy", "decimated", "reference_anatomy"]
+__all__ = ["Anatomy", "body_handle_motion", "decimated", "reference_anatomy", "stiff"]
 
 
 CELLS = 8000  # about how many vertices the surface is left with
@@ -293,3 +297,41 @@ def reference_anatomy() -> Anatomy:
     body = reference_body()
     still = np.tile(np.eye(3), (len(body.handles.positions), 1, 1))
     return Anatomy.of(body.character(), body.handles, (still, reference_joints()))
+
+
+STANDS = 0.05  # share of frames whose lowest point may be under the ground
+
+
+def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:
+    """Handle motion of the reference body, which stands on y = 0.
+
+    Args:
+        motion: Of SMPL's 22 joints, relative to the reference body's T-pose (`bodies.to_smpl`).
+
+    Raises:
+        MotionError: It has other joints.
+    """
+    if motion.skeleton.names != JOINT_NAMES:
+        raise MotionError("the reference body takes motions of SMPL's 22 joints only; map the skeleton first")
+    body, joints = reference_body(), reference_joints()
+    world = motion.world()[0].astype(np.float64)
+    root = world[:, 0]
+    rotations = np.tile(np.eye(3), (len(motion), HANDLE_COUNT, 1, 1))
+    rotations[:, 1:JOINT_COUNT] = np.swapaxes(root, -1, -2)[:, None] @ world[:, 1:]
+    for handle in range(JOINT_COUNT, HANDLE_COUNT):
+        rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
+    rotations, translations = attach_joints(rotations, body.handles, joints)
+    scale = leg_length(body.joints) / max(leg_length(motion.skeleton.positions), 1e-9)
+    pelvis, position = body.joints[0].astype(np.float64), body.handles.positions[0].astype(np.float64)
+    path = motion.root_translation * scale + np.einsum("nij,j->ni", root, position - pelvis) - position
+    out = HandleMotion(translations, rotations, path, root, motion.fps)
+    path[:, 1] -= np.quantile(reference_reach().lowest(out, body.handles.positions), STANDS)
+    return replace(out, root_translation=path)
+
+
+def stiff(motion: HandleMotion) -> HandleMotion:
+    """A motion of the reference body with all joints held, as bones hold them."""
+    rotations, translations = attach_joints(
+        motion.rotations.astype(np.float64), reference_body().handles, reference_joints()
+    )
+    return replace(motion, rotations=rotations, translations=translations)

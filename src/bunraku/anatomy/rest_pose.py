@@ -1,5 +1,5 @@
-"""Rest poses reconciled: limbs turned from where they rest to where the reference body's rest, and a character in that
-stance.
+"""Rest poses reconciled: limbs rotated from where they rest to where the reference body's rest, also those of rigid
+blocks.
 """
 
 from __future__ import annotations
@@ -8,23 +8,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.anatomy.joints import (
-    Joints,
-    attach_joints,
-    estimated_reference_joints,
-    reference_joints,
-    refined_joints,
-)
-from bunraku.body.layout import HANDLE_NAMES
-from bunraku.body.reference import handle_positions, reference_body
+from bunraku.anatomy.handles.blocks import away_from, joint_parents
+from bunraku.anatomy.handles.limbs import has_extra_legs
+from bunraku.anatomy.joints import Joints, attach_joints, estimated_reference_joints, reference_joints, refined_joints
+from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
+from bunraku.core.geometry.rotations import matrix_from_axis_angle, rotation_between
+from bunraku.core.geometry.surface import surface_points, vertex_areas
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
-from bunraku.geometry.rotations import matrix_from_axis_angle, rotation_between
-from bunraku.geometry.surface import vertex_areas
-from bunraku.handles.limbs import further_legged
 
-__all__ = ["flat_feet", "rest_of_limbs", "rest_rotations", "stance_of", "upright"]
+__all__ = [
+    "WHOLE_LIMBS",
+    "block_joints",
+    "block_rest",
+    "flat_feet",
+    "pieces",
+    "rest_of_limbs",
+    "rest_rotations",
+    "stance_of",
+    "upright",
+]
 
 
 _LIMB_ENDS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
@@ -140,7 +145,7 @@ def upright(handles: Handles) -> bool:
     """Whether the head is over the hips rather than before them; never of who has further limbs, and so many legs to
     stand on, nor of who carries the head high on a level trunk over four legs, as a llama does.
     """
-    if further_legged(handles):
+    if has_extra_legs(handles):
         return False
     spine = handles.positions[HANDLE_NAMES.index("head")] - handles.positions[0]
     return bool(spine[1] > abs(spine[2])) and not _on_all_fours(handles)
@@ -273,3 +278,69 @@ def flat_feet(character: Character, handles: Handles, rotations: np.ndarray) -> 
 def _standing_area(points: np.ndarray, areas: np.ndarray) -> float:
     heights = points[:, 1] - points[:, 1].min()
     return float(areas[heights < SOLE * np.ptp(points, axis=0).max()].sum())
+
+
+STANDS = 35.0  # legs that point no farther from straight down stand as they are [degrees]
+POINTS = 2000  # spread over a limb to see where it points
+
+WHOLE_LIMBS = tuple(
+    tuple(HANDLE_NAMES.index(f"{side}_{part}") for part in limb)
+    for side in ("left", "right")
+    for limb in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
+)
+"""The handles of each arm and leg, from the body to the wrist or ankle."""
+
+
+def block_joints(handles: Handles) -> Joints:
+    """Where the blocks of rigid handles meet: where the handles stand."""
+    blocks = np.asarray(handles.weights.any(axis=0))
+    present = blocks.copy()
+    present[0] = True
+    return Joints(handles.positions.astype(np.float64), joint_parents(blocks), present)
+
+
+def pieces(limb: tuple[int, ...], joints: Joints) -> list[tuple[int, int]]:
+    """The pieces of an arm or a leg, each as its handle and the one where it ends: the next that is present, or the
+    wrist or ankle.
+    """
+    there = [handle for handle in limb if joints.present[handle]]
+    if not there:
+        return []
+    ends = [*there[1:], limb[-1]]
+    return [(handle, end) for handle, end in zip(there, ends, strict=True) if handle != limb[-1]]
+
+
+def block_rest(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
+    """How the rest pose of rigid blocks differs from the reference body's.
+
+    Arms, and the front legs of animals, are turned wholly, as those of bodies that bend are; the legs of who stands
+    upright where they do not stand.
+
+    Args:
+        character: In its rest pose.
+        handles: Its rigid handles.
+
+    Returns:
+        The turn of each handle, shape (K, 3, 3), and the joints.
+    """
+    joints, known = block_joints(handles), reference_joints().positions
+    out = np.tile(np.eye(3), (len(handles.positions), 1, 1))
+    held, stands = handles.weights.argmax(axis=1), upright(handles)
+    for limb in WHOLE_LIMBS:
+        leg = HANDLE_NAMES[limb[0]].endswith("hip")
+        if leg and not stands:
+            continue
+        above = np.eye(3)
+        for handle, end in pieces(limb, joints):
+            if joints.present[end] and end != handle:
+                own = joints.positions[end] - joints.positions[handle]
+            else:
+                faces = character.faces[held[character.faces[:, 0]] == handle]
+                own = away_from(surface_points(character.vertices, faces, POINTS)[0], joints.positions[handle])
+            if leg and np.degrees(np.arctan2(np.hypot(own[0], own[2]), -own[1])) < STANDS:
+                continue
+            above = rotation_between(above @ own, known[end] - known[handle]) @ above
+            out[handle] = above
+        if not leg and joints.present[limb[-1]]:
+            out[limb[-1]] = above
+    return out, joints

@@ -1,20 +1,32 @@
-"""Clothed characters of meshes that say nothing of apparel: what carries it, and the joints that handles stand for."""
+"""Clothed characters of meshes that say nothing of apparel: what carries each part, and the rig in which that holds
+it.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from bunraku.apparel.clothed import ClothedCharacter
-from bunraku.apparel.nodes import held_vertices
-from bunraku.apparel.parts import apparel_parts
-from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
-from bunraku.core.character import Handles
-from bunraku.geometry.axes import directions_about, goes_round
-from bunraku.geometry.easing import smooth_step
-from bunraku.geometry.graph import clean_mesh, unique_edges
+from bunraku.apparel.nodes import apparel_parts, held_vertices, whole_pieces
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.character import Character, Handles, Rig
+from bunraku.core.geometry.axes import directions_about, goes_round
+from bunraku.core.geometry.curves import smooth_step
+from bunraku.core.geometry.graph import clean_mesh, unique_edges
 
-__all__ = ["eased_border", "fitted_clothes", "joint_weights_of_handles", "joints_of_handles", "without_worn"]
+__all__ = [
+    "carried",
+    "eased_border",
+    "fitted_clothes",
+    "fitted_rig",
+    "joint_weights_of_handles",
+    "joints_of_handles",
+    "without_worn",
+]
+
 
 _HIPS = tuple(JOINT_NAMES.index(name) for name in ("left_hip", "right_hip"))
 _ABOVE_COLLARS = tuple(JOINT_NAMES.index(name) for name in ("left_collar", "right_collar"))
@@ -206,3 +218,39 @@ def _without_specks(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray
     out = apparel.copy()
     out[apparel] = ~small[part[apparel]]
     return out
+
+
+def fitted_rig(character: Character, clothed: ClothedCharacter, bones: np.ndarray) -> Character:
+    """The character with apparel on the bone of the joint that carries it: hair that lies on an arm goes with the head.
+    Where apparel begins in the midst of a sheet, its skin passes over to that bone smoothly, so that nothing is torn.
+
+    Args:
+        character: With a rig.
+        clothed: The same mesh, its parts whole on one joint each.
+        bones: The bone of the rig that each of the 22 joints is, shape (22,).
+    """
+    rig = character.rig
+    assert rig is not None
+    share, joint = carried(clothed)
+    carrier = np.asarray(bones)[joint][:, None].astype(np.int32)
+    grown = Rig(
+        rig.names, rig.parents, rig.transforms, np.concatenate([rig.indices, carrier], axis=1),
+        np.concatenate([rig.weights * (1 - share[:, None]), share[:, None]], axis=1),
+    )  # fmt: skip
+    return replace(character, rig=grown)
+
+
+def carried(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
+    """How much of each vertex goes with a joint whatever its skin said, shape (V,), and with which, shape (V,): apparel
+    with what carries its part, and the rest of a loose piece that is mostly apparel with the same.
+    """
+    share, joint = eased_border(clothed), clothed.weights.argmax(axis=1)
+    piece = whole_pieces(clothed.rest, clothed.faces, clothed.apparel)
+    rows = np.flatnonzero(piece >= 0)
+    if len(rows):
+        votes = np.zeros((int(piece.max()) + 1, JOINT_COUNT))
+        marked = rows[clothed.apparel[rows]]
+        np.add.at(votes, (piece[marked], joint[marked]), 1)
+        share, joint = np.array(share), np.array(joint)
+        share[rows], joint[rows] = 1.0, votes.argmax(axis=1)[piece[rows]]
+    return share, joint

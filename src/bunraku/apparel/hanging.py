@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
-from bunraku.body.layout import JOINT_NAMES
-from bunraku.geometry.axes import ROUND, covered, direction_bins, directions_about, goes_round
-from bunraku.geometry.graph import clean_mesh, mesh_parts, unique_edges
+from bunraku.core.body.layout import JOINT_NAMES
+from bunraku.core.geometry.axes import ROUND, covered, direction_bins, directions_about, goes_round
+from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
 __all__ = ["hanging_mask"]
 

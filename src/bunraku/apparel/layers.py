@@ -16,10 +16,9 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from bunraku.apparel.clothed import LEGS, ClothedCharacter
-from bunraku.apparel.parts import apparel_parts
-from bunraku.geometry.easing import smooth_step
-from bunraku.geometry.filters import gaussian
-from bunraku.geometry.surface import vertex_normals
+from bunraku.apparel.nodes import apparel_parts
+from bunraku.core.geometry.curves import gaussian, smooth_step
+from bunraku.core.geometry.surface import vertex_normals
 
 __all__ = ["Layers"]
 

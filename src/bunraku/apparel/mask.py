@@ -1,17 +1,127 @@
-"""Which vertices of a character are apparel: those that an artist says, or else those that the physics of an MMD or VRM
-file move.
-"""
+"""Which vertices of a character are apparel, by an artist's mask or by the physics of its file."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 
-from bunraku.apparel.artist_mask import artist_mask
+from bunraku.core.arrays import read_npy
+from bunraku.core.avatars import MmdModel, VrmModel, mmd_model, vrm_model
 from bunraku.core.character import Character
-from bunraku.core.mmd_model import MmdModel, mmd_model
-from bunraku.core.vrm_model import VrmModel, vrm_model
+from bunraku.core.files import read_bounded
+from bunraku.errors import FormatError
+from bunraku.files.gltf.read import read_gltf
+from bunraku.files.meshes.ply import read_ply
 
-__all__ = ["APPAREL_SHARE", "apparel_mask", "moved_joints"]
+__all__ = [
+    "APPAREL_SHARE",
+    "apparel_mask",
+    "artist_mask",
+    "artist_mask_file",
+    "file_beside",
+    "moved_joints",
+    "read_artist_mask",
+]
+
+
+SUFFIXES = (".apparel.npy", ".apparel.txt", ".apparel.ply", ".apparel.glb")
+NEAR = 1e-3  # a painted vertex stands for those of the character that are as near, over its extent
+
+
+def artist_mask(character: Character) -> np.ndarray | None:
+    """The mask beside a character's file, shape (V,), bool; None where there is none.
+
+    Raises:
+        FormatError: It is broken, or belongs to another mesh.
+    """
+    path = artist_mask_file(character)
+    return None if path is None else read_artist_mask(path, character)
+
+
+def artist_mask_file(character: Character) -> Path | None:
+    """The file of such a mask: for `gene.pmx` the first of `gene.apparel.npy`, `.txt`, `.ply` and `.glb` that is
+    there.
+    """
+    return file_beside(character, SUFFIXES)
+
+
+def file_beside(character: Character, suffixes: Sequence[str]) -> Path | None:
+    """The first file of a character's own name and one of some suffixes that lies beside its file; None for none."""
+    source = character.source
+    path = getattr(source, "path", None) or getattr(getattr(source, "document", None), "path", None)
+    if not isinstance(path, Path):
+        return None
+    beside = (path.with_name(f"{path.stem}{suffix}") for suffix in suffixes)
+    return next((file for file in beside if file.is_file() and file != path), None)
+
+
+def read_artist_mask(path: str | Path, character: Character) -> np.ndarray:
+    """A mask from a file.
+
+    Args:
+        path: NPY with a number for each vertex, apparel above a half; text with the number of an apparel vertex in each
+            line, counted from 0; or a PLY or GLB of the same mesh whose vertices are painted red where they are
+            apparel. Its vertices may stand in another order.
+        character: The character that it is of.
+
+    Returns:
+        Shape (V,), bool.
+
+    Raises:
+        FormatError: The file is broken, of another kind, or belongs to another mesh.
+    """
+    path = Path(path)
+    count, suffix = len(character.vertices), path.suffix.lower()
+    if suffix in (".ply", ".glb"):
+        return _painted(path, character)
+    data = read_bounded(path)
+    if suffix == ".npy":
+        values = read_npy(path, data)
+        if values.shape != (count,):
+            raise FormatError(
+                path,
+                f"the mask has shape {values.shape}, but the character has {count:,} vertices; make it for this mesh",
+            )
+        return np.asarray(values > 0.5)
+    if suffix != ".txt":
+        raise FormatError(
+            path, "a mask of apparel is an .npy, a .txt, or a painted .ply or .glb; save it as one of these"
+        )
+    try:
+        numbers = np.array([int(line) for line in data.decode("utf-8-sig").split()], np.int64)
+    except (UnicodeDecodeError, ValueError, OverflowError):
+        raise FormatError(
+            path, "this is not a list of vertex numbers; write the number of one apparel vertex in each line"
+        ) from None
+    if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
+        raise FormatError(
+            path, f"it names a vertex that the character does not have (0 to {count - 1:,}); make it for this mesh"
+        )
+    out = np.zeros(count, bool)
+    out[numbers] = True
+    return out
+
+
+def _painted(path: Path, character: Character) -> np.ndarray:
+    """Vertices of a character that lie where another mesh is red."""
+    from scipy.spatial import cKDTree
+
+    painted = (read_ply if path.suffix.lower() == ".ply" else read_gltf)(path, read_bounded(path))
+    if painted.colors is None:
+        raise FormatError(path, "its vertices have no colours; paint apparel red")
+    distance, nearest = cKDTree(painted.vertices).query(character.vertices[character.surface])
+    if distance.max() > NEAR * float(np.ptp(character.vertices[character.surface], axis=0).max()):
+        raise FormatError(
+            path,
+            "its vertices are not where the character's are; paint the same mesh in the same pose, +Y up and facing +Z",
+        )
+    red, green, blue = painted.colors.astype(int).T
+    out = np.zeros(len(character.vertices), bool)
+    out[character.surface] = ((red > 100) & (red > 2 * green) & (red > 2 * blue))[nearest]
+    return out
+
 
 APPAREL_SHARE = 0.5
 

@@ -1,28 +1,96 @@
-"""The apparel graph: a few nodes spread over every part, their neighbours within it, where the part is held, and what
-of them never changes.
+"""The apparel graph: the separate pieces of apparel, a few nodes on each, their neighbours, how they swing, and the
+network layer on them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.clothed import ClothedCharacter
-from bunraku.geometry.graph import clean_mesh, unique_edges
+from bunraku.apparel.clothed import FREE, NARROW, ClothedCharacter, Swing, guessed_swing, part_stiffness
+from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
+from bunraku.core.nn.layers import Linear, Norm, Weights, gelu, normed
 
 __all__ = [
-    "NEIGHBOURS",
     "ApparelNodes",
+    "EdgeBlock",
+    "NEIGHBOURS",
+    "NodeGraph",
     "apparel_nodes",
+    "apparel_parts",
+    "clothed_with_springs",
     "held_vertices",
+    "node_swing",
     "part_lengths",
     "part_neighbours",
     "surface_distances",
+    "whole_pieces",
 ]
+
+
+MOSTLY = 0.4
+"""Of a loose piece's points: a piece of which so many are apparel is apparel."""
+LARGE = 0.3  # of all points: a piece with more may be the body itself
+
+
+def whole_pieces(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> np.ndarray:
+    """Number of the loose piece of the mesh of each vertex where much of that is apparel, -1 elsewhere, shape (V,): a
+    lock of hair whose upper half is not marked hangs on the head all the same, whatever arm lies beside it.
+
+    Args:
+        vertices: Rest mesh [m], shape (V, 3).
+        faces: Shape (F, 3).
+        apparel: The mask, shape (V,), bool.
+
+    Raises:
+        CharacterError: The mesh is broken.
+    """
+    index, edges, cloth = _welded(vertices, faces, apparel)
+    count = len(cloth)
+    piece = mesh_parts(edges, count)
+    sizes = np.bincount(piece)
+    share = np.bincount(piece, cloth) / np.maximum(sizes, 1)
+    whole = (share >= MOSTLY) & (sizes < LARGE * count)
+    own = piece[index]
+    return np.asarray(np.where(whole[own], own, -1))
+
+
+def apparel_parts(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> np.ndarray:
+    """Number of the apparel part of each vertex, -1 on the body, shape (V,), int32.
+
+    Seams of the file do not part anything: vertices at the same position are one. Parts are numbered in the order of
+    their first vertices.
+
+    Args:
+        vertices: Rest mesh [m], shape (V, 3).
+        faces: Shape (F, 3).
+        apparel: The mask, shape (V,), bool.
+
+    Raises:
+        CharacterError: The mesh is broken.
+    """
+    index, edges, cloth = _welded(vertices, faces, apparel)
+    own = mesh_parts(edges[cloth[edges].all(axis=1)], len(cloth))[index]
+    out = np.full(len(vertices), -1, np.int32)
+    _, first, number = np.unique(own[apparel], return_index=True, return_inverse=True)
+    out[apparel] = np.argsort(np.argsort(first))[number.reshape(-1)]
+    return out
+
+
+def _welded(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The point of each vertex (V,), where vertices at one position are one; the edges between points (E, 2); and
+    which points are apparel, shape (P,).
+    """
+    clean = clean_mesh(vertices, faces)
+    cloth = np.zeros(len(clean.vertices), bool)
+    cloth[clean.index[apparel]] = True
+    return clean.index, unique_edges(clean.faces, len(cloth)), cloth
+
 
 NEIGHBOURS = 6
 LEAST = 3  # nodes of a part
@@ -189,3 +257,107 @@ def _attachment(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray, np.n
         distance[rows] = np.where(reached, along[rows], np.linalg.norm(held[rows], axis=1))
         longest[rows] = max(float(distance[rows].max()), 1e-4)
     return held[clean.index], distance[clean.index], longest[clean.index]
+
+
+def clothed_with_springs(
+    clothed: ClothedCharacter, spring: np.ndarray, mass: np.ndarray, limit: np.ndarray, dial: float = 1.0,
+    swing: Swing | None = None,
+) -> ClothedCharacter:  # fmt: skip
+    """A clothed character whose parts are as stiff as a file says.
+
+    Args:
+        clothed: The character, of any stiffness.
+        spring: Of a joint of each part [N m / rad], shape (P,).
+        mass: Of a body of each [kg], shape (P,).
+        limit: How far a joint of each may turn [rad], shape (P,).
+        dial: Factor on the stiffness; limits are narrower by the root of it.
+        swing: Of its vertices, where it is known.
+    """
+    limit = np.clip(limit, NARROW, FREE).astype(np.float32)
+    stiffness = part_stiffness(spring, mass, part_lengths(clothed), dial, limit)
+    rows = None if swing is None else swing.dialled(dial).rows()
+    return replace(clothed, stiffness=stiffness, limit=limit, swing=rows)
+
+
+def node_swing(clothed: ClothedCharacter, nodes: ApparelNodes) -> Swing:
+    """How nodes swing: as the file says, or else as the stiffness of their parts would mean.
+
+    Args:
+        clothed: The character.
+        nodes: Its nodes.
+    """
+    if clothed.swing is not None:
+        return Swing.of_rows(clothed.swing[nodes.vertex])
+    return guessed_swing(nodes.held, clothed.stiffness[nodes.part], clothed.damping[nodes.part])
+
+
+LEAST_VALUE = np.float32(-1e4)
+"""Below any feature: what a part without points says."""
+
+
+@dataclass(frozen=True, eq=False)
+class NodeGraph:
+    """Neighbours and parts of M points of one mesh.
+
+    Args:
+        neighbours: Shape (M, K).
+        part: Part of each, by any numbers from 0, shape (M,).
+    """
+
+    neighbours: np.ndarray
+    part: np.ndarray
+
+    @cached_property
+    def _runs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points in the order of their parts, where each part begins in it, and which of these each point is of."""
+        order = np.argsort(self.part, kind="stable")
+        _, starts, own = np.unique(self.part[order], return_index=True, return_inverse=True)
+        number = np.empty(len(order), np.int64)
+        number[order] = own
+        return order, starts, number
+
+    @cached_property
+    def _ranks(self) -> tuple[np.ndarray, ...]:
+        return tuple(np.ascontiguousarray(column) for column in self.neighbours.T)
+
+    def largest_neighbour(self, values: np.ndarray) -> np.ndarray:
+        """The largest of each channel among a point and its neighbours, shape (M, C)."""
+        best = values.copy()
+        for rank in self._ranks:
+            np.maximum(best, values[rank], out=best)
+        return best
+
+    def largest_of_part(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The largest of each channel in each part that has points, shape (P, C), and the row of each point, shape
+        (M,).
+        """
+        order, starts, number = self._runs
+        return np.maximum(np.maximum.reduceat(values[order], starts, axis=0), LEAST_VALUE), number
+
+
+class EdgeBlock:
+    """An edge convolution within parts, with what the part as a whole says, added to what came in (Eq. 13 of MMDMC).
+
+    The convolution is (W1 - W2) x_i + b + max_j W2 x_j, whose two maps of the point itself are one.
+
+    Args:
+        width: Channels.
+        weights: Of the layer.
+    """
+
+    def __init__(self, width: int, weights: Weights):
+        own = weights.linear("edge.own", width, width)
+        self.neighbour: Linear = weights.linear("edge.neighbour", width, width, bias=False)
+        self.own = Linear(own.matrix - self.neighbour.matrix, own.bias)
+        self.pooled: Linear = weights.linear("pooled", width, width, bias=False)
+        self.norm: Norm = weights.norm("norm", width)
+
+    def __call__(self, x: np.ndarray, graph: NodeGraph) -> np.ndarray:
+        """Shape (M, C) -> (M, C)."""
+        largest, part = graph.largest_of_part(x)
+        hidden = self.own(x)
+        hidden += self.pooled(largest)[part]
+        hidden += graph.largest_neighbour(self.neighbour(x))
+        out = gelu(normed(hidden, self.norm))
+        out += x
+        return out

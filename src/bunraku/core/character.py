@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.core.mmd_model import MmdModel
-from bunraku.core.vrm_model import VrmModel
+from bunraku.core.avatars import MmdModel, VrmModel
+from bunraku.core.geometry.surface import vertex_areas
 from bunraku.errors import CharacterError
-from bunraku.geometry.surface import vertex_areas
 
 __all__ = ["Character", "Handles", "Rig", "top_influences"]
 
@@ -85,7 +84,7 @@ class Character:
         faces: Vertex indices of each triangle, shape (F, 3).
         rig: The file's own skeleton and skin.
         colors: Colour of each vertex for previews, sRGB, shape (V, 3), uint8.
-        source: The document that the mesh came from, owned by `bunraku.io`; it lets a writer give the user's
+        source: The document that the mesh came from, owned by `bunraku.files`; it lets a writer give the user's
             materials, textures, UVs and vertex order back untouched.
         avatar: What an MMD or VRM file holds beside its mesh: bones with their dependencies, rigid bodies, springs,
             the bones of the person.

@@ -1,4 +1,4 @@
-"""Motions: of a skeleton, and of mesh handles (Eq. 3 of TapMo)."""
+"""Motions of a skeleton, of handles (Eq. 3 of TapMo) and of a mesh's vertices, and the same at another rate."""
 
 from __future__ import annotations
 
@@ -10,11 +10,23 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from bunraku.core.geometry.rotations import Resampling
 from bunraku.core.saving import save
 from bunraku.core.skinning import handle_offsets
-from bunraku.errors import MotionError
+from bunraku.errors import MotionError, OptionError
 
-__all__ = ["HandleMotion", "SkeletalMotion", "Skeleton", "line_up", "local_rotations"]
+__all__ = [
+    "HandleMotion",
+    "MeshMotion",
+    "SkeletalMotion",
+    "Skeleton",
+    "checked_fps",
+    "cut_motion",
+    "line_up",
+    "local_rotations",
+    "resample",
+    "resample_motion",
+]
 
 
 def _array(value: Any, shape: tuple[int | None, ...], what: str, dtype: Any = np.float32) -> np.ndarray:
@@ -128,7 +140,7 @@ class SkeletalMotion:
 
     def save(self, path: str | Path, **options: object) -> Path:
         """Write the motion in the format that the file's suffix names, .bvh or .vrma, and return the path (see
-        `bunraku.io.save_motion`).
+        `bunraku.files.save_motion`).
         """
         return save(self, path, **options)
 
@@ -229,6 +241,121 @@ class HandleMotion:
     def save(self, path: str | Path, **options: object) -> Path:
         """Write a motion of the reference body in the format that the file's suffix names, and return the path.
 
-        .npz holds it as it is; .bvh and .vrma hold what the body's 22 joints do (see `bunraku.io.save_motion`).
+        .npz holds it as it is; .bvh and .vrma hold what the body's 22 joints do (see `bunraku.files.save_motion`).
         """
         return save(self, path, **options)
+
+
+@dataclass(frozen=True, eq=False)
+class MeshMotion:
+    """Vertices of a mesh in each frame.
+
+    Args:
+        vertices: Positions, +Y up and facing +Z in the first frame [m], shape (N, V, 3).
+        faces: Triangles, shape (F, 3).
+        fps: Frames a second [1/s].
+        name: What it is called.
+
+    Raises:
+        MotionError: Shapes disagree, a value is not finite, or there is no frame.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    fps: float = 20.0
+    name: str = "mesh"
+
+    def __post_init__(self) -> None:
+        vertices, faces = np.asarray(self.vertices, np.float32), np.asarray(self.faces, np.int64)
+        if vertices.ndim != 3 or vertices.shape[2] != 3 or not vertices.size:
+            raise MotionError(f"a moving mesh needs vertices of shape (frames, vertices, 3), not {vertices.shape}")
+        if (
+            faces.ndim != 2
+            or faces.shape[1:] != (3,)
+            or not len(faces)
+            or faces.min() < 0
+            or faces.max() >= vertices.shape[1]
+        ):
+            raise MotionError("a moving mesh needs triangles of shape (F, 3) that name its vertices")
+        if not np.isfinite(vertices).all():
+            raise MotionError("a moving mesh has coordinates that are not numbers")
+        if not 0 < self.fps < np.inf:
+            raise MotionError("frames a second must be positive and finite")
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+
+    def __len__(self) -> int:
+        return len(self.vertices)
+
+
+def resample_motion(motion: SkeletalMotion, fps: float) -> SkeletalMotion:
+    """A skeletal motion at another rate: rotations turn the short way between frames, the root moves in straight lines.
+
+    Args:
+        motion: At least one frame.
+        fps: Frames a second of the result [1/s].
+
+    Returns:
+        The frames that lie within the duration; the motion itself where the rate is the same.
+
+    Raises:
+        MotionError: The rate is not positive.
+    """
+    if not 0 < fps < math.inf:
+        raise MotionError("frames a second must be positive and finite")
+    if abs(motion.fps - fps) < 1e-6 * fps:
+        return motion
+    between = Resampling.of(len(motion), motion.fps, fps)
+    return SkeletalMotion(
+        motion.skeleton, between.rotations(motion.rotations), between.linear(motion.root_translation.astype(float)), fps
+    )
+
+
+def cut_motion(motion: SkeletalMotion, start: float, end: float) -> SkeletalMotion:
+    """The frames from one time to another [s]; what lies outside the motion is left out.
+
+    Raises:
+        MotionError: No frame is left.
+    """
+    first, stop = max(round(start * motion.fps), 0), min(round(end * motion.fps), len(motion))
+    if stop <= first:
+        raise MotionError(
+            f"no frame lies between {start:g} s and {end:g} s of a motion of {len(motion) / motion.fps:.2f} s"
+        )
+    return SkeletalMotion(
+        motion.skeleton, motion.rotations[first:stop], motion.root_translation[first:stop], motion.fps
+    )
+
+
+def checked_fps(fps: float | None, default: float) -> float:
+    """Frames a second of an output [1/s].
+
+    Raises:
+        OptionError: They are not a number from 1 to 1000.
+    """
+    if fps is None:
+        return float(default)
+    try:
+        value = float(fps)
+    except (TypeError, ValueError):
+        raise OptionError(f"fps must be a number from 1 to 1000, not {fps!r}") from None
+    if not 1 <= value <= 1000:
+        raise OptionError(f"fps must be a number from 1 to 1000, not {fps!r}")
+    return value
+
+
+def resample(motion: HandleMotion, fps: float) -> HandleMotion:
+    """The motion at another frame rate: translations linear, rotations along the shortest arc.
+
+    Args:
+        motion: The motion, frame n at n / motion.fps seconds.
+        fps: Frames a second of the result [1/s]; frame m is at m / fps seconds, as far as the motion reaches.
+    """
+    if abs(fps - motion.fps) < 1e-6 or len(motion) == 1:
+        return motion if len(motion) > 1 else replace(motion, fps=fps)
+    between = Resampling.of(len(motion), motion.fps, fps)
+    moves, path = (between.linear(values.astype(float)) for values in (motion.translations, motion.root_translation))
+    return replace(
+        motion, translations=moves, rotations=between.rotations(motion.rotations), root_translation=path,
+        root_rotation=between.rotations(motion.root_rotation), fps=fps,
+    )  # fmt: skip

@@ -1,17 +1,29 @@
-"""Eq. 3 of TapMo, its only home: the affine transforms of handles, and linear blend skinning of all frames as one
-matrix product.
-
-`v' = R_g (sum_k s_k (R_k (v - h_k) + h_k + t_k) - h_0) + h_0 + t_g`. Handle 0 is the root and has the identity as its
-local transform, so its share of the weights is not lost. The readable reference of the product stands beside it.
+"""Linear blend skinning (Eq. 3 of TapMo) and its inverse: rigid registration, and a few bones for a moving point
+set.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-__all__ = ["handle_offsets", "posed_points", "skin", "skin_reference"]
+__all__ = [
+    "EMPTY",
+    "PULL",
+    "RigidBones",
+    "decomposed",
+    "handle_offsets",
+    "part_means",
+    "posed_points",
+    "register",
+    "register_reference",
+    "skin",
+    "skin_reference",
+]
+
 
 Array = Any  # numpy.ndarray, or a tensor
 
@@ -86,3 +98,293 @@ def skin_reference(vertices: np.ndarray, weights: np.ndarray, transforms: np.nda
             moved = vertices @ transform[:, :3].T + transform[:, 3]
             out[frame] += weights[:, handle, None] * moved
     return out
+
+
+PULL = 1e-8
+"""Share of the part's own variance by which the covariance is pulled to the identity."""
+EMPTY = 1e-9
+"""Mean weight under which a part counts as empty."""
+
+
+def _shares(weights: np.ndarray) -> np.ndarray:
+    """Columns that sum to 1, shape (V, K), float64; a column without weight becomes the plain mean."""
+    weights = np.asarray(weights, np.float64)
+    total = weights.sum(axis=0)
+    empty = total <= EMPTY * len(weights)
+    return np.where(empty, 1 / len(weights), weights / np.where(empty, 1, total))
+
+
+def part_means(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Weighted means of the vertices: the centres of the parts, which section 3.1 of TapMo takes for handle positions.
+
+    Args:
+        vertices: Rest positions [m], shape (V, 3).
+        weights: Skinning weights, shape (V, K).
+
+    Returns:
+        Means h [m], shape (K, 3), float64. A part without weight has the mean of all vertices.
+    """
+    return _shares(weights).T @ np.asarray(vertices, np.float64)
+
+
+def register(
+    source: np.ndarray, targets: np.ndarray, weights: np.ndarray, handles: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The rigid motion of every part in every frame (Besl & McKay 1992).
+
+    Args:
+        source: Rest vertices x [m], shape (V, 3).
+        targets: Moved vertices of each frame [m], shape (N, V, 3).
+        weights: Skinning weights, not negative, shape (V, K).
+        handles: Positions h [m] about which the motions are expressed, shape (K, 3); the weighted means of the source
+            (`part_means`) when not given.
+
+    Returns:
+        Rotations R (N, K, 3, 3) and translations t (N, K, 3) [m], float64: a point x of part k goes to `R (x - h_k) +
+        h_k + t`.
+    """
+    source = np.asarray(source, np.float64)
+    frames, count = len(targets), weights.shape[1]
+    shares = _shares(weights)
+    means = shares.T @ source
+    arms = source[:, None] - means  # (V, K, 3)
+    empty = np.asarray(weights, np.float64).sum(axis=0) <= EMPTY * len(source)
+    basis = np.empty((len(source), 4, count))
+    basis[:, :3] = (arms * shares[..., None]).transpose(0, 2, 1)
+    basis[:, 3] = shares
+    variance = (arms * arms).sum(-1)
+    spread = np.einsum("vk,vk->k", variance, shares)
+
+    middle = source.mean(axis=0)
+    moved = np.ascontiguousarray((np.asarray(targets, np.float64) - middle).transpose(0, 2, 1))
+    sums = (moved.reshape(3 * frames, -1) @ basis.reshape(len(source), -1)).reshape(frames, 3, 4, count)
+    moved_means = sums[:, :, 3].transpose(0, 2, 1) + middle  # (N, K, 3)
+    covariance = sums[:, :, :3].transpose(0, 3, 1, 2).copy()  # (N, K, target axis, source axis)
+    covariance[:, empty] = 0
+    covariance += (PULL * spread + (spread <= 0))[:, None, None] * np.eye(3)
+
+    u, _, vt = np.linalg.svd(covariance)
+    u[..., 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
+    rotations = u @ vt
+    origin = means if handles is None else np.asarray(handles, np.float64)
+    translations = moved_means - origin - np.einsum("nkij,kj->nki", rotations, means - origin)
+    return rotations, translations
+
+
+def register_reference(
+    source: np.ndarray, target: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`register` of one part in one frame as the paper has it.
+
+    Args:
+        source: Rest vertices [m], shape (V, 3).
+        target: Moved vertices [m], shape (V, 3).
+        weight: The part's weights, shape (V,), not all zero; the points must not lie on one line.
+
+    Returns:
+        Handle h (3,), rotation R (3, 3) and translation t (3,).
+    """
+    handle = np.average(source, axis=0, weights=weight)
+    middle = np.average(target, axis=0, weights=weight)
+    covariance = np.zeros((3, 3))
+    for x, y, w in zip(source, target, weight, strict=True):
+        covariance += w * np.outer(y - middle, x - handle)
+    u, _, vt = np.linalg.svd(covariance)
+    rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    return handle, rotation, middle - handle
+
+
+INFLUENCES = 4
+CANDIDATES = 5
+CLUSTERING, ROUNDS = 4, 4
+FEW_FRAMES = 120  # that bones are chosen and weights are fitted by
+_CHUNK = 2048
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBones:
+    """B bones and the weights of M points.
+
+    Args:
+        rotations: Shape (N, B, 3, 3).
+        translations: A point goes to `R p + t` [m], shape (N, B, 3).
+        weights: At most four a point over 0, rows sum to 1, shape (M, B).
+        error: Farthest that a point is from where it should be in any frame [m].
+    """
+
+    rotations: np.ndarray
+    translations: np.ndarray
+    weights: np.ndarray
+    error: float
+
+
+def decomposed(rest: np.ndarray, posed: np.ndarray, bones: int) -> RigidBones:
+    """The skin of so many bones that is nearest to a movement.
+
+    Args:
+        rest: Points in the rest pose [m], shape (M, 3).
+        posed: Points in N frames [m], shape (N, M, 3).
+        bones: How many, at most as many as points.
+    """
+    rest, posed = np.asarray(rest, np.float64), np.asarray(posed, np.float64)
+    some = np.linspace(0, len(posed) - 1, min(FEW_FRAMES, len(posed))).astype(np.int64)
+    few = posed[some]
+    weights = _clusters(rest, few, min(bones, len(rest)))
+    turns, moves = _rigid(rest, posed, weights)
+    for _ in range(ROUNDS):
+        weights = _best_weights(rest, few, turns[some], moves[some])
+        turns, moves = _refined(rest, posed, weights, turns, moves)
+    weights = _best_weights(rest, few, turns[some], moves[some])
+    worst = 0.0
+    for start in range(0, len(posed), 64):
+        cut = slice(start, start + 64)
+        moved = _skinned(rest, weights, turns[cut], moves[cut])
+        worst = max(worst, float(np.linalg.norm(moved - posed[cut], axis=-1).max()))
+    return RigidBones(turns, moves, weights, worst)
+
+
+def _skinned(rest: np.ndarray, weights: np.ndarray, turns: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    blend = np.einsum("mb,nbac->nmac", weights, np.concatenate([turns, moves[..., None]], axis=-1), optimize=True)
+    return np.asarray(np.einsum("nmac,mc->nma", blend[..., :3], rest) + blend[..., 3])
+
+
+def _clusters(rest: np.ndarray, posed: np.ndarray, bones: int) -> np.ndarray:
+    """Each point with one bone, that whose rigid movement is nearest to its own, shape (M, B)."""
+    seeds, gap = [int(np.square(rest - rest.mean(axis=0)).sum(axis=1).argmax())], np.full(len(rest), np.inf)
+    while len(seeds) < bones:  # spread in the rest pose, and where points move apart
+        moved = posed[:: max(1, len(posed) // 8)]
+        own = np.concatenate([rest[None], moved])
+        gap = np.minimum(gap, np.square(own - own[:, seeds[-1], None]).sum(axis=-1).mean(axis=0))
+        seeds.append(int(gap.argmax()))
+    owner = np.square(rest[:, None] - rest[seeds][None]).sum(axis=-1).argmin(axis=1)
+    for _ in range(CLUSTERING):
+        turns, moves = _rigid(rest, posed, np.eye(bones)[owner])
+        owner = _Products.of(rest, posed, turns, moves).errors().argmin(axis=1)
+        for empty in np.setdiff1d(np.arange(bones), owner):  # takes over the point that fits worst
+            fit = np.square(_skinned(rest, np.eye(bones)[owner], turns, moves) - posed).sum(axis=(0, 2))
+            owner[fit.argmax()] = empty
+    return np.asarray(np.eye(bones)[owner])
+
+
+def _rigid(rest: np.ndarray, posed: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rigid movement of the points of each bone (Procrustes)."""
+    total = np.maximum(weights.sum(axis=0), 1e-9)
+    middle = weights.T @ rest / total[:, None]
+    now = np.einsum("mb,nma->nba", weights, posed, optimize=True) / total[None, :, None]
+    turns = np.empty((len(posed), weights.shape[1], 3, 3))
+    for bone in range(weights.shape[1]):
+        rows = np.flatnonzero(weights[:, bone])
+        away = (rest[rows] - middle[bone]) * weights[rows, bone][:, None]
+        turns[:, bone] = np.einsum("nma,mc->nac", posed[:, rows] - now[:, bone, None], away, optimize=True)
+    turns = _rotations(turns)
+    return turns, now - np.einsum("nbac,bc->nba", turns, middle)
+
+
+def _rotations(matrices: np.ndarray) -> np.ndarray:
+    """The rotation nearest to each matrix, the identity for those of nothing."""
+    size = np.abs(matrices).max(axis=(-2, -1), keepdims=True)
+    u, _, vt = np.linalg.svd(matrices / np.maximum(size, 1e-30) + 1e-6 * np.eye(3))
+    u[..., 2] *= np.linalg.det(u @ vt)[..., None]
+    return np.asarray(u @ vt)
+
+
+@dataclass(frozen=True, eq=False)
+class _Products:
+    """Products of where each bone alone takes points and of where these go, over all frames: with them square errors of
+    any mixture are known without another look at the frames.
+
+    Args:
+        whole: Points with a 1 behind, shape (M, 4).
+        square: Of where the points go, shape (M,).
+        cross: With where each bone takes them, shape (M, B).
+        bones: Of the bones with one another, shape (B, B, 4, 4).
+    """
+
+    whole: np.ndarray
+    square: np.ndarray
+    cross: np.ndarray
+    bones: np.ndarray
+
+    @classmethod
+    def of(cls, rest: np.ndarray, posed: np.ndarray, turns: np.ndarray, moves: np.ndarray) -> _Products:
+        """Of bones in frames, seen from the middle of the points in each frame."""
+        middle = posed.mean(axis=1)
+        flat = (posed - middle[:, None]).transpose(1, 0, 2).reshape(len(rest), -1)
+        whole = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
+        placed = np.concatenate([turns, (moves - middle[:, None])[..., None]], axis=-1)
+        count = placed.shape[1]
+        taken = np.ascontiguousarray(placed.transpose(1, 3, 0, 2)).reshape(4 * count, -1)
+        cross = ((flat @ taken.T).reshape(len(rest), count, 4) * whole[:, None]).sum(axis=-1)
+        bones = (taken @ taken.T).reshape(count, 4, count, 4).transpose(0, 2, 1, 3)
+        return cls(whole, np.square(flat).sum(axis=1), cross, np.ascontiguousarray(bones))
+
+    def errors(self) -> np.ndarray:
+        """Square distance of each point from where each bone alone takes it, over all frames, shape (M, B)."""
+        every = np.arange(len(self.bones))
+        pairs = (self.whole[:, :, None] * self.whole[:, None]).reshape(-1, 16)
+        own = pairs @ self.bones[every, every].reshape(-1, 16).T
+        return np.asarray(own - 2 * self.cross + self.square[:, None])
+
+    def grams(self, rows: slice, columns: np.ndarray) -> np.ndarray:
+        """Of some points, products of how far each of C bones of theirs is off with how far each other is, shape (m, C,
+        C): with weights w of a sum of 1 the square error is w' G w.
+        """
+        whole, cross = self.whole[rows], np.take_along_axis(self.cross[rows], columns, axis=1)
+        blocks = self.bones[columns[:, :, None], columns[:, None]]
+        own = ((blocks @ whole[:, None, None, :, None])[..., 0] * whole[:, None, None]).sum(axis=-1)
+        return np.asarray(own - cross[:, :, None] - cross[:, None] + self.square[rows, None, None])
+
+
+def _best_weights(rest: np.ndarray, posed: np.ndarray, turns: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """The weights that are best for the bones, not below 0 and with a sum of 1, at most four a point, shape (M, B)."""
+    bones = turns.shape[1]
+    out = np.zeros((len(rest), bones))
+    products = _Products.of(rest, posed, turns, moves)
+    near = np.argsort(products.errors(), axis=1)[:, : min(CANDIDATES, bones)]
+    for start in range(0, len(rest), _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        columns = near[rows]
+        gram = products.grams(rows, columns)
+        found = np.zeros(columns.shape)
+        least = np.full(len(found), np.inf)
+        for size in range(1, min(INFLUENCES, columns.shape[1]) + 1):
+            for chosen in combinations(range(columns.shape[1]), size):
+                own = gram[:, chosen][:, :, chosen]
+                own = own + 1e-9 * (np.trace(own, axis1=1, axis2=2)[:, None, None] + 1e-12) * np.eye(size)
+                share = np.linalg.solve(own, np.ones((len(own), size, 1)))[..., 0]
+                share /= share.sum(axis=1, keepdims=True)
+                error = np.einsum("mi,mij,mj->m", share, own, share)
+                good = (share >= 0).all(axis=1) & (error < least * (1 - 1e-9))
+                least = np.where(good, error, least)
+                found[good] = 0
+                found[np.ix_(good, chosen)] = share[good]
+        np.put_along_axis(out[rows], columns, found, axis=1)
+    return out
+
+
+def _refined(
+    rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, turns: np.ndarray, moves: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bones one after the other, each the best for what the others leave (Le and Deng 2012, Eq. 8)."""
+    turns, moves = turns.copy(), moves.copy()
+    left = posed - _skinned(rest, weights, turns, moves)
+    for bone in range(weights.shape[1]):
+        rows = np.flatnonzero(weights[:, bone])
+        if len(rows) < 3:
+            continue
+        share = weights[rows, bone]
+        square = share**2 / (share**2).sum()
+        middle = square @ rest[rows]
+
+        def own(share: np.ndarray = share, rows: np.ndarray = rows, bone: int = bone) -> np.ndarray:
+            moved = rest[rows] @ turns[:, bone].transpose(0, 2, 1) + moves[:, bone, None]
+            return np.asarray(share[None, :, None] * moved)
+
+        want = left[:, rows] + own()
+        target = np.einsum("m,nma->na", share, want) / (share**2).sum()
+        spread = want - share[None, :, None] * target[:, None]
+        turn = _rotations(spread.transpose(0, 2, 1) @ (share[:, None] * (rest[rows] - middle)))
+        turns[:, bone] = turn
+        moves[:, bone] = target - turn @ middle
+        left[:, rows] = want - own()
+    return turns, moves

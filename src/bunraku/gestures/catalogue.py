@@ -1,4 +1,6 @@
-"""All gestures, read from `gestures.toml`, which says how they are written."""
+"""All gestures (`gestures.toml`), positions of things for the hands (`things.toml`), and gestures moved to another part
+of the body.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +9,49 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
+from bunraku.core.geometry.rotations import matrix_y
 from bunraku.errors import FormatError
-from bunraku.gestures.flow import STEP, foot_on, through
-from bunraku.gestures.pose import Foot, Gesture, Hand, Key, Pose, Repeat, again, moved
+from bunraku.gestures.pose import (
+    HANGING,
+    STEP,
+    Foot,
+    Gesture,
+    Hand,
+    Key,
+    Pose,
+    Repeat,
+    again,
+    foot_on,
+    moved,
+    through,
+    vector,
+)
+from bunraku.gestures.standing import SIDES
 
-__all__ = ["STANDING", "gesture_of", "gestures", "read_gestures", "gesture_row", "hand_row", "pose_row", "read_parts"]
+__all__ = [
+    "Part",
+    "PlaceRow",
+    "STANDING",
+    "at_part",
+    "gesture_of",
+    "gesture_row",
+    "gestures",
+    "hand_row",
+    "part_in",
+    "place_pose",
+    "pose_row",
+    "read_gestures",
+    "read_parts",
+    "read_places",
+    "things_file",
+]
+
 
 FILE = Path(__file__).with_name("gestures.toml")
 _SECTION = re.compile(r"^(?=\[)", re.MULTILINE)
@@ -177,3 +213,167 @@ def gesture_of(texts: tuple[str, ...]) -> Gesture | None:
 
 STANDING = Gesture("standing", (), ((0.0, Pose()), (9.5, Pose())))
 """What gestures that are done once begin and end in."""
+
+
+ASIDE = {"left": 1.0, "aside": 1.0, "right": -1.0, "": 0.0}
+"""To the left or to the right; what is put elsewhere goes to the left, and in the mirror image to the right."""
+AWAY = 68.0
+"""How far from straight ahead a place aside is [degrees]."""
+HIPS, CHEST, HEAD = 18.0, 26.0, 14.0
+"""How far pelvis, chest and head turn towards it [degrees]."""
+OVER = 0.06
+"""How far the pelvis goes to that side [m]."""
+
+
+class PlaceRow(NamedTuple):
+    """How somebody is at a place for things: both hands there, one hand there, the other one then, and the body."""
+
+    both: Hand
+    one: Hand
+    other: Hand
+    pose: Pose
+
+
+@functools.cache
+def things_file() -> dict[str, Any]:
+    """The tables of `things.toml`."""
+    return tomllib.loads(Path(__file__).with_name("things.toml").read_text(encoding="utf-8"))
+
+
+@functools.cache
+def read_places() -> dict[str, PlaceRow]:
+    """The places of `[places]` by their names, the lowest first."""
+    return {name: _place(row) for name, row in things_file()["places"].items()}
+
+
+def _place(row: dict[str, Any]) -> PlaceRow:
+    pose = {kind: value for kind, value in row.items() if kind not in ("both", "one", "other")}
+    other = hand_row(row["other"]) if "other" in row else HANGING
+    return PlaceRow(hand_row(row["both"]), hand_row(row["one"]), other, pose_row(pose, {"hands": {}, "feet": {}}))
+
+
+def _at_height(height: float) -> PlaceRow:
+    """The place whose palm is so high [m], between the two nearest."""
+    rows = list(read_places().values())
+    heights = [row.one.palm[1] for row in rows]
+    after = int(np.clip(np.searchsorted(heights, height), 1, len(rows) - 1))
+    share = float(np.clip((height - heights[after - 1]) / (heights[after] - heights[after - 1]), 0, 1))
+    first, last = rows[after - 1], rows[after]
+    both, one, pose = (_mixed(getattr(first, part), getattr(last, part), share) for part in ("both", "one", "pose"))
+    return PlaceRow(both, one, (last if share > 0.5 else first).other, pose)
+
+
+def _mixed(one: Any, other: Any, share: float) -> Any:
+    """A hand or a pose between two: numbers and vectors go over, what else there is stays the first's."""
+    found = {}
+    for part in fields(one):
+        own, there = getattr(one, part.name), getattr(other, part.name)
+        if isinstance(own, tuple):
+            found[part.name] = tuple((1 - share) * a + share * b for a, b in zip(own, there, strict=True))
+        elif isinstance(own, float | int):
+            found[part.name] = (1 - share) * own + share * there
+    return replace(one, **found)
+
+
+def place_pose(height: str | float, way: str, hands: str, held: bool = False) -> Pose:
+    """Somebody with both hands, or one of them, at a place.
+
+    Args:
+        height: Of the palms, by its name or in metres.
+        way: "left", "right", "aside" for either of them; "" for straight ahead.
+        hands: "both", "left", "right", or "one" for the right one.
+        held: Whether hands go along with the chest where they are straight ahead.
+    """
+    row = read_places()[height] if isinstance(height, str) else _at_height(height)
+    side = ASIDE[way]
+    base, own = row.pose, row.both if hands == "both" else row.one
+    turned = matrix_y(np.array(np.radians(side * AWAY)))
+    carrier: Literal["chest", "ground"] = "chest" if held and not side else "ground"
+
+    def placed(hand: Hand, sign: float) -> Hand:
+        out = np.array([sign, 1, 1])
+        palm, fingers, faces, elbow = (
+            vector(out * (turned @ (out * np.array(one)))) for one in (hand.palm, hand.fingers, hand.faces, hand.elbow)
+        )
+        return Hand(palm, fingers, faces, elbow, on=carrier)
+
+    made = {}
+    for name, sign in SIDES:
+        used = hands in ("both", name) or (hands == "one" and name == "right")
+        made[name] = placed(own, sign) if used else row.other
+    hips = matrix_y(np.array(np.radians(side * HIPS))) @ np.array(base.hips) + [side * OVER, 0, 0]
+    lean, head = base.lean, base.head
+    return replace(
+        base, right=made["right"], left=made["left"], hips=vector(hips), turn=side * HIPS,
+        lean=(lean[0], lean[1] + side * CHEST, lean[2]), head=(head[0], head[1] + side * HEAD, head[2]),
+    )  # fmt: skip
+
+
+class Part(NamedTuple):
+    """A part of the body that a sentence names.
+
+    Args:
+        name: Of `[parts]` in `gestures.toml`.
+        words: Those of the sentence that say it.
+    """
+
+    name: str
+    words: tuple[str, ...]
+
+
+def part_in(text: str) -> Part | None:
+    """The part of the body that a text names, by the most words; None where it names none that a hand reaches."""
+    words = re.findall(r"[a-z]+", text.lower())
+    found = [
+        Part(name, tuple(words[start : start + len(phrase)]))
+        for name, phrase in _phrases()
+        for start in range(len(words) - len(phrase) + 1)
+        if all(word in choice for word, choice in zip(words[start:], phrase, strict=False))
+    ]
+    return max(found, key=lambda one: len(one.words), default=None)
+
+
+@functools.cache
+def _phrases() -> tuple[tuple[str, tuple[frozenset[str], ...]], ...]:
+    """The phrases of all parts: at each place the words that may stand there."""
+    return tuple(
+        (name, tuple(frozenset(choice.split("/")) for choice in phrase.split()))
+        for name, (said, _) in read_parts().items()
+        for phrase in said.split(", ")
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def at_part(gesture: Gesture, name: str) -> Gesture:
+    """A gesture of the right hand done at another part of the body: its movement along the surface there, and the body
+    bent as far as the hand has to reach.
+
+    Args:
+        gesture: With an `at` of its own.
+        name: Of the part.
+    """
+    own, there = (read_parts()[one][1] for one in (gesture.at, name))
+    turn = _frame(there.right) @ _frame(own.right).T
+
+    def moved(pose: Pose) -> Pose:
+        if replace(pose.right, on=HANGING.on) == HANGING:
+            return pose
+        away = turn @ (np.array(pose.right.palm) - own.right.palm)
+        palm = tuple((np.array(there.right.palm) + away).tolist())
+        lean, head, hips = (_sum(getattr(pose, part), getattr(there, part)) for part in ("lean", "head", "hips"))
+        return replace(pose, right=replace(there.right, palm=palm), lean=lean, head=head, hips=hips)
+
+    return replace(gesture, keys=tuple((time, moved(pose)) for time, pose in gesture.keys), at=name)
+
+
+def _frame(hand: Hand) -> np.ndarray:
+    """Axes of a hand: along the fingers, out of the palm, across both."""
+    along = np.array(hand.fingers) / np.linalg.norm(hand.fingers)
+    out = np.array(hand.faces) - along * (along @ np.array(hand.faces))
+    out /= np.linalg.norm(out)
+    return np.stack([along, out, np.cross(along, out)], axis=1)
+
+
+def _sum(one: Sequence[float], other: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = (a + b for a, b in zip(one, other, strict=True))
+    return x, y, z

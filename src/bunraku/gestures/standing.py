@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES
-from bunraku.body.reference import reference_body
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES
+from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.rotations import heading, matrix_y
 from bunraku.core.motion import SkeletalMotion
-from bunraku.geometry.rotations import heading, matrix_y
 
 __all__ = [
     "AT",

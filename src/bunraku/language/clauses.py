@@ -1,42 +1,36 @@
-"""What happens one after the other in a sentence: "a person walks, then waves" is "a person walks" and "a person
-waves".
-
-Each clause is generated from its own words, as the prompts of a sequence are: conditioned on "then", the network often
-does only one of both. Words that say order part a sentence, and commas between verbs; "walks and waves" is for
-`body_part_prompts`.
-"""
+"""A sentence as clauses: what happens one after the other, and what happens at the same time."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 
-from bunraku.language.captions.phrases import is_known_clause
-from bunraku.language.handling import handling_of
-from bunraku.language.lexicon.cues import said_cues
-from bunraku.language.lexicon.reading import actions_of, said_traits, words_of
-from bunraku.language.lexicon.tables import lexicon
-from bunraku.language.limbs.phrases import names_limb
-from bunraku.language.limbs.posing import Posing, posing_of
-from bunraku.language.told import told_of, with_names
+from bunraku.language.captions import is_known_clause
+from bunraku.language.interactions import handling_of, interaction_of, with_names
+from bunraku.language.lexicon import actions_of, lexicon, said_cues, said_traits, words_of
+from bunraku.language.limb_phrases import names_limb
+from bunraku.language.posing import Posing, posing_of
 
 __all__ = [
     "SHORTEST_CLAUSE",
     "as_caption",
+    "as_parsed",
     "as_present",
-    "as_told",
     "begins",
     "handed_on",
-    "limbs_told",
+    "limbs_described",
+    "moved_part",
     "of_creature",
     "of_person",
     "parts_of",
     "shared",
     "split_clauses",
+    "split_voices",
     "subject_of",
     "timed_clauses",
     "with_subject",
 ]
+
 
 GOING, LEAST_GOING = 2.5, 1.5
 """Time that goes on doing something is worth beside these, and the least that it gets before they get less [s]."""
@@ -64,7 +58,9 @@ _NO_VERB = re.compile(
     r"|the\s+other|another|some|for|once|twice|faster|slower|more|less|higher|lower)\b",
     re.IGNORECASE,
 )
-_TOLD_BY = re.compile(r"(?P<who>(?:an?|the)\s+[^,.;]+?)(?:,\s+|\s+)(?P<rest>(?:\w+ly\s+)?\w+ing\b.*)", re.IGNORECASE)
+_REPORTED_BY = re.compile(
+    r"(?P<who>(?:an?|the)\s+[^,.;]+?)(?:,\s+|\s+)(?P<rest>(?:\w+ly\s+)?\w+ing\b.*)", re.IGNORECASE
+)
 """Somebody who is told in many words before a participle."""
 _LONGEST_NAME = 3
 """Words that name somebody, behind an article."""
@@ -210,14 +206,14 @@ def as_caption(clause: str) -> str:
     return said if same else clause
 
 
-def as_told(text: str) -> str:
+def as_parsed(text: str) -> str:
     """A sentence whose verbs stand by a participle as one that says what is done: "an old guard in a coat, walking and
     looking around" as "a person is walking and looking around", and "a person walking forward picks something up" as "a
     person is walking forward and picks something up".
     """
     subject, rest = subject_of(text)
     if not subject:
-        found = _TOLD_BY.match(text)
+        found = _REPORTED_BY.match(text)
         if found is None or actions_of(found["who"]) or not begins(found["rest"], "gerund"):
             return text
         subject, rest = "a person", found["rest"]
@@ -285,7 +281,7 @@ def handed_on(clauses: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
     return found
 
 
-def limbs_told(clause: str) -> Posing | None:
+def limbs_described(clause: str) -> Posing | None:
     """What a clause says limbs do, who does it or which limb its subject; None where it says nothing of that."""
     subject, predicate = subject_of(clause)
     return posing_of(clause if subject and names_limb(subject) else predicate)
@@ -293,7 +289,7 @@ def limbs_told(clause: str) -> Posing | None:
 
 def _of_limbs(text: str) -> bool:
     """Whether a text says nothing but what limbs do."""
-    posing = limbs_told(text)
+    posing = limbs_described(text)
     return posing is not None and not posing.rest
 
 
@@ -333,7 +329,7 @@ def parts_of(clause: str) -> list[str]:
 
 
 def _says(piece: str) -> bool:
-    return bool(actions_of(piece)) or told_of(piece) is not None
+    return bool(actions_of(piece)) or interaction_of(piece) is not None
 
 
 def shared(clauses: Sequence[str], seconds: float) -> list[float]:
@@ -431,3 +427,51 @@ def with_subject(clause: str, subject: str) -> str:
 def _begins_clause(text: str, *forms: str) -> bool:
     """Whether a text begins with a verb in one of some forms, with a subject or without."""
     return begins(subject_of(text)[1], *forms)
+
+
+_GESTURING = ("arms", "head", "arms and head")
+_JOINTS = tuple(
+    re.compile(joint, re.IGNORECASE)
+    for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!(?:then|forth)\b)", r"\s*,\s*(?=\w+ing\b)")
+)
+
+
+def split_voices(clause: str) -> tuple[str, ...]:
+    """What a clause says of the legs and what of the arms or the head, said as clauses of their own; none where it does
+    not say both.
+
+    Args:
+        clause: In English.
+    """
+    text = " ".join(clause.split())
+    for joint in _JOINTS:
+        halves = [half.strip(" ,.;!") for half in joint.split(text)]
+        if len(halves) != 2 or not all(halves):
+            continue
+        first, second = halves[0], with_subject(halves[1], subject_of(halves[0])[0])
+        parts = [moved_part(half) for half in (first, second)]
+        if "legs" in parts and any(part in _GESTURING for part in parts):
+            return (first, second) if parts[0] == "legs" else (second, first)
+    return ()
+
+
+def moved_part(clause: str) -> str:
+    """What its verb moves: "legs", "arms", "head", "arms and head", or "" for neither or all."""
+    words = words_of(subject_of(clause)[1])[0]
+    words = words[1:] if words and words[0] in ("is", "are") else words
+    while words and words[0].endswith("ly") and len(words[0]) > 3:
+        words = words[1:]
+    table = lexicon()
+    verb = words[0] if words else ""
+    part = table.parts.get(verb, "")
+    if part in ("legs", "arms", "head"):
+        return part
+    held = handling_of(clause)
+    if held is not None and held.said and held.only_held:
+        return "arms"  # a thing that is carried as captured people carry it is no gesture
+    said = {table.actions[action].part for action in actions_of(clause)}
+    if said == {"legs"}:
+        return "legs"  # "does a lunge", whose verb says nothing of it
+    if not said or not said <= set(_GESTURING):
+        return ""
+    return said.pop() if len(said) == 1 else "arms and head"

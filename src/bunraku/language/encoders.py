@@ -17,11 +17,11 @@ from typing import Protocol
 
 import numpy as np
 
+from bunraku.core.nn.checkpoints import dated, halves_of
+from bunraku.core.nn.layers import Linear, Norm, PostNorm, unit
 from bunraku.errors import MissingExtraError, WeightsError
-from bunraku.language.known.tokenizer import WordPieces, encoder_file, read_header
-from bunraku.language.lexicon.cues import CUES, sentence_cues
-from bunraku.nn.checkpoints import dated, halves_of
-from bunraku.nn.layers import Linear, Norm, PostNorm, unit
+from bunraku.language.lexicon import CUES, sentence_cues
+from bunraku.language.tokenizer import WordPieces, encoder_file, read_header
 
 __all__ = [
     "TEXT_LENGTH",

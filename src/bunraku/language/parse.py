@@ -1,40 +1,46 @@
-"""A prompt read once: several sentences in a row, each in English, part by part in the order of time, each part in
-fields.
-"""
+"""A prompt as a parsed `Sentence`: each clause in fields, and what it means for bodies other than a person's."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 
 from bunraku.errors import OptionError
 from bunraku.language.clauses import (
     SHORTEST_CLAUSE,
     as_caption,
+    as_parsed,
     as_present,
-    as_told,
     handed_on,
-    limbs_told,
+    limbs_described,
+    moved_part,
+    of_creature,
     of_person,
     parts_of,
     shared,
+    split_voices,
     subject_of,
     timed_clauses,
     with_subject,
 )
-from bunraku.language.concurrent import moved_part, split_voices
-from bunraku.language.details import added_words, count_of
-from bunraku.language.lexicon.cues import said_cues
-from bunraku.language.lexicon.reading import actions_of, locomotion_of, said_traits
-from bunraku.language.lexicon.tables import lexicon
-from bunraku.language.limbs.posing import Posing, Stance
+from bunraku.language.interactions import interaction_of, says_more, with_names
+from bunraku.language.lexicon import (
+    Otherwise,
+    actions_of,
+    lexicon,
+    locomotion_of,
+    said_cues,
+    said_otherwise,
+    said_traits,
+)
+from bunraku.language.phrasing import added_words, count_of
+from bunraku.language.posing import Posing, Stance
 from bunraku.language.prompts import check_prompt, narrow, parse_sequence, timed_sequence
 from bunraku.language.sentence import Clause, Sentence, Turn
-from bunraku.language.told import says_more, told_of, with_names
 from bunraku.language.understood import check_understood
 
-__all__ = ["clause_of", "clauses_of", "parse"]
+__all__ = ["INSTEAD", "KINDS", "clause_of", "clauses_of", "for_body", "parse"]
 
 
 _STANCES = {"sit": "seat", "kneel": "kneel", "both knees": "both knees", "lie": "back", "squat": "squat"}
@@ -59,7 +65,9 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
         raise OptionError("the prompt must be a sentence")
     timed = timed_sequence(parse_sequence(narrow(prompt)), seconds)
     parts = [(check_understood(part, force), length) for part, length in timed]
-    clauses = [clause for found, length in parts for clause in handed_on(timed_clauses(as_told(found.english), length))]
+    clauses = [
+        clause for found, length in parts for clause in handed_on(timed_clauses(as_parsed(found.english), length))
+    ]
     clauses = list(zip(with_names([text for text, _ in clauses]), [length for _, length in clauses], strict=True))
     found = [part for part, _ in parts]
     read = [clause_of(as_caption(as_present(text)), length) for text, length in clauses]
@@ -114,7 +122,7 @@ def clause_of(text: str, seconds: float = 0.0) -> Clause:
         text: In English.
         seconds: How long it lasts [s].
     """
-    posing, subject = limbs_told(text), subject_of(text)[0]
+    posing, subject = limbs_described(text), subject_of(text)[0]
     if posing is not None:
         whole = _clause(text, seconds)
         body = _clause(with_subject(posing.rest, subject), seconds) if posing.rest else None
@@ -136,7 +144,7 @@ def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = (), parts: t
     return Clause(
         text, seconds, subject, person, actions, moved_part(text), locomotion_of(predicate), cues, traits,
         _turn(cues, traits, actions), _goes_straight(cues, traits), count_of(person), added_words(predicate, actions),
-        told_of(person), voices=voices, parts=parts,
+        interaction_of(person), voices=voices, parts=parts,
     )  # fmt: skip
 
 
@@ -168,3 +176,98 @@ def _turn(cues: frozenset[str], traits: frozenset[str], actions: tuple[str, ...]
     elif "half" in cues:
         least, most = 145.0, 215.0
     return Turn(side, math.radians(least), math.radians(most))
+
+
+KINDS = ("person", "two legs", "four legs", "many legs", "no legs", "snake", "fish")
+"""What bodies stand and move with: arms and two legs, legs alone, none; a long tail on the ground, one in water."""
+
+
+_NO_LEGS = "'{clause}' moves legs, and none are found on this body; it {instead} instead"
+INSTEAD = {"snake": "slithers", "fish": "swims", "no legs": "glides, bends and bobs"}
+"""What bodies without legs do where a sentence says walk."""
+
+
+def for_body(sentence: Sentence, kind: str, parts: Collection[str] = (), as_people: bool = True) -> Sentence:
+    """A sentence in words for what a body does in its place, how it then moves, and what it cannot do.
+
+    What is said of a person is said of "it" where the body does not move as people do: conditioned on a person's words,
+    the network lets a dog walk on two legs.
+
+    Args:
+        sentence: From `parse.parse`.
+        kind: One of `KINDS`.
+        parts: What the body has of "arms", "forelegs" (arms that it stands on) and "wings".
+        as_people: Whether it moves as people do.
+    """
+    clauses = tuple(_done(clause, kind, "wings" in parts, as_people) for clause in sentence.clauses)
+    cannot = dict.fromkeys(note for clause in sentence.clauses if (note := _in_vain(clause, kind, parts)))
+    return replace(sentence, clauses=clauses, cannot=tuple(cannot))
+
+
+def _row(locomotion: str, kind: str) -> Otherwise | None:
+    return next((row for row in lexicon().otherwise if locomotion in row.locomotion and kind in row.bodies), None)
+
+
+def _done(clause: Clause, kind: str, wings: bool, as_people: bool) -> Clause:
+    """What a body does in place of a clause."""
+    row = _row(clause.locomotion, kind)
+    moves = row.moves if row else "fly" if clause.locomotion == "fly" and wings else ""
+    said = clause
+    if row and row.verb:
+        predicate = subject_of(clause.text)[1]
+        head = clause.text[: len(clause.text) - len(predicate)]
+        said = clause_of(head + said_otherwise(predicate, row.verb), clause.seconds)
+    ground = _on_ground(said)
+    text = said.text
+    if moves == "fly":
+        text = _of_bird(text)
+    elif not as_people:
+        text = _of_kind(said)
+    if text != said.text:
+        said = clause_of(text, clause.seconds)
+    return replace(said, moves=moves or ("lie" if ground and kind == "snake" else ground))
+
+
+def _on_ground(clause: Clause) -> str:
+    """How a clause says to be on the ground: "step" with a foot always on it, as in a walk, "run" for who leaves it
+    shortly, "stay" for as long as a jump lasts, and "" where it says of leaving it for longer: in the air or in water,
+    on a ladder, on the hands, on a seat.
+    """
+    if clause.locomotion in ("fly", "swim") or "off the ground" in clause.traits:
+        return ""
+    return "stay" if "leaps" in clause.traits else lexicon().ground.get(clause.locomotion, "stay")
+
+
+def _of_kind(clause: Clause) -> str:
+    """A clause said of a creature, and one of walking or running of "it", whichever is named: the network has seen few
+    kinds walk, and a rat or a frog that is named hardly stirs. Who only goes goes forward: told "it trots" and no more,
+    a wolf, a cow and a horse fell down.
+    """
+    if clause.locomotion not in ("walk", "run"):
+        return of_creature(clause.text)
+    subject, rest = subject_of(clause.text)
+    said = f"{rest} forward" if all(word.endswith("ly") for word in rest.split()[1:]) else rest
+    return f"it {said}" if subject else of_creature(said)
+
+
+def _of_bird(text: str) -> str:
+    """A clause of flight said of a bird: the one flight that the network knows, whoever has the wings."""
+    subject, rest = subject_of(text)
+    return f"a bird {rest}" if subject else with_subject(text, "a bird")
+
+
+def _in_vain(clause: Clause, kind: str, parts: Collection[str]) -> str:
+    """What a clause requests that a body cannot do; "" for nothing."""
+    instead = INSTEAD.get(kind)
+    if instead and (clause.part == "legs" or clause.locomotion in ("walk", "run")):
+        return _NO_LEGS.format(clause=clause.text, instead=instead)
+    row, note = _row(clause.locomotion, kind), ""
+    if clause.part == "arms" and "forelegs" in parts:
+        note = "'{clause}' moves arms, and this body stands on them; it lifts a foreleg shortly, if at all"
+    elif clause.part == "arms" and not {"arms", "wings"} & set(parts):
+        note = "'{clause}' moves arms, and none are found on this body; its trunk and head move instead"
+    elif clause.locomotion == "fly" and "wings" not in parts:
+        note = "'{clause}' needs wings, and none are found on this body; it stays on the ground or jumps"
+    elif row:
+        note = row.note
+    return note.format(clause=clause.text)

@@ -1,15 +1,31 @@
-"""The grammar that readers of clauses share: where a verb stands, how far what belongs to it goes, and which hands it
-names. The words are those of the lexicon's table `grammar`.
+"""What readers of clauses share: where a verb stands, which hand or part of the body a clause names, how often
+something is done, and which of its words are not understood.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Collection, Mapping, Sequence
 
-from bunraku.language.lexicon.reading import actions_of, said_phrases
-from bunraku.language.lexicon.tables import lexicon
+from bunraku.language.lexicon import actions_of, lexicon, said_phrases, words_of
+from bunraku.language.vocabulary import FUNCTION_WORDS, action_stems, caption_stems, stem, stems
+from bunraku.language.word_table import table
 
-__all__ = ["does_else", "named_hands", "names_a_thing", "object_of", "verbs_in", "way_in", "zone_of"]
+__all__ = [
+    "added_words",
+    "body_stems",
+    "count_of",
+    "does_else",
+    "named_hands",
+    "names_a_thing",
+    "object_of",
+    "stems_of",
+    "tells_all",
+    "unseen_word",
+    "verbs_in",
+    "way_in",
+    "zone_of",
+]
 
 
 def verbs_in(words: Sequence[str], verbs: Mapping[str, str]) -> list[tuple[int, str]]:
@@ -92,3 +108,109 @@ def way_in(words: Sequence[str], zone: range) -> str:
         if words[at] in ("left", "right") and after not in limbs:
             return words[at]
     return ""
+
+
+MOST = 99
+"""How often something is done at the most."""
+_TIMES = frozenset(("time", "times"))
+_OBJECT = 3
+"""Words after a verb that says where a part of the body is among which the part is; that is what they add."""
+_LIMBS = {"arms": ("arm", "hand"), "legs": ("leg", "foot"), "head": ("head",)}
+"""Words for the limbs of a part of the body."""
+
+
+def count_of(text: str) -> int | None:
+    """How often a text says that something is done: "twice", "three times", "two jumping jacks"; None where it says
+    nothing of that.
+    """
+    words, numbers = words_of(text)[0], lexicon().numbers
+    starts = set(said_phrases(text)["actions"].values())
+    for at, word in enumerate(words):
+        count = numbers.get(word) or (int(word) if word.isdecimal() and len(word) <= 2 else 0)
+        if not 0 < count <= MOST:
+            continue
+        if word in lexicon().adverbs or (at + 1 < len(words) and words[at + 1] in _TIMES):
+            return count
+        if at and {at + 1, at + 2} & starts:
+            return count
+    return None
+
+
+@functools.cache
+def body_stems() -> frozenset[str]:
+    """Stems of words for parts of the body, but for those that are verbs: a spin is no spine."""
+    named = [word for row in table()["parts"] for word in row["en"].split("/")]
+    words, verbs = {*named, *lexicon().body}, lexicon().lemmas
+    return frozenset(stem(word) for word in words if stem(word) == word or stem(word) not in verbs)
+
+
+@functools.lru_cache(maxsize=1024)
+def stems_of(texts: tuple[str, ...]) -> frozenset[str]:
+    """Stems of all words of some sentences."""
+    return frozenset(stems(word for text in texts for word in words_of(text)[0]))
+
+
+@functools.lru_cache(maxsize=64)
+def _own(action: str) -> frozenset[str]:
+    """Stems of the words that say an action."""
+    words: set[str] = set()
+    for starting in lexicon().phrases.values():
+        for one in starting:
+            if one.section == "actions" and one.name == action:
+                words.update(*(part for part in one.words if part is not None))
+    return frozenset(stems(words))
+
+
+@functools.lru_cache(maxsize=64)
+def _limbs(action: str) -> frozenset[str]:
+    """Stems of the words for the limbs that a gesture moves, and for the arms of who does anything with them; how other
+    actions hold them is a pose of its own.
+    """
+    row = lexicon().actions[action]
+    moved = [words for part, words in _LIMBS.items() if part in row.part and (row.gesture or part == "arms")]
+    return frozenset(stems(word for words in moved for word in words))
+
+
+def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:
+    """Words of a text that say a part of the body or a movement beyond its actions, as they stand there. "Arms" add
+    nothing to a gesture of the arms.
+
+    Args:
+        text: In English.
+        actions: What it says, in the lexicon's words.
+    """
+    own, limbs = (frozenset[str]().union(*map(find, actions)) for find in (_own, _limbs))
+    if any(lexicon().actions[action].gesture for action in actions):
+        own |= _own("idle")  # who makes a gesture stands, said or not
+    verbs = action_stems()
+    found = []
+    words = words_of(text)[0]
+    for at, word in enumerate(words):
+        root = stem(word)
+        if word in lexicon().holding and body_stems().intersection(stems(words[at + 1 : at + 1 + _OBJECT])):
+            continue
+        if word in FUNCTION_WORDS or word.endswith("ly") or not word.isalpha():
+            continue
+        if (root in body_stems() and root not in limbs) or (root in verbs and root not in own):
+            found.append(word)
+    return tuple(dict.fromkeys(found))
+
+
+def unseen_word(text: str, action: str) -> str:
+    """The word that says an action in a text, where no watched caption has any that does; "" where one has.
+
+    Args:
+        text: In English.
+        action: In the lexicon's words.
+    """
+    said = [word for word in words_of(text)[0] if word.isalpha() and word not in FUNCTION_WORDS]
+    said = [word for word in said if stem(word) in _own(action)]
+    named = stems_of((action,))
+    if any(stem(word) in named or stem(word) in caption_stems() for word in said):
+        return ""
+    return said[0] if said else ""
+
+
+def tells_all(added: Collection[str], texts: tuple[str, ...]) -> bool:
+    """Whether all of the words that a clause adds are among those of some sentences."""
+    return all(stem(word) in stems_of(texts) for word in added)

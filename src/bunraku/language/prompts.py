@@ -7,7 +7,7 @@ import re
 import unicodedata
 from collections.abc import Sequence
 
-from bunraku.core.request.limits import WHOLE
+from bunraku.core.request import WHOLE
 from bunraku.errors import OptionError
 
 __all__ = ["LONGEST", "SHORTEST", "check_prompt", "narrow", "parse_sequence", "split_name", "timed_sequence"]

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from bunraku.language.limbs.posing import Posing, Stance
-from bunraku.language.told import Told
+from bunraku.language.interactions import Interaction
+from bunraku.language.posing import Posing, Stance
 
 __all__ = ["Clause", "Sentence", "Turn", "UnknownWord", "in_stretches"]
 
@@ -89,7 +89,7 @@ class Clause:
     straight: bool = False
     count: int | None = None
     added: tuple[str, ...] = ()
-    told: Told | Posing | None = None
+    told: Interaction | Posing | None = None
     stance: Stance | None = None
     moves: str = ""
     voices: tuple[Clause, ...] = field(default=())

@@ -13,16 +13,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from bunraku.errors import OptionError
-from bunraku.language.known.nearest import nearest_sentences
-from bunraku.language.known.spelling import corrected
-from bunraku.language.known.vocabulary import FUNCTION_WORDS, says_action, words_of
-from bunraku.language.lexicon.reading import in_known_words
-from bunraku.language.lexicon.reading import words_of as words_in
-from bunraku.language.lexicon.tables import lexicon
+from bunraku.language.interactions import interaction_of, thing_words
+from bunraku.language.lexicon import in_known_words, lexicon
+from bunraku.language.lexicon import words_of as words_in
 from bunraku.language.prompts import check_prompt, narrow
 from bunraku.language.sentence import UnknownWord
-from bunraku.language.told import thing_words, told_of
-from bunraku.language.words import Translation, translate
+from bunraku.language.translation import Translation, translate
+from bunraku.language.vocabulary import FUNCTION_WORDS, corrected, nearest_sentences, says_action, words_of
 
 __all__ = ["Understanding", "check_understood", "understood"]
 
@@ -94,7 +91,7 @@ def understood(prompt: str) -> Understanding:
     check_prompt(prompt)
     plain = narrow(prompt)
     translation = translate(plain)
-    if translation.concepts and told_of(plain) is None:  # "touches" is French, too
+    if translation.concepts and interaction_of(plain) is None:  # "touches" is French, too
         found = _foreign(plain, translation)
     else:
         found = _english(plain, "en" if translation.concepts else translation.language)
@@ -204,7 +201,7 @@ def _says_something(text: str, known: list[str], count: int) -> bool:
     """Whether a sentence says a movement, or consists of known words that say something."""
     if not count or len(known) < _SHARE * count:
         return False
-    if says_action(text) or told_of(text) is not None:
+    if says_action(text) or interaction_of(text) is not None:
         return True
     return len(known) == count and any(word.lower() not in FUNCTION_WORDS for word in known)
 

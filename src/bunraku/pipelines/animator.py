@@ -2,41 +2,81 @@
 
 from __future__ import annotations
 
+import html
 import logging
+import sys
+import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.core.animated import AnimatedCharacter
-from bunraku.core.animation import Animation
+from bunraku.anatomy.handles.limbs import has_extra_legs
+from bunraku.anatomy.handles.predict import Predictor
+from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character, Handles
-from bunraku.core.ground_path import GroundPath
-from bunraku.core.motion import HandleMotion
-from bunraku.core.request.limits import SECONDS
-from bunraku.core.resample import resample
-from bunraku.core.rig_animation import RigAnimation
-from bunraku.diffusion.generation.drawing import Drawing
-from bunraku.diffusion.generation.networks import Networks
+from bunraku.core.motion import HandleMotion, resample
+from bunraku.core.request import SECONDS
+from bunraku.core.travel import GroundPath
 from bunraku.errors import CharacterError, FormatError, OptionError
-from bunraku.handles.limbs import further_legged
-from bunraku.handles.predict import Predictor
+from bunraku.generation.candidates import SamplingSettings
+from bunraku.generation.networks import Networks
 from bunraku.language.sentence import Sentence, in_stretches
 from bunraku.pipelines.apply import apply_motion, apply_rigged, reference_of, reference_path
-from bunraku.pipelines.bodies import as_bodies_do, moved_ways
-from bunraku.pipelines.notebook import cell_progress
-from bunraku.pipelines.requests.apparel import Apparel
-from bunraku.pipelines.requests.constraints import Constraints, InPlace, Loop
-from bunraku.pipelines.requests.request import Request, check_handles
-from bunraku.retarget.stages.switches import Stages
+from bunraku.pipelines.bodies import adapt_to_body, apply_locomotion
+from bunraku.pipelines.requests import Apparel, Constraints, InPlace, Loop, Request, check_handles
+from bunraku.retarget.stages import Stages
 
 if TYPE_CHECKING:
     from bunraku.retarget.rig_parts import RigParts
 
-__all__ = ["AT_ONCE", "Animator", "Body", "alike", "own_rig"]
+__all__ = ["AT_ONCE", "Animator", "Body", "alike", "cell_progress", "own_rig"]
+
+
+LEAST = 0.1
+"""Seconds between two pictures of a bar."""
+
+
+def cell_progress() -> Callable[[str, float], None] | None:
+    """Bars of the notebook's cell that runs, one for each stage; None outside of notebooks."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    if shell is None or type(shell).__name__ != "ZMQInteractiveShell":  # that of a kernel, not of a terminal
+        return None
+    from importlib import import_module
+
+    return _Bars(import_module("IPython.display"))
+
+
+class _Bars:
+    """Stages and how far they are.
+
+    Args:
+        shown: The module that shows things in a cell.
+    """
+
+    def __init__(self, shown: Any):
+        self.shown, self.stages, self.handle, self.last = shown, {}, None, 0.0  # type: ignore[var-annotated]
+
+    def __call__(self, stage: str, done: float) -> None:
+        """Show that a share of a stage, 0 to 1, is done."""
+        self.stages[stage] = min(max(float(done), 0.0), 1.0)
+        now = time.monotonic()
+        if done < 1 and now - self.last < LEAST:
+            return
+        self.last = now
+        picture = self.shown.HTML("".join(
+            f'<div><progress value="{share:.3f}"></progress> {html.escape(name)}</div>'
+            for name, share in self.stages.items()
+        ))  # fmt: skip
+        if self.handle is None:
+            self.handle = self.shown.display(picture, display_id=True)
+        else:
+            self.handle.update(picture)
+
 
 Progress = Callable[[str, float], None]
 AT_ONCE = 8
@@ -72,7 +112,7 @@ class Body:
         move.
         """
         anatomy = self.anatomy
-        return self.parts is None and anatomy.plan.kind == "person" and not further_legged(anatomy.handles)
+        return self.parts is None and anatomy.plan.kind == "person" and not has_extra_legs(anatomy.handles)
 
 
 def _silent(*messages: object) -> None:
@@ -160,7 +200,7 @@ class Animator:
         self, body: Body, sentences: list[Sentence], request: Request, requests: Sequence[Request],
         only: Collection[int] | None,
     ) -> Iterator[Animation | RigAnimation]:  # fmt: skip
-        sentences, as_people = as_bodies_do(sentences, body.anatomy)
+        sentences, as_people = adapt_to_body(sentences, body.anatomy)
         drawing = self._drawing(request, body.feature, as_people)
         path = reference_path(request.constraints.path, body.anatomy)
         wanted = range(len(requests)) if only is None else sorted(only)
@@ -244,13 +284,16 @@ class Animator:
         sentences, request = _read(requests), _common(requests)
         request.check()
         _check_lengths(sentences)
-        sentences, as_people = (sentences, True) if body is None else as_bodies_do(sentences, body)
+        sentences, as_people = (sentences, True) if body is None else adapt_to_body(sentences, body)
         feature = body.handles.features if feature is None and body is not None else feature
         drawing, constraints = self._drawing(request, feature, as_people), request.constraints
         motions = self._draw(sentences, seeds, constraints, constraints.path, drawing)
         if body is None:
             return motions
-        return [moved_ways(motion, one, body, constraints.loop) for motion, one in zip(motions, sentences, strict=True)]
+        return [
+            apply_locomotion(motion, one, body, constraints.loop)
+            for motion, one in zip(motions, sentences, strict=True)
+        ]
 
     def handles(self, character: Character, handles: Handles | str = "predict") -> Handles:
         """The handles of a character (Eq. 1 of TapMo), at most four weights a vertex, as viewers read them.
@@ -269,7 +312,7 @@ class Animator:
         check_handles(handles)
         self.progress("handles", 0.0)
         if handles == "rig":
-            from bunraku.handles.from_rig import rig_handles
+            from bunraku.anatomy.names.bone_names import rig_handles
 
             found = replace(rig_handles(character), features=self.predictor.feature(character))
         else:
@@ -320,9 +363,9 @@ class Animator:
             anatomy=anatomy,
         )  # fmt: skip
 
-    def _drawing(self, request: Request, feature: object | None, as_people: bool) -> Drawing:
+    def _drawing(self, request: Request, feature: object | None, as_people: bool) -> SamplingSettings:
         how = request.sampling
-        return Drawing(
+        return SamplingSettings(
             how.steps, how.guidance, feature, self.progress, candidates=how.candidates, examples=as_people,
             classifier_guidance=as_people, note=self.note, held=self.networks,
         )  # fmt: skip
@@ -333,11 +376,10 @@ class Animator:
         seeds: int | Sequence[int],
         constraints: Constraints,
         path: GroundPath | None,
-        drawing: Drawing,
+        drawing: SamplingSettings,
     ) -> list[HandleMotion]:
         """A motion of the reference body for each sentence, along a path in its metres."""
-        from bunraku.diffusion.generation.editing import continue_motion
-        from bunraku.diffusion.generation.generate import generate_motions
+        from bunraku.generation.generate import continue_motion, generate_motions
 
         given, scripts = constraints.after, [sentence.clauses for sentence in sentences]
         if given is None:
@@ -354,7 +396,7 @@ class Animator:
     ) -> Animation | RigAnimation:
         """A motion of the reference body on a character."""
         constraints, stages = request.constraints, request.stages
-        motion = moved_ways(motion, sentence, body.anatomy, constraints.loop)
+        motion = apply_locomotion(motion, sentence, body.anatomy, constraints.loop)
         if body.parts is None:
             return apply_motion(motion, body.anatomy, constraints, stages, self.progress)
         if request.apparel.moves:
@@ -371,7 +413,7 @@ def own_rig(character: Character, request: Request) -> RigParts | None:
             it, and there are none, or they are not understood.
     """
     if request.apparel.motion == "simulate":
-        from bunraku.physics.chains.animated import check_apparel
+        from bunraku.apparel.chains.moving import check_apparel
         from bunraku.retarget.rig_parts import RigParts
 
         check_apparel(character)  # before the work
@@ -394,7 +436,7 @@ def _written_handles(character: Character) -> Handles | None:
     """The handles of a file that Bunraku wrote; None of others."""
     if character.rig is None:
         return None
-    from bunraku.formats.gltf.bunraku_clip import clip_handles
+    from bunraku.files.gltf.write import clip_handles
 
     try:
         return clip_handles(Path(character.name), character)

@@ -15,34 +15,34 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.apparel.artist_mask import artist_mask, artist_mask_file, read_artist_mask
+from bunraku.apparel.body import UnifiedBody
+from bunraku.apparel.chains.body_collisions import over_legs, push_out_of_body
+from bunraku.apparel.chains.chain import parameters_beside
+from bunraku.apparel.chains.chain_rig import Chained, on_handle_rig
+from bunraku.apparel.chains.cloth_repairs import damped, free_shares, mend_tears, smooth_neighbours, torn_parts
+from bunraku.apparel.chains.from_shape import with_parts_from_file
+from bunraku.apparel.chains.moving import moving_rig, steady_simulation, with_apparel
 from bunraku.apparel.clothed import ClothedCharacter
-from bunraku.apparel.displacement.player import ApparelPlayer
-from bunraku.apparel.displacement.weights import DisplacementNetwork, load_displacement
 from bunraku.apparel.fitting import eased_border
 from bunraku.apparel.layers import Layers
-from bunraku.apparel.unified import UnifiedBody
-from bunraku.body.layout import JOINT_COUNT
-from bunraku.core.animation import Animation
+from bunraku.apparel.learned.network import DisplacementNetwork, load_displacement
+from bunraku.apparel.learned.player import ApparelPlayer
+from bunraku.apparel.mask import artist_mask, artist_mask_file, read_artist_mask
+from bunraku.apparel.physics.clothed_from_file import clothed_from_file
+from bunraku.apparel.physics.rig import apparel_rig
+from bunraku.core.animation import Animation, PointAnimation, RigAnimation
+from bunraku.core.body.layout import JOINT_COUNT
 from bunraku.core.character import Character
-from bunraku.core.point_animation import PointAnimation
-from bunraku.core.rig_animation import RigAnimation
+from bunraku.core.nn.checkpoints import dated_checkpoint
 from bunraku.errors import CharacterError
-from bunraku.nn.checkpoints import dated_checkpoint
-from bunraku.physics.chains.after.outside import outside
-from bunraku.physics.chains.after.over_legs import over_legs
-from bunraku.physics.chains.after.together import swung_less, together
-from bunraku.physics.chains.after.torn import eased, own_way, torn_parts
-from bunraku.physics.chains.animated import with_apparel
-from bunraku.physics.chains.laid import Chained
-from bunraku.physics.chains.manners_file import manners_beside
-from bunraku.physics.chains.moving import moving_rig, steady_simulation
-from bunraku.physics.chains.on_handles import on_handle_rig
-from bunraku.physics.chains.told_parts import with_told_parts
-from bunraku.physics.from_file import apparel_rig
-from bunraku.physics.told.clothed import clothed_from_file
-from bunraku.pipelines.clothes import body_of_handles, laid_over, told_apart, too_much, wears
-from bunraku.pipelines.requests.apparel import Apparel
+from bunraku.pipelines.clothes import (
+    body_of_handles,
+    excess_apparel_note,
+    may_have_apparel,
+    separate_apparel,
+    with_apparel_chains,
+)
+from bunraku.pipelines.requests import Apparel
 
 __all__ = ["animated_clothed", "chained", "dressed", "learned", "shipped_displacement"]
 
@@ -115,7 +115,9 @@ def dressed(
         clothed, _, _ = animated_clothed(animation)
         if _little(animation.character, clothed.apparel):
             return animation
-        problem = "" if artist_mask_file(animation.character) else too_much(animation.character, clothed.apparel)
+        problem = (
+            "" if artist_mask_file(animation.character) else excess_apparel_note(animation.character, clothed.apparel)
+        )
         if problem:
             _log.warning("%s", problem)
             return animation
@@ -154,7 +156,7 @@ def learned(
         WeightsError: The shipped weights are missing or broken.
     """
     clothed, transforms, moved = animated_clothed(animation, mask, stiffness=stiffness)
-    clothed = with_told_parts(clothed, manners_beside(animation.character))
+    clothed = with_parts_from_file(clothed, parameters_beside(animation.character))
     return _learned(clothed, transforms, moved, progress, network, safe)
 
 
@@ -188,14 +190,14 @@ def _chained(
     progress = progress or (lambda stage, done: None)
     progress("apparel", 0.0)
     moved, bones = _boned(animation)
-    made = laid_over(moved.character, clothed, bones, stiffness, gravity)
+    made = with_apparel_chains(moved.character, clothed, bones, stiffness, gravity)
     found = steady_simulation(made.on(moved), made.rig(tied=False), progress=lambda done: progress("apparel", done))
     for problem in found.report.problems():
         _log.warning("%s: %s", animation.character.name, problem)
-    calm = together(found.animation, made.chains, made.near)
+    calm = smooth_neighbours(found.animation, made.chains, made.near)
     assert moved.character.rig is not None
     calm = over_legs(calm, made.chains, made.near, clothed, bones, moved.character.rig)
-    return outside(calm, made.chains, clothed, bones), made
+    return push_out_of_body(calm, made.chains, clothed, bones), made
 
 
 def _boned(animation: Animation | RigAnimation) -> tuple[RigAnimation, np.ndarray]:
@@ -260,10 +262,10 @@ def _mended(
         if not torn:
             break
         if attempt:
-            swings = swung_less(swings, made.chains, made.of_vertices(np.isin(clothed.part, list(torn))))
-            found = eased(swings, skin, free)
-        free = free * own_way(clothed, found.vertices, plain.vertices, len(found), torn)
-        found = eased(swings, skin, free)
+            swings = damped(swings, made.chains, made.of_vertices(np.isin(clothed.part, list(torn))))
+            found = mend_tears(swings, skin, free)
+        free = free * free_shares(clothed, found.vertices, plain.vertices, len(found), torn)
+        found = mend_tears(swings, skin, free)
         torn = torn_parts(clothed, found.vertices, plain.vertices, len(found))
     return found, torn
 
@@ -294,7 +296,7 @@ def animated_clothed(
         affine = moved.motion.transforms(moved.handles.positions)[:, : len(joints)]
         positions = np.einsum("njab,jb->nja", affine[..., :3], joints) + affine[..., 3]
         transforms = np.concatenate([affine[..., :3], positions[..., None]], axis=3).astype(np.float32)
-    clothed = told_apart(character, joints, weights, mask, stiffness)
+    clothed = separate_apparel(character, joints, weights, mask, stiffness)
     return clothed, transforms, moved.animation() if isinstance(moved, RigAnimation) else moved
 
 
@@ -305,7 +307,7 @@ def _person(animation: Animation | RigAnimation, anatomy: Anatomy | None) -> boo
         return True
     if isinstance(animation, RigAnimation):
         return _unified(character) is not None
-    return wears(anatomy or Anatomy.of(character, animation.handles))
+    return may_have_apparel(anatomy or Anatomy.of(character, animation.handles))
 
 
 def _unified(character: Character) -> UnifiedBody | None:

@@ -6,18 +6,15 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from bunraku.anatomy.anatomy import Anatomy
-from bunraku.core.animated import AnimatedCharacter
-from bunraku.core.animation import Animation
+from bunraku.anatomy.anatomy import Anatomy, stiff
+from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character
-from bunraku.core.ground_path import GroundPath, bent_to_path
 from bunraku.core.motion import HandleMotion
-from bunraku.core.request.constraint import Constraint
-from bunraku.core.rig_animation import RigAnimation
-from bunraku.pipelines.requests.constraints import Constraints
-from bunraku.retarget.body_motion import stiff
+from bunraku.core.request import Constraint
+from bunraku.core.travel import GroundPath, bent_to_path
+from bunraku.pipelines.requests import Constraints
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.stages.pins import meet_pins
+from bunraku.retarget.pins import meet_pins
 
 if TYPE_CHECKING:
     from bunraku.retarget.rig_parts import RigParts
@@ -99,8 +96,8 @@ def apply_simulated(
     Raises:
         CharacterError: There is no physics in the file, or the names of its bones do not tell their parts.
     """
-    from bunraku.core.resample import resample
-    from bunraku.physics.chains.animated import simulated
+    from bunraku.apparel.chains.moving import simulated
+    from bunraku.core.motion import resample
     from bunraku.retarget.rig_parts import RigParts
 
     own = Constraints.of(in_place=in_place)
@@ -124,7 +121,7 @@ def apply_rigged(
         stages: Which stages fit the motion to the rig; all when None.
         progress: Called with a stage's name and the share done, 0 to 1.
     """
-    from bunraku.retarget.rig_motion import handle_animation
+    from bunraku.retarget.to_reference import handle_animation
     from bunraku.retarget.to_rig import on_bones
 
     constraints = Constraints(constraints)
@@ -161,6 +158,6 @@ def reference_of(animation: AnimatedCharacter, anatomy: Anatomy | None = None) -
     """
     if animation.reference is not None:
         return animation.reference
-    from bunraku.retarget.reference import motion_to_reference
+    from bunraku.retarget.to_reference import motion_to_reference
 
     return motion_to_reference(animation.motion, anatomy or Anatomy.of(animation.character, animation.handles))

@@ -11,15 +11,24 @@ from itertools import groupby
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.handles.limbs import FAMILIES, limb_handles
 from bunraku.anatomy.plan import BodyPlan
-from bunraku.body.layout import HANDLE_NAMES
+from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
-from bunraku.handles.limbs import FAMILIES, limb_handles
-from bunraku.language.bodies import INSTEAD, for_body
+from bunraku.language.parse import INSTEAD, for_body
 from bunraku.language.sentence import Sentence
-from bunraku.retarget.creatures.ways import moved_so
+from bunraku.retarget.locomotion import moved_so
 
-__all__ = ["BodyFacts", "PartFact", "as_bodies_do", "body_facts", "kind_of", "moved_ways", "moves_as_people", "suited"]
+__all__ = [
+    "BodyFacts",
+    "PartFact",
+    "adapt_to_body",
+    "body_facts",
+    "body_kind",
+    "apply_locomotion",
+    "moves_as_people",
+    "adapt_sentence",
+]
 
 
 LEAST = 0.004  # share of the surface from which a part counts as found
@@ -105,7 +114,7 @@ def body_facts(anatomy: Anatomy) -> BodyFacts:
 def _cannot(plan: BodyPlan) -> list[str]:
     out = []
     if not plan.legs:
-        out.append(f"no legs are found: where a sentence says walk or run, it {INSTEAD[kind_of(plan)]} instead")
+        out.append(f"no legs are found: where a sentence says walk or run, it {INSTEAD[body_kind(plan)]} instead")
     if plan.front:
         out.append("it stands on its forelegs: where a sentence says wave, clap or hold, it hardly lifts them")
     elif not plan.arms and not plan.wings:
@@ -115,17 +124,17 @@ def _cannot(plan: BodyPlan) -> list[str]:
     return out
 
 
-def kind_of(plan: BodyPlan) -> str:
+def body_kind(plan: BodyPlan) -> str:
     """The kind of a body, as `language.bodies` has them."""
     if plan.legs:
         return plan.kind
     return "snake" if plan.slithers else "fish" if plan.swims else "no legs"
 
 
-def suited(sentence: Sentence, plan: BodyPlan) -> Sentence:
+def adapt_sentence(sentence: Sentence, plan: BodyPlan) -> Sentence:
     """A sentence as a body of this plan does it."""
     there = {"arms": plan.arms, "forelegs": plan.front, "wings": plan.wings}
-    return for_body(sentence, kind_of(plan), [part for part, found in there.items() if found], moves_as_people(plan))
+    return for_body(sentence, body_kind(plan), [part for part, found in there.items() if found], moves_as_people(plan))
 
 
 def moves_as_people(plan: BodyPlan) -> bool:
@@ -133,7 +142,7 @@ def moves_as_people(plan: BodyPlan) -> bool:
     return plan.upright and not plan.swims
 
 
-def as_bodies_do(sentences: Sequence[Sentence], anatomy: Anatomy) -> tuple[list[Sentence], bool]:
+def adapt_to_body(sentences: Sequence[Sentence], anatomy: Anatomy) -> tuple[list[Sentence], bool]:
     """Sentences as a body does them, and whether it moves as people do.
 
     Args:
@@ -141,10 +150,10 @@ def as_bodies_do(sentences: Sequence[Sentence], anatomy: Anatomy) -> tuple[list[
         anatomy: Of the body.
     """
     plan = anatomy.plan
-    return [suited(sentence, plan) for sentence in sentences], moves_as_people(plan)
+    return [adapt_sentence(sentence, plan) for sentence in sentences], moves_as_people(plan)
 
 
-def moved_ways(motion: HandleMotion, sentence: Sentence, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
+def apply_locomotion(motion: HandleMotion, sentence: Sentence, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
     """A generated motion with what its locomotion needs: wings that beat in the air, a wave along the body, feet on
     the ground.
 

@@ -7,32 +7,35 @@ from dataclasses import replace
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.apparel.artist_mask import artist_mask
+from bunraku.apparel.chains.chain import parameters_beside, with_parameters
+from bunraku.apparel.chains.chain_rig import Chained, LaidChains, handle_rig, with_chains
+from bunraku.apparel.chains.from_shape import shape_chains
 from bunraku.apparel.clothed import SOFTEST, STIFFEST, ClothedCharacter
-from bunraku.apparel.fitting import fitted_clothes, joint_weights_of_handles, joints_of_handles, without_worn
+from bunraku.apparel.fitting import (
+    carried,
+    fitted_clothes,
+    fitted_rig,
+    joint_weights_of_handles,
+    joints_of_handles,
+    without_worn,
+)
 from bunraku.apparel.hanging import hanging_mask
-from bunraku.apparel.mask import apparel_mask
-from bunraku.apparel.segmentation.predict import find_apparel
-from bunraku.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.apparel.learned.segmentation import find_apparel
+from bunraku.apparel.mask import apparel_mask, artist_mask
+from bunraku.core.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS, engine_names
 from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError
-from bunraku.physics.chains.fitted import carried, fitted_rig
-from bunraku.physics.chains.from_shape import shape_chains
-from bunraku.physics.chains.laid import Chained, LaidChains, with_chains
-from bunraku.physics.chains.manners_file import manners_beside, with_manners
-from bunraku.physics.chains.on_handles import handle_rig
 from bunraku.retarget.engine_skeleton import on_skeleton, t_pose
-from bunraku.skeletons.engine_names import engine_names
 
 __all__ = [
     "apparel_of",
     "body_of_handles",
     "clothed_of",
-    "laid_over",
+    "with_apparel_chains",
     "rig_with_chains",
-    "told_apart",
-    "too_much",
-    "wears",
+    "separate_apparel",
+    "excess_apparel_note",
+    "may_have_apparel",
 ]
 
 _HEAD = JOINT_NAMES.index("head")
@@ -54,7 +57,7 @@ def body_of_handles(character: Character, handles: Handles) -> tuple[np.ndarray,
     return weights, joints_of_handles(character.vertices, weights, character.areas, handles.positions)
 
 
-def told_apart(
+def separate_apparel(
     character: Character, joints: np.ndarray, weights: np.ndarray, mask: np.ndarray | None, stiffness: float = 1.0
 ) -> ClothedCharacter:
     """A character whose apparel is told from its body, each part on the joint that carries it.
@@ -92,12 +95,12 @@ def apparel_of(character: Character, handles: Handles, mask: np.ndarray | None =
         mask: As of `told_apart`.
     """
     weights, joints = body_of_handles(character, handles)
-    if mask is None and not wears(Anatomy.of(character, handles)):
+    if mask is None and not may_have_apparel(Anatomy.of(character, handles)):
         return np.zeros(len(character.vertices), bool)
-    return told_apart(character, joints, weights, mask).apparel
+    return separate_apparel(character, joints, weights, mask).apparel
 
 
-def too_much(character: Character, apparel: np.ndarray) -> str:
+def excess_apparel_note(character: Character, apparel: np.ndarray) -> str:
     """What to say where so much of a mesh is taken for apparel that it is hardly true; "" where it is not.
 
     Args:
@@ -113,7 +116,7 @@ def too_much(character: Character, apparel: np.ndarray) -> str:
     )
 
 
-def wears(anatomy: Anatomy) -> bool:
+def may_have_apparel(anatomy: Anatomy) -> bool:
     """Whether what the segmentation network finds on a body counts: it knows people, and calls the legs of a horse
     sleeves, and the plates of a machine skirts. Long tails of hair may be taken for the wings of a person.
     """
@@ -123,7 +126,7 @@ def wears(anatomy: Anatomy) -> bool:
     return (plan.kind == "person" or (plan.kind == "two legs" and plan.upright and plan.wings)) and not stiff
 
 
-def laid_over(
+def with_apparel_chains(
     character: Character, clothed: ClothedCharacter, bones: np.ndarray, stiffness: float = 1.0, gravity: float = 1.0
 ) -> Chained:
     """A character whose rig has chains of bones over its apparel.
@@ -160,7 +163,7 @@ def rig_with_chains(
     character, handles = anatomy.character, anatomy.handles
     clothed = clothed or clothed_of(anatomy, mask)
     if skeleton is None:
-        return laid_over(handle_rig(character, handles), clothed, np.arange(JOINT_COUNT), stiffness, gravity)
+        return with_apparel_chains(handle_rig(character, handles), clothed, np.arange(JOINT_COUNT), stiffness, gravity)
     laid = _laid(character, clothed, stiffness, gravity)
     share, joint = carried(clothed)
     carrier = np.eye(handles.weights.shape[1], dtype=np.float32)[joint]
@@ -189,13 +192,13 @@ def clothed_of(anatomy: Anatomy, mask: np.ndarray | None = None) -> ClothedChara
         mask = artist_mask(character)
     if mask is None and character.rig is not None:
         mask = apparel_mask(character)
-    if mask is None and not wears(anatomy):
+    if mask is None and not may_have_apparel(anatomy):
         raise CharacterError(
             f"{character.name}: it is {anatomy.plan.words}, on which no apparel is looked for; name its vertices in a "
             "mask (--apparel mask.npy)"
         )
-    clothed = told_apart(character, joints, weights, mask)
-    problem = too_much(character, clothed.apparel) if mask is None else ""
+    clothed = separate_apparel(character, joints, weights, mask)
+    problem = excess_apparel_note(character, clothed.apparel) if mask is None else ""
     if problem:
         raise CharacterError(problem)
     return clothed
@@ -203,7 +206,7 @@ def clothed_of(anatomy: Anatomy, mask: np.ndarray | None = None) -> ClothedChara
 
 def _laid(character: Character, clothed: ClothedCharacter, stiffness: float, gravity: float) -> LaidChains:
     laid = shape_chains(clothed)
-    laid = replace(laid, chains=with_manners(laid.chains, manners_beside(character))).turned(stiffness, gravity)
+    laid = replace(laid, chains=with_parameters(laid.chains, parameters_beside(character))).turned(stiffness, gravity)
     if not laid.chains:
         raise CharacterError(
             f"{character.name}: no apparel was found on this mesh that could swing; name its vertices in a mask "

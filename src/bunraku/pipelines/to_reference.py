@@ -12,22 +12,15 @@ from dataclasses import replace
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.body.layout import HANDLE_COUNT
-from bunraku.core.animation import Animation
+from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.body.layout import HANDLE_COUNT
 from bunraku.core.character import Character, Handles
-from bunraku.core.mesh_motion import MeshMotion
-from bunraku.core.motion import HandleMotion, SkeletalMotion
-from bunraku.core.rig_animation import RigAnimation
+from bunraku.core.geometry.curves import tallest_steady
+from bunraku.core.motion import HandleMotion, MeshMotion, SkeletalMotion
 from bunraku.errors import CharacterError, MotionError
-from bunraku.geometry.steady import tallest_steady
-from bunraku.io.motions import Motion
-from bunraku.io.play import bones_of
-from bunraku.retarget.creatures.motion import (
-    CreatureMotion,
-    motion_of_handles,
-    motion_of_rig,
-    motion_of_skeleton,
-)
+from bunraku.files.clips import bones_of
+from bunraku.pipelines.motions.read import Motion
+from bunraku.retarget.creatures import CreatureMotion, motion_of_handles, motion_of_rig, motion_of_skeleton
 from bunraku.retarget.rig_parts import RigParts
 
 __all__ = ["creature_motion", "reference_motion"]
@@ -50,7 +43,7 @@ def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, s
         MotionError: No pelvis and legs are found in the skeleton, or a handle motion is of something else.
         CharacterError: The character of a clip has no usable mesh.
     """
-    from bunraku.core.resample import resample
+    from bunraku.core.motion import resample
 
     if isinstance(motion, SkeletalMotion):
         return _of_skeleton(motion, fps, names)
@@ -106,10 +99,10 @@ def _creature_motion(motion: Motion, fps: float, names: Mapping[str, str] | None
 
 
 def _of_skeleton(motion: SkeletalMotion, fps: float, names: Mapping[str, str] | None) -> HandleMotion:
-    from bunraku.core.resample import resample_motion
-    from bunraku.retarget.body_motion import body_handle_motion
-    from bunraku.skeletons.skeleton_map import map_skeleton
-    from bunraku.skeletons.to_smpl import to_smpl
+    from bunraku.anatomy.anatomy import body_handle_motion
+    from bunraku.anatomy.names.skeleton_map import map_skeleton
+    from bunraku.anatomy.names.to_smpl import to_smpl
+    from bunraku.core.motion import resample_motion
 
     found = map_skeleton(motion.skeleton, names)
     return body_handle_motion(to_smpl(resample_motion(motion, fps), found))
@@ -119,7 +112,7 @@ def _of_animation(animation: Animation) -> HandleMotion:
     """Of a clip that a file brings, whose handles are its bones; or of handles that have the reference body's
     meaning.
     """
-    from bunraku.retarget.reference import motion_to_reference
+    from bunraku.retarget.to_reference import motion_to_reference
 
     character, rig = animation.character, animation.character.rig
     bones = 0 if rig is None else len(rig.names)
@@ -134,7 +127,7 @@ def _of_animation(animation: Animation) -> HandleMotion:
 
 
 def _of_rig(character: Character, rotations: np.ndarray, positions: np.ndarray, fps: float) -> HandleMotion:
-    from bunraku.retarget.rig_motion import rig_to_reference
+    from bunraku.retarget.to_reference import rig_to_reference
 
     character, rotations, positions = _facing(character, rotations, positions)
     return rig_to_reference(RigParts.of(character), rotations, positions, fps, own=True)
@@ -144,9 +137,9 @@ def _facing(
     character: Character, rotations: np.ndarray, positions: np.ndarray
 ) -> tuple[Character, np.ndarray, np.ndarray]:
     """A character and the motion of its bones, turned to face +Z by what its rig says."""
-    from bunraku.formats.gltf.turning import turned
-    from bunraku.geometry.axes import upright_rotation
-    from bunraku.skeletons.rig_axes import rig_axes
+    from bunraku.anatomy.names.bone_names import rig_axes
+    from bunraku.core.geometry.axes import upright_rotation
+    from bunraku.files.gltf.read import turned
 
     rig = character.rig
     assert rig is not None
@@ -177,7 +170,7 @@ def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
     """Of a moving mesh: its handles are predicted, registered (section A.2 of TapMo) and taken to the reference
     body.
     """
-    from bunraku.retarget.reference import motion_to_reference
+    from bunraku.retarget.to_reference import motion_to_reference
 
     motion, handles = _registered(rest, vertices, fps)
     return motion_to_reference(motion, Anatomy.of(rest, handles))
@@ -191,7 +184,7 @@ def _creature_of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> Crea
 def _registered(rest: Character, vertices: np.ndarray, fps: float) -> tuple[HandleMotion, Handles]:
     """How the predicted handles of a moving mesh move."""
     from bunraku.pipelines.animate import rig
-    from bunraku.retarget.from_mesh import handle_motion_of_mesh
+    from bunraku.retarget.to_reference import handle_motion_of_mesh
 
     handles = rig(rest)
     areas = rest.areas

@@ -14,25 +14,21 @@ from pathlib import Path
 from typing import Literal
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.core.animated import AnimatedCharacter
-from bunraku.core.animation import Animation
+from bunraku.apparel.chains.moving import check_apparel
+from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError
-from bunraku.io.motions import Motion, load_motion
-from bunraku.io.play import bones_of
-from bunraku.physics.chains.animated import check_apparel
+from bunraku.files.clips import bones_of
 from bunraku.pipelines.animator import Animator
-from bunraku.pipelines.requests.apparel import Apparel
-from bunraku.pipelines.requests.transfer import RATE, TransferRequest
+from bunraku.pipelines.motions.read import Motion, load_motion
+from bunraku.pipelines.requests import RATE, Apparel, TransferRequest
 from bunraku.pipelines.to_reference import creature_motion, reference_motion
-from bunraku.retarget.creatures.fit import fit_creature, fit_creature_rig
-from bunraku.retarget.creatures.motion import CreatureMotion
+from bunraku.retarget.creatures import CreatureMotion, fit_creature, fit_creature_rig
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.rig_parts import RigParts
+from bunraku.retarget.stages.feet import is_treadmill
 from bunraku.retarget.to_rig import fit_rig
-from bunraku.retarget.treadmill import is_treadmill
 
 __all__ = [
     "TRANSFER_STAGES", "Source", "apply_transfer", "fitted_transfer", "played_by_mmd", "same_skeleton", "transfer",
@@ -227,7 +223,7 @@ def apply_transfer(
 
 def same_skeleton(character: Character, motion: Motion) -> RigAnimation | None:
     """The clip of a character that has the same skeleton, bone by bone; None for other motions."""
-    from bunraku.retarget.same_rig import copied_bones
+    from bunraku.retarget.to_rig import copied_bones
 
     if character.rig is None or not isinstance(motion, Animation | RigAnimation) or motion.character.rig is None:
         return None
@@ -247,8 +243,8 @@ def played_by_mmd(character: Character, path: str | Path, fps: float) -> RigAnim
     """
     if Path(path).suffix.lower() != ".vmd":
         return None
-    from bunraku.core.mmd_model import mmd_model
-    from bunraku.formats.mmd.vmd import load_vmd
-    from bunraku.retarget.mmd.play import mmd_animation
+    from bunraku.core.avatars import mmd_model
+    from bunraku.files.mmd.vmd import load_vmd
+    from bunraku.retarget.mmd_motion import mmd_animation
 
     return None if mmd_model(character) is None else mmd_animation(character, load_vmd(path), fps)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from bunraku.render.camera import Camera
-from bunraku.render.frames import render_animation, render_frames, render_still
-from bunraku.render.palette import HANDLE_PALETTE, handle_colors
+from bunraku.render.frames import HANDLE_PALETTE, handle_colors, render_animation, render_frames, render_still
+from bunraku.render.pictures import contact_sheet
 from bunraku.render.preview import save_preview, save_still
-from bunraku.render.sheets import contact_sheet
+from bunraku.render.stage import Camera
 
 __all__ = [
     "HANDLE_PALETTE",

@@ -1,4 +1,4 @@
-"""Frames of animations and characters, one after the other: memory grows neither with the length nor with the mesh."""
+"""Frames of animations and characters, one after another: memory grows neither with the length nor with the mesh."""
 
 from __future__ import annotations
 
@@ -8,19 +8,34 @@ from typing import Literal
 
 import numpy as np
 
-from bunraku.core.animation import Animation
+from bunraku.core.animation import Animation, PointAnimation
 from bunraku.core.character import Character, Handles
-from bunraku.core.point_animation import PointAnimation
 from bunraku.core.skinning import skin_basis
 from bunraku.errors import OptionError
-from bunraku.render.camera import YAW, Camera, Framing, view_axes
-from bunraku.render.palette import handle_colors
-from bunraku.render.side_by_side import draw_side_by_side
-from bunraku.render.software import SoftwareRenderer
-from bunraku.render.stage import Background, set_stage
-from bunraku.render.surface import build_surface
+from bunraku.render.renderer import SoftwareRenderer, draw_parallel
+from bunraku.render.stage import YAW, Background, Camera, Framing, build_surface, set_stage, view_axes
 
-__all__ = ["moments", "render_animation", "render_frames", "render_still"]
+__all__ = ["HANDLE_PALETTE", "handle_colors", "moments", "render_animation", "render_frames", "render_still"]
+
+
+# Spread over the colours that can be told apart on a grey stage: any two are at least 30 apart in CIELAB, and parents
+# and
+# children, left and right, and handles with one parent at least 60.
+_HEX = """
+fa142c 14eeca 1444e2 696914 75b1fa 8de214 14ee5d b11499 2ca599 14d6fa
+5d9914 fa99a5 fa6914 146938 e25dfa fa1499 7544a5 a52c2c fa3869 14bd69
+faa514 e2b1fa 1481fa bd7538 145d99 bde299 8d385d d6d614 ee75bd faca75
+"""
+
+HANDLE_PALETTE: np.ndarray = np.frombuffer(bytes.fromhex(_HEX), np.uint8).reshape(30, 3)
+"""sRGB colour of each handle, shape (30, 3), uint8, read-only."""
+
+
+def handle_colors(handles: Handles) -> np.ndarray:
+    """sRGB colour of each vertex, the handles' colours blended by weight, shape (V, 3), uint8."""
+    palette = HANDLE_PALETTE[np.arange(len(handles.positions)) % len(HANDLE_PALETTE)].astype(np.float32)
+    return np.clip(handles.weights @ palette + 0.5, 0, 255).astype(np.uint8)
+
 
 SIZE = (640, 480)
 MOST_FACES = 120_000
@@ -274,4 +289,4 @@ def _draw(
         return SoftwareRenderer((width, height), surface, stage)
 
     frames = take.frames() if kept is None else iter(kept)
-    return draw_side_by_side(opened, ((posed, view.moved(o), o) for posed, o in zip(frames, offsets, strict=True)))
+    return draw_parallel(opened, ((posed, view.moved(o), o) for posed, o in zip(frames, offsets, strict=True)))

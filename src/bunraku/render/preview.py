@@ -1,25 +1,33 @@
-"""Previews of animations and characters, drawn without a window and written to files."""
+"""Previews of animations and characters written to files: pictures, videos, a page to look around in, and views of
+orientations.
+"""
 
 from __future__ import annotations
 
+import base64
+import html
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from bunraku.core.animation import Animation
+from bunraku.core.animation import Animation, PointAnimation
 from bunraku.core.character import Character, Handles
-from bunraku.core.point_animation import PointAnimation
-from bunraku.errors import OptionError
-from bunraku.render.camera import YAW
+from bunraku.core.files import atomic_write
+from bunraku.core.geometry.axes import ORIENTATIONS
+from bunraku.core.saving import save
+from bunraku.errors import FormatError, OptionError
 from bunraku.render.frames import SIZE, moments, render_animation, render_still
-from bunraku.render.page import page
-from bunraku.render.sheets import assemble
-from bunraku.render.stage import Background, parse_background
-from bunraku.render.video import check_target, write_moving, write_png
+from bunraku.render.pictures import assemble, check_target, page, write_moving, write_png
+from bunraku.render.stage import YAW, Background, parse_background
 
-__all__ = ["save_preview", "save_still"]
+if TYPE_CHECKING:
+    from bunraku.core.animation import AnimatedCharacter
+
+__all__ = ["MOST_BYTES", "orientation_views", "save_preview", "save_still", "write_html"]
+
 
 CELL = (240, 280)
 Progress = Callable[[int, int], None]
@@ -125,3 +133,83 @@ def _counted(pictures: Iterable[np.ndarray], total: int, progress: Progress) -> 
     for done, picture in enumerate(pictures, 1):
         yield picture
         progress(done, total)
+
+
+MOST_BYTES = 64 << 20
+"""Bytes of a model that a page holds."""
+
+
+def write_html(
+    animation: AnimatedCharacter,
+    path: Path,
+    *,
+    fps: float | None = None,
+    name: str | None = None,
+    most: int = MOST_BYTES,
+) -> Path:
+    """Write an animation as a page that shows it, by three.js.
+
+    Args:
+        animation: Of any kind that a GLB can hold.
+        path: The file.
+        fps: Frames a second of the clip [1/s]; those of the motion by default.
+        name: The title; the file's name by default.
+        most: Bytes that the model may have.
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        FormatError: The file cannot be written, or the model is larger.
+    """
+    title = str(name) if name else path.stem
+    rate: dict[str, Any] = {} if fps is None else {"fps": fps}
+    with tempfile.TemporaryDirectory() as folder:
+        model = save(animation, Path(folder, "model.glb"), name=title, **rate).read_bytes()
+    if len(model) > most:
+        raise FormatError(
+            path,
+            f"the model is larger than the {most >> 20} MiB that a page holds; simplify the mesh, or write a GLB",
+        )
+    view = Path(__file__).with_name("view")
+    page = view.joinpath("page.html").read_text(encoding="utf-8").replace("TITLE", html.escape(title))
+    script = view.joinpath("view.js").read_text(encoding="utf-8").replace("</script", "<\\/script")
+    before, _, rest = page.partition("MODEL")
+    middle, _, after = rest.partition("SCRIPT")
+    # the script in ASCII, for frames that take the encoding of what is around them
+    parts = before.encode(), base64.b64encode(model), middle.encode(), script.encode("ascii", "backslashreplace")
+    with atomic_write(path) as file:
+        for part in (*parts, after.encode()):
+            file.write(part)
+    return path
+
+
+VIEW_SIZE = (320, 360)
+
+
+def orientation_views(character: Character, count: int = 4) -> np.ndarray:
+    """The likeliest ways in which a character may stand, side by side: the right one stands upright and faces the
+    viewer. Each is labelled with the options that say it, and with how sure it is.
+
+    Args:
+        character: As its file has it.
+        count: How many, 1 to 24.
+
+    Returns:
+        The picture, shape (H, W, 3), uint8.
+
+    Raises:
+        WeightsError: The weights of the orientation network are missing or broken.
+        MissingExtraError: Pillow is not installed.
+    """
+    from bunraku.anatomy.handles.orientation import guess_orientation
+    from bunraku.files.gltf.read import turned
+
+    guess = guess_orientation(character)
+    likely = np.argsort(-guess.probabilities)[:count]
+    pictures = [render_still(turned(character, *ORIENTATIONS[n]), size=VIEW_SIZE, yaw=0.2) for n in likely]
+    labels = [
+        f"--up {ORIENTATIONS[n][0]} --front {ORIENTATIONS[n][1]} ({100 * min(guess.probabilities[n], 0.99):.0f} %)"
+        for n in likely
+    ]
+    return assemble(pictures, labels, columns=count)

@@ -1,16 +1,310 @@
-"""The stage that a character stands on: background, floor, lights, and the shadows of a frame."""
+"""What a picture shows besides the character's motion: camera, faces and colours, lights, shadows, floor and
+background.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from bunraku.errors import OptionError
-from bunraku.render.camera import Framing
-from bunraku.render.surface import Surface
+from bunraku.render.reference import rays
 
-__all__ = ["Shadows", "Stage", "cast_shadows", "parse_background", "set_stage"]
+__all__ = [
+    "Backdrop",
+    "Camera",
+    "Framing",
+    "Shadows",
+    "Stage",
+    "Surface",
+    "build_backdrop",
+    "build_surface",
+    "cast_shadows",
+    "compress_highlights",
+    "linear_from_srgb",
+    "parse_background",
+    "set_stage",
+    "srgb_from_linear",
+    "view_axes",
+]
+
+
+FIELD_OF_VIEW = np.deg2rad(26.0)
+YAW = np.deg2rad(32.0)
+ELEVATION = np.deg2rad(13.0)
+FOLLOW = 0.8
+"""A path longer than this many times the character is followed."""
+
+
+def view_axes(yaw: float = YAW, elevation: float = ELEVATION) -> np.ndarray:
+    """Camera axes that look at the origin from a direction.
+
+    Args:
+        yaw: Rotation of the viewer about +Y from +Z (the character's front) towards +X [rad].
+        elevation: Height of the viewer above the horizon [rad].
+
+    Returns:
+        Rows right, up and back (towards the viewer) in world coordinates, shape (3, 3), float64.
+    """
+    back = np.array([np.sin(yaw) * np.cos(elevation), np.sin(elevation), np.cos(yaw) * np.cos(elevation)])
+    right = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
+    return np.stack([right, np.cross(back, right), back])
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with square pixels and its principal point in the middle of the picture.
+
+    Args:
+        position: Position of the eye [m], shape (3,).
+        axes: Rows right, up and back in world coordinates, shape (3, 3).
+        field_of_view: Angle from the picture's lower to its upper border [rad].
+    """
+
+    position: np.ndarray
+    axes: np.ndarray
+    field_of_view: float = float(FIELD_OF_VIEW)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", np.asarray(self.position, np.float64).reshape(3))
+        object.__setattr__(self, "axes", np.asarray(self.axes, np.float64).reshape(3, 3))
+        if not 0 < self.field_of_view < np.pi:
+            raise OptionError("a camera's field of view must be between 0 and pi radians")
+
+    def moved(self, offset: np.ndarray) -> Camera:
+        """The same camera at another place, `offset` [m] away."""
+        return replace(self, position=self.position + offset)
+
+    def focal(self, height: int) -> float:
+        """Focal length in pixels for a picture that is `height` pixels high."""
+        return 0.5 * height / float(np.tan(0.5 * self.field_of_view))
+
+    def project(self, points: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+        """Pixel coordinates and distance of points.
+
+        Args:
+            points: Positions [m], shape (..., 3).
+            size: Width and height of the picture in pixels.
+
+        Returns:
+            Column, row (0, 0 is the upper left corner of the upper left pixel) and distance along the line of sight
+            [m], shape (..., 3), float64.
+        """
+        width, height = size
+        local = (np.asarray(points, np.float64) - self.position) @ self.axes.T
+        depth = -local[..., 2]
+        scale = self.focal(height) / np.where(np.abs(depth) < 1e-12, 1e-12, depth)
+        return np.stack([0.5 * width + local[..., 0] * scale, 0.5 * height - local[..., 1] * scale, depth], axis=-1)
+
+
+class Framing:
+    """Measures a motion frame by frame, then gives the closest camera that keeps all of it in the picture.
+
+    For a fixed direction the four sides of the view are planes of known slope, so the closest camera follows from four
+    support values per frame; no vertex has to be kept. A path about as long as the character is followed: the camera
+    moves with the smoothed path, and the ground shows the movement.
+
+    Args:
+        frames: Number of frames N.
+        size: Width and height of the picture in pixels.
+        fps: Frames a second [1/s].
+        axes: Rows right, up and back, shape (3, 3).
+        margin: Share of the picture's half width and height left empty at each border; a pair gives the lower border
+            another.
+        floor: Height on which the character stands at rest [m]; it is the ground where the motion stays near it.
+    """
+
+    def __init__(
+        self,
+        frames: int,
+        size: tuple[int, int],
+        fps: float = 20.0,
+        axes: np.ndarray | None = None,
+        margin: float | tuple[float, float] = 0.1,
+        floor: float | None = None,
+    ):
+        self.axes = view_axes() if axes is None else np.asarray(axes, np.float64)
+        self.bounds = np.zeros((frames, 2, 3), np.float32)
+        self._support = np.zeros((frames, 4))
+        self._fps = fps
+        self._floor = floor
+        above, below = (margin, margin) if isinstance(margin, float) else margin
+        slope = float(np.tan(0.5 * FIELD_OF_VIEW))
+        self._slopes = np.array([slope * size[0] / size[1] * (1 - above), slope * (1 - above), slope * (1 - below)])
+
+    def add(self, frame: int, vertices: np.ndarray) -> None:
+        """Measure one frame: vertices [m], shape (V, 3), float32, contiguous."""
+        from bunraku.render.kernels import measure
+
+        self.bounds[frame], self._support[frame] = measure(vertices, self.axes, self._slopes)
+
+    @property
+    def extent(self) -> float:
+        """Largest extent of the character in any frame [m]."""
+        return max(float((self.bounds[:, 1] - self.bounds[:, 0]).max()), 1e-9)
+
+    @property
+    def ground(self) -> float:
+        """Height of the ground [m]: the floor of the rest pose, through which a weapon or a tail may pass for a while;
+        of a motion elsewhere, or without a floor, what the lowest vertices of nearly all frames stand above.
+        """
+        lowest = float(np.quantile(self.bounds[:, 0, 1], 0.05, method="lower"))
+        if self._floor is not None and abs(lowest - self._floor) < 0.4 * self.extent:
+            return self._floor
+        return lowest
+
+    def offsets(self) -> np.ndarray:
+        """How far the camera and the lit part of the floor have moved in each frame [m], shape (N, 3); zeros for a
+        short path.
+        """
+        centre = self.bounds.mean(axis=1).astype(np.float64)
+        out = np.zeros_like(centre)
+        path = centre[:, [0, 2]]
+        if float(np.ptp(path, axis=0).max(initial=0)) <= FOLLOW * self.extent:
+            return out
+        from bunraku.core.geometry.curves import gaussian
+
+        # Mirrored about its ends the path goes on as it came, so that a straight walk is followed without lag.
+        sigma = 0.6 * self._fps
+        spare = min(int(4 * sigma) + 1, len(path) - 1)
+        longer = np.pad(path, ((spare, spare), (0, 0)), mode="reflect", reflect_type="odd")
+        smooth = gaussian(longer, sigma)[spare : spare + len(path)]
+        out[:, [0, 2]] = smooth - path.mean(axis=0)
+        return out
+
+    def camera(self) -> Camera:
+        """The closest camera, to be moved by `offsets` in each frame."""
+        local = self.offsets() @ self.axes.T
+        across, above, below = self._slopes
+        right = (self._support[:, 0] - local[:, 0] - across * local[:, 2]).max()
+        left = (self._support[:, 1] - local[:, 0] + across * local[:, 2]).min()
+        top = (self._support[:, 2] - local[:, 1] - above * local[:, 2]).max()
+        bottom = (self._support[:, 3] - local[:, 1] + below * local[:, 2]).min()
+        back = max((right - left) / (2 * across), (top - bottom) / (above + below))
+        # What the tighter side leaves free is shared by both borders of the other one.
+        x, y = 0.5 * (right + left), 0.5 * (top - above * back + bottom + below * back)
+        return Camera(np.array([x, y, back]) @ self.axes, self.axes)
+
+
+CREASE = np.deg2rad(42.0)
+CLAY = (206, 170, 142)
+
+
+def linear_from_srgb(values: np.ndarray) -> np.ndarray:
+    """Linear light of sRGB values, both 0..1."""
+    values = np.asarray(values, np.float32)
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def srgb_from_linear(values: np.ndarray) -> np.ndarray:
+    """sRGB values of linear light, both 0..1."""
+    values = np.asarray(values, np.float32)
+    return np.where(
+        values <= 0.0031308, values * 12.92, 1.055 * np.maximum(values, 0.0031308) ** (1 / 2.4) - 0.055
+    ).astype(np.float32)
+
+
+def compress_highlights(values: np.ndarray) -> np.ndarray:
+    """Linear light with all above a half bent to stay below 1, so that white characters keep their shape."""
+    values = np.asarray(values, np.float32)
+    return np.where(values <= 0.5, values, 1 - 0.5 * np.exp(1 - 2 * np.maximum(values, 0.5))).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A mesh as the renderer draws it: points are vertices, split where a crease parts their normals.
+
+    Args:
+        faces: Vertices of each triangle, shape (F, 3), int32.
+        triangles: Points of each triangle, shape (F, 3), int32.
+        clusters: Normal of each corner, shape (F, 3), int32, below `normal_count`.
+        point_vertex: Vertex of each point, shape (P,), int32.
+        point_cluster: Normal of each point, shape (P,), int32.
+        colors: Linear colour of each point, shape (P, 3), float32.
+        normal_count: Number of normals.
+    """
+
+    faces: np.ndarray
+    triangles: np.ndarray
+    clusters: np.ndarray
+    point_vertex: np.ndarray
+    point_cluster: np.ndarray
+    colors: np.ndarray
+    normal_count: int
+
+    def pose(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions [m] and unit normals of the points, both (P, 3), for vertices [m] (V, 3), float32."""
+        from bunraku.render.kernels import accumulate_normals
+
+        normals = accumulate_normals(vertices, self.faces, self.clusters, self.normal_count)
+        return vertices.take(self.point_vertex, axis=0), normals.take(self.point_cluster, axis=0)
+
+
+def build_surface(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None) -> Surface:
+    """Find the creases of a rest pose and split the vertices there.
+
+    Args:
+        vertices: Rest positions [m], shape (V, 3).
+        faces: Vertex indices, shape (F, 3).
+        colors: sRGB colours, uint8, of the vertices (V, 3) or one for all (3,). None, and white all over, which is what
+            files without materials come as, is drawn in the colour of clay.
+
+    Raises:
+        OptionError: The colours are of another number than the vertices, or a face names a vertex that is not there.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    vertices = np.asarray(vertices, np.float32)
+    faces = np.ascontiguousarray(faces, np.int32)
+    if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < len(vertices):
+        raise OptionError(f"faces must name vertices 0 to {len(vertices) - 1}")
+    tint = np.asarray(CLAY if colors is None else colors, np.uint8)
+    if tint.shape not in ((3,), vertices.shape):
+        raise OptionError(f"colours must have shape (3,) or {vertices.shape}, not {tint.shape}")
+
+    if int(tint.min(initial=255)) == 255:
+        tint = np.asarray(CLAY, np.uint8)
+
+    # Seams of texture coordinates hold copies of a vertex; normals run across them.
+    grid = np.round((vertices - vertices.min(axis=0)) / max(float(np.ptp(vertices, axis=0).max()), 1e-30) * 2e5).astype(
+        np.int64
+    )
+    _, welded = np.unique(grid @ np.array([1, 1 << 20, 1 << 40]), return_inverse=True)
+    corners = welded[faces]
+    normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+
+    start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+    corner = np.arange(start.size)
+    following = np.roll(corner.reshape(-1, 3), -1, axis=1).ravel()
+    swap = start > end
+    low, high = np.where(swap, end, start), np.where(swap, start, end)
+    at_low, at_high = np.where(swap, following, corner), np.where(swap, corner, following)
+    order = np.lexsort((high, low))
+    first, second = order[:-1], order[1:]
+    smooth = (low[first] == low[second]) & (high[first] == high[second])
+    smooth &= np.einsum("fi,fi->f", normals[first // 3], normals[second // 3]) > np.cos(CREASE)
+    first, second = first[smooth], second[smooth]
+    rows, columns = np.concatenate([at_low[first], at_high[first]]), np.concatenate([at_low[second], at_high[second]])
+    graph = coo_matrix((np.ones(len(rows), np.int8), (rows, columns)), shape=(start.size, start.size))
+    count, clusters = connected_components(graph, directed=False)
+
+    pairs = faces.ravel().astype(np.int64) * count + clusters
+    unique, triangles = np.unique(pairs, return_inverse=True)
+    point_vertex = (unique // count).astype(np.int32)
+    point_tint = np.broadcast_to(tint, (len(unique), 3)) if tint.ndim == 1 else tint[point_vertex]
+    return Surface(
+        faces=faces,
+        triangles=triangles.reshape(-1, 3).astype(np.int32),
+        clusters=clusters.reshape(-1, 3).astype(np.int32),
+        point_vertex=point_vertex,
+        point_cluster=(unique % count).astype(np.int32),
+        colors=np.ascontiguousarray(linear_from_srgb(point_tint / np.float32(255))),
+        normal_count=int(count),
+    )
+
 
 Background = str | tuple[int, int, int]
 BACKGROUNDS: dict[str, tuple[str, str]] = {
@@ -131,7 +425,7 @@ def set_stage(framing: Framing, background: Background = "studio") -> Stage:
 
 def cast_shadows(stage: Stage, surface: Surface, vertices: np.ndarray) -> Shadows:
     """The shadows of one frame: vertices [m], shape (V, 3), float32, contiguous."""
-    from bunraku.render.loops.kernels import drop_shadow, measure, soften
+    from bunraku.render.kernels import drop_shadow, measure, soften
 
     texel = 2 * stage.reach / TEXELS
     low, high = measure(vertices, np.eye(3), np.zeros(3))[0]
@@ -157,3 +451,42 @@ def cast_shadows(stage: Stage, surface: Surface, vertices: np.ndarray) -> Shadow
     contact = soften(np.repeat(np.repeat(contact, 2, axis=0), 2, axis=1), 3)
     floor = (1 - (1 - 0.24 * key) * (1 - 0.42 * contact)).astype(np.float32)
     return Shadows(heights, floor, left, near, texel)
+
+
+@dataclass(frozen=True)
+class Backdrop:
+    """A picture without lines and character. It is the same wherever the camera moves to above its floor, whose lit
+    part moves along.
+
+    Args:
+        base: sRGB 0..1, shape (H, W, 3), float32.
+        plain: The same as it is shown, uint8.
+        floor: Of each pixel: x and z of its floor point, seen from the point below the eye [m]; how far that moves
+            along x and z from one pixel to the next [m]; how much of the floor is seen, 0..1. Shape (H, W, 5), float32.
+    """
+
+    base: np.ndarray
+    plain: np.ndarray
+    floor: np.ndarray
+
+
+def build_backdrop(size: tuple[int, int], camera: Camera, stage: Stage, offset: np.ndarray) -> Backdrop:
+    """The backdrop of pictures of `size` pixels; `offset` [m], shape (3,), is how far the lit part of the floor has
+    moved.
+    """
+    focal, axes = camera.focal(size[1]), camera.axes
+    columns, rows = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+    ray = rays(columns, rows, size, axes, focal)
+    down = ray[..., 1] < -1e-4
+    slope = ray / np.where(down, ray[..., 1], -1)[..., None]
+    t = np.where(down, (stage.ground - camera.position[1]) * slope[..., 1] / ray[..., 1], 0)
+    at = t[..., None] * ray
+    centre = stage.centre + offset - camera.position
+    r = ((at[..., 0] - centre[0]) ** 2 + (at[..., 2] - centre[2]) ** 2) / stage.radius**2
+    fade = np.where((t > 0) & (r < 1), (1 - r) ** 2, 0)
+    # Movement of the floor point for one pixel to the right and one up.
+    moved = [np.abs(t / focal * (axes[:2, i, None, None] - axes[:2, 1, None, None] * slope[..., i])) for i in (0, 2)]
+    base = stage.top + (stage.bottom - stage.top) * ((rows + 0.5) / size[1])[..., None]
+    base = (base + (stage.floor - base) * fade[..., None]).astype(np.float32)
+    floor = np.stack([at[..., 0], at[..., 2], moved[0].sum(axis=0), moved[1].sum(axis=0), fade], axis=-1)
+    return Backdrop(base, (255 * base + 0.5).astype(np.uint8), floor.astype(np.float32))

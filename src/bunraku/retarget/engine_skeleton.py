@@ -12,15 +12,13 @@ from dataclasses import replace
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS
-from bunraku.core.animation import Animation
+from bunraku.anatomy.handles.limbs import has_extra_legs
+from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, REQUIRED, ROOTS, SKELETONS, engine_names
 from bunraku.core.character import Character, Handles, Rig, top_influences
-from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, OptionError
-from bunraku.formats.gltf.read import Source
-from bunraku.handles.limbs import further_legged
-from bunraku.skeletons.engine_names import REQUIRED, ROOTS, SKELETONS, engine_names
+from bunraku.files.gltf.read import Source
 
 __all__ = ["carried", "on_skeleton", "t_pose"]
 
@@ -43,7 +41,7 @@ def on_skeleton(anatomy: Anatomy, names: str, weights: np.ndarray | None = None)
     if names not in SKELETONS:
         raise OptionError(f"the names of a skeleton are those of {', '.join(SKELETONS)}, not '{names}'; choose one")
     character, handles = anatomy.character, anatomy.handles
-    if anatomy.plan.kind != "person" or further_legged(handles):
+    if anatomy.plan.kind != "person" or has_extra_legs(handles):
         raise CharacterError(
             f"{character.name}: it is {anatomy.plan.words}, and a humanoid skeleton has two arms and two legs; leave "
             "the skeleton out"

@@ -12,25 +12,15 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.stages.blocks import Blocks
+from bunraku.retarget.stages import Stages
+from bunraku.retarget.stages.animals import Front, Gait, Support, Swings
 from bunraku.retarget.stages.feet import Feet
-from bunraku.retarget.stages.fins import Fins
-from bunraku.retarget.stages.front import Front
-from bunraku.retarget.stages.gaits.gait import Gait
-from bunraku.retarget.stages.gaits.swings import Swings
-from bunraku.retarget.stages.ground import Floor, Ground
-from bunraku.retarget.stages.hands import Hands
-from bunraku.retarget.stages.hands_clear import HandsClear
-from bunraku.retarget.stages.legless import Legless
-from bunraku.retarget.stages.rest_pose import Attach, Level, RestPose
-from bunraku.retarget.stages.shape import Shape
-from bunraku.retarget.stages.smooth import Smooth
-from bunraku.retarget.stages.soles import Soles
+from bunraku.retarget.stages.ground import Floor, Ground, Soles
+from bunraku.retarget.stages.hands import Hands, HandsClear
+from bunraku.retarget.stages.rest_pose import Attach, Blocks, Fins, Legless, Level, RestPose
+from bunraku.retarget.stages.shape import Shape, Smooth
 from bunraku.retarget.stages.stage import Fitting, Stage
-from bunraku.retarget.stages.support import Support
-from bunraku.retarget.stages.switches import Stages
-from bunraku.retarget.stages.trailing.lag import Lag
-from bunraku.retarget.stages.trailing.tail import Tail, TailClear
+from bunraku.retarget.stages.trailing import Lag, Tail, TailClear
 
 __all__ = ["POSING", "STAGES", "Stages", "fit_motion", "posed", "running"]
 

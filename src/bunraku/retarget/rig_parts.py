@@ -14,20 +14,19 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import PRESENT, Joints, reference_joints
+from bunraku.anatomy.names.bone_names import NO_HANDLE, handle_of_joints, limb_parents, resolve_joints, rig_handles
+from bunraku.anatomy.names.bone_words import part_of_name, without_prefix
+from bunraku.anatomy.names.skeleton_map import joints_by_structure
 from bunraku.anatomy.rest_pose import flat_feet, rest_rotations, upright
-from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
-from bunraku.body.reference import handle_positions, reference_body
+from bunraku.core.animation import bone_order
+from bunraku.core.avatars import vrm_model
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
+from bunraku.core.geometry.rotations import rotation_between
 from bunraku.core.motion import Skeleton
-from bunraku.core.rig_animation import bone_order
-from bunraku.core.vrm_model import vrm_model
 from bunraku.errors import CharacterError
-from bunraku.formats.gltf.read import Source
-from bunraku.geometry.rotations import rotation_between
-from bunraku.handles.from_rig import resolve_joints, rig_handles
-from bunraku.skeletons.bone_names import NO_HANDLE, handle_of_joints, limb_parents
-from bunraku.skeletons.bone_words import part_of_name, without_prefix
-from bunraku.skeletons.skeleton_structure import joints_by_structure
+from bunraku.files.gltf.read import Source
 
 __all__ = ["HUMANOID", "RigParts", "is_humanoid_rig", "understood_rig"]
 

@@ -1,6 +1,5 @@
-"""The queue: jobs one after the other in a process that can be killed and comes back, and what is reported about them.
-
-A thread of the server feeds the process and reads what it says; what happens is told to `Changes`.
+"""The queue: jobs run one after another in a process that can be killed and restarts, and what is reported about
+them.
 """
 
 from __future__ import annotations
@@ -17,12 +16,61 @@ from multiprocessing.connection import Connection
 from typing import Any, NotRequired, TypedDict, cast
 
 from bunraku.errors import BunrakuError, FormatError, OptionError
-from bunraku.studio.changes import Changes
-from bunraku.studio.responses import sentence_of
 from bunraku.studio.store import NotThere, Store
-from bunraku.studio.worker import work
+from bunraku.studio.worker import sentence_of, work
 
-__all__ = ["About", "Job", "Jobs", "QueueFull", "public"]
+__all__ = ["About", "Changes", "Job", "Jobs", "QueueFull", "public"]
+
+
+MOST = 10_000
+"""Things of which the latest change is kept."""
+
+
+class Changes:
+    """The changes of one run of the studio."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._latest: dict[tuple[str, str], tuple[int, str, Mapping[str, object]]] = {}
+        self._count = 0
+        self._forgotten = 0
+
+    @property
+    def last(self) -> int:
+        """The number of the latest change."""
+        return self._count
+
+    def tell(self, what: str, record: Mapping[str, object]) -> None:
+        """Note that a thing is now as its record says."""
+        key = what, f"{record.get('kind')}/{record.get('id')}" if what == "gone" else str(record.get("id", ""))
+        with self._lock:
+            self._count += 1
+            self._latest.pop(key, None)
+            self._latest[key] = self._count, what, record
+            if len(self._latest) > MOST:
+                oldest = next(iter(self._latest))
+                self._forgotten = self._latest.pop(oldest)[0]
+
+    def since(self, after: int) -> dict[str, Any]:
+        """What has changed after a number: the latest of each thing, in the order in which it happened.
+
+        Args:
+            after: The number that an earlier answer gave as `event`.
+
+        Returns:
+            `event`, the number to ask with next time; `changes`, pairs of what it is and its record; and `missed`,
+            whether all is to be asked for anew, since this run never gave that number or has forgotten what came after.
+        """
+        with self._lock:
+            if not self._forgotten <= after <= self._count:
+                return {"event": self._count, "missed": True, "changes": []}
+            found = []
+            for number, what, record in reversed(self._latest.values()):
+                if number <= after:
+                    break
+                found.append([what, dict(record)])
+            return {"event": self._count, "missed": False, "changes": found[::-1]}
+
 
 _log = logging.getLogger(__name__)
 MOST_WAITING = 64

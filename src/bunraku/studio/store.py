@@ -19,8 +19,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from bunraku.core.files import atomic_write, remove_leftovers, temporary_prefix, writing
 from bunraku.errors import BunrakuError, FormatError
-from bunraku.formats.files import atomic_write, sweep, temporary_prefix, writing
 from bunraku.studio.records import LARGEST, RECORD, Record, read_record, written
 
 __all__ = ["KINDS", "NotThere", "Store", "default_folder"]
@@ -70,7 +70,7 @@ class Store:
         self._lock = threading.RLock()
         self._records: dict[str, dict[str, Record]] = {kind: {} for kind in KINDS}
         self._unwritten: set[tuple[str, str]] = set()
-        sweep(self.folder)
+        remove_leftovers(self.folder)
         self._probe()
         for kind in KINDS:
             home = self.folder / kind
@@ -105,7 +105,7 @@ class Store:
     def _find(self, kind: str, folder: Path) -> None:
         if not _ID.fullmatch(folder.name) or not folder.is_dir():
             return
-        sweep(folder)
+        remove_leftovers(folder)
         path = folder / RECORD
         try:
             if kind == "exports" or (not path.exists() and ((folder / GIVEN_UP).exists() or not any(folder.iterdir()))):

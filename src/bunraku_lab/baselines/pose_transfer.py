@@ -1,8 +1,5 @@
-"""Skeleton-free Pose Transfer (Liao et al., ECCV 2022) on meshes of network size: parts of a mesh, how those of a posed
-source move, and what the trained networks make of it for a target.
-
-All lengths are over the mesh's height, and poses are in the frame of the root, which neither turns nor travels: how it
-does is the motion's own.
+"""Motion on any mesh by other methods: a skeleton's motion copied (MDM-SR, section 4.1 of TapMo), and Skeleton-free
+Pose Transfer (Liao et al., ECCV 2022) for network meshes and whole characters.
 """
 
 from __future__ import annotations
@@ -14,24 +11,140 @@ from functools import lru_cache
 import numpy as np
 import torch
 
-from bunraku.body.layout import HANDLE_MIRROR, JOINT_COUNT, JOINT_PARENTS
-from bunraku.body.reference import reference_body
-from bunraku.core.skinning import skin
-from bunraku.geometry.registration import register
-from bunraku.geometry.rotations import quaternion_from_matrix
-from bunraku.geometry.simplify import NetworkMesh, network_mesh
-from bunraku.geometry.surface import vertex_normals
-from bunraku.handles.inference.graph import mesh_graph
-from bunraku.handles.inference.predictor import HandlePredictor, load_predictor
-from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku_lab.baselines.skeletal_retarget import bone_turns
-from bunraku_lab.nn.baselines.part_graph import PartGraph, part_graph
-from bunraku_lab.nn.baselines.pose_transfer import TransferNetwork, affine_of, part_centres
+from bunraku.anatomy.handles.networks import HandlePredictor, load_predictor, mesh_graph
+from bunraku.core.body.layout import HANDLE_MIRROR, JOINT_COUNT, JOINT_PARENTS
+from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.graph import clean_mesh
+from bunraku.core.geometry.rotations import quaternion_from_matrix, rotation_between
+from bunraku.core.geometry.simplify import NetworkMesh, network_mesh
+from bunraku.core.geometry.surface import vertex_normals
+from bunraku.core.motion import SkeletalMotion
+from bunraku.core.nn.checkpoints import shipped_checkpoint
+from bunraku.core.skinning import register, skin
+from bunraku.errors import CharacterError
+from bunraku_lab.baselines.skinning import bone_heat, embedded_human
+from bunraku_lab.nn.pose_transfer import PartGraph, TransferNetwork, affine_of, part_centres, part_graph
 
 __all__ = [
-    "ROOM", "PartMesh", "SourceBody", "SourcePoses", "graph_of", "in_metres", "in_root_frame", "over_height",
-    "part_transforms", "predicted_parts", "source_body", "source_poses", "source_turns", "transferred",
-]  # fmt: skip
+    "PartMesh",
+    "ROOM",
+    "RiggedMesh",
+    "SourceBody",
+    "SourceMotion",
+    "SourcePoses",
+    "TransferTarget",
+    "bone_rotations",
+    "copied_motion",
+    "graph_of",
+    "in_metres",
+    "in_root_frame",
+    "over_height",
+    "part_transforms",
+    "predicted_parts",
+    "rig_by_embedding",
+    "source_body",
+    "source_motion",
+    "source_poses",
+    "source_rotations",
+    "transferred",
+]
+
+
+MOST_BONES = 4
+"""Joints that move one vertex, as engines have it."""
+_LEGS = (1, 4, 7)  # left hip, knee, ankle in SMPL's order
+
+
+@dataclass(frozen=True, eq=False)
+class RiggedMesh:
+    """A mesh with the embedded human skeleton.
+
+    Args:
+        vertices: Rest positions [m], shape (V, 3).
+        joints: Rest positions of SMPL's 22 joints in it [m], shape (22, 3).
+        weights: Skinning weights, shape (V, 22), rows sum to 1.
+    """
+
+    vertices: np.ndarray
+    joints: np.ndarray
+    weights: np.ndarray
+
+
+def rig_by_embedding(vertices: np.ndarray, faces: np.ndarray) -> RiggedMesh:
+    """The human skeleton inside a mesh, with bone-heat weights.
+
+    Args:
+        vertices: Positions [m], +Y up, facing +Z, shape (V, 3).
+        faces: Vertex indices, shape (F, 3).
+
+    Raises:
+        CharacterError: The mesh has no surface, or no skeleton can be placed in it.
+    """
+    mesh = clean_mesh(vertices, faces)
+    try:
+        skeleton, volume = embedded_human(mesh.vertices, mesh.faces)
+        owners, tips = np.array(skeleton.bones()).T
+        found = bone_heat(mesh.vertices, mesh.faces, skeleton.points[owners], skeleton.points[tips], owners, volume)
+    except (ValueError, RuntimeError, IndexError) as error:  # of the solver, and of volumes without an inside
+        raise CharacterError(f"the human skeleton cannot be embedded in this mesh: {error}") from error
+    weights = np.zeros((len(mesh.vertices), JOINT_COUNT))
+    weights[:, : found.shape[1]] = found
+    least = np.partition(weights, -MOST_BONES, axis=1)[:, -MOST_BONES][:, None]
+    weights = np.where(weights >= least, weights, 0)
+    weights /= weights.sum(axis=1, keepdims=True)
+    joints = skeleton.points[:JOINT_COUNT] * mesh.scale + mesh.center
+    return RiggedMesh(np.asarray(vertices, float), joints, weights[mesh.index])
+
+
+def copied_motion(rigged: RiggedMesh, motion: SkeletalMotion, aligned: bool = False) -> np.ndarray:
+    """The mesh in each frame of a motion, shape (N, V, 3) [m].
+
+    Args:
+        rigged: The mesh and its skeleton.
+        motion: Of SMPL's 22 joints on the reference body, whose T-pose is the identity.
+        aligned: Turn each bone to its direction in the T-pose before the rotations are copied.
+    """
+    body = reference_body()
+    turns, positions = motion.world()
+    scale = _leg(rigged.joints) / _leg(body.joints)
+    if aligned:
+        turns = turns @ bone_rotations(rigged.joints, body.joints)
+    roots = rigged.joints[0] + scale * (positions[:, 0] - body.joints[0])
+    own = np.empty_like(positions)
+    own[:, 0] = roots
+    for joint in range(1, JOINT_COUNT):
+        parent = JOINT_PARENTS[joint]
+        own[:, joint] = own[:, parent] + turns[:, parent] @ (rigged.joints[joint] - rigged.joints[parent])
+    out = np.empty((len(motion), len(rigged.vertices), 3))
+    shifts = own - np.einsum("njab,jb->nja", turns, rigged.joints)
+    for frame in range(len(motion)):
+        turn = np.einsum("vj,jab->vab", rigged.weights, turns[frame])
+        out[frame] = np.einsum("vab,vb->va", turn, rigged.vertices) + rigged.weights @ shifts[frame]
+    return out
+
+
+def _leg(joints: np.ndarray) -> float:
+    hip, knee, ankle = joints[list(_LEGS)]
+    return float(np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee))
+
+
+def bone_rotations(own: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """For each joint the least rotation that takes its bone from one rest pose's direction to another's, shape (22, 3,
+    3); a joint with several children turns not at all, one with none as its parent does.
+
+    Args:
+        own: Joints in the first rest pose, shape (22, 3).
+        wanted: In the other, shape (22, 3).
+    """
+    out = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
+    for joint in range(JOINT_COUNT):
+        below = [child for child in range(JOINT_COUNT) if JOINT_PARENTS[child] == joint]
+        if len(below) == 1:
+            out[joint] = rotation_between(own[below[0]] - own[joint], wanted[below[0]] - wanted[joint])
+        elif not below:  # hands and toes go on as what they hang from
+            out[joint] = out[JOINT_PARENTS[joint]]
+    return out
+
 
 ROOM = 1.7
 """Vertices that a network mesh has room for, over those that it comes to."""
@@ -96,7 +209,7 @@ class SourceBody:
         Args:
             joints: Of the character at rest, shape (22, 3).
         """
-        turns = bone_turns(reference_body().joints, joints)[None].astype(np.float32)
+        turns = bone_rotations(reference_body().joints, joints)[None].astype(np.float32)
         return replace(self.mesh, rest=self.posed(turns)[0])
 
 
@@ -141,14 +254,14 @@ def predicted_parts(rest: np.ndarray, normals: np.ndarray, edges: np.ndarray, ar
     return np.asarray((model(graph).weights + mirrored) / 2, np.float32)
 
 
-def source_turns(turns: np.ndarray, joints: np.ndarray) -> np.ndarray:
+def source_rotations(turns: np.ndarray, joints: np.ndarray) -> np.ndarray:
     """Turns of the source's joints off its T-pose, in the frame of the root, shape (P, 22, 3, 3).
 
     Args:
         turns: Of a character's joints in the world, off its rest pose, shape (P, 22, 3, 3).
         joints: Of the character at rest, shape (22, 3).
     """
-    to_rest = bone_turns(reference_body().joints, joints)
+    to_rest = bone_rotations(reference_body().joints, joints)
     own: np.ndarray = np.swapaxes(turns[:, :1], 2, 3) @ turns @ to_rest
     return own.astype(np.float32)
 
@@ -270,3 +383,124 @@ def transferred(
     if joints is not None:
         affine[:, : joints.shape[1]] = joints
     return affine, weights.numpy()
+
+
+@dataclass(frozen=True, eq=False)
+class SourceMotion:
+    """A motion of the reference body as pose transfer takes it, whatever the target.
+
+    Args:
+        poses: In the frame of the root.
+        turns: Of the root, shape (N, 3, 3).
+        path: Of the root from where it is at rest [m], shape (N, 3).
+    """
+
+    poses: SourcePoses
+    turns: np.ndarray
+    path: np.ndarray
+
+
+def source_motion(model: TransferNetwork, motion: SkeletalMotion) -> SourceMotion:
+    """A motion of the reference body's joints.
+
+    Args:
+        model: The networks that take it.
+        motion: Of SMPL's 22 joints.
+    """
+    turns, positions = motion.world()
+    own = (np.swapaxes(turns[:, :1], 2, 3) @ turns).astype(np.float32)
+    body = source_body()
+    poses = source_poses(model, body.mesh, body.posed(own))
+    return SourceMotion(poses, turns[:, 0], positions[:, 0] - reference_body().joints[0])
+
+
+@dataclass(frozen=True, eq=False)
+class TransferTarget:
+    """A character, and the networks that move it.
+
+    Args:
+        rest: Vertices at rest [m], shape (V, 3).
+        weights: Of the parts at each vertex, shape (V, K); None where the networks predict them.
+        model: The networks.
+        network: The mesh that they see.
+        mesh: The same with its parts, over the height.
+        origin: Where lengths over the height begin [m], shape (3,).
+        height: [m].
+    """
+
+    rest: np.ndarray
+    weights: np.ndarray | None
+    model: TransferNetwork
+    network: NetworkMesh
+    mesh: PartMesh
+    origin: np.ndarray
+    height: float
+
+    @classmethod
+    def of(
+        cls, vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray | None, root: np.ndarray,
+        model: TransferNetwork, size: int = 1000,
+    ) -> TransferTarget:  # fmt: skip
+        """A mesh, facing +Z.
+
+        Args:
+            vertices: At rest [m], shape (V, 3).
+            faces: Shape (F, 3).
+            weights: Of the parts, shape (V, K); None for networks that predict them.
+            root: Position of the root [m], shape (3,).
+            model: The networks.
+            size: Vertices of the mesh that they see, about.
+
+        Raises:
+            CharacterError: The mesh has no surface.
+        """
+        network = network_mesh(vertices, faces, round(ROOM * size))
+        rest = network.pull(vertices)
+        height = float(np.ptp(vertices[:, 1]))
+        origin = np.array([root[0], rest[:, 1].min(), root[2]], np.float32)
+        own = np.zeros((len(rest), 0), np.float32)
+        if weights is not None:
+            own = network.pull(weights)
+            own /= own.sum(axis=1, keepdims=True)
+        mesh = PartMesh((rest - origin) / np.float32(height), network.faces, network.edges, own)
+        return cls(np.asarray(vertices, np.float32), weights, model, network, mesh, origin, height)
+
+    def with_joints(self, affine: np.ndarray, joints: np.ndarray) -> np.ndarray:
+        """Its vertices where joints that are known move so [m], shape (P, V, 3); the source rests as it does, and takes
+        the same pose.
+
+        Args:
+            affine: Affine transforms of its joints, shape (P, 22, 3, 4).
+            joints: J at rest [m], shape (22, 3).
+        """
+        own, _ = in_root_frame(affine, np.zeros((len(affine), 0, 3), np.float32))
+        tied = self.model.config.tied
+        known = over_height(own[:, :tied], self.origin, self.height) if tied else None
+        body = source_body()
+        posed = body.posed(source_rotations(affine[..., :3], joints))
+        moved, weights = self._moved(source_poses(self.model, body.resting_as(joints), posed), known)
+        turns, shift = affine[:, :1, :, :3], affine[:, :1, :, 3:]
+        world = np.concatenate([turns @ moved[..., :3], turns @ moved[..., 3:] + shift], axis=3)
+        return np.asarray(skin(self.rest, weights, world))
+
+    def with_motion(self, motion: SourceMotion, root: np.ndarray) -> np.ndarray:
+        """Its vertices as the reference body moves [m], shape (N, V, 3); its path is longer the higher its root is.
+
+        Args:
+            motion: Of the reference body, as `source_motion` gives it for the same networks.
+            root: Position of its own root at rest [m], shape (3,).
+        """
+        moved, weights = self._moved(motion.poses, None)
+        body = reference_body()
+        scale = (root[1] - self.origin[1]) / (body.joints[0, 1] - body.vertices[:, 1].min())
+        points = np.asarray(skin(self.rest, weights, moved)) - root
+        path = root + scale * motion.path
+        return np.asarray(np.einsum("nab,nvb->nva", motion.turns, points) + path[:, None], np.float32)
+
+    def _moved(self, poses: SourcePoses, joints: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Affine transforms of the parts in the frame of the root [m], (P, K, 3, 4), and their weights, (V, K)."""
+        affine, weights = transferred(self.model, poses, self.mesh, joints)
+        if self.weights is not None:
+            return in_metres(affine, self.origin, self.height), self.weights
+        full = self.network.push(weights)
+        return in_metres(affine, self.origin, self.height), full / full.sum(axis=1, keepdims=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from bunraku.cli.output.progress import stages
+from bunraku.cli.outputs import stages
 
 __all__ = [
     "adaptation",
@@ -36,7 +36,7 @@ def handles() -> Verb:
 
     Example: bunraku train handles --cache data/characters --out runs/handles
     """
-    from bunraku_lab.training.handles.train import HandleTrainConfig, train_handles
+    from bunraku_lab.training.handles import HandleTrainConfig, train_handles
 
     return _verb(HandleTrainConfig, train_handles)
 
@@ -48,7 +48,7 @@ def orientation() -> Verb:
 
     Example: bunraku train orientation --cache data/characters --out runs/orientation
     """
-    from bunraku_lab.training.orientation.train import OrientationTrainConfig, train_orientation
+    from bunraku_lab.training.orientation import OrientationTrainConfig, train_orientation
 
     return _verb(OrientationTrainConfig, train_orientation)
 
@@ -87,8 +87,7 @@ def adaptation() -> Verb:
     Example: bunraku train adaptation --diffusion runs/diffusion/diffusion.safetensors --cache data/characters.npz --out
     runs/adaptation
     """
-    from bunraku_lab.training.adaptation.config import AdaptationConfig
-    from bunraku_lab.training.adaptation.train import train_adaptation
+    from bunraku_lab.training.adaptation.train import AdaptationConfig, train_adaptation
 
     return _verb(AdaptationConfig, train_adaptation)
 
@@ -112,7 +111,7 @@ def ranker() -> Verb:
 
     Example: bunraku train ranker --data data/motions --out runs/ranker
     """
-    from bunraku_lab.training.ranker.train import RankerTrainConfig, train_ranker
+    from bunraku_lab.training.matching import RankerTrainConfig, train_ranker
 
     return _verb(RankerTrainConfig, train_ranker)
 
@@ -125,7 +124,7 @@ def tagger() -> Verb:
 
     Example: bunraku train tagger --pairs data/pairs --out runs/tagger
     """
-    from bunraku_lab.training.language.train import TaggerTrainConfig, train_tagger
+    from bunraku_lab.training.language import TaggerTrainConfig, train_tagger
 
     return _verb(TaggerTrainConfig, train_tagger)
 

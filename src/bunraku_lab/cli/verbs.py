@@ -10,42 +10,42 @@ __all__ = ["VERBS"]
 # Words -> module, its attribute that is the verb, one line of help.
 VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ("data", "motions"): (
-        "bunraku_lab.cli.data.samples",
+        "bunraku_lab.cli.data",
         "Motions",
         "turn a motion archive into handle motions to train on",
     ),
     ("data", "characters"): (
-        "bunraku_lab.cli.data.samples",
+        "bunraku_lab.cli.data",
         "Characters",
         "turn rigged characters into samples to train on",
     ),
     ("data", "mesh-bank"): (
-        "bunraku_lab.cli.data.samples",
+        "bunraku_lab.cli.data",
         "MeshBank",
         "write the mesh features of characters to train with",
     ),
     ("data", "character-bank"): (
-        "bunraku_lab.cli.data.character_bank",
+        "bunraku_lab.cli.data",
         "CharacterBank",
         "pack rigged characters for the losses of mesh-specific motion learning",
     ),
     ("data", "bundle"): (
-        "bunraku_lab.cli.data.bundle",
+        "bunraku_lab.cli.data",
         "DataBundle",
         "pack the motion data into one file, to train with on another machine",
     ),
     ("data", "examples"): (
-        "bunraku_lab.cli.data.examples",
+        "bunraku_lab.cli.data",
         "Examples",
         "pack captured stretches that generated motion may start from",
     ),
     ("data", "wardrobe"): (
-        "bunraku_lab.cli.data.wardrobe",
+        "bunraku_lab.cli.data_apparel",
         "Wardrobe",
         "make dressed characters with rigid bodies for their apparel, as PMX files",
     ),
     ("data", "apparel"): (
-        "bunraku_lab.cli.data.apparel",
+        "bunraku_lab.cli.data_apparel",
         "Apparel",
         "simulate the apparel of characters in motion, as data to train on",
     ),
@@ -88,37 +88,37 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ),
     ("train", "adaptation"): ("bunraku_lab.cli.train", "adaptation", "fine-tune the adaptation of motions to meshes"),
     ("evaluate", "handles"): (
-        "bunraku_lab.cli.evaluate.handles",
+        "bunraku_lab.cli.evaluate_characters",
         "EvaluateHandles",
         "measure the handles on rigged characters",
     ),
     ("evaluate", "blocks"): (
-        "bunraku_lab.cli.evaluate.blocks",
+        "bunraku_lab.cli.evaluate_characters",
         "EvaluateBlocks",
         "measure whether figures of rigid blocks stay rigid and jointed",
     ),
     ("evaluate", "motion"): (
-        "bunraku_lab.cli.evaluate.motion",
+        "bunraku_lab.cli.evaluate_motion",
         "EvaluateMotion",
         "measure generated motion on held-out clips",
     ),
     ("evaluate", "transfer"): (
-        "bunraku_lab.cli.evaluate.transfer",
+        "bunraku_lab.cli.evaluate_characters",
         "EvaluateTransfer",
         "measure motion transfer on rigged characters",
     ),
     ("evaluate", "physics"): (
-        "bunraku_lab.cli.evaluate.physics",
+        "bunraku_lab.cli.evaluate_characters",
         "EvaluatePhysics",
         "measure the simulated apparel of MMD and VRM characters",
     ),
     ("evaluate", "tables"): (
-        "bunraku_lab.cli.evaluate.tables",
+        "bunraku_lab.cli.evaluate_motion",
         "EvaluateTables",
         "measure the papers' tables, theirs and ours side by side",
     ),
     ("evaluate", "apparel"): (
-        "bunraku_lab.cli.evaluate.apparel",
+        "bunraku_lab.cli.evaluate_characters",
         "EvaluateApparel",
         "measure learned apparel on characters and motions that it has not seen",
     ),

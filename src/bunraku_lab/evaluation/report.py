@@ -1,12 +1,34 @@
-"""The report of an evaluation: figures beside what each should reach, as text for people or as Markdown."""
+"""What evaluations share: figures beside the bars that they should reach, as text or Markdown; parts of a long
+measurement that are kept one by one; and tables of what another method should make.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-__all__ = ["Bar", "Report", "Table", "bar_table", "figure", "measured_in", "percent", "reached_bars"]
+from bunraku.core.files import atomic_write
+
+__all__ = [
+    "Bar",
+    "KeptParts",
+    "Parts",
+    "Report",
+    "Table",
+    "at_once",
+    "bar_table",
+    "figure",
+    "measured_in",
+    "percent",
+    "reached_bars",
+    "write_requests",
+]
 
 
 def figure(value: float) -> str:
@@ -146,3 +168,54 @@ def bar_table(
         shown = "-" if value is None else bar.show(value)
         rows.append((bar.title, shown, bar.limit, "" if met is None else "yes" if met else "no"))
     return Table(rows)
+
+
+Parts = Callable[[str, Callable[[], Any]], Any]
+"""Gives what a function measures, by the name of the part; JSON can say it."""
+
+
+def at_once(name: str, measure: Callable[[], Any]) -> Any:
+    """Measure, and keep nothing."""
+    return measure()
+
+
+@dataclass(frozen=True)
+class KeptParts:
+    """What was measured before, or is measured now and kept.
+
+    Args:
+        folder: That keeps it, of one measurement with all that it depends on.
+    """
+
+    folder: Path
+
+    def __call__(self, name: str, measure: Callable[[], Any]) -> Any:
+        """Give a part.
+
+        Args:
+            name: Of the part in this measurement.
+            measure: Called where it is not known yet.
+        """
+        path = self.folder / f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.json"
+        if path.is_file():
+            return json.loads(path.read_text(encoding="utf-8"))
+        text = json.dumps(measure())
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as file:
+            file.write(text.encode())
+        return json.loads(text)
+
+
+def write_requests(path: str | Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
+    """Write a CSV, whole or not at all.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    out = io.StringIO()
+    table = csv.writer(out)
+    table.writerow(columns)
+    table.writerows(rows)
+    with atomic_write(Path(path)) as file:
+        file.write(out.getvalue().encode())
+    return Path(path)

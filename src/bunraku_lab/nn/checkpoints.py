@@ -1,6 +1,6 @@
 """Checkpoints of what is trained: networks of torch, and training states that survive a kill.
 
-A network's weights are the file that `bunraku.nn.checkpoints` reads without torch. Training states are of the same
+A network's weights are the file that `bunraku.core.nn.checkpoints` reads without torch. Training states are of the same
 form: safetensors with JSON in the metadata, never pickle.
 """
 
@@ -16,10 +16,10 @@ import numpy as np
 import torch
 from safetensors.torch import save
 
+from bunraku.core.files import weights_file
+from bunraku.core.nn import checkpoints as files
+from bunraku.core.nn.checkpoints import FORMAT, fitting_config, read_tensors, write_tensors
 from bunraku.errors import WeightsError
-from bunraku.formats.files import weights_file
-from bunraku.nn import checkpoints as files
-from bunraku.nn.checkpoints import FORMAT, fitting_config, read_tensors, write_tensors
 
 __all__ = [
     "TrainingState",
@@ -64,7 +64,7 @@ def _plain(value: torch.Tensor) -> torch.Tensor:
 def save_checkpoint(
     path: str | Path, state_dict: Mapping[str, torch.Tensor], config: dict[str, object], kind: str, half: bool = False
 ) -> Path:
-    """Write weights with the config that builds their network: `bunraku.nn.checkpoints.save_checkpoint` of tensors.
+    """Write weights with the config that builds their network: `core.nn.checkpoints.save_checkpoint` of tensors.
 
     Raises:
         WeightsError: The file cannot be written.

@@ -1,4 +1,4 @@
-"""How far pelvis, trunk and head of captured people go with their hands: the numbers of `bunraku.gestures.accompany`.
+"""How far pelvis, trunk and head of captured people go with their hands: the numbers of `bunraku.gestures.perform`.
 
 Stretches of people who stand and use their hands, each about its own mean and in the mirror too, are fitted by ridge
 regression: angles in degrees by where both hands are in the frame of the chest, in metres. Both sides are alike, so a
@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bunraku.core.geometry.curves import gaussian
+from bunraku.core.geometry.rotations import axis_angle_from_matrix
 from bunraku.core.motion import SkeletalMotion
-from bunraku.geometry.filters import gaussian
-from bunraku.geometry.rotations import axis_angle_from_matrix
 from bunraku.gestures.standing import AT, SIDES, mirrored
 
 __all__ = ["Accompaniment", "accompaniment", "gesticulates"]

@@ -1,8 +1,5 @@
-"""Which stretches of captured clips the sampler may start from, packed into one file.
-
-Of each action the clearest are kept: those whose motion the ranker finds nearest to their own sentences, few of one
-clip. What is plain to see in the numbers (a turn, a punch) is cut out and described by them alone. Clips of validation
-and test are never among them. Gestures that hardly anybody has captured are made by code (`bunraku.gestures`).
+"""Which stretches of captured clips the sampler may start from, packed into one file: among them people who stand, for
+gestures.
 """
 
 from __future__ import annotations
@@ -17,12 +14,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bunraku.anatomy.ground import lowest
-from bunraku.body.from_handles import skeleton_from_handles
-from bunraku.body.reference import reference_body
+from bunraku.anatomy.anatomy import body_handle_motion
+from bunraku.anatomy.plan import lowest
+from bunraku.core.body.joint_rotations import skeleton_from_handles
+from bunraku.core.body.reference import reference_body
 from bunraku.core.motion import SkeletalMotion
-from bunraku.diffusion.examples.joins import standing_stretches
-from bunraku.diffusion.examples.pack import (
+from bunraku.core.nn.checkpoints import load_checkpoint, shipped_checkpoint
+from bunraku.generation.agreement import SIDES, Track, runs
+from bunraku.generation.extractor import RADIUS, Extractor, embed_motions, embed_sentences, load_ranker
+from bunraku.generation.features import FeatureStatistics, decode, encode, mirror
+from bunraku.generation.pack import (
     BUSY,
     FPS,
     IDLE,
@@ -35,27 +36,109 @@ from bunraku.diffusion.examples.pack import (
     packed_stretch,
     read_pack,
     write_pack,
-)  # fmt: skip
-from bunraku.diffusion.extractor_config import RADIUS
-from bunraku.diffusion.features import FeatureStatistics, decode, encode, mirror
-from bunraku.diffusion.inference.extractor import Extractor, embed_motions, embed_sentences, load_ranker
+)
+from bunraku.generation.splicing import standing_stretches
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
 from bunraku.gestures.standing import stands_well
-from bunraku.language.captions.phrases import mirror_words
+from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
-from bunraku.language.known.own_words import own_words, write_own_words
-from bunraku.language.known.vocabulary import is_known, words_of
-from bunraku.language.lexicon.reading import main_actions
-from bunraku.nn.checkpoints import load_checkpoint, shipped_checkpoint
-from bunraku.retarget.body_motion import body_handle_motion
-from bunraku_lab.description.describe import inside
-from bunraku_lab.description.wording import computed_sentence
-from bunraku_lab.training import idles as who
-from bunraku_lab.training.rows.clip_data import ClipEntry, load_clips
+from bunraku.language.lexicon import main_actions
+from bunraku.language.vocabulary import is_known, own_words, words_of, write_own_words
+from bunraku_lab.description.wording import computed_sentence, inside
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
+from bunraku_lab.training.rows.clips import ClipEntry, load_clips
 
-__all__ = ["ExampleSettings", "build_examples"]
+__all__ = ["BUSY_BOUNDS", "ExampleSettings", "IDLE_BOUNDS", "IdleBounds", "build_examples", "idling"]
+
+
+@dataclass(frozen=True)
+class IdleBounds:
+    """Who stands and does nothing, or something with the hands.
+
+    Args:
+        busy: The hands do something.
+        shortest: Of a stretch [s].
+        longest: The same [s].
+        level: How far ankles are from their height at rest at the most [m].
+        apart: How far apart they are at the most [m].
+        slides: How fast they are at the most [m/s].
+        leans: How far the trunk leans at the most [degrees].
+        sinks: How far the pelvis is lower than at rest at the most [m].
+        shifts: How far it goes over the ground at the most [m].
+        hangs: How far wrists of who does nothing are under the shoulders at the least [m].
+        swings: How fast they are, seen from the pelvis, in the mean of a stretch at the most [m/s]; of who is busy the
+            faster one at the least.
+    """
+
+    busy: bool = False
+    shortest: float = 3.0
+    longest: float = 9.0
+    level: float = 0.03
+    apart: float = 0.5
+    slides: float = 0.12
+    leans: float = 15.0
+    sinks: float = 0.06
+    shifts: float = 0.15
+    hangs: float = 0.42
+    swings: float = 0.12
+
+
+IDLE_BOUNDS = IdleBounds()
+BUSY_BOUNDS = IdleBounds(busy=True, sinks=0.1, shifts=0.3, swings=0.2)
+
+
+def idling(clips: Mapping[str, ClipEntry], bounds: IdleBounds = IDLE_BOUNDS) -> Iterator[tuple[str, np.ndarray]]:
+    """The longest such stretch of each clip, as its name and its features, the longest first.
+
+    Args:
+        clips: Features of people by the names of their clips.
+        bounds: Who they are.
+    """
+    found: list[tuple[str, np.ndarray]] = []
+    for name, entry in clips.items():
+        stretch = _longest(entry["features"], bounds)
+        if stretch is not None:
+            found.append((name, entry["features"][stretch]))
+    yield from sorted(found, key=lambda one: -len(one[1]))
+
+
+def _longest(features: np.ndarray, bounds: IdleBounds) -> slice | None:
+    """The frames of the longest stretch in which somebody stands so; None where there is none."""
+    motion = decode(features)
+    if len(motion) < bounds.shortest * motion.fps:
+        return None
+    track = Track.of(motion)
+    ankles = np.stack([track.points[f"{side}_ankle"] for side in SIDES], axis=1)
+    speed = np.linalg.norm(np.diff(ankles, axis=0, prepend=ankles[:1]), axis=-1).max(axis=1) * motion.fps
+    calm = (np.ptp(ankles[..., 1], axis=1) < bounds.level) & (ankles[..., 1].max(axis=1) < 0.081 + bounds.level)
+    calm &= (np.linalg.norm(ankles[:, 0] - ankles[:, 1], axis=1) < bounds.apart) & (speed < bounds.slides)
+    calm &= track.height > -bounds.sinks
+    shoulders, hips = (
+        np.mean([track.points[f"{side}_{part}"] for side in SIDES], axis=0) for part in ("shoulder", "hip")
+    )
+    trunk = shoulders - hips
+    calm &= trunk[:, 1] > np.cos(np.radians(bounds.leans)) * np.linalg.norm(trunk, axis=1)
+    for side in () if bounds.busy else SIDES:
+        wrist, shoulder = (track.points[f"{side}_{part}"][:, 1] for part in ("wrist", "shoulder"))
+        calm &= wrist < shoulder - bounds.hangs
+    best: slice | None = None
+    for start, stop in runs(calm):
+        stop = min(stop, start + round(bounds.longest * motion.fps))
+        part = slice(start, stop)
+        if stop - start < max(bounds.shortest * motion.fps, best.stop - best.start if best else 0):
+            continue
+        swing = max(
+            float(np.linalg.norm(np.diff(track.relative(f"{side}_wrist")[part], axis=0), axis=1).mean()) * motion.fps
+            for side in SIDES
+        )
+        if (
+            np.ptp(motion.root_translation[part], axis=0).max() < bounds.shifts
+            and (swing > bounds.swings) == bounds.busy
+        ):
+            best = part
+    return best
+
 
 LONGEST = 196
 _MARGIN = 8
@@ -308,14 +391,14 @@ def _standing(rows: ClipSet) -> list[_Stretch]:
 
 
 def _idles(clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:
-    for name, features in who.idling(clips):
+    for name, features in idling(clips):
         yield _Stretch(f"{name}{IDLE}", "idle", (), features, None)
 
 
 def _busy(clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:
     """People who stand well and do something with their hands, the longest first."""
     of_clip: Counter[str] = Counter()
-    for name, features in who.idling(clips, who.BUSY):
+    for name, features in idling(clips, BUSY_BOUNDS):
         clip = name.split("@")[0]
         skeleton = skeleton_from_handles(decode(features), rounds=1)
         if of_clip[clip] < _BUSY_OF_ONE and stands_well(skeleton):

@@ -10,8 +10,8 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from bunraku.core.files import MAX_BYTES, atomic_write, check_input
 from bunraku.errors import FormatError, OptionError
-from bunraku.formats.files import MAX_BYTES, atomic_write, check_input
 
 __all__ = ["SUFFIX", "join_pieces", "split_file"]
 

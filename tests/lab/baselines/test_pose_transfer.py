@@ -1,30 +1,88 @@
-"""Parts that move, poses in the frame of the root, and whole characters moved by Skeleton-free Pose Transfer and by
-Neural Blend Shapes.
-"""
+"""Pose transfer, and a skeleton's motion copied."""
 
 import numpy as np
 import pytest
 import torch
 
-from bunraku.body.from_handles import skeleton_from_handles
-from bunraku.body.layout import JOINT_COUNT
-from bunraku.body.reference import reference_body
-from bunraku.core.motion import HandleMotion
+from bunraku.core.body.joint_rotations import skeleton_from_handles
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
+from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.skinning import skin
-from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku_lab.baselines.neural_blend_shapes import blended_mesh
+from bunraku.errors import CharacterError
 from bunraku_lab.baselines.pose_transfer import (
+    RiggedMesh,
+    TransferTarget,
+    copied_motion,
     graph_of,
     in_metres,
     in_root_frame,
     over_height,
     part_transforms,
+    rig_by_embedding,
     source_body,
-    source_turns,
+    source_motion,
+    source_rotations,
 )
-from bunraku_lab.baselines.transfer_target import TransferTarget, source_motion
-from bunraku_lab.nn.baselines.blend_shapes import NbsConfig, NbsNetwork
-from bunraku_lab.nn.baselines.pose_transfer import TransferConfig, TransferNetwork
+from bunraku_lab.evaluation.apparel.rivals import blended_mesh
+from bunraku_lab.nn.blend_shapes import NbsConfig, NbsNetwork
+from bunraku_lab.nn.pose_transfer import TransferConfig, TransferNetwork
+
+
+def bending(angle):
+    """Two frames: the T-pose, and the left elbow turned about Y while the root moves a metre ahead."""
+    body, turns = reference_body(), np.zeros((2, JOINT_COUNT, 3))
+    turns[1, JOINT_NAMES.index("left_elbow"), 1] = angle
+    root = body.joints[0] + np.array([[0, 0, 0], [0, 0, 1.0]])
+    return SkeletalMotion(body.skeleton, matrix_from_axis_angle(turns), root, 20.0)
+
+
+@pytest.fixture(scope="module")
+def rigged():
+    body = reference_body()
+    return rig_by_embedding(body.vertices, body.faces)
+
+
+def test_the_skeleton_is_found_and_at_rest_nothing_moves(rigged):
+    body = reference_body()
+    gap = np.linalg.norm(rigged.joints - body.joints, axis=1)
+    assert np.median(gap) < 0.08 and (np.count_nonzero(rigged.weights, axis=1) <= 4).all()
+    np.testing.assert_allclose(rigged.weights.sum(axis=1), 1, atol=1e-6)
+    at_rest, moved = copied_motion(rigged, bending(0.9))
+    np.testing.assert_allclose(at_rest, body.vertices, atol=1e-6)
+    legs = body.joint_weights[:, JOINT_NAMES.index("right_knee")] > 0.99
+    assert np.linalg.norm(moved[legs] - at_rest[legs] - [0, 0, 1], axis=1).mean() < 0.06  # a leg may be a little longer
+
+
+def test_on_the_body_itself_the_joints_go_where_its_skeleton_takes_them():
+    body = reference_body()
+    own = RiggedMesh(body.joints, body.joints, np.eye(JOINT_COUNT))  # each joint a vertex of its own
+    motion = bending(np.pi / 2)
+    np.testing.assert_allclose(copied_motion(own, motion), motion.world()[1], atol=1e-6)
+    np.testing.assert_allclose(copied_motion(own, motion, aligned=True), motion.world()[1], atol=1e-6)
+
+
+def test_arms_that_hang_are_taken_to_the_t_pose_first():
+    body = reference_body()
+    joints, shoulder = body.joints.copy(), JOINT_NAMES.index("left_shoulder")
+    down = matrix_from_axis_angle(np.array([0, 0, -np.pi / 2]))
+    below = [shoulder]
+    for joint in range(JOINT_COUNT):  # parents come first
+        if JOINT_PARENTS[joint] in below:
+            below.append(joint)
+            joints[joint] = (body.joints[joint] - body.joints[shoulder]) @ down.T + body.joints[shoulder]
+    hanging = RiggedMesh(joints, joints, np.eye(JOINT_COUNT))
+    wrist = JOINT_NAMES.index("left_wrist")
+    still = bending(0.0)
+    np.testing.assert_allclose(copied_motion(hanging, still)[0, wrist], joints[wrist], atol=1e-9)
+    np.testing.assert_allclose(copied_motion(hanging, still, aligned=True)[0, wrist], body.joints[wrist], atol=1e-6)
+
+
+def test_a_mesh_without_a_surface_is_refused():
+    with pytest.raises(CharacterError):
+        rig_by_embedding(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+
 
 QUARTER = matrix_from_axis_angle(np.array([0.0, 0, np.pi / 2]))
 
@@ -68,7 +126,7 @@ def test_the_source_turns_as_the_reference_body():
     turns = np.tile(np.eye(3), (1, JOINT_COUNT, 1, 1))
     turns[0, 16] = QUARTER  # the left shoulder
     whole = np.tile(QUARTER, (1, 1, 1, 1)) @ turns
-    np.testing.assert_allclose(source_turns(whole, reference_body().joints), turns, atol=1e-6)
+    np.testing.assert_allclose(source_rotations(whole, reference_body().joints), turns, atol=1e-6)
     body = source_body()
     still = body.posed(np.tile(np.eye(3, dtype=np.float32), (1, JOINT_COUNT, 1, 1)))[0]
     np.testing.assert_allclose(still, body.mesh.rest, atol=1e-5)

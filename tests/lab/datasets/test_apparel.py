@@ -1,4 +1,4 @@
-"""The apparel data set: plans, what is recorded, files that survive a kill, and readers that trust nobody."""
+"""Apparel data: shards, apparel in the body, and hems that stay up."""
 
 import json
 import os
@@ -7,19 +7,29 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from safetensors.numpy import load_file, save_file
 
-from bunraku.apparel.skinning import eq4_transforms
-from bunraku.apparel.unified import UnifiedBody
-from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
+from bunraku.apparel.body import UnifiedBody, eq4_transforms
+from bunraku.apparel.clothed import ClothedCharacter
+from bunraku.apparel.physics.simulate import simulate
 from bunraku.cli import main
-from bunraku.core.rig_animation import RigAnimation
+from bunraku.core.animation import RigAnimation
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError, OptionError
-from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.physics.simulate import simulate
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel import build as building
+from bunraku_lab.datasets.apparel.build import record
+from bunraku_lab.datasets.apparel.checks import (
+    PushOut,
+    apparel_facts,
+    facts_table,
+    inside_shares,
+    standing_out,
+    sway_frequency,
+)
 from bunraku_lab.datasets.apparel.plan import (
     MotionSource,
     character_sources,
@@ -29,10 +39,8 @@ from bunraku_lab.datasets.apparel.plan import (
     plan_shards,
     wardrobe_sources,
 )
-from bunraku_lab.datasets.apparel.recording import record
-from bunraku_lab.datasets.apparel.report import apparel_facts, facts_table, sway_frequency
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
-from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
+from bunraku_lab.synthetic.stock_motions import stock_motion
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 SEED = 1
@@ -366,3 +374,108 @@ def test_what_the_data_are_like(built):
     assert facts.share == pytest.approx(character.apparel.mean()) and facts.parts == len(character.spring)
     assert facts.offset > 0 and 0 < facts.frequency < 15
     assert len(facts_table([facts]).splitlines()) == 7
+
+
+RADIUS, FRAMES = 0.3, 24
+
+
+def worn():
+    """A ball of 0.6 m and a sheet that hangs down beside it, 5 cm away, held at its top."""
+    ball = trimesh.creation.icosphere(4, RADIUS)
+    across, down = np.meshgrid(np.linspace(-0.15, 0.15, 13), np.linspace(0.3, -0.2, 21))
+    sheet = np.stack([across, down, np.full_like(across, RADIUS + 0.05)], axis=-1).reshape(-1, 3)
+    index = np.arange(len(sheet)).reshape(across.shape) + len(ball.vertices)
+    quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], axis=-1).reshape(-1, 4)
+    faces = np.concatenate([ball.faces, quads[:, :3], quads[:, [0, 2, 3]]])
+    rest = np.concatenate([ball.vertices, sheet]).astype(np.float32)
+    weights = np.zeros((len(rest), JOINT_COUNT), np.float32)
+    weights[:, 0] = 1
+    apparel = np.arange(len(rest)) >= len(ball.vertices)
+    joints = np.zeros((JOINT_COUNT, 3))
+    return ClothedCharacter(
+        rest, faces, joints, weights, apparel, np.where(apparel, 0, -1), np.zeros(1), np.full(1, 0.9)
+    )
+
+
+def swung(clothed, deepest):
+    """The sheet swings into the ball and out again, the more the farther down; the ball stands still."""
+    pose = np.concatenate([np.tile(np.eye(3), (JOINT_COUNT, 1, 1)), clothed.joints[..., None]], axis=2)
+    loose = np.flatnonzero(clothed.apparel)
+    low = np.clip((0.25 - clothed.rest[loose, 1]) / 0.45, 0, 1)
+    way = np.zeros((FRAMES, len(loose), 3))
+    way[:, :, 2] = -deepest * np.sin(np.linspace(0, np.pi, FRAMES))[:, None] * low
+    return np.repeat(pose[None], FRAMES, axis=0).astype(np.float32), loose, way.astype(np.float16)
+
+
+def test_apparel_leaves_the_body():
+    clothed = worn()
+    transforms, loose, before = swung(clothed, 0.12)
+    after = PushOut(clothed)(transforms, loose, before)
+    assert after.dtype == np.float16 and after.shape == before.shape
+    rigid, deep, left = inside_shares(clothed, transforms, loose, before, after)
+    assert rigid == 0 and deep > 0.03 and left < 0.1 * deep
+    # by hand: no vertex is nearer to the middle than the radius, less what is let be
+    assert np.linalg.norm(clothed.rest[loose] + after.astype(float), axis=-1).min() > RADIUS - 0.007
+    assert np.linalg.norm(clothed.rest[loose] + before.astype(float), axis=-1).min() < RADIUS - 0.02
+    # smooth in time: no frame jumps farther from its neighbours than some millimetres more than before
+    jerk = [np.abs(np.diff(offsets.astype(float), 2, axis=0)).max() for offsets in (before, after)]
+    assert jerk[1] < jerk[0] + 0.01
+
+
+def test_what_is_outside_stays():
+    clothed = worn()
+    transforms, loose, offsets = swung(clothed, 0.03)
+    np.testing.assert_allclose(PushOut(clothed)(transforms, loose, offsets), offsets, atol=1e-3)
+
+
+def test_shares_by_hand():
+    """All of the sheet 8 cm towards the middle: the vertices within the radius less 1 cm are counted."""
+    clothed = worn()
+    transforms, loose, before = swung(clothed, 0.0)
+    before[:, :, 2] = -0.08
+    moved = clothed.rest[loose] - [0, 0, 0.08]
+    wanted = (np.linalg.norm(moved, axis=1) < RADIUS - 0.01).mean()
+    rigid, deep, again = inside_shares(clothed, transforms[:2], loose, before[:2], before[:2])
+    assert (rigid, again) == (0, deep) and deep == pytest.approx(wanted, abs=0.02)
+
+
+def skirt() -> ClothedCharacter:
+    """Ten vertices around the knees that hang from the pelvis, at 1 m."""
+    angle = np.linspace(0, 2 * np.pi, 10, endpoint=False)
+    rest = np.stack([0.3 * np.cos(angle), np.full(10, 0.5), 0.3 * np.sin(angle)], axis=1).astype(np.float32)
+    weights = np.zeros((10, JOINT_COUNT), np.float32)
+    weights[:, 0] = 1
+    joints = np.zeros((JOINT_COUNT, 3), np.float32)
+    joints[0, 1], joints[-1, 1] = 1.0, 1.7
+    none = np.zeros(1, np.float32)
+    faces = np.array([[0, 1, 2]])
+    return ClothedCharacter(rest, faces, joints, weights, np.ones(10, bool), np.zeros(10, np.int64), none, none)
+
+
+def poses(raised: slice) -> np.ndarray:
+    out = np.zeros((90, JOINT_COUNT, 3, 4), np.float32)
+    out[..., :3] = np.eye(3)
+    out[raised, JOINT_NAMES.index("left_hip"), :, :3] = matrix_from_axis_angle(np.array([-1.2, 0, 0]))
+    return out
+
+
+def test_a_hem_that_stays_up_after_the_leg_came_down_stands_out_and_one_on_the_leg_does_not():
+    clothed, loose = skirt(), np.arange(10)
+    up = np.zeros((90, 10, 3))
+    up[:, :3, 1] = 0.06 * clothed.scale + 0.01
+    transforms = poses(slice(10, 30))
+    calm_and_settled = 90 - 30 - 15
+    assert standing_out(clothed, transforms, loose, up) == 1.0
+    falls = up.copy()
+    falls[30 + 15 + 9 :] = 0  # it hangs for nine of the frames that count, and is moving when it falls
+    found = standing_out(clothed, transforms, loose, falls)
+    assert 7 / calm_and_settled <= found <= 9 / calm_and_settled
+    assert standing_out(clothed, poses(slice(0, 90)), loose, up) == 0.0
+    assert standing_out(clothed, transforms, loose, 0 * up) == 0.0
+
+
+def test_what_swings_does_not_stand_out():
+    clothed = skirt()
+    swing = np.zeros((90, 10, 3))
+    swing[..., 1] = 0.2 + 0.1 * np.sin(np.arange(90) * 0.5)[:, None]  # 1.5 m/s
+    assert standing_out(clothed, poses(slice(0, 0)), np.arange(10), swing) < 0.2

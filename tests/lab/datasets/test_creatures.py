@@ -1,4 +1,4 @@
-"""Clips of creatures: the table, and a made archive from files to the index."""
+"""Labelled clips of creatures and of people of games."""
 
 import json
 import re
@@ -9,24 +9,31 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.body.layout import HANDLE_NAMES
+from bunraku.anatomy.names.bone_names import rig_handles
 from bunraku.core.animation import Animation
+from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.body.reference import reference_body
+from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.features import encode
 from bunraku.errors import CharacterError, FormatError
-from bunraku.handles.from_rig import rig_handles
-from bunraku.language.captions.phrases import mirror_words
+from bunraku.generation.features import encode
+from bunraku.language.captions import mirror_words
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku_lab.datasets.characters.build import HELD_OUT
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.datasets.motions.creatures import (
     HELD_OUT_SPECIES,
     add_creatures,
+    add_game_clips,
     clip_vertices,
     creature_body,
     creature_clips,
     creature_split,
+    forward_speed,
+    played_on,
+    reference_clip,
     reference_motion,
+    with_travel,
 )
 from bunraku_lab.synthetic.samples import make_sample
 
@@ -198,3 +205,110 @@ def test_what_is_missing_is_said(tmp_path):
     (tmp_path / "index.json").write_text(json.dumps({"clips": {}}))
     with pytest.raises(FormatError, match="none of the known characters"):
         add_creatures(tmp_path, tmp_path)
+
+
+def walker(speed, frames=40, fps=20.0, height=1.0):
+    """Two feet of four points under a body: each stands for half a second and moves back with `speed`, then swings
+    forward high.
+    """
+    moments = np.arange(frames) / fps
+    vertices = np.zeros((frames, 9, 3))
+    vertices[:, 8] = [0, height, 0]
+    square = np.array([[0, 0, 0], [0.05, 0, 0], [0, 0, 0.05], [0.05, 0, 0.05]])
+    for foot, shift in enumerate((0.0, 0.5)):
+        phase = (moments + shift) % 1.0
+        stands = phase < 0.5
+        z = np.where(stands, -speed * phase, -speed * 0.5 + speed * (phase - 0.5))
+        y = np.where(stands, 0, 0.3 * np.sin((phase - 0.5) * 2 * np.pi))
+        vertices[:, 4 * foot : 4 * foot + 4] = square + np.stack([np.full(frames, 0.2 * foot), y, z], axis=1)[:, None]
+    return vertices
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.0, 3.0])
+def test_standing_feet_tell_the_speed(speed):
+    assert forward_speed(walker(speed), np.ones(9, bool), 1.0, 20.0) == pytest.approx(speed, rel=0.05)
+
+
+def test_who_stands_or_floats_has_no_speed():
+    assert forward_speed(walker(0.0), np.ones(9, bool), 1.0, 20.0) == 0
+    assert forward_speed(walker(-1.0), np.ones(9, bool), 1.0, 20.0) == 0
+    assert forward_speed(np.zeros((1, 9, 3)), np.ones(9, bool), 1.0, 20.0) == 0
+
+
+def test_travel_is_added_once():
+    frames = 11
+    still = HandleMotion(
+        np.zeros((frames, 2, 3)),
+        np.broadcast_to(np.eye(3), (frames, 2, 3, 3)),
+        np.zeros((frames, 3)),
+        np.broadcast_to(np.eye(3), (frames, 3, 3)),
+    )
+    moved = with_travel(still, 2.0)
+    assert moved.root_translation[-1].tolist() == pytest.approx([0, 0, 1.0])
+    assert with_travel(moved, 2.0) is moved and with_travel(still, 0.0) is still
+
+
+def turning(frames, end):
+    """A handle that turns from 0 to `end` and moves on by 0.1 m a frame."""
+    from scipy.spatial.transform import Rotation
+
+    rotations = np.tile(np.eye(3), (frames, 2, 1, 1))
+    rotations[:, 1] = Rotation.from_euler("x", np.linspace(0, end, frames)[:, None]).as_matrix()
+    path = np.outer(np.arange(frames), [0, 0, 0.1])
+    return HandleMotion(np.zeros((frames, 2, 3)), rotations, path, np.broadcast_to(np.eye(3), (frames, 3, 3)))
+
+
+def test_a_loop_is_played_on_without_a_seam():
+    loop = played_on(turning(11, 2 * np.pi), 40)
+    assert len(loop) == 40  # four rounds of ten: the eleventh frame is the first again
+    np.testing.assert_allclose(loop.rotations[10], loop.rotations[0], atol=1e-6)
+    np.testing.assert_allclose(np.diff(loop.root_translation[:, 2]), 0.1, atol=1e-5)
+    short = played_on(turning(10, 2 * np.pi * 0.9), 40)  # its last frame is one step before the first
+    assert len(short) == 40 and np.abs(np.diff(short.rotations[:, 1, 1, 1])).max() < 0.7
+    once = turning(10, 1.5)
+    assert played_on(once, 40) is once and played_on(loop, 40) is loop
+
+
+def arm_raised(side, degrees=70, frames=12):
+    """The rigged person raising one arm, driven by its own joints."""
+    person = make_sample("person", 0.3, rigged=True)
+    rig, sign = person.rig, 1 if side == "left" else -1
+    shoulder = rig.names.index(f"{side.capitalize()}Arm")
+    moved = {shoulder}
+    for joint, parent in enumerate(rig.parents):  # parents come before children in the samples
+        if parent in moved:
+            moved.add(joint)
+    joints = len(rig.names)
+    rotations = np.tile(np.eye(3), (frames, joints + 1, 1, 1))
+    translations = np.zeros((frames, joints + 1, 3))
+    turn = Rotation.from_rotvec(np.linspace(0, sign * np.radians(degrees), frames)[:, None] * [0, 0, 1]).as_matrix()
+    for joint in moved:
+        arm = rig.positions[joint] - rig.positions[shoulder]
+        rotations[:, joint + 1] = turn
+        translations[:, joint + 1] = turn @ arm - arm
+    weights = np.concatenate([np.zeros((len(person.vertices), 1)), rig.dense_weights()], axis=1)
+    handles = Handles(np.concatenate([np.zeros((1, 3)), rig.positions]), weights / weights.sum(axis=1, keepdims=True))
+    still = np.broadcast_to(np.eye(3), (frames, 3, 3))
+    return Animation(person, handles, HandleMotion(translations, rotations, np.zeros((frames, 3)), still, 20.0))
+
+
+@pytest.mark.parametrize(("side", "other"), [("left", "right"), ("right", "left")])
+def test_a_raised_arm_is_raised_on_the_reference_body(side, other):
+    motion = reference_clip(arm_raised(side))
+    body = reference_body()
+    posed = Animation(body.character(), body.handles, motion).vertices()
+    hand = body.handle_weights[:, HANDLE_NAMES.index(f"{side}_wrist")] > 0.5
+    idle = body.handle_weights[:, HANDLE_NAMES.index(f"{other}_wrist")] > 0.5
+    arm = np.linalg.norm(body.joints[20] - body.joints[16])
+    rise = posed[-1, hand, 1].mean() - posed[0, hand, 1].mean()
+    assert rise == pytest.approx(arm * np.sin(np.radians(70)), rel=0.3)
+    assert abs(posed[-1, idle, 1].mean() - posed[0, idle, 1].mean()) < 0.05
+    assert np.abs(posed[..., 1].min(axis=1)).max() < 0.03
+
+
+def test_what_game_clips_lack_is_said(tmp_path):
+    with pytest.raises(FormatError, match="no index"):
+        add_game_clips(tmp_path, tmp_path)
+    (tmp_path / "index.json").write_text(json.dumps({"clips": {}}))
+    with pytest.raises(FormatError, match="none of the known characters"):
+        add_game_clips(tmp_path, tmp_path)

@@ -1,4 +1,4 @@
-"""The motion archive in its packed form, written byte by byte, and its conversion to handle motion."""
+"""Human motions as handle motions: heights, rolled limbs, turns on the spot."""
 
 import json
 import signal
@@ -11,15 +11,27 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
-from bunraku.body.reference import reference_body
-from bunraku.core.motion import SkeletalMotion
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.rotations import heading, matrix_from_axis_angle, matrix_y
+from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError
-from bunraku.retarget.from_mesh import handle_motion_of_body
-from bunraku_lab.datasets.motions.build import MotionArchive, build_motions, split_of
-from bunraku_lab.datasets.motions.clips import load_clip
-from bunraku_lab.datasets.motions.feet import level_feet, standing_foot_pitch, subject_pitches
+from bunraku.retarget.to_reference import handle_motion_of_body
+from bunraku_lab.datasets.motions.build import (
+    MotionArchive,
+    build_motions,
+    floor_height,
+    level_feet,
+    posture_fault,
+    rolled_limbs,
+    split_of,
+    standing_foot_pitch,
+    subject_pitches,
+    unrolled,
+)
+from bunraku_lab.datasets.motions.clips import load_clip, write_clip
+from bunraku_lab.datasets.motions.derived import add_turns, find_turn
 
 
 def bend(frames, seed=0):
@@ -170,3 +182,129 @@ def _runs(process):
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
     except OSError:
         return False
+
+
+FPS = 20.0
+
+
+def steps(frames, jump=None):
+    """The lowest point of somebody who walks, and who jumps half a metre high for half a second where asked."""
+    lowest = 0.01 * np.abs(np.sin(np.arange(frames)))
+    if jump is not None:
+        lowest[jump : jump + 10] += 0.5 * np.sin(np.linspace(0, np.pi, 10))
+    return lowest
+
+
+def test_what_hovers_comes_down_and_what_jumps_stays_up():
+    lowest = steps(200, jump=100)
+    drift = np.linspace(0.0, 0.12, 200)
+    settled = lowest + drift - floor_height(lowest + drift, FPS)
+    assert np.abs(np.delete(settled, np.arange(96, 114))).max() < 0.03
+    assert settled[100:110].max() == pytest.approx(0.5, abs=0.04)
+
+
+def test_what_climbs_keeps_its_height():
+    lowest = steps(200) + np.linspace(0, 1.5, 200)
+    assert np.ptp(floor_height(lowest, FPS)) == 0
+    assert floor_height(np.full(50, 0.7), FPS).max() == 0  # high up for good: it hangs
+
+
+@pytest.mark.parametrize(
+    ("texts", "height", "lowest", "words"),
+    [
+        (["a person sits on a chair"], -0.15, 0.0, "no seat"),
+        (["a person sits on a chair"], -0.4, 0.0, None),
+        (["someone sits on a high stool"], -0.05, 0.0, None),
+        (["a person lies on the back"], -0.1, 0.0, "lies"),
+        (["a person walks"], 0.0, 0.2, "nothing is near the ground in 100 %"),
+        (["a person climbs a ladder"], 0.0, 0.8, None),
+        (["a person walks"], 0.0, 0.0, None),
+    ],
+)
+def test_postures_that_cannot_be_are_named(texts, height, lowest, words):
+    fault = posture_fault(texts, np.full(40, height), np.full(40, lowest))
+    assert (fault is None) if words is None else (words in fault)
+
+
+J = {name: index for index, name in enumerate(JOINT_NAMES)}
+
+
+def squats(rolled: bool) -> SkeletalMotion:
+    """Someone whose knees bend up to 90 degrees; the right leg's bones may be rolled by half a turn about
+    themselves.
+    """
+    bend = np.deg2rad(90) * np.sin(np.linspace(0, np.pi, 40))
+    rotations = np.tile(np.eye(3), (40, len(JOINT_NAMES), 1, 1))
+    for side in ("left", "right"):
+        rotations[:, J[f"{side}_hip"]] = matrix_from_axis_angle(np.stack([-0.5 * bend, 0 * bend, 0 * bend], axis=1))
+        rotations[:, J[f"{side}_knee"]] = matrix_from_axis_angle(np.stack([bend, 0 * bend, 0 * bend], axis=1))
+    if rolled:
+        down = reference_body().skeleton.offsets[J["right_ankle"]]
+        down = down / np.linalg.norm(down)
+        half = 2 * np.outer(down, down) - np.eye(3)  # about the shin
+        rotations[:, J["right_hip"]] = rotations[:, J["right_hip"]] @ half
+        rotations[:, J["right_knee"]] = half @ rotations[:, J["right_knee"]] @ half
+    return SkeletalMotion(reference_body().skeleton, rotations, np.zeros((40, 3)), 20.0)
+
+
+def test_a_rolled_leg_is_found_and_only_that():
+    assert rolled_limbs(squats(False)) == []
+    assert rolled_limbs(squats(True)) == ["right_knee"]
+
+
+def test_places_stay_and_the_knee_bends_back():
+    before = squats(True)
+    after = unrolled(before)
+    np.testing.assert_allclose(after.world()[1], before.world()[1], atol=1e-5)
+    assert rolled_limbs(after) == []
+
+
+def test_a_sound_motion_is_the_same_object():
+    sound = squats(False)
+    assert unrolled(sound) is sound
+
+
+def walker(degrees, frames=160, radius=0.0):
+    """Stands for 40 frames, turns within 40, stands again; or walks a circle while turning."""
+    angle = np.radians(degrees) * np.clip((np.arange(frames) - 40) / 40, 0, 1)
+    path = radius * np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
+    still = np.broadcast_to(np.eye(3), (frames, 30, 3, 3))
+    return HandleMotion(np.zeros((frames, 30, 3)), still, path, matrix_y(angle), 20.0)
+
+
+@pytest.mark.parametrize("degrees", [170, -170])
+def test_a_turn_is_found_with_its_direction(degrees):
+    start, stop, change = find_turn(walker(degrees))
+    assert start <= 45 and stop >= 75 and change == pytest.approx(np.radians(degrees), abs=0.4)
+
+
+def test_what_is_no_turn_on_the_spot():
+    assert find_turn(walker(60)) is None
+    assert find_turn(walker(170, radius=2.0)) is None
+    assert find_turn(walker(170, frames=45)) is None
+
+
+def test_turns_join_the_index_with_their_direction(tmp_path):
+    clips = {}
+    for name, degrees, text in (
+        ("a", 170, "walk"),
+        ("b", -170, "a person walks"),
+        ("c", 170, "salsa dance"),
+        ("d", 40, "walk"),
+    ):
+        write_clip(tmp_path / f"{name}.npz", walker(degrees))
+        clips[name] = {"texts": [text], "split": "train", "frames": 160, "weight": 1.0}
+    (tmp_path / "index.json").write_text(json.dumps({"clips": clips}))
+    assert add_turns(tmp_path) == ["turn_a", "turn_b"]
+    index = json.loads((tmp_path / "index.json").read_text())["clips"]
+    assert index["turn_a"]["texts"] == ["a person turns around to the left"]
+    assert index["turn_b"]["texts"] == ["a person turns around to the right"]
+    turn = load_clip(tmp_path / "turn_a.npz")
+    assert len(turn) == index["turn_a"]["frames"] < 90
+    assert np.ptp(heading(turn.root_rotation)) > 2.5
+
+
+def test_an_index_cannot_name_a_file_outside_its_folder(tmp_path):
+    (tmp_path / "index.json").write_text(json.dumps({"clips": {"../outside": {"texts": ["walk"], "split": "train"}}}))
+    with pytest.raises(FormatError, match="not a plain name"):
+        add_turns(tmp_path)

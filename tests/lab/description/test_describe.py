@@ -8,13 +8,12 @@ import pytest
 from moving_people import FPS, kick, person, ramp
 
 from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.features import decode, encode, mirror
-from bunraku.language.captions.grammar import conjugate
-from bunraku.language.captions.phrases import mirror_words
-from bunraku.language.description.track import Phrase, Track, runs
+from bunraku.generation.agreement import Phrase, Track, runs
+from bunraku.generation.features import decode, encode, mirror
+from bunraku.language.captions import conjugate, mirror_words
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
-from bunraku_lab.description.describe import chain, describe, inside, sentences
 from bunraku_lab.description.events import find_punches, find_seats
+from bunraku_lab.description.wording import chain, describe, inside, sentences
 
 
 def said(motion, human=True):

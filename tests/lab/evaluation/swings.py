@@ -3,11 +3,11 @@
 import numpy as np
 import torch
 
-from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion
-from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.core.nn.layers import unit
 from bunraku.language.encoders import TextBatch
-from bunraku.nn.layers import unit
 
 PARTS = {
     "left_elbow": "waves",

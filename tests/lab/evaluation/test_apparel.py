@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from bunraku.apparel.unified import UnifiedBody
+from bunraku.apparel.body import UnifiedBody
+from bunraku.apparel.physics.clothed_from_file import clothed_from_file
 from bunraku.core.skinning import skin
-from bunraku.physics.told.clothed import clothed_from_file
-from bunraku_lab.evaluation.apparel.against import best_skinning
-from bunraku_lab.evaluation.apparel.chained import chain_row, chain_summary
-from bunraku_lab.evaluation.apparel.clips import TrueClip
-from bunraku_lab.evaluation.apparel.measures import edge_score, oracle_skinning, point_distance
+from bunraku_lab.evaluation.apparel.chains import chain_row, chain_summary
+from bunraku_lab.evaluation.apparel.clips import TrueClip, edge_score, oracle_skinning, point_distance
+from bunraku_lab.evaluation.apparel.rivals import best_skinning
 from bunraku_lab.evaluation.apparel.table import APPAREL_BARS, _rest_table, _ten_table
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 

@@ -1,22 +1,32 @@
-"""Each measure on values that were worked out by hand."""
+"""The measures of handles, against values by hand."""
 
 import numpy as np
 import pytest
+import trimesh
 
-from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
-from bunraku.core.skinning import skin
-from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.core.character import Character, Handles
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import part_means, register, skin
+from bunraku.files.samples import sample_character
 from bunraku_lab.evaluation.handles.measures import (
     NAMED_PARTS,
     accepted_handles,
+    carried,
     drive,
+    edge_error,
+    edge_stretch,
     main_handles,
     part_handles,
     part_meaning,
     part_purity,
     pose_error,
+    refine_registration,
+    resampled,
     root_error,
     same_main_handle,
+    stretch_of,
     truncation_error,
     weight_difference,
 )
@@ -124,3 +134,125 @@ def test_truncation_is_the_distance_between_the_two_plays():
     transforms = np.concatenate([turns, rng.normal(size=(3, 6, 3, 1))], axis=-1)
     expected = np.linalg.norm(skin(rest, full, transforms) - skin(rest, cut, transforms), axis=-1).mean() / 1.7
     assert truncation_error(rest, full, cut, transforms, 1.7) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.fixture
+def arm():
+    """A bar of two bones whose weights blend widely, in three true poses."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-1, 1, (400, 3)) * [1, 0.2, 0.2]
+    share = np.clip(0.5 + x[:, 0], 0, 1)
+    weights = np.stack([1 - share, share], axis=1)
+    turns = np.asarray(matrix_from_axis_angle(rng.normal(0, 0.6, (3, 2, 3))))
+    turns[:, 0] = np.eye(3)
+    truth = np.concatenate([turns, np.zeros((3, 2, 3, 1))], axis=-1)
+    return x, weights, truth, skin(x.astype(np.float32), weights.astype(np.float32), truth)
+
+
+def plain(x, posed, weights):
+    rotations, translations = register(x, posed, weights)
+    handles = part_means(x, weights)
+    offset = handles + translations - np.einsum("nkij,kj->nki", rotations, handles)
+    return np.concatenate([rotations, offset[..., None]], axis=-1)
+
+
+def error(x, posed, weights, transforms):
+    return float(np.square(skin(x.astype(np.float32), weights.astype(np.float32), transforms) - posed).sum())
+
+
+def test_true_motions_are_found_again_where_weights_blend(arm):
+    x, weights, truth, posed = arm
+    start = plain(x, posed, weights)
+    found = refine_registration(x, posed, weights, start, sweeps=60)
+    assert error(x, posed, weights, found) < 1e-3 * error(x, posed, weights, start)
+    np.testing.assert_allclose(found, truth, atol=0.02)
+    turns = found[..., :3]
+    np.testing.assert_allclose(turns @ turns.swapaxes(-1, -2), np.broadcast_to(np.eye(3), turns.shape), atol=1e-9)
+
+
+def test_every_sweep_helps_and_fixed_parts_stay(arm):
+    x, weights, _, posed = arm
+    start = plain(x, posed, weights)
+    start[:, 0] = np.eye(3, 4)
+    errors = [
+        error(x, posed, weights, refine_registration(x, posed, weights, start, fixed=(0,), sweeps=n)) for n in range(4)
+    ]
+    assert errors == sorted(errors, reverse=True) and errors[3] < errors[0]
+    assert np.array_equal(refine_registration(x, posed, weights, start, fixed=(0,))[:, 0], start[:, 0])
+
+
+def test_hard_weights_have_nothing_to_gain(arm):
+    x, weights, _, posed = arm
+    hard = np.eye(2)[weights.argmax(axis=1)]
+    start = plain(x, posed, hard)
+    np.testing.assert_allclose(refine_registration(x, posed, hard, start), start, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [1_000, 5_000, 50_000])
+def test_the_surface_stays_and_the_vertices_are_as_many(count):
+    dog = sample_character("dog")
+    other = resampled(dog, count)
+    assert 0.9 * count < len(other.vertices) < 1.15 * count
+    np.testing.assert_allclose(np.ptp(other.vertices, axis=0), np.ptp(dog.vertices, axis=0), rtol=0.03)
+    tree = trimesh.Trimesh(dog.vertices, dog.faces, process=False)
+    _, distance, _ = trimesh.proximity.closest_point_naive(tree, other.vertices[:: max(1, count // 50)])
+    assert distance.max() < 0.02 * dog.height
+
+
+def test_a_coarse_mesh_is_refined_evenly_whatever_its_triangles():
+    box = trimesh.creation.box((1, 1, 1))
+    for count in (1_000, 5_000):
+        got = resampled(Character("box", box.vertices, box.faces), count)
+        assert (
+            0.6 * count < len(got.vertices) < 1.6 * count
+        )  # all edges are as long: they are split together or not at all
+        assert trimesh.Trimesh(got.vertices, got.faces, process=False).is_watertight
+
+
+def test_linear_values_are_carried_exactly():
+    ball = trimesh.creation.icosphere(3)
+    points = ball.triangles_center
+    got = carried(ball.vertices, ball.vertices, ball.faces, points * 1.001)
+    np.testing.assert_allclose(got, points, atol=1e-3)
+    np.testing.assert_allclose(
+        carried(np.eye(len(ball.vertices)), ball.vertices, ball.faces, ball.vertices).argmax(1),
+        np.arange(len(ball.vertices)),
+    )
+
+
+def test_an_edge_s_largest_length_over_its_own():
+    rest = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
+    posed = np.stack([rest, rest * [3, 1, 1], rest * [1, 0.5, 1]])
+    np.testing.assert_allclose(edge_stretch(rest, posed, np.array([[0, 1], [0, 2]])), [3, 1])
+
+
+def test_two_edges_of_three_are_stretched():
+    """One vertex of a triangle is carried off along its edge to the next; the third one stays at a right angle."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+    weights = np.zeros((3, 2), np.float32)
+    weights[[0, 2], 0], weights[1, 1] = 1, 1
+    character = Character("triangle", vertices, np.array([[0, 1, 2]]))
+    handles = Handles(vertices[:2], weights)
+    shift = np.zeros((7, 2, 3))
+    shift[6, 1, 0] = 4.0
+    turns = np.tile(np.eye(3), (7, 2, 1, 1))
+    found = stretch_of(character, handles, HandleMotion(shift, turns, np.zeros((7, 3)), turns[:, 0]))
+    assert found["most_stretched"] == pytest.approx(5)
+    assert found["stretched_edges"] == pytest.approx(
+        2 / 3
+    )  # the other edge of the vertex is sqrt(26 / 2) times as long
+    still = stretch_of(character, handles, HandleMotion(0 * shift, turns, np.zeros((7, 3)), turns[:, 0]))
+    assert still == {"stretched_edges": 0.0, "most_stretched": 1.0}
+
+
+def test_the_edge_error_is_the_mean_change_of_length():
+    """One vertex of a triangle is shifted by its edge's length in one of two frames that are looked at."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+    weights = np.array([[1, 0], [0, 1], [1, 0]], np.float32)
+    character = Character("triangle", vertices, np.array([[0, 1, 2]]))
+    shift = np.zeros((4, 2, 3))
+    shift[3, 1, 0] = 1.0
+    turns = np.tile(np.eye(3), (4, 2, 1, 1))
+    motion = HandleMotion(shift, turns, np.zeros((4, 3)), turns[:, 0])
+    changes = np.array([[0, 0, 0], [1, 0, np.sqrt(5 / 2) - 1]])
+    assert edge_error(character, Handles(vertices[:2], weights), motion) == pytest.approx(changes.mean(), rel=1e-5)

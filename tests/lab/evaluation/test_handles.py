@@ -1,24 +1,53 @@
-"""The table of handles, with a predictor that knows the truth and with the shipped one."""
+"""The evaluation of handles: subjects, rest poses, rigid blocks, the table."""
 
 import json
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
-from bunraku.body.layout import HANDLE_NAMES
-from bunraku.body.reference import handle_positions, reference_body
+from bunraku.anatomy.handles.orientation import resolve_axes
+from bunraku.cli import main
+from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
-from bunraku.errors import CharacterError, FormatError, OptionError
-from bunraku.geometry.axes import ORIENTATIONS, upright_rotation
-from bunraku.handles.orientation import resolve_axes
-from bunraku.io import save_character
-from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku_lab.evaluation.handles.orientation import measure_orientation
-from bunraku_lab.evaluation.handles.resampling import carried
-from bunraku_lab.evaluation.handles.subjects import find_files, subject
-from bunraku_lab.evaluation.handles.table import BARS, code_made_subjects, evaluate_handles, folder_subjects
-from bunraku_lab.evaluation.handles.trials import Reference, measure_subject, prediction_seconds, resolution_differences
+from bunraku.core.geometry.axes import ORIENTATIONS, upright_rotation
+from bunraku.core.nn.checkpoints import shipped_checkpoint
+from bunraku.errors import CharacterError, FormatError, OptionError, WeightsError
+from bunraku.files import save_character
+from bunraku.retarget.fit import Stages
+from bunraku_lab.datasets.characters.build import HELD_OUT
+from bunraku_lab.datasets.characters.training_character import (
+    TrainingCharacter,
+    forward_kinematics,
+    handle_target,
+    random_pose,
+)
+from bunraku_lab.evaluation.handles.blocks import block_joints, block_motion
+from bunraku_lab.evaluation.handles.measures import carried
+from bunraku_lab.evaluation.handles.rest_poses import (
+    REST_POSES,
+    code_made_motions,
+    limb_directions,
+    posed_limbs,
+    rest_pose_transfer,
+    true_handles,
+)
+from bunraku_lab.evaluation.handles.subjects import ARCHIVE, AVATARS, WARDROBE, detailed_subjects, find_files, subject
+from bunraku_lab.evaluation.handles.table import (
+    BARS,
+    Reference,
+    code_made_subjects,
+    evaluate_handles,
+    folder_subjects,
+    measure_orientation,
+    measure_subject,
+    prediction_seconds,
+    resolution_differences,
+)
 from bunraku_lab.synthetic.families import EVALUATION_SEED
 from bunraku_lab.synthetic.samples import make_sample
 
@@ -211,3 +240,199 @@ def test_code_made_characters_are_of_seeds_that_nothing_trains_on():
     first = load()
     assert first.name == name and first.humanoid
     assert first.truth.weights.shape[1] == len(first.truth.joints) and first.truth.target.shape[1] == len(HANDLE_NAMES)
+
+
+DATA = Path(os.environ.get("BUNRAKU_DATA", "runs/data"))
+
+
+def test_there_are_twenty_and_those_of_the_archive_are_held_out():
+    assert len(ARCHIVE) + len(AVATARS) + len(WARDROBE) == len({*ARCHIVE, *AVATARS, *WARDROBE}) == 20
+    assert set(ARCHIVE) < set(HELD_OUT)
+
+
+def test_files_that_are_not_there_are_left_out(tmp_path):
+    (tmp_path / "valid").mkdir()
+    (tmp_path / f"{ARCHIVE[-1]}.glb").write_bytes(b"")
+    (tmp_path / "Other.pmx").write_bytes(b"")
+    (tmp_path / AVATARS[1]).write_bytes(b"")
+    assert list(detailed_subjects(tmp_path, tmp_path))[:2] == [ARCHIVE[-1], "Gene"]
+    assert list(detailed_subjects()) == [f"wardrobe/{seed}" for seed in WARDROBE]
+
+
+def test_a_person_of_the_wardrobe_has_the_truth_of_its_rig():
+    one = detailed_subjects()[f"wardrobe/{WARDROBE[0]}"]()
+    assert one.humanoid and one.character.rig is None
+    assert one.truth.weights.shape == (len(one.character.vertices), len(one.truth.joints))
+
+
+@pytest.mark.skipif(not (DATA / "apparel").is_dir(), reason="the avatars are not there")
+def test_avatars_are_found_in_a_folder_of_them():
+    loads = detailed_subjects(avatars=DATA / "apparel")
+    assert len(loads) == len(AVATARS) + len(WARDROBE)
+    assert loads["Gene"]().humanoid
+
+
+J = {name: index for index, name in enumerate(JOINT_NAMES)}
+
+
+def stick_figure(seed: int | None = None) -> TrainingCharacter:
+    """The reference body's joints as a mesh of 22 points, each wholly of its joint; with a seed in a random pose."""
+    joints, parents = np.asarray(reference_body().joints, float), np.array(JOINT_PARENTS)
+    none = np.zeros((0, 3))
+
+    def figure(positions: np.ndarray) -> TrainingCharacter:
+        weights = np.eye(22, dtype=np.float32)
+        target = handle_target(weights, np.arange(22))
+        return TrainingCharacter(
+            "stick",
+            positions,
+            none,
+            np.ones(22),
+            none,
+            weights,
+            positions,
+            parents,
+            np.arange(22),
+            target,
+            positions[0],
+            float(np.ptp(positions[:, 1])),
+        )
+
+    if seed is None:
+        return figure(joints)
+    turns = forward_kinematics(joints, parents, random_pose(np.random.default_rng(seed), figure(joints), 0.8))
+    return figure(np.einsum("jab,jb->ja", turns[:, :, :3], joints) + turns[:, :, 3])
+
+
+@pytest.mark.parametrize("seed", [None, 1, 2])
+@pytest.mark.parametrize("pose", REST_POSES)
+def test_limbs_point_where_the_pose_says(pose, seed):
+    figure = stick_figure(seed)
+    positions = posed_limbs(figure, pose).astype(float)
+    for part, want in limb_directions(pose).items():
+        side, name = part.split("_")
+        child = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}[name]
+        bone = positions[J[f"{side}_{child}"]] - positions[J[part]]
+        before = figure.joints[J[f"{side}_{child}"]] - figure.joints[J[part]]
+        assert np.linalg.norm(bone) == pytest.approx(np.linalg.norm(before), rel=1e-4)  # bones keep their lengths
+        if name in ("hip", "knee") and pose != "sitting":
+            assert abs(bone[2]) < 1e-4 and bone[1] < 0
+        else:
+            np.testing.assert_allclose(bone / np.linalg.norm(bone), want, atol=1e-4)
+    np.testing.assert_allclose(positions[: J["left_hip"]], figure.joints[: J["left_hip"]], atol=1e-5)  # the root rests
+
+
+def test_the_body_in_t_pose_stays_nearly_as_it_is():
+    body = reference_body()
+    figure = TrainingCharacter(
+        "body", body.vertices, np.zeros((0, 3)), np.ones(len(body.vertices)), np.zeros((0, 2)), body.joint_weights,
+        np.asarray(body.joints, float),
+        np.array(JOINT_PARENTS), np.arange(22), body.handle_weights, body.joints[0], 1.7,
+    )  # fmt: skip
+    assert np.linalg.norm(posed_limbs(figure, "T") - body.vertices, axis=1).max() < 0.12
+    seated, low = posed_limbs(figure, "sitting"), posed_limbs(figure, "arms down")
+    assert np.ptp(seated[:, 1]) < 0.85 * np.ptp(body.vertices[:, 1]) and np.ptp(seated[:, 2]) > 1.5 * np.ptp(
+        body.vertices[:, 2]
+    )
+    assert np.ptp(low[:, 0]) < 0.6 * np.ptp(body.vertices[:, 0])
+
+
+def test_a_rig_without_limbs_is_left_alone():
+    figure = stick_figure()
+    bare = TrainingCharacter(**{**vars(figure), "handles": np.full(22, -1)})
+    np.testing.assert_allclose(posed_limbs(bare, "sitting"), figure.vertices, atol=1e-6)
+
+
+def test_the_rest_pose_does_not_show_in_the_animation():
+    people = [
+        subject(make_sample("person", 0.3, rigged=True), "person"),
+        subject(reference_body().character(), "reference"),
+    ]
+    motions = code_made_motions(0.5)
+    result = rest_pose_transfer(people, {"squat": motions["squat"]})
+    assert result["rest_pose_transfer"] < 0.02 and result["in_place"] < 0.02 and result["ground"] < 0.01
+    assert set(result["poses"]) == {"A", "arms down", "sitting", "crouching"} and result["poses"]["A"] < 0.01
+    without = rest_pose_transfer(people[1:], {"wave": motions["wave"]}, stages=Stages(rest_pose=False))
+    assert without["rest_pose_transfer"] > 3 * result["rest_pose_transfer"]
+
+
+def test_who_is_no_humanoid_is_passed_over():
+    dog = subject(make_sample("dog", 0.3, rigged=True), "dog")
+    assert rest_pose_transfer([dog])["rest_pose_transfer"] is None
+
+
+def test_posed_limbs_and_true_handles_agree_on_the_parts():
+    one = subject(make_sample("person", 0.3, rigged=True), "person")
+    sitting = posed_limbs(one.truth, "sitting")
+    handles = true_handles(one, sitting)
+    thigh, pelvis = (handles.positions[HANDLE_NAMES.index(name)] for name in ("left_hip", "pelvis"))
+    assert thigh[2] - pelvis[2] > 0.05 * one.height and np.allclose(handles.weights.sum(axis=1), 1, atol=1e-4)
+
+
+def boxes():
+    """Two unit boxes that touch at x = 0.5, as one character."""
+    one, two = trimesh.creation.box((1, 1, 1)), trimesh.creation.box((1, 1, 1))
+    two.apply_translation((1, 0, 0))
+    both = trimesh.util.concatenate([one, two])
+    label = np.repeat([0, 1], len(one.vertices))
+    return Character("boxes", both.vertices, both.faces), label
+
+
+def test_a_gap_is_how_far_blocks_come_apart():
+    character, label = boxes()
+    posed = np.tile(character.vertices, (3, 1, 1)).astype(np.float64)
+    posed[1, label == 1] += [0.07, 0, 0]
+    posed[2, label == 1] -= [0.03, 0, 0]  # sinks in
+    found = block_motion(character, label, [(1, 0)], posed)
+    np.testing.assert_allclose(found.gaps, [0.07], atol=0.006)
+    assert found.shear < 1e-6
+
+
+def test_a_turn_about_the_contact_opens_nothing_and_a_bend_is_shear():
+    character, label = boxes()
+    posed = np.tile(character.vertices, (2, 1, 1)).astype(np.float64)
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    pivot = np.array([0.5, 0, 0])
+    posed[1, label == 1] = (posed[1, label == 1] - pivot) @ turn.T + pivot
+    found = block_motion(character, label, [(1, 0)], posed)
+    assert found.gaps[0] < 0.006
+    assert found.shear < 1e-6
+    posed[1, 0] += [0, 0.1, 0]
+    assert 0.04 < block_motion(character, label, [(1, 0)], posed).shear < 0.1
+
+
+BOXES = {
+    "torso": ((-0.25, 0.7, -0.12), (0.25, 1.3, 0.12)),
+    "head": ((-0.2, 1.3, -0.2), (0.2, 1.7, 0.2)),
+    "arm-left": ((0.25, 0.6, -0.08), (0.42, 1.28, 0.08)),
+    "arm-right": ((-0.42, 0.6, -0.08), (-0.25, 1.28, 0.08)),
+    "leg-left": ((0.01, 0, -0.1), (0.22, 0.7, 0.1)),
+    "leg-right": ((-0.22, 0, -0.1), (-0.01, 0.7, 0.1)),
+}
+
+
+def test_what_one_handle_moves_is_one_piece():
+    hip, spine, head = (HANDLE_NAMES.index(name) for name in ("left_hip", "spine2", "head"))
+    label, joints = block_joints(np.array([spine, head, hip, hip, spine]), len(HANDLE_NAMES))
+    assert label[0] == label[4] and label[2] == label[3] and len(set(label)) == 3
+    assert set(joints) == {(label[1], label[0]), (label[2], label[0])}
+
+
+def test_a_figure_of_blocks_is_measured_and_a_ball_is_none(tmp_path, capsys):
+    try:
+        for name in ("handles", "orientation", "diffusion"):
+            shipped_checkpoint(name)
+    except WeightsError:
+        pytest.skip("needs the shipped weights")
+    scene = trimesh.Scene()
+    for name, (low, high) in BOXES.items():
+        box = trimesh.creation.box(bounds=(low, high))
+        scene.add_geometry(box, node_name=name, geom_name=name)
+    scene.export(tmp_path / "man.glb")
+    trimesh.creation.icosphere(2).export(tmp_path / "ball.glb")
+    status = main(
+        ["evaluate", "blocks", str(tmp_path / "man.glb"), str(tmp_path / "ball.glb"), "--seconds", "1", "--json"]
+    )
+    man, ball = json.loads(capsys.readouterr().out)
+    assert status == 0 and man["blocks"] == 6 and man["shear"] < 1e-4 and man["gap"] < 0.01
+    assert ball["blocks"] == 0

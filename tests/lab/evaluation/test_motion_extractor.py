@@ -5,14 +5,13 @@ import pytest
 import torch
 from swings import PARTS, WordEncoder, swing
 
-from bunraku.diffusion.extractor_config import KIND, RADIUS, ExtractorConfig
-from bunraku.diffusion.inference.extractor import embed_motions, embed_sentences, load_extractor
+from bunraku.core.nn.checkpoints import load_checkpoint
 from bunraku.errors import OptionError, WeightsError
-from bunraku.nn.checkpoints import load_checkpoint
+from bunraku.generation.extractor import KIND, RADIUS, ExtractorConfig, embed_motions, embed_sentences, load_extractor
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion.train_extractor import ExtractorTrainConfig, train_extractor
-from bunraku_lab.nn.diffusion.matching import Extractor, save_extractor
-from bunraku_lab.nn.running.networks import running_extractor
+from bunraku_lab.nn.running import running_extractor
+from bunraku_lab.nn.text import Extractor, save_extractor
 
 TINY = ExtractorConfig(
     width=16,
@@ -99,7 +98,7 @@ def test_training_brings_motions_and_their_sentences_together(data, tmp_path):
     path = train_extractor(settings(data, tmp_path / "run", steps=120), rows.append, WordEncoder())
     assert rows[-1]["loss"] < 0.3 * rows[0]["loss"]
     model = load_extractor(path)
-    from bunraku_lab.training.rows.clip_data import load_clips
+    from bunraku_lab.training.rows.clips import load_clips
 
     clips = load_clips(data, splits={"test"})
     sentences = embed_sentences(model, WordEncoder(), [entry["texts"][0] for entry in clips.values()])

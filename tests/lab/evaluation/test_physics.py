@@ -8,25 +8,31 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.body_volume import BodyVolume
+from bunraku.apparel.body import BodyVolume, UnifiedBody, eq4_transforms
 from bunraku.apparel.mask import apparel_mask
-from bunraku.apparel.skinning import eq4_transforms
-from bunraku.apparel.unified import UnifiedBody
-from bunraku.body.reference import reference_body
+from bunraku.apparel.physics.rig import apparel_rig
 from bunraku.cli import main
-from bunraku.core.rig_animation import RigAnimation
+from bunraku.core.animation import RigAnimation
+from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, OptionError
-from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.physics.from_file import apparel_rig
-from bunraku_lab.datasets.apparel.body_inside import deep_inside
 from bunraku_lab.datasets.apparel.build import body_animation
+from bunraku_lab.datasets.apparel.checks import deep_inside
 from bunraku_lab.datasets.apparel.plan import CharacterSource
-from bunraku_lab.evaluation.physics.measures import apparel_chains, body_speeds, chain_lengths
-from bunraku_lab.evaluation.physics.penetration import nearest_joint_vertices, sample_apparel
-from bunraku_lab.evaluation.physics.table import PHYSICS_BARS, evaluate_physics, joined, measure_physics
-from bunraku_lab.evaluation.transfer.stock_motions import STOCK_MOTIONS, stock_motion
+from bunraku_lab.evaluation.physics import (
+    PHYSICS_BARS,
+    apparel_chains,
+    body_speeds,
+    chain_lengths,
+    evaluate_physics,
+    joined,
+    measure_physics,
+    nearest_joint_vertices,
+    sample_apparel,
+)
 from bunraku_lab.synthetic.samples import make_sample
+from bunraku_lab.synthetic.stock_motions import STOCK_MOTIONS, stock_motion
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 SEED = 1

@@ -1,4 +1,6 @@
-"""The table of motion transfer, on a folder with one character and five motions."""
+"""The evaluation of motion transfer."""
+
+from __future__ import annotations
 
 import csv
 import json
@@ -9,18 +11,31 @@ import numpy as np
 import pytest
 from mmd_bytes import Bone, plank, pmx
 
+import bunraku
 from bunraku import FormatError, RigAnimation
-from bunraku.body.layout import JOINT_NAMES
-from bunraku.body.reference import reference_body
-from bunraku.core.motion import SkeletalMotion
-from bunraku.formats.bvh.write import write_bvh
-from bunraku.formats.mmd.vmd_write import MmdClip, write_vmd
-from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.retarget.mmd.standard import standard_model
+from bunraku.core.animation import Animation
+from bunraku.core.body.layout import JOINT_NAMES
+from bunraku.core.body.reference import reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
+from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.files import save_character
+from bunraku.files.mmd.vmd import MmdClip, write_vmd
+from bunraku.files.motions.bvh import write_bvh
+from bunraku.retarget.mmd_motion import standard_model
 from bunraku.retarget.rig_parts import RigParts
-from bunraku_lab.evaluation.transfer.character import limb_angles
-from bunraku_lab.evaluation.transfer.mmd import leg_reach, measure_soles
-from bunraku_lab.evaluation.transfer.table import BARS, KINDS, evaluate_transfer, pick_motions, write_transfer_pairs
+from bunraku_lab.evaluation.transfer.character import ground_heights, limb_angles, off_ground
+from bunraku_lab.evaluation.transfer.quadrupeds import measure_quadrupeds
+from bunraku_lab.evaluation.transfer.table import (
+    BARS,
+    KINDS,
+    evaluate_transfer,
+    leg_reach,
+    measure_soles,
+    pick_motions,
+    write_transfer_pairs,
+)
+from bunraku_lab.synthetic.samples import make_sample
 
 MMD = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/mmd")
 
@@ -188,3 +203,60 @@ def test_soles_of_real_characters():
     failed = {}
     result = measure_soles(MMD, failed)
     assert not failed and result["soles"] < 0.01 and result["soles_beyond"] < 0.001 and result["soles_reached"] > 0.4
+
+
+FPS = 20.0
+
+
+def carried(heights: np.ndarray) -> Animation:
+    """A tetrahedron of height 2 that stands at y = 1 and is lifted by so much [m]."""
+    points = np.array([[0, 1, 0], [1, 1, 0], [0, 1, 1], [0, 3, 0], [0, -9, 0]], np.float32)  # the last has no face
+    faces = np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]])
+    count = len(heights)
+    path = np.zeros((count, 3))
+    path[:, 1] = heights
+    motion = HandleMotion(
+        np.zeros((count, 1, 3)), np.tile(np.eye(3), (count, 1, 1, 1)), path, np.tile(np.eye(3), (count, 1, 1)), FPS
+    )
+    return Animation(Character("box", points, faces), Handles(np.zeros((1, 3)), np.ones((5, 1))), motion)
+
+
+def test_heights_are_over_the_ground_that_the_body_rests_on():
+    lifts = np.array([0.0, 0.2, -0.1])
+    np.testing.assert_allclose(ground_heights(carried(lifts)), lifts / 2, atol=1e-6)
+
+
+@pytest.mark.parametrize(("frames", "expected"), [(8, 0.0), (30, 0.4)])
+def test_a_leap_is_not_off_the_ground_and_hovering_is(frames, expected):
+    heights = np.zeros(60)
+    heights[10 : 10 + frames] = 0.4
+    assert off_ground(heights, FPS) == pytest.approx(expected)
+
+
+def test_sinking_counts_however_short():
+    heights = np.zeros(40)
+    heights[7] = -0.03
+    assert off_ground(heights, FPS) == pytest.approx(0.03)
+
+
+def test_a_walking_dog_on_the_sample_dog(tmp_path):
+    dog = make_sample("dog", rigged=True)
+    names, frames = dog.rig.names, 40
+    turns = np.zeros((frames, len(names), 3))
+    swing = 0.3 * np.sin(2 * np.pi * np.arange(frames) / 20)
+    for name, sign in (("LeftArm", 1), ("RightArm", -1), ("LeftUpLeg", -1), ("RightUpLeg", 1)):
+        turns[:, names.index(name), 0] = sign * swing
+    walk = bunraku.RigAnimation(dog, matrix_from_axis_angle(turns), np.zeros((frames, len(names), 3)), 20.0)
+    path = walk.save(tmp_path / "dog.glb", name="walk")
+    found = measure_quadrupeds({"dog": path})
+    (row,) = found["quadrupeds"]
+    assert (row["source"], row["target"]) == ("dog", "sample dog") and "failed" not in row
+    assert found["quadruped_limbs_degrees"] == row["degrees"] < 8  # the same body, by handles that know nothing of it
+    assert found["quadruped_hind_above_back"] == 0 and found["quadruped_ground"] < 0.02
+
+
+def test_without_animals_there_is_nothing_to_measure(tmp_path):
+    mushroom = make_sample("mushroom", rigged=True)
+    path = save_character(mushroom, tmp_path / "mushroom.glb")
+    found = measure_quadrupeds({"mushroom": path, "none": tmp_path / "none.glb"})
+    assert found["quadruped_limbs_degrees"] is None and found["quadrupeds"] == []

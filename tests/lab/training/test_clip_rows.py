@@ -1,15 +1,26 @@
+"""Training rows: clips, rare events, joined clips, sentences of stretches."""
+
 import json
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bunraku.body.layout import HANDLE_NAMES
-from bunraku.diffusion.features import ROOT_SIZE, FeatureStatistics, mirror
+from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.errors import FormatError
-from bunraku.language.captions.phrases import creature_variants
-from bunraku_lab.training.rows.clip_data import load_clips
-from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
-from bunraku_lab.training.rows.training_clip import TrainingClip
+from bunraku.generation.agreement import Phrase
+from bunraku.generation.features import ROOT_SIZE, FeatureStatistics, decode, mirror
+from bunraku.language.captions import creature_variants
+from bunraku_lab.training.rows.clip_rows import ENOUGH, ClipSet, EventPool, Mixture, link
+from bunraku_lab.training.rows.clips import (
+    TrainingClip,
+    agreeing,
+    joined_sentence,
+    load_clips,
+    stretch_phrases,
+    stretch_variants,
+)
 
 
 def entry(features, text, split="train"):
@@ -187,7 +198,7 @@ def test_a_creature_may_do_what_only_people_show(zoo):
 
 def walker(frames, turn):
     """Features of a root that goes ahead for a while, then turns by so many radians within a second."""
-    from bunraku.diffusion.features import FEATURE_SIZE
+    from bunraku.generation.features import FEATURE_SIZE
 
     values = np.zeros((frames, FEATURE_SIZE), np.float32)
     values[:, 4], values[:, 8] = 1, 1
@@ -313,3 +324,98 @@ def test_rows_name_their_clips(clips):
     names = {clip.name for clip in clips().clips}
     batch = clips().batch(0, 0, 16, compose=0.5)
     assert len(batch.clips) == 16 and all(own and set(own) <= names for own in batch.clips)
+
+
+def turn(side, start=5):
+    return Phrase("turn", (f"{{turn}} {side}",), start, start + 20)
+
+
+@pytest.fixture
+def pool(features):
+    """A hundred turns to either side, one jump, walks of which one goes backwards, and a creature."""
+    values = features("spine1", frames=60)
+    statistics = FeatureStatistics.measure([values])
+    clip = TrainingClip.prepare("a", {"features": values, "texts": ["a person moves"]}, statistics, 60)
+    way = Phrase("go", ("{walk} forward",), 0, 30, manner=("forward",))
+    back = Phrase("go", ("{walk} backwards",), 0, 30, manner=("backwards", "slowly"))
+    told = [[turn("left"), turn("right")]] * 50 + [[Phrase("jump", ("{jump}",), 3, 20), way], [back], [turn("left")]]
+    clips = [replace(clip, name=str(number)) for number in range(52)] + [replace(clip, name="52", species="dog")]
+    return EventPool(clips, lambda clip: told[int(clip.name)], lambda clip: decode(clip.values), 60)
+
+
+def test_left_and_right_are_one_kind_and_plain_walks_are_none(pool):
+    assert {name: len(found) for name, found in pool.kinds.items()} == {
+        "{turn} left": 100, "{jump}": 1, "{walk} backwards": 1,
+    }  # fmt: skip
+
+
+def test_the_rare_is_drawn_more_often_than_it_is_there(pool):
+    """By the root of how often it is there, up to a bound: 1 of sqrt(40) + 2 instead of 1 of 102."""
+    random = np.random.default_rng(0)
+    drawn = [pool.draw(random)[1].texts[0] for _ in range(2000)]
+    expected = 1 / (ENOUGH**0.5 + 2)
+    assert abs(drawn.count("{jump}") / 2000 - expected) < 0.03
+    assert min(drawn.count("{turn} left"), drawn.count("{turn} right")) > 500
+
+
+def test_nothing_is_drawn_where_nothing_is_told():
+    assert EventPool([], lambda clip: [], lambda clip: None, 60).draw(np.random.default_rng(0)) is None
+
+
+def order(sentence, words):
+    """The words of a sentence in the order in which they happen: what comes "after" comes first."""
+    positions = sorted((re.search(word, sentence).start(), word) for word in words)
+    found = [word for _, word in positions]
+    late = re.search(r"\w+ (?:\w+ )*?after (?!that)", sentence)
+    return found[::-1] if late and not sentence.startswith("after") else found
+
+
+def test_sentences_of_two_and_three_parts_keep_their_order():
+    random = np.random.default_rng(0)
+    for phrases, words in (
+        (("{walk} ahead", "{wave}"), ["walk", "wav"]),
+        (("{sit} down", "{stand} up", "{run} away"), ["sit", "stand", "run"]),
+    ):
+        made = {link(phrases, random) for _ in range(400)}
+        assert len(made) > 40
+        for sentence in made:
+            assert "{" not in sentence and sentence == " ".join(sentence.split())
+            assert order(sentence, words) == words, sentence
+        for word in ("then", "before", "after", "first"):
+            assert any(word in sentence for sentence in made)
+
+
+def test_subjects_and_statives():
+    random = np.random.default_rng(1)
+    made = {link(("{be} tired", "{fall} asleep"), random, ("a horse",)) for _ in range(200)}
+    assert not any("being" in sentence or "person" in sentence for sentence in made)
+    assert "a horse is tired and then falls asleep" in made
+
+
+TEXTS = ("someone walks fast and turns left", "a brisk walk with a left turn", "walk fast, turn left")
+
+
+def test_the_tersest_sentence_gives_a_phrase_where_it_begins_with_a_verb():
+    assert stretch_phrases(TEXTS) == ("{walk} fast, {turn} left",)
+    assert stretch_phrases(("a person walks", "brisk walk")) == ()
+
+
+def test_variants_keep_what_is_written_and_change_the_subject():
+    found = stretch_variants(TEXTS)
+    assert set(TEXTS) <= set(found) and "a person walks fast, turns left" in found
+    others = [text for text in found if text.endswith("walks fast and turns left")]
+    assert len(others) == 2 and others[0] != others[1]
+    mirrored = stretch_variants(TEXTS, (), True)
+    assert len(mirrored) == len(found) and all("right" in text and "left" not in text for text in mirrored)
+
+
+def test_labels_join_in_only_where_they_say_the_same():
+    assert agreeing(("a person kicks with the right leg",), ("kick",))
+    assert not agreeing(("a person walks",), ("kick",))
+
+
+def test_sentences_of_stretches_that_follow_become_one():
+    assert (
+        joined_sentence(["a person sits down", "someone gets up and walks off"])
+        == "a person sits down, then gets up and walks off"
+    )

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from bunraku.diffusion.features import FeatureStatistics
+from bunraku.generation.features import FeatureStatistics
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.training.diffusion.train import TrainingConfig
 from bunraku_lab.training.diffusion.trainer import Trainer
-from bunraku_lab.training.losses.motion_loss import motion_losses
-from bunraku_lab.training.rows.clip_data import load_clips
+from bunraku_lab.training.losses.motion import motion_losses
+from bunraku_lab.training.rows.banks import TextBank
 from bunraku_lab.training.rows.clip_rows import ClipSet
-from bunraku_lab.training.rows.text_bank import TextBank
+from bunraku_lab.training.rows.clips import load_clips
 
 pytest.importorskip("accelerate")
 

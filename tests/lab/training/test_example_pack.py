@@ -1,3 +1,5 @@
+"""The pack of examples, and people who stand."""
+
 import json
 import shutil
 from dataclasses import replace
@@ -6,17 +8,24 @@ import numpy as np
 import pytest
 import torch
 
-from bunraku.diffusion.examples.pack import KIND, read_pack, write_pack
-from bunraku.diffusion.extractor_config import RADIUS, RANKER, ExtractorConfig
-from bunraku.diffusion.features import encode, mirror
-from bunraku.diffusion.inference.extractor import embed_motions, embed_sentences
+from bunraku.anatomy.anatomy import body_handle_motion
+from bunraku.core.nn.checkpoints import load_checkpoint
+from bunraku.generation.extractor import RADIUS, RANKER, ExtractorConfig, embed_motions, embed_sentences
+from bunraku.generation.features import encode, mirror
+from bunraku.generation.pack import KIND, read_pack, write_pack
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
-from bunraku.language.known.own_words import FILE
-from bunraku.nn.checkpoints import load_checkpoint
-from bunraku.retarget.body_motion import body_handle_motion
-from bunraku_lab.nn.diffusion.matching import Extractor, save_extractor
-from bunraku_lab.training.example_pack import ExampleSettings, _hovers, _seen, build_examples
+from bunraku.language.vocabulary import FILE
+from bunraku_lab.nn.text import Extractor, save_extractor
+from bunraku_lab.training.example_pack import (
+    BUSY_BOUNDS,
+    IDLE_BOUNDS,
+    ExampleSettings,
+    _hovers,
+    _seen,
+    build_examples,
+    idling,
+)
 
 
 def a_ranker(path, seed):
@@ -52,7 +61,7 @@ def test_training_clips_alone_are_packed_with_the_vectors_of_both_sides(swings, 
     assert {one.frames for one in stretches} == {50}
     assert stretches[2].texts == ("a person waves with the left hand", "waves")
 
-    from bunraku.diffusion.inference.extractor import load_extractor
+    from bunraku.generation.extractor import load_extractor
 
     model = load_extractor(ranker, kind=RANKER)
     said = embed_sentences(model, encoder, ["a person waves with the left hand", "a person waves with the right hand"])
@@ -177,3 +186,18 @@ def test_events_whose_floor_was_found_too_low_are_left_out():
     assert not _hovers(standing)
     standing[:60, 3] += 0.08
     assert _hovers(standing) and not _hovers(standing[40:])
+
+
+def found(name, bounds):
+    one = STANDING if name == "standing" else next(one for one in gestures() if one.name == name)
+    clip = {"features": encode(body_handle_motion(gesture_motion(one)))}
+    return [clip for clip, _ in idling({name: clip}, bounds)]
+
+
+@pytest.mark.parametrize(
+    ("name", "idle", "busy"),
+    [("standing", True, False), ("clap", False, True), ("conduct", False, True), ("both knees", False, False)],
+)
+def test_each_is_what_it_is(name, idle, busy):
+    assert found(name, IDLE_BOUNDS) == [name] * idle
+    assert found(name, BUSY_BOUNDS) == [name] * busy

@@ -5,28 +5,23 @@ import numpy as np
 import pytest
 import torch
 
-from bunraku.diffusion.extractor_config import RADIUS, ExtractorConfig
-from bunraku.diffusion.features import FeatureStatistics
-from bunraku.diffusion.inference.denoiser import load_denoiser, load_denoiser_of_few_steps
-from bunraku.diffusion.inference.few_steps import load_few_steps
-from bunraku.diffusion.sampling.classifier_guidance import ClassifierGuidance, Spoken
-from bunraku.diffusion.sampling.sampler import Solver, Steering, Window, sample, sample_windows
-from bunraku.diffusion.sampling.solvers import alphas_cumprod
+from bunraku.core.geometry.curves import gaussian
 from bunraku.errors import OptionError
-from bunraku.geometry.filters import gaussian
+from bunraku.generation.classifier_guidance import ClassifierGuidance, Spoken
+from bunraku.generation.denoiser import load_denoiser, load_denoiser_of_few_steps, load_few_steps
+from bunraku.generation.extractor import RADIUS, ExtractorConfig
+from bunraku.generation.features import FeatureStatistics
+from bunraku.generation.sampler import Solver, Steering, Window, alphas_cumprod, sample, sample_windows
 from bunraku_lab.nn.checkpoints import load_training_state
-from bunraku_lab.nn.diffusion.checkpoint import load_denoiser as load_torch_denoiser
-from bunraku_lab.nn.diffusion.checkpoint import save_denoiser
-from bunraku_lab.nn.diffusion.low_rank import changes_of, with_changes
-from bunraku_lab.nn.diffusion.matching import Extractor
-from bunraku_lab.nn.running.networks import running_denoiser, running_extractor
-from bunraku_lab.nn.text import tensors_of
-from bunraku_lab.training.few_steps.teacher import Teacher, smoothed
-from bunraku_lab.training.few_steps.train import FewStepsConfig, train_few_steps
-from bunraku_lab.training.few_steps.trajectories import draw_trajectories, places, visited_steps
-from bunraku_lab.training.rows.clip_data import load_clips
+from bunraku_lab.nn.denoiser import load_denoiser as load_torch_denoiser
+from bunraku_lab.nn.denoiser import save_denoiser
+from bunraku_lab.nn.running import running_denoiser, running_extractor
+from bunraku_lab.nn.text import Extractor, tensors_of
+from bunraku_lab.training.few_steps.teacher import Teacher, ddim_shares, draw_trajectories, smoothed, visited_steps
+from bunraku_lab.training.few_steps.train import FewStepsConfig, changes_of, train_few_steps, with_changes
 from bunraku_lab.training.rows.clip_rows import ClipSet
-from bunraku_lab.training.rows.drawn_rows import DrawnRows
+from bunraku_lab.training.rows.clips import load_clips
+from bunraku_lab.training.rows.workers import DrawnRows
 
 
 @pytest.fixture
@@ -73,10 +68,10 @@ def test_a_change_begins_without_effect_and_alone_learns():
 def test_places_are_those_of_ddim():
     """By hand from the shares of signal; the last step ends at the clean motion."""
     curve = alphas_cumprod()
-    own, clean = places((936, 562))[0]
+    own, clean = ddim_shares((936, 562))[0]
     assert own == pytest.approx(math.sqrt((1 - curve[562]) / (1 - curve[936])))
     assert clean == pytest.approx(math.sqrt(curve[562]) - own * math.sqrt(curve[936]))
-    np.testing.assert_allclose(places((936, 562))[1], (0, 1))
+    np.testing.assert_allclose(ddim_shares((936, 562))[1], (0, 1))
 
 
 @pytest.mark.parametrize(("critic", "mesh"), [(False, False), (True, False), (True, True)])

@@ -1,19 +1,22 @@
+"""Rows kept on a device, encoded sentences, and rehearsed examples."""
+
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError
-from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
-from bunraku_lab.training.diffusion.train import TrainingConfig, train_diffusion
-from bunraku_lab.training.rows.clip_data import load_clips
-from bunraku_lab.training.rows.clip_rows import ClipSet
-from bunraku_lab.training.rows.mesh_bank import MeshBank
-from bunraku_lab.training.rows.row_pool import FedPool, RowPool
-from bunraku_lab.training.rows.row_workers import MadeRows, RowMaker, RowWorkers
-from bunraku_lab.training.rows.text_bank import TextBank
+from bunraku.generation.features import FeatureStatistics
+from bunraku.generation.pack import load_examples
+from bunraku.language.encoders import MiniLMEncoder
+from bunraku_lab.nn.denoiser import load_denoiser
+from bunraku_lab.training.diffusion.train import TrainingConfig, train_diffusion, training_card, write_card
+from bunraku_lab.training.rows.banks import MeshBank, TextBank
+from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
+from bunraku_lab.training.rows.clips import ClipEntry, load_clips, rehearsal_clips
+from bunraku_lab.training.rows.workers import FedPool, MadeRows, RowMaker, RowPool, RowWorkers
 
 CPU = torch.device("cpu")
 
@@ -130,3 +133,59 @@ def test_a_denoiser_trains_on_a_pool(swings, tmp_path, config, encoder):
         train_diffusion(TrainingConfig(out=tmp_path / "other", **{**how, "pool": 2}), config(), encoder)
     with pytest.raises(OptionError, match="leave out --workers"):
         train_diffusion(TrainingConfig(out=tmp_path / "other", character_bank=swings, **how), config(), encoder)
+
+
+def test_what_is_kept_is_what_the_first_sitting_learned_from(tmp_path):
+    sentences = ["a person walks", "a person waves", "somebody jumps over the fence and laughs"]
+    first = TextBank(MiniLMEncoder(), sentences, tmp_path / "captions.safetensors")
+    second = TextBank(MiniLMEncoder(), sentences, tmp_path / "captions.safetensors")
+    ours, theirs = first(sentences), second(sentences)
+    assert torch.equal(ours.tokens, theirs.tokens) and torch.equal(ours.mask, theirs.mask)
+    assert torch.equal(ours.pooled, theirs.pooled)
+
+
+def test_what_is_not_kept_does_not_depend_on_what_was_asked_for_before():
+    bank, later = TextBank(MiniLMEncoder(), ["jumps"]), TextBank(MiniLMEncoder(), ["jumps"])
+    later(["a person turns around twice and then sits down on the floor"])
+    together = bank(["a person turns around twice and then sits down on the floor", "kicks", "jumps"])
+    apart = later(["kicks"])
+    assert torch.equal(together.tokens[1][together.mask[1]], apart.tokens[0][apart.mask[0]])
+    assert torch.equal(together.pooled[1], apart.pooled[0])
+
+
+@pytest.fixture(scope="module")
+def clips():
+    pack = load_examples()
+    if pack is None:
+        pytest.skip("the shipped examples are not there")
+    told = [one for one in pack.examples if one.texts and not one.made]
+    places = [pack.examples.index(one) for one in told[:20]]
+    few = replace(pack, examples=tuple(told[:20]), data=tuple(pack.data[place] for place in places))
+    known = rehearsal_clips(few)
+    features = next(iter(known.values()))["features"]
+    own = ClipEntry(
+        features=features, frames=len(features), texts=["a person yodels"], watched=True, licence="CC BY 4.0",
+        credit="A. Person",
+    )  # fmt: skip
+    return {"own_yodel": own} | known
+
+
+def test_the_share_of_what_is_rehearsed_is_that_which_is_wanted(clips):
+    statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
+    rows = ClipSet(clips, statistics, mixture=Mixture(creatures=0.0, borrowed=0.0, events=0.0, rehearse=0.75))
+    known = np.array([clip.rehearsed for clip in rows.clips])
+    assert known.sum() == 20 and rows.probability[known].sum() == pytest.approx(0.75)
+    assert rows.probability[~known].sum() == pytest.approx(0.25)
+    alone = ClipSet({"own_yodel": clips["own_yodel"]}, statistics, mixture=Mixture(rehearse=0.75))
+    assert alone.probability.tolist() == [1.0]
+
+
+def test_the_card_names_terms_and_people_also_of_what_the_run_started_from(clips, tmp_path):
+    start = tmp_path / "first.safetensors"
+    write_card(start, "# Model card\n\n- no credit\n\n## Credits\n\n- Somebody. Licence: MIT.\n")
+    own = {"own_yodel": clips["own_yodel"], "cmu_01_01": clips["own_yodel"] | {"licence": "CMU", "credit": ""}}
+    card = training_card(own, TrainingConfig(start=start))
+    seconds = len(clips["own_yodel"]["features"]) / 20
+    assert f"| CC BY 4.0 | {seconds / 60:.1f} |" in card and "first.safetensors" in card
+    assert "- A. Person. Licence: CC BY 4.0." in card and "mocap.cs.cmu.edu" in card
+    assert "- Somebody. Licence: MIT." in card and "- no credit" not in card

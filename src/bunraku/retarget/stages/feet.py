@@ -1,15 +1,4 @@
-"""Feet that stand do not slide: the stage `feet` of fitting.
-
-1. Contacts: where the sole of each leg is low and slow, with hysteresis, in units of the leg's length.
-2. The root's path is bent so that what stands does not slide in the mean: most of a generated motion's sliding is a
-path that
-   disagrees with its steps. Between contacts the correction fades, so jumps keep their speed.
-3. What is left is taken out by bending the legs: an offset of each foot that holds it in place while it stands and is
-smooth between.
-
-Both corrections are the solution of a sparse least-squares problem over all frames: velocities of standing feet are
-cancelled, and the correction's own acceleration and size are small.
-"""
+"""The stage `feet`: feet that stand do not slide; and whether a clip walks on the spot, as clips of games do."""
 
 from __future__ import annotations
 
@@ -18,15 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.bending import move_feet
-from bunraku.anatomy.legs import foot_points
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
+from bunraku.anatomy.legs import foot_points, move_feet
+from bunraku.core.geometry.curves import smooth_step, solve_banded
 from bunraku.core.motion import HandleMotion
-from bunraku.geometry.banded import solve_banded
-from bunraku.geometry.easing import smooth_step
 from bunraku.retarget.stages.stage import Contacts, Fitting, Stage
 
-__all__ = ["Feet", "add_bending", "foot_motion"]
+__all__ = ["Feet", "add_bending", "foot_motion", "is_treadmill"]
 
 
 def foot_motion(points: np.ndarray, floor: float, soft: float) -> tuple[np.ndarray, np.ndarray]:
@@ -264,3 +251,24 @@ def add_bending(band: np.ndarray) -> None:
     band[1, 1 : count - 1] -= 2
     band[1, 2:count] -= 2
     band[0, 2:] += 1
+
+
+# mean speed of standing feet from which on they slide on purpose [m/s]; captured clips drift by less than a third of
+# this
+SLIDES = 0.25
+TRAVELS = 0.5  # who goes this share of what its feet slide does not stay on the spot
+
+
+def is_treadmill(motion: HandleMotion) -> bool:
+    """Whether the reference body's feet slide under it in a motion that goes nowhere.
+
+    Args:
+        motion: Of the reference body, N frames.
+    """
+    if len(motion) < 8:
+        return False
+    missing = Feet().contacts(motion, reference_anatomy())[1]
+    slide = float(np.linalg.norm(missing, axis=1).mean() * motion.fps)
+    path = np.diff(motion.root_translation[:, [0, 2]], axis=0)
+    speed = float(np.linalg.norm(path, axis=1).mean() * motion.fps)
+    return slide > SLIDES and speed < TRAVELS * slide

@@ -1,5 +1,5 @@
-"""How the rest pose of a character is met: limbs are turned and stay joined, and the pelvis of a lying body tilts less:
-the stages `rest_pose`, `attach` and `level` of fitting.
+"""Stages for limbs at rest: the rest pose is met, limbs stay joined, those of rigid blocks stay rigid, and limbs that a
+body lacks or that the motion does not move are held.
 """
 
 from __future__ import annotations
@@ -10,13 +10,23 @@ from typing import ClassVar
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.joints import attach_joints, reference_joints
-from bunraku.body.reference import reference_body
-from bunraku.body.residuals import capped
-from bunraku.geometry.rotations import axis_angle_from_matrix, heading, matrix_from_axis_angle, matrix_y
+from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, has_extra_legs, limb_handles
+from bunraku.anatomy.joints import Joints, attach_joints, downwards, reference_joints
+from bunraku.anatomy.rest_pose import WHOLE_LIMBS, pieces
+from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.body.reference import capped, reference_body
+from bunraku.core.character import Handles
+from bunraku.core.geometry.curves import gaussian
+from bunraku.core.geometry.rotations import (
+    axis_angle_from_matrix,
+    heading,
+    matrix_from_axis_angle,
+    matrix_y,
+    rotation_between,
+)
 from bunraku.retarget.stages.stage import Fitting, Stage
 
-__all__ = ["Attach", "Level", "RestPose"]
+__all__ = ["Attach", "Blocks", "Fins", "Legless", "Level", "RestPose"]
 
 
 @dataclass(frozen=True)
@@ -79,3 +89,133 @@ class Attach(Stage):
         residual = capped(source.translations - stiff, source.soft)
         translations += residual[:, handles.played] * anatomy.scale * joints.present[:, None]
         return replace(fitting, rotations=rotations, translations=translations)
+
+
+@dataclass(frozen=True)
+class Blocks(Stage):
+    """Arms and legs of one rigid block point to where a person's hand or foot is.
+
+    A block takes the turn of the upper arm or the thigh, and is swung from there by the least turn that makes it point
+    along the whole limb.
+
+    Args:
+        folded: How much the upper part counts beside the whole limb, so that a hand at the shoulder gives a direction.
+    """
+
+    name: ClassVar[str] = "blocks"
+
+    folded: float = 0.05
+
+    def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
+        return anatomy.handles.rigid
+
+    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
+        known, rotations = reference_joints().positions, fitting.rotations.copy()
+        for limb in WHOLE_LIMBS:
+            for handle, end in pieces(limb, anatomy.joints):
+                chain = limb[limb.index(handle) : limb.index(end) + 1]
+                posed = sum(
+                    np.einsum("nij,j->ni", fitting.rotations[:, one], known[two] - known[one])
+                    for one, two in zip(chain, chain[1:], strict=False)
+                )
+                own = fitting.rotations[:, handle]
+                straight = np.einsum("nij,j->ni", own, known[end] - known[handle])
+                rotations[:, handle] = rotation_between(straight, posed + self.folded * straight) @ own
+        return replace(fitting, rotations=rotations)
+
+
+_ARM_HANDLES, _LEGS = (
+    [handle for side in SIDES for handle in limb_handles(side, family)] for family in (FAMILIES[1], FAMILIES[0])
+)
+_CHEST = HANDLE_NAMES.index("spine3")
+
+
+@dataclass(frozen=True)
+class Legless(Stage):
+    """The foot of a snail takes no steps, and the branches of a tree do not swing as arms.
+
+    A body has no legs where nothing of it reaches the ground on either side as a leg does, and it is no person's where
+    it has no arms either (`Anatomy.plan`). The predictor still shares its lower end between two legs, and a person's
+    steps would tear that apart. Arms of what lies are left to `fins` where the motion was drawn for such a body. Limbs
+    that the bones of a rig name are there, whatever hangs on them.
+    """
+
+    name: ClassVar[str] = "legless"
+    needs: ClassVar[tuple[str, ...]] = ("rest_pose",)
+
+    def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
+        named = anatomy.known is not None and not anatomy.handles.rigid
+        return not named and anatomy.plan.kind == "no legs"
+
+    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
+        played, rotations = anatomy.handles.played, fitting.rotations.copy()
+        rotations[:, np.isin(played, _LEGS)] = np.eye(3)
+        if anatomy.upright or not fitting.source.own_kind:
+            rotations[:, np.isin(played, _ARM_HANDLES)] = rotations[:, [_CHEST]]
+        return replace(fitting, rotations=rotations)
+
+
+_CHEST_OF_FINS = HANDLE_NAMES.index("spine3")
+_ARMS = [limb_handles(side, FAMILIES[1]) for side in SIDES]
+_PARTS = [part for arm in _ARMS for part in arm]
+
+
+@dataclass(frozen=True)
+class Fins(Stage):
+    """Fins, claws and forelegs that nothing was drawn for stay near their rest.
+
+    Args:
+        undrawn: Arms that are off the trunk's turn by no more on average were not drawn [rad].
+        aside: Each part of a fin is held so far from its rest at the most, but for its swings [rad].
+        slow: What changes more slowly than this is how a fin is held, and no swing [s].
+    """
+
+    name: ClassVar[str] = "fins"
+    needs: ClassVar[tuple[str, ...]] = ("rest_pose",)
+
+    undrawn: float = float(np.radians(6))
+    aside: float = float(np.radians(10))
+    slow: float = 0.5
+
+    def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
+        if not fitting.source.own_kind or anatomy.upright:
+            return False
+        return not anatomy.legs or has_extra_legs(anatomy.handles) or not self.drawn(fitting.source.rotations)
+
+    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
+        drawn = self.drawn(fitting.source.rotations)
+        held = self.held(fitting.rotations, anatomy.handles, anatomy.joints, drawn, fitting.source.fps)
+        return replace(fitting, rotations=held)
+
+    def drawn(self, rotations: np.ndarray) -> bool:
+        """Whether arms move of their own in a motion of the reference body, whose rotations (N, 30, 3, 3) are given."""
+        chest = rotations[:, _CHEST_OF_FINS].astype(np.float64).transpose(0, 2, 1)
+        upper = [handle for arm in _ARMS for handle in arm[:2]]
+        turns = axis_angle_from_matrix(chest[:, None] @ rotations[:, upper].astype(np.float64))
+        return bool(np.linalg.norm(turns, axis=-1).mean() > self.undrawn)
+
+    def held(self, rotations: np.ndarray, handles: Handles, joints: Joints, drawn: bool, fps: float) -> np.ndarray:
+        """Local rotations in which arms rest where they were not drawn, and are held near their rest where they were.
+
+        Args:
+            rotations: Of a character's handles from its rest pose, in the root's frame, shape (N, K, 3, 3).
+            handles: Its handles.
+            joints: Where they meet.
+            drawn: Whether its arms were drawn.
+            fps: Frames a second [1/s].
+        """
+        before = rotations.astype(np.float64)
+        out = before.copy()
+        for handle in downwards(joints.parents):
+            if int(handles.played[handle]) in _PARTS and joints.present[handle]:
+                parent = int(joints.parents[handle])
+                turned = before[:, parent].transpose(0, 2, 1) @ before[:, handle]
+                out[:, handle] = out[:, parent] @ self._nearer(turned, fps) if drawn else out[:, parent]
+        return out
+
+    def _nearer(self, turned: np.ndarray, fps: float) -> np.ndarray:
+        """Turns from rest (N, 3, 3) of which no more than `aside` is left of what lasts."""
+        lasts = gaussian(np.asarray(axis_angle_from_matrix(turned)), self.slow * fps)
+        angle = np.linalg.norm(lasts, axis=-1, keepdims=True)
+        kept = matrix_from_axis_angle(lasts * np.minimum(1, self.aside / np.maximum(angle, 1e-9)))
+        return np.asarray(kept @ matrix_from_axis_angle(lasts).transpose(0, 2, 1) @ turned)

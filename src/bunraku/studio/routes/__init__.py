@@ -1,1 +1,0 @@
-"""What the page requests, by what it is about."""

@@ -10,14 +10,23 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
+from bunraku.core.files import atomic_write
 from bunraku.errors import FormatError, OptionError
-from bunraku.formats.files import atomic_write
-from bunraku.io.units import CHOICES
-from bunraku.studio.routes.asked import beside, choice, ready_character, state_of, text
+from bunraku.files.registry import CHOICES
+from bunraku.studio.dressing import WORN, clean_mask, found_mask, has_apparel, paint, painted_file, shown_mask
+from bunraku.studio.routes.reading import (
+    CHARACTERS,
+    TooLarge,
+    beside,
+    choice,
+    plain_name,
+    ready_character,
+    receive,
+    studio_state,
+    text,
+    unpack,
+)
 from bunraku.studio.state import State
-from bunraku.studio.uploads import CHARACTERS, TooLarge, plain_name, receive, unpack
-from bunraku.studio.workspace.dressing import has_apparel
-from bunraku.studio.workspace.mask import WORN, clean_mask, found_mask, paint, painted_file, shown_mask
 
 __all__ = ["ROUTES"]
 
@@ -34,7 +43,7 @@ UNTOUCHED = {"up": "auto", "front": "auto", "unit": "auto", "handles": "predict"
 
 async def characters(request: Request) -> Any:
     """All characters; POST adds one, from the body or a sample."""
-    state = state_of(request)
+    state = studio_state(request)
     if request.method == "GET":
         return {"characters": state.store.all("characters")}
     sample = request.query_params.get("sample")
@@ -67,7 +76,7 @@ def _fresh(title: str, file: str) -> dict[str, Any]:
 
 
 def _sampled(state: State, sample: str) -> dict[str, Any]:
-    from bunraku.samples import sample_file
+    from bunraku.files.samples import sample_file
 
     file = sample_file(sample)
     record = state.store.new("characters", _fresh(sample, ""))
@@ -86,7 +95,7 @@ def character(request: Request, body: dict[str, Any]) -> Any:
     """One character; PATCH renames it, turns it, changes its unit or where its handles come from; DELETE gives it up
     until the studio starts again, and PATCH with `deleted` false takes that back.
     """
-    state, name = state_of(request), request.path_params["name"]
+    state, name = studio_state(request), request.path_params["name"]
     record = state.store.get("characters", name)
     if request.method == "DELETE":
         return state.change("characters", name, deleted=True)
@@ -119,14 +128,14 @@ async def mesh(request: Request) -> Response:
     """The mesh with its skin, and no clip; `?skin=bones` for takes that move the file's own bones, `?skin=chains` with
     chains of bones for hair and clothes, whose springs stand in the extras.
     """
-    state, name = state_of(request), request.path_params["name"]
+    state, name = studio_state(request), request.path_params["name"]
     file = SKINS.get(request.query_params.get("skin", ""), "mesh.glb")
     return FileResponse(state.store.file("characters", name, file), media_type="model/gltf-binary")
 
 
 async def picture(request: Request) -> Any:
     """How a character looks on its card: PUT keeps a WebP or PNG that the page drew."""
-    state, name = state_of(request), request.path_params["name"]
+    state, name = studio_state(request), request.path_params["name"]
     if request.method == "GET":
         path = state.store.file("characters", name, PICTURE)
         kind = "image/png" if path.read_bytes()[:4] == PNG else "image/webp"
@@ -152,7 +161,7 @@ async def mask(request: Request) -> Any:
     """Which vertices are hair and clothes (`workspace.mask`): GET gives what was found, or what was painted; PUT takes
     bits that were painted, which all takes from then on go by; DELETE takes back what was found.
     """
-    state, name = state_of(request), request.path_params["name"]
+    state, name = studio_state(request), request.path_params["name"]
     record = ready_character(state, name)
     worn = state.store.file("characters", name, WORN)
     painted = painted_file(state.store.folder_of("characters", name) / record["file"])
@@ -183,7 +192,7 @@ def _painted(
 @beside
 def copy(request: Request, body: dict[str, Any]) -> Any:
     """The same file as another character, to try other handles or axes beside it."""
-    state, name = state_of(request), request.path_params["name"]
+    state, name = studio_state(request), request.path_params["name"]
     old = state.store.get("characters", name)
     record = state.store.new("characters", {**_fresh(f"{old['name']} copy"[:80], ""), "settings": old["settings"]})
     source, target = (state.store.folder_of("characters", one) / "source" for one in (name, record["id"]))

@@ -1,24 +1,198 @@
-"""About the studio, its jobs, what happens, and what is understood of a sentence."""
+"""Routes about the studio itself, its jobs, projects, and the clip library."""
 
 from __future__ import annotations
 
 import asyncio
 import hmac
+import time
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import JSONResponse
+from starlette.responses import FileResponse, JSONResponse, Response
 
-from bunraku.core.request.limits import FPS
-from bunraku.errors import OptionError
-from bunraku.io.presets import preset_rows
+from bunraku.core.request import FPS, from_json
+from bunraku.errors import BunrakuError, OptionError
+from bunraku.files.presets import preset_rows
+from bunraku.generation.library import Clip, search
+from bunraku.generation.library import clip as find_clip
 from bunraku.studio.jobs import public
-from bunraku.studio.routes.asked import body_of, state_of, text
-from bunraku.studio.routes.files import shown_project
-from bunraku.studio.uploads import CHARACTERS, MOST_BYTES, MOTIONS, PROJECTS
+from bunraku.studio.projects import pack_project, unpack_project
+from bunraku.studio.records import Record, checked_view, read_view
+from bunraku.studio.routes.reading import (
+    CHARACTERS,
+    MOST_BYTES,
+    MOTIONS,
+    PROJECTS,
+    beside,
+    body_of,
+    plain_name,
+    ready_character,
+    receive,
+    studio_state,
+    text,
+)
+from bunraku.studio.workspace import PREVIEWS
 
-__all__ = ["ROUTES"]
+__all__ = ["LIBRARY_ROUTES", "Newer", "PROJECT_ROUTES", "ROUTES", "shown_project"]
+
+
+MOST_PROJECTS = 200
+"""Each tab has one."""
+
+
+class Newer(BunrakuError):
+    """Another page keeps how it stands in the same project."""
+
+
+def shown_project(record: Record) -> Record:
+    """A project as a page gets it: how a page stood, put right where an earlier one kept what cannot be."""
+    return {**record, "view": read_view(record["view"])}
+
+
+@beside
+def projects(request: Request, body: dict[str, Any]) -> Any:
+    """All projects; POST adds one for a tab; where there are many, that which was kept longest ago goes."""
+    state = studio_state(request)
+    if request.method == "GET":
+        return {"projects": [shown_project(record) for record in state.store.all("projects")]}
+    view = checked_view(body.get("view"))
+    kept = sorted(state.store.all("projects"), key=lambda record: float(record.get("saved", 0)))
+    for old in kept[: max(0, len(kept) + 1 - MOST_PROJECTS)]:
+        state.store.drop("projects", old["id"])
+    return JSONResponse(state.store.new("projects", {"view": view, "saved": time.time(), "revision": 0}), 201)
+
+
+@beside
+def project(request: Request, body: dict[str, Any]) -> Any:
+    """One project; PUT keeps how the page stands. A page that says which revision it knows is refused where another one
+    was faster.
+    """
+    state, name = studio_state(request), request.path_params["name"]
+    if request.method == "PUT":
+        view = checked_view(body.get("view"))
+        record = state.store.get("projects", name)
+        revision = record.get("revision", 0)
+        if body.get("revision", revision) != revision:
+            raise Newer("another tab keeps its view here; this one gets a project of its own")
+        return state.store.change("projects", name, view=view, saved=time.time(), revision=revision + 1)
+    if request.method == "DELETE":
+        state.store.get("projects", name)
+        state.store.drop("projects", name)
+        return {}
+    return shown_project(state.store.get("projects", name))
+
+
+@beside
+def packed(request: Request, body: dict[str, Any]) -> Response:
+    """A character with its takes as one file; the body says how the page stood."""
+    state, name = studio_state(request), request.path_params["name"]
+    view = checked_view(body.get("view"))
+    title = state.store.get("characters", name)["name"]
+    made = state.new_export("project.bunraku", f"{title}.bunraku")
+    path = state.store.folder_of("exports", made["id"]) / made["file"]
+    try:
+        pack_project(state.store, name, view, path)
+    except BaseException:
+        state.store.drop("exports", made["id"])
+        raise
+    state.store.note("exports", made["id"], state="done")
+    return FileResponse(path, filename=made["title"], media_type="application/zip")
+
+
+async def opened(request: Request) -> Any:
+    """Open the project file in the body."""
+    state = studio_state(request)
+    title, _ = plain_name(request.query_params.get("name", ""))
+    made = await run_in_threadpool(state.new_export, "project.bunraku", title)
+    path = state.store.folder_of("exports", made["id"]) / f"{title}.bunraku"
+    try:
+        await receive(request, path)
+        found = await run_in_threadpool(unpack_project, state.store, path)
+    finally:
+        await run_in_threadpool(state.store.drop, "exports", made["id"])
+    record = state.store.get("characters", found["character"])
+    state.jobs.changes.tell("character", record)
+    if "ends" not in record:  # it was saved before they were found
+        with suppress(BunrakuError):
+            state.find_out(record["id"])
+    for name in found["takes"].values():
+        state.jobs.changes.tell("take", state.store.get("takes", name))
+    return JSONResponse(found, 201)
+
+
+PROJECT_ROUTES = [
+    ("/projects", ("GET", "POST"), projects),
+    ("/projects/{name}", ("GET", "PUT", "DELETE"), project),
+    ("/characters/{name}/project", ("POST",), packed),
+    ("/project-files", ("POST",), opened),
+]
+
+
+MOST_TEXT = 1000
+MOST_PREVIEWS = 48
+"""Clips of one request."""
+
+
+def facts_of(clip: Clip) -> dict[str, Any]:
+    """A clip as a page gets it."""
+    return {
+        "name": clip.name, "sentence": clip.sentence, "seconds": clip.seconds, "loops": clip.loops,
+        "tags": clip.tags, "credit": clip.source.credit, "terms": clip.source.terms,
+    }  # fmt: skip
+
+
+async def clips(request: Request) -> Any:
+    """Clips by words, `?q=`, and tags, `?tag=`; all without."""
+    words = request.query_params.get("q", "")
+    if len(words) > MOST_TEXT:
+        raise OptionError(f"q has more than {MOST_TEXT} characters; look for fewer words")
+    tags = request.query_params.getlist("tag")
+    return {"clips": [facts_of(clip) for clip in await run_in_threadpool(search, words, tags)]}
+
+
+@dataclass(frozen=True)
+class _PreviewForm:
+    """Clips that are to be seen on a character."""
+
+    clips: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.clips) <= MOST_PREVIEWS:
+            raise OptionError(f"1 to {MOST_PREVIEWS} clips are shown at once")
+        for name in self.clips:
+            find_clip(name)
+
+
+async def previews(request: Request) -> Any:
+    """Make how clips look on a character; the job is null where all are there."""
+    state, owner = studio_state(request), request.path_params["name"]
+    ready_character(state, owner)
+    form = from_json(_PreviewForm, await body_of(request), "the request")
+    folder = state.store.folder_of("characters", owner) / PREVIEWS
+    missing = [name for name in dict.fromkeys(form.clips) if not (folder / f"{name}.bin").is_file()]
+    if not missing:
+        return {"job": None}
+    params = {"character": owner, "clips": missing}
+    job = state.jobs.submit("preview", "show clips", params, {"character": owner}, passing=True, first=True)
+    return JSONResponse({"job": job["id"]}, 202)
+
+
+async def preview(request: Request) -> Response:
+    """How a clip looks on a character: what its joints do (`clips.packed_clip`)."""
+    state, owner = studio_state(request), request.path_params["name"]
+    file = f"{PREVIEWS}/{find_clip(request.path_params['clip']).name}.bin"
+    return FileResponse(state.store.file("characters", owner, file), media_type="application/octet-stream")
+
+
+LIBRARY_ROUTES = [
+    ("/clips", ("GET",), clips),
+    ("/characters/{name}/clips", ("POST",), previews),
+    ("/characters/{name}/clips/{clip}", ("GET",), preview),
+]
+
 
 SUGGESTED = 6
 """Clips of the library that a sentence suggests."""
@@ -29,9 +203,9 @@ LONGEST_NUMBER = 15
 async def about(request: Request) -> Any:
     """What this installation can do, and all that there is."""
     from bunraku import __version__
-    from bunraku.samples import sample_names
+    from bunraku.files.samples import sample_names
 
-    state = state_of(request)
+    state = studio_state(request)
     return {
         "version": __version__,
         "limits": {"bytes": MOST_BYTES, "seconds": 120, "takes": 8},
@@ -73,7 +247,7 @@ async def login(request: Request) -> Any:
 
 async def understand(request: Request) -> Any:
     """What is understood of a sentence, with the places of words that are not."""
-    from bunraku.clips import search
+    from bunraku.generation.library import search
     from bunraku.language.understood import understood
 
     words = text(await body_of(request), "text", 1000)
@@ -93,7 +267,7 @@ async def understand(request: Request) -> Any:
 
 async def changes(request: Request) -> Any:
     """What has changed after the number `?after=`; without it, the number to ask with."""
-    found = state_of(request).jobs.changes
+    found = studio_state(request).jobs.changes
     given = request.query_params.get("after", str(found.last))
     if not given.isascii() or not given.isdecimal() or len(given) > LONGEST_NUMBER:
         raise OptionError("after must be a whole number; reload the page")
@@ -102,12 +276,12 @@ async def changes(request: Request) -> Any:
 
 async def jobs(request: Request) -> Any:
     """All jobs that are known."""
-    return {"jobs": [public(job) for job in state_of(request).jobs.all()]}
+    return {"jobs": [public(job) for job in studio_state(request).jobs.all()]}
 
 
 async def job(request: Request) -> Any:
     """One job; DELETE cancels it."""
-    state, name = state_of(request), request.path_params["name"]
+    state, name = studio_state(request), request.path_params["name"]
     if request.method == "DELETE":
         return public(await run_in_threadpool(state.jobs.cancel, name))
     return public(state.jobs.get(name))
@@ -115,7 +289,7 @@ async def job(request: Request) -> Any:
 
 async def again(request: Request) -> Any:
     """Make what was interrupted or failed again."""
-    state = state_of(request)
+    state = studio_state(request)
     old = state.jobs.get(request.path_params["name"])
     made = await run_in_threadpool(state.jobs.again, old["id"])
     await run_in_threadpool(state.revive, old["about"])

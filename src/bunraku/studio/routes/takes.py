@@ -8,20 +8,33 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
-from bunraku.core.request.json_form import from_json, to_json
-from bunraku.core.request.limits import FPS
+from bunraku.core.request import FPS, from_json, to_json
 from bunraku.errors import FormatError, OptionError
-from bunraku.io.presets import preset_named
-from bunraku.pipelines.clips import clip_names
-from bunraku.pipelines.requests.apparel import Apparel
-from bunraku.studio.forms.changes import ChangeForm
-from bunraku.studio.forms.drawing import DressForm
-from bunraku.studio.forms.exports import ClipsForm
-from bunraku.studio.forms.script import read_script, script_json, sequence_of
-from bunraku.studio.forms.takes import TakeForm, TakeRecordForm
-from bunraku.studio.routes.asked import beside, body_of, choice, number, ready_character, state_of
+from bunraku.files.presets import preset_named
+from bunraku.pipelines.requests import Apparel, clip_names
+from bunraku.studio.forms import (
+    ChangeForm,
+    ClipsForm,
+    DressForm,
+    TakeForm,
+    TakeRecordForm,
+    read_script,
+    script_json,
+    sequence_of,
+)
+from bunraku.studio.routes.reading import (
+    CHARACTERS,
+    MOTIONS,
+    beside,
+    body_of,
+    choice,
+    number,
+    plain_name,
+    ready_character,
+    receive,
+    studio_state,
+)
 from bunraku.studio.state import State
-from bunraku.studio.uploads import CHARACTERS, MOTIONS, plain_name, receive
 
 __all__ = ["ROUTES"]
 
@@ -32,7 +45,7 @@ MOST_NAME = 40
 
 async def takes(request: Request) -> Any:
     """The takes of a character; POST makes some from a script."""
-    state, owner = state_of(request), request.path_params["name"]
+    state, owner = studio_state(request), request.path_params["name"]
     if request.method == "GET":
         state.store.get("characters", owner)
         return {"takes": [take for take in state.store.all("takes") if take["character"] == owner]}
@@ -98,7 +111,7 @@ def _worn(take: dict[str, Any]) -> Apparel:
 @beside
 def take(request: Request, body: dict[str, Any]) -> Any:
     """One take; PATCH stars or names it; DELETE gives it up, which PATCH with `deleted` false takes back."""
-    state, name = state_of(request), request.path_params["name"]
+    state, name = studio_state(request), request.path_params["name"]
     record = state.store.get("takes", name)
     if request.method == "DELETE":
         return state.change("takes", name, deleted=True)
@@ -111,14 +124,14 @@ def take(request: Request, body: dict[str, Any]) -> Any:
 
 async def clip(request: Request) -> Response:
     """What the joints of a take do (`clips.packed_clip`): of its draft while there is no more."""
-    state, name = state_of(request), request.path_params["name"]
+    state, name = studio_state(request), request.path_params["name"]
     file = "clip.bin" if state.store.get("takes", name)["state"] == "done" else "draft.bin"
     return FileResponse(state.store.file("takes", name, file), media_type="application/octet-stream")
 
 
 async def change(request: Request) -> Any:
     """New takes from one: parts or poses kept and the rest generated, or bent to pins with nothing generated."""
-    state, name = state_of(request), request.path_params["name"]
+    state, name = studio_state(request), request.path_params["name"]
     body = await body_of(request)
     return JSONResponse(await run_in_threadpool(_change, state, name, body), 202)
 
@@ -176,7 +189,7 @@ def _edit(state: State, name: str, form: ChangeForm, apparel: Apparel) -> Any:
 
 async def transfer(request: Request) -> Any:
     """A take from a motion file of any kind, in the body."""
-    state, owner = state_of(request), request.path_params["name"]
+    state, owner = studio_state(request), request.path_params["name"]
     ready_character(state, owner)
     title, suffix = plain_name(request.query_params.get("name", ""))
     if suffix not in (*MOTIONS, *CHARACTERS):
@@ -202,7 +215,7 @@ async def transfer(request: Request) -> Any:
 @beside
 def export(request: Request, body: dict[str, Any]) -> Any:
     """Write a take as a file of another program; the job's event says when it is there."""
-    state, name = state_of(request), request.path_params["name"]
+    state, name = studio_state(request), request.path_params["name"]
     record = state.store.get("takes", name)
     suffix = choice(body, "format", SUFFIXES, "glb")
     fps = number(body, "fps", FPS, 30)
@@ -230,7 +243,7 @@ def clips(request: Request, body: dict[str, Any]) -> Any:
     """Write several takes of a character as the clips of one file, each named by its title or its words: a GLB, or what
     the program wants that `preset` names.
     """
-    state, owner = state_of(request), request.path_params["name"]
+    state, owner = studio_state(request), request.path_params["name"]
     title = state.store.get("characters", owner)["name"]
     form = from_json(ClipsForm, body, "the request")
     records = [state.store.get("takes", name) for name in form.takes]
@@ -267,7 +280,7 @@ def _short(sentence: str) -> str:
 
 async def exported(request: Request) -> Response:
     """The file of an export."""
-    state, name = state_of(request), request.path_params["name"]
+    state, name = studio_state(request), request.path_params["name"]
     record = state.store.get("exports", name)
     return FileResponse(
         state.store.file("exports", name, record["file"]), filename=record["title"],

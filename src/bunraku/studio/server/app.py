@@ -1,36 +1,212 @@
-"""The studio as a web application: its routes, its gate, its page."""
+"""The studio as a web application: its routes and their OpenAPI document, its page, and a gate that admits that page
+only.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import hmac
+import inspect
 import logging
-from collections.abc import AsyncIterator, Callable
+import re
+import secrets
+import types
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from urllib.parse import urlsplit
 
 from starlette.applications import Starlette
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from bunraku import __version__
 from bunraku.errors import BunrakuError
-from bunraku.studio.forms.changes import ChangeForm
-from bunraku.studio.forms.exports import ClipsForm
-from bunraku.studio.forms.takes import TakeForm, TakeRecordForm
+from bunraku.studio.forms import ChangeForm, ClipsForm, TakeForm, TakeRecordForm
 from bunraku.studio.jobs import QueueFull
-from bunraku.studio.responses import is_full, sentence_of
-from bunraku.studio.routes import characters, files, general, library, takes
-from bunraku.studio.server.openapi import document_of
-from bunraku.studio.server.safety import Guard, Keys
+from bunraku.studio.routes import characters, general, takes
+from bunraku.studio.routes import general as files
+from bunraku.studio.routes import general as library
+from bunraku.studio.routes.reading import TooLarge
 from bunraku.studio.state import State
 from bunraku.studio.store import NotThere, Store
-from bunraku.studio.uploads import TooLarge
+from bunraku.studio.worker import is_full, sentence_of
 
-__all__ = ["STATIC", "studio_app"]
+__all__ = ["Guard", "Keys", "STATIC", "document_of", "schema_of", "studio_app"]
+
+
+LOCAL = ("127.0.0.1", "localhost", "::1", "[::1]")
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; media-src 'self' blob:; "
+    "connect-src 'self' blob:; font-src 'self'; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
+OPEN_API = ("/api/login",)
+
+
+@dataclass(frozen=True)
+class Keys:
+    """What lets a page in.
+
+    Args:
+        token: In the address that is opened.
+        password: What others type where the studio is open to other machines; "" keeps it to this one.
+        hosts: Names by which the studio may be called; empty allows any, behind a password only.
+    """
+
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+    password: str = ""
+    hosts: tuple[str, ...] = LOCAL
+
+    def fits(self, given: str) -> bool:
+        """Whether this is the token."""
+        return hmac.compare_digest(given.encode(), self.token.encode())
+
+
+class Guard:
+    """The gate in front of all routes.
+
+    Args:
+        app: What is behind it.
+        keys: Who is let in.
+    """
+
+    def __init__(self, app: ASGIApp, keys: Keys):
+        self.app, self.keys = app, keys
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+            return
+        if scope["type"] != "http":
+            return
+
+        async def answer(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                headers["content-security-policy"] = POLICY
+                headers["x-content-type-options"] = "nosniff"
+                headers["referrer-policy"] = "no-referrer"
+                headers["cross-origin-opener-policy"] = "same-origin"
+                headers["cross-origin-resource-policy"] = "same-origin"
+                headers.setdefault("cache-control", "no-store")
+            await send(message)
+
+        refusal = self._refusal(scope)
+        if refusal:
+            status, sentence = refusal
+            await JSONResponse({"error": sentence, "kind": "Refused"}, status)(scope, receive, answer)
+        else:
+            await self.app(scope, receive, answer)
+
+    def _refusal(self, scope: Scope) -> tuple[int, str] | None:
+        headers = Headers(scope=scope)
+        host = headers.get("host", "")
+        origin = headers.get("origin")
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+            source = None if origin is None else urlsplit(origin).netloc
+        except ValueError:  # such as "[::1"
+            return 400, "the request names no host that can be read; open the address that the studio printed"
+        if self.keys.hosts and name not in self.keys.hosts:
+            return 403, "the studio answers to this machine's own name only; open the address that it printed"
+        if source is not None and source != host:
+            return 403, "another page asked for this; the studio answers only to its own page"
+        if headers.get("sec-fetch-site") in ("cross-site", "same-site") and scope["path"].startswith("/api"):
+            return 403, "another page asked for this; the studio answers only to its own page"
+        if not scope["path"].startswith("/api") or scope["path"] in OPEN_API:
+            return None
+        kind, _, given = headers.get("authorization", "").partition(" ")
+        if kind.lower() != "bearer" or not self.keys.fits(given.strip()):
+            return (
+                401,
+                "the address lacks its token, or it is that of an earlier run; open the address that was printed",
+            )
+        return None
+
+
+Routes = Iterable[tuple[str, tuple[str, ...], Callable[..., Any]]]
+_PLAIN: dict[Any, dict[str, Any]] = {
+    str: {"type": "string"}, bool: {"type": "boolean"}, int: {"type": "integer"}, float: {"type": "number"},
+}  # fmt: skip
+_ERROR = {
+    "description": "What is wrong, one sentence.",
+    "content": {"application/json": {"schema": {
+        "type": "object", "properties": {"error": {"type": "string"}, "kind": {"type": "string"}},
+    }}},
+}  # fmt: skip
+
+
+def schema_of(kind: Any) -> dict[str, Any]:
+    """The JSON schema of a type: plain ones, lists, literals, dataclasses."""
+    if kind in _PLAIN:
+        return dict(_PLAIN[kind])
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        return {"enum": list(inner)}
+    if origin in (Union, types.UnionType):
+        return {"anyOf": [{"type": "null"} if one is type(None) else schema_of(one) for one in inner]}
+    if origin in (list, tuple):
+        same = (len(inner) == 2 and inner[1] is Ellipsis) or origin is list
+        if same:
+            return {"type": "array", "items": schema_of(inner[0])}
+        bounds = {"minItems": len(inner), "maxItems": len(inner)}
+        return {"type": "array", "prefixItems": [schema_of(one) for one in inner], **bounds}
+    if origin in (dict, Mapping):
+        return {"type": "object"}
+    if is_dataclass(kind) and isinstance(kind, type):
+        hints = get_type_hints(kind)
+        own = {field.name: schema_of(hints[field.name]) for field in fields(kind)}
+        needed = [field.name for field in fields(kind) if field.default is MISSING and field.default_factory is MISSING]
+        said = inspect.getdoc(kind) or ""
+        out: dict[str, Any] = {"type": "object", "title": kind.__name__, "description": said, "properties": own}
+        return {**out, "required": needed} if needed else out
+    return {}
+
+
+def document_of(routes: Routes, version: str, reads: Mapping[tuple[str, str], type]) -> dict[str, Any]:
+    """The document.
+
+    Args:
+        routes: Path, methods and handler of each; a handler's docstring says what it does.
+        version: Of Bunraku.
+        reads: The class of the JSON body of a path and method.
+    """
+    paths: dict[str, dict[str, Any]] = {}
+    for path, methods, handler in routes:
+        said = (inspect.getdoc(handler) or "").split("\n\n")[0].replace("\n", " ")
+        for method in methods:
+            entry: dict[str, Any] = {
+                "operationId": f"{handler.__name__}_{method.lower()}", "summary": said,
+                "responses": {"200": {"description": "What was asked for."},
+                              "202": {"description": "The job that was begun; `/jobs/{name}` tells of it."},
+                              "4XX": _ERROR, "5XX": _ERROR},
+            }  # fmt: skip
+            names = re.findall(r"{(\w+)", path)
+            if names:
+                entry["parameters"] = [
+                    {"name": name, "in": "path", "required": True, "schema": {"type": "string"}} for name in names
+                ]
+            form = reads.get((path, method))
+            if form is not None:
+                entry["requestBody"] = {"content": {"application/json": {"schema": schema_of(form)}}}
+            paths.setdefault(re.sub(r"{(\w+):\w+}", r"{\1}", path), {})[method.lower()] = entry
+    return {
+        "openapi": "3.1.0",
+        "info": {"title": "Bunraku studio", "version": version},
+        "servers": [{"url": "/api"}],
+        "security": [{"token": []}],
+        "components": {"securitySchemes": {"token": {"type": "http", "scheme": "bearer"}}},
+        "paths": paths,
+    }
+
 
 READS: dict[tuple[str, str], type] = {
     ("/characters/{name}/takes", "POST"): TakeForm,
@@ -67,7 +243,7 @@ def studio_app(folder: Path, keys: Keys | None = None, warm: bool = True) -> Sta
         finally:
             state.stop()
 
-    api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, *library.ROUTES, *files.ROUTES]
+    api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, *library.LIBRARY_ROUTES, *files.PROJECT_ROUTES]
     api.append(("/openapi.json", ("GET",), described))
     app = Starlette(
         routes=[

@@ -49,8 +49,7 @@ def serve(
     except ImportError:
         raise MissingExtraError("uvicorn", "studio", "the studio") from None
     try:
-        from bunraku.studio.server.app import STATIC, studio_app
-        from bunraku.studio.server.safety import LOCAL, Keys
+        from bunraku.studio.server.app import LOCAL, STATIC, Keys, studio_app
     except ImportError as error:
         if (error.name or "").partition(".")[0] == "starlette":
             raise MissingExtraError("starlette", "studio", "the studio") from None

@@ -2,6 +2,6 @@
 3).
 """
 
-from bunraku_lab.datasets.apparel.reader import ApparelCharacter, ApparelClip, ApparelData, ApparelWindow
+from bunraku_lab.datasets.apparel.shards import ApparelCharacter, ApparelClip, ApparelData, ApparelWindow
 
 __all__ = ["ApparelCharacter", "ApparelClip", "ApparelData", "ApparelWindow"]

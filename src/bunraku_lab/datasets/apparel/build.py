@@ -1,7 +1,5 @@
-"""`bunraku data apparel`: characters x motions, simulated, as shards.
-
-One process makes one shard after the other; a shard is written whole or not at all, so a second run goes on where the
-first one was stopped, and as each depends on its plan alone, any number of processes gives the same bytes.
+"""`bunraku data apparel`: characters x motions, simulated and recorded in few numbers (joint transforms, and how far
+vertices leave what the joints give), as shards.
 """
 
 from __future__ import annotations
@@ -16,25 +14,108 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.apparel.unified import UnifiedBody
+from bunraku.apparel.body import UnifiedBody
+from bunraku.core.animation import RigAnimation
 from bunraku.core.character import Character
-from bunraku.core.rig_animation import RigAnimation
+from bunraku.core.files import atomic_write, remove_leftovers
+from bunraku.core.parallel import run_parallel
+from bunraku.core.skinning import skin
 from bunraku.errors import BunrakuError, CharacterError, FormatError
-from bunraku.formats.files import atomic_write, sweep
-from bunraku.nn.spread import spread
+from bunraku_lab.datasets.apparel.checks import pushed_out_clips, unclothed
 from bunraku_lab.datasets.apparel.plan import FPS, CharacterSource, ClipPlan, ShardPlan
-from bunraku_lab.datasets.apparel.push_out import pushed_out_clips, unclothed
-from bunraku_lab.datasets.apparel.reader import INDEX
-from bunraku_lab.datasets.apparel.recording import record
-from bunraku_lab.datasets.apparel.shards import (
-    LATER_ARRAYS,
-    SHARD_ARRAYS,
-    Shard,
-    shard_fingerprint,
-    write_shard,
-)
+from bunraku_lab.datasets.apparel.shards import INDEX, LATER_ARRAYS, SHARD_ARRAYS, Shard, shard_fingerprint, write_shard
 
-__all__ = ["BuildState", "body_animation", "build_apparel", "build_shard"]
+__all__ = ["BuildState", "RIGID", "Recording", "body_animation", "build_apparel", "build_shard", "record"]
+
+
+RIGID = 2e-5
+"""A bone that leaves its joint by less than this at all its vertices [m] counts as rigid with it."""
+_CHUNK = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """N frames of all clips, one after the other.
+
+    Args:
+        transforms: `[R | t]` of the joints, shape (N, 22, 3, 4), float32.
+        loose: Vertices that have offsets, shape (M,), int32.
+        offsets: How far they are from what the joints alone give [m], shape (N, M, 3), float16.
+        rounding: Largest error of half precision in them [m].
+    """
+
+    transforms: np.ndarray
+    loose: np.ndarray
+    offsets: np.ndarray
+    rounding: float
+
+
+def record(body: UnifiedBody, clips: Sequence[RigAnimation]) -> Recording:
+    """Write down what a character does.
+
+    Args:
+        body: The character's joints.
+        clips: Its clips, simulated.
+
+    Raises:
+        ValueError: An offset is not finite or too long for half precision.
+    """
+    rig = body.parts.character.rig
+    assert rig is not None
+    vertices = body.parts.character.vertices
+    bones = _loose_bones(body, clips)
+    dense = np.zeros((len(vertices), len(rig.names)), np.float32)
+    np.add.at(dense, (np.arange(len(dense))[:, None], rig.indices), rig.weights)
+    loose = np.flatnonzero(dense[:, bones].sum(axis=1) > 1e-4).astype(np.int32)
+    weights = dense[np.ix_(loose, bones)]
+    transforms = np.concatenate([body.transforms(clip) for clip in clips])
+    offsets = np.empty((len(transforms), len(loose), 3), np.float16)
+    start, rounding = 0, 0.0
+    for clip in clips:
+        deviations = body.deviations(clip)[:, bones]
+        for first in range(0, len(clip), _CHUNK):
+            exact = skin(vertices[loose], weights, deviations[first : first + _CHUNK])
+            if not np.abs(exact).max(initial=0) < 1000:
+                raise ValueError("vertices leave their joints by more than a kilometre")
+            here = slice(start + first, start + first + len(exact))
+            offsets[here] = exact
+            rounding = max(
+                rounding, float(np.linalg.norm(offsets[here].astype(np.float32) - exact, axis=-1).max(initial=0))
+            )
+        start += len(clip)
+    return Recording(transforms, loose, offsets, rounding)
+
+
+def _loose_bones(body: UnifiedBody, clips: Sequence[RigAnimation]) -> np.ndarray:
+    """Bones that hold vertices and leave their joints in some frame, shape (B,)."""
+    rig = body.parts.character.rig
+    assert rig is not None
+    held = np.unique(rig.indices[rig.weights > 1e-4])
+    centres, radii = _extents(body)
+    far = np.zeros(len(held))
+    for clip in clips:
+        deviation = body.deviations(clip)[:, held].astype(np.float64)
+        at = np.einsum("njab,jb->nja", deviation[..., :3], centres[held]) + deviation[..., 3]
+        reach = np.linalg.norm(deviation[..., :3], axis=(-2, -1)) * radii[held]
+        far = np.maximum(far, (np.linalg.norm(at, axis=-1) + reach).max(axis=0))
+    return np.asarray(held[far > RIGID])
+
+
+def _extents(body: UnifiedBody) -> tuple[np.ndarray, np.ndarray]:
+    """Centre (J, 3) and radius (J,) [m] of a ball about the vertices that each bone holds."""
+    rig, vertices = body.parts.character.rig, body.parts.character.vertices.astype(np.float64)
+    assert rig is not None
+    count = len(rig.names)
+    rows, columns = np.nonzero(rig.weights > 1e-4)
+    bones = rig.indices[rows, columns]
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, bones, vertices[rows])
+    np.maximum.at(high, bones, vertices[rows])
+    some = np.isfinite(low[:, 0])
+    centres, radii = rig.positions.astype(np.float64).copy(), np.zeros(count)
+    centres[some] = (low[some] + high[some]) / 2
+    radii[some] = np.linalg.norm(high[some] - low[some], axis=1) / 2
+    return centres, radii
 
 
 @dataclass
@@ -87,7 +168,7 @@ def build_apparel(
     except OSError as error:
         raise FormatError(folder, f"the folder cannot be made ({error.strerror}); choose another") from error
     for home in (folder, folder / "shards"):
-        sweep(home)
+        remove_leftovers(home)
     progress = progress or (lambda state: None)
     state = BuildState(len(plan), sum(shard.seconds for shard in plan) / 60)
     todo = [shard for shard in plan if not _known(_path(folder, shard), shard, *LATER_ARRAYS)]
@@ -100,7 +181,7 @@ def build_apparel(
     started, before = time.monotonic(), state.built_minutes
     total = sum(shard.seconds for shard in todo) / 60
     tried = 0.0
-    for shard, problem in spread(partial(_build_batch, folder), [[shard] for shard in todo], jobs, str):
+    for shard, problem in run_parallel(partial(_build_batch, folder), [[shard] for shard in todo], jobs, str):
         tried += shard.seconds / 60
         if problem:
             state.failed[shard.name] = problem
@@ -181,8 +262,8 @@ def build_shard(folder: Path, shard: ShardPlan) -> str:
 
 def _complete(path: Path, shard: ShardPlan) -> None:
     """Write how its vertices swing into a shard of an older version."""
-    from bunraku.physics.from_file import apparel_rig
-    from bunraku.physics.told.swing import vertex_swing
+    from bunraku.apparel.physics.clothed_from_file import vertex_swing
+    from bunraku.apparel.physics.rig import apparel_rig
 
     old, character = Shard(path), source_character(shard.character)
     arrays = {name: old.array(name) for name in SHARD_ARRAYS}
@@ -195,11 +276,10 @@ def _complete(path: Path, shard: ShardPlan) -> None:
 
 def _build(folder: Path, shard: ShardPlan) -> None:
     from bunraku.apparel.mask import apparel_mask
-    from bunraku.apparel.parts import apparel_parts
-    from bunraku.physics.from_file import apparel_rig
-    from bunraku.physics.simulate import simulate
-    from bunraku.physics.told.clothed import part_springs
-    from bunraku.physics.told.swing import vertex_swing
+    from bunraku.apparel.nodes import apparel_parts
+    from bunraku.apparel.physics.clothed_from_file import part_springs, vertex_swing
+    from bunraku.apparel.physics.rig import apparel_rig
+    from bunraku.apparel.physics.simulate import simulate
 
     character = source_character(shard.character)
     rig = apparel_rig(character)
@@ -262,7 +342,7 @@ def _build(folder: Path, shard: ShardPlan) -> None:
 def source_character(source: CharacterSource) -> Character:
     """The character of a source; the last one is kept."""
     if source.path:
-        from bunraku.io import load_character
+        from bunraku.files import load_character
 
         return load_character(source.path)
     from bunraku_lab.synthetic.wardrobe import wardrobe_character
@@ -272,8 +352,7 @@ def source_character(source: CharacterSource) -> Character:
 
 def _clip_animation(body: UnifiedBody, clip: ClipPlan) -> RigAnimation:
     """A clip on the character's rig, apparel going along with the body."""
-    from bunraku.core.motion import HandleMotion
-    from bunraku.core.resample import resample
+    from bunraku.core.motion import HandleMotion, resample
     from bunraku.pipelines.transfer import played_by_mmd
 
     path, cut = clip.motion.path, slice(round(clip.start * FPS), round((clip.start + clip.seconds) * FPS))
@@ -298,7 +377,7 @@ def _clip_animation(body: UnifiedBody, clip: ClipPlan) -> RigAnimation:
 
 @lru_cache(maxsize=8)
 def _reference(path: str) -> Any:
-    from bunraku.io.motions import load_motion
+    from bunraku.pipelines.motions.read import load_motion
     from bunraku.pipelines.to_reference import reference_motion
 
     return reference_motion(load_motion(path, fps=FPS), fps=FPS)
@@ -312,10 +391,10 @@ def body_animation(body: UnifiedBody, motion: Any) -> RigAnimation:
         body: The character.
         motion: `HandleMotion` of the reference body.
     """
-    from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT
+    from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT
     from bunraku.pipelines.transfer import TRANSFER_STAGES
+    from bunraku.retarget.stages.feet import is_treadmill
     from bunraku.retarget.to_rig import fit_rig
-    from bunraku.retarget.treadmill import is_treadmill
 
     rotations = np.array(motion.rotations)
     for handle in range(JOINT_COUNT, HANDLE_COUNT):

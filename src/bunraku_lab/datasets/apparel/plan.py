@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.core.files import check_input
 from bunraku.errors import FormatError, OptionError
-from bunraku.formats.files import check_input
 
 __all__ = [
     "FPS", "SHARD_FRAMES", "SPLITS", "CharacterSource", "ClipPlan", "MotionSource", "ShardPlan", "character_sources",
@@ -256,7 +256,7 @@ def _indexed(folder: Path, shortest: float) -> list[MotionSource]:
 def _length(path: Path) -> float:
     """Length of a motion [s], 0 where it cannot be read."""
     from bunraku.errors import BunrakuError
-    from bunraku.io.motions import load_motion
+    from bunraku.pipelines.motions.read import load_motion
 
     try:
         motion: Any = load_motion(path)

@@ -1,8 +1,5 @@
-"""Human motions as handle motions: `bunraku data motions`.
-
-Reads the packed motion archive (`motions.npz` with `motions.json` beside it), poses the reference body with each clip
-and converts the moving mesh to handle motion by weighted rigid registration (Besl & McKay 1992; sections 3.2 and A.2 of
-TapMo).
+"""Human motions as handle motions (`bunraku data motions`), with the faults of captured motion measured and removed:
+sloping feet, heights off the ground, and limbs rolled by half a turn.
 """
 
 from __future__ import annotations
@@ -10,29 +7,171 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d, percentile_filter
 
-from bunraku.body.layout import HANDLE_NAMES, JOINT_NAMES
+from bunraku.core.body.joint_rotations import motion_from_positions
+from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
+from bunraku.core.files import remove_leftovers
+from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
+from bunraku.core.parallel import Pool
 from bunraku.errors import FormatError
-from bunraku.formats.files import sweep
-from bunraku.geometry.rotations import matrix_from_quaternion
-from bunraku.nn.pool import Pool
-from bunraku.retarget.from_mesh import registered_body
+from bunraku.retarget.to_reference import registered_body
 from bunraku_lab.datasets.motions.clips import load_clip, load_lowest, write_clip, write_index
-from bunraku_lab.datasets.motions.feet import level_feet, standing_foot_pitch, subject_pitches
-from bunraku_lab.datasets.motions.floors import floor_height, posture_fault
-from bunraku_lab.datasets.motions.hinges import unrolled
-from bunraku_lab.datasets.motions.sources import source_of
-from bunraku_lab.datasets.motions.watched import FEWEST, Stretch, load_watched
+from bunraku_lab.datasets.motions.sources import FEWEST, Stretch, load_watched, source_of, subject_of
 
-__all__ = ["MotionArchive", "build_motions", "split_of"]
+__all__ = [
+    "MotionArchive",
+    "build_motions",
+    "floor_height",
+    "level_feet",
+    "posture_fault",
+    "rolled_limbs",
+    "split_of",
+    "standing_foot_pitch",
+    "subject_pitches",
+    "unrolled",
+]
+
+
+ANKLES = (JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle"))
+LEAST, MOST = np.radians(2.0), np.radians(35.0)
+
+
+def standing_foot_pitch(motion: SkeletalMotion) -> float:
+    """Median slope [rad] of the feet while they stand (low and slower than 0.3 m/s); up is positive, NaN where they
+    never stand.
+    """
+    rotations, positions = motion.world()
+    slopes = []
+    for joint in ANKLES:
+        height = positions[:, joint, 1]
+        speed = np.linalg.norm(np.diff(positions[:, joint], axis=0, prepend=positions[:1, joint]), axis=-1) * motion.fps
+        stands = (height < np.quantile(height, 0.3) + 0.03) & (speed < 0.3)
+        if stands.sum() >= 8:
+            slopes.append(float(np.median(np.arcsin(np.clip(rotations[stands, joint, 1, 2], -1, 1)))))
+    return float(np.mean(slopes)) if slopes else float("nan")
+
+
+def subject_pitches(pitches: Iterable[tuple[str, float]]) -> dict[str, float]:
+    """Slope of each subject [rad] from (clip name, slope) pairs: the median of its clips, 0 where that is small, wild
+    or of few clips.
+    """
+    groups = defaultdict(list)
+    for name, pitch in pitches:
+        if np.isfinite(pitch):
+            groups[subject_of(name)].append(pitch)
+    medians = {subject: float(np.median(values)) for subject, values in groups.items() if len(values) >= 3}
+    return {subject: value if LEAST < abs(value) < MOST else 0.0 for subject, value in medians.items()}
+
+
+def level_feet(motion: SkeletalMotion, name: str, slopes: Mapping[str, float]) -> SkeletalMotion:
+    """The motion with its subject's constant slope taken out of both ankles."""
+    slope = slopes.get(subject_of(name), 0.0)
+    if slope == 0.0:
+        return motion
+    rotations = motion.rotations.copy()
+    turn = matrix_from_axis_angle(np.array([slope, 0.0, 0.0])).astype(np.float32)
+    for joint in ANKLES:
+        rotations[:, joint] = rotations[:, joint] @ turn
+    return replace(motion, rotations=rotations)
+
+
+HAND = 0.15
+"""Height [m] up to which a body that is off the ground means to stand on it."""
+CLIMB = 0.2
+"""Height [m] from which on a clip climbs."""
+WINDOW = 2.4
+"""Time [s] in which a body touches the ground at least once, however it jumps."""
+_SITS = re.compile(r"\b(sits?|sitting|seated|seat|chair)\b", re.IGNORECASE)
+_HIGH = re.compile(
+    r"\b(stool|high|horse|ride|riding|motorcycle|swing|hop|table|ledge|climb\w*|cycl\w*)\b", re.IGNORECASE
+)
+_LIES = re.compile(r"\b(lies|lying|lie|crawl\w*|push-?ups?|sit-?ups?)\b", re.IGNORECASE)
+
+
+def floor_height(lowest: np.ndarray, fps: float) -> np.ndarray:
+    """Height of the ground under a clip, by what touches it.
+
+    Args:
+        lowest: Lowest point of what can carry the body, all but the arms, in each frame [m], shape (N,).
+        fps: Frames a second [1/s].
+
+    Returns:
+        Height [m] to take off each frame, shape (N,): smooth where the clip hovers or sinks by less than `CLIMB` all
+        along, else one number, 0 where even that is more than `HAND`.
+    """
+    whole = float(np.quantile(lowest, 0.05))
+    whole = whole if abs(whole) < HAND else 0.0
+    rest = np.asarray(lowest, float) - whole
+    size = max(3, round(WINDOW * fps))
+    local = gaussian_filter1d(percentile_filter(rest, 10, size=size, mode="nearest"), 0.4 * fps, mode="nearest")
+    if np.abs(local).max(initial=0) > CLIMB:
+        return np.full(len(rest), whole)
+    return whole + local
+
+
+def posture_fault(texts: list[str], height: np.ndarray, lowest: np.ndarray) -> str | None:
+    """Why a stretch cannot be what its sentences say: it sits, lies or stands in the air; None where it can.
+
+    Args:
+        texts: Its sentences.
+        height: Root over its standing height in each frame [m], shape (N,).
+        lowest: Lowest point of the body over the ground in each frame [m], shape (N,).
+    """
+    words = " ".join(texts)
+    if _SITS.search(words) and not _HIGH.search(words) and float(height.min()) > -0.18:
+        return f"sits with the pelvis {-100 * float(height.min()):.0f} cm below standing, which is no seat"
+    if _LIES.search(words) and not re.search(r"\bswim", words, re.IGNORECASE) and float(height.min()) > -0.3:
+        return f"lies or creeps with the pelvis {-100 * float(height.min()):.0f} cm below standing"
+    if not re.search(
+        r"\b(climb\w*|hang\w*|swing\w*|swim\w*|ladder|fl(y|ies|ying)|levitat\w*|jump\w*|leap\w*|flip\w*|mid-?air)\b",
+        words,
+        re.IGNORECASE,
+    ):
+        share = float((lowest > 0.08).mean())
+        if share > 0.6:
+            return f"nothing is near the ground in {100 * share:.0f} % of the frames"
+    return None
+
+
+HINGES = {"left_knee": (1, 0, 0), "right_knee": (1, 0, 0), "left_elbow": (0, -1, 0), "right_elbow": (0, 1, 0)}
+"""Axis about which each bends in the T-pose, roughly."""
+BENT = np.deg2rad(20)
+FEWEST_BENT = 8  # frames
+
+
+def rolled_limbs(motion: SkeletalMotion) -> list[str]:
+    """Hinges that bend the wrong way in most of the frames in which they are bent by 20 degrees or more.
+
+    Args:
+        motion: Of SMPL's 22 joints, rest in the T-pose.
+    """
+    found = []
+    for name, axis in HINGES.items():
+        turn = axis_angle_from_matrix(motion.rotations[:, JOINT_NAMES.index(name)].astype(np.float64))
+        angle = np.linalg.norm(turn, axis=1)
+        bent = angle > BENT
+        if bent.sum() >= FEWEST_BENT and float(np.median(turn[bent] @ np.array(axis) / angle[bent])) < -0.5:
+            found.append(name)
+    return found
+
+
+def unrolled(motion: SkeletalMotion) -> SkeletalMotion:
+    """The motion with its rotations found again from its joint positions, where a limb is rolled; else as it is."""
+    if not rolled_limbs(motion):
+        return motion
+    return motion_from_positions(motion.world()[1], motion.fps)
+
 
 HELD_TURN, HELD_WAY, HELD_MARGIN = np.radians(10), 0.05, 5
 """A pose is held while no handle turns farther than this, the root moves no farther [m]; so many frames are left of
@@ -180,7 +319,7 @@ def build_motions(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(out, f"the folder cannot be made ({error.strerror}); choose another") from error
-    sweep(out)
+    remove_leftovers(out)
     todo = [index for index, name in enumerate(archive.names) if not (out / f"{name}.npz").is_file()]
     lengths = np.diff(archive.bounds)
     total, done = int(lengths.sum()), int(lengths.sum() - lengths[todo].sum())

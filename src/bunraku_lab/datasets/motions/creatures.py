@@ -1,17 +1,12 @@
-"""Clips of animals, monsters and machines as handle motions: `bunraku data motions --creatures`.
-
-Each character gets the handles that the shipped predictor gives its bare mesh, as those of whoever has an unrigged
-copy. Its clips are registered to them and taken to the reference body (`bunraku.retarget.reference`), from where
-`fit_motion` of a motion of their own body takes them back. `creature_clips.json` holds the species of every file, the
-action and the words of every label, and, in place of those words, sentences of whoever watched the clip. Of people with
-equal clips one is taken, without the walking that motion capture has more of; they join as clips of any humanoid.
+"""Labelled clips of the character archive as handle motions: animals, monsters and machines (`bunraku data motions
+--creatures`) and people of games (`--characters`), played on and moved as engines do.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
@@ -21,22 +16,123 @@ from typing import Any, TypedDict
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.names.bone_names import rig_handles
+from bunraku.core.animation import Animation
+from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.errors import BunrakuError, CharacterError
-from bunraku.retarget.from_mesh import handle_motion_of_mesh
-from bunraku.retarget.reference import motion_to_reference
-from bunraku_lab.datasets.archive import present_files
+from bunraku.errors import BunrakuError, CharacterError, FormatError
+from bunraku.retarget.to_reference import handle_motion_of_mesh, motion_to_reference
 from bunraku_lab.datasets.characters.build import HELD_OUT
-from bunraku_lab.datasets.characters.known_rigs import facing_turn
+from bunraku_lab.datasets.characters.training_character import facing_rotation
+from bunraku_lab.datasets.motions.build import split_of
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, write_clip, write_index
-from bunraku_lab.datasets.motions.strides import forward_speed, played_on, with_travel
 
 __all__ = [
-    "HELD_OUT_SPECIES", "CreatureBody", "CreatureClip", "add_creatures", "clip_vertices", "creature_body",
-    "creature_clips", "creature_split", "known_plan",
+    "CreatureBody",
+    "CreatureClip",
+    "HELD_OUT_SPECIES",
+    "add_creatures",
+    "add_game_clips",
+    "clip_vertices",
+    "creature_body",
+    "creature_clips",
+    "creature_split",
+    "forward_speed",
+    "known_plan",
+    "played_on",
+    "present_files",
+    "reference_clip",
     "reference_motion",
-]  # fmt: skip
+    "with_travel",
+]
+
+
+def present_files(folder: Path, files: Iterable[str]) -> list[str]:
+    """Those of the archive's files, named without their `.glb`, that a folder holds.
+
+    Raises:
+        FormatError: It holds none.
+    """
+    present = [file for file in files if (folder / f"{file}.glb").is_file()]
+    if not present:
+        raise FormatError(
+            folder, "none of the known characters is here; give the folder of the unpacked character archive"
+        )
+    return present
+
+
+NEAR = (
+    0.04,
+    0.015,
+    # what is this near to the lowest point, as a share of the height, stands; the second where the first takes in
+    # swinging
+    # feet
+)
+IN_PLACE = 0.25  # clips that come farther than this share of the way that their feet make do move already
+SLOWEST, FASTEST = 0.03, 6.0  # in body heights a second
+
+
+def forward_speed(vertices: np.ndarray, surface: np.ndarray, height: float, fps: float) -> float:
+    """Speed along +Z at which the feet would not slide [m/s], not negative; 0 where none can be told.
+
+    Args:
+        vertices: Of each frame [m], shape (N, V, 3), of a body that faces +Z.
+        surface: Which vertices count, shape (V,), bool.
+        height: Of the body [m].
+        fps: Frames a second [1/s].
+    """
+    points = vertices[:, surface].astype(np.float64)
+    if len(points) < 3:
+        return 0.0
+    for near in NEAR:
+        down = points[..., 1] < points[..., 1].min(axis=1, keepdims=True) + near * height
+        down &= points[..., 1] < points[..., 1].min() + 2 * near * height  # nobody stands in the air
+        both = down[:-1] & down[1:]
+        if both.any():
+            speed = float(np.median(-np.diff(points[..., 2], axis=0)[both]) * fps)
+            if SLOWEST * height < speed < FASTEST * height:
+                return speed
+    return 0.0
+
+
+def with_travel(motion: HandleMotion, speed: float) -> HandleMotion:
+    """The motion with a steady way along +Z added, unless it comes forward by itself.
+
+    Args:
+        motion: Of a body on the spot that faces +Z.
+        speed: What `forward_speed` found [m/s].
+    """
+    moments = np.arange(len(motion)) / motion.fps
+    own = float(motion.root_translation[-1, 2] - motion.root_translation[0, 2])
+    if speed == 0 or abs(own) > IN_PLACE * speed * moments[-1]:
+        return motion
+    return replace(
+        motion, root_translation=motion.root_translation + np.outer(moments, [0, 0, speed]).astype(np.float32)
+    )
+
+
+def played_on(motion: HandleMotion, least: int) -> HandleMotion:
+    """A loop played on, in whole rounds, until it has at least `least` frames; the motion as it is where it does not
+    end as it began.
+
+    Loops of a few frames, such as one bound of a gallop, are too short to be cut, joined or told from a single step.
+    """
+    frames = len(motion)
+    if frames < 3 or frames >= least:
+        return motion
+    flat = np.concatenate([motion.rotations.reshape(frames, -1), motion.root_rotation.reshape(frames, -1)], axis=1)
+    step, gap = np.linalg.norm(np.diff(flat, axis=0), axis=1).max(), float(np.linalg.norm(flat[-1] - flat[0]))
+    if gap > 1.2 * step:
+        return motion
+    period = frames - 1 if gap < 0.5 * step else frames  # the last frame is the first again, or the one before it
+    rounds = -(-least // period)
+    order = np.arange(rounds * period) % period
+    path = motion.root_translation.astype(np.float64)
+    course = (path[-1] - path[0]) * period / (frames - 1)
+    path = path[order] + np.outer(np.arange(rounds * period) // period, [course[0], 0, course[2]])
+    return replace(motion.take(order), root_translation=path)
+
 
 HELD_OUT_SPECIES: tuple[str, ...] = (
     "bull", "shiba inu", "rat", "velociraptor", "spider", "crab", "dragon", "bee", "tuna", "betta", "puffer",
@@ -225,13 +321,13 @@ def creature_body(path: Path, name: str) -> CreatureBody:
     Raises:
         BunrakuError: It cannot be read, or has no rig.
     """
-    from bunraku.handles.predict import predict_handles
-    from bunraku.io import load_character
+    from bunraku.anatomy.handles.predict import predict_handles
+    from bunraku.files import load_character
 
     character = load_character(path)
     if character.rig is None:
         raise CharacterError(f"{path}: there is no rig in this file, so its clips move nothing")
-    turn = facing_turn(name, character.rig.names, character.rig.positions)
+    turn = facing_rotation(name, character.rig.names, character.rig.positions)
     character = replace(character, vertices=character.vertices @ turn.T.astype(np.float32), rig=None, source=None)
     handles = predict_handles(character).top(4)
     return CreatureBody(
@@ -250,7 +346,7 @@ def clip_vertices(body: CreatureBody, label: str) -> np.ndarray:
     Raises:
         BunrakuError: The clip cannot be played.
     """
-    from bunraku.io.play import load_animation
+    from bunraku.files.clips import load_animation
 
     return np.asarray(load_animation(body.path, label, FPS).vertices() @ body.turn.T.astype(np.float32))
 
@@ -318,8 +414,8 @@ def add_creatures(
     Raises:
         FormatError: There is no index, or none of the characters is there.
     """
-    from bunraku.formats.gltf.container.open import open_document
-    from bunraku.io.play import clip_names
+    from bunraku.files.clips import clip_names
+    from bunraku.files.gltf.open import open_document
 
     characters, out = Path(characters), Path(out)
     load_index(out)  # there must be one, before minutes are spent
@@ -354,3 +450,72 @@ def add_creatures(
             progress("converting clips of creatures", (number + 1) / len(files))
     write_index(out, load_index(out) | added)
     return list(added), failed
+
+
+def reference_clip(animation: Animation) -> HandleMotion:
+    """What a rigged character does, by whatever handles it is driven, as handle motion of the reference body.
+
+    Raises:
+        CharacterError: The character has no rig with telling names.
+    """
+    character = animation.character
+    handles = rig_handles(character, least=8)
+    areas = character.areas
+    motion = handle_motion_of_mesh(
+        character.vertices, animation.vertices(), handles.weights, handles.positions, areas, animation.motion.fps
+    )
+    return motion_to_reference(motion, Anatomy.of(character, handles))
+
+
+def _side(motion: HandleMotion, part: str) -> str:
+    """The side on which a handle travels farther in the root's frame."""
+    travel = {}
+    for side in ("left", "right"):
+        handle = HANDLE_NAMES.index(f"{side}_{part}")
+        travel[side] = float(np.linalg.norm(np.diff(motion.translations[:, handle], axis=0), axis=1).sum())
+    return max(travel, key=lambda side: travel[side])
+
+
+def add_game_clips(
+    characters: str | Path, out: str | Path, progress: Callable[[str, float], None] | None = None
+) -> tuple[list[str], dict[str, str]]:
+    """Convert the clips that `game_clips.json` names and add them to the index that `build_motions` wrote.
+
+    Args:
+        characters: Folder of the unpacked character archive.
+        out: Folder of the motions, with its `index.json`.
+        progress: Called with a stage's name and the share done.
+
+    Returns:
+        Names of the clips in the index, and what failed with its reason.
+
+    Raises:
+        FormatError: There is no index, or none of the characters is there.
+    """
+    from bunraku.files.clips import load_animation
+
+    characters, out = Path(characters), Path(out)
+    clips = load_index(out)
+    table = json.loads(
+        resources.files("bunraku_lab.datasets.motions").joinpath("game_clips.json").read_text(encoding="utf-8")
+    )
+    wanted = [
+        (file, clip, caption) for file in present_files(characters, table) for clip, caption in table[file].items()
+    ]
+    added, failed = [], {}
+    for number, (file, clip, caption) in enumerate(wanted):
+        name = "game_" + file.replace("/", "-") + f"_{clip}"
+        try:
+            motion = reference_clip(load_animation(characters / f"{file}.glb", clip, 20.0))
+        except BunrakuError as error:
+            failed[name] = str(error)
+            continue
+        write_clip(out / f"{name}.npz", motion)
+        text = caption.format(hand=_side(motion, "wrist"), leg=_side(motion, "ankle"))
+        entry = {"texts": [text], "source": f"character archive, {file}", "licence": "CC0-1.0", "frames": len(motion)}
+        clips[name] = entry | {"split": split_of(name), "weight": 1.0}
+        added.append(name)
+        if progress:
+            progress("converting clips of characters", (number + 1) / len(wanted))
+    write_index(out, clips)
+    return added, failed

@@ -1,32 +1,97 @@
-"""Truth to measure learned apparel by: clips of a data set, and of files that are simulated for it."""
+"""Learned apparel on one clip, beside what skinning alone gives: the clips that hold the truth, the measures, and the
+row.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count as counting
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from bunraku.apparel.body import BodyVolume, UnifiedBody, body_points, eq4_transforms
 from bunraku.apparel.clothed import ClothedCharacter
-from bunraku.apparel.skinning import eq4_transforms
-from bunraku.apparel.unified import UnifiedBody
+from bunraku.apparel.learned.features import clip_features
+from bunraku.apparel.learned.network import DisplacementNetwork
+from bunraku.apparel.learned.player import SAFE_POINTS, ApparelPlayer, Safety
+from bunraku.apparel.physics.clothed_from_file import clothed_from_file
+from bunraku.apparel.physics.rig import apparel_rig
+from bunraku.apparel.physics.simulate import simulate
+from bunraku.core.animation import RigAnimation
 from bunraku.core.character import Character
-from bunraku.core.rig_animation import RigAnimation
-from bunraku.core.skinning import skin
-from bunraku.geometry.graph import unique_edges
-from bunraku.physics.from_file import apparel_rig
-from bunraku.physics.simulate import simulate
-from bunraku.physics.told.clothed import clothed_from_file
+from bunraku.core.geometry.graph import unique_edges
+from bunraku.core.skinning import posed_points, skin
 from bunraku_lab.datasets.apparel import ApparelData
-from bunraku_lab.datasets.apparel.build import body_animation
+from bunraku_lab.datasets.apparel.build import body_animation, record
+from bunraku_lab.datasets.apparel.checks import PushOut, deep_inside
 from bunraku_lab.datasets.apparel.plan import character_split
-from bunraku_lab.datasets.apparel.push_out import PushOut
-from bunraku_lab.datasets.apparel.recording import record
 
-__all__ = ["TrueClip", "data_clips", "file_clips", "long_clip", "made_clips"]
+__all__ = [
+    "TrueClip",
+    "clip_row",
+    "data_clips",
+    "drift_row",
+    "edge_score",
+    "file_clips",
+    "frame_milliseconds",
+    "insides",
+    "long_clip",
+    "made_clips",
+    "oracle_skinning",
+    "point_distance",
+    "safe_truth",
+    "ten_frames",
+]
+
+
+def point_distance(points: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """PMD, the mean Euclidean distance of vertices from the truth in each frame [m], shapes (N, V, 3) -> (N,)."""
+    return np.asarray(np.linalg.norm(points - truth, axis=-1).mean(axis=-1))
+
+
+def edge_score(points: np.ndarray, rest: np.ndarray, edges: np.ndarray) -> float:
+    """ELS, 1 less the mean change of an edge's length over its length at rest (Liao et al. 2022).
+
+    Args:
+        points: In N frames [m], shape (N, V, 3).
+        rest: In the rest pose [m], shape (V, 3).
+        edges: Pairs of vertices, shape (E, 2).
+    """
+    before = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=-1)
+    real = before > 1e-5
+    edges, before = edges[real], before[real]
+    if not len(edges):
+        return 1.0
+    now = np.linalg.norm(points[:, edges[:, 0]] - points[:, edges[:, 1]], axis=-1)
+    return float(1 - np.abs(now / before - 1).mean())
+
+
+def oracle_skinning(rest: np.ndarray, truth: np.ndarray, affine: np.ndarray, stride: int = 3) -> np.ndarray:
+    """Vertices by the best static skinning weights that there are for these very frames, not negative and with a sum of
+    1: no skinning network can do better. Shape (N, V, 3).
+
+    Args:
+        rest: In the rest pose [m], shape (V, 3).
+        truth: In N frames [m], shape (N, V, 3).
+        affine: Affine transforms of the joints, shape (N, J, 3, 4).
+        stride: Every so many frames are fitted.
+    """
+    from scipy.optimize import nnls
+
+    moved = np.einsum("njac,vc->vnaj", affine[..., :3], rest) + affine[..., 3].transpose(0, 2, 1)[None]
+    out = np.empty_like(truth)
+    for vertex, columns in enumerate(moved):
+        some, target = columns[::stride].reshape(-1, affine.shape[1]), truth[::stride, vertex].reshape(-1)
+        heavy = 100 * np.ones((1, affine.shape[1]))
+        weights = nnls(np.concatenate([some, heavy]), np.append(target, 100.0), maxiter=1000)[0]
+        out[:, vertex] = columns @ (weights / max(weights.sum(), 1e-9))
+    return out
+
 
 RATE = 30.0
 MADE = 900_000  # seed from which characters are made that no data set has
@@ -90,7 +155,7 @@ def data_clips(data: ApparelData, most: int | None = None, seconds: float = 6.0)
         most: How many at the most.
         seconds: Length [s].
     """
-    from bunraku_lab.training.apparel.node_bank import truly_clothed
+    from bunraku_lab.training.apparel.displacement import truly_clothed
 
     rows: dict[str, list[int]] = {}
     for number, clip in enumerate(data.clips):
@@ -116,7 +181,7 @@ def file_clips(character: Character, motions: Sequence[str], seconds: float = 6.
         motions: Kinds of `stock_motion`.
         seconds: Length of each [s].
     """
-    from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
+    from bunraku_lab.synthetic.stock_motions import stock_motion
 
     body = UnifiedBody.of(character)
     return [_simulated(character, body, kind, body_animation(body, stock_motion(kind, seconds, RATE)))
@@ -147,7 +212,7 @@ def long_clip(seed: int, motion: Path, seconds: float = 60.0) -> TrueClip:
         motion: A clip that `bunraku data motions` wrote.
         seconds: Length [s].
     """
-    from bunraku.core.resample import resample
+    from bunraku.core.motion import resample
     from bunraku_lab.datasets.motions.clips import load_clip
     from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
@@ -167,3 +232,163 @@ def _simulated(character: Character, body: UnifiedBody, name: str, animation: Ri
     clothed = clothed_from_file(character, body)
     offsets = PushOut(clothed)(recording.transforms, recording.loose, recording.offsets)
     return TrueClip(character.name, name, clothed, recording.transforms, recording.loose, offsets)
+
+
+STRIDE = 10  # frames from one whose edges and insides are measured to the next
+ORACLE = 60  # vertices that the best skinning is fitted for
+DEEPEST = 300  # vertices whose insides are measured
+
+
+def clip_row(clip: TrueClip, network: DisplacementNetwork, *, nodes: int = 256, slow: bool = True) -> dict[str, Any]:
+    """Errors of a clip that begins from the rest pose [m], mean over its frames, and scores.
+
+    Args:
+        clip: The clip.
+        network: The network.
+        nodes: Most nodes.
+        slow: Whether the best static skinning and insides are computed too.
+    """
+    chosen = clip.sample()
+    truth, rigid = clip.truth(chosen), clip.carried(chosen)
+    clothed = clip.clothed
+    nearest = np.linalg.norm(clothed.rest[chosen][:, None] - clothed.joints[None], axis=-1).argmin(axis=1)
+    near = np.asarray(posed_points(clip.affine[:, nearest], clothed.rest[chosen]))
+    row: dict[str, Any] = {
+        "name": clip.name, "motion": clip.motion, "vertices": len(clothed.rest),
+        "apparel": float(clothed.apparel.mean()),
+        "rigid": float(point_distance(rigid, truth).mean()), "nearest_joint": float(point_distance(near, truth).mean()),
+    }  # fmt: skip
+    variants = {"head": {"safe": False, "recurrent": False}, "learned": {"safe": False}, "safe": {}}
+    if network.recurrent is None or network.recurrent.world:
+        variants.pop("head")
+    vertices = np.flatnonzero(clothed.apparel)
+    index = np.full(len(clothed.rest), -1)
+    index[vertices] = np.arange(len(vertices))
+    edges, rest = index[clip.edges()], clothed.rest[vertices]
+    few = slice(0, None, STRIDE)
+    true_all = replace(clip, transforms=clip.transforms[few], offsets=clip.offsets[few]).truth(vertices)
+    row["els_truth"] = edge_score(true_all, rest, edges)
+    shown = {"truth": true_all, "rigid": replace(clip, transforms=clip.transforms[few]).carried(vertices)}
+    for name, how in variants.items():
+        player = ApparelPlayer(clothed, network, nodes=nodes, **how)
+        moved = player.clip(clip.transforms)
+        errors = point_distance(moved[:, index[chosen]], truth)
+        row[name] = float(errors.mean())
+        row[f"{name}_2s"] = float(errors[:60].mean())
+        row[f"{name}_els"] = edge_score(moved[few], rest, edges)
+        shown[name] = moved[few]
+    if slow:
+        some = np.linspace(0, len(chosen) - 1, min(ORACLE, len(chosen))).astype(np.int64)
+        best = oracle_skinning(clothed.rest[chosen[some]], truth[:, some], clip.affine)
+        row["oracle_skinning"] = float(point_distance(best, truth[:, some]).mean())
+        shown["truth_safe"] = safe_truth(clip, nodes)[few]
+        row |= insides(clip, vertices, few, shown)
+    return row
+
+
+def insides(clip: TrueClip, vertices: np.ndarray, few: slice, shown: dict[str, np.ndarray]) -> dict[str, float]:
+    """Share of the apparel deeper than 1 cm in the body, of what is not there at rest.
+
+    Args:
+        clip: The clip.
+        vertices: Of the apparel, shape (A,).
+        few: The frames that are looked at.
+        shown: By name, where these vertices are in these frames [m], each of shape (F, A, 3).
+    """
+    clothed = clip.clothed
+    volume = BodyVolume.of_mesh(clothed.rest, clothed.faces, clothed.weights, clothed.apparel, clip.name)
+    some = np.linspace(0, len(vertices) - 1, min(DEEPEST, len(vertices))).astype(np.int64)
+    some = some[~deep_inside(volume, volume.rest, clothed.rest[vertices[some]])]
+    if not len(some):
+        return {}
+    bodies = volume.posed(clip.affine[few])
+    out = dict.fromkeys(shown, 0.0)
+    for frame, body in enumerate(bodies):
+        points = np.concatenate([moved[frame, some] for moved in shown.values()])
+        deep = deep_inside(volume, body, points).reshape(len(shown), len(some)).mean(axis=1)
+        for name, share in zip(shown, deep, strict=True):
+            out[name] += float(share) / len(bodies)
+    return {f"inside_{name}": value for name, value in out.items()}
+
+
+def safe_truth(clip: TrueClip, nodes: int = 256) -> np.ndarray:
+    """The truth after the safety stage: apparel vertices [m], shape (N, A, 3)."""
+    from bunraku.apparel.learned.player import Carrier
+    from bunraku.apparel.nodes import apparel_nodes
+
+    clothed = clip.clothed
+    own = apparel_nodes(clothed, nodes)
+    carrier = Carrier(clothed, own)
+    safety = Safety(clothed, own, body_points(clothed, SAFE_POINTS), carrier)
+    affine = clip.affine
+    turns = affine[:, own.joint, :, :3]
+    true, carried = clip.truth(own.vertex), clip.carried(own.vertex)
+    out = []
+    for frame in range(len(affine)):
+        kept = carried[frame] + safety.share * (true[frame] - carried[frame])
+        positions, unposed = safety(kept, affine[frame])
+        moved = (turns[frame].transpose(0, 2, 1) * (positions - carried[frame])[:, None, :]).sum(axis=-1)
+        safe = carrier.positions(moved, affine[frame])
+        out.append(safety.vertices(safe, unposed))
+    return np.stack(out)
+
+
+def ten_frames(clip: TrueClip, network: DisplacementNetwork, starts: int = 4, nodes: int = 256) -> dict[str, float]:
+    """The paper's protocol: the ten frames after a true state. Mean errors [m] of the network, of parent-rigid skinning
+    and of the true displacement kept as it was.
+    """
+    player = ApparelPlayer(clip.clothed, network, nodes=nodes, safe=False)
+    frames = clip_features(clip.clothed, player.nodes, clip.transforms)
+    turns = np.stack([frame.turns for frame in frames])
+    own = player.nodes.vertex
+    away = clip.truth(own) - clip.carried(own)
+    states = np.einsum("nmba,nmb->nma", turns, away) / clip.clothed.scale
+    vertices = player.carrier.vertices
+    chosen = clip.sample()
+    rows = np.searchsorted(vertices, chosen)
+    truth, rigid = clip.truth(chosen), clip.carried(chosen)
+    joints = clip.clothed.weights[chosen].argmax(axis=1)
+    local = clip.affine[:, joints, :, :3]
+    held = np.einsum("nmba,nmb->nma", local, truth - rigid)
+    sums = np.zeros(3)
+    for first in np.linspace(3, len(truth) - 11, starts).astype(int):
+        player.start(clip.transforms[0])
+        assert player.features is not None
+        for pose in clip.transforms[: first - 3]:
+            player.features.advance(pose)
+        player.know(states[first - 3 : first], clip.transforms[first - 3 : first])
+        moved = np.stack([player.advance(pose)[rows] for pose in clip.transforms[first : first + 10]])
+        span = slice(first, first + 10)
+        frozen = rigid[span] + np.einsum("nmab,mb->nma", local[span], held[first - 1])
+        sums += [float(point_distance(points, truth[span]).mean()) for points in (moved, rigid[span], frozen)]
+    learned, still, kept = sums / starts
+    return {"learned": learned, "rigid": still, "frozen": kept}
+
+
+def drift_row(clip: TrueClip, network: DisplacementNetwork, nodes: int = 256) -> dict[str, float]:
+    """Errors of a long clip from rest [m]: in its second second and in its last one."""
+    chosen = clip.sample()
+    truth = clip.truth(chosen)
+    player = ApparelPlayer(clip.clothed, network, nodes=nodes)
+    player.start(clip.transforms[0])
+    rows = np.searchsorted(player.carrier.vertices, chosen)
+    errors = [float(np.linalg.norm(player.advance(pose)[rows] - truth[frame], axis=-1).mean())
+              for frame, pose in enumerate(clip.transforms)]  # fmt: skip
+    rigid = point_distance(clip.carried(chosen), truth)
+    return {
+        "second": float(np.mean(errors[30:60])), "last": float(np.mean(errors[-30:])), "all": float(np.mean(errors)),
+        "rigid": float(rigid.mean()),
+        "rigid_second": float(rigid[30:60].mean()), "rigid_last": float(rigid[-30:].mean()),
+    }  # fmt: skip
+
+
+def frame_milliseconds(clip: TrueClip, network: DisplacementNetwork, nodes: int = 256, frames: int = 60) -> float:
+    """Time of a frame, median of some, the way back to the vertices included [ms]."""
+    player = ApparelPlayer(clip.clothed, network, nodes=nodes)
+    player.start(clip.transforms[0])
+    times = []
+    for pose in clip.transforms[:frames]:
+        begin = time.perf_counter()
+        player.advance(pose)
+        times.append(time.perf_counter() - begin)
+    return 1000 * float(np.median(times))

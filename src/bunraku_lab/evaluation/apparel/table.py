@@ -10,19 +10,26 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.apparel.displacement.weights import DisplacementNetwork, load_displacement
+from bunraku.apparel.learned.network import DisplacementNetwork, load_displacement
+from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.errors import BunrakuError, FormatError, WeightsError
-from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.datasets.apparel import ApparelData
-from bunraku_lab.evaluation.apparel.chained import chain_row, chain_summary
-from bunraku_lab.evaluation.apparel.clips import TrueClip, data_clips, file_clips, long_clip, made_clips
-from bunraku_lab.evaluation.apparel.modules import body_table, mask_scores, module_row
-from bunraku_lab.evaluation.apparel.rivals import rival_rows, rivals_of
-from bunraku_lab.evaluation.apparel.rows import clip_row, drift_row, frame_milliseconds, ten_frames
-from bunraku_lab.evaluation.parts import Parts, at_once
-from bunraku_lab.evaluation.report import Bar, figure, measured_in, reached_bars
+from bunraku_lab.evaluation.apparel.chains import chain_row, chain_summary
+from bunraku_lab.evaluation.apparel.clips import (
+    TrueClip,
+    clip_row,
+    data_clips,
+    drift_row,
+    file_clips,
+    frame_milliseconds,
+    long_clip,
+    made_clips,
+    ten_frames,
+)
+from bunraku_lab.evaluation.apparel.rivals import body_table, mask_scores, module_row, rival_rows, rivals_of
+from bunraku_lab.evaluation.report import Bar, Parts, at_once, figure, measured_in, reached_bars
 from bunraku_lab.nn.checkpoints import lab_checkpoint
-from bunraku_lab.training.apparel.networks.refinement import load_refinement
+from bunraku_lab.training.apparel.refinement import load_refinement
 
 __all__ = ["APPAREL_BARS", "ApparelEvalConfig", "evaluate_apparel"]
 
@@ -189,7 +196,7 @@ def evaluate_apparel(
 
 def _chains(config: ApparelEvalConfig, progress: Progress) -> dict[str, Any]:
     """The rows of chains alone."""
-    from bunraku.io import load_character
+    from bunraku.files import load_character
 
     clips: list[TrueClip] = []
     if config.data is not None:
@@ -241,7 +248,7 @@ def _far_from_enough(clip: TrueClip) -> float:
 def _files(
     files: Sequence[Path], network: DisplacementNetwork, masks: Path | None, progress: Progress
 ) -> tuple[list[dict[str, Any]], dict[str, str]]:
-    from bunraku.io import load_character
+    from bunraku.files import load_character
 
     real: list[dict[str, Any]] = []
     failed: dict[str, str] = {}

@@ -1,6 +1,5 @@
-"""What handles are measured by: each measure a function of arrays, for one character.
-
-All are shares or lengths over the character's height. Vertices that have no faces are left out by the caller.
+"""What handles are measured by: each measure a function of arrays for one character, among them registration of all
+parts together, other resolutions of the surface, and stretched edges.
 """
 
 from __future__ import annotations
@@ -9,25 +8,89 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bunraku.body.layout import HANDLE_NAMES
-from bunraku.core.skinning import handle_offsets, skin
-from bunraku.geometry.registration import part_means, register
-from bunraku_lab.evaluation.handles.joint_registration import refine_registration
+from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.character import Character, Handles
+from bunraku.core.geometry.graph import clean_mesh, unique_edges
+from bunraku.core.geometry.surface import split_estimate, split_long_edges
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import handle_offsets, part_means, register, skin
 
 __all__ = [
+    "FAR",
     "NAMED_PARTS",
+    "STRETCHED",
     "accepted_handles",
+    "carried",
     "drive",
+    "edge_error",
+    "edge_stretch",
     "main_handles",
     "part_handles",
     "part_meaning",
     "part_purity",
     "pose_error",
+    "refine_registration",
+    "resampled",
     "root_error",
     "same_main_handle",
+    "stretch_of",
     "truncation_error",
     "weight_difference",
 ]
+
+
+_LIGHT = 1e-3  # weight under which a vertex has no say in a part
+
+
+def refine_registration(
+    source: np.ndarray,
+    targets: np.ndarray,
+    weights: np.ndarray,
+    transforms: np.ndarray,
+    fixed: tuple[int, ...] = (),
+    sweeps: int = 6,
+) -> np.ndarray:
+    """Improve the motions of parts so that their blend comes closer to the targets, in the sense of least squares.
+
+    Args:
+        source: Rest vertices x [m], shape (V, 3).
+        targets: Moved vertices of each frame [m], shape (N, V, 3).
+        weights: Skinning weights, rows sum to 1, shape (V, K).
+        transforms: Affine motions to start from, `[R | o]` with x going to `sum_k w_k (R_k x + o_k)`, shape (N, K, 3,
+            4).
+        fixed: Parts whose motion stays.
+        sweeps: How often each part is fitted.
+
+    Returns:
+        The motions, shape (N, K, 3, 4), float64; the sum of squared distances is no larger than before.
+    """
+    source, weights = np.asarray(source, np.float64), np.asarray(weights, np.float64)
+    out = np.array(transforms, np.float64)
+    homogeneous = np.concatenate([source, np.ones((len(source), 1))], axis=1)
+    left = np.asarray(targets, np.float64) - np.einsum("vk,nkij,vj->nvi", weights, out, homogeneous, optimize=True)
+    parts = [k for k in range(weights.shape[1]) if k not in fixed]
+    own = {k: np.flatnonzero(weights[:, k] > _LIGHT) for k in parts}
+    for _ in range(sweeps):
+        for k in parts:
+            rows = own[k]
+            if len(rows) < 3:
+                continue
+            w, x = weights[rows, k], source[rows]
+            wanted = left[:, rows] + w[:, None] * np.einsum(
+                "nij,vj->nvi", out[:, k], homogeneous[rows]
+            )  # w (R x + o), ideally
+            square = w * w / (w @ w)
+            centre, goal = square @ x, (w / (w @ w)) @ wanted  # (3,), (N, 3)
+            covariance = np.einsum("v,nvi,vj->nij", w, wanted - w[:, None] * goal[:, None], x - centre)
+            spread = float(np.einsum("v,vj,vj->", square, x - centre, x - centre)) * (w @ w)
+            if spread <= 0:
+                continue
+            u, _, vt = np.linalg.svd(covariance + 1e-8 * spread * out[:, k, :, :3])
+            u[..., 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[:, None]
+            turn = u @ vt
+            out[:, k, :, :3], out[:, k, :, 3] = turn, goal - turn @ centre
+            left[:, rows] = wanted - w[:, None] * np.einsum("nij,vj->nvi", out[:, k], homogeneous[rows])
+    return out
 
 
 def _sides(name: str, *parts: str) -> dict[str, tuple[str, ...]]:
@@ -208,3 +271,152 @@ def truncation_error(
     # itself.
     gap = skin(vertices, full - cut, transforms)
     return float(np.linalg.norm(gap, axis=-1).mean() / height)
+
+
+def resampled(character: Character, count: int) -> Character:
+    """A character with about `count` vertices: welded, then simplified by edge collapses or refined by halving long
+    edges.
+
+    Args:
+        character: Any mesh.
+        count: Vertices that the result should have. Loose parts may leave it with more.
+    """
+    clean = clean_mesh(character.vertices, character.faces)
+    vertices, faces = clean.vertices, clean.faces
+    if len(vertices) > count:
+        vertices, faces = _fewer(vertices, faces, count)
+    if len(vertices) < 0.9 * count:
+        vertices, faces = _more(vertices, faces, count)
+    return Character(character.name, vertices * clean.scale + clean.center, faces)
+
+
+def _fewer(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    import fast_simplification
+
+    target = int(len(faces) * count / len(vertices))
+    points, triangles = vertices.astype(np.float32), faces.astype(np.int32)
+    for _ in range(3):
+        points, triangles = fast_simplification.simplify(points, triangles, target_count=max(target, 4))
+        used = np.unique(triangles)
+        if len(used) <= 1.05 * count:
+            break
+        target = int(target * count / len(used))
+    back = np.zeros(len(points), np.int64)
+    back[used] = np.arange(len(used))
+    return points[used].astype(np.float64), back[triangles]
+
+
+def _more(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    def grown(length: float) -> float:
+        return len(vertices) + split_estimate(vertices, faces, length) / 2
+
+    low, high = 1e-4, 2.0  # of the largest extent: a length that makes too many, one that makes too few
+    points, triangles = vertices, faces
+    for _ in range(4):  # the estimate is off by a constant factor, which the second bisection takes out
+        factor = len(points) / grown(high) if len(points) > len(vertices) else 1.0
+        least, most = low, 2.0
+        for _ in range(40):
+            middle = float(np.sqrt(least * most))
+            least, most = (middle, most) if factor * grown(middle) > count else (least, middle)
+        high = most
+        points, triangles, _ = split_long_edges(vertices, faces, high, max_faces=4 * count)
+        if 0.95 * count <= len(points) <= 1.1 * count:
+            break
+    return points, triangles
+
+
+def carried(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Values of a mesh's vertices at the points of its surface that are closest to given ones.
+
+    Args:
+        values: Shape (V, C).
+        vertices: Positions [m], shape (V, 3).
+        faces: Vertex indices, shape (F, 3).
+        points: Positions near the surface [m], shape (P, 3).
+
+    Returns:
+        Barycentric means, shape (P, C), float64.
+    """
+    import igl
+
+    vertices = np.ascontiguousarray(vertices, np.float64)
+    faces = np.ascontiguousarray(faces, np.int64)
+    _, face, nearest = igl.point_mesh_squared_distance(np.ascontiguousarray(points, np.float64), vertices, faces)
+    face = np.asarray(face).reshape(-1)
+    a, b, c = (vertices[faces[face, corner]] for corner in range(3))
+    u, v, p = b - a, c - a, nearest - a
+    uu, uv, vv, pu, pv = ((x * y).sum(axis=1) for x, y in ((u, u), (u, v), (v, v), (p, u), (p, v)))
+    determinant = uu * vv - uv * uv
+    flat = determinant <= 1e-12 * uu * vv
+    s = np.where(flat, 0, (vv * pu - uv * pv) / np.where(flat, 1, determinant))
+    t = np.where(flat, 0, (uu * pv - uv * pu) / np.where(flat, 1, determinant))
+    shares = np.clip(np.stack([1 - s - t, s, t], axis=1), 0, 1)
+    shares /= shares.sum(axis=1, keepdims=True)
+    return np.asarray(np.einsum("pi,pic->pc", shares, np.asarray(values, np.float64)[faces[face]]))
+
+
+STRETCHED, FAR = 2.0, 4.0
+"""Lengths, over those at rest, from which on an edge is stretched, and torn."""
+STRIDE = 3  # frames from one that is measured to the next
+SHORT = 1e-3  # edges shorter than this share of the height are not seen, whatever they do
+CHUNK = 16  # frames posed at once: bounds memory
+MOST = 20_000  # edges that an error is the mean of
+
+
+def edge_stretch(rest: np.ndarray, posed: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """The largest length of each edge over all poses, over its length at rest, shape (E,).
+
+    Args:
+        rest: Vertices [m], shape (V, 3).
+        posed: The same in each pose [m], shape (N, V, 3).
+        edges: Pairs of vertices, shape (E, 2).
+    """
+    first, second = edges.T
+    length = np.maximum(np.linalg.norm(rest[first] - rest[second], axis=1), 1e-12)
+    return np.asarray(np.linalg.norm(posed[:, first] - posed[:, second], axis=-1).max(axis=0) / length)
+
+
+def stretch_of(character: Character, handles: Handles, motion: HandleMotion) -> dict[str, float]:
+    """How far the edges of a character are stretched in a motion of its handles.
+
+    Returns:
+        `stretched_edges`: the share of the edges that are ever longer than `STRETCHED` times their length;
+        `most_stretched`: the largest such ratio.
+    """
+    edges = unique_edges(character.faces, len(character.vertices))
+    rest = character.vertices.astype(np.float64)
+    lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
+    edges = edges[lengths > SHORT * character.height]
+    transforms = motion.transforms(handles.positions)[::STRIDE]
+    most = np.ones(len(edges))
+    for start in range(0, len(transforms), CHUNK):
+        posed = skin(character.vertices, handles.weights, transforms[start : start + CHUNK])
+        most = np.maximum(most, edge_stretch(rest, posed, edges))
+    return {
+        "stretched_edges": float((most > STRETCHED).mean()) if len(most) else 0.0,
+        "most_stretched": float(most.max(initial=1.0)),
+    }
+
+
+def edge_error(character: Character, handles: Handles, motion: HandleMotion) -> float:
+    """How far edges are from their length at rest, of that length: the mean of |l / l_rest - 1| over edges and frames.
+
+    Edges shorter than 0.1 % of the height are not looked at, and of more than 20,000 as many, evenly chosen.
+    """
+    edges = unique_edges(character.faces, len(character.vertices))
+    rest = character.vertices.astype(np.float64)
+    lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
+    edges = edges[lengths > SHORT * character.height]
+    if not len(edges):
+        return 0.0
+    edges = edges[np.unique(np.linspace(0, len(edges) - 1, min(len(edges), MOST)).astype(int))]
+    used, index = np.unique(edges, return_inverse=True)
+    first, second = index.reshape(-1, 2).T
+    length = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
+    transforms = motion.transforms(handles.positions)[::STRIDE]
+    vertices, weights, total = character.vertices[used], handles.weights[used], 0.0
+    for start in range(0, len(transforms), CHUNK):
+        posed = skin(vertices, weights, transforms[start : start + CHUNK])
+        changed = np.linalg.norm(posed[:, first] - posed[:, second], axis=-1) / length - 1
+        total += float(np.abs(changed).mean(axis=1).sum())
+    return total / len(transforms)

@@ -1,17 +1,38 @@
-"""The same humanoid in other rest poses: T, A, arms down, sitting and crouching, by turning the limbs of its own
-rig.
+"""The same humanoid in other rest poses (T, A, arms down, sitting, crouching), and how much the rest pose shows in its
+animation.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
 import numpy as np
 
-from bunraku.body.layout import HANDLE_NAMES
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.core.animation import Animation
+from bunraku.core.body.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
+from bunraku.core.body.reference import handle_positions, reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.geometry.rotations import matrix_from_axis_angle, rotation_between
+from bunraku.core.geometry.surface import vertex_areas
+from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.skinning import skin
-from bunraku.geometry.rotations import rotation_between
+from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.to_reference import handle_motion_of_body
 from bunraku_lab.datasets.characters.training_character import TrainingCharacter, forward_kinematics
+from bunraku_lab.evaluation.handles.subjects import Subject
 
-__all__ = ["REST_POSES", "limb_directions", "posed_limbs"]
+__all__ = [
+    "REST_POSES",
+    "TRANSFER_POSES",
+    "code_made_motions",
+    "limb_directions",
+    "posed_limbs",
+    "rest_pose_transfer",
+    "true_handles",
+]
+
 
 REST_POSES = ("T", "A", "arms down", "sitting")
 _ARM_DROP = {
@@ -21,7 +42,7 @@ _ARM_DROP = {
     "sitting": 45.0,
     "crouching": 60.0,
 }  # below the horizontal [degrees]
-_LEGS = {
+_LEG_DIRECTIONS = {
     "sitting": ((0.0, 0, 1), (0.0, -1, 0)),
     "crouching": ((0.0, -0.3, 0.95), (0.0, -0.8, -0.6)),
 }  # thighs and shins that do not stand
@@ -41,7 +62,7 @@ def limb_directions(pose: str) -> dict[str, np.ndarray]:
     for side, sign in (("left", 1.0), ("right", -1.0)):
         out[f"{side}_shoulder"] = out[f"{side}_elbow"] = np.array([sign * np.cos(drop), -np.sin(drop), 0])
         out[f"{side}_hip"], out[f"{side}_knee"] = (
-            np.array(leg) for leg in _LEGS.get(pose, ((0.0, -1, 0), (0.0, -1, 0)))
+            np.array(leg) for leg in _LEG_DIRECTIONS.get(pose, ((0.0, -1, 0), (0.0, -1, 0)))
         )
     return out
 
@@ -95,7 +116,7 @@ def posed_limbs(truth: TrainingCharacter, pose: str) -> np.ndarray:
                 if np.linalg.norm(bone) < 1e-6 * truth.height:
                     break
                 target = directions[f"{side}_{part}"]
-                if chain[0] == "hip" and pose not in _LEGS:
+                if chain[0] == "hip" and pose not in _LEG_DIRECTIONS:
                     target = np.array([bone[0], bone[1], 0.0]) if bone[1] < -abs(bone[0]) else target
                 world = np.eye(3)
                 for above in reversed(_above(truth.parents, joint)):
@@ -103,3 +124,143 @@ def posed_limbs(truth: TrainingCharacter, pose: str) -> np.ndarray:
                 rotations[joint] = world.T @ rotation_between(world @ bone, target) @ world
     transforms = forward_kinematics(truth.joints, truth.parents, rotations)
     return np.ascontiguousarray(skin(truth.vertices, truth.weights, transforms[None])[0])
+
+
+TRANSFER_POSES = ("A", "arms down", "sitting", "crouching")
+"""The rest poses that are compared with the T-pose."""
+FRAMES = 24  # of each motion, evenly spaced
+RATE = 20.0
+
+_LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee", "ankle", "foot"))]
+
+Predict = Callable[[Character], Handles]
+
+
+def true_handles(one: Subject, vertices: np.ndarray) -> Handles:
+    """Handles by the names of a subject's bones, for its vertices in any pose [m], shape (V, 3)."""
+    weights = one.truth.target.astype(np.float32).copy()
+    weights[:, 0] += np.maximum(1 - weights.sum(axis=1), 0)
+    weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
+    return Handles(handle_positions(vertices, weights, vertex_areas(vertices, one.character.faces)), weights)
+
+
+def rest_pose_transfer(
+    subjects: Iterable[Subject],
+    motions: Mapping[str, HandleMotion] | None = None,
+    predict: Predict | None = None,
+    stages: Stages | None = None,
+) -> dict[str, Any]:
+    """Mean distance between a character animated from another rest pose and from its T-pose, over its height.
+
+    Positions along the floor are compared relative to the first frame's mean vertex, heights relative to the floor of
+    the rest pose.
+
+    Args:
+        subjects: Rigged humanoids; others are passed over.
+        motions: Motions of the reference body by name; `code_made_motions` when None.
+        predict: Handles of a character in a rest pose; those of its bones' names, the same in every pose, when None.
+        stages: Which stages fit the motions; all when None.
+
+    Returns:
+        `rest_pose_transfer`, the mean over characters, poses and motions; `poses`, `motions` and `characters`, the
+        means of each; `in_place`, the mean where each frame's position on the floor is taken away, so that longer or
+        shorter strides do not count; `ground`, the mean difference of the lowest vertex' height; all as fractions of
+        the height.
+    """
+    motions = motions or code_made_motions()
+    rows = []
+    for one in subjects:
+        if not one.humanoid:
+            continue
+        want = _animated(one, "T", motions, predict, stages)
+        for pose in TRANSFER_POSES:
+            got = _animated(one, pose, motions, predict, stages)
+            for name in motions:
+                far = np.linalg.norm(got[name] - want[name], axis=-1).mean() / one.height
+                drift = ((got[name] - want[name]).mean(axis=1) * [1, 0, 1])[:, None]
+                shape = np.linalg.norm(got[name] - want[name] - drift, axis=-1).mean() / one.height
+                low = np.abs(got[name][..., 1].min(axis=1) - want[name][..., 1].min(axis=1)).mean() / one.height
+                rows.append((one.name, pose, name, float(far), float(low), float(shape)))
+
+    def means(column: int) -> dict[str, float]:
+        keys = dict.fromkeys(str(row[column]) for row in rows)
+        return {key: float(np.mean([row[3] for row in rows if row[column] == key])) for key in keys}
+
+    mean, ground, shape = (float(np.mean([row[column] for row in rows])) if rows else None for column in (3, 4, 5))
+    return {
+        "rest_pose_transfer": mean,
+        "in_place": shape,
+        "ground": ground,
+        "poses": means(1),
+        "motions": means(2),
+        "characters": means(0),
+    }
+
+
+def _animated(
+    one: Subject, pose: str, motions: Mapping[str, HandleMotion], predict: Predict | None, stages: Stages | None
+) -> dict[str, np.ndarray]:
+    """Surface vertices of each motion, shape (N, V, 3): floor at 0, the first frame's mean over the origin."""
+    vertices = posed_limbs(one.truth, pose)
+    character = Character(one.name, vertices, one.character.faces)
+    handles = predict(character) if predict is not None else true_handles(one, vertices)
+    legs = one.surface & (
+        one.truth.target[:, _LEGS].sum(axis=1) > 0.5
+    )  # what stands: a weapon in a hand may hang lower
+    floor = float(vertices[legs if legs.any() else one.surface, 1].min())
+    out = {}
+    for name, motion in motions.items():
+        fitted = fit_motion(motion, Anatomy.of(character, handles), stages)
+        frames = np.unique(np.linspace(0, len(motion) - 1, FRAMES).astype(int))
+        moved = Animation(character, handles, fitted).vertices(frames)[:, one.surface]
+        out[name] = moved - [moved[0, :, 0].mean(), floor, moved[0, :, 2].mean()]
+    return out
+
+
+def code_made_motions(seconds: float = 2.0) -> dict[str, HandleMotion]:
+    """Motions of the reference body that need no data: a walk on the spot, a wave, a squat, a jumping jack."""
+    t = np.arange(int(seconds * RATE)) / RATE
+    beat = np.sin(2 * np.pi * t)
+    up = 0.5 - 0.5 * np.cos(2 * np.pi * t)
+    sides = {"left": 1.0, "right": -1.0}
+
+    def motion(joints: Mapping[str, tuple[str, np.ndarray | float]]) -> HandleMotion:
+        body = reference_body()
+        rotations = np.zeros((len(t), JOINT_COUNT, 3))
+        for name, (axis, degrees) in joints.items():
+            rotations[:, JOINT_NAMES.index(name), "xyz".index(axis)] = np.radians(degrees)
+        root = np.tile(body.joints[0], (len(t), 1))
+        posed = SkeletalMotion(body.skeleton, matrix_from_axis_angle(rotations), root, RATE)
+        root[:, 1] -= body.pose(posed)[..., 1].min(axis=1)  # the lower foot stands
+        return handle_motion_of_body(SkeletalMotion(body.skeleton, posed.rotations, root, RATE))
+
+    jack: dict[str, tuple[str, np.ndarray | float]] = {}
+    hang: dict[str, tuple[str, np.ndarray | float]] = {
+        f"{side}_shoulder": ("z", -70 * sign) for side, sign in sides.items()
+    }
+    walk, squat = dict(hang), dict(hang)
+    for side, sign in sides.items():
+        walk |= {
+            f"{side}_hip": ("x", -25 * sign * beat),
+            f"{side}_knee": ("x", 20 - 20 * sign * np.cos(2 * np.pi * t)),
+            f"{side}_elbow": ("y", -25 * sign),
+        }
+        squat |= {
+            f"{side}_hip": ("x", -80 * up),
+            f"{side}_knee": ("x", 110 * up),
+            f"{side}_ankle": ("x", -30 * up),
+            f"{side}_elbow": ("y", -60 * sign * up),
+        }
+        jack |= {f"{side}_shoulder": ("z", sign * (-70 + 130 * up)), f"{side}_hip": ("z", sign * 20 * up)}
+    wave = dict(hang) | {
+        "right_shoulder": ("z", -30.0),
+        "right_elbow": ("z", -60 - 25 * beat),
+        "head": ("y", 15 * beat),
+        "spine2": ("z", 5 * beat),
+    }
+    return {
+        "walk": motion(walk),
+        "wave": motion(wave),
+        "squat": motion(squat | {"spine1": ("x", 25 * up)}),
+        "jumping jack": motion(jack),
+    }

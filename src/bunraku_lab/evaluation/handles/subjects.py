@@ -1,23 +1,43 @@
-"""The characters that handles are measured on: original vertices with the truth of their rigs."""
+"""The characters that handles are measured on: original vertices with the truth of their rigs, among them detailed
+people that no training saw.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 
-from bunraku.body.layout import HANDLE_NAMES
+from bunraku.anatomy.names.bone_names import handle_of_joints, limb_parents
+from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character
+from bunraku.core.geometry.surface import vertex_areas
 from bunraku.errors import CharacterError
-from bunraku.geometry.surface import vertex_areas
-from bunraku.skeletons.bone_names import handle_of_joints, limb_parents
 from bunraku_lab.datasets.characters.build import HELD_OUT, no_characters
-from bunraku_lab.datasets.characters.known_rigs import facing_turn, known_handles, root_joint
-from bunraku_lab.datasets.characters.training_character import TrainingCharacter, handle_target
+from bunraku_lab.datasets.characters.training_character import (
+    TrainingCharacter,
+    facing_rotation,
+    handle_target,
+    known_handles,
+    root_joint,
+)
 
-__all__ = ["Subject", "find_files", "is_humanoid", "load_subject", "subject", "subject_name"]
+__all__ = [
+    "ARCHIVE",
+    "AVATARS",
+    "Subject",
+    "WARDROBE",
+    "detailed_subjects",
+    "find_files",
+    "is_humanoid",
+    "load_subject",
+    "subject",
+    "subject_name",
+]
+
 
 _NEEDED = tuple(
     HANDLE_NAMES.index(name) for name in ("pelvis", "head", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
@@ -90,7 +110,7 @@ def subject(character: Character, name: str, path: Path | None = None) -> Subjec
     rig = character.rig
     if rig is None:
         raise CharacterError(f"{name}: there is no rig in this file; only rigged characters can be measured")
-    turn = facing_turn(name, rig.names, rig.positions)
+    turn = facing_rotation(name, rig.names, rig.positions)
     vertices = np.ascontiguousarray(character.vertices @ turn.T.astype(np.float32))
     joints = rig.positions @ turn.T
     weights = np.maximum(rig.dense_weights(), 0)
@@ -118,7 +138,7 @@ def find_files(folder: Path, everything: bool = False) -> list[Path]:
     Raises:
         FormatError: There are none.
     """
-    from bunraku.io.table import FORMATS
+    from bunraku.files.registry import FORMATS
 
     suffixes = {suffix for known in FORMATS if known.character for suffix in known.suffixes} - _NO_RIG
     files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in suffixes and file.is_file())
@@ -139,6 +159,46 @@ def load_subject(file: Path, name: str) -> Subject:
     Raises:
         BunrakuError: It cannot be read or has no rig.
     """
-    from bunraku_lab.datasets.characters.rignet import load_rigged
+    from bunraku_lab.datasets.characters.build import load_rigged
 
     return subject(load_rigged(file), name, file)
+
+
+ARCHIVE: tuple[str, ...] = (
+    "kaykit/Rogue_Hooded", "quaternius/modular_men/King", "quaternius/modular_women/Formal",
+    "quaternius/modular_women/Witch", "quaternius/single_knight_pack/KnightCharacter",
+    "quaternius2019/Smooth_Female_Dress", "valid/Black_F_1_Busi",
+)  # fmt: skip
+"""Held-out characters of the archive, by their paths in it."""
+AVATARS: tuple[str, ...] = ("MS_Uka.pmx", "Gene.pmx", "Godette_vrm_v4.vrm")
+"""Files of avatars, wherever they lie in a folder of them."""
+WARDROBE: tuple[int, ...] = tuple(range(900_000, 900_010))
+"""Seeds of wardrobe characters."""
+
+
+def detailed_subjects(characters: Path | None = None, avatars: Path | None = None) -> dict[str, Callable[[], Subject]]:
+    """How to load each detailed person, by name; files that are not there are left out.
+
+    Args:
+        characters: Folder of the archive.
+        avatars: Folder of avatars, searched through.
+    """
+    out: dict[str, Callable[[], Subject]] = {}
+    for name in ARCHIVE if characters is not None else ():
+        assert characters is not None
+        path = characters / f"{name}.glb"
+        if path.is_file():
+            out[name] = partial(load_subject, path, name)
+    found = sorted(avatars.rglob("*")) if avatars is not None else []
+    for path in found:
+        if path.name in AVATARS:
+            out[path.stem] = partial(load_subject, path, path.stem)
+    for seed in WARDROBE:
+        out[f"wardrobe/{seed}"] = partial(_wardrobe, seed)
+    return out
+
+
+def _wardrobe(seed: int) -> Subject:
+    from bunraku_lab.synthetic.wardrobe import wardrobe_character
+
+    return subject(wardrobe_character(seed), f"wardrobe/{seed}")

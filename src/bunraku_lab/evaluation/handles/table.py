@@ -1,30 +1,326 @@
-"""The table of the Mesh Handle Predictor: `bunraku evaluate handles`. Definitions are in `docs/evaluation.md`."""
+"""The table of the Mesh Handle Predictor (`bunraku evaluate handles`): the trials of one character, its orientation,
+and the sums. Definitions are in `docs/evaluation.md`.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial
+from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 
+from bunraku.anatomy.handles.orientation import Orientation, guess_orientation, resolved_axes
+from bunraku.anatomy.handles.orientation_evidence import kind_weights
+from bunraku.anatomy.handles.predict import predict_handles
+from bunraku.core.body.reference import reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.geometry.axes import ORIENTATIONS, right_angle_rotations, upright_rotation
+from bunraku.core.geometry.surface import vertex_areas
+from bunraku.core.motion import HandleMotion
+from bunraku.core.parallel import run_parallel
+from bunraku.core.skinning import skin
 from bunraku.errors import BunrakuError, OptionError
-from bunraku.handles.predict import predict_handles
-from bunraku.nn.spread import spread
-from bunraku_lab.evaluation.handles.orientation import measure_orientation
+from bunraku_lab.datasets.characters.training_character import AugmentConfig, forward_kinematics, random_pose
+from bunraku_lab.evaluation.handles import measures as measure
+from bunraku_lab.evaluation.handles.measures import FAR, carried, resampled, stretch_of
+from bunraku_lab.evaluation.handles.rest_poses import REST_POSES, posed_limbs
 from bunraku_lab.evaluation.handles.subjects import Subject, find_files, load_subject, subject, subject_name
-from bunraku_lab.evaluation.handles.trials import (
-    Predict,
-    Reference,
-    measure_subject,
-    prediction_seconds,
-    purity_of,
-    resolution_differences,
-)
 from bunraku_lab.evaluation.report import Bar, measured_in, percent, reached_bars
 
-__all__ = ["BARS", "code_made_subjects", "evaluate_handles", "folder_subjects"]
+__all__ = [
+    "BARS",
+    "Predict",
+    "Reference",
+    "code_made_subjects",
+    "evaluate_handles",
+    "folder_subjects",
+    "measure_orientation",
+    "measure_subject",
+    "prediction_seconds",
+    "purity_of",
+    "resolution_differences",
+]
+
+
+BARE, RULED = ".obj", ".glb"
+"""Formats that a character is judged in: one that does not say how it stands, and one whose rule is +Y up."""
+
+
+def measure_orientation(one: Subject) -> dict[str, Any]:
+    """How often a character is set up rightly, without its rig.
+
+    Turning a mesh by right angles permutes what is seen of it and changes nothing else, so it is looked at once, and
+    each of the 24 ways in which it may lie is judged from that.
+
+    Args:
+        one: The character, facing +Z; its place about the origin is that of its file.
+
+    Returns:
+        orientation_creatures or orientation_humanoids: share of the 24 orientations in which a file without a rule may
+        have it from which it is turned upright and to the front. orientation_up, orientation_front: share whose up axis
+        is right, and whose front is the likeliest given the right up. orientation_upright: whether it is left alone as
+        it stands in a file with a rule. orientation_warned: of the wrong ones, the share that is called a guess; None
+        where none is wrong.
+    """
+    seen = guess_orientation(one.character, prior=np.ones(len(ORIENTATIONS))).probabilities
+    ups, fronts, both, warned = [], [], [], []
+    for up, front in ORIENTATIONS:
+        guess = _judged(seen[_permutation(up, front)], BARE)
+        ups.append(guess.up == up)
+        given = [guess.probability(*axes) if axes[0] == up else -1.0 for axes in ORIENTATIONS]
+        fronts.append(ORIENTATIONS[int(np.argmax(given))][1] == front)
+        both.append(resolved_axes(guess) == (up, front))
+        if not both[-1]:
+            warned.append(not guess.sure)
+    standing = _judged(seen, RULED)
+    upright = resolved_axes(standing, rule=True) == ("+y", "+z")
+    if not upright:
+        warned.append(not standing.sure)
+    return {
+        "orientation_humanoids" if one.humanoid else "orientation_creatures": float(np.mean(both)),
+        "orientation_up": float(np.mean(ups)),
+        "orientation_front": float(np.mean(fronts)),
+        "orientation_upright": float(upright),
+        "orientation_warned": float(np.mean(warned)) if warned else None,
+    }
+
+
+def _judged(seen: np.ndarray, suffix: str) -> Orientation:
+    chances = seen * kind_weights(suffix)
+    return Orientation.of(chances / chances.sum())
+
+
+def _permutation(up: str, front: str) -> np.ndarray:
+    """For each of `ORIENTATIONS` of a mesh that was laid so that `up` is up and `front` the front: the one that it was
+    when the mesh stood, shape (24,).
+    """
+    rotations = right_angle_rotations()
+    before = rotations @ upright_rotation(up, front).T
+    return np.asarray((before[:, None] == rotations[None]).all(axis=(2, 3)).argmax(axis=1))
+
+
+POSES = 4
+MOST_POSED = 50_000
+"""Vertices that are posed; of larger meshes an even share of them."""
+MOST_FITTED = 5_000
+"""Vertices on which the handles' motions are fitted to one another."""
+POINTS = (1_000, 5_000, 50_000)
+CLIPS, CLIP_FRAMES, CLIP_RATE = 3, 24, 10.0
+WALK, WALK_SECONDS = "walks forward", 3.0
+SENTENCE = "a person walks forward, then waves with the right hand"
+
+Predict = Callable[[Character], Handles]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the predictor says of the reference body.
+
+    Args:
+        accepted: The handles that mean each named part there (see `accepted_handles`).
+    """
+
+    accepted: dict[str, set[int]]
+
+    @staticmethod
+    def of(predict: Predict) -> Reference:
+        """Look at the reference body with a predictor."""
+        body = reference_body()
+        weights = predict(Character("reference", body.vertices, body.faces)).weights
+        return Reference(
+            measure.accepted_handles(weights, vertex_areas(body.vertices, body.faces), body.handle_weights)
+        )
+
+
+def measure_subject(
+    one: Subject, predict: Predict, reference: Reference, baselines: bool = True, seed: int = 0
+) -> dict[str, Any]:
+    """All measures of one character but resolution and speed; None where one does not apply to it."""
+    handles, truth, keep = predict(one.character), one.truth, one.surface
+    weights, areas = handles.weights[keep], truth.areas[keep]
+    row: dict[str, Any] = {"name": one.name, "vertices": int(keep.sum()), "humanoid": one.humanoid}
+    row["part_purity"] = measure.part_purity(measure.main_handles(weights), truth.weights[keep])
+    if one.humanoid:
+        row["root_error"] = measure.root_error(handles.positions[0], truth.root, one.height)
+        parts, share = measure.part_meaning(weights, areas, truth.target[keep], reference.accepted)
+        row |= {"same_meaning": float(np.mean(list(parts.values()))), "same_meaning_vertices": share, "parts": parts}
+        row |= _rest_poses(one, predict)
+    row |= pose_errors(one, weights, baselines, seed)
+    row["top4_error"] = _top4(one, handles)
+    return row | _walk(one, handles)
+
+
+def purity_of(one: Subject, predict: Predict) -> float | None:
+    """Part purity of one character; None where no vertex is surely of one part."""
+    weights = predict(one.character).weights[one.surface]
+    return measure.part_purity(measure.main_handles(weights), one.truth.weights[one.surface])
+
+
+def _random(one: Subject, seed: int) -> np.random.Generator:
+    return np.random.default_rng([seed, crc32(one.name.encode())])  # whatever other characters are there
+
+
+def pose_errors(one: Subject, weights: np.ndarray, baselines: bool, seed: int) -> dict[str, float]:
+    """How far random poses by the handles are from those by the rig, over the height (`pose_error` and its rivals).
+
+    Args:
+        one: The character.
+        weights: Of its handles at the vertices of its surface, shape (S, K).
+        baselines: Whether clusters and bone heat are measured too.
+        seed: Of the poses.
+    """
+    truth, rng = one.truth, _random(one, seed)
+    keep = np.flatnonzero(one.surface)
+    some = np.unique(np.linspace(0, len(keep) - 1, min(len(keep), MOST_POSED)).astype(int))
+    keep, weights = keep[some], weights[some]
+    angle = AugmentConfig().pose_angle
+    frames = np.stack(
+        [forward_kinematics(truth.joints, truth.parents, random_pose(rng, truth, angle)) for _ in range(POSES)]
+    )
+    rest = truth.vertices[keep]
+    posed = skin(rest, truth.weights[keep], frames)
+    fewer = np.unique(np.linspace(0, len(rest) - 1, min(len(rest), MOST_FITTED)).astype(int))
+    out = {
+        "pose_error": measure.pose_error(rest, posed, weights, one.height),
+        "pose_error_together": measure.pose_error(
+            rest[fewer], posed[:, fewer], weights[fewer], one.height, together=True
+        ),
+    }
+    if baselines:
+        from bunraku_lab.baselines.skinning import embedded_bone_heat, geodesic_clusters
+
+        rivals = {
+            "pose_error_clusters": lambda: geodesic_clusters(one.character.vertices, one.character.faces, seed=seed),
+            "pose_error_bone_heat": lambda: embedded_bone_heat(one.character.vertices, one.character.faces),
+        }
+        for name, rival in rivals.items():
+            rivals_weights = rival()[keep]
+            out[name] = measure.pose_error(rest, posed, rivals_weights, one.height, rooted=False)
+            if name == "pose_error_bone_heat":
+                some = rivals_weights[fewer]
+                out["pose_error_bone_heat_together"] = measure.pose_error(
+                    rest[fewer], posed[:, fewer], some, one.height, False, together=True
+                )
+    return out
+
+
+def _rest_poses(one: Subject, predict: Predict) -> dict[str, Any]:
+    """Agreement of each rest pose with the T-pose, and their mean."""
+    weights = []
+    for pose in REST_POSES:
+        moved = Character(one.name, posed_limbs(one.truth, pose), one.character.faces)
+        weights.append(predict(moved).weights[one.surface])
+    shares = {
+        pose: measure.same_main_handle(weights[0], other)
+        for pose, other in zip(REST_POSES[1:], weights[1:], strict=True)
+    }
+    return {"rest_pose_agreement": float(np.mean(list(shares.values()))), "rest_poses": shares}
+
+
+def _top4(one: Subject, handles: Handles) -> float:
+    """Truncation error in the file's own clips, or, without any, in a generated motion."""
+    motions = _clips(one, handles) or [_fitted(one, handles)]
+    keep, cut = one.surface, handles.top(4)
+    errors = [
+        measure.truncation_error(
+            one.character.vertices[keep],
+            handles.weights[keep],
+            cut.weights[keep],
+            motion.transforms(handles.positions),
+            one.height,
+        )
+        for motion in motions
+    ]
+    return float(np.mean(errors))
+
+
+def _clips(one: Subject, handles: Handles) -> list[HandleMotion]:
+    """A few of the file's clips as motions of the handles, by weighted registration (section A.2 of TapMo)."""
+    from bunraku.files.clips import clip_names, load_animation
+    from bunraku.files.gltf.read import Source
+    from bunraku.files.registry import load_character
+    from bunraku.retarget.to_reference import handle_motion_of_mesh
+
+    if one.path is None:
+        return []
+    source = load_character(one.path).source
+    names = clip_names(source.document) if isinstance(source, Source) else []
+    out = []
+    for number in np.unique(np.linspace(0, len(names) - 1, CLIPS).round().astype(int)) if names else ():
+        try:
+            animation = load_animation(one.path, int(number), CLIP_RATE)
+        except BunrakuError:  # a clip of morph targets, or a broken one
+            continue
+        count = len(animation.motion)
+        frames = np.unique(np.linspace(0, count - 1, CLIP_FRAMES).round().astype(int))
+        posed = animation.vertices(frames) @ one.turn.T.astype(np.float32)
+        if np.isfinite(posed).all():
+            out.append(
+                handle_motion_of_mesh(
+                    one.character.vertices, posed, handles.weights, handles.positions, one.truth.areas, CLIP_RATE
+                )
+            )
+    return out
+
+
+def _walk(one: Subject, handles: Handles) -> dict[str, float]:
+    """How far edges are stretched when the character walks: `stretched_edges`, `most_stretched`, and
+    `whole_in_walks`, 1 where none is torn.
+    """
+    from bunraku.pipelines.animate import animate
+
+    walk = animate(one.character, WALK, seconds=WALK_SECONDS, seed=0, handles=handles, candidates=1)
+    found = stretch_of(one.character, handles, walk.motion)
+    return found | {"whole_in_walks": float(found["most_stretched"] <= FAR)}
+
+
+@cache
+def _generated() -> HandleMotion:
+    from bunraku.generation.generate import generate_motion
+
+    return generate_motion(SENTENCE, 4.0, seed=0)
+
+
+def _fitted(one: Subject, handles: Handles) -> HandleMotion:
+    from bunraku.anatomy.anatomy import Anatomy
+    from bunraku.retarget.fit import fit_motion
+
+    return fit_motion(_generated(), Anatomy.of(one.character, handles))
+
+
+def resolution_differences(one: Subject, predict: Predict) -> dict[str, float]:
+    """L1 difference of the weights of a character at about 1k, 5k and 50k vertices, for each pair.
+
+    Two meshes are compared at the vertices of the coarser one; the finer one's weights are read at the closest points
+    of its surface. (The other way about, the coarse mesh's triangles would blur what is sharp on the fine one: with the
+    very same weights on both, that alone comes to about 0.1 on a person.)
+    """
+    meshes = [resampled(one.character, count) for count in POINTS]
+    weights = [predict(mesh).weights for mesh in meshes]
+    out = {}
+    for coarse, fine in ((0, 1), (1, 2), (0, 2)):
+        read = carried(weights[fine], meshes[fine].vertices, meshes[fine].faces, meshes[coarse].vertices)
+        out[f"{POINTS[coarse] // 1000}k-{POINTS[fine] // 1000}k"] = measure.weight_difference(weights[coarse], read)
+    return out
+
+
+def prediction_seconds(count: int, predict: Predict, repeats: int = 3) -> float:
+    """Time of a prediction for the reference body with this many vertices, best of some [s]."""
+    body = reference_body()
+    mesh = resampled(Character("reference", body.vertices, body.faces), count)
+    predict(mesh)
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        predict(mesh)
+        times.append(time.perf_counter() - start)
+    return min(times)
+
 
 RESAMPLED = 30
 """Characters on which resolutions are compared, evenly over the list."""
@@ -161,7 +457,7 @@ def evaluate_handles(
     batches = [[(name, load)] for name, load in subjects.items()]
     alone = ((batch[0], work(batch)[0]) for batch in batches)
     found: dict[str, dict[str, Any] | str] = {}
-    for (name, _), result_of in alone if jobs == 1 else spread(work, batches, jobs, _lost):
+    for (name, _), result_of in alone if jobs == 1 else run_parallel(work, batches, jobs, _lost):
         found[name] = result_of
         report("characters", len(found) / len(subjects))
     rows_by_name = {name: found[name] for name in subjects}

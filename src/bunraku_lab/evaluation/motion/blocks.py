@@ -13,11 +13,17 @@ from typing import Any
 import numpy as np
 
 from bunraku.errors import BunrakuError, OptionError
-from bunraku_lab.evaluation.motion.samples import Request, checkpoint_digest, make_motions
+from bunraku_lab.evaluation.motion.samples import (
+    Request,
+    Window,
+    checkpoint_digest,
+    draw_windows,
+    make_motions,
+    window_features,
+)
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Report
-from bunraku_lab.evaluation.motion.windows import Window, draw_windows, window_features
 from bunraku_lab.evaluation.report import Bar
-from bunraku_lab.training.rows.clip_data import ClipEntry, load_clips, people
+from bunraku_lab.training.rows.clips import ClipEntry, load_clips, people
 
 __all__ = [
     "BARS",
@@ -75,7 +81,7 @@ def speed_block(config: MotionEvalConfig) -> dict[str, float]:
     """Seconds from a known sentence to a handle motion of 196 frames, alone and in a batch of 8; the best of three, and
     of two.
     """
-    from bunraku.diffusion.generation.generate import generate_motion, generate_motions
+    from bunraku.generation.generate import generate_motion, generate_motions
     from bunraku.language.parse import clauses_of
 
     def best(count: int, work: Callable[[], object]) -> float:
@@ -100,9 +106,9 @@ def seam_block(config: MotionEvalConfig) -> dict[str, float]:
     """Clips of 60 s of five prompts: the largest step of the handles from frame to frame near a seam, over the median
     of the clip; means of seeds.
     """
-    from bunraku.diffusion.generation.generate import generate_motions
+    from bunraku.generation.generate import generate_motions
     from bunraku.language.parse import clauses_of
-    from bunraku_lab.evaluation.motion.seams import measure_seams
+    from bunraku_lab.evaluation.motion.metrics import measure_seams
 
     out: dict[str, float] = {}
     for suffix, script in (("_prompts", SCRIPT), ("_fast", FAST_SCRIPT)):
@@ -128,9 +134,9 @@ def seam_block(config: MotionEvalConfig) -> dict[str, float]:
 
 def handle_fid_block(config: MotionEvalConfig, count: int, progress: Progress) -> dict[str, float]:
     """Handle-FID of our model's motions, made for each body, and that of the real motions of other windows."""
-    from bunraku.body.reference import reference_body
-    from bunraku.handles.predict import mesh_feature
-    from bunraku_lab.evaluation.motion.handle_fid import BODIES, body_handles, handle_fid
+    from bunraku.anatomy.handles.predict import mesh_feature
+    from bunraku.core.body.reference import reference_body
+    from bunraku_lab.evaluation.motion.metrics import BODIES, body_handles, handle_fid
 
     clips, windows = _windows(config, count, 21)
     others = _windows(config, count, 22, clips)[1]
@@ -192,8 +198,8 @@ def _motions(
     config: MotionEvalConfig, windows: list[Window], mesh_feature: np.ndarray | None = None
 ) -> list[np.ndarray]:
     """Our model's motions of windows; for a character with its adaptation."""
-    from bunraku.diffusion.generation.networks import load_generator
-    from bunraku.nn.checkpoints import shipped_checkpoint
+    from bunraku.core.nn.checkpoints import shipped_checkpoint
+    from bunraku.generation.networks import load_generator
 
     path = config.checkpoint or shipped_checkpoint("diffusion")
     model, encoder = load_generator(path)

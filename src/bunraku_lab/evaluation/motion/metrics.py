@@ -1,27 +1,39 @@
-"""The measures of generated motion (Guo et al. 2022, section 4.1 of TapMo), on the vectors of the feature extractor.
-
-Vectors have shape (B, E). All distances are Euclidean. Each function is plain arithmetic on arrays, with no opinion on
-where they come from; `motion_eval` draws the samples.
+"""Measures of generated motion: those of Guo et al. 2022 on the vectors of the feature extractor (section 4.1 of
+TapMo), Handle-FID on two bodies, and how smoothly windows meet.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.rotations import heading, matrix_y
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import posed_points
 from bunraku.errors import OptionError
+from bunraku.generation.features import decode
+from bunraku.retarget.fit import fit_motion
 
 __all__ = [
+    "BODIES",
     "Interval",
+    "SeamReport",
+    "body_handles",
     "diversity",
     "fid",
     "frechet_distance",
+    "handle_fid",
+    "handle_samples",
     "interval",
+    "measure_seams",
     "multimodal_distance",
     "multimodality",
+    "posed_positions",
     "r_precision",
     "t_quantile",
 ]
@@ -137,3 +149,106 @@ def multimodality(vectors: np.ndarray, random: np.random.Generator, pairs: int =
         drawn = random.permutation(len(rows))[: 2 * count]
         total += float(np.linalg.norm(rows[drawn[:count]] - rows[drawn[count:]], axis=-1).mean())
     return total / len(vectors)
+
+
+BODIES = ("tall", "toddler")
+EVERY = 4  # frames; neighbours say the same
+
+
+def handle_samples(motion: HandleMotion, positions: np.ndarray, height: float) -> np.ndarray:
+    """Handle positions of every fourth frame without the position and the heading of the root.
+
+    Args:
+        motion: Motion of a body.
+        positions: The body's handles at rest [m], shape (K, 3).
+        height: What to divide by [m].
+
+    Returns:
+        Shape (frames, 3 K).
+    """
+    angle = heading(motion.root_rotation, motion.fps)
+    path = motion.root_translation.astype(float)
+    # the root turns about handle 0, so its position is where handle 0 is
+    centre = positions[0] + path
+    centre[:, 1] = 0
+    transforms = motion.transforms(positions)
+    points = posed_points(transforms, positions) - centre[:, None]
+    points = np.einsum("nij,nkj->nki", matrix_y(-angle), points)
+    return np.asarray(points[::EVERY].reshape(-1, positions.size) / height)
+
+
+def body_handles(
+    features: Sequence[np.ndarray], shape: str, progress: Callable[[int, int], None] | None = None
+) -> np.ndarray:
+    """Samples of motions on a body, shape (frames, 3 K).
+
+    Args:
+        features: Motions of the reference body, each of shape (N, 271).
+        shape: One of `reference_shapes()`.
+        progress: Called with (motions done, total).
+    """
+    body = reference_body(shape)
+    character, handles = body.character(), body.handles
+    height = float(np.ptp(body.vertices[:, 1]))
+    found = []
+    for done, values in enumerate(features, 1):
+        motion = decode(values)
+        fitted = fit_motion(motion, Anatomy.of(character, handles))
+        found.append(handle_samples(fitted, handles.positions, height))
+        if progress is not None:
+            progress(done, len(features))
+    return np.concatenate(found)
+
+
+def handle_fid(generated: dict[str, np.ndarray], real: dict[str, np.ndarray]) -> float:
+    """Mean over the bodies of the FID between samples, each of shape (frames, 3 K), by the body's name."""
+    return float(np.mean([fid(generated[shape], real[shape]) for shape in generated]))
+
+
+NEAR = 10  # frames
+
+
+@dataclass(frozen=True)
+class SeamReport:
+    """Largest over median, see the module.
+
+    Args:
+        displacement: Of the step between frames, near seams.
+        displacement_elsewhere: The same away from seams.
+        jump: Of the change of the step, near seams.
+        jump_elsewhere: The same away from seams.
+    """
+
+    displacement: float
+    displacement_elsewhere: float
+    jump: float
+    jump_elsewhere: float
+
+
+def posed_positions(motion: HandleMotion, positions: np.ndarray | None = None) -> np.ndarray:
+    """World positions of the handles [m], shape (N, K, 3); of the reference body's unless rest positions (K, 3) are
+    given.
+    """
+    rest = np.asarray(reference_body().handles.positions if positions is None else positions, float)
+    transforms = motion.transforms(rest).astype(float)
+    return np.asarray(posed_points(transforms, rest))
+
+
+def measure_seams(motion: HandleMotion, seams: Sequence[int], positions: np.ndarray | None = None) -> SeamReport:
+    """Measure the seams of a motion.
+
+    Args:
+        motion: N frames, at least 3.
+        seams: Frames at which another window or prompt takes over.
+        positions: Rest positions of the handles [m], shape (K, 3); the reference body's by default.
+    """
+    posed = posed_positions(motion, positions)
+    found: list[float] = []
+    for order in (1, 2):
+        rate = np.linalg.norm(np.diff(posed, n=order, axis=0), axis=-1).mean(axis=1)
+        near = np.zeros(len(rate), bool)
+        for seam in seams:
+            near[max(seam - NEAR, 0) : seam + NEAR] = True
+        middle = max(float(np.median(rate)), 1e-9)
+        found += [float(rate[part].max(initial=0)) / middle for part in (near, ~near)]
+    return SeamReport(*found)

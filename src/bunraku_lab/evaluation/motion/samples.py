@@ -1,29 +1,178 @@
-"""Motions made for a table, kept in a folder as they are made, so that a killed evaluation goes on where it stopped.
-
-The folder's name is a digest of all that decides the motions: the weights, the sampler's settings, and the sentences
-with their lengths. Motions of one length are made in one batch, each batch from a seed of its own.
+"""The motions that the table compares: windows of captioned clips, motions made and kept in a folder so that a stopped
+evaluation can go on, and motions of any other method.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, encode
-from bunraku.errors import OptionError
-from bunraku.formats.files import atomic_write, weights_file
+from bunraku.core.files import atomic_write, weights_file
+from bunraku.errors import FormatError, OptionError
+from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, mirror
+from bunraku.language.captions import caption_group, caption_variants, mirror_words, normalise_label
+from bunraku_lab.datasets.takes import Take, take_motion
+from bunraku_lab.evaluation.report import write_requests
+from bunraku_lab.training.rows.clips import ClipEntry
 
 if TYPE_CHECKING:
-    from bunraku.diffusion.inference.denoiser import Denoiser
+    from bunraku.generation.denoiser import Denoiser
     from bunraku.language.encoders import TextEncoder
 
-__all__ = ["Request", "SamplerSettings", "checkpoint_digest", "choose_motions", "make_motions"]
+__all__ = [
+    "LENGTHS",
+    "Request",
+    "SHORTEST",
+    "SamplerSettings",
+    "Window",
+    "candidate_sentences",
+    "checkpoint_digest",
+    "choose_motions",
+    "draw_windows",
+    "make_motions",
+    "read_results",
+    "window_features",
+    "window_meaning",
+    "write_prompts",
+]
+
+
+SHORTEST = 40
+"""Frames: HumanML3D leaves out clips of less than 2 s, and so do we."""
+LENGTHS = (40, 50, 60, 70, 80, 100, 120, 140, 160, 180, 196)
+"""Frames a window may have: few lengths, so that motions of one length can be made in one batch."""
+_ENOUGH = 400  # frames after which a clip is not drawn more often for being longer
+
+
+@dataclass(frozen=True)
+class Window:
+    """A cut of a clip with its sentence.
+
+    Args:
+        clip: Name of the clip.
+        start: First frame.
+        frames: Length N.
+        mirrored: Whether left and right are exchanged.
+        label: The clip's caption as the archive has it.
+        sentence: A rewording of it, mirrored where the window is.
+        meaning: The caption's group, mirrored where the window is.
+    """
+
+    clip: str
+    start: int
+    frames: int
+    mirrored: bool
+    label: str
+    sentence: str
+    meaning: str
+
+
+def window_meaning(label: str, mirrored: bool = False) -> str:
+    """The name of a caption's group; for a mirror image, that of the caption with left and right exchanged."""
+    return caption_group(mirror_words(normalise_label(label)) if mirrored else label).name
+
+
+def _shares(clips: Mapping[str, ClipEntry], names: list[str]) -> np.ndarray:
+    """How often each clip is drawn: by the root of its length, and less where many clips mean the same."""
+    meanings = [window_meaning(clips[name]["texts"][0]) for name in names]
+    count = Counter(meanings)
+    frames = np.array([min(len(clips[name]["features"]), _ENOUGH) for name in names], float)
+    share = np.sqrt(frames) / np.sqrt([count[meaning] for meaning in meanings])
+    return share / share.sum()
+
+
+def draw_windows(
+    clips: Mapping[str, ClipEntry],
+    count: int,
+    random: np.random.Generator,
+    shortest: int = SHORTEST,
+    longest: int = 196,
+) -> list[Window]:
+    """Windows at random places, half of them mirrored.
+
+    A clip of at most `longest` frames gives windows of three fifths of its length or more; a longer one of three fifths
+    of `longest` or more. Lengths are rounded down to one of `LENGTHS` where that is not under `shortest`.
+
+    Args:
+        clips: What `load_clips` returned.
+        count: How many.
+        random: Draws them.
+        shortest: Clips with fewer frames are left out.
+        longest: Frames of the longest window.
+
+    Raises:
+        OptionError: No clip is long enough.
+    """
+    names = sorted(name for name, entry in clips.items() if len(entry["features"]) >= shortest)
+    if not names:
+        raise OptionError(f"no clip has the {shortest} frames that a window needs")
+    found = []
+    for index in random.choice(len(names), size=count, p=_shares(clips, names)):
+        entry = clips[names[index]]
+        whole = len(entry["features"])
+        most = min(whole, longest)
+        frames = int(random.integers(max(shortest, int(0.6 * most)), most + 1))
+        frames = max((length for length in LENGTHS if shortest <= length <= frames), default=frames)
+        mirrored = bool(random.random() < 0.5)
+        label = entry["texts"][int(random.integers(len(entry["texts"])))]
+        variants = caption_variants(label, mirrored)
+        sentence = variants[int(random.integers(len(variants)))]
+        start = int(random.integers(0, whole - frames + 1))
+        found.append(Window(names[index], start, frames, mirrored, label, sentence, window_meaning(label, mirrored)))
+    return found
+
+
+def window_features(clips: Mapping[str, ClipEntry], window: Window) -> np.ndarray:
+    """The window's motion features, shape (N, 271), in the data's units."""
+    features = clips[window.clip]["features"][window.start : window.start + window.frames]
+    return mirror(features) if window.mirrored else features
+
+
+def candidate_sentences(
+    windows: list[Window], clips: Mapping[str, ClipEntry], count: int, random: np.random.Generator
+) -> list[list[str]]:
+    """For each window its own sentence, then `count` - 1 sentences of other windows, each of another meaning.
+
+    No candidate means the same as any caption of the window's clip, or as another candidate.
+
+    Args:
+        windows: The pool that sentences are drawn from.
+        clips: What `load_clips` returned.
+        count: Candidates in all.
+        random: Draws them.
+
+    Raises:
+        OptionError: The windows have too few meanings.
+    """
+    by_meaning: dict[str, list[str]] = {}
+    for window in windows:
+        by_meaning.setdefault(window.meaning, []).append(window.sentence)
+    meanings = sorted(by_meaning)
+    rows = []
+    for window in windows:
+        own = {window_meaning(text, window.mirrored) for text in clips[window.clip]["texts"]} | {window.meaning}
+        others = [meaning for meaning in meanings if meaning not in own]
+        if len(others) < count - 1:
+            raise OptionError(
+                f"the held-out clips have captions of {len(others) + 1} meanings, fewer than the {count} candidates "
+                "asked for"
+            )
+        drawn = [others[index] for index in random.permutation(len(others))[: count - 1]]
+        rows.append(
+            [
+                window.sentence,
+                *(by_meaning[meaning][int(random.integers(len(by_meaning[meaning])))] for meaning in drawn),
+            ]
+        )
+    return rows
+
 
 BATCH = 32
 CHOOSING = ("ranker", "critic", "examples")
@@ -104,8 +253,8 @@ def make_motions(
     Raises:
         OptionError: A motion is longer than the model makes at once.
     """
-    from bunraku.diffusion.sampling.sampler import Solver, sample
-    from bunraku.nn.threads import one_thread
+    from bunraku.core.nn.layers import one_thread
+    from bunraku.generation.sampler import Solver, sample
 
     if sampling.steps is None or sampling.guidance is None:
         raise ValueError("what the network says alone needs a number of steps and a guidance")
@@ -155,8 +304,8 @@ def choose_motions(
         folder: Where batches are kept; None keeps nothing.
         progress: Called with (motions done, total).
     """
-    from bunraku.diffusion.generation.generate import generate_motions
-    from bunraku.diffusion.generation.networks import Networks
+    from bunraku.generation.generate import generate_motions
+    from bunraku.generation.networks import Networks
     from bunraku.language.parse import clauses_of
 
     few = [Networks(checkpoint).few_steps_file] if sampling.steps is None and sampling.guidance is None else []
@@ -246,3 +395,51 @@ def _stored(path: Path, shape: tuple[int, int, int]) -> np.ndarray | None:
     except Exception:  # a cache is made again, whatever is wrong with it
         return None
     return values if values.shape == shape and bool(np.isfinite(values).all()) else None
+
+
+def write_prompts(path: str | Path, windows: Sequence[Window]) -> Path:
+    """Write what another method is to make: columns file, text and seconds.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    rows = ([_name(at), window.sentence, f"{window.frames / 20:.2f}"] for at, window in enumerate(windows))
+    return write_requests(path, ("file", "text", "seconds"), rows)
+
+
+def read_results(
+    folder: str | Path, windows: Sequence[Window], progress: Callable[[float], None] | None = None
+) -> list[np.ndarray]:
+    """Features (N, 271) of the motions that another method made of the windows' sentences, each at most as long as its
+    window.
+
+    Args:
+        folder: A file for each window.
+        windows: Those that `write_prompts` wrote.
+        progress: Called with the share done.
+
+    Raises:
+        FormatError: A file is missing, cannot be read, or is too short.
+        MotionError: A skeleton is nobody's that goes on two legs.
+    """
+    folder = Path(folder)
+    files = {file.stem: file for file in sorted(folder.iterdir()) if file.is_file() and file.suffix != ".csv"}
+    missing = [_name(number) for number in range(len(windows)) if _name(number) not in files]
+    if missing:
+        raise FormatError(
+            folder,
+            f"{len(missing)} of {len(windows)} motions are missing, first {missing[0]}; make one for each row of "
+            "the CSV that --prompts-to writes",
+        )
+    out = []
+    for number, window in enumerate(windows):
+        name = _name(number)
+        motion = take_motion(Take(name, files[name], (window.sentence,), "test", "another method"))
+        out.append(encode(motion)[: window.frames])
+        if progress is not None:
+            progress((number + 1) / len(windows))
+    return out
+
+
+def _name(number: int) -> str:
+    return f"{number:04d}"

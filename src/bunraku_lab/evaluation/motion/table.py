@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.diffusion.inference.extractor import embed_motions, embed_sentences, load_extractor
 from bunraku.errors import OptionError
+from bunraku.generation.extractor import embed_motions, embed_sentences, load_extractor
 from bunraku.language.encoders import encoder_of
 from bunraku_lab.evaluation.motion.metrics import (
     diversity,
@@ -30,17 +30,20 @@ from bunraku_lab.evaluation.motion.metrics import (
     multimodality,
     r_precision,
 )
-from bunraku_lab.evaluation.motion.others import read_results
 from bunraku_lab.evaluation.motion.samples import (
     Request,
     SamplerSettings,
+    Window,
+    candidate_sentences,
     checkpoint_digest,
     choose_motions,
+    draw_windows,
     make_motions,
+    read_results,
+    window_features,
 )
-from bunraku_lab.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
 from bunraku_lab.nn.checkpoints import lab_checkpoint
-from bunraku_lab.training.rows.clip_data import ClipEntry, load_clips, people
+from bunraku_lab.training.rows.clips import ClipEntry, load_clips, people
 
 __all__ = ["MotionEvalConfig", "Report", "Row", "evaluate_motion", "measure_rows", "table_windows"]
 
@@ -98,7 +101,7 @@ class MotionEvalConfig:
 
     def sampler(self) -> SamplerSettings:
         """The sampler of what the network says alone."""
-        from bunraku.diffusion.generation.generate import GUIDANCE, STEPS
+        from bunraku.generation.generate import GUIDANCE, STEPS
 
         steps, guidance = (
             STEPS if self.steps is None else self.steps,
@@ -212,9 +215,9 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         FormatError: The data are missing or damaged.
         WeightsError: Weights are missing or broken.
     """
-    from bunraku.diffusion.generation.networks import load_generator
-    from bunraku.diffusion.inference.denoiser import KIND
-    from bunraku.nn.checkpoints import load_checkpoint, shipped_checkpoint
+    from bunraku.core.nn.checkpoints import load_checkpoint, shipped_checkpoint
+    from bunraku.generation.denoiser import KIND
+    from bunraku.generation.networks import load_generator
 
     _check(config)
     report = report or (lambda stage, done: None)
@@ -235,7 +238,7 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         make_motions, model, own_encoder, sampling=sampling, folder=config.work, digest=checkpoint_digest(checkpoint)
     )
     requests = [Request(window.sentence, window.frames) for window in windows]
-    motions = make(requests, progress=partial(_told, report, "motions of tapmo"))
+    motions = make(requests, progress=partial(_report_stage, report, "motions of tapmo"))
     again = [Request(window.sentence, window.frames) for window in named for _ in range(config.repeats)]
     repeated = make(again) if config.repeats > 1 else []
     vectors = embed_motions(extractor, repeated).reshape(len(named), config.repeats, -1) if repeated else None
@@ -247,7 +250,7 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
                 sampling, steps=config.steps, guidance=config.guidance, candidates=candidates, examples=examples,
                 classifier_guidance=guided,
             ), checkpoint,
-            folder=config.work, progress=partial(_told, report, f"motions of {name}"),
+            folder=config.work, progress=partial(_report_stage, report, f"motions of {name}"),
         )  # fmt: skip
         rows[name] = Row(embed_motions(extractor, found))
     if config.motions is not None:
@@ -283,7 +286,7 @@ def _ways(config: MotionEvalConfig, checkpoint: Path) -> list[tuple[str, int, bo
     """Rows of motions made as `animate` makes them: name, candidates, whether they start from examples, and whether the
     critic guides them. The few steps that were distilled hold guidance of their own, so they have a row without any.
     """
-    from bunraku.diffusion.generation.networks import Networks
+    from bunraku.generation.networks import Networks
 
     if config.best_of == 1:
         return []
@@ -297,7 +300,7 @@ def _ways(config: MotionEvalConfig, checkpoint: Path) -> list[tuple[str, int, bo
     return [*ways, ("tapmo_chosen", config.best_of, config.examples, critic)]
 
 
-def _told(report: Report, stage: str, done: int, total: int) -> None:
+def _report_stage(report: Report, stage: str, done: int, total: int) -> None:
     report(stage, done / total)
 
 

@@ -16,19 +16,18 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from bunraku.diffusion.extractor_config import KIND, RADIUS, ExtractorConfig
-from bunraku.diffusion.features import FeatureStatistics
-from bunraku.diffusion.inference.extractor import Extractor, embed_motions, embed_sentences
 from bunraku.errors import OptionError
-from bunraku.language.captions.phrases import caption_variants
+from bunraku.generation.extractor import KIND, RADIUS, Extractor, ExtractorConfig, embed_motions, embed_sentences
+from bunraku.generation.features import FeatureStatistics
+from bunraku.language.captions import caption_variants
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku_lab.evaluation.motion.metrics import r_precision
-from bunraku_lab.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
-from bunraku_lab.nn.running.networks import running_extractor
+from bunraku_lab.evaluation.motion.samples import Window, candidate_sentences, draw_windows, window_features
+from bunraku_lab.nn.running import running_extractor
 from bunraku_lab.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
-from bunraku_lab.training.rows.clip_data import ClipEntry, load_people
-from bunraku_lab.training.rows.text_bank import TextBank
-from bunraku_lab.training.runs.half_precision import bf16_is_fast
+from bunraku_lab.training.rows.banks import TextBank
+from bunraku_lab.training.rows.clips import ClipEntry, load_people
+from bunraku_lab.training.runs.run import bf16_is_fast
 
 __all__ = ["ExtractorTrainConfig", "ExtractorTrainer", "retrieval_of", "train_extractor"]
 

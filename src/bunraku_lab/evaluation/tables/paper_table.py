@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from bunraku import __version__
+from bunraku.core.files import atomic_write
 from bunraku.errors import BunrakuError
-from bunraku.formats.files import atomic_write
-from bunraku_lab.evaluation.parts import KeptParts, Parts
-from bunraku_lab.evaluation.report import Table
+from bunraku_lab.evaluation.report import KeptParts, Parts, Table
 
 __all__ = ["EITHER_WAY", "Group", "NotRun", "PaperRow", "PaperTable", "half_interval", "measured_table", "shown_table"]
 

@@ -1,31 +1,80 @@
-"""One character of the table of motion transfer: what is measured of it with every motion.
-
-Rigged characters are their own truth: where a limb of the source points, the limb between the same two bones of the
-result must point, whether the rig was moved or handles that know nothing of it.
+"""One character of the table of motion transfer: what is measured of it with every motion, how far it stands off the
+ground, and the same for another method's results.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Required, TypedDict
 
 import numpy as np
+from scipy.ndimage import minimum_filter1d
 
-from bunraku.body.layout import JOINT_COUNT
-from bunraku.body.smpl_rest import LIMB_CHILD
-from bunraku.core.animation import Animation
+from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.body.layout import JOINT_COUNT
+from bunraku.core.body.reference import LIMB_CHILD
 from bunraku.core.character import Character
+from bunraku.core.geometry.axes import AXES, axis_vector, upright_rotation
 from bunraku.core.motion import HandleMotion
-from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import posed_points
 from bunraku.errors import BunrakuError, FormatError
-from bunraku.geometry.axes import AXES, axis_vector, upright_rotation
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts
+from bunraku_lab.evaluation.report import write_requests
 
-__all__ = ["Source", "carried_heads", "facing_character", "limb_angles", "measure_character", "named_front"]
+__all__ = [
+    "Pair",
+    "SUFFIXES",
+    "Source",
+    "carried_heads",
+    "facing_character",
+    "ground_heights",
+    "limb_angles",
+    "measure_character",
+    "measure_results",
+    "named_front",
+    "off_ground",
+    "pairs_of",
+    "result_angle",
+    "write_pairs",
+]
+
+
+LEAP = 0.6
+"""Who is in the air for no longer leaps [s]; runs of animals do so at every stride."""
+CHUNK = 64  # frames posed at once: bounds memory
+
+
+def ground_heights(animation: Animation) -> np.ndarray:
+    """Height of the lowest vertex over the ground in each frame, over the character's height, shape (N,).
+
+    The ground is where the lowest point of the rest pose is. Vertices without faces do not count.
+    """
+    character = animation.character
+    seen = character.surface
+    floor = float(character.vertices[seen, 1].min())
+    frames = np.arange(len(animation.motion))
+    lows = [
+        animation.vertices(frames[start : start + CHUNK])[:, seen, 1].min(axis=1)
+        for start in range(0, len(frames), CHUNK)
+    ]
+    return np.asarray((np.concatenate(lows) - floor) / character.height)
+
+
+def off_ground(heights: np.ndarray, fps: float) -> float:
+    """How far a body is off its ground at the most, over its height: how deep it sinks, or how high it hovers for
+    longer than a leap lasts.
+
+    Args:
+        heights: Of the lowest point, as of `ground_heights`, shape (N,).
+        fps: Frames a second [1/s].
+    """
+    window = 2 * round(0.5 * LEAP * fps) + 1
+    hovers = minimum_filter1d(heights, window, mode="nearest")
+    return float(max(-heights.min(), hovers.max(), 0.0))
+
 
 SECONDS = 8.0  # of each motion
 STRIDE = 4  # frames from one that is measured to the next
@@ -48,7 +97,7 @@ class Source:
     @classmethod
     def of(cls, motion: HandleMotion) -> Source:
         """The first seconds of a motion of the reference body."""
-        from bunraku.body.reference import reference_body
+        from bunraku.core.body.reference import reference_body
 
         motion = motion.take(slice(0, round(SECONDS * motion.fps)))
         body = reference_body()
@@ -58,8 +107,8 @@ class Source:
 
 def facing_character(path: Path, name: str) -> Character:
     """A character facing +Z, by what is known of the archive's rigs."""
-    from bunraku.formats.gltf.turning import turned
-    from bunraku.io import load_character
+    from bunraku.files import load_character
+    from bunraku.files.gltf.read import turned
 
     character = load_character(path)
     return turned(character, "+y", named_front(character, name))
@@ -67,11 +116,11 @@ def facing_character(path: Path, name: str) -> Character:
 
 def named_front(character: Character, name: str) -> str:
     """The axis that a character faces, by what is known of the archive's rigs."""
-    from bunraku_lab.datasets.characters.known_rigs import facing_turn
+    from bunraku_lab.datasets.characters.training_character import facing_rotation
 
     if character.rig is None:
         return "+z"
-    ahead = facing_turn(name, character.rig.names, character.rig.positions).T @ np.array([0.0, 0, 1])
+    ahead = facing_rotation(name, character.rig.names, character.rig.positions).T @ np.array([0.0, 0, 1])
     return max(AXES, key=lambda axis: float(axis_vector(axis) @ ahead))
 
 
@@ -155,7 +204,7 @@ def _there_and_back(path: Path, character: Character, name: str) -> _Back:
     """Mean error of the vertices of a character's own clip, over its height, after the way to the reference body and
     back; none without clips.
     """
-    from bunraku.io.play import clip_names, load_animation
+    from bunraku.files.clips import clip_names, load_animation
     from bunraku.pipelines.to_reference import reference_motion
     from bunraku.pipelines.transfer import apply_transfer, same_skeleton
 
@@ -215,3 +264,130 @@ def carried_heads(parts: RigParts, animation: Animation | RigAnimation, frames: 
         blend = np.einsum("k,nkij->nij", (mass / mass.sum()) @ animation.handles.weights, world)
         heads[:, handle] = blend[..., :3] @ head + blend[..., 3]
     return heads
+
+
+SUFFIXES = (".glb", ".gltf", ".vrm", ".fbx")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A character that plays a motion.
+
+    Args:
+        name: Of the character: its path in the folder, without suffix.
+        kind: Of the motion.
+        character: Its file.
+        motion: The motion's file.
+    """
+
+    name: str
+    kind: str
+    character: Path
+    motion: Path
+
+    @property
+    def file(self) -> str:
+        """Where its result is looked for in a folder of results, without suffix."""
+        return f"{self.name}/{self.kind}"
+
+
+def pairs_of(characters: Mapping[Path, str], motions: Mapping[str, Path]) -> list[Pair]:
+    """All pairs.
+
+    Args:
+        characters: Names of the characters by their files.
+        motions: Files of the motions by their kinds.
+    """
+    return [
+        Pair(name, kind, path, motion) for path, name in characters.items() for kind, motion in motions.items()
+    ]  # fmt: skip
+
+
+def write_pairs(path: str | Path, pairs: Iterable[Pair]) -> Path:
+    """Write what another method is to make: columns file, character and motion.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    rows = ([pair.file, pair.character, pair.motion] for pair in pairs)
+    return write_requests(path, ("file", "character", "motion"), rows)
+
+
+def measure_results(
+    folder: str | Path, pairs: Sequence[Pair], sources: Mapping[str, Source], rows: Sequence[CharacterRow],
+    failed: dict[str, str], progress: Callable[[str, float], None] | None = None,
+) -> dict[str, float | None]:  # fmt: skip
+    """What another method's results are worth; all None where there is none.
+
+    Args:
+        folder: Animated files, named as `write_pairs` says.
+        pairs: The pairs.
+        sources: Motions by their kinds.
+        rows: What was measured of ours, for the same characters.
+        failed: Gets the reasons why single files cannot be measured.
+        progress: Called with a stage's name and the share done.
+
+    Returns:
+        `results`, the share of the pairs that came back and can be played; `angle_results` [degrees], the mean over
+        people's rigs; `angle_rig_there`, ours on rigs of the same characters.
+
+    Raises:
+        FormatError: No file of the folder is named as one of the pairs.
+    """
+    folder = Path(folder)
+    files = {pair: file for pair in pairs if (file := _file(folder, pair)) is not None}
+    if not files:
+        raise FormatError(
+            folder, f"it holds no result, such as {pairs[0].file}.glb; --pairs-to writes how each is to be named"
+        )
+    played, angles = 0, dict[str, list[float]]()
+    for number, (pair, file) in enumerate(files.items()):
+        if progress:
+            progress("results", number / len(files))
+        try:
+            angle = result_angle(file, pair.name, sources[pair.kind])
+        except BunrakuError as error:
+            failed[f"result {pair.file}"] = str(error)
+            continue
+        played += 1
+        if angle is not None:
+            angles.setdefault(pair.name, []).append(angle)
+    ours = [row["angle_rig"] for row in rows if row["name"] in angles and "angle_rig" in row]
+    means = [float(np.mean(found)) for found in angles.values()]
+    return {
+        "results": played / len(pairs),
+        "angle_results": float(np.mean(means)) if means else None,
+        "angle_rig_there": float(np.mean(ours)) if ours else None,
+    }
+
+
+def result_angle(path: Path, name: str, source: Source) -> float | None:
+    """Mean angle between the limbs of a result and of its source [degrees], as long as both last; None where the rig is
+    nobody's that goes on two legs.
+
+    Args:
+        path: A character with a clip.
+        name: Of the character, by which known rigs are told.
+        source: The motion that it plays.
+
+    Raises:
+        FormatError: The file cannot be read, or holds no clip.
+    """
+    from bunraku.files.clips import bones_of, load_animation
+
+    animation = load_animation(path, 0, source.motion.fps)
+    try:
+        parts = RigParts.of(animation.character)
+    except BunrakuError:
+        return None
+    if not parts.humanoid:
+        return None
+    frames = np.arange(0, min(len(animation.motion), len(source.motion)), STRIDE)
+    _, heads = bones_of(animation)
+    turn = upright_rotation("+y", named_front(animation.character, name))
+    own = heads[frames][:, np.maximum(parts.leads, 0)] @ turn.T
+    return float(limb_angles(parts, own, source.joints[frames]).mean())
+
+
+def _file(folder: Path, pair: Pair) -> Path | None:
+    return next((file for suffix in SUFFIXES if (file := folder / f"{pair.file}{suffix}").is_file()), None)

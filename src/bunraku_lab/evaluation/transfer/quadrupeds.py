@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.body.layout import HANDLE_NAMES
-from bunraku.core.animation import Animation
+from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character
+from bunraku.core.geometry.rotations import nearest_rotation, rotation_between
 from bunraku.core.motion import SkeletalMotion, Skeleton, local_rotations
-from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import BunrakuError
-from bunraku.geometry.rotations import nearest_rotation, rotation_between
 from bunraku.retarget.rig_parts import RigParts
 from bunraku_lab.datasets.motions.creatures import known_plan
 from bunraku_lab.evaluation.transfer.character import carried_heads, facing_character
@@ -60,7 +59,7 @@ def captured_animal(animation: Animation | RigAnimation, parts: RigParts, flat: 
         parts: Of its character.
         flat: All bones of the rest pose lie along one axis; otherwise it is the rig's.
     """
-    from bunraku.io.play import bones_of
+    from bunraku.files.clips import bones_of
 
     turns, positions = animation.world() if isinstance(animation, RigAnimation) else bones_of(animation)
     handles = [handle for handle in range(len(HANDLE_NAMES)) if parts.leads[handle] >= 0 and _name(handle)]
@@ -157,7 +156,7 @@ def measure_quadrupeds(
         ground; `quadruped_hind_above_back`, the share of frames in which a hind foot is above the back; and
         `quadrupeds` with a row for each pair.
     """
-    from bunraku.io.play import clip_names, load_animation
+    from bunraku.files.clips import clip_names, load_animation
     from bunraku.pipelines.animate import rig
     from bunraku.pipelines.to_reference import creature_motion
     from bunraku.pipelines.transfer import apply_transfer

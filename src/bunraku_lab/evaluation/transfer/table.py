@@ -1,26 +1,273 @@
-"""What motion transfer is worth: the table of `bunraku evaluate transfer`."""
+"""The table of motion transfer (`bunraku evaluate transfer`), with the exactness of BVH files, the speed of reading and
+transferring, and the soles of MMD models that a VMD moves by leg IK.
+"""
 
 from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Mapping
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from bunraku.errors import FormatError
-from bunraku.nn.spread import spread
+from bunraku.core.avatars import MmdIkLink, MmdModel
+from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.character import Character
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
+from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
+from bunraku.core.parallel import run_parallel
+from bunraku.errors import BunrakuError, FormatError
+from bunraku.files.mmd.vmd import VmdMotion
 from bunraku_lab.evaluation.report import Bar, reached_bars
-from bunraku_lab.evaluation.transfer.character import CharacterRow, Source, facing_character, measure_character
-from bunraku_lab.evaluation.transfer.mmd import measure_soles
+from bunraku_lab.evaluation.transfer.character import (
+    SUFFIXES,
+    CharacterRow,
+    Source,
+    facing_character,
+    measure_character,
+    measure_results,
+    pairs_of,
+    write_pairs,
+)
 from bunraku_lab.evaluation.transfer.quadrupeds import measure_quadrupeds
-from bunraku_lab.evaluation.transfer.results import SUFFIXES, measure_results, pairs_of, write_pairs
-from bunraku_lab.evaluation.transfer.speed import MANY, bvh_again, times
 
-__all__ = ["BARS", "KINDS", "evaluate_transfer", "pick_motions", "write_transfer_pairs"]
+__all__ = [
+    "BARS",
+    "KINDS",
+    "MANY",
+    "bvh_again",
+    "evaluate_transfer",
+    "leg_reach",
+    "measure_soles",
+    "pick_motions",
+    "sole_gaps",
+    "times",
+    "write_transfer_pairs",
+]
+
+
+MANY = 20_000  # vertices of the character that is timed
+
+
+def bvh_again(path: Path) -> float | None:
+    """Largest difference of a rotation after a skeletal motion is written as BVH and read again [degrees]."""
+    from bunraku.core.geometry.rotations import axis_angle_from_matrix
+    from bunraku.files.motions.bvh import write_bvh
+    from bunraku.files.registry import read_motion
+
+    motion = read_motion(path)
+    if not isinstance(motion, SkeletalMotion):
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        again = read_motion(write_bvh(motion, Path(folder) / "again.bvh"))
+    assert isinstance(again, SkeletalMotion)
+    order = [again.skeleton.names.index(name) for name in motion.skeleton.names]
+    change = np.swapaxes(again.rotations[:, order].astype(float), -1, -2) @ motion.rotations.astype(float)
+    return float(np.degrees(np.linalg.norm(axis_angle_from_matrix(change), axis=-1)).max())
+
+
+def times(character: Character | None, walk: HandleMotion) -> dict[str, float | None]:
+    """Seconds of reading a long BVH and of 10 s of motion onto a character's rig and onto its handles.
+
+    Args:
+        character: With a rig; its triangles are split until they have `MANY` vertices. None leaves out what needs it.
+        walk: Motion of the reference body; played on to 10 s.
+    """
+    out: dict[str, float | None] = {"seconds_bvh": _bvh_seconds(), "seconds_rig": None, "seconds_handles": None}
+    if character is None:
+        return out
+    from bunraku.pipelines.animate import rig
+    from bunraku.pipelines.transfer import transfer
+
+    dense = _many(character)
+    rounds = int(np.ceil(200 / len(walk)))
+    long = replace(walk.take(np.tile(np.arange(len(walk)), rounds)[:200]), fps=20.0)
+    ways: Sequence[tuple[str, dict[str, Any]]] = (
+        ("seconds_rig", {"onto": "rig"}),
+        ("seconds_handles", {"onto": "handles", "handles": rig(dense)}),
+    )
+    for key, how in ways:
+        taken = []
+        for _ in range(2):  # the first call also loads what is kept
+            start = time.perf_counter()
+            transfer(dense, long, **how).vertices()
+            taken.append(time.perf_counter() - start)
+        out[key] = min(taken)
+    return out
+
+
+def _many(character: Character) -> Character:
+    """The character with each triangle split into four until it has 20,000 vertices or more."""
+    from bunraku.core.character import Rig, top_influences
+
+    rig = character.rig
+    assert rig is not None
+    weights = rig.dense_weights()
+    vertices, faces = character.vertices.astype(np.float64), character.faces
+    while len(vertices) < MANY:
+        sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        pairs, index = np.unique(sides, axis=0, return_inverse=True)
+        middles = len(vertices) + index.reshape(-1, 3)
+        (a, b, c), (p, q, r) = faces.T, middles.T
+        faces = np.concatenate([np.stack(three, axis=1) for three in ((a, p, r), (p, b, q), (r, q, c), (p, q, r))])
+        vertices, weights = (np.concatenate([some, some[pairs].mean(axis=1)]) for some in (vertices, weights))
+    indices, shares = top_influences(weights, 4)
+    return Character(character.name, vertices, faces, Rig(rig.names, rig.parents, rig.transforms, indices, shares))
+
+
+def _bvh_seconds() -> float:
+    """Time to read a file of 14,400 frames of 31 joints [s], the best of two."""
+    from bunraku.core.geometry.rotations import matrix_from_axis_angle
+    from bunraku.files.motions.bvh import write_bvh
+    from bunraku.files.registry import read_motion
+
+    random = np.random.default_rng(0)
+    names = tuple(HANDLE_NAMES) + ("end",)
+    parents = np.array([-1] + [max(0, joint - 1 - joint % 5) for joint in range(1, 31)])
+    swing = np.sin(np.linspace(0, 300, 14_400))[:, None, None] * random.normal(size=(1, 31, 3))
+    motion = SkeletalMotion(
+        Skeleton(names, parents, random.normal(size=(31, 3)) * 0.2),
+        matrix_from_axis_angle(swing),
+        np.zeros((14_400, 3)),
+        120.0,
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_bvh(motion, Path(folder) / "long.bvh")
+        taken = []
+        for _ in range(2):
+            start = time.perf_counter()
+            read_motion(path)
+            taken.append(time.perf_counter() - start)
+    return min(taken)
+
+
+KEYS = ("soles", "soles_reached", "soles_beyond", "soles_target")
+HAIR = 1e-5  # a leg that is stretched to within so much of its reach is as good as there [m]
+
+
+def measure_soles(folder: str | Path | None, failed: dict[str, str]) -> dict[str, float | None]:
+    """Each model of a folder with each VMD that moves legs by their IK targets.
+
+    Args:
+        folder: Searched through for .pmx, .pmd and .vmd files; None measures nothing.
+        failed: Gets the files that could not be read, and why.
+
+    Returns:
+        `soles`, the largest distance of an ankle or toe from where the targets put it, in frames in which the leg
+        reaches [m]; `soles_reached`, the share of these; `soles_beyond`, in the other frames the largest distance of an
+        ankle from the position nearest to its target that the leg can reach [m]; `soles_target`, the largest from the
+        target itself [m]. None without files.
+    """
+    from bunraku.core.avatars import mmd_model
+    from bunraku.files import load_character
+    from bunraku.files.mmd.vmd import load_vmd
+
+    files = [] if folder is None else sorted(path for path in Path(folder).rglob("*") if path.is_file())
+    motions: dict[str, VmdMotion] = {}
+    found: list[dict[str, np.ndarray]] = []
+    for path in files:
+        if path.suffix.lower() == ".vmd":
+            try:
+                motions[path.name] = load_vmd(path)
+            except BunrakuError as error:
+                failed[path.name] = str(error)
+    for path in files:
+        if path.suffix.lower() in (".pmx", ".pmd"):
+            try:
+                character = load_character(path)
+                model = mmd_model(character)
+                assert model is not None
+                for vmd in motions.values():
+                    if any(_moves(vmd, name) for name in _goals(model)):
+                        found += sole_gaps(character, model, vmd)
+            except BunrakuError as error:
+                failed[path.name] = str(error)
+    if not found:
+        return dict.fromkeys(KEYS)
+    reached, gap, beyond, target = (
+        np.concatenate([legs[key] for legs in found]) for key in ("reached", "gap", "beyond", "target")
+    )
+    return {
+        "soles": float(gap[reached].max()) if reached.any() else None,
+        "soles_reached": float(reached.mean()),
+        "soles_beyond": 0.0 if reached.all() else float(beyond[~reached].max()),
+        "soles_target": float(target.max()),
+    }
+
+
+def sole_gaps(character: Character, model: MmdModel, vmd: VmdMotion) -> list[dict[str, np.ndarray]]:
+    """Both legs of a model that plays a VMD, at 30 frames a second.
+
+    Args:
+        character: That was read from the model; a `transfer` of the VMD onto it is what is measured.
+        model: The model.
+        vmd: The motion.
+
+    Returns:
+        For each leg, arrays of N frames: `reached`, whether the ankle's target is within the leg's reach; `gap`, the
+        larger of the ankle's and the toe's distance from where the targets put them [m]; `beyond`, that of the ankle
+        from the position nearest to its target that the leg reaches [m]; `target`, that of the ankle from its target
+        [m].
+
+    Raises:
+        MotionError: The motion moves none of the model's bones.
+    """
+    from bunraku.retarget.mmd_motion import mmd_animation
+
+    positions = mmd_animation(character, vmd).world()[1]
+    out = []
+    for name, toe_name in _goals(model).items():
+        goal, toe_goal = model.bone(name), model.bone(toe_name)
+        ik = model.bones[goal].ik
+        if ik is None or len(ik.links) != 2:
+            continue
+        ankle, hip = ik.target, ik.links[1].bone
+        away = positions[:, goal] - positions[:, hip]
+        distance = np.linalg.norm(away, axis=-1)
+        reach = leg_reach(model, ik.links[0], hip, ankle)
+        gap = target = np.linalg.norm(positions[:, ankle] - positions[:, goal], axis=-1)
+        toe_ik = model.bones[toe_goal].ik if toe_goal >= 0 else None
+        if toe_ik is not None:
+            line, toe = positions[:, toe_goal] - positions[:, goal], toe_ik.target
+            length = np.linalg.norm(model.positions[toe] - model.positions[ankle])
+            want = positions[:, goal] + line * (length / np.maximum(np.linalg.norm(line, axis=-1), 1e-9))[:, None]
+            gap = np.maximum(gap, np.linalg.norm(positions[:, toe] - want, axis=-1))
+        nearest = positions[:, hip] + away * np.minimum(1, reach / np.maximum(distance, 1e-9))[:, None]
+        beyond = np.linalg.norm(positions[:, ankle] - nearest, axis=-1)
+        out.append({"reached": distance <= reach + HAIR, "gap": gap, "beyond": beyond, "target": target})
+    return out
+
+
+def leg_reach(model: MmdModel, knee: MmdIkLink, hip: int, ankle: int) -> float:
+    """How far from the hip the ankle can be [m], with the knee between its limits; for a knee without limits, the leg's
+    length.
+    """
+    rest = model.positions
+    thigh, shin = rest[knee.bone] - rest[hip], rest[ankle] - rest[knee.bone]
+    if knee.lower is None or knee.upper is None:
+        return float(np.linalg.norm(thigh) + np.linalg.norm(shin))
+    angles = np.linspace(knee.lower, knee.upper, 3601)
+    if np.count_nonzero(np.ptp(angles, axis=0)) > 1:  # more than one axis is free
+        return float(np.linalg.norm(thigh) + np.linalg.norm(shin))
+    return float(np.linalg.norm(thigh + matrix_from_axis_angle(angles) @ shin, axis=-1).max())
+
+
+def _goals(model: MmdModel) -> dict[str, str]:
+    """The bones whose places are targets of ankles, each with that of its toes."""
+    names = {f"{side}足ＩＫ": f"{side}つま先ＩＫ" for side in "左右"}
+    return {name: toe for name, toe in names.items() if model.bone(name) >= 0}
+
+
+def _moves(vmd: VmdMotion, name: str) -> bool:
+    track: Any = vmd.bones.get(name)
+    return track is not None and len(track.frames) > 1
+
 
 KINDS = ("walk", "dance", "kick", "sit", "roll")
 Progress = Callable[[str, float], None]
@@ -132,7 +379,7 @@ def evaluate_transfer(
     Raises:
         FormatError: There is no character, or a motion of some kind is missing.
     """
-    from bunraku.io.motions import load_motion
+    from bunraku.pipelines.motions.read import load_motion
     from bunraku.pipelines.to_reference import reference_motion
 
     names = _names(Path(characters).absolute() if jobs == "ray" else Path(characters), limit)
@@ -144,7 +391,7 @@ def evaluate_transfer(
     measure = partial(_measured, sources)
     batches = [[(path, names[path])] for path in files if path not in found_rows]
     alone = ((batch[0], measure(batch)[0]) for batch in batches)
-    for (path, name), row in alone if jobs == 1 else spread(measure, batches, jobs, _lost):
+    for (path, name), row in alone if jobs == 1 else run_parallel(measure, batches, jobs, _lost):
         if isinstance(row, str):  # its process ended, and may not next time
             row = {"name": name, "finished": 0, "failed": {"": row}}
         else:

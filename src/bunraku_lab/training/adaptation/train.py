@@ -1,52 +1,120 @@
-"""Training of the adaptation's last layer: mesh-specific learning and fine-tuning (Eq. 7 to 11 of TapMo).
-
-Only the linear layer `adaptation_out` learns, from what `AdaptationConfig` weighs. With spring and adversarial loss it
-learns how handles and arms move (Eq. 7 and 8). With pseudo-labels the network's adaptation of some motions on some
-characters is improved by the ARAP objective (Eq. 10, `arap_labels`), and the layer is drawn towards the improved one
-(Eq. 11). In the paper the second follows the first: two runs here, the first one's denoiser being what the second
-starts from. The layer is trained in whitened coordinates of what it sees, the mesh token's main directions only, and
-folded back when it is saved.
-
-A run folder holds `pairs` (the layer's inputs), `state.safetensors` (to go on from), `diffusion.safetensors` (the
-denoiser with the new layer), `adaptation.safetensors` (the layer alone), `log.csv` and `events`.
-"""
+"""Training of the adaptation's last layer: mesh-specific learning and fine-tuning (Eq. 7 to 11 of TapMo)."""
 
 from __future__ import annotations
 
 import hashlib
 import time
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from bunraku.diffusion.features import FeatureStatistics
+from bunraku.core.files import remove_leftovers
 from bunraku.errors import OptionError
-from bunraku.formats.files import sweep
+from bunraku.generation.features import FeatureStatistics
 from bunraku.language.encoders import TextEncoder, text_encoder
-from bunraku_lab.datasets.characters.bank_file import CharacterBank, load_character_bank
+from bunraku_lab.datasets.characters.bank import CharacterBank, load_character_bank
 from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
-from bunraku_lab.nn.diffusion.adapter import save_adapter
-from bunraku_lab.nn.diffusion.checkpoint import load_denoiser, save_denoiser
-from bunraku_lab.nn.diffusion.denoiser import Denoiser, joint_offsets
-from bunraku_lab.nn.residuals import capped_on_people
-from bunraku_lab.training.adaptation.arap_labels import EdgeSystem, arap_labels, edge_system
-from bunraku_lab.training.adaptation.config import FRAMES, AdaptationConfig
-from bunraku_lab.training.adaptation.head import AdaptationHead, label_distance, whitening
-from bunraku_lab.training.adaptation.mesh_losses import MeshLosses
-from bunraku_lab.training.adaptation.pairs import AdaptationPairs, PairPlan, collect_pairs
-from bunraku_lab.training.diffusion.mesh_learning import local_motion
-from bunraku_lab.training.losses.batched_fit import fit_locals
-from bunraku_lab.training.rows.clip_data import load_clips
+from bunraku_lab.nn.denoiser import (
+    Denoiser,
+    capped_on_people,
+    joint_offsets,
+    load_denoiser,
+    save_adapter,
+    save_denoiser,
+)
+from bunraku_lab.training.adaptation.labels import (
+    AdaptationHead,
+    AdaptationPairs,
+    EdgeSystem,
+    MeshLosses,
+    PairPlan,
+    arap_labels,
+    collect_pairs,
+    edge_system,
+    label_distance,
+    whitening,
+)
+from bunraku_lab.training.losses.meshes import fit_locals, local_motion
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
-from bunraku_lab.training.runs.events import EventLog
-from bunraku_lab.training.runs.runs import Stop, learning_rate, plain_settings
-from bunraku_lab.training.runs.training_run import Progress, Report, TrainingRun
+from bunraku_lab.training.rows.clips import load_clips
+from bunraku_lab.training.runs.run import (
+    EventLog,
+    Progress,
+    Report,
+    RunSettings,
+    Stop,
+    TrainingRun,
+    learning_rate,
+    plain_settings,
+)
 
-__all__ = ["train_adaptation"]
+__all__ = ["AdaptationConfig", "FRAMES", "train_adaptation"]
+
+
+FRAMES = ("root", "joints")
+"""What the layer may say."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdaptationConfig(RunSettings):
+    """Settings of the fine-tuning.
+
+    Args:
+        diffusion: The denoiser, as `bunraku train diffusion` wrote it.
+        cache: The bank of characters that `bunraku data character-bank` wrote.
+        data: Folder that `bunraku data motions` wrote.
+        pairs: Motions on characters to learn from.
+        frames: Frames of each.
+        steps: Optimiser steps.
+        edges: Edges of each character a step.
+        strength: nu_v of Eq. 10, over a mean of the character's own ARAP-Loss and half the usual one [m^2].
+        calm: Weight of delta's own squared length in Eq. 10, so that it stays short where edges do not ask for it.
+        label_steps: Steps of Eq. 10, each held near the one before, for one label.
+        label_weight: Weight of the distance to the labels (Eq. 11) [1 / cm^2]; 0 trains without labels.
+        spring_weight: nu_h of Eq. 9.
+        adversarial_weight: nu_a of Eq. 9.
+        mesh_frames: Frames of each motion that those two look at.
+        frame: What the layer says: "joints", how far joints should be moved, or "root", offsets as in the paper.
+        mesh: Let the layer see the mesh token beside the hidden state.
+        mesh_size: Main directions of the mesh token that are used.
+        learning_rate: Peak.
+        decay: Weight decay, in whitened coordinates.
+        text_folder: Folder with CLIP, for a denoiser that was trained with it.
+        device: "cuda", "cpu" or another of torch; None takes CUDA when it is there.
+        save_every: Minutes between saved states.
+    """
+
+    diffusion: Path = Path("runs/diffusion/diffusion.safetensors")
+    cache: Path = Path("runs/data/character_bank.npz")
+    data: Path = Path("runs/data/motions")
+    out: Path = Path("runs/adaptation")
+    pairs: int = 2000
+    frames: int = 64
+    steps: int = 2000
+    batch: int = 12
+    edges: int = 500
+    strength: float = 0.02
+    calm: float = 0.03
+    label_steps: int = 1
+    label_weight: float = 1.0
+    spring_weight: float = 0.0
+    adversarial_weight: float = 0.0
+    mesh_frames: int = 32
+    frame: str = "joints"
+    mesh: bool = True
+    mesh_size: int = 64
+    learning_rate: float = 6e-4
+    decay: float = 1e-3
+    text_folder: Path | None = None
+    device: str | None = None
+    save_every: float = 5.0
+    validate_every: int = 100
+    seed: int = 0
+
 
 WEIGHED = ("label_weight", "spring_weight", "adversarial_weight", "pairs", "batch")
 """Settings that the layer's own file tells."""
@@ -307,7 +375,7 @@ def train_adaptation(
         nn.init.zeros_(model.adaptation_out.weight)  # what the layer said so far has another meaning
         nn.init.zeros_(model.adaptation_out.bias)
     frames = min(config.frames, model.config.frames) // model.config.frames_per_token * model.config.frames_per_token
-    sweep(config.out)
+    remove_leftovers(config.out)
     if encoder is None:
         name = model.config.text_encoder
         encoder = text_encoder(name, config.text_folder if name.startswith("clip") else None)

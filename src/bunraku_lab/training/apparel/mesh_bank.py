@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.apparel.sampled_mesh import SampledMesh, joint_distances, sampled_mesh
+from bunraku.apparel.learned.segmentation import SampledMesh, joint_distances, sampled_mesh
+from bunraku.apparel.physics.clothed_from_file import clothed_from_file
 from bunraku.core.character import Character
+from bunraku.core.files import atomic_write, remove_leftovers
 from bunraku.errors import BunrakuError, FormatError
-from bunraku.formats.files import atomic_write, sweep
-from bunraku.physics.told.clothed import clothed_from_file
 from bunraku_lab.datasets.apparel.plan import character_split
 
 __all__ = ["MeshSample", "build_meshes", "mesh_sample"]
@@ -83,7 +83,7 @@ def build_meshes(
     from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
     folder.mkdir(parents=True, exist_ok=True)
-    sweep(folder)
+    remove_leftovers(folder)
     out: dict[str, list[MeshSample]] = {"train": [], "val": [], "test": []}
     for done, seed in enumerate(range(first, first + count), 1):
         name = f"wardrobe_{seed:06d}"

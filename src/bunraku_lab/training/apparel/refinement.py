@@ -1,31 +1,274 @@
-"""Training of the joint refinement (section 4.4) on what the other networks say of the data set's characters."""
+"""The joint refinement f_j of section 4.4 of MMDMC: where apparel and body meet, the network that merges what both
+modules say, and its training.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import dijkstra
+from torch import nn
 
+from bunraku.apparel.body import eq4_transforms
 from bunraku.apparel.clothed import ClothedCharacter
-from bunraku.apparel.displacement.weights import DisplacementNetwork, load_displacement
-from bunraku.apparel.skinning import eq4_transforms
+from bunraku.apparel.learned.network import DisplacementNetwork, load_displacement
+from bunraku.core.files import atomic_write, remove_leftovers
+from bunraku.core.geometry.graph import clean_mesh, unique_edges
+from bunraku.core.nn.checkpoints import config_of, shipped_checkpoint
+from bunraku.core.skinning import skin
 from bunraku.errors import BunrakuError, FormatError, OptionError
-from bunraku.formats.files import atomic_write, sweep
-from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.datasets.apparel import ApparelData
-from bunraku_lab.training.apparel.networks.refinement import RefinementConfig, RefinementNetwork, save_refinement
-from bunraku_lab.training.apparel.networks.seam import seam_of
-from bunraku_lab.training.apparel.networks.tiled import clothed_by_mask, tiled
-from bunraku_lab.training.apparel.node_bank import truly_clothed
-from bunraku_lab.training.losses.apparel_losses import edge_loss, refinement_loss, vertex_loss
-from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
-from bunraku_lab.training.runs.settings import StepSettings
-from bunraku_lab.training.runs.training_run import Progress, Report
+from bunraku_lab.nn.checkpoints import load_network, save_network
+from bunraku_lab.training.apparel.body import clothed_by_mask, tiled
+from bunraku_lab.training.apparel.displacement import truly_clothed
+from bunraku_lab.training.losses.motion import edge_loss, refinement_loss, vertex_loss
+from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
 
-__all__ = ["RefinementTrainConfig", "RefinementTrainer", "SeamSample", "seam_sample", "train_refinement"]
+__all__ = [
+    "BASIS",
+    "INPUTS",
+    "RefinementConfig",
+    "RefinementNetwork",
+    "RefinementTrainConfig",
+    "RefinementTrainer",
+    "Seam",
+    "SeamFrame",
+    "SeamSample",
+    "load_refinement",
+    "refined",
+    "save_refinement",
+    "seam_of",
+    "seam_sample",
+    "train_refinement",
+]
+
+
+REACH = 0.12
+"""How far from apparel the body is refined too, along the edges, over the character's size [m]."""
+HOPS = (1, 4, 12)
+"""Edges over which what surrounds a vertex is averaged."""
+BASIS = len(HOPS) + 2
+"""Vectors that a refinement may be made of: the ways to the means around a vertex, what would even out its edges, and
+the way back to where the body alone has it."""
+INPUTS = 3 * BASIS + len(HOPS) + 2
+_SPREAD = 0.02  # of the vectors, over the character's size
+
+
+@dataclass(frozen=True, eq=False)
+class SeamFrame:
+    """One frame of S vertices.
+
+    Args:
+        vectors: In the frames of the carrying joints, over the size, shape (S, BASIS, 3), float32.
+        inputs: Input of the network, shape (S, INPUTS), float32.
+        turns: Frames of the carrying joints, shape (S, 3, 3), float32.
+    """
+
+    vectors: np.ndarray
+    inputs: np.ndarray
+    turns: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Seam:
+    """Apparel and the body about it, of one clothed character.
+
+    Args:
+        vertices: One of each position on the mesh, shape (S,).
+        copies: All vertices of these positions, shape (C,), and the row of each.
+        rows: As said.
+        edges: Between them, rows, shape (E, 2).
+        lengths: Of the edges at rest [m], shape (E,).
+        weights: Skinning weights that the body alone would have there, shape (S, 22).
+        rest: [m], shape (S, 3).
+        joint: Joint that carries each, by these weights, shape (S,).
+        still: Inputs that never change: apparel or not, its means around, and how many edges meet, shape
+            (S, len(HOPS) + 2).
+        around: Mean over the neighbours and the vertex itself, sparse (S, S).
+        scale: The clothed's size.
+    """
+
+    vertices: np.ndarray
+    copies: np.ndarray
+    rows: np.ndarray
+    edges: np.ndarray
+    lengths: np.ndarray
+    weights: np.ndarray
+    rest: np.ndarray
+    joint: np.ndarray
+    still: np.ndarray
+    around: csr_matrix
+    scale: float
+
+    def frame(self, positions: np.ndarray, affine: np.ndarray) -> SeamFrame:
+        """Features of one frame.
+
+        Args:
+            positions: Both modules' results tiled, of all vertices of the mesh [m], shape (V, 3).
+            affine: Affine transforms of the joints, shape (22, 3, 4).
+        """
+        now = np.asarray(positions[self.vertices], np.float32)
+        body = np.asarray(skin(self.rest, self.weights, affine[None])[0], np.float32)
+        away = now - body
+        means, smooth, done = [], away, 0
+        for hops in HOPS:
+            for _ in range(hops - done):
+                smooth = self.around @ smooth
+            means.append(smooth - away)
+            done = hops
+        world = np.stack([*means, self._evened(now), -away], axis=1) / np.float32(self.scale)
+        turns = np.asarray(affine[self.joint, :, :3], np.float32)
+        vectors = np.einsum("sba,skb->ska", turns, world)
+        inputs = np.concatenate([np.clip(vectors.reshape(len(now), -1) / _SPREAD, -6, 6), self.still], axis=1)
+        return SeamFrame(vectors, inputs.astype(np.float32), turns)
+
+    def _evened(self, now: np.ndarray) -> np.ndarray:
+        """Half of what edges are too long or too short by, along them, mean over those of a vertex, shape (S, 3)."""
+        a, b = self.edges.T
+        way = now[b] - now[a]
+        length = np.linalg.norm(way, axis=1)
+        step = way * (0.5 * (1 - self.lengths / np.maximum(length, 1e-9)))[:, None]
+        count = np.maximum(np.bincount(self.edges.reshape(-1), minlength=len(now)), 1)[:, None]
+        total = [np.bincount(a, column, len(now)) - np.bincount(b, column, len(now)) for column in step.T]
+        return np.asarray(np.stack(total, axis=1) / count, np.float32)
+
+
+def seam_of(clothed: ClothedCharacter, weights: np.ndarray) -> Seam:
+    """The seam of a clothed character.
+
+    Args:
+        clothed: The character.
+        weights: Skinning weights that the body alone would give all vertices, shape (V, 22).
+    """
+    clean = clean_mesh(clothed.rest, clothed.faces)
+    count, size = len(clean.vertices), clothed.scale
+    cloth = np.zeros(count, bool)
+    cloth[clean.index[clothed.apparel]] = True
+    edges = unique_edges(clean.faces, count)
+    points = clean.vertices * clean.scale
+    lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    graph = coo_matrix((lengths + 1e-9, (edges[:, 0], edges[:, 1])), shape=(count, count)).tocsr()
+    starts = np.flatnonzero(cloth)
+    if len(starts):
+        near = dijkstra(graph, directed=False, indices=starts, min_only=True, limit=REACH * size)
+        kept = np.flatnonzero(np.isfinite(near))
+    else:
+        kept = starts
+    index = np.full(count, -1)
+    index[kept] = np.arange(len(kept))
+    inside = (index[edges] >= 0).all(axis=1)
+    edges, lengths = index[edges[inside]], lengths[inside]
+    first = np.zeros(count, np.int64)
+    first[clean.index[::-1]] = np.arange(len(clean.index))[::-1]
+    vertices = first[kept]
+    rows = index[clean.index]
+    copies = np.flatnonzero(rows >= 0)
+    here = np.arange(len(kept))
+    pairs = np.concatenate([edges, edges[:, ::-1], np.stack([here, here], axis=1)])
+    around = coo_matrix((np.ones(len(pairs), np.float32), pairs.T), shape=(len(kept),) * 2).tocsr()
+    degree = np.asarray(around.sum(axis=1)).reshape(-1)
+    around = csr_matrix(around.multiply(1 / np.maximum(degree, 1)[:, None]), dtype=np.float32)
+    mask = cloth[kept].astype(np.float32)
+    still, smooth, done = [mask], mask, 0
+    for hops in HOPS:
+        for _ in range(hops - done):
+            smooth = around @ smooth
+        still.append(smooth)
+        done = hops
+    still.append(np.asarray(degree / 8, np.float32))
+    own = np.asarray(weights[vertices], np.float32)
+    return Seam(
+        vertices, copies, rows[copies], edges, lengths.astype(np.float32), own, np.asarray(clothed.rest[vertices]),
+        own.argmax(axis=1) if len(own) else np.zeros(0, np.int64), np.stack(still, axis=1), around, size,
+    )  # fmt: skip
+
+
+MOST = 1.0  # largest weight of a basis vector
+FREE = 0.01  # largest refinement beside them, over the character's size
+
+
+@dataclass(frozen=True)
+class RefinementConfig:
+    """Shape of the network.
+
+    Args:
+        width: Channels.
+    """
+
+    width: int = 48
+
+
+class RefinementNetwork(nn.Module):
+    """The network.
+
+    Args:
+        config: Its shape.
+    """
+
+    def __init__(self, config: RefinementConfig | None = None):
+        super().__init__()
+        self.config = config = config or RefinementConfig()
+        last = nn.Linear(config.width, BASIS + 3)
+        self.layers = nn.Sequential(
+            nn.Linear(INPUTS, config.width), nn.GELU(), nn.Linear(config.width, config.width), nn.GELU(), last
+        )
+        nn.init.zeros_(last.weight)  # it begins with both modules' results as they are
+        nn.init.zeros_(last.bias)
+
+    def forward(self, inputs: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
+        """Change of each vertex, which is added to tile(A, B) [MMDMC 16], shape (S, 3).
+
+        In the frame of the joint that carries the vertex and over the character's size, as what it is made of. The
+        paper's MLP reads the positions; ours reads how a vertex lies to those around it, so that it fits any mesh.
+
+        Args:
+            inputs: `SeamFrame.inputs`, shape (S, INPUTS).
+            vectors: `SeamFrame.vectors`, shape (S, BASIS, 3).
+        """
+        out = self.layers(inputs)
+        mixed: torch.Tensor = torch.einsum("sk,ska->sa", MOST * torch.tanh(out[:, :BASIS]), vectors)
+        return mixed + FREE * torch.tanh(out[:, BASIS:])
+
+
+@torch.no_grad()
+def refined(network: RefinementNetwork, seam: Seam, positions: np.ndarray, affine: np.ndarray) -> np.ndarray:
+    """A frame after the refinement, all vertices of the mesh [m], shape (V, 3).
+
+    Args:
+        network: The network.
+        seam: Of the clothed.
+        positions: Both modules' results tiled [m], shape (V, 3).
+        affine: Affine transforms of the joints, shape (22, 3, 4).
+    """
+    out = np.array(positions, np.float32)
+    if len(seam.vertices):
+        frame = seam.frame(positions, affine)
+        change = network(torch.from_numpy(frame.inputs), torch.from_numpy(frame.vectors)).numpy()
+        world = np.einsum("sab,sb->sa", frame.turns, change) * np.float32(seam.scale)
+        out[seam.copies] += world[seam.rows]
+    return out
+
+
+def save_refinement(
+    path: str | Path, model: RefinementNetwork, note: Mapping[str, object] | None = None, half: bool = False
+) -> Path:
+    """Write the weights with their config as a checkpoint of kind "apparel-refinement"."""
+    return save_network(path, model, "apparel-refinement", note, half)
+
+
+def load_refinement(path: str | Path) -> RefinementNetwork:
+    """Read a checkpoint of kind "apparel-refinement", ready to use.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """
+    return load_network(path, "apparel-refinement", lambda shape: RefinementNetwork(config_of(RefinementConfig, shape)))
+
 
 FRAMES = (8, 16, 28, 40)
 """Frames of a clip that are learned from."""
@@ -176,7 +419,7 @@ def _samples(config: RefinementTrainConfig, split: str, most: int, folder: Path)
     data = ApparelData(config.data, split)  # type: ignore[arg-type]
     network = load_displacement(config.weights or shipped_checkpoint("apparel-guessed"))
     folder.mkdir(parents=True, exist_ok=True)
-    sweep(folder)
+    remove_leftovers(folder)
     out: list[SeamSample] = []
     names = ("inputs", "vectors", "turns", "positions", "truth", "edges")
     for name in data.characters:

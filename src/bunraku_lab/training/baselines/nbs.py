@@ -11,13 +11,18 @@ import torch
 
 from bunraku.errors import OptionError
 from bunraku_lab.datasets.apparel import ApparelData
-from bunraku_lab.nn.baselines.blend_shapes import NbsConfig, NbsNetwork, load_nbs, local_turns, save_nbs
-from bunraku_lab.nn.baselines.edge_mesh import EdgeMesh, edge_mesh
-from bunraku_lab.nn.baselines.skinning import moved_by
-from bunraku_lab.training.baselines.clothed_bank import ClothedSample, build_clothed_bank
-from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
-from bunraku_lab.training.runs.settings import StepSettings
-from bunraku_lab.training.runs.training_run import Progress, Report
+from bunraku_lab.nn.blend_shapes import (
+    EdgeMesh,
+    NbsConfig,
+    NbsNetwork,
+    edge_mesh,
+    load_nbs,
+    local_rotations,
+    moved_by,
+    save_nbs,
+)
+from bunraku_lab.training.baselines.banks import ClothedSample, build_clothed_bank
+from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
 
 __all__ = ["NbsTrainConfig", "NbsTrainer", "train_nbs"]
 
@@ -91,7 +96,7 @@ class NbsTrainer(AveragedRun[NbsNetwork]):
         weights, logits, middles = model.skinned(points, mesh)
         if model.blend is not None:
             shapes, takes = model.blend(middles, logits, weights, mesh)
-            rest = rest + height * model.blend.moved(shapes, takes, local_turns(affine[..., :3]))
+            rest = rest + height * model.blend.moved(shapes, takes, local_rotations(affine[..., :3]))
         truth = torch.from_numpy(one.truth[poses])
         return moved_by(rest, weights, affine) / height, truth / height
 

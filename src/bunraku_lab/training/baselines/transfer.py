@@ -1,8 +1,5 @@
-"""Training of Skeleton-free Pose Transfer: how the parts of a target move with those of a posed source.
-
-With its own predictor of parts (the paper's recipe) the parts learn too: from Eq. 13 of TapMo on pairs of vertices,
-from centres that should lie near points all over the mesh, and from turned copies that should be taken apart alike.
-Without, they are those of the Mesh Handle Predictor.
+"""Training of Skeleton-free Pose Transfer, with the losses that no other training has: how the parts of a target move
+with those of a posed source.
 """
 
 from __future__ import annotations
@@ -14,30 +11,101 @@ from typing import Literal
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from bunraku.errors import OptionError
 from bunraku_lab.baselines.pose_transfer import graph_of, part_transforms
 from bunraku_lab.datasets.apparel import ApparelData
-from bunraku_lab.nn.baselines.part_graph import PartGraph
-from bunraku_lab.nn.baselines.pose_transfer import (
+from bunraku_lab.nn.blend_shapes import moved_by
+from bunraku_lab.nn.pose_transfer import (
+    PartGraph,
     TransferConfig,
     TransferNetwork,
     affine_of,
     part_centres,
     save_transfer,
 )
-from bunraku_lab.nn.baselines.skinning import moved_by
-from bunraku_lab.training.baselines.clothed_bank import build_clothed_bank
-from bunraku_lab.training.baselines.posed_bank import BankPlan, build_posed_bank
-from bunraku_lab.training.baselines.transfer_bank import clothed_targets
-from bunraku_lab.training.baselines.transfer_pairs import Pair, Target, drawn_pairs
-from bunraku_lab.training.losses.handle_losses import skinning_loss, skinning_pairs
-from bunraku_lab.training.losses.transfer_losses import chamfer_loss, far_points, transform_loss, weight_divergence
-from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
-from bunraku_lab.training.runs.settings import StepSettings
-from bunraku_lab.training.runs.training_run import Progress, Report
+from bunraku_lab.training.baselines.banks import (
+    BankPlan,
+    Pair,
+    Target,
+    build_clothed_bank,
+    build_posed_bank,
+    clothed_targets,
+    drawn_pairs,
+)
+from bunraku_lab.training.losses.handles import skinning_loss, skinning_pairs
+from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
 
-__all__ = ["PRESETS", "TransferTrainConfig", "TransferTrainer", "train_transfer"]
+__all__ = [
+    "PRESETS",
+    "TransferTrainConfig",
+    "TransferTrainer",
+    "chamfer_loss",
+    "far_points",
+    "train_transfer",
+    "transform_loss",
+    "weight_divergence",
+]
+
+
+QUATERNION = 0.5
+"""Weight of quaternions against translations."""
+
+
+def transform_loss(transforms: Tensor, truth: Tensor) -> Tensor:
+    """L1 of translations and half the L1 of quaternions, whose sign says nothing, mean over the parts.
+
+    Args:
+        transforms: Translation and unit quaternion of each part, shape (..., K, 7).
+        truth: The same of the truth, shape (..., K, 7).
+    """
+    shift = (transforms[..., :3] - truth[..., :3]).abs().sum(-1)
+    own, true = transforms[..., 3:], truth[..., 3:]
+    turn = torch.minimum((own - true).abs().sum(-1), (own + true).abs().sum(-1))
+    return (shift + QUATERNION * turn).mean()
+
+
+def far_points(points: Tensor, count: int) -> Tensor:
+    """Rows of farthest-point samples, shape (count,): each is the farthest from those before it, the first is the one
+    farthest from the mean.
+
+    Args:
+        points: Shape (M, 3).
+        count: At most M are taken.
+    """
+    away = (points - points.mean(0)).square().sum(1)
+    chosen: list[Tensor] = []
+    gap = torch.full_like(away, torch.inf)
+    for _ in range(min(count, len(points))):
+        row = away.argmax() if not chosen else gap.argmax()
+        chosen.append(row)
+        gap = torch.minimum(gap, (points - points[row]).square().sum(1))
+    return torch.stack(chosen)
+
+
+def chamfer_loss(centres: Tensor, points: Tensor) -> Tensor:
+    """The Chamfer distance of the parts' centres from points of the mesh: mean squared distance to the nearest of the
+    other set, both ways.
+
+    Args:
+        centres: Shape (K, 3).
+        points: Shape (P, 3).
+    """
+    squares = (centres[:, None] - points[None]).square().sum(-1)
+    return squares.amin(1).mean() + squares.amin(0).mean()
+
+
+def weight_divergence(logits: Tensor, other: Tensor) -> Tensor:
+    """Mean Kullback-Leibler divergence of two predictions for the same vertices, the second being held.
+
+    Args:
+        logits: Of the first before the softmax, shape (M, K).
+        other: Of the second, shape (M, K).
+    """
+    log, held = logits.log_softmax(-1), other.detach().log_softmax(-1)
+    return (held.exp() * (held - log)).sum(-1).mean()
+
 
 TURN = 0.35
 """Most that a copy is turned about +Y, whose parts should be the same [rad]."""

@@ -1,49 +1,177 @@
-"""Training of the denoiser (Eq. 6 to 9 of TapMo).
-
-A run folder holds `state.safetensors` (all that is needed to go on), `diffusion.safetensors` (the averaged weights,
-ready to use), `log.csv`, `events` (TensorBoard) and the encoded captions. The same command goes on where a run stopped.
-Under `accelerate launch` several processes train together: each draws batches of its own, and the first one writes.
+"""Training of the denoiser (Eq. 6 to 9 of TapMo), from scratch or from the weights of another run, and the card that
+says what the weights learned from.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from bunraku.diffusion.denoiser_config import PRESETS, DenoiserConfig
-from bunraku.diffusion.examples.attended import example_bank
-from bunraku.diffusion.examples.pack import ExamplePack, load_examples, read_pack
-from bunraku.diffusion.features import FeatureStatistics
+from bunraku.core.files import atomic_write, remove_leftovers
+from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.errors import OptionError, WeightsError
-from bunraku.formats.files import sweep
+from bunraku.generation.attended import example_bank
+from bunraku.generation.denoiser import EXAMPLE_TOKENS
+from bunraku.generation.features import FeatureStatistics
+from bunraku.generation.layers import PRESETS, DenoiserConfig
+from bunraku.generation.pack import ExamplePack, load_examples, read_pack
 from bunraku.language.encoders import MiniLMEncoder, TextEncoder, text_encoder
-from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku_lab.datasets.characters.bank_file import load_character_bank
-from bunraku_lab.datasets.motions.bundle import read_bundle
+from bunraku_lab.datasets.characters.bank import load_character_bank
+from bunraku_lab.datasets.motions.clips import read_bundle
+from bunraku_lab.datasets.motions.sources import credit_lines
 from bunraku_lab.nn.checkpoints import load_training_state
-from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
-from bunraku_lab.training.diffusion.batch_source import BatchesAhead, BatchSource, PooledBatches, Sources
-from bunraku_lab.training.diffusion.card import training_card, write_card
-from bunraku_lab.training.diffusion.config import SHIPPED
-from bunraku_lab.training.diffusion.trainer import Example, Trainer, TrainingConfig
-from bunraku_lab.training.diffusion.warm_start import start_from
-from bunraku_lab.training.rows.clip_data import load_clips
+from bunraku_lab.nn.denoiser import Denoiser, load_denoiser
+from bunraku_lab.training.diffusion.trainer import (
+    SHIPPED,
+    BatchesAhead,
+    BatchSource,
+    Example,
+    PooledBatches,
+    Sources,
+    Trainer,
+    TrainingConfig,
+)
+from bunraku_lab.training.rows.banks import TextBank, load_mesh_bank
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
-from bunraku_lab.training.rows.mesh_bank import load_mesh_bank
-from bunraku_lab.training.rows.rehearsal import rehearsal_clips
-from bunraku_lab.training.rows.text_bank import TextBank
-from bunraku_lab.training.runs.ahead import forking
-from bunraku_lab.training.runs.events import EventLog
-from bunraku_lab.training.runs.processes import open_processes
-from bunraku_lab.training.runs.runs import Stop, logged_columns
-from bunraku_lab.training.runs.training_run import TrainingRun
+from bunraku_lab.training.rows.clips import ClipEntry, load_clips, rehearsal_clips
+from bunraku_lab.training.runs.processes import forking, open_processes
+from bunraku_lab.training.runs.run import EventLog, Stop, TrainingRun, logged_columns
 
-__all__ = ["TrainingConfig", "train_diffusion"]
+__all__ = ["TrainingConfig", "rescaled", "start_from", "train_diffusion", "training_card", "write_card"]
+
+
+_HEAD = "adaptation_out."
+_FREE = {"adaptation_mesh", "adaptation_frame", "examples"}
+"""What may differ: the adaptation's layer is small and trained anew, and examples begin without effect."""
+
+
+@torch.no_grad()
+def rescaled(model: Denoiser, mean: torch.Tensor, std: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Weights that say of motions in other units what a denoiser says of them in its own.
+
+    Network units are `(value - mean) / std`. The first and the last layer are linear in them, so the change of units
+    goes into these two layers without loss: the same clean motion gives the same prediction. Noise, which has the same
+    size in any units, does not.
+
+    Args:
+        model: The denoiser.
+        mean: The new statistics, shape (D,).
+        std: The same, shape (D,).
+
+    Returns:
+        A state for a denoiser of the same config.
+    """
+    state = {name: value.clone() for name, value in model.state_dict().items()}
+    patch = model.config.frames_per_token
+    scale, shift = ((std / model.std).float().repeat(patch), ((mean - model.mean) / model.std).float().repeat(patch))
+    weight = state["motion_in.weight"].float()
+    state["motion_in.bias"] = state["motion_in.bias"].float() + weight @ shift
+    state["motion_in.weight"] = weight * scale
+    state["motion_out.weight"] = state["motion_out.weight"].float() / scale[:, None]
+    state["motion_out.bias"] = (state["motion_out.bias"].float() - shift) / scale
+    state["mean"], state["std"] = mean.clone(), std.clone()
+    return state
+
+
+def start_from(path: str | Path, model: Denoiser) -> None:
+    """Give a new denoiser the weights of a checkpoint, in the units of its own statistics; its adaptation's layer stays
+    as it is.
+
+    Args:
+        path: A checkpoint of kind "diffusion".
+        model: The new denoiser, its `mean` and `std` set.
+
+    Raises:
+        OptionError: The checkpoint is of another network.
+        WeightsError: It is missing or broken.
+    """
+    old = load_denoiser(path)
+    names = [field.name for field in fields(DenoiserConfig) if field.name not in _FREE]
+    other = [name for name in names if getattr(old.config, name) != getattr(model.config, name)]
+    if other:
+        raise OptionError(
+            f"{path}: a run cannot start from this network, whose {', '.join(other)} differ; give the preset that it "
+            "was trained with"
+        )
+    state = rescaled(old, model.mean.cpu(), model.std.cpu())
+    if model.config.examples and not old.config.examples:  # examples are read as motions are
+        state["example_in.weight"] = state["motion_in.weight"].repeat(1, EXAMPLE_TOKENS) / EXAMPLE_TOKENS
+        state["example_in.bias"] = state["motion_in.bias"].clone()
+    kept = {name: value for name, value in state.items() if not name.startswith(_HEAD)}
+    model.load_state_dict(kept, strict=False)
+
+
+_CREDITS = "## Credits"
+
+
+def training_card(clips: Mapping[str, ClipEntry], config: TrainingConfig) -> str:
+    """A model card in Markdown.
+
+    The terms of the weights that a run starts from hold for what comes out of it, so their credits are carried on.
+
+    Args:
+        clips: All clips of the data, those that are held out too.
+        config: The run.
+    """
+    learned = {name: entry for name, entry in clips.items() if entry.get("split", "train") == "train"}
+    seconds: Counter[str] = Counter()
+    for entry in learned.values():
+        seconds[entry.get("licence") or "unknown"] += len(entry["features"]) / 20  # type: ignore[assignment]
+    lines = [
+        "# Model card",
+        "",
+        "The Shape-aware Motion Diffusion (section 3.2 of TapMo), trained with `bunraku train diffusion` on "
+        f"{len(learned)} clips, {sum(seconds.values()) / 60:.1f} minutes.",
+        "",
+        "| licence of the clips | minutes |",
+        "| --- | ---: |",
+        *(f"| {licence} | {value / 60:.1f} |" for licence, value in seconds.most_common()),
+        "",
+    ]
+    if config.start is not None:
+        lines += [f"It went on from {config.start.name}, whose terms hold for it too.", ""]
+    if config.rehearse:
+        lines += [f"Of people's rows {config.rehearse:.0%} were captured examples that Bunraku brings.", ""]
+    own = [f"{entry['credit']}. Licence: {entry['licence']}." for entry in learned.values() if entry.get("credit")]
+    credits = list(dict.fromkeys([*credit_lines(learned), *own, *_carried(config)]))
+    if credits:
+        lines += [_CREDITS, "", *(f"- {line}" for line in credits), ""]
+    return "\n".join(lines)
+
+
+def _carried(config: TrainingConfig) -> list[str]:
+    """The credits of the weights that the run starts from, and of the examples that it rehearses, where their cards are
+    beside them.
+    """
+    names = ["diffusion"] if config.start == SHIPPED else []
+    names += ["examples"] if config.rehearse else []
+    cards = [] if config.start in (None, SHIPPED) else [config.start.with_suffix(".md")]  # type: ignore[union-attr]
+    for name in names:
+        try:
+            cards.append(shipped_checkpoint(name).with_suffix(".md"))
+        except WeightsError:
+            continue
+    found = []
+    for card in cards:
+        if card.is_file():
+            text = card.read_text(encoding="utf-8", errors="replace").partition(_CREDITS)[2]
+            found += [line[2:].strip() for line in text.splitlines() if line.startswith("- ")]
+    return found
+
+
+def write_card(weights: Path, card: str) -> Path:
+    """Write a card beside weights."""
+    path = weights.with_suffix(".md")
+    with atomic_write(path) as file:
+        file.write(card.encode())
+    return path
 
 
 def _statistics(path: Path) -> FeatureStatistics | None:
@@ -103,7 +231,7 @@ def train_diffusion(
         raise OptionError(f"the share that is rehearsed must be 0 to below 1, not {config.rehearse:g}")
     shipped = load_denoiser(shipped_checkpoint("diffusion")) if config.start == SHIPPED else None
     config.prepare()
-    sweep(config.out)
+    remove_leftovers(config.out)
     processes = open_processes(config.device)
     console = Console(quiet=not processes.main)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())

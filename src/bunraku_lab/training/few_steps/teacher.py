@@ -1,32 +1,40 @@
-"""The sampler that users have, on the device that learns: what a student of few steps is shown.
-
-Guidance by the sentence and by the critic at each step, as `bunraku.diffusion.sampling` has them for arrays; a test
-holds the two together.
+"""What a student of few steps learns from: the sampler that users have, on the device that learns, and the motions that
+it draws in many steps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from bunraku.diffusion.extractor_config import RADIUS, SHORTEST
-from bunraku.diffusion.sampling.classifier_guidance import LAST, SPREAD, STRENGTH
-from bunraku.diffusion.sampling.sampler import GUIDED_FROM, ROOT, token_share
-from bunraku.diffusion.sampling.solvers import dpm_solver, sampling_steps
-from bunraku.geometry.filters import CUT
-from bunraku_lab.nn.diffusion.denoiser import Denoiser
-from bunraku_lab.nn.diffusion.matching import Extractor
-from bunraku_lab.nn.text import TextBatch
-from bunraku_lab.training.rows.drawn_rows import DrawnRows
+from bunraku.core.geometry.curves import CUT
+from bunraku.generation.classifier_guidance import LAST, SPREAD, STRENGTH
+from bunraku.generation.extractor import RADIUS, SHORTEST
+from bunraku.generation.sampler import GUIDED_FROM, ROOT, alphas_cumprod, dpm_solver, sampling_steps, token_share
+from bunraku_lab.nn.denoiser import Denoiser, RetrievedExamples
+from bunraku_lab.nn.text import Extractor, TextBatch
+from bunraku_lab.training.rows.workers import DrawnRows
 
-__all__ = ["Teacher", "smoothed"]
+__all__ = [
+    "NODES",
+    "STEPS",
+    "Teacher",
+    "Trajectories",
+    "ddim",
+    "ddim_shares",
+    "draw_trajectories",
+    "smoothed",
+    "visited_steps",
+]
 
 
-class _Told(NamedTuple):
+class _Conditions(NamedTuple):
     """What does not depend on the step: conditions with and without the sentence, the critic's vectors of the sentences
     (B, E), and which rows it guides (B,).
     """
@@ -73,7 +81,7 @@ class Teacher:
         return cast(Tensor, dpm_solver(predict, cast(Any, x), self.steps[start:]))
 
     @torch.no_grad()
-    def _told(self, rows: DrawnRows) -> _Told:
+    def _told(self, rows: DrawnRows) -> _Conditions:
         text, yes = rows.text, torch.ones_like(rows.known)
         known = rows.known if rows.mesh is not None else ~yes
         with self._precision():
@@ -85,12 +93,12 @@ class Teacher:
         if self.critic is not None:
             size = self.critic.config.pooled_size
             goals = self.critic.text(TextBatch(text.tokens, text.mask, text.pooled[:, :size])) / RADIUS
-        return _Told(sentence, nothing, goals, rows.person & (rows.lengths >= SHORTEST))
+        return _Conditions(sentence, nothing, goals, rows.person & (rows.lengths >= SHORTEST))
 
     def _precision(self) -> torch.autocast:
         return torch.autocast(self.model.mean.device.type, torch.bfloat16, enabled=self.bf16)
 
-    def _run(self, x: Tensor, step: int, lengths: Tensor, told: _Told) -> Tensor:
+    def _run(self, x: Tensor, step: int, lengths: Tensor, told: _Conditions) -> Tensor:
         """x0 as the sentence guides it, without the critic."""
         steps = torch.full((len(x),), step, device=x.device)
         with torch.no_grad(), self._precision():
@@ -100,7 +108,7 @@ class Teacher:
                 x0 = unled + self.guidance * (x0 - unled)
         return x0
 
-    def _predict(self, x: Tensor, step: int, lengths: Tensor, told: _Told) -> Tensor:
+    def _predict(self, x: Tensor, step: int, lengths: Tensor, told: _Conditions) -> Tensor:
         x0, patch = self._run(x, step, lengths, told), self.model.config.frames_per_token
         if step == self.steps[-1] and patch > 1:  # see `sampler._Group.predict`
             ahead = patch // 2
@@ -139,3 +147,118 @@ def smoothed(values: Tensor, lengths: Tensor, spread: float = SPREAD) -> Tensor:
         places = torch.minimum((at + away).clamp(min=0), lengths[:, None] - 1)
         out += float(weight) * values.gather(1, places[..., None].expand(-1, -1, values.shape[2]))
     return out * (at < lengths[:, None])[..., None]
+
+
+STEPS = 20
+"""Of the teacher."""
+NODES = (0, 7, 11, 15)
+"""Which of its steps are the student's. The third is below `LED_UNTIL`: down to there an example stands for what is
+predicted.
+"""
+Roll = Callable[[DrawnRows, Tensor, int], Tensor]
+"""The student's own way from x (B, N, D) at its first step down to a step of that number."""
+
+
+def ddim_shares(visited: Sequence[int]) -> np.ndarray:
+    """How a step of DDIM from each visited step to the next mixes: the share of x_t and that of x0, shape (S, 2)."""
+    curve = alphas_cumprod()
+    alpha = [math.sqrt(curve[step]) for step in visited] + [1.0]
+    sigma = [math.sqrt(1 - curve[step]) for step in visited] + [0.0]
+    ratios = [after / before for before, after in zip(sigma, sigma[1:], strict=False)]
+    return np.array([[r, after - before * r] for r, before, after in zip(ratios, alpha, alpha[1:], strict=False)])
+
+
+def ddim(visited: Sequence[int], node: int, x: Tensor, x0: Tensor) -> Tensor:
+    """x at the next node, from x at this one and what is predicted there."""
+    own, clean = ddim_shares(visited)[node]
+    return float(own) * x + float(clean) * x0
+
+
+def visited_steps(teacher: Teacher) -> tuple[int, ...]:
+    """The student's diffusion steps, falling."""
+    return tuple(teacher.steps[node] for node in NODES)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectories:
+    """Trajectories of a batch of rows.
+
+    Args:
+        rows: What they are told, without their motions, numbers in half precision.
+        stations: Where they are at each of the student's steps from `start` on, and at their ends, shape (S + 1, B, N,
+            D), float16.
+        start: The first of these steps.
+    """
+
+    rows: DrawnRows
+    stations: Tensor
+    start: int
+
+    def __len__(self) -> int:
+        return len(self.rows.lengths)
+
+    @property
+    def lessons(self) -> int:
+        """How many steps of the student's they show."""
+        return len(self) * (len(self.stations) - 1)
+
+    def some(self, rows: Tensor, nodes: Tensor) -> tuple[DrawnRows, Tensor, Tensor]:
+        """What rows are told, where they are at nodes (B,), and where at the next, shape (B, N, D) each, float32."""
+        here, there = (self.stations[nodes - self.start + later, rows].float() for later in (0, 1))
+        return _wide(self.rows, rows), here, there
+
+
+def draw_trajectories(
+    teacher: Teacher, rows: DrawnRows, random: torch.Generator, start: int = 0, roll: Roll | None = None
+) -> Trajectories:
+    """The trajectories of a batch of rows.
+
+    Args:
+        teacher: Draws them.
+        rows: Motions in network units, and what is told of them.
+        random: Draws the noise, on the rows' device.
+        start: The student's step that the teacher begins at.
+        roll: How the student gets there by itself; None noises the captured motions.
+    """
+    visited = visited_steps(teacher)
+    noise = torch.randn(rows.clean.shape, generator=random, device=rows.clean.device)
+    x = noise
+    if start and roll is not None:
+        x = roll(rows, noise, start)
+    elif start:
+        share = float(alphas_cumprod()[visited[start]])
+        x = math.sqrt(share) * rows.clean + math.sqrt(1 - share) * noise
+    stations: list[Tensor] = []
+
+    def seen(step: int, x: Tensor) -> None:
+        if step in visited:
+            stations.append(x.half())
+
+    stations.append(teacher(rows, x, NODES[start], seen).half())
+    return Trajectories(_narrow(rows), torch.stack(stations), start)
+
+
+def _narrow(rows: DrawnRows) -> DrawnRows:
+    """Without motions, in half precision: many are kept."""
+    text, found = rows.text, rows.examples
+    return replace(
+        rows,
+        clean=rows.clean[:, :0],
+        text=TextBatch(text.tokens.half(), text.mask, text.pooled),
+        examples=None if found is None else RetrievedExamples(found.values.half(), found.lengths, found.pooled),
+    )
+
+
+def _wide(rows: DrawnRows, some: Tensor) -> DrawnRows:
+    """Some of the rows, as networks read them."""
+    text = TextBatch(rows.text.tokens[some].float(), rows.text.mask[some], rows.text.pooled[some])
+    found = None if rows.examples is None else rows.examples.rows(some)
+    return DrawnRows(
+        rows.clean[some],
+        rows.lengths[some],
+        text,
+        None if rows.mesh is None else rows.mesh[some],
+        rows.known[some],
+        rows.person[some],
+        None if found is None else RetrievedExamples(found.values.float(), found.lengths, found.pooled),
+    )

@@ -1,9 +1,5 @@
-"""Distillation of the denoiser into few steps: guidance by the sentence and by the critic in the weights.
-
-What learns is a thin change of each matrix (`nn.diffusion.low_rank`), so the file is small and the denoiser keeps its
-many steps. The lessons are drawn while the student learns (`trajectories`), and each is used some times.
-
-A run folder holds `state.safetensors` (to go on from), `few-steps.safetensors` (the averaged changes) and `log.csv`.
+"""Distillation of the denoiser into few steps: guidance by the sentence and by the critic in the weights, as a low-rank
+change (Hu et al. 2022).
 """
 
 from __future__ import annotations
@@ -11,50 +7,167 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.utils import parametrize
 
-from bunraku.diffusion.examples.attended import example_bank
-from bunraku.diffusion.examples.pack import load_examples
-from bunraku.diffusion.extractor_config import RANKER
-from bunraku.diffusion.features import FeatureStatistics, feature_weights
-from bunraku.diffusion.inference.few_steps import KIND, fingerprint
+from bunraku.core.files import weights_file
+from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint, shipped_checkpoint
 from bunraku.errors import OptionError
-from bunraku.formats.files import weights_file
+from bunraku.generation.attended import example_bank
+from bunraku.generation.denoiser import FEW_STEPS_KIND, fingerprint
+from bunraku.generation.extractor import RANKER
+from bunraku.generation.features import FeatureStatistics, feature_weights
+from bunraku.generation.pack import load_examples
 from bunraku.language.encoders import CuedEncoder, TextEncoder, text_encoder
-from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint, shipped_checkpoint
 from bunraku_lab.nn.checkpoints import TrainingState
-from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
-from bunraku_lab.nn.diffusion.denoiser import Denoiser
-from bunraku_lab.nn.diffusion.low_rank import changes_of, with_changes
-from bunraku_lab.nn.diffusion.matching import load_extractor
-from bunraku_lab.training.few_steps.rows import PooledRows, RowsInTurn, RowSource
-from bunraku_lab.training.few_steps.teacher import Teacher
-from bunraku_lab.training.few_steps.trajectories import (
+from bunraku_lab.nn.denoiser import Denoiser, load_denoiser
+from bunraku_lab.nn.text import load_extractor
+from bunraku_lab.training.few_steps.teacher import (
     STEPS,
+    Teacher,
     Trajectories,
     ddim,
+    ddim_shares,
     draw_trajectories,
-    places,
     visited_steps,
 )
-from bunraku_lab.training.losses.motion_loss import motion_losses
-from bunraku_lab.training.rows.clip_data import load_clips
+from bunraku_lab.training.losses.motion import motion_losses
+from bunraku_lab.training.rows.banks import TextBank, load_mesh_bank
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
-from bunraku_lab.training.rows.drawn_rows import DrawnRows
-from bunraku_lab.training.rows.mesh_bank import load_mesh_bank
-from bunraku_lab.training.rows.row_workers import RowMaker
-from bunraku_lab.training.rows.text_bank import TextBank
-from bunraku_lab.training.runs.ahead import forking
-from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
-from bunraku_lab.training.runs.half_precision import bf16_is_fast
-from bunraku_lab.training.runs.settings import StepSettings
-from bunraku_lab.training.runs.training_run import Progress, Report
+from bunraku_lab.training.rows.clips import load_clips
+from bunraku_lab.training.rows.workers import DrawnRows, FedPool, MadeRows, RowMaker, RowPool, RowWorkers
+from bunraku_lab.training.runs.processes import forking
+from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote, bf16_is_fast
 
-__all__ = ["FewStepsConfig", "FewStepsRun", "train_few_steps"]
+__all__ = [
+    "FewStepsConfig",
+    "FewStepsRun",
+    "LowRank",
+    "PooledRows",
+    "RowSource",
+    "RowsInTurn",
+    "changes_of",
+    "train_few_steps",
+    "with_changes",
+]
+
+
+class LowRank(nn.Module):
+    """W + U D, where W (O, I) stays as it is.
+
+    Args:
+        matrix: W.
+        rank: Columns of U and rows of D. U begins at zero, so the network says at first what it said.
+    """
+
+    def __init__(self, matrix: Tensor, rank: int):
+        super().__init__()
+        rows, columns = matrix.shape
+        self.up = nn.Parameter(torch.zeros(rows, rank))
+        self.down = nn.Parameter(torch.randn(rank, columns) * columns**-0.5)
+
+    def forward(self, matrix: Tensor) -> Tensor:
+        """The changed matrix."""
+        return matrix + self.up @ self.down
+
+
+def with_changes(model: nn.Module, rank: int, without: tuple[str, ...] = ()) -> nn.Module:
+    """The model itself, where every linear layer's matrix has a change of at most this rank that learns, and nothing
+    else does.
+
+    Args:
+        model: Changed in place.
+        rank: Of each change, less in smaller matrices.
+        without: Layers by name that keep their matrices.
+    """
+    model.requires_grad_(False)
+    for name, layer in list(model.named_modules()):
+        if isinstance(layer, nn.Linear) and name not in without:
+            change = LowRank(layer.weight, min(rank, *layer.weight.shape))
+            parametrize.register_parametrization(layer, "weight", change)
+    return model
+
+
+def changes_of(model: nn.Module) -> dict[str, Tensor]:
+    """U and D of each changed matrix, as "NAME.up" and "NAME.down"."""
+    found = {}
+    for name, layer in model.named_modules():
+        if isinstance(layer, LowRank):
+            matrix = name.replace(".parametrizations.weight.0", ".weight")
+            found[f"{matrix}.up"], found[f"{matrix}.down"] = layer.up.detach(), layer.down.detach()
+    return found
+
+
+class RowSource(Protocol):
+    """Rows with the examples that who animates finds."""
+
+    def __call__(self, number: int) -> DrawnRows:
+        """Batch of that number."""
+        ...
+
+    def close(self) -> None:
+        """End what makes rows."""
+        ...
+
+
+class RowsInTurn:
+    """Rows made when they are asked for: a pure function of the maker's seed.
+
+    Args:
+        maker: Makes them.
+        rows: Of a batch.
+        frames: Longest row.
+        device: Where they are wanted.
+    """
+
+    def __init__(self, maker: RowMaker, rows: int, frames: int, device: torch.device):
+        self.maker, self.pool = maker, RowPool(rows, frames, device, maker.meshes)
+
+    def __call__(self, number: int) -> DrawnRows:
+        """See `RowSource`."""
+        return self.of(self.maker(number, self.pool.size))
+
+    def of(self, made: MadeRows) -> DrawnRows:
+        """Made rows on the device, padded to the longest."""
+        self.pool.added = 0
+        self.pool.add(made)
+        rows = self.pool.rows(torch.arange(len(self.pool), device=self.pool.device), nearest=True)
+        return replace(rows, clean=rows.clean[:, : int(rows.lengths.max())])
+
+    def close(self) -> None:
+        """See `RowSource`."""
+
+
+class PooledRows:
+    """Rows from a pool on the device; a run that goes on fills it anew.
+
+    Args:
+        maker: Makes them.
+        workers: Processes that do.
+        rows: Of a batch.
+        pool: Rows that are kept.
+        frames: Longest row.
+        device: Where they are wanted.
+    """
+
+    def __init__(self, maker: RowMaker, workers: int, rows: int, pool: int, frames: int, device: torch.device):
+        self.size, self.seed = rows, maker.seed
+        self.fed = FedPool(RowPool(pool, frames, device, maker.meshes), RowWorkers(maker, workers))
+
+    def __call__(self, number: int) -> DrawnRows:
+        """See `RowSource`."""
+        self.fed.feed(self.size)
+        random = torch.Generator(self.fed.pool.device).manual_seed(self.seed * 1_000_003 + number)
+        return self.fed.pool.draw(self.size, random, nearest=True)
+
+    def close(self) -> None:
+        """See `RowSource`."""
+        self.fed.close()
+
 
 _BATCHES = 4
 """Of rows that are kept at the least, so that a step's lessons are not all of one kind of start."""
@@ -132,7 +245,7 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
         held: Rows that are held out; None for none.
     """
 
-    kind = KIND
+    kind = FEW_STEPS_KIND
     config: FewStepsConfig
 
     def __init__(
@@ -147,7 +260,7 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
         self.kept: deque[Trajectories] = deque(maxlen=max(_BATCHES, config.kept // config.rows))
         self.owed, self.drawn = 0.0, 0
         self.weights = torch.from_numpy(feature_weights()).to(self.device)
-        self.places = torch.from_numpy(places(self.visited).astype(np.float32)).to(self.device)
+        self.places = torch.from_numpy(ddim_shares(self.visited).astype(np.float32)).to(self.device)
         self.held = None if held is None else draw_trajectories(teacher, held, self._noise(-1))
         self.held_out = [] if self.held is None else [self.held]
 
@@ -159,7 +272,7 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
         """
         if self.config.start is None:
             return
-        changes, _ = load_checkpoint(self.config.start, KIND)
+        changes, _ = load_checkpoint(self.config.start, FEW_STEPS_KIND)
         own = {
             name.replace(".weight.", ".parametrizations.weight.0."): torch.from_numpy(value)
             for name, value in changes.items()
@@ -280,7 +393,7 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
             "of": fingerprint(state), "visited": list(self.visited), "guidance": self.teacher.guidance,
             "critic": self.teacher.critic is not None, "notes": dict(note),
         }  # fmt: skip
-        return save_checkpoint(self.checkpoint, changes, config, KIND, half=True)
+        return save_checkpoint(self.checkpoint, changes, config, FEW_STEPS_KIND, half=True)
 
 
 def train_few_steps(

@@ -1,32 +1,161 @@
-"""Training rows: clips loaded, drawn, mirrored and joined, each with a sentence and a mesh.
-
-Every batch is a pure function of the seed and its number, so a run that was killed goes on with the very batches it
-would have seen.
+"""Training rows: clips drawn (rare events as often as common ones), mirrored and joined, each with a sentence and a
+mesh.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.features import FeatureStatistics, decode, feature_weights, mirror
-from bunraku.diffusion.splicing import join_point, splice
-from bunraku.language.captions.phrases import caption_group, mirror_words
-from bunraku.language.description.track import Phrase
-from bunraku_lab.description.describe import describe, inside
-from bunraku_lab.description.wording import borrowed_sentence, can_do, computed_sentence, creature_subjects, verbs
-from bunraku_lab.training.rows.clip_data import MIN_FRAMES, ClipEntry
-from bunraku_lab.training.rows.event_pool import EventPool
-from bunraku_lab.training.rows.joining import link
-from bunraku_lab.training.rows.joins import goes, joins_of
-from bunraku_lab.training.rows.stretches import goes_on, joined_sentence
-from bunraku_lab.training.rows.training_clip import TrainingClip
+from bunraku.generation.agreement import Phrase, Track
+from bunraku.generation.features import FeatureStatistics, decode, feature_weights, mirror
+from bunraku.generation.splicing import FEWEST, Joins, join_point, splice, standing_stretches
+from bunraku.language.captions import caption_group, conjugate, is_stative, mirror_words
+from bunraku_lab.description.events import find_punches, find_seats
+from bunraku_lab.description.wording import (
+    borrowed_sentence,
+    can_do,
+    computed_sentence,
+    creature_subjects,
+    describe,
+    inside,
+    verbs,
+)
+from bunraku_lab.training.rows.clips import MIN_FRAMES, ClipEntry, TrainingClip, goes_on, joined_sentence
 
-__all__ = ["ClipSet", "MotionBatch", "Row"]
+__all__ = ["ClipSet", "EventPool", "MotionBatch", "Row", "goes", "joins_of", "link"]
+
+
+ENOUGH = 40
+"""Events of a kind from which on more do not make it more frequent."""
+_MARGIN = 8  # frames of a row that are left for what stands around an event
+_AWAY = ("backwards", "sideways")
+_SEATED = {"sit", "stand up"}
+
+
+class EventPool:
+    """Events of all clips, by what is said of them; left and right count as one, since rows are mirrored.
+
+    Args:
+        clips: Training clips; people's are looked at.
+        phrases_of: What can be said of a clip by its numbers.
+        motion_of: The motion of a clip.
+        frames: Longest row.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[TrainingClip],
+        phrases_of: Callable[[TrainingClip], list[Phrase]],
+        motion_of: Callable[[TrainingClip], HandleMotion],
+        frames: int,
+    ):
+        self.clips = clips
+        self.phrases: dict[int, list[Phrase]] = {}
+        self.kinds: dict[str, list[tuple[int, Phrase]]] = {}
+        for index, clip in enumerate(clips):
+            if clip.species is not None:
+                continue
+            phrases = list(phrases_of(clip))
+            if clip.watched:
+                track = Track.of(motion_of(clip)) if {"punch", *_SEATED} & set(clip.actions) else None
+                phrases += find_punches(track) if track is not None and "punch" in clip.actions else []
+                seats = find_seats(track) if track is not None and _SEATED & set(clip.actions) else []
+                phrases = [phrase for phrase in phrases if not _within(phrase, seats)] + seats
+            self.phrases[index] = sorted(phrases, key=lambda phrase: (phrase.start, phrase.stop, phrase.kind))
+            for phrase in phrases:
+                if _tells(phrase) and phrase.stop - phrase.start < frames - _MARGIN:
+                    self.kinds.setdefault(_kind(phrase), []).append((index, phrase))
+        self._names = sorted(self.kinds)
+        worth = np.array([min(len(self.kinds[name]), ENOUGH) ** 0.5 for name in self._names])
+        self._share = worth / worth.sum() if len(worth) else worth
+
+    def draw(self, random: np.random.Generator) -> tuple[TrainingClip, Phrase, list[Phrase]] | None:
+        """One event, with its clip and all that can be said of that; None where there is no event."""
+        if not self._names:
+            return None
+        name = self._names[int(random.choice(len(self._names), p=self._share))]
+        index, phrase = self.kinds[name][int(random.integers(len(self.kinds[name])))]
+        return self.clips[index], phrase, self.phrases[index]
+
+
+def _tells(phrase: Phrase) -> bool:
+    if phrase.kind == "go":
+        return any(way in part for part in phrase.manner for way in _AWAY)
+    return phrase.kind != "still"
+
+
+def _within(phrase: Phrase, seats: Sequence[Phrase]) -> bool:
+    """Whether it is a bend that is part of sitting down or standing up."""
+    return phrase.kind == "bend" and any(min(phrase.stop, seat.stop) > max(phrase.start, seat.start) for seat in seats)
+
+
+def _kind(phrase: Phrase) -> str:
+    return min(phrase.texts[0], mirror_words(phrase.texts[0]))
+
+
+_SUBJECTS = ("a person", "someone", "the character", "a human", "the person", "a man", "a woman", "he", "she")
+# {1t} is the first clause in the third person, {2g} the second as a gerund, {1p} plain; {s} the subject
+_TWO = (
+    "{s} {1t} and then {2t}", "{s} {1t}, then {2t}", "{s} {1t} and {2t}", "{s} {1t}, and then {2t}",
+    "first {s} {1t}, then {2t}",
+    "{1p}, then {2p}", "{1p} and then {2p}", "first {1p}, then {2p}", "{1t}, then {2t}",
+    "{s} {1t}, and after that {2t}",
+    "{s} {1t} before {2g}", "{s} {1t}, followed by {2g}", "after {1g}, {s} {2t}", "{s} {2t} after {1g}",
+    "{s} is {1g}, then {2g}",
+    "{s} starts by {1g} and then {2t}", "{s} {1t}, afterwards {2t}", "{s} {1t} and finally {2t}",
+)  # fmt: skip
+_THREE = (
+    "{s} {1t}, {2t} and then {3t}", "{s} {1t}, then {2t}, then {3t}", "{s} {1t}, then {2t} and {3t}",
+    "first {s} {1t}, then {2t} and finally {3t}",
+    "{1p}, then {2p}, then {3p}", "{1t}, {2t}, then {3t}", "{s} {1t} and then {2t} before {3g}",
+    "after {1g}, {s} {2t} and then {3t}",
+    "{s} starts by {1g}, then {2t}, and finally {3t}",
+)  # fmt: skip
+
+
+def link(phrases: Sequence[str], random: np.random.Generator, subjects: Sequence[str] = _SUBJECTS) -> str:
+    """One sentence for two or three phrases that follow each other in time.
+
+    Args:
+        phrases: With their verbs in braces, as `grammar` has them.
+        random: Chooses the form and the subject.
+        subjects: To choose from.
+    """
+    frames: tuple[str, ...] = _TWO if len(phrases) == 2 else _THREE
+    stative = [str(index + 1) for index, phrase in enumerate(phrases) if is_stative(phrase)]
+    frames = tuple(frame for frame in frames if not any(f"{{{index}g}}" in frame for index in stative))
+    words = {
+        f"{index + 1}{form[0]}": conjugate(phrase, form)
+        for index, phrase in enumerate(phrases)
+        for form in ("plain", "third", "gerund")
+    }
+    sentence = frames[int(random.integers(len(frames)))].replace("{s}", subjects[int(random.integers(len(subjects)))])
+    for key, text in words.items():
+        sentence = sentence.replace(f"{{{key}}}", text)
+    return sentence
+
+
+def goes(clip: TrainingClip) -> bool:
+    """Whether somebody walks or runs in it, and may walk on."""
+    return bool({"walk", "run"} & set(clip.actions))
+
+
+def joins_of(clips: Sequence[TrainingClip], statistics: FeatureStatistics) -> Joins:
+    """Banks of all stretches of standing, and of all walks and runs that can be played again."""
+    people = [clip for clip in clips if clip.species is None]
+    standing = [part for clip in people for part in standing_stretches(clip.values, statistics)]
+    walking = [
+        (clip.values, clip.loop)
+        for clip in people
+        if clip.loop is not None and clip.actions in (("walk",), ("run",)) and len(clip.values) >= FEWEST
+    ]
+    return Joins(standing, walking)
+
 
 FEWEST_CLIPS, MOST_CLIPS = 20, 150
 """Bounds between which an action is drawn more often the more clips show it."""

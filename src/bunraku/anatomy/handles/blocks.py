@@ -1,0 +1,626 @@
+"""Figures of rigid blocks: which blocks a file has, where they touch, which part of the body each one is, and their
+handles.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from heapq import heappop, heappush
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from bunraku.anatomy.names.bone_words import block_of_name
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.core.character import Character, Handles
+from bunraku.core.geometry.closest import least_distance
+from bunraku.core.geometry.graph import clean_mesh
+from bunraku.core.geometry.surface import surface_points
+from bunraku.files.gltf.read import Source
+
+__all__ = [
+    "BlockParts",
+    "BlockShapes",
+    "Blocks",
+    "away_from",
+    "block_parts",
+    "find_blocks",
+    "joint_parents",
+    "rigid_handles",
+]
+
+
+LEAST, MOST = 3, 100  # blocks of a figure
+WHOLE = 0.999  # share of a vertex that is of one joint
+COAT, PEER = 0.5, 0.25  # share of a block's box within another's, and of the other's, of what are coats of one part
+CUT = 0.1  # share of the rims' edges that two blocks have in common, from which on they are cuts through one surface
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """The blocks of a character.
+
+    Args:
+        label: Block of each vertex, -1 for those without faces, shape (V,).
+        names: What the file calls them, length B.
+        origins: Where their nodes stand, about which their authors turned them [m], shape (B, 3).
+        above: The block whose node is above each in the file, -1 for none, shape (B,).
+    """
+
+    label: np.ndarray
+    names: tuple[str, ...]
+    origins: np.ndarray
+    above: np.ndarray
+
+
+def find_blocks(character: Character) -> Blocks | None:
+    """The blocks of a character; None where it has too few, or one surface goes over several: also where it was
+    cut into several nodes, whose rims then fit together.
+    """
+    found = _of_joints(character) if character.rig is not None else _of_nodes(character)
+    if found is None or len(found.names) > MOST:
+        return None
+    found = _without_coats(character, found)
+    if len(found.names) < LEAST:
+        return None
+    faces = found.label[character.faces]
+    return found if (faces == faces[:, :1]).all() and _fitting(character, faces[:, 0]) < CUT else None
+
+
+def _without_coats(character: Character, blocks: Blocks) -> Blocks:
+    """The same with what lies in one place made one block, where the names differ by a number alone: a sheep's leg and
+    the wool around it.
+    """
+    names = [re.sub(r"[\d_. ]+$", "", name).lower() for name in blocks.names]
+    boxes = [character.vertices[blocks.label == block] for block in range(len(names))]
+    low, high = np.array([box.min(axis=0) for box in boxes]), np.array([box.max(axis=0) for box in boxes])
+    size = np.maximum(high - low, 1e-3 * float((high.max(axis=0) - low.min(axis=0)).max()))
+    first = np.arange(len(names))
+    for one, name in enumerate(names):
+        for other in range(one):
+            shared = np.prod(np.clip(np.minimum(high[one], high[other]) - np.maximum(low[one], low[other]), 0, None))
+            less, more = sorted((size[one].prod(), size[other].prod()))
+            if name and name == names[other] and shared > max(COAT * less, PEER * more):
+                first[one] = first[other]
+                break
+    kept, number = np.unique(first, return_inverse=True)
+    new = np.append(number, -1)  # the last entry is that of vertices without a block, and of none above
+    above = new[blocks.above[kept]]
+    above[above == np.arange(len(kept))] = -1
+    return Blocks(new[blocks.label], tuple(blocks.names[block] for block in kept), blocks.origins[kept], above)
+
+
+def _fitting(character: Character, owner: np.ndarray) -> float:
+    """Share of the edges on the rims of blocks that lie on the rims of two; 0 where all blocks are closed.
+
+    Args:
+        character: V vertices, F faces.
+        owner: Block of each face, shape (F,).
+    """
+    clean = clean_mesh(character.vertices, character.faces)
+    corners = clean.index[character.faces]
+    ends = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
+    real = ends[:, 0] != ends[:, 1]
+    key, times = np.unique(
+        np.stack([ends[real, 0] * len(clean.vertices) + ends[real, 1], np.tile(owner, 3)[real]]), axis=1,
+        return_counts=True,
+    )  # fmt: skip
+    sides = np.unique(key[0, times == 1], return_counts=True)[1]
+    return float(sides[sides > 1].sum() / max(sides.sum(), 1))
+
+
+def _of_joints(character: Character) -> Blocks | None:
+    rig = character.rig
+    assert rig is not None
+    if rig.weights[character.surface].max(axis=1).min() < WHOLE:
+        return None
+    rows = np.arange(len(rig.indices))
+    joint = np.where(character.surface, rig.indices[rows, rig.weights.argmax(axis=1)], -1)
+    used = np.unique(joint[joint >= 0])
+    return _numbered(joint, used, rig.names, rig.positions, rig.parents)
+
+
+def _of_nodes(character: Character) -> Blocks | None:
+    source = character.source
+    if not isinstance(source, Source) or not len(source.index):
+        return None
+    if int(source.index.max()) + 1 != len(character.vertices):
+        return None
+    nodes, parents = source.document.items("nodes"), source.tree.parents
+    names = [str(node.get("name") or "")[:200] for node in nodes]
+    label, start = np.full(len(character.vertices), -1), 0
+    moved = np.tile(np.eye(4), (len(nodes), 1, 1))
+    for part in source.parts:
+        stop = start + sum(len(group.vertices) for group in part.groups)
+        index = source.index[start:stop]
+        start = stop
+        if not len(index):
+            continue
+        owner = _named_above(part.node, names, parents, {other.node for other in source.parts})
+        if (np.isin(label[index], [-1, owner], invert=True)).any():
+            return None  # a seam was closed: what files call parts is one surface
+        label[index] = owner
+        if source.moved is not None:
+            moved[owner] = source.moved[index[0]]
+    label[~character.surface] = -1
+    origins = np.einsum("nij,nj->ni", moved[:, :3, :3], source.tree.world[:, :3, 3]) + moved[:, :3, 3]
+    return _numbered(label, np.unique(label[label >= 0]), names, origins, parents)
+
+
+def _named_above(node: int, names: list[str], parents: np.ndarray, meshes: set[int]) -> int:
+    """The node that names a mesh: its own, or one without a mesh above it, where that is understood and its own is
+    not.
+    """
+    above = node
+    while block_of_name(names[above])[0] == "":
+        above = int(parents[above])
+        if above < 0 or above in meshes:
+            return node
+    return above if block_of_name(names[above])[0] in ("arm", "leg", "front leg", "head", "tail", "wing") else node
+
+
+def _numbered(
+    label: np.ndarray, used: np.ndarray, names: list[str] | tuple[str, ...], origins: np.ndarray, parents: np.ndarray
+) -> Blocks:
+    number = {int(node): block for block, node in enumerate(used)}
+    above = []
+    for node in used:
+        other, steps = int(parents[node]), 0
+        while other >= 0 and other not in number and steps < len(parents):
+            other, steps = int(parents[other]), steps + 1
+        above.append(number.get(other, -1))
+    block_of = np.full(max(len(names), 1) + 1, -1)  # the last entry is that of vertices without one
+    block_of[used] = np.arange(len(used))
+    return Blocks(block_of[label], tuple(names[int(node)] for node in used), origins[used], np.array(above))
+
+
+SPACING = 0.008  # of the points spread over a block, over the height
+POINTS = (200, 6000)  # of a block, at the least and at the most
+NEAR = 0.02  # points are in contact that are so much farther apart than the nearest, over the height
+REACH = 0.04  # a node stands at a joint that is so near to the boxes of both blocks, over the height
+ALONG = 0.5  # a block that touches another along more of its length lies along it
+ROUND = 1.25  # a block is long whose length is so many times its width
+
+
+@dataclass(frozen=True, eq=False)
+class BlockShapes:
+    """The surfaces of blocks as points.
+
+    Args:
+        blocks: The blocks.
+        points: Points spread over each block by area [m], a list of arrays (P, 3).
+        areas: Surface of each block [m^2], shape (B,).
+        height: Of the character [m].
+    """
+
+    blocks: Blocks
+    points: list[np.ndarray]
+    areas: np.ndarray
+    height: float
+
+    @classmethod
+    def of(cls, character: Character, blocks: Blocks) -> BlockShapes:
+        """Spread the points."""
+        vertices, height = character.vertices.astype(np.float64), character.height
+        owner, step = blocks.label[character.faces[:, 0]], SPACING * character.height
+        points, areas = [], []
+        for block in range(len(blocks.names)):
+            faces = character.faces[owner == block]
+            corners = vertices[faces]
+            double = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            area = float(np.linalg.norm(double, axis=1).sum()) / 2
+            spread = surface_points(vertices, faces, int(np.clip(area / step**2, *POINTS)))[0]
+            points.append(np.concatenate([spread, vertices[np.unique(faces)]]))
+            areas.append(area)
+        return cls(blocks, points, np.array(areas), height)
+
+    @cached_property
+    def low(self) -> np.ndarray:
+        """Lowest corner of each block's box [m], shape (B, 3)."""
+        return np.array([some.min(axis=0) for some in self.points])
+
+    @cached_property
+    def high(self) -> np.ndarray:
+        """Highest corner of each block's box [m], shape (B, 3)."""
+        return np.array([some.max(axis=0) for some in self.points])
+
+    @property
+    def centers(self) -> np.ndarray:
+        """Middle of each block's box [m], shape (B, 3)."""
+        return 0.5 * (self.low + self.high)
+
+    @cached_property
+    def gaps(self) -> np.ndarray:
+        """Least distance between points of two blocks over the height, shape (B, B)."""
+        count, trees = len(self.points), [cKDTree(some) for some in self.points]
+        out = np.zeros((count, count))
+        for one in range(count):
+            for other in range(one):
+                out[one, other] = out[other, one] = least_distance(trees[one], self.points[other]) / self.height
+        return out
+
+    def pivot(self, own: list[int], other: list[int]) -> np.ndarray:
+        """About which point blocks turn on other blocks [m], shape (3,).
+
+        That is where the node of theirs that touches the others stands, if that is near both; else the middle of the
+        contact. Of a long block that lies along the other, as an arm that hangs beside the trunk does, it is the upper
+        end of the contact.
+        """
+        first = min(own, key=lambda block: float(self.gaps[block, other].min()))
+        onto = min(other, key=lambda block: float(self.gaps[first, block]))
+        origin, reach = self.blocks.origins[first], REACH * self.height
+        low = np.maximum(self.low[first], self.low[onto]) - reach
+        high = np.minimum(self.high[first], self.high[onto]) + reach
+        shared = np.flatnonzero(np.abs(self.blocks.origins - origin).max(axis=1) < 1e-6 * self.height)
+        if (origin >= low).all() and (origin <= high).all() and len(shared) == 1:
+            return np.asarray(origin, np.float64)
+        mine, theirs = self.points[first], self.points[onto]
+        gap, near = cKDTree(theirs).query(mine)
+        touching = gap <= gap.min() + NEAR * self.height
+        contact = 0.5 * (mine[touching] + theirs[near[touching]])
+        spread = mine - mine.mean(axis=0)
+        values, vectors = np.linalg.eigh(np.cov(spread.T))
+        along = vectors[:, 2] * (1 if vectors[1, 2] >= 0 else -1)
+        length = np.ptp(mine @ along)
+        if values[2] > ROUND**2 * values[1] and np.ptp(contact @ along) > ALONG * length:
+            width = float(np.sqrt(12 * values[1]))
+            top = (mine @ along).max()
+            upper = contact @ along > min(top, (contact @ along).max()) - width
+            center = contact[upper].mean(axis=0)
+            return np.asarray(center)
+        return np.asarray(contact.mean(axis=0))
+
+
+def away_from(points: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """The direction in which a block leads away from its joint, unit, shape (3,): its longest axis where it is long, or
+    that of its middle.
+
+    Args:
+        points: Spread over its surface [m], shape (P, 3).
+        start: The joint [m], shape (3,).
+    """
+    middle = points.mean(axis=0)
+    values, vectors = np.linalg.eigh(np.cov((points - middle).T))
+    away = middle - start
+    if values[2] > ROUND**2 * values[1]:
+        away = vectors[:, 2] * (1 if vectors[:, 2] @ away >= 0 else -1)
+    length = float(np.linalg.norm(away))
+    return np.asarray(away / length) if length > 1e-9 else np.array([0.0, -1.0, 0.0])
+
+
+TOUCH = 0.03  # blocks touch that are no farther apart, over the height
+FLOOR = 0.06  # what ends so near to the lowest point stands on it, over the height
+ASIDE = 0.2  # what is so far from the middle of the trunk is at a side of it, over half of its width
+SHORT = 0.55  # a second piece so short is a hand or a foot, over the length of the first
+_H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
+_LIMBS = ("arm", "leg", "front leg", "wing")
+
+
+@dataclass(frozen=True, eq=False)
+class BlockParts:
+    """What blocks are.
+
+    Args:
+        handles: Handle of each block, shape (B,).
+        upright: Whether it stands on two legs or none, and not on four.
+        named: Whether names told the limbs of both sides.
+        trunk: The blocks of the trunk.
+    """
+
+    handles: np.ndarray
+    upright: bool
+    named: bool
+    trunk: list[int]
+
+
+@dataclass(frozen=True, eq=False)
+class _Branch:
+    """What hangs on the trunk by one block: its blocks from there on, what it is, and the side (1 left, -1 right)."""
+
+    blocks: list[int]
+    limb: str
+    side: int
+    named: bool
+
+
+def block_parts(shapes: BlockShapes) -> BlockParts | None:
+    """The part that each block is; None where they make no body with two arms, or with two or four legs."""
+    words = [block_of_name(name) for name in shapes.blocks.names]
+    tree = _Tree(shapes, words)
+    trunk = tree.trunk()
+    branches = [tree.branch(block, trunk) for block in tree.hanging(trunk)]
+    limbs = _paired(branches, shapes)
+    if limbs is None:
+        return None
+    front = [branch for branch in limbs if branch.limb == "front leg"]
+    handles = np.full(len(words), -1)
+    _fill_trunk(handles, trunk, shapes, upright=not front)
+    for branch in limbs:
+        _fill_limb(handles, branch, tree)
+    for block in tree.order:  # what is no part of its own goes along with what it hangs on
+        if handles[block] < 0:
+            handles[block] = handles[tree.parents[block]]
+    sides = {(branch.limb, branch.side) for branch in limbs if branch.named}
+    named = any((limb, 1) in sides and (limb, -1) in sides for limb in _LIMBS)
+    return BlockParts(handles, not front, named, trunk)
+
+
+class _Tree:
+    """Blocks as they hang on one another, from a block of the trunk on."""
+
+    def __init__(self, shapes: BlockShapes, words: list[tuple[str, str]]):
+        self.shapes, self.words = shapes, words
+        count = len(words)
+        middle = 0.5 * float(shapes.low[:, 0].min() + shapes.high[:, 0].max())
+        self.sides = (shapes.low[:, 0] > middle).astype(int) - (shapes.high[:, 0] < middle)  # 0 goes over the middle
+        touching = (shapes.gaps < TOUCH).sum(axis=1)
+        likely = [block for block in range(count) if words[block][0] == "trunk"]
+        likely = likely or np.flatnonzero(self.sides == 0).tolist() or list(range(count))
+        self.root = max(likely, key=lambda block: (touching[block], shapes.areas[block]))
+        self.parents, self.order = self._hung()
+
+    def _cost(self, one: int, other: int) -> float:
+        """How unlikely it is that two blocks are jointed."""
+        authored = self.shapes.blocks.above[one] == other or self.shapes.blocks.above[other] == one
+        if authored:
+            return 0.1
+        first, second = self.words[one][0], self.words[other][0]
+        apart = "trunk" not in (first, second) and bool(first and second) and "carried" not in (first, second)
+        across = self.sides[one] * self.sides[other] < 0
+        gap = float(self.shapes.gaps[one, other])
+        return 1 + gap / TOUCH + 10 * (gap > TOUCH) + 10 * (across or (apart and first != second))
+
+    def _hung(self) -> tuple[np.ndarray, list[int]]:
+        """The block that each hangs on, -1 for the root, and all blocks with those first on which others hang."""
+        count = len(self.words)
+        parents, best = np.full(count, -1), np.full(count, np.inf)
+        best[self.root], queue, order = 0.0, [(0.0, self.root)], []
+        while queue:
+            far, block = heappop(queue)
+            if block in order:
+                continue
+            order.append(block)
+            for other in range(count):
+                cost = far + self._cost(block, other) if other not in order else np.inf
+                if cost < best[other]:
+                    best[other], parents[other] = cost, block
+                    heappush(queue, (cost, other))
+        return parents, order
+
+    def below(self, block: int) -> list[int]:
+        """A block and what hangs on it, nearest first."""
+        out = [block]
+        for member in out:
+            out.extend(np.flatnonzero(self.parents == member).tolist())
+        return out
+
+    def trunk(self) -> list[int]:
+        """The blocks of the trunk: those named so that hang on one another, and those on which limbs of both sides
+        stand.
+        """
+        shapes, out = self.shapes, [self.root]
+        floor = float(shapes.low[:, 1].min()) + FLOOR * shapes.height
+        for member in out:
+            for child in np.flatnonzero(self.parents == member).tolist():
+                feet = {int(self.sides[other]) for other in self.below(child)[1:] if shapes.low[other, 1] < floor}
+                limb = self.words[child][0]
+                if limb == "trunk" or (limb == "" and {-1, 1} <= feet):
+                    out.append(child)
+        return out
+
+    def hanging(self, trunk: list[int]) -> list[int]:
+        """The blocks that hang on the trunk."""
+        return [block for block in self.order if block not in trunk and int(self.parents[block]) in trunk]
+
+    def branch(self, block: int, trunk: list[int]) -> _Branch:
+        """What hangs on the trunk by a block."""
+        shapes, blocks = self.shapes, self.below(block)
+        low, high = shapes.low[blocks].min(axis=0), shapes.high[blocks].max(axis=0)
+        trunk_low, trunk_high = shapes.low[trunk].min(axis=0), shapes.high[trunk].max(axis=0)
+        middle, half = 0.5 * (trunk_low + trunk_high), 0.5 * (trunk_high - trunk_low)
+        aside = float(0.5 * (low + high)[0] - middle[0])
+        side = 0 if abs(aside) < ASIDE * half[0] else int(np.sign(aside))
+        named = next((self.words[member][0] for member in blocks if self.words[member][0] not in ("", "carried")), "")
+        if named == "" and all(self.words[member][0] == "carried" for member in blocks):
+            named = "carried"
+        limb = named or self._shaped(block, low, high, middle, half, side)
+        return _Branch(blocks, limb, side, bool(named))
+
+    def _shaped(
+        self, block: int, low: np.ndarray, high: np.ndarray, middle: np.ndarray, half: np.ndarray, side: int
+    ) -> str:
+        """What a branch without a telling name is, by its box and the trunk's."""
+        shapes, center = self.shapes, 0.5 * (low + high)
+        floor = float(shapes.low[:, 1].min())
+        if side and low[1] < floor + FLOOR * shapes.height and center[1] < middle[1]:
+            return "leg"
+        if side and center[1] > floor + 0.2 * shapes.height:
+            return "arm"
+        if side:
+            return "carried"
+        if center[2] < middle[2] - half[2]:
+            return "tail" if (high - low)[2] > 0.5 * (high - low)[1] else "carried"
+        above, before = center[1] > middle[1] + 0.5 * half[1], center[2] > middle[2] + half[2]
+        return "head" if above or before else "carried"
+
+
+def _paired(branches: list[_Branch], shapes: BlockShapes) -> list[_Branch] | None:
+    """The branches that are limbs, one of a kind and side; None where they make no body."""
+    legs = {side: [one for one in branches if "leg" in one.limb and one.side == side] for side in (1, -1)}
+
+    def ahead(branch: _Branch) -> float:
+        return float(shapes.centers[branch.blocks, 2].mean())
+
+    def size(branch: _Branch) -> float:
+        return float(shapes.areas[branch.blocks].sum())
+
+    if len(legs[1]) != len(legs[-1]) or len(legs[1]) > 2:
+        return None
+    out = []
+    for side in (1, -1):
+        ordered = sorted(legs[side], key=ahead)
+        for branch, limb in zip(ordered, ("leg", "front leg"), strict=False):
+            out.append(_Branch(branch.blocks, limb, side, branch.named))
+    four = len(legs[1]) == 2
+    for limb in ("arm", "wing", "head", "tail"):
+        sides = (1, -1) if limb in _LIMBS else (1, 0, -1)
+        found = [one for one in branches if one.limb == limb and one.side in sides]
+        if limb == "arm" and four:
+            continue
+        groups = [[one for one in found if one.side == side] for side in sides] if limb in _LIMBS else [found]
+        out += [max(group, key=size) for group in groups if group]
+    arms = sum(branch.limb == "arm" for branch in out)
+    return out if four or len(legs[1]) == 1 or arms == 2 else None
+
+
+def _fill_trunk(handles: np.ndarray, trunk: list[int], shapes: BlockShapes, upright: bool) -> None:
+    """The trunk: one block turns as its middle does where it stands upright, several from the pelvis on."""
+    if len(trunk) == 1:
+        handles[trunk[0]] = _H["spine2"] if upright else 0
+        return
+    ordered = sorted(trunk, key=lambda block: float(shapes.centers[block, 1 if upright else 2]))
+    for rank, block in enumerate(ordered):
+        share = rank / (len(ordered) - 1)
+        handles[block] = (0, _H["spine1"], _H["spine2"], _H["spine3"])[round(3 * share)]
+
+
+def _fill_limb(handles: np.ndarray, branch: _Branch, tree: _Tree) -> None:
+    """The blocks of a limb from the trunk outwards; what is beside its chain is left."""
+    chain = _chain(branch, tree)
+    kinds, word = [tree.words[block][1] for block in chain], "left" if branch.side > 0 else "right"
+    if branch.limb == "head":
+        second = len(chain) > 1 and kinds[0] == "neck"
+        for block, part in zip(chain, ("neck", "head") if second else ("head",), strict=False):
+            handles[block] = _H[part]
+    elif branch.limb in ("tail", "wing"):
+        parts = ("tail", "tail_tip") if branch.limb == "tail" else (f"{word}_wing",)
+        for block, part in zip(chain, parts, strict=False):
+            handles[block] = _H[part]
+    else:
+        slots = ["hip", "knee", "ankle", "foot"] if branch.limb == "leg" else ["shoulder", "elbow", "wrist", "fingers"]
+        if kinds[0] == "collar" and len(chain) > 1 and branch.limb == "arm":
+            handles[chain[0]] = _H[f"{word}_collar"]
+            chain, kinds = chain[1:], kinds[1:]
+        for block, slot in zip(chain, _slots(chain, kinds, tree.shapes, branch.limb), strict=True):
+            if slot >= 0:
+                handles[block] = _H[f"{word}_{slots[slot]}"]
+
+
+def _slots(chain: list[int], kinds: list[str], shapes: BlockShapes, limb: str) -> list[int]:
+    """Which piece of a limb each block is, counted from the trunk; -1 for what goes along with the one before.
+
+    The foot of a leg in one piece goes along with it: turned by itself it would be a knee.
+    """
+    extents = [float((shapes.high[block] - shapes.low[block]).max()) for block in chain]
+    out, last = [0], 0
+    for number in range(1, len(chain)):
+        end = kinds[number] in ("wrist", "fingers", "foot", "toe", "front_foot", "hind_paw")
+        end |= number == len(chain) - 1 and extents[number] < SHORT * extents[number - 1] and kinds[number] == ""
+        slot = max(last + 1, 2) if end else last + 1
+        if slot > 3 or (slot == 2 and last == 0 and limb != "arm"):
+            out.append(-1)
+            continue
+        out.append(slot)
+        last = slot
+    return out
+
+
+def _chain(branch: _Branch, tree: _Tree) -> list[int]:
+    """The blocks of a limb, each hanging on the one before: those of the same name, or else the largest."""
+    chain = [branch.blocks[0]]
+    while True:
+        below = [
+            block for block in np.flatnonzero(tree.parents == chain[-1]).tolist() if tree.words[block][0] != "carried"
+        ]
+        own = [block for block in below if tree.words[block][0] == branch.limb] or below
+        own = [block for block in own if tree.shapes.areas[block] > 0.05 * tree.shapes.areas[chain[0]]]
+        if not own:
+            return chain
+        chain.append(max(own, key=lambda block: float(tree.shapes.areas[tree.below(block)].sum())))
+
+
+BENDS = 0.1  # what holds so much of the knees and elbows of either side bends, as a share of its surface
+EVEN = 0.5  # a leg has a little of the knee of the other that it touches: less than so much of what its own has
+_OUTER = {
+    side: [HANDLE_NAMES.index(f"{side}_{part}") for part in ("knee", "ankle", "foot", "elbow", "wrist", "fingers")]
+    for side in ("left", "right")
+}
+
+
+def rigid_handles(character: Character, weights: np.ndarray) -> Handles | None:
+    """The handles of a figure of rigid blocks; None of others.
+
+    Args:
+        character: +Y up and facing +Z.
+        weights: What the predictor says of its vertices, shape (V, 30). Where no names tell the limbs, it is asked
+            whether a block is one: a pair of trousers is none.
+    """
+    blocks = find_blocks(character)
+    if blocks is None:
+        return None
+    shapes = BlockShapes.of(character, blocks)
+    parts = block_parts(shapes)
+    if parts is None or (not parts.named and _bends(character, blocks, weights)):
+        return None
+    whole = np.zeros((len(character.vertices), HANDLE_COUNT), np.float32)
+    label = np.where(blocks.label >= 0, blocks.label, parts.trunk[0])
+    whole[np.arange(len(label)), parts.handles[label]] = 1
+    return Handles(_positions(shapes, parts), whole, rigid=True)
+
+
+def _bends(character: Character, blocks: Blocks, weights: np.ndarray) -> bool:
+    """Whether the predictor sees knees and elbows of both sides in one block."""
+    mass = weights * character.areas[:, None]
+    for block in range(len(blocks.names)):
+        own = mass[blocks.label == block].sum(axis=0)
+        less, more = sorted(float(own[parts].sum()) for parts in _OUTER.values())
+        if less > max(BENDS * float(own.sum()), EVEN * more):
+            return True
+    return False
+
+
+def joint_parents(present: np.ndarray) -> np.ndarray:
+    """The handle that each hangs on, by which have blocks, shape (K,); -1 for the root.
+
+    Where the pelvis has none, legs and all else hang on the lowest block of the trunk.
+    """
+    spine = [HANDLE_NAMES.index(f"spine{number}") for number in (1, 2, 3)]
+    base = 0 if present[0] else next((handle for handle in spine if present[handle]), 0)
+    out = np.full(len(present), -1)
+    for handle in range(1, len(present)):
+        above = HANDLE_PARENTS[handle]
+        while above > 0 and not present[above]:
+            above = HANDLE_PARENTS[above]
+        out[handle] = above if above > 0 or handle == base or handle in spine[: _rank(spine, base)] else base
+    return out
+
+
+def _rank(spine: list[int], base: int) -> int:
+    return spine.index(base) if base in spine else 0
+
+
+def _positions(shapes: BlockShapes, parts: BlockParts) -> np.ndarray:
+    """Where each handle stands [m], shape (K, 3): at its joint; the root between the legs, and absent ones where their
+    parents stand. The head of who has none stands at the upper or the front end of the trunk.
+    """
+    members = [np.flatnonzero(parts.handles == handle).tolist() for handle in range(HANDLE_COUNT)]
+    present = np.array([bool(some) for some in members])
+    above = joint_parents(present)
+    out = np.zeros((HANDLE_COUNT, 3))
+    hips = [handle for handle, name in enumerate(HANDLE_NAMES) if name.endswith("_hip") and members[handle]]
+    low, high = shapes.low[parts.trunk].min(axis=0), shapes.high[parts.trunk].max(axis=0)
+    bottom = np.array([0.5 * (low + high)[0], low[1], 0.5 * (low + high)[2]])
+    out[0] = np.mean([shapes.pivot(members[hip], members[above[hip]]) for hip in hips], axis=0) if hips else bottom
+    base = int(above[hips[0]]) if hips else 0
+    for handle in range(1, HANDLE_COUNT):
+        parent = int(above[handle])
+        jointed = members[handle] and members[parent] and handle != base
+        out[handle] = shapes.pivot(members[handle], members[parent]) if jointed else out[max(parent, 0)]
+    head = HANDLE_NAMES.index("head")
+    if not members[head]:
+        middle = 0.5 * (low + high)
+        front = np.array([middle[0], out[0, 1] + 0.5 * (high[1] - out[0, 1]), high[2] + (high[1] - low[1])])
+        out[head] = np.array([middle[0], high[1], middle[2]]) if parts.upright else front
+    return out.astype(np.float32)

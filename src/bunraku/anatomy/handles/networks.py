@@ -1,0 +1,480 @@
+"""The networks of handles (section 3.1 of TapMo) and of orientation as they run, in numpy, and the mesh as they see
+it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from bunraku.core.body.layout import HANDLE_COUNT
+from bunraku.core.geometry.axes import right_angle_rotations
+from bunraku.core.nn.checkpoints import config_of, load_network
+from bunraku.core.nn.layers import Linear, PreNorm, Weights, gelu, normed, softmax
+
+__all__ = [
+    "HandlePrediction",
+    "HandlePredictor",
+    "MeshGraph",
+    "OrderedGraph",
+    "OrientationConfig",
+    "OrientationPredictor",
+    "PredictorConfig",
+    "TOKEN",
+    "farthest_points",
+    "load_orientation_predictor",
+    "load_predictor",
+    "mesh_graph",
+    "ordered_graph",
+    "predictor_config",
+    "shape_tokens",
+    "turned_tokens",
+]
+
+
+_NEAR = 3  # anchors that each vertex listens to
+
+
+@dataclass
+class MeshGraph:
+    """A mesh as arrays.
+
+    Args:
+        inputs: Position and normal of each vertex, shape (V, 6).
+        areas: Share of the surface that each vertex stands for, shape (V,), sums to 1.
+        ranks: The n-th neighbours of the vertices that have so many, vertices in order of falling degree; every vertex
+            is its own first neighbour. Shapes (V,), (V_1,), (V_2,) ...
+        position: Where each vertex is in that order, shape (V,).
+        spread: Weights from anchors to vertices, rows sum to 1, shape (V, M).
+        gather: Weights from vertices to anchors, rows sum to 1, shape (M, V).
+        anchors: Positions of the anchors, shape (M, 3).
+    """
+
+    inputs: np.ndarray
+    areas: np.ndarray
+    ranks: tuple[np.ndarray, ...]
+    position: np.ndarray
+    spread: np.ndarray | csr_matrix
+    gather: np.ndarray | csr_matrix
+    anchors: np.ndarray
+
+    def mirrored(self) -> MeshGraph:
+        """The mirror image in the plane x = 0, with the same vertices in the same order."""
+        flip = np.array([-1, 1, 1, -1, 1, 1], np.float32)
+        return type(self)(**{**vars(self), "inputs": self.inputs * flip, "anchors": self.anchors * flip[:3]})
+
+    def largest_neighbour(self, values: np.ndarray) -> np.ndarray:
+        """The largest of each channel among the neighbours of each vertex, shape (V, C) -> (V, C).
+
+        With the vertices in order of falling degree, the n-th neighbours of all vertices that have one are a prefix: no
+        padding, and all work is in whole slices.
+        """
+        return self._largest(values, values[self.ranks[0]])[self.position]
+
+    def _largest(self, values: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """The same of vertices in order of falling degree, `own` the values of these."""
+        best, room = np.empty_like(values), np.empty_like(values)
+        seen = own
+        for neighbours in self.ranks[1:]:
+            count = len(neighbours)
+            other = values.take(neighbours, axis=0, out=room[:count], mode="clip")
+            np.maximum(seen[:count], other, out=best[:count])
+            if seen is own:
+                seen, best[count:] = best, own[count:]
+        return own.copy() if seen is own else best
+
+
+class OrderedGraph(MeshGraph):
+    """A graph whose vertices are in order of falling degree, so that no layer puts them in order: row i of what is said
+    of them belongs where `position` says. What passes between them and the anchors are sparse matrices.
+    """
+
+    def largest_neighbour(self, values: np.ndarray) -> np.ndarray:
+        """As `MeshGraph.largest_neighbour`."""
+        return self._largest(values, values)
+
+
+def farthest_points(positions: np.ndarray, count: int) -> np.ndarray:
+    """Indices of points spread evenly by farthest-point sampling, starting with the point farthest from the middle."""
+    x = np.ascontiguousarray(positions.T, dtype=np.float32)
+    distance = ((x - x.mean(axis=1, keepdims=True)) ** 2).sum(axis=0)
+    chosen = np.empty(count, np.int64)
+    chosen[0] = int(distance.argmax())
+    distance = np.full(len(positions), np.inf, np.float32)
+    for n in range(1, count):
+        gap = x - x[:, chosen[n - 1], None]
+        np.minimum(distance, np.einsum("iv,iv->v", gap, gap), out=distance)
+        chosen[n] = int(distance.argmax())
+    return chosen
+
+
+def _neighbour_ranks(edges: np.ndarray, count: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """`MeshGraph.ranks` and `MeshGraph.position` of undirected edges (E, 2)."""
+    both = np.concatenate([edges, edges[:, ::-1]])
+    both = both[np.argsort(both[:, 0], kind="stable")]
+    degrees = np.bincount(both[:, 0], minlength=count)
+    order = np.argsort(-degrees, kind="stable")
+    index = np.empty(count, np.int64)
+    index[order] = np.arange(count)
+    starts = np.cumsum(degrees) - degrees
+    ranks = [order]
+    for n in range(int(degrees.max(initial=0))):
+        rows = order[: int((degrees > n).sum())]
+        ranks.append(both[starts[rows] + n, 1])
+    return ranks, index
+
+
+def mesh_graph(
+    positions: np.ndarray,
+    normals: np.ndarray,
+    edges: np.ndarray,
+    areas: np.ndarray,
+    anchors: int = 128,
+    rng: np.random.Generator | None = None,
+) -> MeshGraph:
+    """The graph of a normalised mesh.
+
+    Args:
+        positions: Vertices, centred, largest extent 1, shape (V, 3).
+        normals: Vertex normals, shape (V, 3).
+        edges: Undirected edges, each once, bridges between loose parts included, shape (E, 2).
+        areas: Surface that each vertex stands for, any unit, shape (V,).
+        anchors: Most anchors, M.
+        rng: For training, where other anchors are to be drawn each time; without it they depend on the mesh alone.
+    """
+    count = len(positions)
+    chosen, index, weight = _anchored(positions, anchors, rng)
+    spread = np.zeros((count, len(chosen)), np.float32)
+    np.put_along_axis(spread, index, weight, axis=1)
+    share = _shares(areas)
+    gather = (spread * share[:, None]).T
+    gather /= np.maximum(gather.sum(axis=1, keepdims=True), 1e-20)
+    ranks, number = _neighbour_ranks(np.asarray(edges, np.int64), count)
+    return MeshGraph(
+        inputs=np.concatenate([positions, normals], axis=1).astype(np.float32),
+        areas=share,
+        ranks=tuple(ranks),
+        position=number,
+        spread=spread,
+        gather=np.ascontiguousarray(gather, dtype=np.float32),
+        anchors=positions[chosen].astype(np.float32),
+    )
+
+
+def ordered_graph(
+    positions: np.ndarray, normals: np.ndarray, edges: np.ndarray, areas: np.ndarray, anchors: int = 128
+) -> OrderedGraph:
+    """`mesh_graph` with its vertices in order of falling degree, for inference; arguments are those."""
+    count = len(positions)
+    chosen, index, weight = _anchored(positions, anchors)
+    ranks, number = _neighbour_ranks(np.asarray(edges, np.int64), count)
+    order = ranks[0]
+    columns, values, share = index[order].reshape(-1), weight[order], _shares(areas)[order]
+    rows = np.arange(0, len(columns) + 1, index.shape[1])
+    heard = (values * share[:, None]).reshape(-1)
+    heard /= np.maximum(np.bincount(columns, heard, len(chosen)), 1e-20).astype(np.float32)[columns]
+    shape = count, len(chosen)
+    return OrderedGraph(
+        inputs=np.concatenate([positions, normals], axis=1).astype(np.float32)[order],
+        areas=share,
+        ranks=tuple(number[rank] for rank in ranks),
+        position=number,
+        spread=csr_matrix((values.reshape(-1), columns, rows), shape=shape),
+        gather=csr_matrix(csr_matrix((heard, columns, rows), shape=shape).T),
+        anchors=positions[chosen].astype(np.float32),
+    )
+
+
+def _anchored(
+    positions: np.ndarray, anchors: int, rng: np.random.Generator | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which vertices are anchors, shape (M,); the anchors that each vertex listens to, shape (V, n), and how much."""
+    seen = positions if rng is None else positions + rng.normal(0, 0.02, positions.shape)
+    chosen = farthest_points(seen, min(anchors, len(positions)))
+    points = positions[chosen].astype(np.float32)
+    squared = ((positions**2).sum(axis=1)[:, None] - 2 * positions @ points.T + (points**2).sum(axis=1)).astype(
+        np.float32
+    )
+    near = min(_NEAR, len(chosen))
+    index = np.argpartition(squared, near - 1, axis=1)[:, :near]
+    weight = 1 / (np.maximum(np.take_along_axis(squared, index, axis=1), 0) + 1e-4)
+    return chosen, index, (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
+def _shares(areas: np.ndarray) -> np.ndarray:
+    """Share of the surface that each vertex stands for, shape (V,), not 0."""
+    share = np.maximum(np.asarray(areas, np.float64), 0)
+    share = (share + 1e-3 * max(share.mean(), 1e-12)).astype(np.float32)
+    return np.asarray(share / share.sum())
+
+
+LEAST_VERTICES = 100
+"""Of a network mesh that has room for all handles."""
+
+
+@dataclass(frozen=True)
+class PredictorConfig:
+    """Shape of the network.
+
+    Args:
+        levels: Channels of the three graph layers; their sum is the length of f_phi.
+        hidden: Channels inside the MLP.
+        handles: K.
+        heads: Attention heads among the anchors.
+        anchors: Anchors of the coarse term.
+        depth: Rounds in which the anchors of a layer pass messages to one another.
+        mesh_vertices: Most vertices of the network mesh it was trained on, for
+            `bunraku.core.geometry.simplify.network_mesh`.
+    """
+
+    levels: tuple[int, int, int] = (64, 128, 256)
+    hidden: tuple[int, int] = (256, 128)
+    handles: int = HANDLE_COUNT
+    heads: int = 4
+    anchors: int = 128
+    depth: int = 3
+    mesh_vertices: int = 2400
+
+
+class HandlePrediction(NamedTuple):
+    """What the predictor says of one mesh.
+
+    Args:
+        weights: Skinning weights s, rows sum to 1, shape (V, K).
+        features: The mesh deformation feature f_phi, shape (448,).
+    """
+
+    weights: np.ndarray
+    features: np.ndarray
+
+
+class _GraphLayer:
+    """`LayerNorm(EdgeConv(x) + spread(blocks(gather(x))))`, then GELU, shape (V, width_in) -> (V, width_out)."""
+
+    def __init__(self, width_in: int, width_out: int, heads: int, depth: int, weights: Weights):
+        own = weights.linear("fine.own", width_in, width_out)
+        self.neighbour = weights.linear("fine.neighbour", width_in, width_out, bias=False)
+        # what a vertex says of itself, less what its neighbours would hear of it
+        self.own = Linear(own.matrix - self.neighbour.matrix, own.bias)
+        self.enter = weights.linear("enter", width_in + 3, width_out)
+        self.blocks = [  # rounds in which the anchors pass messages to one another
+            PreNorm(
+                part.attention("attention", "merge", width_out, heads),
+                part.norm("norm_attention", width_out),
+                part.feed_forward("mix.0", "mix.2", width_out, 2 * width_out),
+                part.norm("norm_mix", width_out),
+            )
+            for part in (weights.part(f"blocks.{index}") for index in range(depth))
+        ]
+        self.norm = weights.norm("norm", width_out)
+
+    def __call__(self, x: np.ndarray, graph: MeshGraph) -> np.ndarray:
+        tokens = self.enter(np.concatenate([graph.gather @ x, graph.anchors], axis=-1))[None]
+        for block in self.blocks:
+            tokens = block(tokens)
+        both = self.own(x)
+        both += graph.largest_neighbour(self.neighbour(x))
+        both += graph.spread @ tokens[0]
+        return gelu(normed(both, self.norm))
+
+
+class HandlePredictor:
+    """Three graph layers and a three-layer MLP with softmax (A.2).
+
+    Args:
+        config: Its shape.
+        weights: Of a checkpoint.
+
+    Raises:
+        ValueError: The weights have other sizes.
+    """
+
+    def __init__(self, config: PredictorConfig, weights: Weights):
+        self.config = config
+        widths = (6, *config.levels)
+        self._layers = [
+            _GraphLayer(*pair, config.heads, config.depth, weights.part(f"layers.{index}"))
+            for index, pair in enumerate(zip(widths, widths[1:], strict=False))
+        ]
+        length, (first, second) = sum(config.levels), config.hidden
+        self._local = weights.linear("local", length + 6, first)
+        self._overall = weights.linear("overall", length, first, bias=False)
+        self._norm = weights.norm("head.0", first)
+        self._middle, self._last = (
+            weights.linear("head.2", first, second),
+            weights.linear("head.4", second, config.handles),
+        )
+
+    def __call__(self, graph: MeshGraph) -> HandlePrediction:
+        """What it says of a mesh."""
+        x, levels, pooled = graph.inputs, [], []
+        for layer in self._layers:
+            x = layer(x, graph)
+            half = x.shape[1] // 2
+            pooled += [x[:, :half].max(axis=0), graph.areas @ x[:, half:]]
+            levels.append(x)
+        features = np.concatenate(pooled)
+        hidden = self._local(np.concatenate([*levels, graph.inputs], axis=-1))
+        hidden += self._overall(features[None])
+        return HandlePrediction(softmax(self._last(gelu(self._middle(gelu(self._norm(hidden)))))), features)
+
+
+def predictor_config(shape: dict[str, object]) -> PredictorConfig:
+    """The config of a predictor of a character's handles.
+
+    Args:
+        shape: As a checkpoint carries it.
+
+    Raises:
+        OptionError: A value is missing, unknown, or no size that a network has.
+        ValueError: It is of other handles, or of meshes that have no room for them.
+    """
+    found = config_of(PredictorConfig, shape)
+    if found.handles != HANDLE_COUNT or found.mesh_vertices < LEAST_VERTICES or found.anchors < 1:
+        raise ValueError(
+            f"it is of {found.handles} handles on meshes of {found.mesh_vertices} vertices with {found.anchors} "
+            f"anchors, not of {HANDLE_COUNT} on {LEAST_VERTICES} or more"
+        )
+    return found
+
+
+def load_predictor(path: str | Path) -> HandlePredictor:
+    """Read a checkpoint of kind "handles", ready to predict.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """
+    return load_network(
+        path, "handles", lambda shape, weights: HandlePredictor(predictor_config(shape), weights), key="predictor"
+    )
+
+
+TOKEN = 10
+"""Numbers a token has: mean position 3, mean normal 3, extent along each axis 3, share of the surface 1."""
+
+
+@dataclass(frozen=True)
+class OrientationConfig:
+    """Shape of the network.
+
+    Args:
+        width: Channels.
+        layers: Transformer layers.
+        heads: Attention heads.
+        anchors: Tokens of a mesh, M.
+        temperature: Of the softmax over the 24 scores, fitted on characters that training did not see.
+    """
+
+    width: int = 64
+    layers: int = 3
+    heads: int = 4
+    anchors: int = 128
+    temperature: float = 1.0
+
+
+def shape_tokens(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, anchors: int = 128) -> np.ndarray:
+    """A surface as a few tokens: points spread over it, each with what is nearest to it.
+
+    Args:
+        points: Anywhere on the surface, any unit, shape (N, 3).
+        normals: Their normals, shape (N, 3); shorter ones mean a bent surface.
+        areas: Share of the surface that each stands for, any unit, shape (N,).
+        anchors: How many tokens, M; fewer where there are fewer points.
+
+    Returns:
+        Mean position, mean normal, standard deviation along each axis and log of the share times M of each token, in
+        units of the largest extent, the bounding box centred on 0, shape (M, 10), float32.
+    """
+    points = np.asarray(points, np.float64)
+    low, high = points.min(axis=0), points.max(axis=0)
+    points = (points - (low + high) / 2) / max(float((high - low).max()), 1e-300)
+    chosen = points[farthest_points(points, min(anchors, len(points)))]
+    squared = ((points[:, None, 0] - chosen[:, 0]) ** 2 + (points[:, None, 1] - chosen[:, 1]) ** 2) + (
+        points[:, None, 2] - chosen[:, 2]
+    ) ** 2
+    owner = squared.argmin(axis=1)
+    share = np.maximum(np.asarray(areas, np.float64), 0)
+    share = share + 1e-3 * max(float(share.mean()), 1e-300)
+    share = share / share.sum()
+    mass = np.bincount(owner, share, len(chosen))
+    safe = np.maximum(mass, 1e-12)[:, None]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.bincount(owner, share * column, len(chosen)) for column in values.T], axis=1) / safe
+
+    middle = mean(points)
+    spread = np.sqrt(np.maximum(mean(points**2) - middle**2, 0))
+    weight = np.log(np.maximum(mass * len(chosen), 1e-3))[:, None]
+    return np.concatenate([middle, mean(np.asarray(normals, np.float64)), spread, weight], axis=1).astype(np.float32)
+
+
+def turned_tokens(tokens: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    """Tokens of a mesh turned by each of some rotations by right angles, shapes (M, 10), (R, 3, 3) -> (R, M, 10)."""
+    back = rotations.swapaxes(-1, -2)
+    shares = np.broadcast_to(tokens[:, 9:], (len(rotations), len(tokens), 1))
+    return np.concatenate([tokens[:, :3] @ back, tokens[:, 3:6] @ back, tokens[:, 6:9] @ np.abs(back), shares], axis=-1)
+
+
+class OrientationPredictor:
+    """A transformer over the tokens of a mesh, and one number at its end: how upright and forward the mesh stands.
+
+    Args:
+        config: Its shape.
+        weights: Of a checkpoint.
+
+    Raises:
+        ValueError: The weights have other sizes.
+    """
+
+    def __init__(self, config: OrientationConfig, weights: Weights):
+        self.config = config
+        width = config.width
+        self._enter = weights.linear("enter.0", TOKEN, width), weights.linear("enter.2", width, width)
+        self._layers = [
+            PreNorm(
+                part.attention("attention", "merge", width, config.heads),
+                part.norm("norm", width),
+                part.feed_forward("mix.1", "mix.3", width, 2 * width),
+                part.norm("mix.0", width),
+            )
+            for part in (weights.part(f"layers.{index}") for index in range(config.layers))
+        ]
+        self._norm = weights.norm("norm", width)
+        self._head = weights.linear("head.0", 2 * width, width), weights.linear("head.2", width, 1)
+        self._rotations = right_angle_rotations().astype(np.float32)
+
+    def __call__(self, tokens: np.ndarray) -> np.ndarray:
+        """Score of each mesh as it stands, shape (B, M, 10) -> (B,)."""
+        x = self._enter[1](gelu(self._enter[0](tokens)))
+        for layer in self._layers:
+            x = layer(x)
+        x = self._norm(x)
+        pooled = np.concatenate([x.mean(axis=1), x.max(axis=1)], axis=-1)
+        return self._head[1](gelu(self._head[0](pooled)))[:, 0]
+
+    def probabilities(self, tokens: np.ndarray) -> np.ndarray:
+        """How likely each of `geometry.axes.ORIENTATIONS` is the right one, from the mesh and its mirror image, shape
+        (M, 10) -> (24,), float64.
+        """
+        mirror = np.array([-1, 1, 1, -1, 1, 1, 1, 1, 1, 1], np.float32)
+        turned = turned_tokens(tokens, self._rotations)
+        scores = np.concatenate([self(part) for part in (*np.split(turned, 4), *np.split(turned * mirror, 4))])
+        return softmax(scores.astype(np.float64).reshape(2, -1).mean(axis=0) / self.config.temperature)
+
+
+def load_orientation_predictor(path: str | Path) -> OrientationPredictor:
+    """Read a checkpoint of kind "orientation", ready to predict.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """
+    return load_network(
+        path,
+        "orientation",
+        lambda shape, weights: OrientationPredictor(config_of(OrientationConfig, shape), weights),
+        key="predictor",
+    )

@@ -1,0 +1,512 @@
+"""What a rig's bone names say: the handle of each joint, which way the rig stands, and the handles of its character."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from bunraku.anatomy.names.bone_words import left_axis, part_of_name, without_prefix
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
+from bunraku.core.body.reference import handle_positions
+from bunraku.core.character import Character, Handles
+from bunraku.core.geometry.axes import AXES, axis_vector
+from bunraku.errors import CharacterError
+
+__all__ = ["NO_HANDLE", "handle_of_joints", "limb_parents", "resolve_joints", "rig_axes", "rig_handles"]
+
+
+NO_HANDLE = -1
+_H = {name: index for index, name in enumerate(HANDLE_NAMES)}
+_LIMB_KINDS = ("shoulder", "elbow", "leg")
+
+
+class _Tree:
+    """The joints with what their names say, and the walks over the hierarchy that the rules below need."""
+
+    def __init__(
+        self, names: Sequence[str], parents: Sequence[int], positions: np.ndarray | None, mass: np.ndarray | None
+    ):
+        self.parents = [int(p) for p in parents]
+        read = [part_of_name(name) for name in names]
+        self.kinds = [kind for kind, _, _, _ in read]
+        self.numbers = [number for _, _, number, _ in read]
+        self.sides = [side for _, side, _, _ in read]
+        self.words = [re.sub(r"[^a-z]", "", name.lower()) for name in names]
+        self.mass = None if mass is None else np.asarray(mass, float)
+        for joint, (_, _, _, target) in enumerate(read):
+            if (
+                target
+                and (self.mass is None or self.mass[joint] <= 0)
+                and self.kinds[joint] not in ("front_foot", "hind_paw")
+            ):
+                self.kinds[joint] = "none"
+        self.children: list[list[int]] = [[] for _ in names]
+        for joint, parent in enumerate(self.parents):
+            if parent >= 0:
+                self.children[parent].append(joint)
+        self.positions = None if positions is None else np.asarray(positions, float)
+        self._settle_sides(names)
+        self._drop_idle()
+        self.copies = [re.sub(r"\.\d+$", "", name) for name in names]
+        for joint, kind in enumerate(self.kinds):  # words that mean one thing alone and another in company
+            above = [self.kinds[a] for a in self.above(joint)]
+            if kind == "hips" and self.sides[joint]:
+                self.kinds[joint] = "leg" if self._bears_a_leg(joint) else "none"
+            elif (
+                kind == "collar"
+                and self.words[joint].endswith("shoulder")
+                and "collar" in above
+                and "front" not in self.words[joint]
+            ):
+                self.kinds[joint] = "shoulder"
+            elif (
+                kind == "foot" and "foot" in above and "foot" in self.words[joint] and "front" not in self.words[joint]
+            ):
+                self.kinds[joint] = "toe"
+            elif kind in _LIMB_KINDS and "twist" in self.words[joint] and not self.children[joint] and kind in above:
+                self.kinds[joint] = ""  # a helper beside the limb that goes on below its own parent
+
+    def _settle_sides(self, names: Sequence[str]) -> None:
+        """Joints without a side take that of the limb above; a limb whose names disagree takes the side where it
+        stands.
+        """
+        sided = [bool(side) for side in self.sides]
+        for joint in range(len(names)):
+            if not self.sides[joint]:
+                self.sides[joint] = next((self.sides[a] for a in self.above(joint) if self.sides[a]), 0)
+        limb = list(range(len(names)))
+        for joint in sorted(range(len(names)), key=lambda j: len(self.above(j))):
+            parent = self.parents[joint]
+            if parent >= 0 and self.sides[joint] and self.sides[parent]:
+                limb[joint] = limb[parent]
+        axis = None if self.positions is None else left_axis(names, self.positions)
+        for first in set(limb):
+            members = [j for j in range(len(names)) if limb[j] == first and self.sides[j]]
+            if len({self.sides[j] for j in members}) < 2:
+                continue
+            side = self.sides[first]
+            if axis is not None and self.positions is not None:
+                across = self.positions @ axis
+                marked = across[np.array(sided)]
+                side = 1 if across[members].mean() > (marked.max() + marked.min()) / 2 else -1
+            for joint in members:
+                self.sides[joint] = side
+
+    def _drop_idle(self) -> None:
+        """Where a bone of a limb moves vertices, or bones that do, those of its part that move none are controls."""
+        if self.mass is None:
+            return
+        moves = self.mass > 0
+        for mover in np.flatnonzero(moves):
+            moves[self.above(int(mover))] = True
+        limbs = [(kind, side) for kind, side in zip(self.kinds, self.sides, strict=True)]
+        moving = {limb for limb, there in zip(limbs, moves, strict=True) if there}
+        for joint, limb in enumerate(limbs):
+            if limb[0] in _LIMB_KINDS and not moves[joint] and limb in moving:
+                self.kinds[joint] = "none"
+
+    def _bears_a_leg(self, joint: int) -> bool:
+        """Whether a hip of one side is the first bone of its leg: not where a leg of that side begins beside it."""
+        if self.child_kinds(joint) & {"leg", "foot"}:
+            return True
+        beside = self.children[self.parents[joint]] if self.parents[joint] >= 0 else []
+        return not any(self.kinds[other] == "leg" and self.sides[other] == self.sides[joint] for other in beside)
+
+    def above(self, joint: int) -> list[int]:
+        """Ancestors, nearest first."""
+        out: list[int] = []
+        joint = self.parents[joint]
+        while joint >= 0 and joint not in out:
+            out.append(joint)
+            joint = self.parents[joint]
+        return out
+
+    def of(self, *kinds: str) -> list[int]:
+        """Joints of these kinds, near the root first."""
+        return sorted((j for j, kind in enumerate(self.kinds) if kind in kinds), key=lambda j: (len(self.above(j)), j))
+
+    def child_kinds(self, joint: int) -> set[str]:
+        return {self.kinds[child] for child in self.children[joint]}
+
+    def sided(self, joint: int, part: str) -> int:
+        side = self.sides[joint]
+        return _H[f"{'left' if side > 0 else 'right'}_{part}"] if side else NO_HANDLE
+
+
+def handle_of_joints(
+    names: Sequence[str],
+    parents: Sequence[int] | np.ndarray,
+    positions: np.ndarray | None = None,
+    mass: np.ndarray | None = None,
+) -> np.ndarray:
+    """The handle that each joint of a rig moves.
+
+    Args:
+        names: Joint names, length J.
+        parents: Parent of each joint, -1 for a root, shape (J,).
+        positions: Joint positions [m], shape (J, 3); settle sides that names have wrong.
+        mass: Total skin weight of each joint, shape (J,); lets the rules pass over joints that move nothing.
+
+    Returns:
+        Handle indices of `bunraku.core.body.layout.HANDLE_NAMES`, shape (J,); -1 where a name says nothing.
+    """
+    own = [re.sub(r"_[2-9]\d*$", "", name) for name in names]  # left_hip_2 moves the second left leg
+    whole = len(names) == len(HANDLE_NAMES) or set(JOINT_NAMES) <= set(names)
+    if whole and set(own) <= set(HANDLE_NAMES):  # a rig that Bunraku wrote: its "shoulder" is no collar bone
+        return np.array([_H[name] for name in own], np.int64)
+    tree = _Tree(without_prefix(names), list(parents), positions, mass)
+    out = np.full(len(names), NO_HANDLE, np.int64)
+    plain = {"head_top": "head_top", "face": "face", "neck": "neck", "head": "head", "hips": "pelvis"}
+    sided = {"fingers": "fingers", "wrist": "wrist", "elbow": "elbow", "shoulder": "shoulder", "collar": "collar",
+    "wing": "wing",
+             "front_foot": "wrist", "hip_bone": "hip", "toe": "foot", "hind_paw": "foot"}  # fmt: skip
+    for joint, kind in enumerate(tree.kinds):
+        if kind in plain:
+            out[joint] = _H[plain[kind]]
+        elif kind in sided:
+            out[joint] = tree.sided(joint, sided[kind])
+        elif kind == "face_bone":
+            out[joint] = _H["face" if tree.of("head") else "head"]
+    _legs(tree, out)
+    _flippers(tree, out)
+    _trunk(tree, out)
+    _empty_hands(tree, out)
+    _between(tree, out)
+    for joint in tree.of("held", ""):
+        parent = tree.parents[joint]
+        if (
+            parent >= 0
+            and out[parent] >= _H["neck"]
+            and (tree.kinds[joint] == "held" or out[parent] in (_H["head"], _H["face"]))
+        ):
+            out[joint] = out[parent]
+    return out
+
+
+def _legs(tree: _Tree, out: np.ndarray) -> None:
+    """Legs of two segments are hip and knee, of three hip, knee and ankle; front legs are arms."""
+    long: set[int] = set()
+    front = set(tree.of("arm_leg"))
+    chain_of: dict[int, list[int]] = {}
+    legs = tree.of("leg", "arm_leg")
+    for joint in legs:
+        if any(child in legs for child in tree.children[joint]):
+            continue
+        line = [joint]
+        while tree.parents[line[0]] in legs:
+            line.insert(0, tree.parents[line[0]])
+        for member in line:
+            if len(line) > len(chain_of.get(member, [])):
+                chain_of[member] = line
+    for whole in sorted({tuple(c) for c in chain_of.values()}):
+        chain = _segments(tree, whole)
+        upper = [bool(re.search(r"up(per)?leg|legup|uparm|armup", tree.words[j])) for j in chain]
+        capped = any(tree.kinds[a] == "hip_bone" for a in tree.above(chain[0]))
+        if chain[0] in front:
+            parts = (
+                ["shoulder", "elbow", "wrist"] if len(chain) != 3 or not upper[1] else ["collar", "shoulder", "elbow"]
+            )
+        elif len(chain) >= 3 and upper[1] and not capped:
+            parts = ["hip", "hip", "knee", "ankle"]
+        else:
+            parts = ["hip", "knee", "ankle", "foot"]
+            if len(chain) >= 3:
+                long.add(tree.sides[chain[0]])
+        if len(chain) == 1 and re.search(r"low|knee|shin|calf|down", tree.words[chain[0]]):
+            parts = parts[1:]
+        rank = -1
+        for joint in whole:
+            rank += joint in chain
+            out[joint] = tree.sided(joint, parts[min(rank, len(parts) - 1)])
+    for joint in tree.of("foot"):
+        arm = "front" in tree.words[joint]
+        out[joint] = tree.sided(joint, "wrist" if arm else "foot" if tree.sides[joint] in long else "ankle")
+
+
+def _segments(tree: _Tree, chain: tuple[int, ...]) -> list[int]:
+    """The first bone of each segment of a leg: `thigh.L.001` below `thigh.L` is its second half, unless all bones of
+    the leg are called alike.
+    """
+    firsts = [
+        joint for rank, joint in enumerate(chain) if rank == 0 or tree.copies[joint] != tree.copies[chain[rank - 1]]
+    ]
+    return firsts if len(firsts) > 1 else list(chain)
+
+
+def _flippers(tree: _Tree, out: np.ndarray) -> None:
+    for joint in tree.of("flipper"):
+        rank = sum(tree.kinds[a] == "flipper" for a in tree.above(joint))
+        out[joint] = tree.sided(joint, ("shoulder", "elbow", "wrist")[min(rank, 2)])
+
+
+def _spread(joints: list[int], out: np.ndarray) -> None:
+    """Spine bones over the three spine handles: one takes the middle, two the ends."""
+    parts = (_H["spine1"], _H["spine2"], _H["spine3"])
+    for rank, joint in enumerate(joints):
+        out[joint] = parts[round(rank * 2 / (len(joints) - 1)) if len(joints) > 1 else 1]
+
+
+def _trunk(tree: _Tree, out: np.ndarray) -> None:
+    """Pelvis, spine and tail, which rigs name in the most ways."""
+    pelvis, limbs = _H["pelvis"], {"leg", "hip_bone"}
+    tail = tree.of("tail", "sting")
+    insect = any("thorax" in tree.words[j] for j in tree.of("spine"))
+    spine = tree.of("spine", *(() if insect else ("abdomen",)))
+    if insect:
+        tail = tree.of("abdomen") + tail
+    swims = not tree.of("leg", "arm_leg", "hips") and bool(tree.of("tail")) and len(spine) >= 3
+    if tree.of("main"):
+        mains = tree.of("main")
+        middle = len(mains) // 2 if len(mains) > 4 else 1
+        for rank, joint in enumerate(mains):
+            out[joint] = (
+                _H["head"]
+                if rank == 0
+                else _H["spine2"]
+                if rank == 1 < middle
+                else pelvis
+                if rank <= middle - (len(mains) > 4)
+                else -2
+            )
+        tail = [j for j in mains if out[j] == -2]
+    elif swims:  # Spine1 is behind the head, the middle of the fish is its pelvis, what follows drives the tail
+        out[spine[0]], out[spine[1]] = _H["spine2"], pelvis
+        tail = spine[2:] + tail
+        for joint in tree.of("root"):
+            if tree.parents[joint] < 0:
+                out[joint] = pelvis
+    elif tree.of("chest_bone"):  # four-legged: Back, Hips, Body, Torso, Shoulders from the rump to the neck
+        out[tree.of("chest_bone")] = _H["spine3"]
+        out[tree.of("back")] = pelvis
+        out[tree.of("body")] = _H["spine1"]
+        out[spine] = _H["spine2"]
+    else:
+        for joint in tree.of("back"):
+            if tree.child_kinds(joint) & (limbs | {"tail"}):
+                out[joint] = pelvis
+            else:
+                spine.append(joint)
+        for joint in tree.of("body"):
+            if tree.child_kinds(joint) & (limbs | {"hips", "back"}) or not (out == pelvis).any():
+                out[joint] = pelvis
+            else:
+                spine.insert(0, joint)
+        for joint in tree.of("root"):
+            if tree.child_kinds(joint) & limbs or (
+                tree.child_kinds(joint) & {"spine", "hips"} and not (out == pelvis).any()
+            ):
+                out[joint] = pelvis
+        spine = _without_head(tree, _by_height(tree, spine), out)
+        _spread(spine, out)
+        if tree.mass is not None and spine and not (tree.mass[out == pelvis] > 0).any():
+            heavy = [j for j in spine if tree.mass[j] > 0]
+            if heavy:
+                out[heavy[0]] = pelvis
+                _spread(heavy[1:], out)
+    for joint in tail:
+        above = sum(a in tail for a in tree.above(joint))
+        below = 0
+        queue = [c for c in tree.children[joint] if c in tail]
+        while queue:
+            below, queue = below + 1, [c for j in queue for c in tree.children[j] if c in tail]
+        out[joint] = _H["tail" if above < (above + below + 1) / 2 else "tail_tip"]
+
+
+def _without_head(tree: _Tree, spine: list[int], out: np.ndarray) -> list[int]:
+    """The spine bones below the arms. Where no name tells of a head or a neck and the spine goes on above the arms, its
+    last bone is the head and those before it the neck, as in Rigify's `spine.004` to `spine.006`.
+    """
+    arms = tree.of("collar", "shoulder")
+    bearing = {above for joint in arms for above in tree.above(joint)}
+    last = [joint for joint in spine if joint in bearing][-1:]
+    over = [joint for joint in spine if joint not in bearing and set(last) & set(tree.above(joint))]
+    if not over or tree.of("head", "neck"):
+        return spine
+    out[over] = _H["neck"]
+    out[over[-1]] = _H["head"]
+    return [joint for joint in spine if joint not in over]
+
+
+def _by_height(tree: _Tree, joints: list[int]) -> list[int]:
+    """In order along the body: by depth in the hierarchy, and from below where two are side by side."""
+    height = np.zeros(len(tree.parents)) if tree.positions is None else tree.positions[:, 1]
+    return sorted(joints, key=lambda j: (len(tree.above(j)), float(height[j]), j))
+
+
+def _between(tree: _Tree, out: np.ndarray) -> None:
+    """Where no name tells of an upper limb, the bone that its lower one hangs on is it, if nothing else is known of it:
+    `bicep.L` between `collar.L` and `forearm.L`.
+    """
+    for side in ("left", "right"):
+        for upper, lower in (("shoulder", "elbow"), ("hip", "knee")):
+            if (out == _H[f"{side}_{upper}"]).any():
+                continue
+            first = min(
+                np.flatnonzero(out == _H[f"{side}_{lower}"]).tolist(), key=lambda j: len(tree.above(j)), default=-1
+            )
+            above = tree.parents[first] if first >= 0 else -1
+            if above >= 0 and out[above] == NO_HANDLE and tree.parents[above] >= 0:
+                out[above] = _H[f"{side}_{upper}"]
+
+
+def _empty_hands(tree: _Tree, out: np.ndarray) -> None:
+    """Where no hand bone moves anything, the first finger bones are the hand."""
+    for side, word in ((1, "left"), (-1, "right")):
+        hands = out == _H[f"{word}_wrist"]
+        if hands.any() and (tree.mass is None or (tree.mass[hands] > 0).any()):
+            continue
+        for joint in tree.of("fingers"):
+            if tree.sides[joint] == side and tree.parents[joint] >= 0 and tree.kinds[tree.parents[joint]] != "fingers":
+                out[joint] = _H[f"{word}_wrist"]
+
+
+def limb_parents(handles: np.ndarray, parents: Sequence[int] | np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Parents with loose limb ends put back on their limbs, for posing.
+
+    Rigs made for inverse kinematics hang the feet on the root, so that turning the knee would leave the foot behind. A
+    joint whose ancestors hold no part of its own limb gets the nearest joint of the next part up the limb as its
+    parent.
+
+    Args:
+        handles: Handle of each joint (`handle_of_joints`), shape (J,).
+        parents: Parent of each joint, shape (J,).
+        positions: Joint positions [m], shape (J, 3).
+
+    Returns:
+        Parent of each joint, shape (J,).
+    """
+    out = np.array(parents, np.int64)
+
+    def above(joint: int) -> list[int]:
+        chain: list[int] = []
+        joint = int(out[joint])
+        while joint >= 0 and joint not in chain:
+            chain.append(joint)
+            joint = int(out[joint])
+        return chain
+
+    for joint, handle in enumerate(handles):
+        if handle <= 0:
+            continue
+        limb = []
+        part = HANDLE_PARENTS[handle]
+        while part > 0:
+            limb.append(part)
+            part = HANDLE_PARENTS[part]
+        chain = above(joint)
+        if any(handles[a] in limb or handles[a] == handle for a in chain):
+            continue
+        for part in limb:
+            candidates = [j for j in np.flatnonzero(handles == part) if joint not in above(int(j)) and j != joint]
+            if candidates:
+                distances = np.linalg.norm(positions[candidates] - positions[joint], axis=1)
+                out[joint] = candidates[int(distances.argmin())]
+                break
+    return out
+
+
+_CLEAR = 0.85  # least cosine between a direction and the axis that it is taken for
+_TOPS = [HANDLE_NAMES.index(name) for name in ("left_hip", "right_hip")]
+_FEET = [HANDLE_NAMES.index(f"{side}_{part}") for part in ("foot", "ankle", "knee") for side in ("left", "right")]
+
+
+def rig_axes(
+    names: Sequence[str], parents: Sequence[int] | np.ndarray, positions: np.ndarray
+) -> tuple[str, str] | None:
+    """The axis that is up and the axis that a rig faces, such as ("+y", "+z").
+
+    Legs say what is down, and what is left and right by name says the rest.
+
+    Args:
+        names: Joint names, length J.
+        parents: Parent of each joint, -1 for a root, shape (J,).
+        positions: Joint positions in the rest pose [m], shape (J, 3).
+
+    Returns:
+        None where the names or the places leave a doubt: no two legs, no left and right, or directions between the
+            axes.
+    """
+    handles = handle_of_joints(names, parents)
+    centres = {int(h): positions[handles == h].mean(axis=0) for h in np.unique(handles) if h != NO_HANDLE}
+    ends = next(
+        (
+            [centres[a], centres[b]]
+            for a, b in zip(_FEET[::2], _FEET[1::2], strict=True)
+            if a in centres and b in centres
+        ),
+        None,
+    )
+    if ends is None or any(top not in centres for top in _TOPS):
+        return None
+    up = np.mean([centres[top] for top in _TOPS], axis=0) - np.mean(ends, axis=0)
+    pairs = [
+        centres[h] - centres[m]
+        for h, m in enumerate(HANDLE_MIRROR)
+        if HANDLE_NAMES[h].startswith("left_") and h in centres and m in centres
+    ]
+    lengths = np.linalg.norm(pairs, axis=1)
+    left = np.sum(pairs, axis=0)
+    if np.linalg.norm(left) < 0.7 * lengths.sum():  # left and right of the parts do not agree
+        return None
+    found = [_axis(direction) for direction in (up, np.cross(left, up))]
+    return (found[0], found[1]) if found[0] and found[1] and found[0][1] != found[1][1] else None
+
+
+def _axis(direction: np.ndarray) -> str:
+    """The axis that a direction lies along; "" where it lies along none."""
+    shares = np.array([axis_vector(axis) for axis in AXES]) @ direction / max(float(np.linalg.norm(direction)), 1e-12)
+    best = int(shares.argmax())
+    return AXES[best] if shares[best] >= _CLEAR else ""
+
+
+def resolve_joints(handles: np.ndarray, parents: np.ndarray) -> np.ndarray:
+    """Handles of joints where those whose names say nothing join their nearest ancestor that has one, or the root.
+
+    Args:
+        handles: Handle of each joint, -1 for none, shape (J,).
+        parents: Parent of each joint, -1 for roots, any order, shape (J,).
+
+    Returns:
+        Shape (J,), none of them -1.
+    """
+    out = np.array(handles, np.int64)
+    for joint in np.flatnonzero(out == NO_HANDLE):
+        above, steps = int(parents[joint]), 0
+        while above >= 0 and handles[above] == NO_HANDLE and steps < len(parents):
+            above, steps = int(parents[above]), steps + 1
+        out[joint] = max(int(handles[above]), 0) if above >= 0 else 0
+    return out
+
+
+def rig_handles(character: Character, least: int = 2) -> Handles:
+    """Handles of a rigged character from its own bones: the weights of all bones of a part added up.
+
+    Args:
+        character: With a rig; +Y up and facing +Z.
+        least: How many of the 30 parts the bones' names must tell at the least.
+
+    Raises:
+        CharacterError: It has no rig, or its bones have no names that tell which part they move.
+    """
+    rig = character.rig
+    if rig is None:
+        raise CharacterError(
+            f"{character.name}: there is no rig in this file to take the handles from; let them be predicted"
+        )
+    dense = rig.dense_weights()
+    areas = character.areas
+    mass = (dense * areas[:, None]).sum(axis=0)
+    known = handle_of_joints(rig.names, rig.parents, rig.positions, mass)
+    if len(np.unique(known[known != NO_HANDLE])) < least:
+        some = ", ".join(rig.names[:3])
+        raise CharacterError(
+            f"{character.name}: the names of the rig's {len(rig.names)} bones ({some} ...) do not tell which part "
+            "each moves; "
+            "rename them (hips, spine, head, left_hand ...) or let the handles be predicted"
+        )
+    weights = dense @ np.eye(HANDLE_COUNT, dtype=np.float32)[resolve_joints(known, rig.parents)]
+    total = weights.sum(axis=1, keepdims=True)
+    weights = np.where(total > 1e-6, weights / np.maximum(total, 1e-6), np.eye(1, HANDLE_COUNT, dtype=np.float32))
+    return Handles(handle_positions(character.vertices, weights, areas), weights)

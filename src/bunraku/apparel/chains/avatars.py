@@ -1,0 +1,274 @@
+"""Chains for other programs: springs and colliders of VRM that swing as the chains do, and rigid bodies of MMD."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from bunraku.apparel.chains.chain import Chain
+from bunraku.apparel.chains.chain_rig import Chained
+from bunraku.apparel.chains.moving import steady_simulation
+from bunraku.core.animation import RigAnimation
+from bunraku.core.avatars import MmdModel, MmdSdef, VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
+
+__all__ = ["VrmValues", "between_frames", "fitted_springs", "link_turns", "mmd_avatar", "vrm_avatar", "vrm_steps"]
+
+
+RATE = 60  # steps a second
+
+
+@dataclass(frozen=True, eq=False)
+class VrmValues:
+    """Settings of a link: stiffness, drag and gravity power, each of shape (C, S) or one that fits."""
+
+    stiffness: np.ndarray
+    drag: np.ndarray
+    gravity: np.ndarray
+
+
+def between_frames(turns: np.ndarray, places: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (N, ..., 3, 3) and positions (N, ..., 3) of frames at the times of VRM's steps: positions go straight,
+    rotations are those of the nearest frame. The first is the first frame's, the last the last one's.
+    """
+    parts = max(1, round(RATE / fps))
+    time = np.arange((len(places) - 1) * parts + 1) / parts
+    before = np.minimum(time.astype(np.int64), len(places) - 1)
+    after = np.minimum(before + 1, len(places) - 1)
+    share = (time - before).reshape(-1, *[1] * (places.ndim - 1))
+    return turns[np.where(time - before > 0.5, after, before)], (1 - share) * places[before] + share * places[after]
+
+
+def vrm_steps(turns: np.ndarray, heads: np.ndarray, bones: np.ndarray, values: VrmValues) -> Iterator[np.ndarray]:
+    """Where the tails of C links are, without colliders, step by step as VRM's specification moves them: `x += (1 -
+    drag) dx + stiffness dt rest + gravity dt down`, and then back to its length. What hangs on a link does not pull at
+    it.
+
+    Args:
+        turns: World rotation of what each link hangs on at each step, shape (T, C, 3, 3).
+        heads: Where each link begins [m], shape (T, C, 3).
+        bones: From the beginning of each link to its tail at rest [m], shape (C, 3).
+        values: S settings of each link.
+
+    Yields:
+        T times positions [m], shape (C, S, 3).
+    """
+    stiffness, drag, gravity = np.broadcast_arrays(values.stiffness, values.drag, values.gravity)
+    length = np.linalg.norm(bones, axis=1)[:, None, None]
+    aims = np.einsum("tcab,cb->tca", turns, bones / np.maximum(length[:, 0], 1e-9))[:, :, None]
+    keep, back = (1 - drag)[..., None], (stiffness / RATE)[..., None]
+    fall = np.stack([np.zeros_like(gravity), -gravity / RATE, np.zeros_like(gravity)], axis=-1)
+    now = before = np.broadcast_to(heads[0][:, None] + length * aims[0], fall.shape)
+    yield now
+    for head, aim in zip(heads[1:], aims[1:], strict=True):
+        away = now + keep * (now - before) + back * aim + fall - head[:, None]
+        away /= np.maximum(np.sqrt(np.einsum("csa,csa->cs", away, away)), 1e-9)[..., None]
+        before, now = now, head[:, None] + length * away
+        yield now
+
+
+def link_turns(turns: np.ndarray, heads: np.ndarray, bones: np.ndarray, tails: np.ndarray) -> np.ndarray:
+    """World rotations of C links whose tails are known: by the least turn from where what they hang on holds them,
+    shape (T, C, 3, 3).
+
+    Args:
+        turns, heads, bones: As in `vrm_steps`.
+        tails: [m], shape (T, C, 3).
+    """
+    aims = np.einsum("tcab,cb->tca", turns, bones)
+    aims /= np.maximum(np.linalg.norm(aims, axis=-1, keepdims=True), 1e-9)
+    away = tails - heads
+    away /= np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9)
+    return np.asarray(_between(aims, away) @ turns)
+
+
+def _between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """The shortest rotations from unit vectors to others, shape (..., 3, 3)."""
+    cross = np.cross(start, end)
+    cosine = (start * end).sum(axis=-1)
+    skew = np.zeros((*start.shape, 3))
+    skew[..., 0, 1], skew[..., 0, 2], skew[..., 1, 2] = -cross[..., 2], cross[..., 1], -cross[..., 0]
+    skew -= np.swapaxes(skew, -1, -2)
+    scale = 1 / np.maximum(1 + cosine, 1e-6)
+    return np.asarray(np.eye(3) + skew + scale[..., None, None] * (skew @ skew))
+
+
+FPS = 30.0
+# Gravity over stiffness is how far a link hangs down. Softer links with less drag swing on in motions that they were
+# not fitted to.
+_GRID = np.array([(stiffness, drag, stiffness * sag) for stiffness, drag, sag in product(
+    (0.5, 1.0, 2.0, 4.0, 8.0, 16.0), (0.15, 0.3, 0.5, 0.75), (0.0, 0.05, 0.1, 0.2, 0.35, 0.6))])  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Sway:
+    """A motion made of sines.
+
+    Args:
+        seconds: Its length [s].
+        turns: How far the body bends, turns and leans [rad].
+        aside, up: How far it goes aside and up and down, over its height.
+        pace: How fast it goes forward, heights a second; of the first, to and fro by a quarter of its height.
+        legs: How far legs swing from the hip [rad]; knees bend by twice as much.
+    """
+
+    seconds: float
+    turns: tuple[float, float, float]
+    aside: float
+    up: float
+    pace: float
+    legs: float
+
+
+_STANDING = _Sway(5.0, (0.25, 0.6, 0.2), 0.1, 0.02, 0.0, 0.4)
+_GOING = tuple(_Sway(6.0, (0.12 * much, 0.3 * much, 0.08 * much), 0.04, 0.015, pace, legs)
+               for pace, much, legs in ((0.7, 1.0, 0.4), (0.8, 0.3, 0.5), (0.4, 0.6, 0.3)))  # fmt: skip
+STEP = 0.9  # steps of each leg a second [1/s]
+
+
+def fitted_springs(made: Chained) -> list[np.ndarray]:
+    """Stiffness, drag and gravity power of each link of each chain, each of shape (R, 3)."""
+    values = VrmValues(*_GRID.T)
+    paths = [_Path.of(made, sway) for sway in (_STANDING, *_GOING)]
+    out: list[np.ndarray] = [np.zeros((len(chain), 3)) for chain in made.chains]
+    for link in range(max(map(len, made.chains), default=0)):
+        rows = [number for number, chain in enumerate(made.chains) if len(chain) > link]
+        bones = np.stack([made.chains[number].points[link + 1] - made.chains[number].points[link] for number in rows])
+        best = sum(path.errors(link, rows, bones, values) for path in paths).argmin(axis=1)  # type: ignore[union-attr]
+        for number, chosen in zip(rows, _GRID[best], strict=True):
+            out[number][link] = chosen
+        for path in paths:
+            path.go_on(rows, bones, VrmValues(*_GRID[best].T[:, :, None]))
+    return out
+
+
+class _Path:
+    """A motion, where the links of C chains go in our simulation, and where VRM's steps have brought the link above.
+
+    Args:
+        turns, heads: Of what the first link of each chain hangs on at each step, shapes (T, C, 3, 3) and (T, C, 3).
+        tails: Of each chain in our simulation, shape (N, R, 3).
+        rigid: How far these are in the mean from where they would be without one [m], shape (C,).
+    """
+
+    def __init__(self, turns: np.ndarray, heads: np.ndarray, tails: Sequence[np.ndarray], rigid: np.ndarray):
+        self.turns, self.heads, self.tails, self.rigid = turns, heads, tails, rigid
+
+    @classmethod
+    def of(cls, made: Chained, sway: _Sway) -> _Path:
+        moved = _swaying(made, sway)
+        rotations, places = steady_simulation(moved, made.rig()).animation.world()
+        still = moved.world()[1]
+        bones = [[*chain.bones[1:], end] for chain, end in zip(made.chains, made.ends, strict=True)]
+        holders, firsts = ([int(bone) for bone in row] for row in zip(
+            *((chain.holder, chain.bones[0]) for chain in made.chains), strict=True))  # fmt: skip
+        turns, heads = between_frames(rotations[:, holders], places[:, firsts], FPS)
+        rigid = [np.linalg.norm(places[:, own] - still[:, own], axis=-1).mean() for own in bones]
+        return cls(turns, heads, [places[:, own] for own in bones], np.maximum(rigid, 1e-6))
+
+    def errors(self, link: int, rows: list[int], bones: np.ndarray, values: VrmValues) -> np.ndarray:
+        """How far VRM's tails of some chains' links are from ours with each setting, over rigid, shape (C, S)."""
+        true = np.stack([self.tails[number][:, link] for number in rows], axis=1)
+        every = (len(self.heads) - 1) // (len(true) - 1)
+        out = np.zeros((len(rows), values.stiffness.shape[-1]))
+        own = VrmValues(*(np.broadcast_to(one, out.shape) for one in (values.stiffness, values.drag, values.gravity)))
+        for step, tails in enumerate(vrm_steps(self.turns[:, rows], self.heads[:, rows], bones, own)):
+            if step % every == 0:
+                away = tails - true[step // every][:, None]
+                out += np.sqrt(np.einsum("csa,csa->cs", away, away))
+        return np.asarray(out / len(true) / self.rigid[rows][:, None])
+
+    def go_on(self, rows: list[int], bones: np.ndarray, values: VrmValues) -> None:
+        """Take the links with the settings that were chosen as what the next ones hang on."""
+        turns, heads = self.turns[:, rows], self.heads[:, rows]
+        tails = np.stack(list(vrm_steps(turns, heads, bones, values)))[:, :, 0]
+        self.turns[:, rows], self.heads[:, rows] = link_turns(turns, heads, bones, tails), tails
+
+
+def _swaying(made: Chained, sway: _Sway) -> RigAnimation:
+    """A body that bends, turns and goes."""
+    rig = made.character.rig
+    assert rig is not None
+    time = np.arange(round(sway.seconds * FPS)) / FPS
+    count = len(rig.names)
+    rotations = np.tile(np.eye(3), (len(time), count, 1, 1))
+    translations = np.zeros((len(time), count, 3))
+    top = int(np.flatnonzero(rig.parents < 0)[0])
+    holders = {int(chain.holder) for chain in made.chains}
+    links = {int(bone) for chain in made.chains for bone in chain.bones}
+    angles = np.stack(
+        [much * np.sin(2 * np.pi * rate * time) for much, rate in zip(sway.turns, (STEP, 0.4, 0.6), strict=True)],
+        axis=1,
+    )
+    for bone in sorted(({top} | holders) - links):
+        rotations[:, bone] = matrix_from_axis_angle((1.0 if bone == top else 0.7) * angles)
+    limbs = {body.bone for body in made.colliders}
+    for bone in sorted(limbs - links):
+        phase = 2 * np.pi * STEP * time + (np.pi if rig.positions[bone, 0] > 0 else 0.0)
+        swing = -sway.legs * np.sin(phase)
+        if int(rig.parents[bone]) in limbs:  # a knee bends while its leg goes forward
+            swing = 2 * sway.legs * np.maximum(np.cos(phase), 0)
+        rotations[:, bone] = matrix_from_axis_angle(swing[:, None] * np.array([1.0, 0, 0]))
+    # to its pace in a second
+    forward = sway.pace * np.where(time < 1, time**2 / 2, time - 0.5)
+    if not sway.pace:
+        forward = 0.25 * np.sin(2 * np.pi * 0.3 * time)
+    aside, up = sway.aside * np.sin(2 * np.pi * 0.5 * time), sway.up * np.sin(2 * np.pi * 1.9 * time)
+    translations[:, top] = made.character.height * np.stack([aside, up, forward], axis=1)
+    return RigAnimation(made.character, rotations, translations, FPS)
+
+
+_DOWN = np.array([0.0, -1, 0])
+
+
+def mmd_avatar(made: Chained) -> MmdModel:
+    """The rigid bodies and joints of a character's chains, by the bones of its rig; the writer makes the rest."""
+    rig = made.rig()
+    none = np.zeros((0, 3))
+    return MmdModel(
+        made.character.name, "", "PMX 2.0", (), (), rig.bodies, rig.joints, np.zeros(0, np.uint8),
+        MmdSdef(np.zeros(0, np.int64), none, none, none),
+    )  # fmt: skip
+
+
+def vrm_avatar(made: Chained) -> VrmModel:
+    """The springs and colliders of a character's chains, by the bones of its rig."""
+    rig = made.character.rig
+    assert rig is not None
+    colliders = []
+    for body in made.colliders:
+        half = 0.5 * body.size[1] * body.rotation[:, 1]
+        middle = body.position - rig.positions[body.bone]
+        colliders.append(VrmCollider(body.bone, "capsule", middle - half, float(body.size[0]), middle + half))
+    springs = []
+    for chain, end, values in zip(made.chains, made.ends, fitted_springs(made), strict=True):
+        rooms = [_room(point, made) for point in chain.points[1:]]
+        joints = [
+            VrmSpringJoint(int(bone), float(stiffness), float(gravity), _DOWN, float(drag), _radius(chain, link, room))
+            for link, (bone, room, (stiffness, drag, gravity)) in enumerate(
+                zip(chain.bones, rooms, values, strict=True)
+            )
+        ]
+        joints.append(VrmSpringJoint(end, 1.0, 0.0, _DOWN, float(values[-1, 1]), 0.0))
+        # what lies within a collider at rest would be thrown out of it
+        springs.append(VrmSpring(chain.name, tuple(joints), (0,) if colliders and min(rooms) > 0 else ()))
+    groups = (tuple(range(len(colliders))),) if colliders else ()
+    return VrmModel("1.0", made.character.name, {}, tuple(springs), tuple(colliders), groups)
+
+
+def _radius(chain: Chain, link: int, room: float) -> float:
+    return float(np.clip(min(0.6 * chain.width[link], room), 0.0, 0.04))
+
+
+def _room(point: np.ndarray, made: Chained) -> float:
+    """How far a point is from the nearest collider at rest [m]; far where there are none."""
+    out = np.inf
+    for body in made.colliders:
+        along = body.rotation[:, 1]
+        half = 0.5 * body.size[1]
+        at = np.clip((point - body.position) @ along, -half, half)
+        out = min(out, float(np.linalg.norm(point - body.position - at * along) - body.size[0]))
+    return out

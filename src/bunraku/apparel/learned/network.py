@@ -1,0 +1,259 @@
+"""The displacement network f_d (MMDMC 4.3): its weights, and how it runs frame by frame for one character."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.special import erf, expit
+
+from bunraku.apparel.learned.features import BASIS, GLOBAL, SCALARS, STATIC_SCALARS, STATIC_VECTORS, VECTORS
+from bunraku.apparel.nodes import EdgeBlock, NodeGraph
+from bunraku.core.nn.checkpoints import config_of, load_network
+from bunraku.core.nn.layers import Weights, gelu
+
+__all__ = [
+    "CHANGE",
+    "DisplacementConfig",
+    "DisplacementNetwork",
+    "DisplacementPart",
+    "FoldedNetwork",
+    "FoldedPast",
+    "KEEP",
+    "MOTION",
+    "MOTION_HIDDEN",
+    "NODE_INPUT",
+    "OWN_STATE",
+    "SET",
+    "SHARE",
+    "STILL",
+    "WORLD_STATE",
+    "load_displacement",
+    "past_of_states",
+]
+
+
+STILL = 3 * STATIC_VECTORS + STATIC_SCALARS
+"""Numbers of a node that never change."""
+NODE_INPUT = STILL + 3 * VECTORS + SCALARS
+"""Numbers of a node in a frame."""
+MOTION_HIDDEN, MOTION = 64, 24
+"""Channels of the MLP of the encoded motion f_t(T), and of what it says."""
+SHARE = 1.5
+"""Largest weight of a basis vector in what the head says."""
+KEEP = 0.97
+"""Most of the difference from the head that a frame leaves."""
+CHANGE = 0.04
+"""Largest change of that difference in a frame, over the character's size."""
+OWN_STATE, WORLD_STATE = 7 * 3 + 1, 9
+"""Numbers of a node's past that the recurrent part reads, in the frame of its joint, and in the paper's form."""
+SET = 7
+"""Numbers that the recurrent part sets for a node."""
+
+
+@dataclass(frozen=True)
+class DisplacementConfig:
+    """Shape of the network.
+
+    Args:
+        width: Channels of the head.
+        blocks: Its edge convolutions.
+        recurrent: Channels of the recurrent part, 0 for the head alone.
+        frame: "joint" remembers the difference from the head in the frame of the carrying joint; "world" is the
+            paper's Eq. 11 as it stands, positions in the world from the pelvis, without the head.
+    """
+
+    width: int = 96
+    blocks: int = 2
+    recurrent: int = 64
+    frame: Literal["joint", "world"] = "joint"
+
+
+class DisplacementPart:
+    """Encoder and decoder of the head or of the recurrent part.
+
+    Args:
+        extra: Numbers of a node beside `NODE_INPUT`.
+        width: Channels.
+        blocks: Edge convolutions.
+        said: Numbers that it says of a node.
+        weights: Of a checkpoint.
+        world: Whether it is the paper's form of the recurrent part.
+    """
+
+    def __init__(self, extra: int, width: int, blocks: int, said: int, weights: Weights, world: bool = False):
+        encoder, count = weights.part("encoder"), NODE_INPUT + extra
+        self.world = world
+        self.mean, self.std = encoder.array("mean", count), encoder.array("std", count)
+        self.motion = (
+            encoder.linear("motion.0", GLOBAL, MOTION_HIDDEN), encoder.linear("motion.2", MOTION_HIDDEN, MOTION),
+        )  # fmt: skip
+        self.enter = encoder.linear("enter.0", count + MOTION, width), encoder.linear("enter.2", width, width)
+        self.norm = encoder.norm("enter.3", width)
+        self.blocks = [EdgeBlock(width, encoder.part(f"blocks.{index}")) for index in range(blocks)]
+        self.decoder = weights.linear("decoder.0", width, width), weights.linear("decoder.2", width, said)
+
+
+class DisplacementNetwork:
+    """The head that cannot drift, and the recurrent part about it.
+
+    Args:
+        config: Its shape.
+        weights: Of a checkpoint.
+
+    Raises:
+        ValueError: The weights have other sizes.
+    """
+
+    def __init__(self, config: DisplacementConfig, weights: Weights):
+        self.config = config
+        self.anchor = DisplacementPart(0, config.width, config.blocks, BASIS + 3, weights.part("anchor"))
+        self.recurrent: DisplacementPart | None = None
+        if config.recurrent:
+            world = config.frame == "world"
+            extra, said = (WORLD_STATE, 3) if world else (OWN_STATE, SET)
+            part = weights.part("recurrent")
+            self.recurrent = DisplacementPart(extra, config.recurrent, config.blocks, said, part, world)
+
+
+def load_displacement(path: str | Path) -> DisplacementNetwork:
+    """Read a checkpoint of kind "apparel", ready to use.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """
+    return load_network(
+        path, "apparel", lambda shape, weights: DisplacementNetwork(config_of(DisplacementConfig, shape), weights)
+    )
+
+
+FoldedPast = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""The last three states, newest first: differences from the head (in the paper's form positions from the pelvis), shape
+(3, M, 3); the last two displacements that were given out, (2, M, 3); and the positions of these frames, (2, M, 3).
+"""
+
+
+def past_of_states(
+    part: DisplacementPart, states: np.ndarray, heads: np.ndarray, turns: np.ndarray, positions: np.ndarray
+) -> FoldedPast:
+    """The past after three frames whose displacements are known.
+
+    Args:
+        part: The network that goes on from it.
+        states: Displacements, in the frames of the carrying joints, oldest first, shape (3, M, 3).
+        heads: What the head says of these frames, shape (3, M, 3).
+        turns: Frames of the carrying joints, shape (3, M, 3, 3).
+        positions: Carried positions over the character's size; from the pelvis in the paper's form, shape (3, M, 3).
+    """
+    world = positions + np.einsum("fmab,fmb->fma", turns, states)
+    rest = world if part.world else states - heads
+    return rest[::-1], states[::-1][:2], world[::-1][:2]
+
+
+class FoldedNetwork:
+    """The network as it is at this moment; weights that change later do not count.
+
+    Args:
+        network: The network.
+        static_vectors, static_scalars: Of the character's nodes (`static_features`).
+        graph: Of the nodes.
+    """
+
+    def __init__(
+        self, network: DisplacementNetwork, static_vectors: np.ndarray, static_scalars: np.ndarray, graph: NodeGraph
+    ):
+        still = np.concatenate([static_vectors.reshape(len(static_scalars), -1), static_scalars], axis=1)
+        self.world = network.recurrent is not None and network.recurrent.world
+        self._anchor = _FoldedPart(network.anchor, still, graph)
+        self._recurrent = None if network.recurrent is None else _FoldedPart(network.recurrent, still, graph)
+
+    def anchor(self, vectors: np.ndarray, scalars: np.ndarray, whole: np.ndarray) -> np.ndarray:
+        """What the head says, shape (M, 3).
+
+        Args:
+            vectors: Shape (M, VECTORS, 3).
+            scalars: Shape (M, SCALARS).
+            whole: Shape (GLOBAL,).
+        """
+        out = self._anchor(_moving(vectors, scalars), whole)
+        share = SHARE * np.tanh(out[:, :BASIS])
+        return np.asarray(np.matmul(share[:, None], vectors[:, :BASIS])[:, 0] + out[:, BASIS:])
+
+    def recurrent(
+        self, vectors: np.ndarray, scalars: np.ndarray, whole: np.ndarray, past: FoldedPast, anchor: np.ndarray,
+        turns: np.ndarray, positions: np.ndarray,
+    ) -> tuple[np.ndarray, FoldedPast]:  # fmt: skip
+        """The next displacement (M, 3) and the new past; the first three as above, the rest as
+        the laboratory's `RecurrentPart.forward` takes them, whose formula this is.
+        """
+        assert self._recurrent is not None
+        rest, given, been = past
+        change, before = rest[0] - rest[1], rest[1] - rest[2]
+        state = [rest[0], change, change - before]
+        if self.world:
+            now = rest[0] + self._recurrent(_moving(vectors, scalars, *state), whole)
+            moved = _back(turns, now - positions)
+            return moved, (np.stack([now, rest[0], rest[1]]), np.stack([moved, given[0]]), been)
+        inertia = _back(turns, 2 * been[0] - been[1] - positions) - given[0]
+        late, own_change = given[0] - anchor, given[0] - given[1]
+        head_change = rest[0] - late
+        speed = np.sqrt(np.einsum("ma,ma->m", own_change, own_change))[:, None]
+        own = [*state, inertia, late, own_change, head_change, speed]
+        out = self._recurrent(_moving(vectors, scalars, *own), whole)
+        most = np.maximum(np.maximum(out[:, 1:2], out[:, 2:3]), 0)
+        swing, gate = np.exp(out[:, 1:2] - most), np.exp(out[:, 2:3] - most)
+        shared = (swing * change + gate * inertia) / (swing + gate + np.exp(-most))
+        kept = rest[0] + shared - (1 - expit(out[:, 3:4])) * head_change
+        left = KEEP * expit(out[:, :1]) * kept + CHANGE * np.tanh(out[:, 4:] / CHANGE)
+        moved = anchor + left
+        now = positions + np.einsum("mab,mb->ma", turns, moved)
+        return moved, (np.stack([left, rest[0], rest[1]]), np.stack([moved, given[0]]), np.stack([now, been[0]]))
+
+
+class _FoldedPart:
+    """Encoder and decoder of the head or of the recurrent part."""
+
+    def __init__(self, part: DisplacementPart, still: np.ndarray, graph: NodeGraph):
+        first, self.second = part.enter
+        own = len(part.mean)
+        known = np.clip((still - part.mean[:STILL]) / part.std[:STILL], -6, 6)
+        still = known @ first.matrix[:STILL] + first.bias
+        self.mean, self.std = part.mean[STILL:], part.std[STILL:]
+        self.moving = first.matrix[STILL:own]
+        # the second map of the motion's MLP and that of its result are one
+        enter, leave = part.motion
+        self.motion = enter
+        pose = first.matrix[own:]
+        self.pose = leave.matrix @ pose
+        self.still = (still + leave.bias @ pose).astype(np.float32)
+        self.norm, self.blocks, self.decoder, self.graph = part.norm, part.blocks, part.decoder, graph
+
+    def __call__(self, moving: np.ndarray, whole: np.ndarray) -> np.ndarray:
+        """What the decoder says of numbers that change from frame to frame, shapes (M, MOVING), which it takes to
+        write on, and (GLOBAL,) -> (M, C).
+        """
+        moving -= self.mean
+        moving /= self.std
+        np.maximum(moving, -6, out=moving)
+        np.minimum(moving, 6, out=moving)
+        hidden = self.motion(whole[None])
+        pose = (np.float32(0.5) * hidden * (1 + erf(hidden * np.float32(np.sqrt(0.5))))) @ self.pose
+        x = moving @ self.moving
+        x += self.still
+        x += pose
+        x = self.norm(self.second(gelu(x)))
+        for block in self.blocks:
+            x = block(x, self.graph)
+        return self.decoder[1](gelu(self.decoder[0](x)))
+
+
+def _moving(vectors: np.ndarray, *numbers: np.ndarray) -> np.ndarray:
+    """What changes from frame to frame of each node, in the order of `Inputs.nodes`, shape (M, MOVING)."""
+    return np.concatenate([vectors.reshape(len(vectors), -1), *numbers], axis=1, dtype=np.float32)
+
+
+def _back(turns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Vectors of the world in the frames of the joints, shapes (M, 3, 3) and (M, 3) -> (M, 3)."""
+    return np.asarray(np.einsum("mba,mb->ma", turns, vectors))

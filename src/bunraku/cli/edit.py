@@ -1,0 +1,200 @@
+"""`bunraku edit` and `bunraku merge`: a clip with a part of it generated anew, and the clips of several files in
+one.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from bunraku.cli.manifest import check_free, exclusive_output, note_written
+from bunraku.cli.options import EditSamplingOptions, GeneratingOptions, PinOption, parse_pin, stand_up
+from bunraku.cli.outputs import (
+    OutputOption,
+    Report,
+    check_different,
+    check_input,
+    check_output,
+    check_outputs,
+    fitting_stages,
+    save_all,
+    slug,
+    stages,
+    written_path,
+    wrote,
+)
+from bunraku.core.request import FPS
+from bunraku.errors import OptionError
+from bunraku.pipelines.requests import Constraints, Keep, Pose, Request
+
+if TYPE_CHECKING:
+    from bunraku.core.animation import Animation
+
+__all__ = ["Edit", "Merge"]
+
+
+@dataclass(frozen=True)
+class Edit(GeneratingOptions):
+    """Keep chosen handles of a clip, or all but a span of it, and generate the rest from a sentence.
+
+    The clip is a .glb or .npz file that Bunraku wrote. What is kept comes back exactly.
+
+    Example: bunraku edit walk.glb "waves with both hands" --keep legs -o walk-wave.glb
+    """
+
+    sampling: tyro.conf.OmitArgPrefixes[EditSamplingOptions] = field(default_factory=EditSamplingOptions, kw_only=True)
+    """How the motion is drawn."""
+    clip: tyro.conf.Positional[Path]
+    """The clip, .glb or .npz, as Bunraku wrote it."""
+    prompt: tyro.conf.Positional[str]
+    """What is done instead, in English (or in a language that the table of words has)."""
+    keep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PART"), tyro.conf.UseAppendAction] = ()
+    """What stays: root, legs, arms, left-arm, right-arm, left-leg, right-leg, upper-body, lower-body, head, torso,
+    tail, wings, or a single handle such as left_wrist. May be given more than once.
+    """
+    span: Annotated[str, tyro.conf.arg(metavar="FROM:TO")] = ""
+    """Seconds from and to which is generated, such as 1.0:3.0; all outside stays. Default: the whole clip."""
+    pose: Annotated[tuple[float, ...], tyro.conf.arg(metavar="TIME"), tyro.conf.UseAppendAction] = ()
+    """Seconds of a pose that stays; what is between such poses is generated. May be given more than once."""
+    pin: PinOption = ()
+    """Where the wrist of a hand or the ankle of a foot is at a time, such as left_hand@2.0=0.3,1.4,0.2. May be given
+    more than once.
+    """
+    character: Path | None = None
+    """The character that an .npz clip was made for; without it the clip is edited and given back as one of the
+    reference body.
+    """
+
+    def run(self) -> None:
+        from bunraku.core.body.layout import kept_handles
+
+        request = self.request().with_parsed()
+        if self.keep:
+            kept_handles(self.keep)
+        elif not self.span and not self.pose:
+            raise OptionError(
+                "nothing is kept of the clip; name what stays (--keep legs), the seconds that change (--span 1.0:3.0) "
+                "or poses that stay (--pose 1.5)"
+            )
+        self.check()
+        request.check("--", clip=True)
+        inputs = [self.clip] + ([self.character] if self.character else [])
+        for path in inputs:
+            check_input(path)
+        outputs = self.output or (Path(f"{self.clip.stem}-{slug(self.prompt)}{self.clip.suffix.lower()}"),)
+        with exclusive_output(written_path(path) for path in (*outputs, *self.preview)), stages() as report:
+            check_outputs(outputs, self.preview, inputs, overwrite=self.overwrite)
+            report("load", 0.0)
+            clip = self._animation(report)
+            report("load", 1.0)
+
+            from bunraku.pipelines.animate import edited
+            from bunraku.pipelines.animator import Animator
+
+            save_all(edited(Animator.shipped(report), clip, request), outputs, self.preview, self.fps, report)
+
+    def request(self) -> Request:
+        """What is requested."""
+        span = parse_span(self.span) if self.span else None
+        stays = [Keep(self.keep, span)] if self.keep or span is not None else []
+        pins = [parse_pin(pin) for pin in self.pin]
+        return Request(
+            self.prompt, self.sampling, Constraints((*stays, *map(Pose, self.pose), *pins)),
+            stages=fitting_stages(self.without), force=self.force,
+        )  # fmt: skip
+
+    def _animation(self, report: Report) -> Animation:
+        from bunraku.core.animation import Animation
+        from bunraku.core.body.reference import reference_body
+        from bunraku.files import load_character
+        from bunraku.files.clips import load_clip, load_clip_animation
+
+        clip = load_clip(self.clip)
+        if self.clip.suffix.lower() != ".npz":
+            if self.character is not None:
+                raise OptionError(f"--character is for .npz clips, and {self.clip} brings its own; leave it out")
+            return load_clip_animation(self.clip)
+        if self.character is None:
+            body, motion = reference_body(), clip.of_the_reference_body()
+            if not clip.is_of(body.handles):
+                print(
+                    f"{self.clip}: edited as a motion of the reference body; name its character with --character to "
+                    "edit that",
+                    file=sys.stderr,
+                )
+            return Animation(body.character(), body.handles, motion, motion)
+        from bunraku.anatomy.anatomy import Anatomy
+        from bunraku.pipelines.animate import rig
+        from bunraku.pipelines.apply import apply_motion
+
+        character = stand_up(load_character(self.character, unit="m"), self.character, self.up, self.front, self.unit)
+        handles = rig(character, handles=self.handles, progress=report)
+        return clip.on(character, handles) or apply_motion(clip.of_the_reference_body(), Anatomy.of(character, handles))
+
+
+def parse_span(text: str) -> tuple[float, float]:
+    """Seconds of "1.0:3.0".
+
+    Raises:
+        OptionError: It is no such span.
+    """
+    start, colon, end = text.partition(":")
+    try:
+        span = float(start), float(end)
+    except ValueError:
+        span = math.nan, math.nan
+    if not colon or not (math.isfinite(span[0]) and math.isfinite(span[1]) and 0 <= span[0] < span[1]):
+        raise OptionError(f"--span is two seconds with a colon between, such as 1.0:3.0, not '{text}'")
+    return span
+
+
+@dataclass(frozen=True)
+class Merge:
+    """Join the clips of one character from several files in one GLB.
+
+    The first file is written as it is, with the clips of the others behind its own, onto the bones of the same names.
+
+    Example: bunraku merge idle.glb walk.glb attack.glb -o knight.glb
+    """
+
+    files: tyro.conf.Positional[tuple[Path, ...]]
+    """Two GLB, glTF or VRM files of one character and more."""
+    output: OutputOption = ()
+    """GLB to write. May be given more than once. Default: FIRST-merged.glb in this folder."""
+    end_to_start: bool = False
+    """Write all clips in a row as one, each going on where the one before ends."""
+    fps: float = 30.0
+    """Frames a second of that one, 1 to 240."""
+    overwrite: bool = False
+    """Replace files that are there already and that Bunraku did not write."""
+
+    def run(self) -> None:
+        FPS.check(self.fps, "--fps")
+        if len(self.files) < 2 and not self.end_to_start:
+            raise OptionError("name two files at the least, whose clips come into one")
+        if not self.files:
+            raise OptionError("name the files whose clips come into one")
+        for path in self.files:
+            check_input(path)
+        outputs = self.output or (Path(f"{self.files[0].stem}-merged.glb"),)
+        with exclusive_output(outputs):
+            for path in outputs:
+                check_output(path, (".glb",), self.files)
+            check_different(outputs)
+            check_free(outputs, self.overwrite)
+
+            from bunraku.files.clips import merge
+
+            written: list[Path] = []
+            try:
+                for path in outputs:
+                    written.append(merge(self.files, path, end_to_start=self.end_to_start, fps=self.fps))
+            finally:  # what is whole stays
+                for path in written:
+                    wrote(path)
+                note_written(written)

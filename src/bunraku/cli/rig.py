@@ -1,0 +1,180 @@
+"""`bunraku rig`: the character with its handles as a skin, without motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from bunraku.cli.manifest import check_free, exclusive_output, note_written
+from bunraku.cli.options import AxisOption, SkeletonOption, UnitOption, check_axes, stand_up
+from bunraku.cli.outputs import OutputOption, check_different, check_input, check_output, make_folder, stages, wrote
+from bunraku.core.request import GRAVITY, STIFFNESS
+from bunraku.pipelines.requests import Apparel
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from bunraku.anatomy.anatomy import Anatomy
+    from bunraku.apparel.chains.chain_rig import Chained
+    from bunraku.core.avatars import MmdModel, VrmModel
+    from bunraku.core.character import Character
+
+__all__ = ["Rig"]
+
+
+_SKELETONS = {".vrm": "vrm", ".pmx": "vrm"}
+"""Whose skeleton a format has that knows no handles."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """What is written: a character, its chains where it has some, and what that is in words."""
+
+    character: Character
+    chains: Chained | None
+    bare: bool
+    words: str
+
+    @classmethod
+    def of(
+        cls, anatomy: Anatomy, skeleton: str | None, apparel: bool, mask: np.ndarray | None, stiffness: float,
+        gravity: float,
+    ) -> _Shown:  # fmt: skip
+        from bunraku.pipelines.clothes import rig_with_chains
+        from bunraku.retarget.engine_skeleton import on_skeleton
+
+        handles = len(anatomy.handles.positions)
+        if apparel:
+            made = rig_with_chains(anatomy, skeleton, mask, stiffness, gravity)
+            assert made.character.rig is not None
+            words = f"{len(made.character.rig.names)} bones, {len(made.chains)} chains of hair and clothes"
+            return cls(made.character, made, False, words)
+        if skeleton is None:
+            return cls(anatomy.character, None, True, f"{handles} handles")
+        shown = on_skeleton(anatomy, skeleton)
+        assert shown.rig is not None
+        return cls(shown, None, False, f"{len(shown.rig.names)} joints")
+
+    def avatar(self, suffix: str) -> MmdModel | VrmModel | None:
+        """What a format holds of chains."""
+        if self.chains is None or suffix not in (".vrm", ".glb", ".pmx"):
+            return None
+        from bunraku.apparel.chains.avatars import mmd_avatar, vrm_avatar
+
+        return mmd_avatar(self.chains) if suffix == ".pmx" else vrm_avatar(self.chains)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Give a character its 30 handles as a skin, without motion.
+
+    Any 3D program can pose the result: handle 0 is the root, the others are its children, four weights a vertex.
+
+    Example: bunraku rig dragon.glb -o dragon-rigged.glb --preview dragon-handles.png
+    """
+
+    character: tyro.conf.Positional[Path]
+    """The mesh to rig."""
+    output: OutputOption = ()
+    """GLB, FBX, VRM or PMX to write. May be given more than once. Default: CHARACTER-rigged.glb in this folder. A VRM
+    has a skeleton with VRM's names, a PMX one with any.
+    """
+    preview: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Also make a page (.png) that shows what was decided: the front and the back coloured by handle, how the character
+    stands, which parts were found and how clearly, and what such a body cannot do.
+    """
+    handles: Literal["predict", "rig"] = "predict"
+    """Where the handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by
+    their names.
+    """
+    skeleton: SkeletonOption = None
+    """Write a tree of joints in a T-pose with the names of Mixamo, VRM or Unreal in place of the handles, which
+    engines' humanoid retargeting takes. For persons.
+    """
+    apparel: Annotated[str, tyro.conf.arg(metavar="{none,auto,MASK}")] = "none"
+    """Give hair and clothes bones of their own: "auto" where the file's physics or else a network find any, or where a
+    mask (.npy, .txt, painted .ply or .glb) says. A VRM gets springs and colliders for them, a PMX rigid bodies and
+    joints, a GLB springs in its extras.
+    """
+    stiffness: float = 1.0
+    """How stiff apparel is, as a factor, 0.001 to 1000."""
+    gravity: float = 1.0
+    """How strongly apparel is drawn downwards, as a factor, 0 to 10."""
+    overwrite: bool = False
+    """Replace files that are there already and that Bunraku did not write."""
+    up: AxisOption = "auto"
+    """The axis that is up in the file. "auto" goes by the rule of the format, and by the shape where it has none."""
+    front: AxisOption = "auto"
+    """The axis that the character faces in the file."""
+    unit: UnitOption = "auto"
+    """The unit of lengths in the file. "auto" goes by the rule of the format, and by the height where it has none."""
+
+    def run(self) -> None:
+        check_axes(self.up, self.front)
+        check_input(self.character)
+        outputs = self.output or (Path(f"{self.character.stem}-rigged.glb"),)
+        previews = () if self.preview is None else (self.preview,)
+        if self.apparel not in ("none", "auto"):
+            Apparel(self.apparel).check("--")
+            check_input(Path(self.apparel))
+        STIFFNESS.check(self.stiffness, "--stiffness")
+        GRAVITY.check(self.gravity, "--gravity")
+        with exclusive_output((*outputs, *previews)):
+            for path in outputs:
+                check_output(path, (".glb", ".fbx", ".vrm", ".pmx"), [self.character])
+            for path in previews:
+                check_output(path, (".png",), [self.character])
+            check_different((*outputs, *previews))
+            check_free((*outputs, *previews), self.overwrite)
+            self._make(outputs)
+
+    def _make(self, outputs: tuple[Path, ...]) -> None:
+        """Make the handles and write the files."""
+        from bunraku.files import load_character, save_character
+
+        written: list[Path] = []
+        with stages() as report:
+            report("load", 0.0)
+            given = load_character(self.character, unit="m")
+            character = stand_up(given, self.character, self.up, self.front, self.unit)
+            report("load", 1.0)
+
+            from bunraku.anatomy.anatomy import Anatomy
+            from bunraku.pipelines.animate import rig
+            from bunraku.pipelines.bodies import body_facts
+
+            handles = rig(character, handles=self.handles, progress=report)
+            anatomy = Anatomy.of(character, handles)
+            facts, joints = body_facts(anatomy), ""
+            skeletons = {path: self.skeleton or _SKELETONS.get(path.suffix.lower()) for path in outputs}
+            mask = None
+            if self.apparel not in ("none", "auto"):
+                from bunraku.apparel.mask import read_artist_mask
+
+                mask = read_artist_mask(self.apparel, character)
+            made = {name: _Shown.of(anatomy, name, self.apparel != "none", mask, self.stiffness, self.gravity)
+                    for name in dict.fromkeys(skeletons.values())}  # fmt: skip
+            try:
+                for number, path in enumerate(outputs):
+                    report("write", number / len(outputs))
+                    shown = made[skeletons[path]]
+                    joints = shown.words
+                    own = handles if shown.bare else None
+                    avatar = shown.avatar(path.suffix.lower())
+                    written.append(save_character(shown.character, path, own, rig=not shown.bare, avatar=avatar))
+                report("write", 1.0)
+                if self.preview is not None:
+                    from bunraku.cli.options import stands_line
+                    from bunraku.render import save_still
+
+                    make_folder(self.preview)
+                    lines = [stands_line(given, self.up, self.front), f"height: {character.height:.3g} m", *facts.lines]
+                    written.append(save_still(character, self.preview, handles, views=2, lines=lines))
+            finally:  # what is whole stays
+                note = f"{joints}, {facts.plan.words}"
+                for path in written:
+                    wrote(path, note if path in outputs else "")
+                note_written(written)

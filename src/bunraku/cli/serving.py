@@ -1,0 +1,432 @@
+"""`bunraku serve`: tools in one folder that other programs call by the Model Context Protocol."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import tyro
+
+from bunraku.core.files import path_inside
+from bunraku.core.request import from_json
+from bunraku.errors import BunrakuError, FormatError, MissingExtraError, OptionError
+from bunraku.pipelines.requests import Apparel, Constraints, Request, Sampling, TransferRequest
+
+if TYPE_CHECKING:
+    from bunraku.core.animation import AnimatedCharacter
+
+__all__ = ["Answer", "Serve", "Tools", "mcp_server"]
+
+
+Progress = Callable[[str, float], None]
+
+PICTURE_FRAMES = 6
+"""Moments that the picture of an animation shows."""
+APPAREL = ("none", "rigid", "simulate", "learn", "auto")
+"""How apparel moves that no file says."""
+ALONE = ("path", "pin", "loop", "in_place")
+"""Constraints that name no other clip."""
+MOST_FOUND = 50
+"""Clips that a search gives."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a tool gives.
+
+    Args:
+        facts: What was done, as plain values.
+        picture: A PNG of it, b"" for none.
+    """
+
+    facts: dict[str, Any]
+    picture: bytes = b""
+
+
+def _silent(stage: str, done: float) -> None:
+    """Progress that nobody looks at."""
+
+
+@dataclass(frozen=True)
+class Tools:
+    """Tools over one folder.
+
+    Args:
+        folder: Where files are read and written; nothing outside it is.
+        progress: Called with a stage's name and the share done.
+    """
+
+    folder: Path
+    progress: Progress = field(default=_silent)
+
+    @cached_property
+    def _root(self) -> Path:
+        root = self.folder.expanduser().resolve()
+        if not root.is_dir():
+            raise FormatError(self.folder, "this is no folder; name one that is there")
+        return root
+
+    def path(self, name: str) -> Path:
+        """The file that a name says.
+
+        Raises:
+            FormatError: It lies elsewhere than in the folder.
+        """
+        found = path_inside(self._root, name) if name.strip() else None
+        if found is None:
+            raise FormatError(name or "a file without a name", "name a file in the folder that is served, or below it")
+        return found
+
+    def files(self) -> Answer:
+        """The files of the folder, at most 1,000."""
+        names: list[str] = []
+        for here, folders, files in os.walk(self._root):
+            folders[:] = sorted(one for one in folders if not one.startswith("."))
+            names += [str(Path(here, one).relative_to(self._root)) for one in sorted(files) if not one.startswith(".")]
+            if len(names) >= 1000:
+                break
+        return Answer({"files": names[:1000]})
+
+    def animate(self, character: str, request: Request, output: str = "", fps: float = 30.0) -> Answer:
+        """Make a character do what a request says, and write it.
+
+        Args:
+            character: The mesh, a file of the folder.
+            request: What it does.
+            output: The file to write; NAME-PROMPT.glb where it is empty.
+            fps: Frames a second [1/s].
+        """
+        from bunraku.files.registry import load_character
+        from bunraku.pipelines.animator import Animator
+
+        _check_files(request.apparel, request.constraints)
+        request.check()
+        request = request.with_parsed()
+        target = self._target(output, character, request.prompt)
+        notes: list[str] = []
+        made = Animator.shipped(self.progress, notes.append)(load_character(self.path(character)), request)
+        return self._written(made, target, fps, list(dict.fromkeys(notes)))
+
+    def transfer(
+        self, character: str, motion: str, request: TransferRequest, output: str = "", fps: float = 30.0
+    ) -> Answer:
+        """Put the motion of a file on a character, and write it.
+
+        Args:
+            character: The mesh, a file of the folder.
+            motion: The motion, a file of the folder, or `clip:NAME` of the library.
+            request: How it is put there.
+            output: The file to write; NAME-MOTION.glb where it is empty.
+            fps: Frames a second [1/s].
+        """
+        from bunraku.files.registry import load_character
+        from bunraku.pipelines.animator import Animator
+        from bunraku.pipelines.transfer import Source, transferred
+
+        _check_files(request.apparel)
+        request.check()
+        kind, _, name = motion.partition(":")
+        target = self._target(output, character, name if kind == "clip" else Path(motion).stem)
+        animator, mesh = Animator.shipped(self.progress), load_character(self.path(character))
+        if kind == "clip":
+            from bunraku.generation.library import clip
+
+            given: Any = clip(name).motion()
+        else:
+            given = self.path(motion)
+        made = transferred(animator, mesh, Source(given, request.fps, request.names, request.clip), request)
+        return self._written(made, target, fps, [])
+
+    def rig(self, character: str, output: str = "", skeleton: str = "") -> Answer:
+        """Give a character its 30 handles as a skin, or a skeleton with an engine's names, and write it.
+
+        Args:
+            character: The mesh, a file of the folder.
+            output: The file to write; NAME-rigged.glb where it is empty.
+            skeleton: "mixamo", "vrm" or "unreal", for persons; "" for handles.
+        """
+        from bunraku.files.registry import load_character, save_character
+        from bunraku.pipelines.animate import rig, with_skeleton
+        from bunraku.render.preview import save_still
+
+        target = self._target(output, character, "rigged")
+        mesh = load_character(self.path(character))
+        handles = rig(mesh, progress=self.progress)
+        if skeleton:
+            mesh = with_skeleton(mesh, skeleton, handles=handles)  # type: ignore[arg-type]  # it checks the name
+            save_character(mesh, target, rig=True)
+        else:
+            save_character(mesh, target, handles)
+        picture = _png(lambda path: save_still(mesh, path, None if skeleton else handles, views=2))
+        return Answer({"file": self._name(target), "height_m": round(mesh.height, 4)}, picture)
+
+    def inspect(self, file: str) -> Answer:
+        """Tell what a character's file holds, with a picture.
+
+        Args:
+            file: A file of the folder.
+        """
+        from bunraku.files.clips import clip_names
+        from bunraku.files.gltf.read import Source
+        from bunraku.files.registry import load_with_clips
+        from bunraku.render.preview import save_still
+
+        mesh = load_with_clips(self.path(file), 30.0)
+        source = mesh.source
+        facts = {
+            "name": mesh.name, "vertices": len(mesh.vertices), "triangles": len(mesh.faces),
+            "height_m": round(mesh.height, 4), "bones": list(mesh.rig.names) if mesh.rig is not None else [],
+            "clips": clip_names(source.document) if isinstance(source, Source) else [],
+        }  # fmt: skip
+        return Answer(facts, _png(lambda path: save_still(mesh, path, views=2)))
+
+    def render(self, file: str, output: str = "", clip: str = "", fps: float = 30.0) -> Answer:
+        """Draw a clip of a file: a picture of some moments, and a video where one is asked for.
+
+        Args:
+            file: A GLB or FBX with a clip, in the folder.
+            output: A video to write (.mp4, .webp, .gif) or a contact sheet (.png); nothing is written where it is
+                empty.
+            clip: Number or name of the clip; the first where it is empty.
+            fps: Frames a second of the video [1/s].
+        """
+        from bunraku.files.clips import load_animation
+        from bunraku.render.preview import save_preview
+
+        found = load_animation(self.path(file), int(clip) if clip.isdecimal() else clip or 0, fps)
+        facts: dict[str, Any] = {"seconds": round(len(found.motion) / fps, 3)}
+        if output:
+            facts["file"] = self._name(save_preview(found, self._output(output), fps=fps))
+        return Answer(facts, _png(lambda path: save_preview(found, path, frames=PICTURE_FRAMES)))
+
+    def clips(self, text: str = "") -> Answer:
+        """Clips of the library by words.
+
+        Args:
+            text: Words; all clips where it is empty.
+        """
+        from bunraku.generation.library import search
+
+        found = search(text)[:MOST_FOUND]
+        return Answer({
+            "clips": [{"name": one.name, "sentence": one.sentence, "tags": list(one.tags)} for one in found],
+        })  # fmt: skip
+
+    def _target(self, output: str, character: str, said: str) -> Path:
+        from bunraku.pipelines.requests import clip_names
+
+        return self._output(output or f"{Path(character).stem}-{next(iter(clip_names([said])))}.glb")
+
+    def _output(self, name: str) -> Path:
+        """A file to write.
+
+        Raises:
+            OptionError: A file of this name is there.
+        """
+        target = self.path(name)
+        if target.exists():
+            raise OptionError(f"{self._name(target)} is there already; name another file with `output`")
+        return target
+
+    def _name(self, path: Path) -> str:
+        return str(path.resolve().relative_to(self._root))
+
+    def _written(self, made: AnimatedCharacter, target: Path, fps: float, notes: list[str]) -> Answer:
+        from bunraku.core.animation import Animation, PointAnimation
+        from bunraku.render.preview import save_preview
+
+        rate = {} if target.suffix.lower() in (".npz", ".vmd") else {"fps": fps}
+        written = made.save(target, **rate)
+        shown = made if isinstance(made, PointAnimation) else Animation(made.character, made.handles, made.motion)
+        facts = {
+            "file": self._name(written), "seconds": round(len(made.motion) / made.fps, 3), "notes": notes,
+        }  # fmt: skip
+        return Answer(facts, _png(lambda path: save_preview(shown, path, frames=PICTURE_FRAMES)))
+
+
+def _check_files(apparel: Apparel, constraints: Constraints | None = None) -> None:
+    """Raise OptionError where a request names files, which may lie anywhere."""
+    if apparel.motion not in APPAREL:
+        raise OptionError(f"apparel is one of {', '.join(APPAREL)} here, not '{apparel.motion}'")
+    if constraints is not None and any(one.kind not in ALONE for one in constraints):
+        raise OptionError(f"constraints are of the kinds {', '.join(ALONE)} here")
+
+
+def _png(draw: Callable[[Path], object]) -> bytes:
+    """The picture that is drawn to a file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "picture.png")
+        draw(path)
+        return path.read_bytes()
+
+
+INSTRUCTIONS = (
+    "Bunraku animates any 3D character: a mesh and a sentence give an animation. Files are named as in the served "
+    "folder; `files` lists them. Sentences are about one body's movement, such as: walks forward, then waves with the "
+    "left hand. What is not understood is answered with the nearest thing that is. A file that is there is never "
+    "replaced."
+)
+
+
+def mcp_server(folder: Path) -> Any:
+    """The server.
+
+    Args:
+        folder: Where files are read and written.
+
+    Raises:
+        MissingExtraError: The SDK is not installed.
+    """
+    try:
+        from mcp.server.mcpserver import Image, MCPServer
+        from mcp.server.mcpserver.exceptions import ToolError
+    except ImportError as error:
+        raise MissingExtraError("mcp", "serve", "`bunraku serve`") from error
+    from bunraku import __version__
+
+    server, tools = MCPServer("bunraku", instructions=INSTRUCTIONS, version=__version__), Tools(folder)
+    turn = asyncio.Lock()  # networks and renderer are made for one call at a time
+
+    async def answered(work: Callable[[], Answer]) -> Any:
+        """What a tool gives, as facts and a picture; its errors as sentences."""
+        try:
+            async with turn:
+                found = await asyncio.to_thread(work)
+        except BunrakuError as error:
+            raise ToolError(str(error)) from None
+        return [found.facts, *([Image(data=found.picture, format="png")] if found.picture else [])]
+
+    @server.tool(structured_output=False)
+    async def files() -> Any:
+        """The files of the served folder."""
+        return await answered(tools.files)
+
+    @server.tool(structured_output=False)
+    async def animate(
+        character: str,
+        sentence: str,
+        output: str = "",
+        fps: float = 30.0,
+        sampling: Sampling = Sampling(),  # noqa: B008  frozen
+        constraints: list[dict[str, Any]] = [],  # noqa: B006  only read
+        apparel: Apparel = Apparel(),  # noqa: B008  frozen
+        rig: Literal["auto", "own", "handles"] = "auto",
+        force: bool = False,
+    ) -> Any:
+        """Make a character do what a sentence says and write it (.glb, .fbx, .usdc, .bvh, .vrma, ...); gives a picture
+        of six moments.
+
+        Args:
+            character: Its file in the folder: any mesh, with or without a rig.
+            sentence: What it does: "walks forward, then waves"; or several in a row with their seconds, "walks:4;
+                jumps:2".
+            output: The file to write; named by itself where empty.
+            fps: Frames a second.
+            sampling: Seconds, seed and how the motion is drawn.
+            constraints: What it must meet, such as {"kind": "loop"}, {"kind": "in_place"}.
+            apparel: How hair and clothes move.
+            rig: What moves: the bones of its own rig, 30 handles, or what fits.
+            force: Go on where no movement of the sentence is understood.
+        """
+
+        def work() -> Answer:
+            found = Constraints.from_json(constraints)
+            return tools.animate(
+                character, Request(sentence, sampling, found, apparel, force=force, rig=rig), output, fps
+            )
+
+        return await answered(work)
+
+    @server.tool(structured_output=False)
+    async def transfer(
+        character: str,
+        motion: str,
+        output: str = "",
+        fps: float = 30.0,
+        request: dict[str, Any] = {},  # noqa: B006
+    ) -> Any:
+        """Put a motion on a character and write it; gives a picture of six moments.
+
+        Args:
+            character: Its file in the folder.
+            motion: A file in the folder (.bvh, .fbx, .glb, .vrma, .vmd, AMASS .npz), or "clip:NAME" of the library.
+            output: The file to write; named by itself where empty.
+            fps: Frames a second.
+            request: How: `onto` ("auto", "handles", "rig"), `apparel`, `clip`, `names`.
+        """
+
+        def work() -> Answer:
+            return tools.transfer(character, motion, from_json(TransferRequest, request, "request"), output, fps)
+
+        return await answered(work)
+
+    @server.tool(structured_output=False)
+    async def rig(character: str, output: str = "", skeleton: Literal["", "mixamo", "vrm", "unreal"] = "") -> Any:
+        """Give a character its 30 handles as a skin, or the skeleton of an engine; gives a picture of both sides.
+
+        Args:
+            character: Its file in the folder.
+            output: The file to write; named by itself where empty.
+            skeleton: Whose joints a person gets in place of handles.
+        """
+        return await answered(functools.partial(tools.rig, character, output, skeleton))
+
+    @server.tool(structured_output=False)
+    async def inspect(file: str) -> Any:
+        """Tell what a character's file holds: size, height, bones, clips; gives a picture of both sides.
+
+        Args:
+            file: A file in the folder.
+        """
+        return await answered(functools.partial(tools.inspect, file))
+
+    @server.tool(structured_output=False)
+    async def render(file: str, output: str = "", clip: str = "", fps: float = 30.0) -> Any:
+        """Show a clip of a file as a picture of six moments, and write a video where one is named.
+
+        Args:
+            file: A GLB or FBX with a clip.
+            output: A video (.mp4, .webp, .gif) or contact sheet (.png) to write; none where empty.
+            clip: Number or name of the clip.
+            fps: Frames a second.
+        """
+        return await answered(functools.partial(tools.render, file, output, clip, fps))
+
+    @server.tool(structured_output=False)
+    async def clips(text: str = "") -> Any:
+        """Search the library of captured and made clips; `transfer` puts one on a character as "clip:NAME".
+
+        Args:
+            text: Words, such as "zombie walk"; all where empty.
+        """
+        return await answered(functools.partial(tools.clips, text))
+
+    return server
+
+
+@dataclass(frozen=True)
+class Serve:
+    """Let other programs call Bunraku by the Model Context Protocol, over standard input and output: animate, transfer,
+    rig, inspect, render and clips, each with a picture of what it made.
+
+    All files lie in FOLDER or below it; nothing else is read or written, and nothing is replaced. What a program of
+    yours starts it with: bunraku serve FOLDER
+
+    Example: bunraku serve ~/characters
+    """
+
+    folder: tyro.conf.Positional[Path] = Path()
+    """Where files are read and written."""
+
+    def run(self) -> None:
+        if not self.folder.is_dir():
+            raise FormatError(self.folder, "this is no folder; name one that is there")
+
+        mcp_server(self.folder).run("stdio")

@@ -1,0 +1,401 @@
+"""What the files of avatars hold beside their meshes: the model of MikuMikuDance, and the humanoid and springs of
+VRM.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+__all__ = [
+    "MMD_METRE",
+    "MmdAppend",
+    "MmdBody",
+    "MmdBone",
+    "MmdIk",
+    "MmdIkLink",
+    "MmdJoint",
+    "MmdModel",
+    "MmdMorph",
+    "MmdSdef",
+    "VrmCollider",
+    "VrmModel",
+    "VrmSpring",
+    "VrmSpringJoint",
+    "mmd_angles",
+    "mmd_model",
+    "mmd_points",
+    "mmd_turn",
+    "vrm_model",
+]
+
+
+MMD_METRE = 0.08
+"""What one unit of MMD is taken for [m]."""
+BODY_SHAPES = ("sphere", "box", "capsule")
+BODY_MODES = ("follows its bone", "dynamic", "dynamic, held at its bone")
+_MIRROR = np.array([1.0, 1, -1])
+
+
+@dataclass(frozen=True)
+class MmdAppend:
+    """What a bone takes over of another bone's motion ("grant").
+
+    Args:
+        bone: The bone that it takes from.
+        ratio: Which share; it may be negative.
+        rotation: Whether it takes rotation.
+        translation: Whether it takes translation.
+        local: Whether it takes how the other bone stands against its parent, and not what its keys say.
+    """
+
+    bone: int
+    ratio: float
+    rotation: bool
+    translation: bool
+    local: bool = False
+
+
+@dataclass(frozen=True)
+class MmdIkLink:
+    """A bone that inverse kinematics turn.
+
+    Args:
+        bone: The bone.
+        lower: Smallest angles about x, y, z [rad], shape (3,), or None where it turns freely.
+        upper: Largest angles [rad], shape (3,), or None.
+    """
+
+    bone: int
+    lower: np.ndarray | None = None
+    upper: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class MmdIk:
+    """Inverse kinematics: the bone that has them is where the target shall be.
+
+    Args:
+        target: The bone that is brought to it, such as an ankle.
+        loops: How often the links are gone through.
+        limit: Largest rotation of a link in one step [rad].
+        links: The bones that turn, from the target up.
+    """
+
+    target: int
+    loops: int
+    limit: float
+    links: tuple[MmdIkLink, ...]
+
+
+@dataclass(frozen=True)
+class MmdBone:
+    """A bone.
+
+    Args:
+        name: Japanese name, by which motions know it.
+        english: English name, often empty.
+        position: Position in the rest pose [m], shape (3,).
+        parent: Index of its parent, -1 for none.
+        layer: Bones of higher layers are deformed later.
+        after_physics: Whether it is deformed after the rigid bodies have moved.
+        rotates: Whether motions may turn it.
+        moves: Whether motions may move it.
+        tail: Where it points, from its position [m], shape (3,).
+        append: What it takes over of another bone's motion.
+        fixed_axis: The only axis that it turns about, shape (3,), or None.
+        local_axes: Rows x, y, z for handles of editors, shape (3, 3), or None.
+        ik: Inverse kinematics whose goal it is.
+    """
+
+    name: str
+    english: str
+    position: np.ndarray
+    parent: int
+    layer: int = 0
+    after_physics: bool = False
+    rotates: bool = True
+    moves: bool = False
+    tail: np.ndarray | None = None
+    append: MmdAppend | None = None
+    fixed_axis: np.ndarray | None = None
+    local_axes: np.ndarray | None = None
+    ik: MmdIk | None = None
+
+
+@dataclass(frozen=True)
+class MmdMorph:
+    """A morph, without its offsets.
+
+    Args:
+        name: Japanese name.
+        kind: "group", "vertex", "bone", "uv", "material", "flip" or "impulse".
+        count: How many offsets it has.
+    """
+
+    name: str
+    kind: str
+    count: int
+
+
+@dataclass(frozen=True)
+class MmdBody:
+    """A rigid body.
+
+    Args:
+        name: Its name.
+        bone: The bone that it goes with, -1 for none.
+        shape: "sphere", "box" or "capsule".
+        size: Radius for a sphere, half extents of a box, radius and length between the ends' centres of a capsule along
+            y [m], shape (3,).
+        position: Its centre in the rest pose [m], shape (3,).
+        rotation: Its axes in the rest pose, columns, shape (3, 3).
+        mass: As in the file, 0 or more.
+        linear_damping: Share of the velocity that is lost in a second, as Bullet means it.
+        angular_damping: The same of the angular velocity.
+        restitution: From 0 to 1 as a rule.
+        friction: Coefficient.
+        mode: 0 follows its bone, 1 is moved by physics, 2 is turned by physics and held at its bone.
+        group: Collision group, 0 to 15.
+        mask: Groups that it collides with, bit g for group g.
+    """
+
+    name: str
+    bone: int
+    shape: str
+    size: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    mass: float
+    linear_damping: float
+    angular_damping: float
+    restitution: float
+    friction: float
+    mode: int
+    group: int
+    mask: int
+
+    @property
+    def dynamic(self) -> bool:
+        """Whether physics move it."""
+        return self.mode != 0
+
+
+@dataclass(frozen=True)
+class MmdJoint:
+    """A joint of six degrees of freedom between two rigid bodies, with springs.
+
+    Args:
+        name: Its name.
+        bodies: The two bodies, A and B.
+        position: Its position in the rest pose [m], shape (3,).
+        rotation: Its axes in the rest pose, columns, shape (3, 3).
+        lower: Smallest displacement of B along the axes [m], shape (3,).
+        upper: Largest one [m], shape (3,); a range that is empty (lower > upper) is free, as Bullet means it.
+        angle_lower: Smallest angles about the axes [rad], shape (3,).
+        angle_upper: Largest ones [rad], shape (3,).
+        spring: Stiffness against displacement, as in the file (force over MMD's unit), shape (3,).
+        angle_spring: Stiffness against turning, as in the file, shape (3,).
+    """
+
+    name: str
+    bodies: tuple[int, int]
+    position: np.ndarray
+    rotation: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    angle_lower: np.ndarray
+    angle_upper: np.ndarray
+    spring: np.ndarray
+    angle_spring: np.ndarray
+
+
+@dataclass(frozen=True)
+class MmdSdef:
+    """Spherical deformation of S vertices; the rig has them as blends of two bones.
+
+    Args:
+        vertices: Their indices, shape (S,).
+        center: C of each [m], shape (S, 3).
+        r0: R0 of each, of its first bone [m], shape (S, 3).
+        r1: R1 of each, of its second bone [m], shape (S, 3).
+    """
+
+    vertices: np.ndarray
+    center: np.ndarray
+    r0: np.ndarray
+    r1: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class MmdModel:
+    """What a PMX or PMD file holds beside its mesh.
+
+    Args:
+        name: The model's own name.
+        english: Its English name, often empty.
+        version: "PMX 2.0", "PMX 2.1" or "PMD".
+        bones: Its bones, in the order of the rig's joints.
+        morphs: Its morphs.
+        bodies: Its rigid bodies.
+        joints: Their joints.
+        deforms: How each vertex deforms: 0 BDEF1, 1 BDEF2, 2 BDEF4, 3 SDEF, 4 QDEF; shape (V,).
+        sdef: Constants of those that are SDEF.
+        warnings: What of the file was broken and left out or repaired, a sentence each.
+    """
+
+    name: str
+    english: str
+    version: str
+    bones: tuple[MmdBone, ...]
+    morphs: tuple[MmdMorph, ...]
+    bodies: tuple[MmdBody, ...]
+    joints: tuple[MmdJoint, ...]
+    deforms: np.ndarray
+    sdef: MmdSdef
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def parents(self) -> np.ndarray:
+        """Parent of each bone, -1 for none, shape (B,)."""
+        return np.array([bone.parent for bone in self.bones], np.int64)
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Positions of the bones in the rest pose [m], shape (B, 3)."""
+        return np.array([bone.position for bone in self.bones], float).reshape(-1, 3)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the bones."""
+        return tuple(bone.name for bone in self.bones)
+
+    @property
+    def order(self) -> list[int]:
+        """Bones in the order in which MMD deforms them."""
+        return sorted(
+            range(len(self.bones)), key=lambda bone: (self.bones[bone].after_physics, self.bones[bone].layer, bone)
+        )
+
+    def bone(self, name: str) -> int:
+        """Index of the first bone with this name, -1 for none."""
+        return next((index for index, bone in enumerate(self.bones) if bone.name == name), -1)
+
+
+def mmd_model(character: Any) -> MmdModel | None:
+    """The model that a character was read from, None where it comes from no PMX or PMD file."""
+    return character.avatar if isinstance(character.avatar, MmdModel) else None
+
+
+def mmd_points(values: Any) -> np.ndarray:
+    """Positions or directions of MMD in our frame [m], shape (..., 3)."""
+    return np.asarray(np.asarray(values, float) * _MIRROR * MMD_METRE + 0.0)  # no negative zeros
+
+
+def mmd_turn(angles: Any) -> np.ndarray:
+    """The rotation that MMD's angles about x, y, z [rad] stand for (about z first, then x, then y), in our frame, shape
+    (3, 3).
+    """
+    (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
+    x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return np.asarray(_MIRROR[:, None] * (y @ x @ z) * _MIRROR)
+
+
+def mmd_angles(lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Limits of angles about x, y, z [rad] in our frame: those about x and y change sign and places."""
+    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    turned = np.array([True, True, False])
+    return np.where(turned, 0 - high, low), np.where(turned, 0 - low, high)
+
+
+@dataclass(frozen=True)
+class VrmSpringJoint:
+    """A node that swings.
+
+    Args:
+        node: Its index.
+        stiffness: How strongly it goes back to its rest pose.
+        gravity: How strongly it is drawn along `gravity_direction`.
+        gravity_direction: In the world, shape (3,).
+        drag: Share of its speed that it loses in a step, from 0 to 1.
+        radius: Of the ball that colliders push away [m].
+    """
+
+    node: int
+    stiffness: float
+    gravity: float
+    gravity_direction: np.ndarray
+    drag: float
+    radius: float
+
+
+@dataclass(frozen=True)
+class VrmSpring:
+    """A chain that swings.
+
+    Args:
+        name: Its name, often empty.
+        joints: From the first to the last, each below the one before.
+        groups: The groups of colliders that it is kept out of.
+        center: The node whose motion does not count, -1 for none.
+        ends_free: Whether the last node swings as well, with a tail of 7 cm that the file leaves out (VRM 0.x).
+    """
+
+    name: str
+    joints: tuple[VrmSpringJoint, ...]
+    groups: tuple[int, ...]
+    center: int = -1
+    ends_free: bool = False
+
+
+@dataclass(frozen=True)
+class VrmCollider:
+    """A body that springs are kept out of, or inside of.
+
+    Args:
+        node: The node that carries it.
+        shape: "sphere", "capsule" or "plane".
+        offset: Its centre, one end or a point of the plane, in the node's axes [m], shape (3,).
+        radius: In metres; 0 for a plane.
+        tail: The other end of a capsule, or the normal of a plane, in the node's axes, shape (3,); None for a sphere.
+        inside: Whether springs are kept inside.
+    """
+
+    node: int
+    shape: str
+    offset: np.ndarray
+    radius: float
+    tail: np.ndarray | None = None
+    inside: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class VrmModel:
+    """What a VRM file holds beside its meshes.
+
+    Args:
+        version: "0.x" or "1.0".
+        title: Name of the avatar.
+        humanoid: Node of each bone that VRM names ("hips", "leftUpperLeg" ...).
+        springs: The chains that swing.
+        colliders: All colliders.
+        groups: Colliders of each group.
+        warnings: What of the file was broken and left out, a sentence each.
+    """
+
+    version: str
+    title: str
+    humanoid: dict[str, int]
+    springs: tuple[VrmSpring, ...]
+    colliders: tuple[VrmCollider, ...]
+    groups: tuple[tuple[int, ...], ...]
+    warnings: tuple[str, ...] = ()
+
+
+def vrm_model(character: Any) -> VrmModel | None:
+    """What the VRM file of a character holds beside its meshes, None where it comes from no VRM file."""
+    return character.avatar if isinstance(character.avatar, VrmModel) else None

@@ -1,0 +1,295 @@
+"""Files as the formats see them: bounded reading, paths that stay in their folder, and writing that leaves nothing
+half-done.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import re
+import stat
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
+from pathlib import Path
+from typing import BinaryIO
+from urllib.parse import unquote
+
+from bunraku.errors import FormatError
+
+__all__ = [
+    "MAX_BYTES",
+    "MAX_TEXT_BYTES",
+    "atomic_write",
+    "check_input",
+    "check_output_folder",
+    "check_text",
+    "path_inside",
+    "open_input",
+    "open_once",
+    "share_file",
+    "read_bounded",
+    "remove_leftovers",
+    "temporary_prefix",
+    "writing",
+]
+
+MAX_BYTES = 2 << 30
+"""Largest file that is read [bytes]."""
+
+STALE = 3600.0
+"""After this a file that is being written has been given up [s]."""
+_TEMPORARY = re.compile(r"\..+\.(?P<machine>[0-9a-f]{6})-(?P<process>\d{1,10})-[a-z0-9_]{8}\.tmp", re.DOTALL)
+
+MAX_TEXT_BYTES = 400 << 20
+"""Largest mesh or motion that is read as text [bytes]: words take some ten times their file's memory."""
+
+_open: ContextVar[tuple[ExitStack, dict[Path, BinaryIO]] | None] = ContextVar("open", default=None)
+"""Files that stay open within `open_once`."""
+
+
+@contextmanager
+def open_once() -> Iterator[None]:
+    """Files that are read within are opened once and closed at the end, so that what is told apart is what is read."""
+    with ExitStack() as stack:
+        before = _open.set((stack, {}))
+        try:
+            yield
+        finally:
+            _open.reset(before)
+
+
+@contextmanager
+def open_input(path: Path) -> Iterator[BinaryIO]:
+    """A file to be read from its beginning; the one that is open already within `open_once`."""
+    known = _open.get()
+    if known is None:
+        with path.open("rb") as file:
+            yield file
+        return
+    stack, files = known
+    if path not in files:
+        files[path] = stack.enter_context(path.open("rb"))
+    files[path].seek(0)
+    yield files[path]
+
+
+def check_input(path: Path) -> int:
+    """Size of a file that can be read [bytes].
+
+    Raises:
+        FormatError: The file is missing, a folder, not a plain file, empty, or larger than `MAX_BYTES`.
+    """
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        raise FormatError(path, "there is no such file; check the path") from None
+    except (OSError, ValueError) as error:
+        raise FormatError(
+            path, f"the file cannot be opened ({_reason(error)}); check the path and its permissions"
+        ) from None
+    if stat.S_ISDIR(status.st_mode):
+        raise FormatError(path, "this is a folder; name a file inside it")
+    if not stat.S_ISREG(status.st_mode):
+        raise FormatError(path, "this is not a plain file; copy it to a file on disk first")
+    if status.st_size == 0:
+        raise FormatError(path, "the file is empty; export it again")
+    if status.st_size > MAX_BYTES:
+        raise FormatError(
+            path,
+            f"the file has {status.st_size / 2**30:.1f} GiB but at most {MAX_BYTES >> 30} GiB are read; simplify the "
+            "mesh first",
+        )
+    return status.st_size
+
+
+def check_text(path: Path, data: bytes) -> None:
+    """Refuse a text mesh that is too large to be taken apart.
+
+    Raises:
+        FormatError: It has more than `MAX_TEXT_BYTES`.
+    """
+    if len(data) > MAX_TEXT_BYTES:
+        raise FormatError(
+            path,
+            f"{len(data) >> 20} MiB of text are too many, at most {MAX_TEXT_BYTES >> 20} are read; save it as GLB or "
+            "binary PLY",
+        )
+
+
+def read_bounded(path: Path) -> bytes:
+    """All bytes of a file of at most `MAX_BYTES`.
+
+    Raises:
+        FormatError: As `check_input`, or the file cannot be read.
+    """
+    size = check_input(path)
+    try:
+        with path.open("rb") as file:
+            return file.read(size)  # a larger number would be set aside in memory first
+    except OSError as error:
+        raise FormatError(path, f"the file cannot be read ({_reason(error)}); check its permissions") from None
+
+
+def path_inside(folder: Path, uri: str) -> Path | None:
+    """The file that a relative URI names in a folder or below it, or None where it points anywhere else.
+
+    URLs, absolute paths, `..` and links that lead out of the folder are all elsewhere.
+    """
+    name = unquote(uri).replace("\\", "/")
+    if (
+        not name
+        or name.startswith("/")
+        or "\0" in name
+        or re.match(r"[A-Za-z][A-Za-z0-9+.\-]*:", name)
+        or ".." in name.split("/")
+    ):
+        return None
+    try:
+        target = (folder / name).resolve()
+        return target if target.is_relative_to(folder.resolve()) else None
+    except (OSError, RuntimeError):
+        return None
+
+
+def check_output_folder(path: Path) -> None:
+    """Make sure that the folder of an output exists, creating its last level where only that is missing.
+
+    Raises:
+        FormatError: The folder cannot be made, or the path is a folder itself.
+    """
+    if "\0" in str(path):
+        raise FormatError(path, "the path holds a zero byte; choose another name")
+    if os.path.isdir(path):  # unlike Path.is_dir, no name makes it raise
+        raise FormatError(path, "this is a folder; name a file inside it")
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise FormatError(path, "this exists and is not a plain file; choose another name")
+    folder = path.parent
+    if os.path.isdir(folder):
+        return
+    if not os.path.isdir(folder.parent):
+        raise FormatError(path, f"the folder {folder} does not exist; create it first")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise FormatError(
+            path, f"the folder {folder} cannot be created ({_reason(error)}); choose another folder"
+        ) from None
+
+
+@contextmanager
+def writing(path: Path, what: str = "file") -> Iterator[None]:
+    """Turn the system's refusal of what a block writes into one sentence.
+
+    Args:
+        path: The target, which the sentence names.
+        what: What cannot be written.
+
+    Raises:
+        FormatError: The system refused.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise FormatError(
+            path, f"the {what} cannot be written ({_reason(error)}); choose another folder or free some space"
+        ) from None
+
+
+def share_file(path: Path, most: int = 0o666) -> None:
+    """Give a temporary file, which only its owner can read, the rights that new files have; 0o777 for a folder."""
+    mask = os.umask(0)
+    os.umask(mask)
+    os.chmod(path, most & ~mask)
+
+
+@contextmanager
+def atomic_write(path: Path) -> Iterator[BinaryIO]:
+    """A binary file beside the target that takes its place when the block ends, and vanishes when the block fails.
+
+    Raises:
+        FormatError: The folder is missing or cannot be written, or the disk is full.
+    """
+    check_output_folder(path)
+    temporary = ""
+    with writing(path):
+        try:
+            descriptor, temporary = tempfile.mkstemp(prefix=temporary_prefix(path.name), suffix=".tmp", dir=path.parent)
+            with os.fdopen(descriptor, "wb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())  # a name never stands for what is not on the disk yet
+            share_file(Path(temporary))
+            os.replace(temporary, path)
+        finally:
+            if temporary:
+                with suppress(OSError):
+                    os.unlink(temporary)
+
+
+def remove_leftovers(folder: Path) -> int:
+    """Remove what `atomic_write` left half-done in a folder when its process was killed, and say how many files.
+
+    These are files of processes of this machine that are gone, and any that nobody has changed for an hour.
+    """
+    removed = 0
+    with suppress(OSError):  # no folder, nothing left
+        for entry in os.scandir(folder):
+            found = _TEMPORARY.fullmatch(entry.name)
+            if found is None or not entry.is_file(follow_symlinks=False):
+                continue
+            with suppress(OSError):
+                gone = found["machine"] == _machine() and not _alive(int(found["process"]))
+                if gone or time.time() - entry.stat().st_mtime > STALE:
+                    os.unlink(entry.path)
+                    removed += 1
+    return removed
+
+
+def temporary_prefix(name: str) -> str:
+    """How a temporary file of this process begins that ends with .tmp, so that `sweep` knows it."""
+    return f".{name[:100]}.{_machine()}-{os.getpid()}-"
+
+
+def _machine() -> str:
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:6]
+
+
+def _alive(process: int) -> bool:
+    """Whether a process of this machine runs. One that has ended, but that nobody has asked after, does not."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    with suppress(OSError):  # elsewhere than on Linux the system alone knows
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    return True
+
+
+def _reason(error: Exception) -> str:
+    return (getattr(error, "strerror", None) or str(error)).lower()
+
+
+PACKAGE_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
+"""Where the checkpoints lie that Bunraku brings."""
+
+
+def weights_file(name: str) -> Path:
+    """Where a file of weights lies: in the package, or in the folders that the environment variable BUNRAKU_WEIGHTS
+    names, parted as those of PATH are, of which the first that has it counts; an empty part is the package's own.
+
+    Args:
+        name: The file, for example "diffusion.safetensors".
+    """
+    named = os.environ.get("BUNRAKU_WEIGHTS")
+    folders = (
+        [Path(folder) if folder else PACKAGE_WEIGHTS for folder in named.split(os.pathsep)]
+        if named
+        else [PACKAGE_WEIGHTS]
+    )
+    return next((path for folder in folders if (path := folder / name).is_file()), folders[0] / name)

@@ -1,0 +1,350 @@
+"""Surfaces of triangle meshes: normals, areas, sampled points, subdivision, winding numbers and extreme vertices."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+__all__ = [
+    "extreme_points",
+    "face_normals",
+    "part_extremes",
+    "split_estimate",
+    "split_long_edges",
+    "surface_points",
+    "vertex_areas",
+    "vertex_normals",
+    "winding_numbers",
+]
+
+
+def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Normals of faces with the length of twice their area [m^2], shape (F, 3), float64."""
+    vertices = np.asarray(vertices, np.float64)
+    origin = vertices[faces[:, 0]]
+    u, v = vertices[faces[:, 1]] - origin, vertices[faces[:, 2]] - origin
+    out = np.empty_like(u)  # np.cross takes three times as long
+    for axis in range(3):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        out[:, axis] = u[:, i] * v[:, j] - u[:, j] * v[:, i]
+    return out
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray, unit: bool = True) -> np.ndarray:
+    """Area-weighted normals of the vertices.
+
+    Args:
+        vertices: Positions [m], shape (V, 3).
+        faces: Vertex indices, shape (F, 3).
+        unit: Scale to length 1; otherwise the sum of the face normals, each as long as a third of its area [m^2].
+
+    Returns:
+        Normals, shape (V, 3), float64. A vertex without area (no face, degenerate faces, faces that cancel) gets +Y
+        when `unit`, else zero.
+    """
+    normals = face_normals(vertices, faces) / 6
+    corners = faces.reshape(-1)
+    out = np.stack([np.bincount(corners, np.repeat(normals[:, axis], 3), len(vertices)) for axis in range(3)], axis=1)
+    if not unit:
+        return out
+    # Work relative to the largest component: areas of small meshes square to less than the smallest double.
+    largest = np.abs(out).max(axis=1, keepdims=True)
+    whole = largest.max(initial=0)
+    fine = largest > 1e-12 * whole
+    out = np.where(fine, out / np.where(fine, largest, 1), [0.0, 1.0, 0.0])
+    unit_normals: np.ndarray = out / np.sqrt(np.square(out).sum(axis=1, keepdims=True))
+    return unit_normals
+
+
+def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Surface area that each vertex stands for: a third of each of its triangles [m^2], shape (V,), float64."""
+    double = _lengths(face_normals(vertices, faces))
+    return np.bincount(faces.ravel(), np.repeat(double / 6, 3), minlength=len(vertices))
+
+
+def _lengths(vectors: np.ndarray) -> np.ndarray:
+    x, y, z = vectors.T
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
+
+
+_STEPS = 0.7548776662466927, 0.5698402909980532  # the plastic number's powers: two numbers that fill a square evenly
+
+
+def surface_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points at equal distances in area along the list of faces, with the normals of their faces.
+
+    Turning the mesh turns the points; they do not depend on its place or size. A mesh without area gives its corners.
+
+    Args:
+        vertices: Positions, any unit, shape (V, 3).
+        faces: Vertex indices, shape (F, 3).
+        count: How many points, N.
+
+    Returns:
+        Points (N, 3) and unit normals (N, 3), float64; a normal is 0 where a face has no area.
+    """
+    cross = face_normals(vertices, faces)
+    area = _lengths(cross)
+    total = float(area.sum())
+    if not np.isfinite(total) or total <= 0:
+        area, total = np.ones(len(faces)), float(len(faces))
+    ends = np.cumsum(area)
+    face = np.minimum(
+        np.searchsorted(ends, (np.arange(count) + 0.5) * (ends[-1] / count), side="right"), len(faces) - 1
+    )
+    number = np.arange(1, count + 1)
+    along, across = (number * _STEPS[0]) % 1, (number * _STEPS[1]) % 1
+    folded = along + across > 1
+    along, across = np.where(folded, 1 - along, along), np.where(folded, 1 - across, across)
+    origin = vertices[faces[face, 0]].astype(np.float64)
+    first, second = vertices[faces[face, 1]] - origin, vertices[faces[face, 2]] - origin
+    points = origin + along[:, None] * first + across[:, None] * second
+    length = np.linalg.norm(cross[face], axis=1, keepdims=True)
+    return points, cross[face] / np.where(length > 0, length, 1)
+
+
+def _edge_lengths(vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Lengths of vertex pairs [m], shape (E,)."""
+    difference = vertices[edges[:, 0]] - vertices[edges[:, 1]]
+    lengths: np.ndarray = np.sqrt(np.square(difference).sum(axis=1))
+    return lengths
+
+
+def split_estimate(vertices: np.ndarray, faces: np.ndarray, length: float) -> float:
+    """About how many faces `split_long_edges` would add."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    u, v = b - a, c - a
+    cross = np.square(u).sum(1) * np.square(v).sum(1) - np.square((u * v).sum(1))
+    area = 0.5 * np.sqrt(np.maximum(cross, 0))
+    around = np.sqrt(np.square(u).sum(1)) + np.sqrt(np.square(v).sum(1)) + np.sqrt(np.square(c - b).sum(1))
+    return float(np.where(around > 2 * length, 3 * area / length**2 + around / length, 0).sum())
+
+
+def split_long_edges(
+    vertices: np.ndarray, faces: np.ndarray, length: float, max_faces: int = 400_000
+) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Halve the edges longer than `length` until there are none.
+
+    All faces at an edge split it at its middle, so the mesh stays as connected as it was. It stops early rather than
+    make more than `max_faces` faces.
+
+    Args:
+        vertices: Positions, shape (V, 3).
+        faces: Vertex indices, shape (F, 3).
+        length: Longest edge to leave.
+        max_faces: Bound on the number of new faces.
+
+    Returns:
+        Vertices (V + P, 3), the old ones first; faces; and for each round the pairs (P_r, 2) whose middles it appended.
+    """
+    rounds: list[np.ndarray] = []
+    limit = len(faces) + max_faces
+    done = np.zeros((0, 3), np.int64)
+    active = faces
+    while len(active):
+        corners = vertices[active]
+        sides = np.sqrt(np.square(corners - corners[:, [1, 2, 0]]).sum(axis=2))
+        long = sides > length  # sides ab, bc, ca
+        any_long = long.any(axis=1)
+        done = np.concatenate([done, active[~any_long]])
+        active, long = active[any_long], long[any_long]
+        if len(active) == 0:
+            break
+        if len(done) + len(active) + int(long.sum()) > limit:
+            break
+        a, b = active, active[:, [1, 2, 0]]
+        low, high = np.minimum(a, b), np.maximum(a, b)
+        key = (low * len(vertices) + high)[long]
+        unique, inverse = np.unique(key, return_inverse=True)
+        pairs = np.stack([unique // len(vertices), unique % len(vertices)], axis=1)
+        middles = np.full(active.shape, -1)
+        middles[long] = len(vertices) + inverse
+        vertices = np.concatenate([vertices, 0.5 * (vertices[pairs[:, 0]] + vertices[pairs[:, 1]])])
+        rounds.append(pairs)
+        active = _split(vertices, active, middles)
+    return vertices, np.concatenate([done, active]), rounds
+
+
+def _split(vertices: np.ndarray, faces: np.ndarray, middles: np.ndarray) -> np.ndarray:
+    """Faces cut at the middles of their sides ab, bc and ca, -1 where a side stays whole."""
+    marked = middles >= 0
+    count = marked.sum(axis=1)
+    out = []
+    three = count == 3
+    a, b, c = faces[three].T
+    p, q, r = middles[three].T
+    out += [(a, p, r), (p, b, q), (r, q, c), (p, q, r)]
+    # One side: turn the face so that it is ab. Two: so that ca is the whole one.
+    start = np.where(count == 1, marked.argmax(axis=1), ((~marked).argmax(axis=1) + 1) % 3)
+    turn = (start[:, None] + np.arange(3)) % 3
+    faces, middles = np.take_along_axis(faces, turn, axis=1), np.take_along_axis(middles, turn, axis=1)
+    a, b, c = faces[count == 1].T
+    p = middles[count == 1, 0]
+    out += [(a, p, c), (p, b, c)]
+    a, b, c = faces[count == 2].T
+    p, q = middles[count == 2, 0], middles[count == 2, 1]
+    out.append((p, b, q))
+    first = _edge_lengths(vertices, np.stack([p, c], 1)) <= _edge_lengths(vertices, np.stack([a, q], 1)) * (
+        1 + 1e-3
+    )  # ties must not hang on rounding
+    out += [(p[first], q[first], c[first]), (a[first], p[first], c[first])]
+    other = ~first
+    out += [(a[other], p[other], q[other]), (a[other], q[other], c[other])]
+    return np.concatenate([np.stack(triangle, axis=1) for triangle in out])
+
+
+FAR = 2.0
+"""Radii of a cluster from its middle beyond which it is a dipole."""
+_FACES, _POINTS = 24, 256
+"""Faces of a cluster, and points that are looked at together, at most."""
+
+
+def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The winding number of a surface about each point; positive where faces look away from it. To some 0.02.
+
+    Args:
+        points: Shape (P, 3).
+        vertices: Of the surface, shape (V, 3).
+        faces: Shape (F, 3).
+
+    Returns:
+        Shape (P,), float64.
+    """
+    points, vertices = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
+    corners = vertices[faces]
+    areas = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size, middles = np.linalg.norm(areas, axis=1) + 1e-30, corners.mean(axis=1)
+    clusters = _clusters(middles, _FACES)
+    order, starts = np.concatenate(clusters), np.cumsum([0, *map(len, clusters)])[:-1]
+    sums = np.add.reduceat(np.hstack([areas, size[:, None] * middles, size[:, None]])[order], starts)
+    centers = sums[:, 3:6] / sums[:, 6:]
+    cluster = np.repeat(np.arange(len(clusters)), [len(own) for own in clusters])
+    away = np.linalg.norm(corners[order] - centers[cluster, None], axis=2).max(axis=1)
+    reach = np.maximum.reduceat(away, starts)
+    unit = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) / 10
+    dipoles = (sums[:, :3] / unit**2).astype(np.float32)
+    out, number = np.empty(len(points)), np.zeros(len(vertices), np.int64)
+    for some in _clusters(points, _POINTS):
+        own = points[some]
+        middle = (own.min(axis=0) + own.max(axis=0)) / 2
+        wide = np.linalg.norm(own - middle, axis=1).max()
+        far = np.linalg.norm(centers - middle, axis=1) - wide > FAR * reach
+        # Over their size about their middle, so that single precision does.
+        own = ((own - middle) / unit).astype(np.float32)
+        found = _of_dipoles(own, ((centers[far] - middle) / unit).astype(np.float32), dipoles[far])
+        near = [clusters[one] for one in np.flatnonzero(~far)]
+        if near:
+            corner = faces[np.concatenate(near)]
+            here = np.zeros(len(vertices), bool)  # np.unique sorts, which takes longer
+            here[corner] = True
+            used = np.flatnonzero(here)
+            number[used] = np.arange(len(used))
+            found += _of_faces(own, ((vertices[used] - middle) / unit).astype(np.float32), number[corner])
+        out[some] = found / (4 * np.pi)
+    return out
+
+
+def _clusters(points: np.ndarray, most: int) -> list[np.ndarray]:
+    """Indices of points that lie near one another, in groups of so many at most: halved along their longest side."""
+    left, out = [np.arange(len(points))] if len(points) else [], []
+    while left:
+        own = left.pop()
+        if len(own) <= most:
+            out.append(own)
+            continue
+        some = points[own]
+        along = some[:, np.ptp(some, axis=0).argmax()]
+        order = np.argpartition(along, len(own) // 2)
+        left += [own[order[: len(own) // 2]], own[order[len(own) // 2 :]]]
+    return out
+
+
+def _of_dipoles(points: np.ndarray, centers: np.ndarray, dipoles: np.ndarray) -> np.ndarray:
+    """Sum of the solid angles of clusters as seen from afar, shape (P,), float64."""
+    square = (points**2).sum(axis=1)[:, None] - 2 * points @ centers.T + (centers**2).sum(axis=1)
+    towards = (centers * dipoles).sum(axis=1) - points @ dipoles.T
+    return np.asarray((towards / (square * np.sqrt(square))).sum(axis=1, dtype=np.float64))
+
+
+def _of_faces(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Sum of the solid angles of triangles (Van Oosterom & Strackee 1983), shapes (P, 3), (V, 3), (F, 3) -> (P,).
+
+    Of corners a, b, c seen from a point: tan(angle / 2) = a . (b x c) / (|a||b||c| + (a . b)|c| + (b . c)|a| + (c .
+    a)|b|), in which all but the lengths is linear in the point and its square.
+    """
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    one, none = np.ones((len(faces), 1), np.float32), np.zeros((len(faces), 1), np.float32)
+    bc = _cross(b, c)
+    across = _cross(a, b) + bc + _cross(c, a)
+    top = np.hstack([-across, none, (a * bc).sum(axis=1, keepdims=True)])
+    pairs = [np.hstack([-x - y, one, (x * y).sum(axis=1, keepdims=True)]) for x, y in ((a, b), (b, c), (c, a))]
+    known = np.vstack([points.T, (points**2).sum(axis=1), np.ones(len(points), np.float32)])
+    volume, ab, bc, ca = (np.vstack([top, *pairs]) @ known).reshape(4, len(faces), len(points))
+    corner = np.hstack([-2 * vertices, np.ones((len(vertices), 1), np.float32), (vertices**2).sum(axis=1)[:, None]])
+    lengths = np.sqrt(np.maximum(corner @ known, 0))
+    to_a, to_b, to_c = (lengths[faces[:, side]] for side in range(3))
+    ab += to_a * to_b
+    ab *= to_c
+    bc *= to_a
+    ca *= to_b
+    ab += bc
+    ab += ca
+    return np.asarray(2 * np.arctan2(volume, ab).sum(axis=0, dtype=np.float64))
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """As `np.cross`, which takes longer for a few hundred, shape (F, 3)."""
+    out = np.empty_like(a)
+    for axis in range(3):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        out[:, axis] = a[:, i] * b[:, j] - a[:, j] * b[:, i]
+    return out
+
+
+_GOLDEN = np.pi * (3 - np.sqrt(5))
+
+
+@lru_cache(maxsize=8)
+def _directions(count: int) -> np.ndarray:
+    """Directions spread evenly over the sphere, shape (count, 3), float32."""
+    number = np.arange(count)
+    height = 1 - (2 * number + 1) / count
+    radius = np.sqrt(1 - height**2)
+    found = np.stack([radius * np.cos(_GOLDEN * number), height, radius * np.sin(_GOLDEN * number)], axis=1)
+    return found.astype(np.float32)
+
+
+def extreme_points(points: np.ndarray, count: int = 64) -> np.ndarray:
+    """Indices, in order, of the points that reach farthest in each of `count` directions spread over the sphere.
+
+    A point farther out in some direction than all of these is so by at most about a share 2 / count of its distance.
+
+    Args:
+        points: Shape (n, 3), n > 0.
+        count: How many directions.
+    """
+    return np.unique((_directions(count) @ (points - points.mean(axis=0)).astype(np.float32).T).argmax(axis=1))
+
+
+def part_extremes(vertices: np.ndarray, weights: np.ndarray, count: int = 160) -> np.ndarray:
+    """Indices, in order, of the extreme points of every part of a body, shape (n,).
+
+    Parts are the vertices that one handle moves more than the others do, and where a second one has a fair share, as at
+    knees and elbows, those that the two move.
+
+    Args:
+        vertices: Rest positions, shape (V, 3).
+        weights: Skinning weights, shape (V, K).
+        count: How many directions for each part.
+    """
+    if len(vertices) == 0:
+        return np.zeros(0, np.int64)
+    most = weights.argmax(axis=1)
+    shared = weights[np.arange(len(weights)), most] < 0.75
+    label = most + weights.shape[1] * shared
+    out = []
+    for part in np.unique(label):
+        own = np.flatnonzero(label == part)
+        out.append(own if len(own) <= count else own[extreme_points(vertices[own], count)])
+    return np.sort(np.concatenate(out))

@@ -1,0 +1,291 @@
+"""Checkpoints: weights that carry their own config.
+
+They are safetensors files with JSON in the metadata, never pickle, and are written beside their target and renamed, so
+a file by that name is always whole.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from bunraku.core.files import atomic_write, weights_file
+from bunraku.core.nn.layers import Weights
+from bunraku.core.request import from_json
+from bunraku.errors import FormatError, OptionError, WeightsError
+
+__all__ = [
+    "FORMAT",
+    "config_of",
+    "dated",
+    "dated_checkpoint",
+    "fitting_config",
+    "halves_of",
+    "load_checkpoint",
+    "load_network",
+    "planes_of",
+    "read_config",
+    "read_tensors",
+    "save_checkpoint",
+    "shipped_checkpoint",
+    "stored_as_half",
+    "write_tensors",
+]
+
+FORMAT = "bunraku-1"
+_LARGE = 1024
+_PLANES = "planes"
+"""Which arrays are float16 as `planes_of` takes them apart, as JSON in the metadata."""
+_LARGEST = 1_000_000
+"""More than any size, rate or count in a config."""
+
+_ENDLESS = np.uint16(0x7C00)
+"""Bits of a float16 that are all set in what is no number, or infinite."""
+
+Network = TypeVar("Network")
+Config = TypeVar("Config")
+
+
+def write_tensors(path: Path, data: bytes) -> None:
+    """Write a file beside the target and rename; on any failure the old one is untouched and nothing is left over.
+
+    Raises:
+        WeightsError: It cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as file:
+            file.write(data)
+    except (OSError, FormatError) as error:
+        raise WeightsError(
+            f"{path}: the checkpoint cannot be written ({error}); check the folder and the free space"
+        ) from error
+
+
+def read_tensors(path: Path, kind: str, framework: str = "np") -> tuple[dict[str, Any], dict[str, Any]]:
+    """Tensors by name, as a framework has them, and the config.
+
+    Raises:
+        WeightsError: The file is missing, of another kind, damaged or cut short.
+    """
+    with _opened(path, kind, framework) as (file, config):
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
+        for name in json.loads((file.metadata() or {}).get(_PLANES, "[]")):
+            tensors[name] = halves_of(tensors[name])
+        return tensors, config
+
+
+def read_config(path: Path, kind: str) -> dict[str, Any]:
+    """The config alone.
+
+    Raises:
+        WeightsError: As `read_tensors`.
+    """
+    with _opened(path, kind) as (_, config):
+        return config
+
+
+@contextmanager
+def _opened(path: Path, kind: str, framework: str = "np") -> Iterator[tuple[Any, dict[str, Any]]]:
+    """A checkpoint, open, and its config; what goes wrong meanwhile as one sentence."""
+    from safetensors import safe_open
+
+    if not path.is_file():
+        raise WeightsError(f"{path}: there is no such checkpoint; train one, or give another path")
+    try:
+        with safe_open(path, framework=framework) as file:
+            metadata = file.metadata() or {}
+            found = metadata.get("kind")
+            if metadata.get("format") != FORMAT or found is None:
+                raise WeightsError(
+                    f"{path}: this is a safetensors file but not a Bunraku checkpoint; give one that Bunraku wrote"
+                )
+            if found != kind:
+                raise WeightsError(
+                    f"{path}: this is a checkpoint of kind '{found}', but '{kind}' is needed here; give another file"
+                )
+            config = json.loads(metadata["config"])
+            if not isinstance(config, dict):
+                raise ValueError("the config is not an object")
+            yield file, config
+    except WeightsError:
+        raise
+    except Exception as error:
+        raise WeightsError(
+            f"{path}: the checkpoint is damaged or cut short ({error}); copy or train it again"
+        ) from error
+
+
+def stored_as_half(count: int, largest: float) -> bool:
+    """Whether an array of float32 is stored as float16 where that is asked for, by its size and its largest number."""
+    return count >= _LARGE and largest < 6e4
+
+
+def planes_of(values: np.ndarray) -> np.ndarray:
+    """Numbers as float16, their low bytes before their high ones, shape (2, ...), uint8: a wheel packs them better."""
+    halves = np.ascontiguousarray(values, "<f2")
+    return np.ascontiguousarray(np.moveaxis(halves.view(np.uint8).reshape(*halves.shape, 2), -1, 0))
+
+
+def halves_of(planes: np.ndarray) -> np.ndarray:
+    """What `planes_of` took apart, float16."""
+    return np.asarray((planes[0] | planes[1].astype("<u2") << np.uint16(8)).view("<f2"))
+
+
+def save_checkpoint(
+    path: str | Path, state: Mapping[str, np.ndarray], config: dict[str, object], kind: str, half: bool = False
+) -> Path:
+    """Write weights with the config that builds their network.
+
+    Args:
+        path: The safetensors file, replaced at once when the new one is whole.
+        state: Arrays by name.
+        config: What the network needs to be built again; anything JSON can say.
+        kind: What the weights are, for example "diffusion"; `load_checkpoint` asks for the same word.
+        half: Store matrices as float16 (`planes_of`), half the size. Arrays under 1,024 numbers (statistics, biases)
+            and any that overflow float16 stay as they are.
+
+    Raises:
+        WeightsError: The file cannot be written.
+    """
+    from safetensors.numpy import save
+
+    arrays, planes = {}, []
+    for name, value in state.items():
+        value = np.asarray(value, order="C")  # `ascontiguousarray` makes a list of a single number
+        if half and value.dtype == np.float32 and stored_as_half(value.size, float(np.abs(value).max(initial=0))):
+            value = planes_of(value)
+            planes.append(name)
+        arrays[name] = value
+    path = Path(path)
+    metadata = {"format": FORMAT, "kind": kind, "config": json.dumps(config), _PLANES: json.dumps(planes)}
+    write_tensors(path, save(arrays, metadata=metadata))
+    return path
+
+
+def load_checkpoint(path: str | Path, kind: str, half: bool = False) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Read weights and their config.
+
+    Args:
+        path: The file.
+        kind: Of the checkpoint.
+        half: Leave float16 as it is, for `Weights` to hand out as float32, so that it is never all there twice;
+            without, it comes as float32.
+
+    Raises:
+        WeightsError: The file is missing, of another kind, damaged or cut short, or holds values that are not numbers.
+    """
+    path = Path(path)
+    tensors, config = read_tensors(path, kind)
+    for name, value in tensors.items():
+        if value.dtype == np.float16:  # by its bits, ten times as fast as numpy's way
+            finite = bool((value.view(np.uint16) & _ENDLESS).max(initial=0) < _ENDLESS)
+        else:
+            finite = value.dtype.kind != "f" or bool(np.isfinite(value).all())
+        if not finite:
+            raise WeightsError(
+                f"{path}: the weights '{name}' hold values that are not numbers; copy or train them again"
+            )
+    if half:
+        return tensors, config
+    return {
+        name: value.astype(np.float32) if value.dtype == np.float16 else value for name, value in tensors.items()
+    }, config
+
+
+def load_network(
+    path: str | Path, kind: str, build: Callable[[dict[str, object], Weights], Network], *, key: str = "network"
+) -> Network:
+    """A network of its config and weights.
+
+    Args:
+        path: The file.
+        kind: Of the checkpoint.
+        build: Makes the network of its config's fields and its weights.
+        key: Under which the config stands.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """
+    state, config = load_checkpoint(path, kind, half=True)
+    with fitting_config(path):
+        weights = Weights(state)
+        network = build(config[key], weights)
+        weights.done()
+    return network
+
+
+@contextmanager
+def fitting_config(path: str | Path) -> Iterator[None]:
+    """What goes wrong while a network is built of a checkpoint's config and given its weights, as one sentence.
+
+    Raises:
+        WeightsError: The weights do not fit their config.
+    """
+    try:
+        yield
+    except WeightsError:
+        raise
+    except Exception as error:
+        reason = next(iter(str(error).splitlines()), "") or type(error).__name__
+        raise WeightsError(
+            f"{path}: the weights do not fit their config ({reason}); train or copy them again"
+        ) from error
+
+
+def config_of(kind: type[Config], data: object) -> Config:
+    """The config of a network from what a checkpoint carries.
+
+    Args:
+        kind: A dataclass, which says the type of each value.
+        data: The JSON object of the checkpoint.
+
+    Raises:
+        OptionError: A value is missing or unknown, of another type, or no size that a network has.
+    """
+    config = from_json(kind, data, "the config")
+    for name, value in vars(config).items():
+        for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(one, int | float) and not 0 <= one <= _LARGEST:
+                raise OptionError(f"{name} must be from 0 to {_LARGEST}, not {one:g}")
+    return config
+
+
+def dated_checkpoint(name: str, path: str | Path | None = None) -> tuple[Path, int]:
+    """A checkpoint and when it was changed, by which a loader keeps networks between calls.
+
+    Args:
+        name: Of the shipped one.
+        path: Another in its place.
+
+    Raises:
+        WeightsError: The shipped one is not there.
+    """
+    return dated(shipped_checkpoint(name) if path is None else Path(path))
+
+
+def dated(path: Path) -> tuple[Path, int]:
+    """A file and when it was changed [ns], 0 where there is none."""
+    return path.resolve(), path.stat().st_mtime_ns if path.is_file() else 0
+
+
+def shipped_checkpoint(name: str) -> Path:
+    """Path of a checkpoint that comes with Bunraku, for example `shipped_checkpoint("diffusion")`.
+
+    The environment variable BUNRAKU_WEIGHTS names other folders to look in (`weights_file`).
+
+    Raises:
+        WeightsError: It is not there.
+    """
+    path = weights_file(f"{name}.safetensors")
+    if not path.is_file():
+        raise WeightsError(
+            f"{path}: the '{name}' weights are missing; install Bunraku again, train them, or set BUNRAKU_WEIGHTS to "
+            "their folder"
+        )
+    return path

@@ -1,0 +1,478 @@
+"""The layers of the networks, for inference in numpy: built from the arrays of a checkpoint, run on the threads they
+need.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from concurrent.futures import ThreadPoolExecutor
+
+    from threadpoolctl import ThreadpoolController
+
+__all__ = [
+    "Attention",
+    "FeedForward",
+    "Linear",
+    "Memory",
+    "Norm",
+    "PostNorm",
+    "PreNorm",
+    "Rotary",
+    "Weights",
+    "attended",
+    "gelu",
+    "gelu_slope",
+    "hidden_by",
+    "normed",
+    "one_thread",
+    "side_by_side",
+    "sigmoid",
+    "silu",
+    "softmax",
+    "split_heads",
+    "turned",
+    "unit",
+    "usable_threads",
+]
+
+
+_NEVER = np.float32(-1e30)
+"""Beside a score of attention: what is hidden takes no part."""
+_PIECE = 1 << 15
+"""Numbers of an array that go through all passes of a function at once."""
+_GELU = tuple(np.float32(value) for value in (
+    1.80559369e-09, -1.33445333e-07, 3.96909116e-06, -5.5240016e-05, -3.31305363e-05, 0.0363342845, 0.797884216,
+))  # fmt: skip
+"""P, falling powers, such that tanh(x P(x^2)) is erf(x / sqrt 2), fitted on |x| < 6 for the least error of `gelu`. It
+only grows beyond, where both are 1.
+"""
+
+Rotary = tuple[np.ndarray, np.ndarray]
+"""Cosines and sines of rotary positions (Su et al. 2021), shape (T, d/H/2) each."""
+
+
+class Linear(NamedTuple):
+    """`x @ matrix + bias`.
+
+    Args:
+        matrix: Shape (C, D).
+        bias: Shape (D,), or None.
+    """
+
+    matrix: np.ndarray
+    bias: np.ndarray | None
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Shape (..., C) -> (..., D): one product whatever the leading shape."""
+        out: np.ndarray = x.reshape(-1, x.shape[-1]) @ self.matrix
+        if self.bias is not None:
+            out += self.bias
+        return out.reshape(*x.shape[:-1], -1)
+
+
+class Norm(NamedTuple):
+    """Layer norm with a scale and a shift of each channel.
+
+    Args:
+        scale, shift: Shape (C,).
+        epsilon: Beside the variance.
+    """
+
+    scale: np.ndarray
+    shift: np.ndarray
+    epsilon: float = 1e-5
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Shape (..., C) -> (..., C)."""
+        return normed(x, self)
+
+
+class Memory(NamedTuple):
+    """Keys and values of what a layer attends to, of each head, shape (B, H, M, d/H)."""
+
+    keys: np.ndarray
+    values: np.ndarray
+
+
+class Attention(NamedTuple):
+    """Attention behind a norm, added to what came in.
+
+    Args:
+        enter: To queries, keys and values side by side; to queries alone where it attends to a memory.
+        leave: From what was attended to.
+        heads: H.
+    """
+
+    enter: Linear
+    leave: Linear
+    heads: int
+
+    def __call__(
+        self,
+        x: np.ndarray,
+        norm: Norm,
+        memory: Memory | None = None,
+        hidden: np.ndarray | None = None,
+        rotary: Rotary | None = None,
+        gate: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """The next hidden states; writes on `x`, shape (B, T, d).
+
+        Args:
+            x: Hidden states.
+            norm: Before it; scale and shift may differ from row to row.
+            memory: What is attended to; the states themselves where None.
+            hidden: Of that, as `hidden_by` gives it.
+            rotary: Turns queries, and with them the keys that are the states' own; None for no positions.
+            gate: Factor of what is added.
+        """
+        batch, length, width = x.shape
+        said = normed(x, norm).reshape(-1, width) @ self.enter.matrix
+        said += self.enter.bias
+        parts = said.reshape(batch, length, -1, self.heads, width // self.heads).transpose(2, 0, 3, 1, 4)
+        if memory is None:
+            query, key = parts[:2] if rotary is None else turned(parts[:2], rotary)
+            mixed = attended(query, key, parts[2], hidden)
+        else:
+            query = parts[0] if rotary is None else turned(parts[0], rotary)
+            mixed = attended(query, memory.keys, memory.values, hidden)
+        said = (mixed.reshape(-1, width) @ self.leave.matrix).reshape(x.shape)
+        said += self.leave.bias
+        if gate is not None:
+            said *= gate
+        x += said
+        return x
+
+
+class FeedForward(NamedTuple):
+    """Two linear layers with GELU between them behind a norm, added to what came in.
+
+    Args:
+        wide, narrow: The layers.
+    """
+
+    wide: Linear
+    narrow: Linear
+
+    def __call__(self, x: np.ndarray, norm: Norm, gate: np.ndarray | None = None) -> np.ndarray:
+        """The next hidden states; writes on `x`, shape (..., d)."""
+        said = normed(x, norm).reshape(-1, x.shape[-1]) @ self.wide.matrix
+        said += self.wide.bias
+        said = (gelu(said) @ self.narrow.matrix).reshape(x.shape)
+        said += self.narrow.bias
+        if gate is not None:
+            said *= gate
+        x += said
+        return x
+
+
+class PreNorm(NamedTuple):
+    """A transformer layer whose norms stand before attention and feed-forward.
+
+    Args:
+        own: Attention of the states to one another.
+        norm_a: Before it.
+        mix: The feed-forward.
+        norm_b: Before it.
+    """
+
+    own: Attention
+    norm_a: Norm
+    mix: FeedForward
+    norm_b: Norm
+
+    def __call__(self, x: np.ndarray, hidden: np.ndarray | None = None) -> np.ndarray:
+        """Shape (B, T, d), with what is hidden as `hidden_by` gives it; writes on `x`."""
+        return self.mix(self.own(x, self.norm_a, None, hidden), self.norm_b)
+
+
+class PostNorm(NamedTuple):
+    """A layer as BERT has it (Devlin et al. 2019): the norms stand behind attention and feed-forward.
+
+    Args:
+        query, key, value: From the states, all heads side by side.
+        leave: From what was attended to.
+        heads: H.
+        norm_a: Behind attention.
+        wide, narrow: The feed-forward.
+        norm_b: Behind it.
+    """
+
+    query: Linear
+    key: Linear
+    value: Linear
+    leave: Linear
+    heads: int
+    norm_a: Norm
+    wide: Linear
+    narrow: Linear
+    norm_b: Norm
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Shape (B, T, d) -> (B, T, d)."""
+        parts = (split_heads(enter(x), self.heads)[0] for enter in (self.query, self.key, self.value))
+        x = self.norm_a(x + self.leave(attended(*parts)))
+        return self.norm_b(x + self.narrow(gelu(self.wide(x))))
+
+
+def normed(x: np.ndarray, norm: Norm | None = None) -> np.ndarray:
+    """Layer norm over the last axis; without scale and shift where None are given."""
+    out = x - x.mean(-1, keepdims=True)
+    variance = np.einsum("...i,...i->...", out, out)
+    variance /= np.float32(x.shape[-1])
+    variance += np.float32(1e-5 if norm is None else norm.epsilon)
+    out *= (1 / np.sqrt(variance))[..., None]
+    if norm is not None:
+        out *= norm.scale
+        out += norm.shift
+    return np.asarray(out)
+
+
+def _below(x: np.ndarray, out: np.ndarray, times: bool) -> None:
+    """The share of a normal distribution below each number, or the number times it, piece by piece; `out` may be `x`.
+
+    Args:
+        x, out: Of one axis.
+        times: Which of the two.
+    """
+    room = np.empty((2, min(x.size, _PIECE)), np.float32)
+    for start in range(0, x.size, _PIECE):
+        part = x[start : start + _PIECE]
+        square, value = room[:, : part.size]
+        np.multiply(part, part, out=square)
+        np.multiply(square, _GELU[0], out=value)
+        for factor in _GELU[1:-1]:
+            value += factor
+            value *= square
+        value += _GELU[-1]
+        value *= part
+        np.tanh(value, out=value)
+        if times:
+            np.multiply(part, np.float32(0.5), out=square)
+            value *= square
+            np.add(value, square, out=out[start : start + _PIECE])
+        else:
+            value *= np.float32(0.5)
+            np.add(value, np.float32(0.5), out=out[start : start + _PIECE])
+
+
+def gelu(x: np.ndarray) -> np.ndarray:
+    """x times the share of a normal distribution below x (Hendrycks & Gimpel 2016), to 1e-6; takes a contiguous array,
+    and writes on it.
+    """
+    flat = x.reshape(-1)
+    _below(flat, flat, True)
+    return flat.reshape(x.shape)
+
+
+def gelu_slope(x: np.ndarray) -> np.ndarray:
+    """The derivative of `gelu`."""
+    out = np.empty(x.shape, np.float32)
+    _below(x.reshape(-1), out.reshape(-1), False)
+    out += x * np.exp(np.float32(-0.5) * x * x) * np.float32(1 / np.sqrt(2 * np.pi))
+    return out
+
+
+def sigmoid(x: np.ndarray) -> np.ndarray:
+    """1 / (1 + e^-x), without an overflow."""
+    return np.asarray(np.float32(0.5) * (np.float32(1) + np.tanh(np.float32(0.5) * x)))
+
+
+def silu(x: np.ndarray) -> np.ndarray:
+    """x times its sigmoid."""
+    return np.asarray(x * sigmoid(x))
+
+
+def softmax(scores: np.ndarray) -> np.ndarray:
+    """Shares that sum to 1 over the last axis; writes on its argument."""
+    scores -= scores.max(-1, keepdims=True)
+    np.exp(scores, out=scores)
+    scores /= scores.sum(-1, keepdims=True)
+    return scores
+
+
+def hidden_by(mask: np.ndarray) -> np.ndarray | None:
+    """What is added to scores of attention so that only what is real counts; None where all is.
+
+    Args:
+        mask: True where real, shape (B, M).
+
+    Returns:
+        Shape (B, 1, 1, M).
+    """
+    return None if mask.all() else np.where(mask, np.float32(0), _NEVER)[:, None, None]
+
+
+def split_heads(x: np.ndarray, heads: int, parts: int = 1) -> tuple[np.ndarray, ...]:
+    """Queries, keys or values of each head, shape (B, H, T, d/H), from as many side by side, shape (B, T, parts d)."""
+    return tuple(x.reshape(*x.shape[:2], parts, heads, -1).transpose(2, 0, 3, 1, 4))
+
+
+def turned(x: np.ndarray, rotary: Rotary) -> np.ndarray:
+    """Queries or keys at their places in time, shape (..., T, d/H)."""
+    half = x.shape[-1] // 2
+    first, second = x[..., :half], x[..., half:]
+    cos, sin = rotary
+    out = np.empty(x.shape, np.float32)
+    np.subtract(first * cos, second * sin, out=out[..., :half])
+    np.add(first * sin, second * cos, out=out[..., half:])
+    return out
+
+
+def attended(query: np.ndarray, key: np.ndarray, value: np.ndarray, hidden: np.ndarray | None = None) -> np.ndarray:
+    """Attention (Vaswani et al. 2017), shapes (B, H, T, d) and (B, H, M, d) -> (B, T, H d).
+
+    Args:
+        query, key, value: Of each head.
+        hidden: As `hidden_by` gives it.
+    """
+    scores = np.matmul(query, key.swapaxes(-1, -2))
+    scores *= np.float32(query.shape[-1] ** -0.5)
+    if hidden is not None:
+        scores += hidden
+    scores -= scores.max(-1, keepdims=True)
+    np.exp(scores, out=scores)
+    scores /= scores.sum(-1, keepdims=True)
+    batch, heads, length, size = query.shape
+    out = np.empty((batch, length, heads, size), np.float32)
+    np.matmul(scores, value, out=out.transpose(0, 2, 1, 3))
+    return out.reshape(batch, length, heads * size)
+
+
+def unit(x: np.ndarray) -> np.ndarray:
+    """Vectors of length 1, shape (..., E); those of no length stay."""
+    length = np.sqrt(np.einsum("...i,...i->...", x, x))[..., None]
+    return np.asarray(x / np.maximum(length, np.float32(1e-12)))
+
+
+class Weights:
+    """The arrays of a checkpoint, handed to the network that its config describes. Each is compared with the size that
+    the config asks for, before anything of that size is made.
+
+    Args:
+        state: Arrays by name; float16 is handed out as float32.
+        prefix: Of the names of a part of the network.
+    """
+
+    def __init__(self, state: Mapping[str, np.ndarray], prefix: str = "", left: set[str] | None = None):
+        self._state, self._prefix = state, prefix
+        self._left = set(state) if left is None else left
+
+    def part(self, name: str) -> Weights:
+        """Those of a part of the network."""
+        return Weights(self._state, f"{self._prefix}{name}.", self._left)
+
+    def array(self, name: str, *shape: int) -> np.ndarray:
+        """One of them.
+
+        Raises:
+            ValueError: It is not there, or has another size.
+        """
+        whole = self._prefix + name
+        found = self._state.get(whole)
+        if found is None or found.shape != shape:
+            there = "none" if found is None else str(list(found.shape))
+            raise ValueError(f"its config makes '{whole}' of size {list(shape)}, and the file has {there}")
+        self._left.discard(whole)
+        return found.astype(np.float32) if found.dtype == np.float16 else found
+
+    def linear(self, name: str, width_in: int, width_out: int, bias: bool = True) -> Linear:
+        """The linear layer of this name; its matrix lies as the product reads it."""
+        matrix = self.array(f"{name}.weight", width_out, width_in)
+        return Linear(np.ascontiguousarray(matrix.T), self.array(f"{name}.bias", width_out) if bias else None)
+
+    def norm(self, name: str, width: int, epsilon: float = 1e-5) -> Norm:
+        """The layer norm of this name."""
+        return Norm(self.array(f"{name}.weight", width), self.array(f"{name}.bias", width), epsilon)
+
+    def attention(self, enter: str, leave: str, width: int, heads: int) -> Attention:
+        """Attention of the states to one another, of two linear layers by name."""
+        if heads < 1 or width % heads:
+            raise ValueError(f"{width} channels cannot be shared by {heads} heads")
+        return Attention(self.linear(enter, width, 3 * width), self.linear(leave, width, width), heads)
+
+    def feed_forward(self, wide: str, narrow: str, width: int, inner: int) -> FeedForward:
+        """Of two linear layers by name."""
+        return FeedForward(self.linear(wide, width, inner), self.linear(narrow, inner, width))
+
+    def done(self) -> None:
+        """All have been handed out.
+
+        Raises:
+            ValueError: The checkpoint holds more.
+        """
+        if self._left:
+            raise ValueError(f"its config makes no '{min(self._left)}', which the file has")
+
+
+_spare: ContextVar[bool] = ContextVar("spare", default=False)
+"""Whether `one_thread` left a processor without work."""
+_One = TypeVar("_One")
+_Other = TypeVar("_Other")
+
+
+def usable_threads() -> int:
+    """How many threads this process may take: as OMP_NUM_THREADS says, else one for each processor."""
+    asked = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0]
+    if asked.isdigit() and int(asked) > 0:
+        return int(asked)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """One thread for each matrix product.
+
+    The products of a small network are too short to share: a second thread gains a fifth where a core is free, and
+    where none is, threads wait for one another and a clip takes many times as long. One thread also always adds in one
+    order.
+    """
+    spare = _spare.set(usable_threads() > 1)
+    try:
+        if os.environ.get("OPENBLAS_NUM_THREADS") == "1":  # as on the command line
+            yield
+        else:
+            with _libraries().limit(limits=1, user_api="blas"):
+                yield
+    finally:
+        _spare.reset(spare)
+
+
+def side_by_side(first: Callable[[], _One], second: Callable[[], _Other]) -> tuple[_One, _Other]:
+    """What two calls give. Within `one_thread` the second has a thread of its own, where there is a processor for it.
+
+    Each adds in its own order, so what comes out does not depend on whether they ran at once. They wait for each other
+    once, and not in each product as the threads of a library do.
+    """
+    if not _spare.get():
+        return first(), second()
+    other = _thread().submit(second)
+    try:
+        one = first()
+    finally:
+        other.exception()  # it has ended when this goes on
+    return one, other.result()
+
+
+@cache
+def _thread() -> ThreadPoolExecutor:
+    from concurrent.futures import ThreadPoolExecutor
+
+    return ThreadPoolExecutor(1, "side")
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """The libraries that numpy multiplies with; looking for them takes longer than to set their threads."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()

@@ -1,0 +1,294 @@
+"""What every request has: limits of its numbers, a JSON form that is read strictly, and constraints with a kind."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import types
+from collections.abc import Sequence
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from typing import Any, ClassVar, Literal, NoReturn, Self, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from bunraku.errors import OptionError
+
+__all__ = [
+    "CANDIDATES",
+    "Constraint",
+    "FPS",
+    "GRAVITY",
+    "GUIDANCE",
+    "Limit",
+    "SECONDS",
+    "SEED",
+    "STEPS",
+    "STIFFNESS",
+    "TAKES",
+    "WHOLE",
+    "from_json",
+    "option",
+    "read_json",
+    "to_json",
+]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The range of a number.
+
+    Args:
+        name: What the number is, as in a sentence of Python.
+        low: The least.
+        high: The most.
+    """
+
+    name: str
+    low: float
+    high: float
+
+    def check(self, value: float | None, name: str = "") -> None:
+        """Whether a number is in the range; None, which stands for a default, always is.
+
+        Args:
+            value: The number.
+            name: What it is called in the message.
+
+        Raises:
+            OptionError: It is outside, or not finite.
+        """
+        if value is not None and not (math.isfinite(value) and self.low <= value <= self.high):
+            raise OptionError(f"{name or self.name} must be from {self.low:g} to {self.high:g}, not {value:g}")
+
+
+SECONDS = Limit("seconds", 0.5, 120.0)
+"""Length of a clip that is made in one pass [s]; longer ones are made stretch by stretch."""
+WHOLE = Limit("seconds", 0.5, 36_000.0)
+"""Length of a clip, and of each of its parts [s]."""
+FPS = Limit("frames a second", 1, 240)
+"""Rate of a clip, of a file and of a video [1/s]."""
+SEED = Limit("seed", 0, 2**63 - 1)
+STEPS = Limit("steps", 1, 1000)
+"""Steps of the sampler."""
+GUIDANCE = Limit("guidance", 0, 20)
+"""Scale of classifier-free guidance."""
+CANDIDATES = Limit("candidates", 1, 16)
+"""Motions that are drawn for one that is given back."""
+TAKES = Limit("takes", 1, 100)
+"""Takes of one sentence in one run."""
+STIFFNESS = Limit("stiffness", 0.001, 1000)
+"""Factor on how stiff apparel is."""
+GRAVITY = Limit("gravity", 0, 10)
+"""Factor on the gravity of apparel that is simulated."""
+
+
+Kind = TypeVar("Kind")
+MOST_ENTRIES = 1000
+"""Entries of a list."""
+MOST_LETTERS = 10_000
+"""Letters of a text."""
+MOST_BYTES = 4 << 20
+"""Bytes of a JSON text."""
+MOST_VALUES = 400_000
+"""Values of a JSON text; each takes some 60 to 100 bytes of memory once it is parsed."""
+DEEPEST = 16
+"""Lists and objects within each other."""
+_STRING = re.compile(rb'"(?:[^"\\]++|\\.)*+"?', re.DOTALL)
+_SIGNS = bytes(sign for sign in range(256) if sign not in b"[]{}")
+_COUNTS = {2: "two", 3: "three", 4: "four"}
+
+
+def read_json(data: bytes, name: str, most: int = MOST_BYTES) -> Any:
+    """The value of a JSON text that nobody vouches for. How much it would become is counted before it is parsed.
+
+    Args:
+        data: The text in UTF-8.
+        name: What it is called in messages.
+        most: Bytes that are read.
+
+    Raises:
+        OptionError: It is no JSON, too large, or nested too deeply.
+    """
+    if len(data) > most:
+        raise OptionError(f"{name} has more than {most >> 20} MiB of JSON; leave out what is not needed")
+    bare = _STRING.sub(b'""', data)
+    if sum(bare.count(sign) for sign in (b",", b":", b"[", b"{")) > MOST_VALUES:
+        raise OptionError(f"{name} has more than {MOST_VALUES:,} values; leave out what is not needed")
+    brackets = bare.translate(None, _SIGNS)
+    for _ in range(DEEPEST):
+        brackets = brackets.replace(b"[]", b"").replace(b"{}", b"")
+    if brackets:
+        raise OptionError(f"{name} is no JSON, or is nested more than {DEEPEST} deep; write it again")
+    try:
+        return json.loads(data.decode("utf-8-sig"), parse_constant=_no_constant)
+    except (ValueError, RecursionError):
+        raise OptionError(f"{name} is no JSON; write it again") from None
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not JSON")
+
+
+def to_json(thing: object) -> Any:
+    """A dataclass as an object of JSON, a field a key; arrays and tuples are lists.
+
+    Raises:
+        OptionError: A value has no such form.
+    """
+    if is_dataclass(thing) and not isinstance(thing, type):
+        return {field.name: to_json(getattr(thing, field.name)) for field in fields(thing)}
+    if isinstance(thing, np.ndarray):
+        return thing.tolist()
+    if isinstance(thing, tuple | list):
+        return [to_json(one) for one in thing]
+    if isinstance(thing, dict):
+        return {str(name): to_json(one) for name, one in thing.items()}
+    if thing is None or isinstance(thing, bool | int | float | str):
+        return thing
+    raise OptionError(f"{type(thing).__name__} has no form in JSON; save it as a file and name that")
+
+
+def from_json(kind: type[Kind], data: object, name: str = "") -> Kind:
+    """The dataclass of an object of JSON.
+
+    Args:
+        kind: The dataclass. Its fields are numbers, texts, arrays, tuples of these, other dataclasses, or unions.
+        data: What `json.loads` gave.
+        name: What it is called in messages.
+
+    Raises:
+        OptionError: A key is unknown or missing, or a value is of another type, not finite, or too large; or the class
+            refuses the values.
+    """
+    name = name or kind.__name__.lower()
+    if not isinstance(data, dict):
+        raise OptionError(f"{name} must be an object, not {_shown(data)}")
+    hints = get_type_hints(kind)
+    known = {field.name: field for field in fields(cast(Any, kind)) if field.init}
+    for key in data:
+        if key not in known:
+            raise OptionError(f"{name} has no '{str(key)[:40]}'; it has {', '.join(known)}")
+    for key, field in known.items():
+        if key not in data and field.default is MISSING and field.default_factory is MISSING:
+            raise OptionError(f"{name} needs '{key}'")
+    return kind(**{key: _value(hints[key], value, key) for key, value in data.items()})
+
+
+def _value(hint: Any, value: Any, name: str) -> Any:
+    """A value of JSON as a field's type wants it."""
+    if hint is object:  # read by a class of its own
+        return value
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in inner:
+            return None
+        return _value(next(one for one in inner if one is not type(None)), value, name)
+    if origin is Literal:
+        if value not in inner or isinstance(value, bool):
+            raise OptionError(f"{name} is one of {', '.join(map(str, inner))}, not {_shown(value)}")
+        return value
+    if origin is tuple:
+        return _tuple(inner, value, name)
+    if hint is np.ndarray:
+        return _array(value, name)
+    if is_dataclass(hint):
+        return from_json(cast(type, hint), value, name)
+    return _plain(hint, value, name)
+
+
+def _plain(hint: Any, value: Any, name: str) -> Any:
+    if hint is bool:
+        if not isinstance(value, bool):
+            raise OptionError(f"{name} must be true or false, not {_shown(value)}")
+        return value
+    if hint is str:
+        if not isinstance(value, str):
+            raise OptionError(f"{name} must be a text, not {_shown(value)}")
+        if len(value) > MOST_LETTERS:
+            raise OptionError(f"{name} has more than {MOST_LETTERS} characters")
+        return value
+    if hint in (int, float):
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise OptionError(f"{name} must be a number, not {_shown(value)}")
+        if (isinstance(value, float) and not math.isfinite(value)) or abs(value) > 1e300:
+            raise OptionError(f"{name} must be a number that is finite")
+        if hint is int and value != int(value):
+            raise OptionError(f"{name} must be a whole number, not {value:g}")
+        return hint(value)
+    raise TypeError(f"{name}: {hint} has no form in JSON")
+
+
+def _tuple(inner: tuple[Any, ...], value: Any, name: str) -> tuple[Any, ...]:
+    if not isinstance(value, list):
+        raise OptionError(f"{name} must be a list, not {_shown(value)}")
+    if len(inner) == 2 and inner[1] is Ellipsis:
+        if len(value) > MOST_ENTRIES:
+            raise OptionError(f"{name} has more than {MOST_ENTRIES} entries")
+        return tuple(_value(inner[0], one, name) for one in value)
+    if len(value) != len(inner):
+        what = "numbers" if set(inner) <= {int, float} else "entries"
+        raise OptionError(f"{name} must be {_COUNTS.get(len(inner), len(inner))} {what}, not {len(value)}")
+    return tuple(_value(hint, one, name) for hint, one in zip(inner, value, strict=True))
+
+
+def _array(value: Any, name: str) -> np.ndarray:
+    try:
+        found = np.asarray(value)
+    except (ValueError, OverflowError, RecursionError):
+        found = np.empty(0, object)
+    if found.dtype.kind not in "if" or found.size > MOST_ENTRIES or not np.isfinite(found).all():
+        raise OptionError(f"{name} must be rows of at most {MOST_ENTRIES} finite numbers, all of one length")
+    return found.astype(np.float64)
+
+
+def _shown(value: Any) -> str:
+    text = "null" if value is None else repr(value)
+    return text if len(text) <= 40 else f"{text[:40]}..."
+
+
+def option(name: str, dashes: str = "") -> str:
+    """An option's name in a message: of Python, or of the command line where `dashes` stand before it."""
+    return f"{dashes}{name.replace('_', '-') if dashes else name}"
+
+
+class Constraint:
+    """Something that a motion must meet; subclasses are frozen dataclasses."""
+
+    kind: ClassVar[str] = ""
+    """Its name in a JSON form, and what options call it."""
+    alone: ClassVar[tuple[tuple[str, ...], str]] = ((), "")
+    """Kinds that it does not go with, and the sentence that says why; "{}" in it stands for the names of options."""
+    several: ClassVar[bool] = False
+    """Whether a request may have more than one."""
+
+    def check(self, others: Sequence[Constraint], dashes: str = "") -> None:
+        """Whether it goes together with other constraints.
+
+        Args:
+            others: All of a request, this one included.
+            dashes: What stands before the names of options in messages.
+
+        Raises:
+            OptionError: It does not.
+        """
+        kinds, why = self.alone
+        if any(other.kind in kinds for other in others):
+            raise OptionError(why.format(*(option(name, dashes) for name in (self.kind, *kinds))))
+        if not self.several and sum(other.kind == self.kind for other in others) > 1:
+            raise OptionError(f"{option(self.kind, dashes)} is asked for twice; leave one out")
+
+    def to_json(self) -> dict[str, Any]:
+        """Its JSON form: its kind, and a key for each field."""
+        return {"kind": self.kind, **to_json(self)}
+
+    @classmethod
+    def from_json(cls, data: object) -> Self:
+        """The constraint of a JSON form, its kind already looked at.
+
+        Raises:
+            OptionError: It is none.
+        """
+        if isinstance(data, dict):
+            data = {key: value for key, value in data.items() if key != "kind"}
+        return from_json(cls, data, f"the {cls.kind.replace('_', ' ')}")

@@ -1,1 +1,0 @@
-"""The networks of Shape-aware Motion Diffusion, as they run: in numpy, whatever their config says."""

@@ -1,1 +1,0 @@
-"""From noise to motion: steps, solvers, guidance, and windows over long motions."""

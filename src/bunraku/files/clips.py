@@ -1,0 +1,256 @@
+"""Clips that files hold: those that Bunraku wrote, those on a file's own skin, and several files merged in one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.animation import end_to_start as joined
+from bunraku.core.body.reference import reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.files import check_input, check_output_folder, read_bounded
+from bunraku.core.geometry.rotations import nearest_rotation
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import posed_points
+from bunraku.errors import FormatError, MotionError, OptionError
+from bunraku.files.gltf.clips import SAME_BONES, merge_documents
+from bunraku.files.gltf.document import Document
+from bunraku.files.gltf.nodes import MAX_SECONDS, clip_curves, node_worlds
+from bunraku.files.gltf.read import Source
+from bunraku.files.gltf.write import clip_handles, packed_motion
+from bunraku.files.gltf.write_rig import save_rig_clips
+from bunraku.files.motions.arrays import read_motion, read_positions, read_reference
+from bunraku.files.registry import load_character, load_with_clips
+
+__all__ = ["Clip", "bones_of", "clip_names", "load_animation", "load_clip", "load_clip_animation", "merge"]
+
+
+SAME = 1e-3  # of a character's largest extent: handles this near are the same ones
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A handle motion as a file has it.
+
+    Args:
+        path: The file.
+        motion: The motion, in the frame of the character that it was made for.
+        reference: The motion of the reference body that it was fitted from, where the file holds it.
+        positions: Rest positions of the character's handles [m], shape (K, 3), where the file holds them.
+    """
+
+    path: Path
+    motion: HandleMotion
+    reference: HandleMotion | None
+    positions: np.ndarray | None
+
+    def is_of(self, handles: Handles) -> bool:
+        """Whether the motion was made for these handles."""
+        if self.positions is None or self.positions.shape != handles.positions.shape:
+            return False
+        return bool(np.abs(self.positions - handles.positions).max() <= SAME * np.ptp(handles.positions, axis=0).max())
+
+    def of_the_reference_body(self) -> HandleMotion:
+        """The motion of the reference body.
+
+        Raises:
+            MotionError: The file holds that of another character only.
+        """
+        if self.reference is not None:
+            return self.reference
+        if self.positions is None or self.is_of(reference_body().handles):
+            return self.motion
+        raise MotionError(
+            f"{self.path}: this motion was made for a character and does not tell what the reference body does; name "
+            "that character"
+        )
+
+    def on(self, character: Character, handles: Handles) -> Animation | None:
+        """The animation of the character that the motion was made for, or None if this is another one."""
+        return Animation(character, handles, self.motion, self.reference) if self.is_of(handles) else None
+
+
+def load_clip(path: str | Path) -> Clip:
+    """Read a clip that Bunraku wrote, GLB or NPZ.
+
+    Raises:
+        FormatError: The file is missing or broken, or was not written by Bunraku.
+        MotionError: What it holds breaks the rules of a motion.
+    """
+    path = Path(path)
+    check_input(path)
+    data = read_bounded(path)
+    if data[:4] == b"glTF":
+        data = packed_motion(path, data)
+    elif data[:2] != b"PK":
+        raise FormatError(
+            path, "clips are read from the .glb and .npz files that Bunraku writes; make one with `bunraku animate`"
+        )
+    return Clip(path, read_motion(path, data), read_reference(path, data), read_positions(path, data))
+
+
+def load_clip_animation(path: str | Path) -> Animation:
+    """Read a GLB that Bunraku wrote: character, handles and motion, to be edited or followed.
+
+    Raises:
+        FormatError: The file is missing or broken, or was not written by Bunraku.
+        CharacterError: It holds no usable mesh.
+        MotionError: What it holds breaks the rules of a motion.
+    """
+    clip = load_clip(path)
+    character = load_character(path)
+    return Animation(character, clip_handles(clip.path, character), clip.motion, clip.reference)
+
+
+MAX_TRANSFORMS = 4_000_000
+
+
+def load_animation(path: str | Path, clip: int | str = 0, fps: float = 30.0) -> Animation:
+    """Read a character and a clip of its file, as an animation whose handles are the file's joints.
+
+    Each joint becomes a handle that holds the vertices of its skin; handle 0 stands still and holds none. A joint's
+    transform is taken relative to the bind pose, in which the character rests, so skinned meshes are exact; where a
+    file has no bind pose that makes sense, it is relative to the default pose and the result is close. Scales and
+    shears of joints are kept.
+
+    Args:
+        path: A GLB, glTF, VRM or FBX file with a skin and a clip.
+        clip: Number or name of the clip, with or without its armature's name before a bar.
+        fps: Frames a second of the result [1/s].
+
+    Raises:
+        FormatError: The file cannot be read, or has no skin or no clip.
+        OptionError: The file has no clip of this name or number, or `fps` is not from 1 to 240.
+    """
+    path = Path(path)
+    if not 1 <= fps <= 240:
+        raise OptionError(f"frames a second must be from 1 to 240, not {fps:g}")
+    character = load_with_clips(path, fps)
+    source = character.source
+    if not isinstance(source, Source) or not source.document.items("animations"):
+        raise FormatError(path, "it holds no animation; make one with `bunraku animate`")
+    if character.rig is None:
+        raise FormatError(path, "its animation moves no skin, which is all that is played; export it with its skin")
+    document = source.document
+    channels = document.items("animations")[_find(document, clip)]
+    curves = clip_curves(document, channels)
+    end = max((float(times[-1]) for times, _, _ in curves.values()), default=0.0)
+    if end > MAX_SECONDS:
+        raise FormatError(path, f"its clip lasts {end:.0f} s but at most {MAX_SECONDS:.0f} s are played; cut it")
+    moments = np.arange(int(np.floor(end * fps + 1e-3)) + 1) / fps
+    if len(moments) * len(character.rig.names) > MAX_TRANSFORMS:
+        raise FormatError(
+            path,
+            f"its clip of {end:.0f} s moves {len(character.rig.names)} joints, too many to play; ask for fewer frames "
+            "a second",
+        )
+    world = node_worlds(document, source.tree, curves, moments, source.skins.nodes)
+    return _animation(character, world, fps)
+
+
+def clip_names(document: Document) -> list[str]:
+    """Names of the clips of a document; numbered where the file gives none."""
+    return [str(clip.get("name") or f"animation {number}") for number, clip in enumerate(document.items("animations"))]
+
+
+def _find(document: Document, clip: int | str) -> int:
+    names = clip_names(document)
+    short = [name.rsplit("|", 1)[-1] for name in names]  # exporters write "Armature|Walk"
+    for known in (names, short):
+        if clip in known:
+            return known.index(str(clip))
+    number = int(clip) if str(clip).isdecimal() else -1
+    if not 0 <= number < len(names):
+        raise OptionError(f"{document.path} has no clip {clip!r}; it has {', '.join(names[:20])}")
+    return number
+
+
+def _animation(character: Character, world: np.ndarray, fps: float) -> Animation:
+    rig = character.rig
+    assert rig is not None
+    change = world @ np.linalg.pinv(rig.transforms)
+    frames, joints = change.shape[:2]
+    positions = np.concatenate([np.zeros((1, 3)), rig.positions])
+    rotations = np.tile(np.eye(3), (frames, joints + 1, 1, 1))
+    rotations[:, 1:] = change[..., :3, :3]
+    translations = np.zeros((frames, joints + 1, 3))
+    translations[:, 1:] = (
+        change[..., :3, 3] - rig.positions + np.einsum("njab,jb->nja", change[..., :3, :3], rig.positions)
+    )
+    weights = np.concatenate([np.zeros((len(character.vertices), 1), np.float32), rig.dense_weights()], axis=1)
+    weights[:, 0] = 1 - weights[:, 1:].sum(axis=1)
+    still = np.broadcast_to(np.eye(3), (frames, 3, 3))
+    return Animation(
+        character, Handles(positions, weights), HandleMotion(translations, rotations, np.zeros((frames, 3)), still, fps)
+    )
+
+
+def bones_of(animation: Animation) -> tuple[np.ndarray, np.ndarray]:
+    """World rotations (N, J, 3, 3) and heads [m] (N, J, 3) of the bones of a clip whose handles they are."""
+    assert animation.character.rig is not None
+    affine = animation.motion.transforms(animation.handles.positions)[:, 1:].astype(np.float64)
+    return nearest_rotation(affine[..., :3]), posed_points(affine, animation.character.rig.positions)
+
+
+def merge(paths: Sequence[str | Path], path: str | Path, *, end_to_start: bool = False, fps: float = 30.0) -> Path:
+    """Write the clips of several files of one character into one GLB: the first file as it is, with the clips of the
+    others behind its own. Names that are taken get a number.
+
+    Args:
+        paths: GLB, glTF or VRM files, at least one. Those after the first may lack meshes.
+        path: The file to write, .glb.
+        end_to_start: Write all clips in a row as one, in the order of the files, each going on where the one before
+            ends; the clips of the first file follow it.
+        fps: Frames a second of that one [1/s].
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        FormatError: A file is broken, holds no clip, or is of another character.
+        OptionError: No file is named, or `fps` is out of range.
+    """
+    path = Path(path)
+    if not paths:
+        raise OptionError("there is nothing to merge; name at least one file")
+    if path.suffix.lower() != ".glb":
+        raise FormatError(path, "clips are merged into a GLB; end the name in .glb")
+    check_output_folder(path)
+    if not end_to_start:
+        return merge_documents([Path(some) for some in paths], path)
+    clips = [clip for some in paths for clip in _clips(Path(some), fps)]
+    first = clips[0]
+    return save_rig_clips({path.stem: joined([_on(clip, first, Path(paths[0])) for clip in clips])}, path, fps=fps)
+
+
+def _clips(path: Path, fps: float) -> list[RigAnimation]:
+    """All clips of a file, on its bones."""
+    source = load_character(path).source
+    count = len(clip_names(source.document)) if isinstance(source, Source) else 0
+    if not count:
+        raise FormatError(path, "it holds no clip to merge; make one with `bunraku animate`")
+    played = [load_animation(path, number, fps) for number in range(count)]
+    return [RigAnimation.of_world(played[0].character, *bones_of(one), fps) for one in played]
+
+
+def _on(clip: RigAnimation, first: RigAnimation, path: Path) -> RigAnimation:
+    """A clip with its bones in the order of another's.
+
+    Raises:
+        FormatError: It has others.
+    """
+    own, theirs = first.character.rig, clip.character.rig
+    assert own is not None and theirs is not None
+    places = {name: bone for bone, name in enumerate(theirs.names)}
+    if not set(own.names) <= set(places):
+        lacking = next(name for name in own.names if name not in places)
+        raise FormatError(path, f"the files are of several characters: one has no bone '{lacking}'; use `transfer`")
+    order = [places[name] for name in own.names]
+    size = max(float(np.ptp(own.positions, axis=0).max()), 1e-9)
+    if np.abs(own.positions - theirs.positions[order]).max() > SAME_BONES * size:
+        raise FormatError(path, "the files are of several characters: their bones rest elsewhere; use `transfer`")
+    return RigAnimation(first.character, clip.rotations[:, order], clip.translations[:, order], clip.fps)

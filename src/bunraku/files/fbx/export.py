@@ -1,0 +1,225 @@
+"""Write FBX: meshes, materials with their textures, joints, skin, shapes and clips, by a writer of our own.
+
+The file is binary FBX 7.4, which Blender, Unity, Unreal, Maya, 3ds Max, Godot and three.js read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.files import atomic_write, check_output_folder
+from bunraku.core.geometry.axes import FileFrame
+from bunraku.core.motion import checked_fps
+from bunraku.errors import CharacterError, FormatError, OptionError
+from bunraku.files.fbx.write_meshes import Look, Shape, add_mesh, file_matrices, meshes_of
+from bunraku.files.fbx.write_motion import Bones, ShapeTrack, Track, add_bones, add_clips
+from bunraku.files.fbx.write_objects import Objects, element, write_elements
+
+if TYPE_CHECKING:
+    from bunraku.core.animation import PointAnimation
+    from bunraku.core.character import Character, Handles
+
+__all__ = ["write_character", "write_clips", "write_fbx", "write_points"]
+
+
+def write_fbx(
+    animation: Animation | RigAnimation,
+    path: Path,
+    *,
+    fps: float | None = None,
+    name: str | None = None,
+    up: str = "+y",
+    unit: str = "cm",
+) -> Path:
+    """Write an animation as FBX.
+
+    Args:
+        animation: The animation, of handles or of the bones of the character's own rig.
+        path: The file.
+        fps: Frames a second [1/s]; those of the motion by default.
+        name: The clip's name; the file's by default.
+        up: The axis that is up in the file, "+y" or "+z".
+        unit: The unit of its lengths, one of `bunraku.core.geometry.axes.UNITS`; most FBX files are in "cm".
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        FormatError: The file cannot be written.
+        OptionError: An option makes no sense.
+    """
+    return write_clips({str(name) if name else path.stem: animation}, path, fps=fps, up=up, unit=unit)
+
+
+def write_clips(
+    clips: Mapping[str, Animation] | Mapping[str, RigAnimation] | Mapping[str, Animation | RigAnimation],
+    path: Path,
+    *,
+    fps: float | None = None,
+    up: str = "+y",
+    unit: str = "cm",
+) -> Path:
+    """Write several animations of one character, by the same handles or the same bones, each as a clip of its name.
+
+    Args:
+        clips: At least one.
+        path: The file.
+        fps: Frames a second of all [1/s]; those of each motion by default.
+        up: The axis that is up in the file, "+y" or "+z".
+        unit: The unit of its lengths.
+
+    Raises:
+        FormatError: The file cannot be written.
+        OptionError: An option makes no sense.
+    """
+    first = next(iter(clips.values()))
+    moved = {name: clip.at(checked_fps(fps, clip.fps)) for name, clip in clips.items()}
+    if isinstance(first, RigAnimation):
+        assert first.character.rig is not None
+        bones = Bones.of_rig(first.character.rig)
+    else:
+        bones = Bones.of_handles(first.handles)
+    tracks = {name: _track(bones, clip) for name, clip in moved.items()}
+    return _write(first.character, bones, tracks, path, up, unit)
+
+
+def write_points(
+    animation: PointAnimation,
+    path: Path,
+    *,
+    fps: float | None = None,
+    name: str | None = None,
+    up: str = "+y",
+    unit: str = "cm",
+    tolerance: float | None = None,
+    shapes: str = "auto",
+) -> Path:
+    """Write an animation whose vertices also move on their own, by bones of their own or by shapes.
+
+    Args:
+        animation: The animation.
+        path: The file.
+        fps: Frames a second [1/s]; those of the motion by default.
+        name: The clip's name; the file's by default.
+        up: The axis that is up in the file, "+y" or "+z".
+        unit: The unit of its lengths.
+        tolerance: How far a vertex may be off [m]; 0.05 % of the height by default.
+        shapes: "bones", "mixed", "keys" or "auto", as `formats.gltf.write_points.fitted_points` has them.
+
+    Raises:
+        FormatError: The file cannot be written.
+        OptionError: An option makes no sense, or bones do not come as near as the tolerance.
+    """
+    from bunraku.files.gltf.write_points import fitted_points
+
+    moved = animation.at(checked_fps(fps, animation.motion.fps))
+    fitted = fitted_points(moved, tolerance, shapes)
+    bones = Bones.of_handles(fitted.animation.handles, fitted.names)
+    title, found = str(name) if name else path.stem, fitted.shapes
+    extra: np.ndarray | None = None
+    if found is not None:
+        extra = np.zeros((len(found.shapes), len(moved.character.vertices), 3))
+        extra[:, fitted.moving] = found.shapes
+    tracks = {title: _track(bones, fitted.animation)}
+    keys = None if found is None else (found.frames, found.weights)
+    return _write(moved.character, bones, tracks, path, up, unit, extra, keys)
+
+
+def write_character(
+    character: Character, handles: Handles | None, path: Path, *, rig: bool = False, up: str = "+y", unit: str = "cm"
+) -> Path:
+    """Write a character without motion, with its handles or its rig as a skin where there are some.
+
+    Raises:
+        CharacterError: The handles weigh another number of vertices, or there is no rig to write.
+        FormatError: The file cannot be written.
+        OptionError: An option makes no sense.
+    """
+    if handles is not None and len(handles.weights) != len(character.vertices):
+        raise CharacterError(
+            f"the handles weigh {len(handles.weights)} vertices but {character.name} has {len(character.vertices)}"
+        )
+    if rig and character.rig is None:
+        raise CharacterError(f"{character.name}: there is no rig to write; make one with `bunraku.with_skeleton`")
+    bones = None
+    if rig and character.rig is not None:
+        bones = Bones.of_rig(character.rig)
+    elif handles is not None:
+        bones = Bones.of_handles(handles)
+    return _write(character, bones, {}, path, up, unit)
+
+
+def _track(bones: Bones, clip: Animation | RigAnimation) -> Track:
+    return bones.rig_track(clip) if isinstance(clip, RigAnimation) else bones.handle_track(clip)
+
+
+def _write(
+    character: Character,
+    bones: Bones | None,
+    tracks: Mapping[str, Track],
+    path: Path,
+    up: str,
+    unit: str,
+    shapes: np.ndarray | None = None,
+    keys: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Path:
+    """Write a character.
+
+    Args:
+        character: The character.
+        bones: What moves it.
+        tracks: What these do in each clip.
+        path: The file.
+        up: The axis that is up.
+        unit: The unit of lengths.
+        shapes: How far shapes take each vertex [m], shape (T, V, 3), and
+        keys: the frames and amounts of these in the one clip.
+    """
+    if path.suffix.lower() != ".fbx":
+        raise OptionError(f"FBX is written to a file that ends in .fbx, not in {path.suffix or 'nothing'}")
+    objects = Objects(FileFrame.of(up, unit), up, unit)
+    check_output_folder(path)
+    try:
+        document, meshes = meshes_of(character)
+        look = Look(objects, document)
+        joints = add_bones(objects, bones) if bones is not None else []
+        models, played = [], []
+        for mesh in meshes:
+            own = [] if shapes is None else [
+                Shape(f"move_{number}", one[mesh.index]) for number, one in enumerate(shapes)
+            ]  # fmt: skip
+            own = own if any(one.offsets.any() for one in own) else []
+            model, channels = add_mesh(objects, mesh, own, character, look, bones, joints)
+            models.append(model)
+            if own and keys is not None:
+                played.append(ShapeTrack(channels[len(channels) - len(own) :], *keys))
+        if bones is not None:
+            _add_bind_pose(objects, bones, joints, models)
+            if tracks:
+                add_clips(objects, tracks, bones, joints, dict.fromkeys(tracks, played))
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        reason = f"{type(error).__name__}: {str(error)[:80]}"
+        raise FormatError(path, f"{character.name} is too broken to be written ({reason}); export it again") from error
+    with atomic_write(path) as file:
+        try:
+            write_elements(file, objects.elements())
+        except ValueError as error:
+            raise FormatError(path, f"the FBX cannot be written ({error}); simplify the mesh first") from None
+    return path
+
+
+def _add_bind_pose(objects: Objects, bones: Bones, joints: list[int], models: list[int]) -> None:
+    matrices = [*file_matrices(bones.bind, objects.frame), *(np.eye(4) for _ in models)]
+    nodes = [
+        element("PoseNode", children=[element("Node", np.int64(number)), element("Matrix", matrix.T.reshape(-1))])
+        for number, matrix in zip([*joints, *models], matrices, strict=True)
+    ]
+    objects.add(
+        "Pose", "BindPose", "BindPose", element("Type", "BindPose"), element("Version", 100),
+        element("NbPoseNodes", len(nodes)), *nodes,
+    )  # fmt: skip

@@ -1,0 +1,456 @@
+"""A glTF 2.0 document in memory, with every index, offset and length checked on use, and how one is built."""
+
+from __future__ import annotations
+
+import json
+import struct
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, BinaryIO, NoReturn
+
+import numpy as np
+
+from bunraku.errors import FormatError
+
+__all__ = [
+    "ARRAY_BUFFER",
+    "BASE",
+    "COMPONENT_TYPES",
+    "Document",
+    "ELEMENT_ARRAY_BUFFER",
+    "ELEMENT_SIZES",
+    "GltfBuilder",
+    "MAX_ELEMENTS",
+    "PER_BYTE",
+    "free_memory",
+    "mesh_document",
+    "room",
+    "scaled_mesh_document",
+]
+
+
+PER_BYTE = 4
+"""Bytes of memory for each byte of a file."""
+
+BASE = 240 << 20
+"""What any file may take beside that [bytes]; the interpreter and its libraries make it some 300 MB."""
+
+
+def free_memory() -> int:
+    """Bytes that the machine can still give, as Linux tells; without an answer, all there can be."""
+    try:
+        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) << 10
+    except (OSError, ValueError, IndexError):
+        pass
+    return sys.maxsize
+
+
+def room(size: int) -> int:
+    """Bytes that reading a file may take at most, its own included.
+
+    Args:
+        size: Bytes of the file and of all that it names.
+    """
+    return min(PER_BYTE * size + BASE, free_memory())
+
+
+COMPONENT_TYPES: dict[int, np.dtype[Any]] = {
+    code: np.dtype(name)
+    for code, name in ((5120, "i1"), (5121, "u1"), (5122, "<i2"), (5123, "<u2"), (5125, "<u4"), (5126, "<f4"))
+}
+ELEMENT_SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+MAX_ELEMENTS = 50_000_000
+"""Most elements of one accessor: one may be declared without any data behind it, so the file's size is no bound."""
+
+
+@dataclass(frozen=True, eq=False)
+class Document:
+    """A glTF document.
+
+    Args:
+        path: Where it came from, for messages.
+        tree: The JSON object.
+        buffers: The bytes of each buffer; those that name one file share them.
+        images: Bytes of the images that are files or data URIs, by image index; None where the file is missing.
+        size: Bytes of the file and of the files that it names, each once; 0 for a document that was made in memory.
+    """
+
+    path: Path
+    tree: dict[str, Any]
+    buffers: list[bytes | memoryview]
+    images: dict[int, bytes | None]
+    size: int = 0
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: views into the file as bytes of their own."""
+        return {**self.__dict__, "buffers": [bytes(buffer) for buffer in self.buffers]}
+
+    @property
+    def _own(self) -> int:
+        return self.size or sum(len(buffer) for buffer in self.buffers)
+
+    def has_room(self, needed: int) -> bool:
+        """Whether a file of this size may take so much memory beside itself [bytes]."""
+        return self._own + needed <= room(self._own)
+
+    def check_memory(self, needed: int) -> None:
+        """Refuse what takes more memory than a file of this size may.
+
+        Args:
+            needed: About how much it takes beside the file itself [bytes].
+
+        Raises:
+            FormatError: It is too much.
+        """
+        if not self.has_room(needed):
+            self.fail(
+                f"reading it would take {(self._own + needed) / 1e6:,.0f} MB of memory, which is too much for its "
+                "size or for this machine; simplify it, or close other programs"
+            )
+
+    def fail(self, problem: str) -> NoReturn:
+        """Raise a FormatError about this document."""
+        raise FormatError(self.path, problem)
+
+    def items(self, kind: str) -> list[dict[str, Any]]:
+        """A top-level list of the document, empty where it has none."""
+        return self.objects(self.tree, kind)
+
+    def objects(self, owner: dict[str, object], key: str) -> list[dict[str, Any]]:
+        """A list of objects under a key of an object."""
+        value = owner.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+            self.fail(f"'{key}' must be a list of objects; the file is broken, export it again")
+        return value
+
+    def entry(self, owner: dict[str, object], key: str) -> dict[str, object]:
+        """An object under a key of an object."""
+        value = owner.get(key)
+        if not isinstance(value, dict):
+            self.fail(f"'{key}' must be an object; the file is broken, export it again")
+        return value
+
+    def item(self, kind: str, index: Any) -> dict[str, Any]:
+        """One entry of a top-level list."""
+        items = self.tree.get(kind, [])  # only the entry is checked: files hold thousands, and each is asked for often
+        if (
+            not isinstance(items, list)
+            or type(index) is not int
+            or not 0 <= index < len(items)
+            or not isinstance(items[index], dict)
+        ):
+            self.fail(f"{kind}[{index!r:.20}] does not exist; the file is broken, export it again")
+        return items[index]
+
+    def integer(self, owner: dict[str, object], key: str, default: int | None = None, high: int = 2**40) -> int:
+        """A non-negative whole number under a key of an object."""
+        value = owner.get(key, default)
+        if type(value) is float and value.is_integer():
+            value = int(value)
+        if type(value) is not int or not 0 <= value <= high:
+            self.fail(
+                f"'{key}' must be a whole number from 0 to {high}, not {value!r:.40}; the file is broken, export it "
+                "again"
+            )
+        return value
+
+    def numbers(self, owner: dict[str, object], key: str, default: list[float]) -> np.ndarray:
+        """A list of finite numbers under a key of an object, as long as the default, float64."""
+        value = owner.get(key, default)
+        good = isinstance(value, list) and len(value) == len(default) and all(type(x) in (int, float) for x in value)
+        out = np.array(value, float) if good else np.array([np.nan])
+        if not np.isfinite(out).all():
+            self.fail(f"'{key}' must be {len(default)} finite numbers; the file is broken, export it again")
+        return out
+
+    def indices(self, owner: dict[str, object], key: str, kind: str) -> list[int]:
+        """A list of indices into a top-level list, under a key of an object."""
+        value, listed = (
+            owner.get(key, []),
+            self.tree.get(kind, []),
+        )  # the list's own entries are not checked, as in `item`
+        count = len(listed) if isinstance(listed, list) else 0
+        if not isinstance(value, list) or not all(type(x) is int and 0 <= x < count for x in value):
+            self.fail(f"'{key}' points at {kind} that do not exist; the file is broken, export it again")
+        return value
+
+    def view(self, index: Any) -> memoryview:
+        """The bytes of a buffer view."""
+        view = self.item("bufferViews", index)
+        buffer = self.integer(view, "buffer")
+        if buffer >= len(self.buffers):
+            self.fail(f"buffer {buffer} does not exist; the file is broken, export it again")
+        start, length = self.integer(view, "byteOffset", 0), self.integer(view, "byteLength")
+        data = memoryview(self.buffers[buffer])
+        if start + length > len(data):
+            self.fail(
+                f"bufferViews[{index}] ends at byte {start + length} of {len(data)}; the file is truncated, export or "
+                "download it again"
+            )
+        return data[start : start + length]
+
+    def image(self, index: Any) -> bytes | memoryview | None:
+        """The encoded bytes of an image; None where its file is missing."""
+        entry = self.item("images", index)
+        data = self.images.get(index)
+        return self.view(entry["bufferView"]) if data is None and "bufferView" in entry else data
+
+    def count(self, index: Any) -> int:
+        """Number of elements of an accessor."""
+        return self.integer(self.item("accessors", index), "count", high=MAX_ELEMENTS)
+
+    def accessor(self, index: Any, kinds: tuple[str, ...], raw: bool = False) -> np.ndarray:
+        """The elements of an accessor, sparse values put in place.
+
+        Args:
+            index: Which accessor.
+            kinds: The element types that are allowed here, such as ("VEC3",).
+            raw: Keep integers as they are stored; otherwise normalised ones become floats.
+
+        Returns:
+            Elements, shape (count, components), in their stored type or float32.
+        """
+        accessor = self.item("accessors", index)
+        kind, component = accessor.get("type"), accessor.get("componentType")
+        if kind not in kinds:
+            self.fail(
+                f"accessors[{index}] has type {kind!r:.20} where {' or '.join(kinds)} is needed; the file is broken, "
+                "export it again"
+            )
+        dtype = COMPONENT_TYPES.get(component) if type(component) is int else None
+        if dtype is None:
+            self.fail(
+                f"accessors[{index}] has component type {component!r:.20}, which glTF does not know; the file is "
+                "broken, export it again"
+            )
+        count, size = self.count(index), ELEMENT_SIZES[kind]
+        if "bufferView" in accessor:
+            values = self._elements(accessor, accessor["bufferView"], dtype, count, size)
+        else:
+            self.check_memory(count * size * dtype.itemsize)
+            values = np.zeros((count, size), dtype)
+        sparse = accessor.get("sparse")
+        if isinstance(sparse, dict):
+            values = self._sparse(sparse, values.copy(), dtype)
+        if raw or not accessor.get("normalized") or dtype.kind == "f":
+            return values
+        scaled: np.ndarray = values.astype(np.float32) / np.float32(np.iinfo(dtype).max)
+        return np.maximum(scaled, -1, out=scaled)
+
+    def _elements(self, owner: dict[str, object], view: Any, dtype: np.dtype, count: int, size: int) -> np.ndarray:
+        data = self.view(view)
+        offset = self.integer(owner, "byteOffset", 0)
+        width = dtype.itemsize * size
+        stride = self.integer(self.item("bufferViews", view), "byteStride", width, high=65535)
+        if stride < width:
+            self.fail(
+                f"bufferViews[{view}] packs elements of {width} bytes every {stride}; the file is broken, export it "
+                "again"
+            )
+        if count and offset + stride * (count - 1) + width > len(data):
+            self.fail(
+                f"an accessor reads past the end of bufferViews[{view}]; the file is truncated, export or download it "
+                "again"
+            )
+        if not count:
+            return np.zeros((0, size), dtype)
+        return np.ndarray((count, size), dtype, data, offset, (stride, dtype.itemsize))
+
+    def _sparse(self, sparse: dict[str, object], values: np.ndarray, dtype: np.dtype) -> np.ndarray:
+        count = self.integer(sparse, "count", high=len(values))
+        where, what = sparse.get("indices"), sparse.get("values")
+        if (
+            not isinstance(where, dict)
+            or not isinstance(what, dict)
+            or where.get("componentType") not in (5121, 5123, 5125)
+        ):
+            self.fail("a sparse accessor lacks its indices or values; the file is broken, export it again")
+        rows = self._elements(where, where.get("bufferView"), COMPONENT_TYPES[where["componentType"]], count, 1)[:, 0]
+        if count and int(rows.max()) >= len(values):
+            self.fail("a sparse accessor replaces elements that do not exist; the file is broken, export it again")
+        values[rows] = self._elements(what, what.get("bufferView"), dtype, count, values.shape[1])
+        return values
+
+
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+_TYPE_CODES = {dtype: code for code, dtype in COMPONENT_TYPES.items()}
+_KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+
+
+class GltfBuilder:
+    """A glTF tree and the binary chunk that grows with it.
+
+    Args:
+        tree: The JSON object; its `accessors` and `bufferViews` start empty.
+    """
+
+    def __init__(self, tree: dict[str, object]):
+        self.tree: dict[str, Any] = tree  # our own from here on: what is added is what glTF says
+        self.length = 0
+        self._chunks: list[bytes | memoryview | Callable[[], bytes]] = []
+        for key in ("accessors", "bufferViews", "buffers"):
+            tree.pop(key, None)
+
+    def _append(self, key: str, entry: dict[str, object]) -> int:
+        entries: list[dict[str, object]] = self.tree.setdefault(key, [])
+        entries.append(entry)
+        return len(entries) - 1
+
+    def view(self, data: bytes | memoryview, target: int | None = None, stride: int | None = None) -> int:
+        """Add bytes as a buffer view and return its index."""
+        entry: dict[str, Any] = {"buffer": 0, "byteOffset": self.length, "byteLength": len(data)}
+        if stride is not None:
+            entry["byteStride"] = stride
+        if target is not None:
+            entry["target"] = target
+        padding = -len(data) % 4
+        self._chunks += [data, bytes(padding)] if padding else [data]
+        self.length += len(data) + padding
+        return self._append("bufferViews", entry)
+
+    def array(self, values: np.ndarray, target: int | None = None, bounds: bool = False, **extra: object) -> int:
+        """Add an array of shape (count, components) as an accessor and return its index.
+
+        Args:
+            values: The elements, of a type that glTF has.
+            target: What the GPU uses it for.
+            bounds: Whether to write the smallest and largest values.
+            **extra: Further properties of the accessor, such as `normalized`.
+        """
+        values = np.ascontiguousarray(values)
+        count, size = values.shape
+        width, stride = size * values.itemsize, None
+        entry = {"componentType": _TYPE_CODES[values.dtype], "count": count, "type": _KINDS[size], **extra}
+        if bounds:
+            entry["min"], entry["max"] = values.min(axis=0).tolist(), values.max(axis=0).tolist()
+        if target == ARRAY_BUFFER and width % 4:
+            padded = np.zeros((count, -(-width // 4) * 4), np.uint8)
+            padded[:, :width] = values.view(np.uint8).reshape(count, width)
+            values, stride = padded, padded.shape[1]
+        entry["bufferView"] = self.view(values.reshape(-1).view(np.uint8).data, target, stride)
+        return self._append("accessors", entry)
+
+    def later(self, count: int, size: int, make: Callable[[int], bytes]) -> int:
+        """Add an accessor of 32-bit floats whose bytes are made when the document is written, and return its index.
+
+        Args:
+            count: How many elements.
+            size: Components of each.
+            make: Gives the bytes of that many elements.
+        """
+        length = 4 * count * size
+        entry: dict[str, object] = {"buffer": 0, "byteOffset": self.length, "byteLength": length}
+        self._chunks.append(lambda: make(count))
+        self.length += length
+        view = self._append("bufferViews", entry)
+        return self._append(
+            "accessors", {"componentType": 5126, "count": count, "type": _KINDS[size], "bufferView": view}
+        )
+
+    def zeros(self, accessor: dict[str, object]) -> int:
+        """Add an accessor that has no data behind it and return its index."""
+        return self._append("accessors", accessor)
+
+    def image(self, data: bytes | memoryview, mime: str, **extra: object) -> int:
+        """Add an embedded image and return its index."""
+        return self._append("images", {**extra, "mimeType": mime, "bufferView": self.view(data)})
+
+    def add(self, key: str, entry: dict[str, object]) -> int:
+        """Add an entry to a top-level list and return its index."""
+        return self._append(key, entry)
+
+    def document(self, path: Path) -> Document:
+        """The document as one in memory."""
+        data = b"".join(chunk() if callable(chunk) else chunk for chunk in self._chunks)
+        if data:
+            self.tree["buffers"] = [{"byteLength": len(data)}]
+        return Document(path, self.tree, [data] if data else [], {})
+
+    def write(self, file: BinaryIO) -> None:
+        """Write the document as GLB.
+
+        Raises:
+            ValueError: It is larger than a GLB can be, or the tree holds numbers that JSON has not.
+        """
+        if self.length:
+            self.tree["buffers"] = [{"byteLength": self.length}]
+        text = json.dumps(self.tree, separators=(",", ":"), allow_nan=False).encode()
+        text += b" " * (-len(text) % 4)
+        total = 12 + 8 + len(text) + (8 + self.length if self.length else 0)
+        if total > 0xFFFFFFFF:
+            raise ValueError("the GLB would have more than 4 GiB")
+        file.write(struct.pack("<4sIIII", b"glTF", 2, total, len(text), 0x4E4F534A))
+        file.write(text)
+        if self.length:
+            file.write(struct.pack("<II", self.length, 0x004E4942))
+            for chunk in self._chunks:
+                file.write(chunk() if callable(chunk) else chunk)
+
+
+def mesh_document(
+    path: Path,
+    positions: np.ndarray,
+    triangles: list[tuple[np.ndarray, int | None]],
+    *,
+    normals: np.ndarray | None = None,
+    uvs: np.ndarray | None = None,
+    colors: np.ndarray | None = None,
+    materials: list[dict[str, object]] | None = None,
+    images: list[tuple[bytes, str]] | None = None,
+) -> Document:
+    """A glTF document of one mesh, for files of formats that are not glTF.
+
+    Args:
+        path: The file that the mesh came from.
+        positions: Positions [m], shape (V, 3).
+        triangles: For each primitive, vertex indices, shape (F, 3), and its material.
+        normals: Unit normals, shape (V, 3).
+        uvs: Texture coordinates with v downwards, shape (V, 2).
+        colors: Linear colours from 0 to 1, shape (V, 3).
+        materials: glTF materials; their textures are numbered as the images.
+        images: PNG or JPEG bytes with their MIME type.
+    """
+    builder = GltfBuilder({"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"nodes": [0]}]})
+    builder.add("nodes", {"name": path.stem, "mesh": 0})
+    attributes = {}
+    if len(positions):
+        attributes["POSITION"] = builder.array(positions.astype(np.float32), ARRAY_BUFFER)
+        if normals is not None:
+            attributes["NORMAL"] = builder.array(normals.astype(np.float32), ARRAY_BUFFER)
+        if uvs is not None:
+            attributes["TEXCOORD_0"] = builder.array(uvs.astype(np.float32), ARRAY_BUFFER)
+        if colors is not None:
+            stored = np.full((len(colors), 4), 65535, "<u2")
+            stored[:, :3] = np.round(65535 * np.clip(colors, 0, 1))
+            attributes["COLOR_0"] = builder.array(stored, ARRAY_BUFFER, normalized=True)
+    primitives = []
+    for faces, material in triangles:
+        if len(faces) and attributes:
+            kind = "<u2" if len(positions) < 65535 else "<u4"
+            primitive = {
+                "attributes": attributes,
+                "indices": builder.array(faces.reshape(-1, 1).astype(kind), ELEMENT_ARRAY_BUFFER),
+            }
+            primitives.append(primitive if material is None else {**primitive, "material": material})
+    if not primitives and attributes:
+        primitives = [{"attributes": attributes, "mode": 0}]
+    builder.tree["meshes"] = [{"name": path.stem, "primitives": primitives}]
+    for data, mime in images or []:
+        builder.add("textures", {"source": builder.image(data, mime)})
+    if materials:
+        builder.tree["materials"] = materials
+    return builder.document(path)
+
+
+def scaled_mesh_document(document: Document, factor: float) -> Document:
+    """A document of `mesh_document` with its positions times a factor; they are the first array of its buffer."""
+    primitive = document.items("meshes")[0]["primitives"][0]
+    count = 3 * document.count(primitive["attributes"]["POSITION"])
+    data = np.frombuffer(document.buffers[0], np.uint8).copy()
+    positions = data[: 4 * count].view("<f4")
+    positions *= np.float32(factor)
+    return replace(document, buffers=[data.tobytes(), *document.buffers[1:]])

@@ -1,0 +1,382 @@
+"""Meshes of a glTF document in its default pose: positions, triangles and repaired skin weights, in world space."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bunraku.files.gltf.document import Document
+from bunraku.files.gltf.nodes import NodeTree, SkinJoints
+
+__all__ = [
+    "MeshPart",
+    "PrimitiveData",
+    "borrow_weights",
+    "check_size",
+    "primitive_groups",
+    "primitive_triangles",
+    "read_part",
+    "rigid_joints",
+    "skin_matrices",
+    "strongest",
+]
+
+
+def strongest(
+    points: np.ndarray, joints: np.ndarray, shares: np.ndarray, count: int, influences: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The largest shares of each vertex as a table, renormalised.
+
+    Args:
+        points: Vertex of each share, shape (S,).
+        joints: Its joint, shape (S,).
+        shares: The share, not negative, shape (S,).
+        count: How many vertices there are, V.
+        influences: Most joints of a vertex.
+
+    Returns:
+        Joints (V, M) and shares (V, M), largest first; rows sum to 1, or to 0 where a vertex has none.
+    """
+    order = np.lexsort((joints, -shares, points))
+    points, joints, shares = points[order], joints[order], shares[order]
+    rank = np.arange(len(points)) - np.searchsorted(points, np.arange(count))[points] if len(points) else points
+    kept = (rank < influences) & (shares > 0)
+    width = int(rank[kept].max(initial=0)) + 1
+    indices, weights = np.zeros((count, width), np.int64), np.zeros((count, width))
+    indices[points[kept], rank[kept]], weights[points[kept], rank[kept]] = joints[kept], shares[kept]
+    total = weights.sum(axis=1, keepdims=True)
+    return indices, weights / np.where(total > 0, total, 1)
+
+
+def borrow_weights(vertices: np.ndarray, indices: np.ndarray, shares: np.ndarray, lost: np.ndarray) -> None:
+    """Give vertices without weights those of the nearest vertex that has some; the first joint where none has.
+
+    Args:
+        vertices: Positions, shape (V, 3).
+        indices: Joints, changed in place, shape (V, M).
+        shares: Shares, changed in place, shape (V, M).
+        lost: The vertices without weights.
+    """
+    good = np.flatnonzero(shares.sum(axis=1) > 1e-9)
+    good = good[np.isfinite(vertices[good]).all(axis=1)]
+    if not len(good):
+        indices[lost], shares[lost] = 0, 0
+        shares[lost, 0] = 1
+        return
+    from scipy.spatial import cKDTree
+
+    nearest = good[cKDTree(vertices[good]).query(np.nan_to_num(vertices[lost]))[1]]
+    indices[lost], shares[lost] = indices[nearest], shares[nearest]
+
+
+MAX_VERTICES, MAX_TRIANGLES, MAX_PRIMITIVES = 20_000_000, 40_000_000, 20_000
+MAX_WORK = 150_000_000
+"""Most vertices that all primitives go over, each as often as it uses them: for its morph targets, and for colours."""
+
+_VERTEX, _INFLUENCE, _TRIANGLE = 72, 32, 40
+"""About how many bytes a vertex, one of its influences, and a triangle take while a character is read."""
+
+
+@dataclass(frozen=True)
+class PrimitiveData:
+    """The vertices that one or several primitives of a mesh share.
+
+    Args:
+        primitives: Indices of the primitives in their mesh.
+        vertices: Default-pose positions in world space [m], shape (V, 3), float64.
+        triangles: For each primitive, vertex indices, shape (F, 3), int32.
+        joints: Joints of the merged list, shape (V, M).
+        weights: Their shares, rows sum to 1, shape (V, M); empty where there is no rig.
+        repaired: How many vertices had weights that had to be repaired.
+    """
+
+    primitives: tuple[int, ...]
+    vertices: np.ndarray
+    triangles: tuple[np.ndarray, ...]
+    joints: np.ndarray
+    weights: np.ndarray
+    repaired: int
+
+
+@dataclass(frozen=True)
+class MeshPart:
+    """A mesh where a node places it.
+
+    Args:
+        node: The node.
+        mesh: Its mesh.
+        transform: What takes raw positions to the rest pose, shape (4, 4), or None where the skin bends the mesh in its
+            rest pose.
+        mirrored: Whether the transform turns the triangles inside out; those of the groups are turned back.
+        groups: Its vertices.
+    """
+
+    node: int
+    mesh: int
+    transform: np.ndarray | None
+    mirrored: bool
+    groups: tuple[PrimitiveData, ...]
+
+
+def primitive_groups(document: Document, mesh: int) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
+    """Primitives of a mesh that share their positions and skin, with the attributes that they share."""
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    primitives = document.objects(document.item("meshes", mesh), "primitives")
+    for index, primitive in enumerate(primitives):
+        attributes = primitive.get("attributes")
+        if not isinstance(attributes, dict):
+            document.fail(f"meshes[{mesh}] has a primitive without attributes; the file is broken, export it again")
+        if "POSITION" not in attributes:
+            continue  # glTF lets extensions bring positions; there is nothing to draw without one
+        groups.setdefault(_shared(attributes, primitive.get("targets")), []).append(index)
+    for members in groups.values():
+        yield tuple(members), primitives[members[0]]["attributes"]
+
+
+def _shared(attributes: dict[str, object], targets: object) -> tuple[str, ...]:
+    """What primitives of a mesh that share their vertices have in common."""
+    names = ("POSITION", "JOINTS_0", "WEIGHTS_0", "JOINTS_1", "WEIGHTS_1")
+    return *(repr(attributes.get(name)) for name in names), repr(targets)
+
+
+def primitive_triangles(document: Document, primitive: dict[str, object], count: int) -> np.ndarray:
+    """Vertex indices of the triangles of a primitive: lists, strips and fans; none for points and lines, shape (F,
+    3).
+    """
+    mode = document.integer(primitive, "mode", 4, high=6)
+    if mode < 4:
+        return np.zeros((0, 3), np.int32)
+    if "indices" in primitive:
+        order = document.accessor(primitive["indices"], ("SCALAR",), raw=True)[:, 0]
+        if order.dtype.kind != "u":
+            document.fail("the indices of a mesh are not unsigned whole numbers; the file is broken, export it again")
+        if len(order) and int(order.max()) >= count:
+            document.fail(
+                f"a triangle uses vertex {int(order.max())} but its mesh has {count}; the file is broken, export it "
+                "again"
+            )
+        order = order.astype(np.int32)
+    else:
+        order = np.arange(count, dtype=np.int32)
+    if mode == 4:
+        return order[: len(order) - len(order) % 3].reshape(-1, 3)
+    if len(order) < 3:
+        return np.zeros((0, 3), np.int32)
+    if mode == 6:
+        return np.stack([order[1:-1], order[2:], np.full(len(order) - 2, order[0], np.int32)], axis=1)
+    strip = np.stack([order[:-2], order[1:-1], order[2:]], axis=1)
+    strip[1::2, 1:] = strip[1::2, 2:0:-1]
+    return strip
+
+
+def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int, carrier: int) -> MeshPart:
+    """A mesh in world space, in the default pose of its node or of its skin.
+
+    Args:
+        document: The document.
+        tree: Its nodes.
+        skins: Its joints.
+        node: A node with a mesh.
+        carrier: The joint that carries it where it has no skin, as `rigid_joints` says.
+
+    Raises:
+        FormatError: An index, a count or a type is wrong.
+    """
+    entry = document.item("nodes", node)
+    mesh = document.integer(entry, "mesh")
+    document.item("meshes", mesh)
+    skin = document.integer(entry, "skin") if "skin" in entry else None
+    if skin is not None and skin >= len(skins.slots):
+        document.fail(f"node {node} uses a skin that does not exist; the file is broken, export it again")
+    groups: list[PrimitiveData] = []
+    transforms: list[np.ndarray | None] = []
+    mirrored = bool(np.linalg.det(tree.world[node, :3, :3]) < 0) if skin is None else skins.mirrored[skin]
+    for members, attributes in primitive_groups(document, mesh):
+        primitives = document.item("meshes", mesh)["primitives"]
+        raw = rest_positions(document, entry, mesh, primitives[members[0]])
+        triangles = tuple(primitive_triangles(document, primitives[member], len(raw)) for member in members)
+        if mirrored:
+            triangles = tuple(np.ascontiguousarray(some[:, [0, 2, 1]]) for some in triangles)
+        if skin is not None and "JOINTS_0" in attributes and "WEIGHTS_0" in attributes:
+            slots, weights, repaired = _influences(document, attributes, raw, len(skins.slots[skin]))
+            vertices, transform = _skinned(raw, slots, weights, skins.bind[skin])
+            joints = skins.slots[skin][slots]
+        else:
+            transform, repaired = tree.world[node], 0
+            vertices = raw @ transform[:3, :3].T + transform[:3, 3]
+            joints = np.broadcast_to(np.int64(carrier), (len(raw), 1))
+            weights = np.broadcast_to(np.float64(1), (len(raw), 1))
+        groups.append(PrimitiveData(members, vertices, triangles, joints, weights, repaired))
+        transforms.append(transform)
+    return MeshPart(node, mesh, _common(transforms), mirrored, tuple(groups))
+
+
+def skin_matrices(document: Document, tree: NodeTree, skins: SkinJoints, part: MeshPart, group: int) -> np.ndarray:
+    """What takes each raw vertex of a group to its rest position, shape (V, 4, 4)."""
+    entry = document.item("nodes", part.node)
+    primitive = document.item("meshes", part.mesh)["primitives"][part.groups[group].primitives[0]]
+    attributes = primitive["attributes"]
+    if "skin" in entry and "JOINTS_0" in attributes and "WEIGHTS_0" in attributes:
+        bind = skins.bind[entry["skin"]]
+        raw = rest_positions(document, entry, part.mesh, primitive)
+        slots, weights, _ = _influences(document, attributes, raw, len(bind))
+        return np.einsum("vm,vmij->vij", weights, bind[slots])
+    return np.broadcast_to(tree.world[part.node], (len(part.groups[group].vertices), 4, 4))
+
+
+def rest_positions(document: Document, node: dict[str, object], mesh: int, primitive: dict[str, object]) -> np.ndarray:
+    """Raw positions of a primitive with the default weights of its morph targets applied, shape (V, 3), float64."""
+    raw = document.accessor(document.entry(primitive, "attributes")["POSITION"], ("VEC3",)).astype(float)
+    entry = document.item("meshes", mesh)
+    weights = node.get("weights", entry.get("weights", []))
+    targets = document.objects(primitive, "targets")
+    if isinstance(weights, list) and all(type(weight) in (int, float) for weight in weights):
+        for weight, target in zip(weights, targets, strict=False):
+            if (
+                weight
+                and np.isfinite(weight)
+                and "POSITION" in target
+                and document.count(target["POSITION"]) == len(raw)
+            ):
+                raw += weight * document.accessor(target["POSITION"], ("VEC3",))
+    return raw
+
+
+def check_size(document: Document, nodes: list[int]) -> None:
+    """Refuse a document whose nodes place more than can be worked with; many may place one mesh, so the file's size is
+    no bound.
+
+    Raises:
+        FormatError: There are too many vertices, triangles or primitives.
+    """
+    sizes: dict[Any, np.ndarray] = {}
+    total = np.zeros(5, dtype=object)
+    for node in nodes:
+        placed = document.item("nodes", node)
+        if placed.get("mesh") is None:
+            continue
+        entry = document.item("meshes", placed["mesh"])
+        weights = placed.get("weights", entry.get("weights"))
+        key = placed["mesh"], len(weights) if isinstance(weights, list) else 0
+        if key not in sizes:
+            sizes[key] = _sizes(document, entry, key[1])
+        total += sizes[key]
+    vertices, corners, primitives, influences, work = total
+    if vertices > MAX_VERTICES or corners > 3 * MAX_TRIANGLES or primitives > MAX_PRIMITIVES:
+        limits = f"{MAX_VERTICES:,} vertices, {MAX_TRIANGLES:,} triangles or {MAX_PRIMITIVES:,} pieces"
+        document.fail(f"it has more than {limits}; simplify the mesh first")
+    if work > MAX_WORK:
+        document.fail(
+            f"its pieces and morph targets go over {work:,} vertices but at most {MAX_WORK:,} are read; join its "
+            "meshes or drop morph targets"
+        )
+    document.check_memory(_VERTEX * vertices + _INFLUENCE * influences + _TRIANGLE * corners // 3)
+
+
+def _sizes(document: Document, mesh: dict[str, object], weighted: int) -> np.ndarray:
+    """Vertices, corners, primitives, influences of a mesh with so many weights of morph targets, and vertices as often
+    as they are gone over.
+    """
+    vertices = corners = influences = work = 0
+    primitives = document.objects(mesh, "primitives")
+    seen: set[tuple[str, ...]] = set()
+    for primitive in primitives:
+        attributes = primitive.get("attributes")
+        if not isinstance(attributes, dict) or "POSITION" not in attributes:
+            continue
+        count = document.count(attributes["POSITION"])
+        shared = _shared(attributes, primitive.get("targets"))
+        if shared not in seen:
+            vertices += count
+            influences += count * 4 * sum(name in attributes for name in ("JOINTS_0", "JOINTS_1"))
+            work += count * min(weighted, len(document.objects(primitive, "targets")))
+        seen.add(shared)
+        work += count
+        corners += document.count(primitive["indices"]) if "indices" in primitive else count
+    return np.array([vertices, corners, len(primitives), influences, work], dtype=object)
+
+
+def rigid_joints(tree: NodeTree, skins: SkinJoints) -> np.ndarray:
+    """The joint that carries each node's mesh where that has no skin: the nearest one at or above it, else the first
+    joint that no joint carries; 0 where there are no joints, shape (M,).
+    """
+    if not skins.nodes:
+        return np.zeros(len(tree.parents), int)
+    found = tree.nearest({node: joint for joint, node in enumerate(skins.nodes)})
+    above = tree.parents[skins.nodes]
+    free = np.flatnonzero((above < 0) | (found[above] < 0))
+    return np.where(found >= 0, found, int(free[0]) if len(free) else 0)
+
+
+def _influences(
+    document: Document, attributes: dict[str, object], raw: np.ndarray, slots: int
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Slots and weights of each vertex with broken weights repaired, and how many were."""
+    joints, weights = [], []
+    for name in ("0", "1"):
+        if f"JOINTS_{name}" in attributes and f"WEIGHTS_{name}" in attributes:
+            joints.append(document.accessor(attributes[f"JOINTS_{name}"], ("VEC4",), raw=True))
+            weights.append(document.accessor(attributes[f"WEIGHTS_{name}"], ("VEC4",)).astype(float))
+            if len(joints[-1]) != len(raw) or len(weights[-1]) != len(raw) or joints[-1].dtype.kind != "u":
+                document.fail(
+                    "the skin of a mesh weighs another number of vertices than it has; the file is broken, export it "
+                    "again"
+                )
+    indices, shares = np.concatenate(joints, 1).astype(np.int64), np.concatenate(weights, 1)
+    shares = np.where(np.isfinite(shares) & (shares > 0), shares, 0)
+    indices[shares == 0] = 0
+    if len(indices) and int(indices.max()) >= slots:
+        document.fail(
+            f"a vertex is weighted to joint {int(indices.max())} of a skin with {slots}; the file is broken, export "
+            "it again"
+        )
+    total = shares.sum(axis=1)
+    lost = np.flatnonzero(~(total > 1e-9))
+    if len(lost):
+        borrow_weights(raw, indices, shares, lost)
+        total = shares.sum(axis=1)
+    return indices, shares / total[:, None], len(lost)
+
+
+def _skinned(
+    raw: np.ndarray, slots: np.ndarray, weights: np.ndarray, bind: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Default-pose positions of a skinned mesh, and the one matrix that gives them where one does."""
+    used = np.unique(slots[weights > 0])
+    mean = bind[used].mean(axis=0) if len(used) else np.eye(4)
+    finite = np.isfinite(raw).all(axis=1)
+    reach = np.abs(raw[finite]).max(axis=0, initial=0)
+    extent = float(np.ptp(raw[finite], axis=0).max()) if finite.any() else 0.0
+    tolerance = 1e-5 * max(extent, 1e-12) * max(float(np.abs(mean[:3, :3]).max()), 1e-12)
+    spread = np.abs(bind[used] - mean)
+    if (spread[:, :3, :3] @ reach + spread[:, :3, 3:].reshape(-1, 3)).max(initial=0) <= tolerance:
+        return raw @ mean[:3, :3].T + mean[:3, 3], mean
+    vertices = np.zeros_like(raw)
+    for column in range(slots.shape[1]):
+        if weights[:, column].any():
+            matrices = bind[slots[:, column]]
+            vertices += weights[:, column, None] * (
+                np.einsum("vij,vj->vi", matrices[:, :3, :3], raw) + matrices[:, :3, 3]
+            )
+    if not finite.all() or not np.isfinite(vertices).all():
+        return vertices, None
+    fit, _, rank, _ = np.linalg.lstsq(np.c_[raw, np.ones(len(raw))], vertices, rcond=1e-7)
+    affine = raw @ fit[:3] + fit[3]
+    if rank < 4 or float(np.abs(vertices - affine).max(initial=0)) > tolerance:
+        return vertices, None
+    transform = np.eye(4)
+    transform[:3] = fit.T
+    return affine, transform
+
+
+def _common(transforms: list[np.ndarray | None]) -> np.ndarray | None:
+    """The matrix that all groups of a mesh share, None where they differ: a node has one skin."""
+    first = transforms[0] if transforms else None
+    if first is None or any(
+        other is None or not np.allclose(other, first, rtol=1e-6, atol=1e-9) for other in transforms
+    ):
+        return None
+    return first

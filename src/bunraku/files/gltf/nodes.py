@@ -1,0 +1,466 @@
+"""The node tree of a glTF document: world transforms, joints, the bind pose, and the nodes at any moment of a clip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, quaternion_slerp
+from bunraku.files.gltf.document import Document
+
+__all__ = [
+    "Curves",
+    "MAX_SECONDS",
+    "NodeTree",
+    "SkinJoints",
+    "bind_pose",
+    "clip_curves",
+    "node_worlds",
+    "posed_skins",
+    "read_nodes",
+    "read_skins",
+]
+
+
+MAX_NODES = 100_000
+MAX_SLOTS = 300_000  # joints of all skins: many skins may name the same ones, and each takes two matrices
+
+
+@dataclass(frozen=True)
+class NodeTree:
+    """The nodes of a document in a pose: the default one as `read_nodes` gives it.
+
+    Args:
+        parents: Parent of each node, shape (M,); -1 for a root.
+        world: World transform of each node in this pose [m], shape (M, 4, 4).
+        scene: Nodes of the default scene, ascending.
+        local: Transform of each node in its parent as the file says, whatever the pose, shape (M, 4, 4).
+    """
+
+    parents: np.ndarray
+    world: np.ndarray
+    scene: list[int]
+    local: np.ndarray
+
+    @cached_property
+    def order(self) -> list[int]:
+        """All nodes, each after its parent."""
+        below: list[list[int]] = [[] for _ in self.parents]
+        order: list[int] = []
+        for node, parent in enumerate(self.parents.tolist()):
+            (below[parent] if parent >= 0 else order).append(node)
+        for node in order:
+            order.extend(below[node])
+        return order
+
+    def nearest(self, chosen: dict[int, int]) -> np.ndarray:
+        """What is chosen for the nearest of the chosen nodes at or above each node, -1 for none, shape (M,)."""
+        parents = self.parents.tolist()
+        found = [-1] * len(parents)
+        for node in self.order:
+            found[node] = chosen[node] if node in chosen else found[parents[node]] if parents[node] >= 0 else -1
+        return np.array(found, int)
+
+    def depths(self) -> np.ndarray:
+        """How many nodes stand above each, shape (M,)."""
+        parents = self.parents.tolist()
+        depths = [0] * len(parents)
+        for node in self.order:
+            depths[node] = depths[parents[node]] + 1 if parents[node] >= 0 else 0
+        return np.array(depths, int)
+
+
+@dataclass(frozen=True)
+class SkinJoints:
+    """The joints of all skins, each node once.
+
+    Args:
+        nodes: Node of each joint, length J.
+        slots: For each skin, the joint of each of its slots.
+        inverse: For each skin, the inverse bind matrix of each slot, shape (slots, 4, 4).
+        bind: For each skin, what takes a raw mesh to the pose of the tree through each slot, shape (slots, 4, 4).
+        mirrored: Whether each skin turns its meshes inside out.
+    """
+
+    nodes: list[int]
+    slots: list[np.ndarray]
+    inverse: list[np.ndarray]
+    bind: list[np.ndarray]
+    mirrored: list[bool]
+
+
+def posed_skins(skins: SkinJoints, tree: NodeTree) -> SkinJoints:
+    """The joints with the nodes in another pose."""
+    nodes = np.array(skins.nodes, int)
+    bind = [tree.world[nodes[slots]] @ inverse for slots, inverse in zip(skins.slots, skins.inverse, strict=True)]
+    mirrored = [bool(np.linalg.det(some.mean(axis=0)[:3, :3]) < 0) for some in bind]
+    return replace(skins, bind=bind, mirrored=mirrored)
+
+
+def read_nodes(document: Document) -> NodeTree:
+    """World transforms and the default scene of a document.
+
+    A VRM 0.x avatar looks along -Z; it is turned to look along +Z as glTF asks for and as VRM 1.0 does.
+
+    Raises:
+        FormatError: The tree has a cycle or a node with two parents, a transform is not finite, or there are too many
+            nodes.
+    """
+    nodes = document.items("nodes")
+    if len(nodes) > MAX_NODES:
+        document.fail(f"it has {len(nodes):,} nodes but at most {MAX_NODES:,} are read; export the character alone")
+    parents = np.full(len(nodes), -1)
+    children = [document.indices(node, "children", "nodes") for node in nodes]
+    for node, below in enumerate(children):
+        for child in below:
+            if parents[child] != -1:
+                document.fail(f"node {child} has two parents; the file is broken, export it again")
+            parents[child] = node
+    world, local = np.empty((len(nodes), 4, 4)), _locals(document, nodes)
+    order = [int(node) for node in np.flatnonzero(parents < 0)]
+    extensions = document.tree.get("extensions")
+    turned = isinstance(extensions, dict) and "VRM" in extensions
+    front = np.diag([-1.0, 1, -1, 1]) if turned else np.eye(4)
+    local[parents < 0] = front @ local[parents < 0]
+    for node in order:
+        world[node] = world[parents[node]] @ local[node] if parents[node] >= 0 else local[node]
+        order.extend(children[node])
+    if len(order) != len(nodes):
+        document.fail("its nodes form a cycle; the file is broken, export it again")
+    if not np.isfinite(world).all():
+        document.fail("its node transforms overflow; the file is broken, export it again")
+    return NodeTree(parents, world, _scene_nodes(document, parents, children), local)
+
+
+def _locals(document: Document, nodes: list[dict]) -> np.ndarray:
+    """Transform of each node in its parent, shape (M, 4, 4)."""
+    parts = {"rotation": [0.0, 0, 0, 1], "scale": [1.0, 1, 1], "translation": [0.0, 0, 0]}
+    values = {key: np.tile(default, (len(nodes), 1)) for key, default in parts.items()}
+    given: dict[int, np.ndarray] = {}
+    for number, node in enumerate(nodes):
+        if "matrix" in node:
+            given[number] = document.numbers(node, "matrix", [0.0] * 16).reshape(4, 4).T
+            continue
+        for key, default in parts.items():
+            if key in node:
+                values[key][number] = document.numbers(node, key, default)
+    local = np.tile(np.eye(4), (len(nodes), 1, 1))
+    turned = values["rotation"].any(axis=1)  # a rotation of zeros stands for none
+    local[turned, :3, :3] = matrix_from_quaternion(values["rotation"][turned]) * values["scale"][turned, None, :]
+    local[:, :3, 3] = values["translation"]
+    for number, matrix in given.items():
+        local[number, :3] = matrix[:3]
+        local[number, 3] = 0, 0, 0, 1
+    return local
+
+
+def _scene_nodes(document: Document, parents: np.ndarray, children: list[list[int]]) -> list[int]:
+    scenes = document.items("scenes")
+    if scenes:
+        stack = list(document.indices(document.item("scenes", document.tree.get("scene", 0)), "nodes", "nodes"))
+    else:
+        stack = [int(node) for node in np.flatnonzero(parents < 0)]
+    seen: set[int] = set()
+    while stack:
+        node = stack.pop()
+        if node not in seen:
+            seen.add(node)
+            stack.extend(children[node])
+    return sorted(seen)
+
+
+def read_skins(document: Document, tree: NodeTree) -> SkinJoints:
+    """Merge the joints of all skins into one list.
+
+    Raises:
+        FormatError: A skin has no joints, or fewer inverse bind matrices than joints, or there are too many joints.
+    """
+    merged: dict[int, int] = {}
+    slots, inverses, total = [], [], 0
+    for skin in document.items("skins"):
+        nodes = document.indices(skin, "joints", "nodes")
+        if not nodes:
+            document.fail("a skin has no joints; the file is broken, export it again")
+        total += len(nodes)
+        if total > MAX_SLOTS:
+            document.fail(f"its skins have more than {MAX_SLOTS:,} joints; export the character alone")
+        slots.append(np.array([merged.setdefault(node, len(merged)) for node in nodes]))
+        inverse = np.broadcast_to(np.eye(4), (len(nodes), 4, 4))
+        if "inverseBindMatrices" in skin:
+            stored = document.accessor(skin["inverseBindMatrices"], ("MAT4",)).astype(float)
+            if len(stored) < len(nodes):
+                document.fail("a skin has fewer inverse bind matrices than joints; the file is broken, export it again")
+            inverse = stored[: len(nodes)].reshape(-1, 4, 4).transpose(0, 2, 1).copy()
+            inverse[:, 3] = 0, 0, 0, 1
+        if not np.isfinite(inverse).all():
+            document.fail("a skin has inverse bind matrices that are not numbers; the file is broken, export it again")
+        inverses.append(inverse)
+    return posed_skins(SkinJoints(list(merged), slots, inverses, [], []), tree)
+
+
+SAME_SIZE = 0.03  # bones may differ by this share in length for a placement to be one of the file's own size
+MOST_VISITS = 600_000  # of nodes, all of them for each skin that shares no joint with those before
+MOST_SPACES = 64  # mesh nodes of one skin that are tried
+GROWTH = 3.0  # a bind pose whose joints reach this much farther, or less far, than the default pose's makes no sense
+
+
+def bind_pose(document: Document, tree: NodeTree, skins: SkinJoints) -> NodeTree:
+    """The tree with its joints in the bind pose, or the same tree where the file has none that makes sense.
+
+    Args:
+        document: The document.
+        tree: Its nodes in their default pose.
+        skins: Its joints.
+    """
+    fixed: dict[int, np.ndarray] = {}
+    visited = 0
+    for skin, meshes in _used_skins(document, tree, skins):
+        nodes = [skins.nodes[slot] for slot in skins.slots[skin]]
+        inverse = skins.inverse[skin]
+        good = [int(i) for i in np.flatnonzero(np.abs(np.linalg.det(inverse)) > 1e-30)]
+        if not good:
+            return tree
+        nodes, inverse = [nodes[i] for i in good], inverse[good]
+        bind = np.linalg.inv(inverse)
+        known = [i for i, node in enumerate(nodes) if node in fixed]
+        if known:
+            matrix: np.ndarray | None = fixed[nodes[known[0]]] @ inverse[known[0]]
+        else:
+            visited += len(tree.parents)
+            if visited > MOST_VISITS:
+                return tree
+            matrix = _placement(tree, _carried(tree, fixed), nodes, bind, meshes)
+        if matrix is None:
+            return tree
+        for node, world in zip(nodes, matrix @ bind, strict=True):
+            fixed.setdefault(node, world)
+    if not fixed:
+        return tree
+    world = _carried(tree, fixed)
+    joints = list(fixed)
+    before, after = (float(np.ptp(some[joints, :3, 3], axis=0).max()) for some in (tree.world, world))
+    if not np.isfinite(world).all() or not before <= GROWTH * after or not after <= GROWTH * before:
+        return tree
+    return NodeTree(tree.parents, world, tree.scene, tree.local)
+
+
+def _used_skins(document: Document, tree: NodeTree, skins: SkinJoints) -> list[tuple[int, list[int]]]:
+    """Skins that the scene's meshes use, those higher in the tree and with more joints first, and the mesh nodes of
+    each.
+    """
+    users: dict[int, list[int]] = {}
+    for node in tree.scene:
+        entry = document.item("nodes", node)
+        skin = entry.get("skin")
+        if "mesh" in entry and type(skin) is int and 0 <= skin < len(skins.slots):
+            users.setdefault(skin, []).append(node)
+
+    depths = tree.depths()[skins.nodes]
+
+    def rank(skin: int) -> tuple[int, int, int]:
+        return int(depths[skins.slots[skin]].min()), -len(skins.slots[skin]), skin
+
+    return [(skin, users[skin]) for skin in sorted(users, key=rank)]
+
+
+def _carried(tree: NodeTree, fixed: dict[int, np.ndarray]) -> np.ndarray:
+    """World transforms where some nodes are fixed and the others follow their parents, shape (M, 4, 4)."""
+    if not fixed:
+        return tree.world
+    world = tree.world.copy()
+    for node in tree.order:
+        parent = int(tree.parents[node])
+        if node in fixed:
+            world[node] = fixed[node]
+        elif parent >= 0:
+            world[node] = world[parent] @ tree.local[node]
+    return world
+
+
+def _placement(
+    tree: NodeTree, default: np.ndarray, nodes: list[int], bind: np.ndarray, meshes: list[int]
+) -> np.ndarray | None:
+    """The transform G from the space of the inverse bind matrices to the world, shape (4, 4), None where nothing fits.
+
+    Exporters differ in that space: it is that of the node above the skeleton, that of the mesh, or the world. Of those
+    that give the bones the length that they have in the file, the one that brings the joints closest to the default
+    pose is right, turned by a quarter or a half about +Y where only the clip turned the skeleton to the front. Where
+    none does, the skeleton's root is put where it is by default.
+    """
+    joints: dict[int, int] = {}
+    for i, node in enumerate(nodes):
+        joints.setdefault(node, i)
+    nearest, parents = tree.nearest(joints), tree.parents[nodes]
+    root = next((i for i, parent in enumerate(parents) if parent < 0 or nearest[parent] < 0), 0)
+    above = int(tree.parents[nodes[root]])
+    target = default[nodes]
+    pairs = [(i, joints[int(parent)]) for i, parent in enumerate(parents) if int(parent) in joints]
+
+    def distance(choice: np.ndarray) -> float:
+        return float(np.sqrt((((choice @ bind)[:, :3, 3] - target[:, :3, 3]) ** 2).sum(axis=1).mean()))
+
+    def fits(choice: np.ndarray) -> bool:
+        return bool(abs(np.log(max(_size_ratio(choice @ bind, target, pairs), 1e-9))) <= SAME_SIZE)
+
+    held = target[root] @ np.linalg.inv(bind[root])
+    reach = max(float(np.ptp(target[:, :3, 3], axis=0).max()), 1e-12)
+    if distance(held) <= 1e-3 * reach and np.allclose(
+        (held @ bind)[:, :3, :3], target[:, :3, :3], rtol=0, atol=0.02 * np.abs(target[:, :3, :3]).max()
+    ):
+        return held  # the nodes stand in the bind pose
+    spaces = [default[above] if above >= 0 else np.eye(4), *(default[mesh] for mesh in meshes[:MOST_SPACES]), np.eye(4)]
+    spaces = [space for space in spaces if fits(space)]
+    if not spaces:
+        return held if fits(held) else None
+    best = min(spaces, key=lambda space: round(distance(space), 9))
+    return _facing(best, best @ bind, target, root)
+
+
+def _facing(placement: np.ndarray, placed: np.ndarray, target: np.ndarray, root: int) -> np.ndarray:
+    """The placement turned by quarters about the vertical through its root joint, to face where the default pose does,
+    shape (4, 4).
+
+    The mean turn of all joints tells: clips turn single limbs any way, but all joints one way only where they turn the
+    whole.
+    """
+    own, want = (
+        some[:, :3, :3] / np.cbrt(np.abs(np.linalg.det(some[:, :3, :3])) + 1e-30)[:, None, None]
+        for some in (placed, target)
+    )
+    change = np.einsum("jab,jcb->ac", want, own)
+    yaw = np.arctan2(change[0, 2] - change[2, 0], change[0, 0] + change[2, 2])
+    quarters = np.round(yaw / (np.pi / 2))
+    turn = np.eye(4)
+    turn[:3, :3] = np.round(matrix_y(np.array(quarters * np.pi / 2)))
+    turn[:3, 3] = placed[root, :3, 3] - turn[:3, :3] @ placed[root, :3, 3]
+    return turn @ placement
+
+
+def _size_ratio(placed: np.ndarray, target: np.ndarray, pairs: list[tuple[int, int]]) -> float:
+    """How much longer the bones are than they should be, the median; of single joints how much larger their axes
+    are.
+    """
+    child, parent = np.array([i for i, _ in pairs], int), np.array([j for _, j in pairs], int)
+    own = np.linalg.norm(placed[child, :3, 3] - placed[parent, :3, 3], axis=1)
+    want = np.linalg.norm(target[child, :3, 3] - target[parent, :3, 3], axis=1)
+    clear = (own > 1e-3 * own.max(initial=0)) & (want > 1e-3 * want.max(initial=0))
+    if not clear.any():
+        volumes = [abs(np.linalg.det(some[:, :3, :3])).mean() for some in (placed, target)]
+        return float(np.cbrt(volumes[0] / max(volumes[1], 1e-30)))
+    return float(np.median(own[clear] / want[clear]))
+
+
+MAX_SECONDS = 600.0
+"""Longest clip that is played [s]."""
+
+MAX_KEYS = 50_000_000  # of all channels of a clip: channels may share their keys, and take memory each
+MAX_WORLDS = 20_000_000  # transforms of all nodes that joints hang on, in all frames: 2.6 GB
+
+Curves = dict[tuple[int, str], tuple[np.ndarray, np.ndarray, str]]
+
+_DEFAULTS = {"translation": [0.0, 0, 0], "rotation": [0.0, 0, 0, 1], "scale": [1.0, 1, 1]}
+
+
+def clip_curves(document: Document, animation: dict[str, object]) -> Curves:
+    """Times (M,), values (M, C) or (M, 3, C), and interpolation of each animated (node, property)."""
+    samplers = document.objects(animation, "samplers")
+    curves, total, last = {}, 0, max(len(document.items("nodes")) - 1, 0)
+    for channel in document.objects(animation, "channels"):
+        target = channel.get("target")
+        if not isinstance(target, dict) or target.get("path") not in tuple(_DEFAULTS) or "node" not in target:
+            continue  # morph targets and what extensions add
+        node, kind = document.integer(target, "node", high=last), target["path"]
+        index = document.integer(channel, "sampler")
+        if index >= len(samplers):
+            document.fail(
+                "an animation channel names a sampler that does not exist; the file is broken, export it again"
+            )
+        how = samplers[index].get("interpolation", "LINEAR")
+        times = document.accessor(samplers[index].get("input"), ("SCALAR",))[:, 0].astype(float)
+        values = document.accessor(
+            samplers[index].get("output"), ("VEC4",) if kind == "rotation" else ("VEC3",)
+        ).astype(float)
+        keys = 3 if how == "CUBICSPLINE" else 1
+        total += len(values)
+        if total > MAX_KEYS:
+            document.fail(f"its clip has more than {MAX_KEYS:,} keys; cut it")
+        if (
+            not len(times)
+            or len(values) != keys * len(times)
+            or (np.diff(times) <= 0).any()
+            or not np.isfinite(values).all()
+            or not np.isfinite(times).all()
+        ):
+            document.fail("an animation channel has keys that do not fit together; the file is broken, export it again")
+        curves[node, kind] = (times, values.reshape(len(times), 3, -1) if keys == 3 else values, str(how))
+    return curves
+
+
+def _sample(times: np.ndarray, values: np.ndarray, how: str, kind: str, moments: np.ndarray) -> np.ndarray:
+    """Values of a curve at moments [s], held before the first key and after the last, shape (N, C)."""
+    before = np.clip(np.searchsorted(times, moments, side="right") - 1, 0, len(times) - 1)
+    after = np.minimum(before + 1, len(times) - 1)
+    step = times[after] - times[before]
+    share = np.clip((moments - times[before]) / np.where(step > 0, step, 1), 0, 1)
+    if how == "STEP":
+        return values[before]
+    if how == "CUBICSPLINE":
+        s, d = share[:, None], step[:, None]
+        start, end = values[before], values[after]  # each key: in-tangent, value, out-tangent
+        out = (2 * s**3 - 3 * s**2 + 1) * start[:, 1] + d * (s**3 - 2 * s**2 + s) * start[:, 2]
+        return out + (3 * s**2 - 2 * s**3) * end[:, 1] + d * (s**3 - s**2) * end[:, 0]
+    if kind == "rotation":
+        return quaternion_slerp(values[before], values[after], share)
+    return values[before] + (values[after] - values[before]) * share[:, None]
+
+
+def node_worlds(
+    document: Document, tree: NodeTree, curves: Curves, moments: np.ndarray, chosen: list[int]
+) -> np.ndarray:
+    """World transforms of the chosen nodes at each moment, shape (N, J, 4, 4)."""
+    nodes = document.items("nodes")
+    moving = {node for node, _ in curves}
+    known: dict[int, np.ndarray] = {}
+
+    def world(node: int) -> np.ndarray:
+        chain = []
+        while node >= 0 and node not in known:
+            chain.append(node)
+            node = int(tree.parents[node])
+        if (len(known) + len(chain)) * len(moments) > MAX_WORLDS:
+            document.fail(
+                f"its clip moves {len(known) + len(chain)} nodes in {len(moments)} frames, which are too many; cut it"
+            )
+        for link in reversed(chain):
+            above = int(tree.parents[link])
+            if link not in moving:  # its default place, carried along by what is above it
+                rest = tree.local[link]
+                known[link] = known[above] @ rest if above >= 0 else np.broadcast_to(rest, (len(moments), 4, 4))
+            else:
+                local = _local(document, nodes[link], link, curves, moments)
+                known[link] = known[above] @ local if above >= 0 else _front(document) @ local
+        return known[chain[0]] if chain else known[node]
+
+    return np.stack([world(node) for node in chosen], axis=1)
+
+
+def _front(document: Document) -> np.ndarray:
+    """What turns a VRM 0.x avatar, which looks along -Z, as reading its character does."""
+    extensions = document.tree.get("extensions")
+    return np.diag([-1.0, 1, -1, 1]) if isinstance(extensions, dict) and "VRM" in extensions else np.eye(4)
+
+
+def _local(document: Document, node: dict[str, object], index: int, curves: Curves, moments: np.ndarray) -> np.ndarray:
+    parts = {}
+    for kind, default in _DEFAULTS.items():
+        if (index, kind) in curves:
+            times, values, how = curves[index, kind]
+            parts[kind] = _sample(times, values, how, kind, moments)
+        else:
+            parts[kind] = np.broadcast_to(document.numbers(node, kind, default), (len(moments), len(default)))
+    local = np.zeros((len(moments), 4, 4))
+    local[:, :3, :3] = matrix_from_quaternion(parts["rotation"]) * parts["scale"][:, None, :]
+    local[:, :3, 3], local[:, 3, 3] = parts["translation"], 1
+    return local

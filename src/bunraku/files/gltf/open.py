@@ -1,0 +1,435 @@
+"""A GLB or glTF file as a document: chunks, JSON, the files it names, and Draco and meshopt data decompressed."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import os
+import struct
+import subprocess
+import sys
+from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from bunraku.core.files import check_input, path_inside, read_bounded
+from bunraku.errors import FormatError, MissingExtraError
+from bunraku.files.gltf.document import COMPONENT_TYPES, ELEMENT_SIZES, MAX_ELEMENTS, Document, room
+
+__all__ = ["DRACO", "MESHOPT", "open_document", "unpack_primitives", "unpack_views"]
+
+
+DRACO = "KHR_draco_mesh_compression"
+SECONDS = 120
+"""Longest time that unpacking may take [s]."""
+
+
+def unpack_primitives(document: Document) -> None:
+    """Give the compressed primitives of a document plain accessors, in place.
+
+    Primitives whose accessors have data of their own, as those of files for viewers without Draco do, are read from
+    there.
+
+    Raises:
+        FormatError: A primitive is broken, or takes more memory than the file may.
+        MissingExtraError: The package that unpacks them is not installed.
+    """
+    packed: dict[int, list[tuple[dict[str, Any], dict[str, Any]]]] = {}
+    for mesh in document.items("meshes"):
+        for primitive in document.objects(mesh, "primitives"):
+            extensions = primitive.get("extensions")
+            extension = extensions.pop(DRACO, None) if isinstance(extensions, dict) else None
+            if extension is None:
+                continue
+            if not isinstance(extension, dict) or not isinstance(extension.get("attributes"), dict):
+                document.fail(f"a primitive lacks what {DRACO} says of it; the file is broken, export it again")
+            if not _draco_plain(document, primitive):
+                packed.setdefault(document.integer(extension, "bufferView"), []).append((primitive, extension))
+    for key in ("extensionsUsed", "extensionsRequired"):
+        names = document.tree.get(key)
+        if isinstance(names, list):
+            document.tree[key] = [name for name in names if name != DRACO]
+    if not packed:
+        return
+    if find_spec("DracoPy") is None:
+        raise MissingExtraError("DracoPy", "compressed", f"{document.path}: a mesh packed with Draco")
+    document.check_memory(_declared(document, packed))
+    arrays = _draco_unpacked(document, [bytes(document.view(view)) for view in packed])
+    for number, users in enumerate(packed.values()):
+        for primitive, extension in users:
+            _fill(document, primitive, extension, arrays, number)
+
+
+def _accessors(document: Document, primitive: dict[str, object]) -> list[Any]:
+    attributes = primitive.get("attributes")
+    if not isinstance(attributes, dict):
+        document.fail("a mesh has a primitive without attributes; the file is broken, export it again")
+    return [*attributes.values(), *([primitive["indices"]] if "indices" in primitive else [])]
+
+
+def _draco_plain(document: Document, primitive: dict[str, object]) -> bool:
+    """Whether all accessors of a primitive have data of their own."""
+    return all("bufferView" in document.item("accessors", index) for index in _accessors(document, primitive))
+
+
+def _declared(document: Document, packed: dict[int, list[tuple[dict[str, object], dict[str, object]]]]) -> int:
+    """About how many bytes the accessors of the packed primitives say that they take."""
+    total = 0
+    for users in packed.values():
+        for primitive, _ in users:
+            total += sum(16 * document.count(index) for index in _accessors(document, primitive))
+    return total
+
+
+def _draco_unpacked(document: Document, meshes: list[bytes]) -> dict[str, np.ndarray]:
+    """What `draco_process` makes of packed meshes."""
+    from zipfile import BadZipFile
+
+    own = document.size or sum(map(len, meshes))
+    head = json.dumps({"bytes": max(room(own) - own, 0), "lengths": [len(mesh) for mesh in meshes]}) + "\n"
+    script = Path(__file__).with_name("draco_process.py")
+    try:
+        done = subprocess.run(
+            [sys.executable, str(script)],
+            input=head.encode() + b"".join(meshes),
+            capture_output=True,
+            timeout=SECONDS,
+            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        )
+        with np.load(BytesIO(done.stdout), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (subprocess.TimeoutExpired, BadZipFile, EOFError, ValueError, OSError):
+        document.fail(
+            "a mesh cannot be unpacked by Draco, or takes more memory than a file of this size may; it is broken, "
+            "export it again without compression"
+        )
+
+
+def _fill(
+    document: Document,
+    primitive: dict[str, object],
+    extension: dict[str, object],
+    arrays: dict[str, np.ndarray],
+    number: int,
+) -> None:
+    """Put unpacked values behind the accessors of a primitive."""
+    attributes = document.entry(primitive, "attributes")
+    for name, identity in document.entry(extension, "attributes").items():
+        if name not in attributes:
+            continue
+        values = arrays.get(f"{number}_{identity}")
+        if type(identity) is not int or values is None:
+            document.fail(f"Draco's data hold no {name:.40} of a mesh; the file is broken, export it again")
+        _store(document, attributes[name], values.reshape(len(values), -1))
+    if "indices" in primitive:
+        _store(document, primitive["indices"], arrays[f"{number}_faces"].reshape(-1, 1))
+
+
+def _store(document: Document, index: Any, values: np.ndarray) -> None:
+    accessor = document.item("accessors", index)
+    kind, component = accessor.get("type"), accessor.get("componentType")
+    dtype = COMPONENT_TYPES.get(component) if type(component) is int else None
+    if dtype is None or len(values) != document.count(index) or ELEMENT_SIZES.get(str(kind)) != values.shape[1]:
+        document.fail(
+            f"Draco's data and accessors[{index}] disagree about what a mesh holds; the file is broken, export it again"
+        )
+    with np.errstate(invalid="ignore"):
+        data = np.ascontiguousarray(values.astype(dtype)).tobytes()
+    view = {"buffer": len(document.buffers), "byteLength": len(data)}
+    document.items("buffers").append({"byteLength": len(data)})
+    document.buffers.append(data)
+    document.items("bufferViews").append(view)
+    accessor["bufferView"] = len(document.items("bufferViews")) - 1
+    accessor.pop("byteOffset", None)
+
+
+MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+_STRIDES = {
+    "ATTRIBUTES": range(4, 257, 4),
+    "TRIANGLES": (2, 4),
+    "INDICES": (2, 4),
+}
+_FILTERS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "NONE": ("", tuple(range(4, 257, 4))),
+    "OCTAHEDRAL": ("decode_filter_oct", (4, 8)),
+    "QUATERNION": ("decode_filter_quat", (8,)),
+    "EXPONENTIAL": ("decode_filter_exp", tuple(range(4, 257, 4))),
+}
+"""Function of each filter and the strides that it takes."""
+
+
+def unpack_views(document: Document) -> None:
+    """Replace the compressed buffer views of a document by plain ones, in place.
+
+    A view that also lies uncompressed in its buffer is read from there.
+
+    Raises:
+        FormatError: A view is broken, or takes more memory than the file may.
+        MissingExtraError: The package that unpacks them is not installed.
+    """
+    packed: list[tuple[int, dict[str, Any], dict[str, Any]]] = []
+    for index, view in enumerate(document.items("bufferViews")):
+        extensions = view.get("extensions")
+        found = [extensions.pop(name) for name in MESHOPT if name in extensions] if isinstance(extensions, dict) else []
+        if found and not _plain(document, view):
+            if not isinstance(found[0], dict):
+                document.fail(f"bufferViews[{index}] is compressed by nothing; the file is broken, export it again")
+            packed.append((index, view, found[0]))
+    _forget(document)
+    if not packed:
+        return
+    try:
+        library: Any = import_module("meshoptimizer")
+    except ImportError as error:
+        raise MissingExtraError(
+            "meshoptimizer", "compressed", f"{document.path}: a mesh packed with meshopt"
+        ) from error
+    sizes = [
+        document.integer(extension, "count", high=MAX_ELEMENTS) * document.integer(extension, "byteStride", high=256)
+        for _, _, extension in packed
+    ]
+    document.check_memory(2 * sum(sizes))
+    for index, view, extension in packed:
+        data = _unpacked(document, index, extension, library)
+        if document.integer(view, "byteLength") != len(data):
+            document.fail(
+                f"bufferViews[{index}] unpacks to {len(data)} bytes and not to those that it should have; the file is "
+                "broken, export it again"
+            )
+        view |= {"buffer": len(document.buffers), "byteOffset": 0, "byteLength": len(data)}
+        document.items("buffers").append({"byteLength": len(data)})
+        document.buffers.append(data)
+
+
+def _plain(document: Document, view: dict[str, object]) -> bool:
+    """Whether the bytes that a view stands for are there uncompressed too."""
+    buffer = document.integer(view, "buffer")
+    end = document.integer(view, "byteOffset", 0) + document.integer(view, "byteLength")
+    return buffer < len(document.buffers) and end <= len(document.buffers[buffer])
+
+
+def _forget(document: Document) -> None:
+    """Take the extensions out of the lists of what the document needs."""
+    for key in ("extensionsUsed", "extensionsRequired"):
+        names = document.tree.get(key)
+        if isinstance(names, list):
+            document.tree[key] = [name for name in names if name not in MESHOPT]
+
+
+def _unpacked(document: Document, index: int, extension: dict[str, object], library: Any) -> bytes:
+    count, stride = document.integer(extension, "count", high=MAX_ELEMENTS), document.integer(extension, "byteStride")
+    mode, name = str(extension.get("mode"))[:40], str(extension.get("filter", "NONE"))[:40]
+    if mode not in _STRIDES or stride not in _STRIDES[mode] or (mode == "TRIANGLES" and count % 3):
+        document.fail(
+            f"bufferViews[{index}] is packed as {count} {mode} of {stride} bytes, which meshopt does not know; export "
+            "the file again"
+        )
+    if name not in _FILTERS or (name != "NONE" and (mode != "ATTRIBUTES" or stride not in _FILTERS[name][1])):
+        document.fail(
+            f"bufferViews[{index}] is packed with the filter {name} on {mode} of {stride} bytes, which is not read; "
+            "export the file again without that filter"
+        )
+    buffer = document.integer(extension, "buffer")
+    start, length = document.integer(extension, "byteOffset", 0), document.integer(extension, "byteLength")
+    if buffer >= len(document.buffers) or start + length > len(document.buffers[buffer]):
+        document.fail(
+            f"bufferViews[{index}] is packed in bytes that are not there; the file is truncated, export or download it "
+            "again"
+        )
+    data = bytes(memoryview(document.buffers[buffer])[start : start + length])
+    if not count:
+        return b""
+    try:
+        if mode == "ATTRIBUTES":
+            values = library.decode_vertex_buffer(count, stride, data)
+            values = np.ascontiguousarray(values).view(np.uint8).reshape(count, stride)
+            if name != "NONE":
+                values = getattr(library, _FILTERS[name][0])(values, count, stride)
+        else:  # always as four bytes: the package writes shorter ones into an array of these
+            unpack = library.decode_index_buffer if mode == "TRIANGLES" else library.decode_index_sequence
+            values = unpack(count, 4, data).astype("<u2" if stride == 2 else "<u4")
+    except (RuntimeError, ValueError):
+        document.fail(f"bufferViews[{index}] cannot be unpacked by meshopt; the file is broken, export it again")
+    return bytes(np.ascontiguousarray(values).tobytes())
+
+
+_TREE_COSTS = {b"{": 232, b"[": 64, b",": 40}
+"""About how many bytes Python takes for what each of these signs of JSON stands for."""
+
+_UNDERSTOOD = (
+    DRACO,
+    *MESHOPT,
+    "KHR_mesh_quantization",
+    "KHR_texture_",
+    "KHR_materials_",
+    "KHR_lights_",
+    "KHR_animation_",
+    "KHR_xmp",
+    "EXT_texture_",
+    "VRM",
+    "MSFT_",
+)
+
+
+def open_document(path: Path, data: bytes) -> Document:
+    """Parse a GLB or glTF file.
+
+    Args:
+        path: The file; buffers and images are looked for in its folder only.
+        data: Its bytes.
+
+    Returns:
+        The document, with what is compressed in it unpacked.
+
+    Raises:
+        FormatError: The file is truncated or broken, needs an extension that is not understood, or points outside its
+            folder.
+        MissingExtraError: Its meshes are compressed, and the package that unpacks them is not installed.
+    """
+    if data[:4] == b"glTF":
+        text, chunk = _glb_chunks(path, data)
+    else:
+        text, chunk = memoryview(data), None
+    written = bytes(text)
+    Document(path, {}, [], {}, len(data)).check_memory(
+        2 * len(written) + sum(written.count(sign) * cost for sign, cost in _TREE_COSTS.items())
+    )
+    try:
+        tree = json.loads(written.decode("utf-8-sig"), parse_constant=_no_constant)
+    except (ValueError, RecursionError):
+        raise FormatError(
+            path, "its JSON cannot be parsed; the file is truncated or broken, export or download it again"
+        ) from None
+    packed = any(name.encode() in written for name in MESHOPT), DRACO.encode() in written
+    del written
+    if not isinstance(tree, dict) or not isinstance(tree.get("asset"), dict):
+        raise FormatError(path, "this is not a glTF document, it has no 'asset'; export it again as glTF 2.0")
+    document = Document(path, tree, [], {})
+    if not str(tree["asset"].get("version", "")).startswith("2"):
+        document.fail(
+            f"this is glTF {str(tree['asset'].get('version'))[:10]} but only version 2 is read; export it again as "
+            "glTF 2.0"
+        )
+    _check_extensions(document)
+    files = _Files(document)
+    for index, buffer in enumerate(document.items("buffers")):
+        document.buffers.append(_buffer(files, buffer, chunk if index == 0 else None))
+    for index, image in enumerate(document.items("images")):
+        if "uri" in image:
+            document.images[index] = files.resource(image["uri"], "image", missing_ok=True)
+    document = replace(document, size=len(data) + files.size)
+    if packed[0]:
+        unpack_views(document)
+    if packed[1]:
+        unpack_primitives(document)
+    return document
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not JSON")
+
+
+def _glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]:
+    if len(data) < 20:
+        raise FormatError(path, "the GLB ends inside its header; it is truncated, export or download it again")
+    version, total = struct.unpack_from("<II", data, 4)
+    if version != 2:
+        raise FormatError(
+            path, f"this is GLB version {version} but only version 2 is read; export it again as glTF 2.0"
+        )
+    if total > len(data):
+        raise FormatError(
+            path, f"the GLB should have {total} bytes but has {len(data)}; it is truncated, export or download it again"
+        )
+    whole, offset = memoryview(data)[:total], 12
+    chunks: dict[int, memoryview] = {}
+    while offset + 8 <= total:
+        length, kind = struct.unpack_from("<II", data, offset)
+        if offset + 8 + length > total:
+            raise FormatError(
+                path, "a chunk of the GLB is longer than the file; it is truncated, export or download it again"
+            )
+        chunks.setdefault(kind, whole[offset + 8 : offset + 8 + length])
+        offset += 8 + length + (-length % 4)
+    if 0x4E4F534A not in chunks:
+        raise FormatError(path, "the GLB has no JSON chunk; it is broken, export it again")
+    return chunks[0x4E4F534A], chunks.get(0x004E4942)
+
+
+def _check_extensions(document: Document) -> None:
+    for key in ("extensionsUsed", "extensionsRequired"):
+        names = document.tree.get(key, [])
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            document.fail(f"its '{key}' is no list of names; export it again")
+    for name in document.tree.get("extensionsRequired", []):
+        name = name[:80]
+        if not name.startswith(_UNDERSTOOD):
+            document.fail(
+                f"it needs the glTF extension {name}, which is not read; export it again without that extension"
+            )
+
+
+def _buffer(files: _Files, buffer: dict[str, object], chunk: memoryview | None) -> bytes | memoryview:
+    document = files.document
+    length = document.integer(buffer, "byteLength")
+    data: bytes | memoryview
+    if "uri" in buffer:
+        data = files.resource(buffer["uri"], "buffer") or b""
+    elif chunk is not None:
+        data = chunk
+    else:
+        data = b""  # a fallback buffer of a compressed file: views into it fail where they are used
+        length = 0
+    if len(data) < length:
+        document.fail(
+            f"a buffer should have {length} bytes but has {len(data)}; the file is truncated, export or download it "
+            "again"
+        )
+    return memoryview(data)[:length] if len(data) > length else data
+
+
+class _Files:
+    """What the URIs of a document stand for; a file that many name is read once."""
+
+    def __init__(self, document: Document):
+        self.document = document
+        self.size = 0
+        self._known: dict[Path, bytes] = {}
+
+    def resource(self, uri: Any, what: str, missing_ok: bool = False) -> bytes | None:
+        """The bytes of a data URI or of a file in the document's folder."""
+        document = self.document
+        if not isinstance(uri, str):
+            document.fail(f"the address of its {what} is not text; the file is broken, export it again")
+        if uri[:5].lower() == "data:":
+            head, _, body = uri.partition(",")
+            try:
+                if not head.endswith(";base64"):
+                    raise ValueError
+                return base64.b64decode(body)
+            except (ValueError, binascii.Error):
+                document.fail(f"its embedded {what} is not valid base64; the file is broken, export it again")
+        target = path_inside(document.path.parent, uri)
+        if target is None:
+            document.fail(
+                f"its {what} {uri[:80]!r} is not in the folder of the file, so it is not opened; put the {what} beside "
+                "the file"
+            )
+        if target in self._known:
+            return self._known[target]
+        if not os.path.isfile(target):
+            if missing_ok:
+                return None
+            document.fail(
+                f"its {what} {uri[:80]!r} is missing; put it beside the file, or export a GLB, which holds everything"
+            )
+        self.size += check_input(target)
+        replace(document, size=self.size).check_memory(0)
+        self._known[target] = read_bounded(target)
+        return self._known[target]

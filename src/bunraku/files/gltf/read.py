@@ -1,0 +1,242 @@
+"""Read GLB, glTF and VRM as a character, and rotate or scale a character together with its document."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from bunraku.core.character import Character, Rig
+from bunraku.core.geometry.axes import BARE, upright_rotation
+from bunraku.errors import CharacterError, OptionError
+from bunraku.files.gltf.colors import vertex_colors
+from bunraku.files.gltf.document import Document, scaled_mesh_document
+from bunraku.files.gltf.mesh import MeshPart, PrimitiveData, check_size, read_part, rigid_joints
+from bunraku.files.gltf.nodes import NodeTree, SkinJoints, bind_pose, posed_skins, read_nodes, read_skins
+from bunraku.files.gltf.open import open_document
+from bunraku.files.gltf.vrm import read_vrm
+
+__all__ = ["Source", "character_from_document", "read_gltf", "scaled", "turned"]
+
+
+MAX_COORDINATE = 1e12
+"""Coordinates beyond this [m] are damage, and overflow what is computed from them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Where a character came from, so that a writer can give it back untouched.
+
+    Args:
+        document: The glTF document that was read, or that stands for a file of another format.
+        tree: Its nodes in the character's rest pose.
+        skins: Its joints in that pose.
+        parts: Its meshes where nodes and skins place them.
+        index: Character vertex of each document vertex, parts, groups and vertices in order, shape (U,). Other formats
+            have fewer vertices than their document where a seam splits one in two.
+        suffix: The format of the file.
+        moved: What took each vertex of the character from the pose of the tree to where it rests now, shape (V, 4, 4);
+            None for nothing.
+    """
+
+    document: Document
+    tree: NodeTree
+    skins: SkinJoints
+    parts: tuple[MeshPart, ...]
+    index: np.ndarray
+    suffix: str = ".glb"
+    moved: np.ndarray | None = None
+
+
+def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:
+    """Read a GLB, glTF or VRM file.
+
+    The vertices are those of all primitives in node order, in world space in the rest pose; primitives of one mesh that
+    share their positions share their vertices.
+
+    Args:
+        path: The file.
+        data: Its bytes.
+        rest: "bind" rests in the pose that the skins were bound in (see `gltf_bind`), "default" in that of the file's
+            nodes, which may be the middle of a clip.
+
+    Raises:
+        FormatError: The file is broken, or needs what is not read.
+        CharacterError: What it holds is no character.
+    """
+    return character_from_document(open_document(path, data), path.stem, rest=rest)
+
+
+def character_from_document(
+    document: Document, name: str, index: np.ndarray | None = None, suffix: str = ".glb", *, rest: str = "bind"
+) -> Character:
+    """The character that a glTF document holds.
+
+    Args:
+        document: The document.
+        name: The character's name.
+        index: Character vertex of each document vertex where the document repeats vertices of its file, shape (U,).
+        suffix: The format of the file.
+        rest: Its rest pose, "bind" or "default".
+
+    Raises:
+        FormatError: The document is broken.
+        CharacterError: What it holds is no character.
+    """
+    tree = read_nodes(document)
+    skins = read_skins(document, tree)
+    if rest == "bind" and skins.nodes:
+        tree = bind_pose(document, tree, skins)
+        skins = posed_skins(skins, tree)
+    nodes = document.items("nodes")
+    check_size(document, tree.scene)
+    carriers = rigid_joints(tree, skins)
+    parts = tuple(
+        read_part(document, tree, skins, node, int(carriers[node])) for node in tree.scene if "mesh" in nodes[node]
+    )
+    groups = [group for part in parts for group in part.groups]
+    starts = np.cumsum([0, *(len(group.vertices) for group in groups)])
+    vertices = np.concatenate([group.vertices for group in groups]) if groups else np.zeros((0, 3))
+    with np.errstate(over="ignore"):
+        vertices = vertices.astype(np.float32)
+    farthest = float(np.abs(vertices).max(initial=0))
+    if np.isfinite(farthest) and farthest > MAX_COORDINATE:
+        raise CharacterError(f"{name}: its coordinates reach {farthest:.0e} m; scale the mesh down or export it again")
+    triangles = np.empty((sum(len(some) for group in groups for some in group.triangles), 3), np.int64)
+    row = 0
+    for group, start in zip(groups, starts, strict=False):
+        for some in group.triangles:
+            np.add(some, start, out=triangles[row : row + len(some)])
+            row += len(some)
+    colors = vertex_colors(document, parts, len(vertices))
+    rig = _rig(document, tree, skins, parts) if skins.nodes and groups else None
+    if index is None:
+        index = np.arange(len(vertices))
+    else:
+        first = np.unique(index, return_index=True)[1]
+        vertices, colors, triangles = vertices[first], colors[first], index[triangles]
+        if rig is not None:
+            rig = Rig(rig.names, rig.parents, rig.transforms, rig.indices[first], rig.weights[first])
+    source = Source(document, tree, skins, parts, index, suffix)
+    avatar = read_vrm(document) if document.tree.get("extensions") else None
+    return Character(name, vertices, triangles, rig, colors, source, avatar)
+
+
+def _rig(document: Document, tree: NodeTree, skins: SkinJoints, parts: tuple[MeshPart, ...]) -> Rig:
+    groups = [group for part in parts for group in part.groups]
+    width = max(group.joints.shape[1] for group in groups)
+    count = sum(len(group.vertices) for group in groups)
+    indices, weights, start = np.zeros((count, width), np.int32), np.zeros((count, width), np.float32), 0
+    for group in groups:
+        stop = start + len(group.vertices)
+        indices[start:stop, : group.joints.shape[1]], weights[start:stop, : group.joints.shape[1]] = (
+            group.joints,
+            group.weights,
+        )
+        start = stop
+    above = tree.parents[skins.nodes]
+    found = tree.nearest({node: joint for joint, node in enumerate(skins.nodes)})
+    parents = np.where(above >= 0, found[above], -1)
+    nodes = document.items("nodes")
+    names = tuple(str(nodes[node].get("name") or f"joint_{joint}")[:200] for joint, node in enumerate(skins.nodes))
+    return Rig(names, parents, tree.world[skins.nodes], indices, weights)
+
+
+def turned(character: Character, up: str, front: str) -> Character:
+    """The character with one of its axes up along +Y and another to the front along +Z.
+
+    Args:
+        character: Any character.
+        up: The axis that is up in it now: "+x", "-x", "+y", "-y", "+z" or "-z".
+        front: The axis that it faces now, at a right angle to `up`.
+
+    Raises:
+        OptionError: The two are no axes at a right angle.
+    """
+    rotation = upright_rotation(up, front)
+    if np.array_equal(rotation, np.eye(3)):
+        return character
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    rig, source = character.rig, character.source
+    return replace(
+        character,
+        vertices=_turned_points(character.vertices, rotation),
+        rig=None if rig is None else replace(rig, transforms=matrix @ rig.transforms),
+        source=_turned_source(source, matrix) if isinstance(source, Source) else source,
+    )
+
+
+def scaled(character: Character, factor: float) -> Character:
+    """The character times a factor, about the origin.
+
+    Args:
+        character: Any character.
+        factor: How many metres what is one long now becomes.
+
+    Raises:
+        OptionError: Its file has rigid bodies or springs, whose sizes would stay.
+    """
+    if factor == 1:
+        return character
+    rig, source = character.rig, character.source
+    if character.avatar is not None:
+        raise OptionError(
+            f"{character.name}: the physics of MMD and VRM files hangs on their unit; leave out the unit, or say m"
+        )
+    matrix = np.diag([factor, factor, factor, 1.0])
+    return replace(
+        character,
+        vertices=character.vertices * np.float32(factor),
+        rig=None if rig is None else replace(rig, transforms=matrix @ rig.transforms),
+        source=_scaled_source(source, factor, matrix) if isinstance(source, Source) else source,
+    )
+
+
+def _scaled_source(source: Source, factor: float, matrix: np.ndarray) -> Source:
+    if source.suffix not in BARE:
+        return _placed_source(
+            source,
+            matrix,
+            [replace(p, groups=_grown(p, factor), transform=_above(matrix, p.transform)) for p in source.parts],
+        )
+    parts = tuple(replace(part, groups=_grown(part, factor)) for part in source.parts)
+    return replace(source, document=scaled_mesh_document(source.document, factor), parts=parts)
+
+
+def _grown(part: MeshPart, factor: float) -> tuple[PrimitiveData, ...]:
+    return tuple(replace(group, vertices=group.vertices * factor) for group in part.groups)
+
+
+def _turned_points(points: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Exactly turned: coordinates change places and signs, and are not rounded."""
+    order, signs = np.abs(rotation).argmax(axis=1), rotation.sum(axis=1)
+    return np.asarray(points[:, order] * signs.astype(points.dtype) + points.dtype.type(0))
+
+
+def _turned_source(source: Source, matrix: np.ndarray) -> Source:
+    return _placed_source(source, matrix, [_turned_part(part, matrix) for part in source.parts])
+
+
+def _placed_source(source: Source, matrix: np.ndarray, parts: Sequence[MeshPart]) -> Source:
+    """The source as a node with this matrix above all others would have it, with its parts placed so."""
+    old = source.tree
+    local = np.where((old.parents < 0)[:, None, None], matrix @ old.local, old.local)
+    tree = NodeTree(old.parents, matrix @ old.world, old.scene, local)
+    return replace(
+        source,
+        tree=tree,
+        skins=posed_skins(source.skins, tree),
+        parts=tuple(parts),
+    )
+
+
+def _turned_part(part: MeshPart, matrix: np.ndarray) -> MeshPart:
+    groups = tuple(replace(group, vertices=_turned_points(group.vertices, matrix[:3, :3])) for group in part.groups)
+    return replace(part, transform=_above(matrix, part.transform), groups=groups)
+
+
+def _above(matrix: np.ndarray, transform: np.ndarray | None) -> np.ndarray | None:
+    return None if transform is None else matrix @ transform

@@ -1,0 +1,261 @@
+"""VRM files: motion of the humanoid as VRMA, read and written, and persons written as VRM 1.0."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.core.avatars import VrmModel
+from bunraku.core.character import Character, Handles
+from bunraku.core.files import atomic_write, check_output_folder
+from bunraku.core.geometry.rotations import quaternion_from_matrix
+from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, checked_fps, local_rotations
+from bunraku.errors import CharacterError, FormatError, MotionError, OptionError
+from bunraku.files.gltf.document import Document, GltfBuilder
+from bunraku.files.gltf.nodes import MAX_SECONDS, clip_curves, node_worlds, read_nodes
+from bunraku.files.gltf.open import open_document
+from bunraku.files.gltf.vrm import add_springs
+from bunraku.files.gltf.write import finish_document
+from bunraku.files.gltf.write_rig import plain_rig
+
+__all__ = ["EXTENSION", "VRM_BONES", "read_glb_motion", "read_vrma", "write_avatar", "write_vrma"]
+
+
+EXTENSION = "VRMC_vrm_animation"
+
+VRM_BONES: dict[str, str] = {
+    "pelvis": "hips", "spine1": "spine", "spine2": "chest", "spine3": "upperChest", "neck": "neck", "head": "head",
+    **{
+        f"{side}_{joint}": f"{side}{bone}"
+        for side in ("left", "right")
+        for joint, bone in (
+            ("collar", "Shoulder"), ("shoulder", "UpperArm"), ("elbow", "LowerArm"), ("wrist", "Hand"),
+            ("hip", "UpperLeg"), ("knee", "LowerLeg"), ("ankle", "Foot"), ("foot", "Toes"),
+        )
+    },
+}  # fmt: skip
+"""VRM's bone for each of SMPL's 22 joints."""
+
+FPS = 30.0  # of files whose keys are not evenly spaced
+MOST_ROTATIONS = 1_500_000  # ten minutes of all bones at 30 frames a second
+
+
+def read_glb_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
+    """The motion that a GLB holds: that of VRM's humanoid in a VRMA, the handle motion in a GLB of Bunraku.
+
+    Raises:
+        FormatError: The file is broken, or holds neither.
+        MotionError: What it holds breaks the rules of a motion.
+    """
+    from bunraku.files.gltf.write import read_motion
+
+    document = open_document(path, data)
+    return _motion(document) if _extension(document) is not None else read_motion(path, data)
+
+
+def read_vrma(path: Path, data: bytes) -> SkeletalMotion:
+    """Read a VRMA.
+
+    Args:
+        path: The file.
+        data: Its bytes.
+
+    Returns:
+        The humanoid bones that it has under VRM's names ("hips", "leftUpperArm"), with rotations relative to the
+        T-pose, at the rate of its keys; 30 frames a second where they are not evenly spaced.
+
+    Raises:
+        FormatError: The file is broken, or no VRMA.
+        MotionError: A value is not a number.
+    """
+    return _motion(open_document(path, data))
+
+
+def _extension(document: Document) -> dict[str, Any] | None:
+    extensions = document.tree.get("extensions")
+    found = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
+    return found if isinstance(found, dict) else None
+
+
+def _motion(document: Document) -> SkeletalMotion:
+    bones = _bones(document)
+    clips = document.items("animations")
+    if not clips:
+        document.fail("it holds no animation, so it is no VRMA; export it again")
+    tree, curves = read_nodes(document), clip_curves(document, clips[0])
+    keys = np.unique(np.concatenate([times for times, _, _ in curves.values()])) if curves else np.zeros(1)
+    end = float(keys[-1])
+    if end > MAX_SECONDS or end < 0:
+        document.fail(f"its clip lasts {end:.0f} s but at most {MAX_SECONDS:.0f} s are read; cut it")
+    fps = _rate(keys)
+    count = int(np.floor(end * fps + 1e-3)) + 1
+    if count * len(bones) > MOST_ROTATIONS:
+        document.fail(f"its clip has {count} frames of {len(bones)} bones, which are too many; cut it")
+    nodes = [bones[name] for name in bones]
+    chosen = {node: joint for joint, node in enumerate(nodes)}
+    order = [node for node in tree.order if node in chosen]
+    index = {node: joint for joint, node in enumerate(order)}
+    found, above = tree.nearest(index), tree.parents[order]
+    parents = np.where(above >= 0, found[above], -1)
+    if (parents < 0).sum() != 1 or parents[0] >= 0 or order[0] != bones["hips"]:
+        document.fail("its humanoid bones do not all hang on the hips; the file is broken, export it again")
+    names = {node: name for name, node in bones.items()}
+    moved = node_worlds(document, tree, curves, np.arange(count) / fps, order)
+    rest = tree.world[order]
+    try:
+        world = _unscaled(moved[..., :3, :3]) @ np.linalg.inv(_unscaled(rest[:, :3, :3]))
+    except np.linalg.LinAlgError:
+        raise FormatError(document.path, "a bone has no extent at rest; the file is broken, export it again") from None
+    local = local_rotations(world, parents)
+    positions = rest[:, :3, 3]
+    offsets = positions - np.where(parents[:, None] >= 0, positions[np.maximum(parents, 0)], 0)
+    if not np.isfinite(local).all():
+        raise MotionError("joint rotations hold values that are not numbers")
+    return SkeletalMotion(
+        Skeleton(tuple(names[node] for node in order), parents, offsets), local, moved[:, 0, :3, 3], fps
+    )
+
+
+def _bones(document: Document) -> dict[str, int]:
+    """Node of each humanoid bone by VRM's name."""
+    found = _extension(document)
+    humanoid = found.get("humanoid") if found is not None else None
+    listed = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
+    if not isinstance(listed, dict) or "hips" not in listed:
+        document.fail(
+            f"it has no humanoid with hips under {EXTENSION}, so it is no VRMA; export it again as VRM Animation"
+        )
+    out: dict[str, int] = {}
+    taken, last = set[int](), max(len(document.items("nodes")) - 1, 0)
+    for name, bone in listed.items():
+        if not isinstance(bone, dict):
+            document.fail(f"its bone {name[:40]!r} is no object; the file is broken, export it again")
+        node = document.integer(bone, "node", high=last)
+        if node in taken:
+            document.fail(f"two of its bones are node {node}; the file is broken, export it again")
+        out[name[:100]] = node
+        taken.add(node)
+    return out
+
+
+def _rate(keys: np.ndarray) -> float:
+    """Frames a second of evenly spaced keys, or 30."""
+    steps = np.diff(keys)
+    if not len(steps):
+        return FPS
+    middle = float(np.median(steps))
+    even = middle > 0 and float(np.abs(steps - middle).max()) < 0.02 * middle
+    rate = 1 / middle if even else FPS
+    rate = round(rate) if abs(rate - round(rate)) < 1e-3 * rate else rate
+    return float(rate) if 1 <= rate <= 1000 else FPS
+
+
+def _unscaled(matrices: np.ndarray) -> np.ndarray:
+    """Matrices with columns of length 1: rotations without the scales that nodes may have."""
+    return np.asarray(matrices / np.maximum(np.linalg.norm(matrices, axis=-2, keepdims=True), 1e-30))
+
+
+def write_vrma(motion: SkeletalMotion, path: str | Path, *, fps: float | None = None, name: str | None = None) -> Path:
+    """Write a skeletal motion as VRMA.
+
+    Players scale the path of the hips by the height that the hips have at rest, so the skeleton is written standing on
+    y = 0.
+
+    Args:
+        motion: Of SMPL's 22 joints; `bunraku.anatomy.names.to_smpl` converts other skeletons.
+        path: The file.
+        fps: Frames a second of the keys [1/s]; those of the motion by default.
+        name: The clip's name; the file's by default.
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        FormatError: The file cannot be written.
+        MotionError: The skeleton does not have SMPL's 22 joints.
+        OptionError: `fps` is no number from 1 to 1000, or the motion has no frame.
+    """
+    from bunraku.core.body.layout import JOINT_NAMES  # after the formats, in the order of imports
+    from bunraku.core.motion import resample_motion
+
+    path = Path(path)
+    if not len(motion):
+        raise OptionError("a motion without frames cannot be written; give it at least one")
+    if motion.skeleton.names != JOINT_NAMES:
+        raise MotionError("a VRMA holds the motion of SMPL's 22 joints; convert the skeleton with to_smpl first")
+    motion = resample_motion(motion, checked_fps(fps, motion.fps))
+    builder = GltfBuilder({"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"nodes": [0]}]})
+    _add_bones(builder, motion)
+    _add_clip(builder, motion, name or path.stem)
+    bones = {VRM_BONES[joint]: {"node": node} for node, joint in enumerate(JOINT_NAMES)}
+    builder.tree["extensions"] = {EXTENSION: {"specVersion": "1.0", "humanoid": {"humanBones": bones}}}
+    builder.tree["extensionsUsed"] = [EXTENSION]
+    with atomic_write(path) as file:
+        try:
+            builder.write(file)
+        except ValueError as error:
+            raise FormatError(path, f"the VRMA cannot be written ({error}); cut the motion into parts") from None
+    return path
+
+
+def _add_bones(builder: GltfBuilder, motion: SkeletalMotion) -> None:
+    """One node for each joint in the T-pose, the lowest at the height that the reference body's has over the floor."""
+    from bunraku.core.body.reference import leg_length, reference_body
+
+    body, skeleton = reference_body(), motion.skeleton
+    offsets = skeleton.offsets.astype(float)
+    positions = skeleton.positions.astype(float) - skeleton.positions[0]
+    scale = leg_length(positions) / leg_length(body.joints)
+    offsets[0] = [0, float(body.joints[:, 1].min()) * scale - float(positions[:, 1].min()), 0]
+    for joint, name in enumerate(skeleton.names):
+        children = [int(child) for child in np.flatnonzero(skeleton.parents == joint)]
+        node: dict[str, Any] = {"name": VRM_BONES[name], "translation": offsets[joint].astype(np.float32).tolist()}
+        builder.add("nodes", node | ({"children": children} if children else {}))
+
+
+def _add_clip(builder: GltfBuilder, motion: SkeletalMotion, name: str) -> None:
+    rotations = quaternion_from_matrix(motion.rotations.astype(np.float64))
+    flips = np.where((rotations[1:] * rotations[:-1]).sum(-1) < 0, -1.0, 1.0)
+    rotations[1:] *= np.cumprod(flips, axis=0)[..., None]
+    clock = builder.array((np.arange(len(motion)) / motion.fps).astype(np.float32)[:, None], bounds=True)
+    channels: list[dict[str, Any]] = []
+    samplers: list[dict[str, Any]] = []
+
+    def add(node: int, kind: str, values: np.ndarray) -> None:
+        channels.append({"sampler": len(samplers), "target": {"node": node, "path": kind}})
+        samplers.append({"input": clock, "output": builder.array(values.astype(np.float32)), "interpolation": "LINEAR"})
+
+    add(0, "translation", motion.root_translation)
+    for joint in range(rotations.shape[1]):
+        add(joint, "rotation", rotations[:, joint])
+    builder.add("animations", {"name": str(name), "channels": channels, "samplers": samplers})
+
+
+def write_avatar(
+    character: Character, handles: Handles | None, path: Path, *, rig: bool = False, avatar: VrmModel | None = None
+) -> Path:
+    """Write a person on a skeleton with VRM's names.
+
+    Args:
+        character: With a rig in a T-pose, as `bunraku.with_skeleton(character, "vrm")` makes one.
+        handles: None; a VRM has bones.
+        path: The file.
+        rig: Whether the rig is what is to be written.
+        avatar: Springs and colliders of its bones.
+
+    Raises:
+        CharacterError: It has no such rig.
+        FormatError: The file cannot be written.
+    """
+    hint = "make one with --skeleton vrm, or with `bunraku.with_skeleton`"
+    if character.rig is None or not rig or handles is not None:
+        raise CharacterError(f"{character.name}: a VRM needs a skeleton with VRM's names; {hint}")
+    check_output_folder(path)
+    builder, nodes = plain_rig(character)
+    if "VRMC_vrm" not in builder.tree.get("extensions", {}):
+        raise CharacterError(f"{character.name}: its rig is not that of a VRM in a T-pose; {hint}")
+    if avatar is not None:
+        add_springs(builder.tree, avatar, nodes)
+    return finish_document(builder, path)

@@ -1,0 +1,469 @@
+"""Write animations of a rig as GLB: the file's own nodes, skins, materials and clips, and the new clips beside them."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.core.animation import RigAnimation
+from bunraku.core.avatars import VrmModel
+from bunraku.core.character import Character, Handles
+from bunraku.core.files import check_output_folder
+from bunraku.core.geometry.rotations import Resampling, nearest_rotation, quaternion_from_matrix
+from bunraku.core.motion import checked_fps
+from bunraku.errors import CharacterError, FormatError
+from bunraku.files.gltf.carry import MeshCarrier, carry_clips, carry_images, carry_tree
+from bunraku.files.gltf.document import ARRAY_BUFFER, GltfBuilder
+from bunraku.files.gltf.mesh import MeshPart
+from bunraku.files.gltf.nodes import read_nodes
+from bunraku.files.gltf.read import Source
+from bunraku.files.gltf.vrm import add_humanoid, add_spring_extras
+from bunraku.files.gltf.write import build_document, document_of, drop_clip, finish_document
+
+__all__ = [
+    "RigDocument",
+    "add_bone_clip",
+    "bone_tracks",
+    "placed",
+    "plain_rig",
+    "save_rig_animation",
+    "save_rig_clips",
+    "write_character",
+    "write_rigged",
+]
+
+
+SMALL = 1e-6  # what changes less, over the size of the rig or as a quaternion, stands still
+
+
+def add_bone_clip(
+    builder: GltfBuilder, joints: list[int], local: np.ndarray, have: float, want: float, name: str
+) -> None:
+    """Add the animation: channels where a node leaves what its entry says, one key where it stays there.
+
+    Args:
+        builder: With the nodes of the bones.
+        joints: Node of each bone, length J.
+        local: Transform of each bone's node in its parent, shape (N, J, 4, 4).
+        have: Frames a second of these [1/s].
+        want: Frames a second of the channels [1/s].
+        name: The clip's name.
+    """
+    nodes = builder.tree["nodes"]
+    scale = np.linalg.norm(local[..., :3, :3], axis=-2)
+    _, rotation = bone_tracks(local)
+    flips = np.where((rotation[1:] * rotation[:-1]).sum(-1) < 0, -1.0, 1.0)
+    rotation[1:] *= np.cumprod(flips, axis=0)[..., None]
+    between = Resampling.of(len(local), have, want)
+    turned = between.quaternions(rotation)
+    size = max(float(np.abs(local[..., :3, 3]).max()), 1e-9)
+    every = builder.array((np.arange(len(between)) / want).astype(np.float32)[:, None], bounds=True)
+    once = builder.array(np.zeros((1, 1), np.float32), bounds=True)
+    tracks = (
+        ("translation", between.linear(local[..., :3, 3]), SMALL * size),
+        ("rotation", turned, SMALL),
+        ("scale", between.linear(scale), None),
+    )
+    channels: list[dict[str, Any]] = []
+    samplers: list[dict[str, Any]] = []
+    for joint, node in enumerate(joints):
+        rest = placed(nodes[node])
+        for kind, values, small in tracks:
+            track = values[:, joint].astype(np.float32)
+            limit = small if small is not None else 1e-4 * float(np.abs(rest["scale"]).max())
+            moves = float(np.ptp(track, axis=0).max()) > limit
+            if not moves and kind != "rotation" and np.abs(track[0] - rest[kind]).max() <= limit:
+                continue
+            if kind == "scale":
+                track, moves = track[:1], False  # bones are stiff
+            channels.append({"sampler": len(samplers), "target": {"node": node, "path": kind}})
+            data = builder.array(np.ascontiguousarray(track if moves else track[:1]))
+            samplers.append({"input": every if moves else once, "output": data, "interpolation": "LINEAR"})
+    if not any(
+        sampler["input"] == every for sampler in samplers
+    ):  # one channel keeps the length of a motion that stands still
+        first = next(channel["sampler"] for channel in channels if channel["target"]["path"] == "rotation")
+        samplers[first] |= {
+            "input": every,
+            "output": builder.array(np.repeat(turned[:1, 0].astype(np.float32), len(between), axis=0)),
+        }
+    builder.add("animations", {"name": name, "channels": channels, "samplers": samplers})
+
+
+def bone_tracks(local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Translations [m] (N, J, 3) and rotations (N, J, 4), quaternions xyzw, of transforms of shape (N, J, 4, 4)."""
+    linear = local[..., :3, :3]
+    scale = np.linalg.norm(linear, axis=-2)
+    return local[..., :3, 3], quaternion_from_matrix(nearest_rotation(linear / np.maximum(scale, 1e-12)[..., None, :]))
+
+
+def placed(node: dict[str, object]) -> dict[str, np.ndarray]:
+    """Translation, rotation and scale of a node's entry; a matrix is taken apart, as animated nodes may have none."""
+    if "matrix" in node:
+        matrix = np.array(node.pop("matrix"), float).reshape(4, 4).T
+        scale = np.linalg.norm(matrix[:3, :3], axis=0)
+        rotation = quaternion_from_matrix(nearest_rotation(matrix[:3, :3] / np.maximum(scale, 1e-12)))
+        node |= {"translation": matrix[:3, 3].tolist(), "rotation": rotation.tolist(), "scale": scale.tolist()}
+    defaults = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
+    return {key: np.array(node.get(key, value), float) for key, value in defaults.items()}
+
+
+_KEPT = ("asset", "nodes", "scene", "scenes", "cameras", "extensions", "extras", "extensionsUsed", "extensionsRequired")
+
+
+@dataclass(frozen=True, eq=False)
+class RigDocument:
+    """A document with the bones of a character, to which clips are added.
+
+    Args:
+        builder: The document.
+        nodes: Node of each bone, length J.
+        source: The character's document where its own nodes are kept.
+        above: From the space of that document's scene to ours, shape (4, 4).
+    """
+
+    builder: GltfBuilder
+    nodes: list[int]
+    source: Source | None
+    above: np.ndarray
+
+    @classmethod
+    def of(cls, character: Character) -> RigDocument:
+        """That of a character with a rig."""
+        source = character.source
+        own = source if isinstance(source, Source) and _fits(source, character) else None
+        if own is None:
+            return cls(*plain_rig(character), None, np.eye(4))
+        builder, nodes = _own_rig(own)
+        return cls(builder, nodes, own, _above_all(own, builder))
+
+    def local(self, animation: RigAnimation) -> np.ndarray:
+        """Transform of each bone's node in its parent, shape (N, J, 4, 4)."""
+        return _plain_local(animation) if self.source is None else _local(self.source, animation, self.above)
+
+
+def save_rig_animation(
+    animation: RigAnimation, path: str | Path, *, fps: float | None = None, name: str | None = None
+) -> Path:
+    """Write the animation as GLB.
+
+    Args:
+        animation: The animation.
+        path: The file.
+        fps: Frames a second of the channels [1/s]; those of the motion by default.
+        name: The clip's name; the file's by default.
+
+    Raises:
+        FormatError: The file cannot be written.
+        OptionError: `fps` is no number from 1 to 1000.
+    """
+    path = Path(path)
+    return save_rig_clips({str(name) if name else path.stem: animation}, path, fps=fps)
+
+
+def save_rig_clips(clips: Mapping[str, RigAnimation], path: Path, *, fps: float | None = None) -> Path:
+    """Write several animations of one character as GLB, each as a clip of its name, and the file's own clips after
+    them.
+
+    Args:
+        clips: At least one, all of the same character.
+        path: The file.
+        fps: Frames a second of the channels [1/s]; those of each motion by default.
+
+    Raises:
+        FormatError: The file cannot be written.
+        OptionError: `fps` is no number from 1 to 1000.
+    """
+    animation = next(iter(clips.values()))
+    rates = {name: checked_fps(fps, clip.fps) for name, clip in clips.items()}
+    check_output_folder(path)
+    try:
+        written = RigDocument.of(animation.character)
+        builder, own = written.builder, written.source
+        for name, clip in clips.items():
+            add_bone_clip(builder, written.nodes, written.local(clip), clip.fps, rates[name], name)
+        if own:
+            carry_clips(own.document, builder, {node: node for node in range(len(own.document.items("nodes")))})
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        reason = f"{type(error).__name__}: {str(error)[:80]}"
+        raise FormatError(
+            path, f"{animation.character.name} is too broken to be written ({reason}); export it again"
+        ) from error
+    return finish_document(builder, path)
+
+
+def write_character(
+    character: Character, handles: Handles | None, path: Path, *, rig: bool = False, avatar: VrmModel | None = None
+) -> Path:
+    """Write a character as GLB, with its handles, or its own rig, as a skin where there are some; and with springs of
+    its bones in the document's extras.
+
+    Raises:
+        FormatError: The file cannot be written.
+        CharacterError: The handles weigh another number of vertices, or there is no rig to write.
+    """
+    if rig:
+        return write_rigged(character, path, avatar)
+    if handles is not None and len(handles.weights) != len(character.vertices):
+        raise CharacterError(
+            f"the handles weigh {len(handles.weights)} vertices but {character.name} has {len(character.vertices)}"
+        )
+    return finish_document(build_document(character, handles, path)[0], path)
+
+
+def write_rigged(character: Character, path: Path, avatar: VrmModel | None = None) -> Path:
+    """Write a character with its rig as GLB, without motion: joints that are not turned where they rest, in a tree.
+
+    Args:
+        character: With a rig.
+        path: The file.
+        avatar: Springs of its bones.
+
+    Raises:
+        CharacterError: It has no rig.
+        FormatError: The file cannot be written.
+    """
+    if character.rig is None:
+        raise CharacterError(f"{character.name}: there is no rig to write; make one with `bunraku.with_skeleton`")
+    check_output_folder(path)
+    builder, nodes = plain_rig(character)
+    if avatar is not None:
+        add_spring_extras(builder.tree, avatar, nodes)
+    return finish_document(builder, path)
+
+
+def _fits(source: Source, character: Character) -> bool:
+    """Whether the document's joints are the rig's bones."""
+    rig = character.rig
+    assert rig is not None
+    return (
+        len(source.skins.nodes) == len(rig.names)
+        and source.moved is None
+        and len(source.index) > 0
+        and int(source.index.max()) + 1 == len(character.vertices)
+    )
+
+
+def _own_rig(source: Source) -> tuple[GltfBuilder, list[int]]:
+    """The document with its own nodes and without clips; also the nodes of the bones."""
+    document = source.document
+    tree = carry_tree(document)
+    tree.update({key: copy.deepcopy(document.tree[key]) for key in _KEPT if key in document.tree})
+    tree["asset"] = {**tree["asset"], "version": "2.0", "generator": "bunraku"}
+    builder = GltfBuilder(drop_clip(tree))
+    carry_images(document, builder)
+    carrier = MeshCarrier(source, builder)
+    parts = {part.mesh: part for part in reversed(source.parts)}
+    tree.pop("meshes", None)
+    for number in range(len(document.items("meshes"))):
+        builder.add("meshes", _mesh(carrier, number, parts.get(number)))
+    for skin, matrices in zip(document.items("skins"), source.skins.inverse, strict=True):
+        entry: dict[str, Any] = {
+            key: copy.deepcopy(skin[key]) for key in ("name", "joints", "skeleton", "extras") if key in skin
+        }
+        if "inverseBindMatrices" in skin:
+            entry["inverseBindMatrices"] = builder.array(matrices.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
+        builder.add("skins", entry)
+    for node in tree.get("nodes", []):
+        if isinstance(node.get("extensions"), dict):
+            node["extensions"].pop("EXT_mesh_gpu_instancing", None)  # it names accessors
+            if not node["extensions"]:
+                del node["extensions"]
+    _lift_skinned(builder)
+    return builder, source.skins.nodes
+
+
+def _lift_skinned(builder: GltfBuilder) -> None:
+    """Put nodes with a skinned mesh on top of the scene, without a place of their own: what is above them moves
+    nothing, by glTF's rule.
+    """
+    nodes = builder.tree.get("nodes", [])
+    lifted = {
+        number for number, node in enumerate(nodes) if "mesh" in node and "skin" in node and not node.get("children")
+    }
+    above = {int(child): node for node in nodes for child in node.get("children", [])}
+    for scene in builder.tree.get("scenes", []):
+        stack, shown = list(scene.get("nodes", [])), set()
+        while stack:
+            number = stack.pop()
+            if number not in shown:
+                shown.add(number)
+                stack.extend(nodes[number].get("children", []))
+        listed = scene.get("nodes", []) + sorted(number for number in lifted & shown if number in above)
+        if listed:  # a list may not be empty
+            scene["nodes"] = listed
+    for number in lifted:
+        for key in ("matrix", "translation", "rotation", "scale"):
+            nodes[number].pop(key, None)
+        if number in above:
+            above[number]["children"].remove(number)
+            if not above[number]["children"]:
+                del above[number]["children"]
+
+
+def _above_all(source: Source, builder: GltfBuilder) -> np.ndarray:
+    """From the space of the file's scene to ours, shape (4, 4). A character that was turned upright gets a node above
+    all.
+    """
+    file = read_nodes(source.document)  # turned to the front where the file is a VRM 0.x
+    raw = np.eye(4)
+    extensions = source.document.tree.get("extensions")
+    if isinstance(extensions, dict) and "VRM" in extensions:
+        raw = np.diag([-1.0, 1, -1, 1])
+    roots = np.flatnonzero(source.tree.parents < 0)
+    turn = source.tree.local[roots[0]] @ np.linalg.inv(file.local[roots[0]]) if len(roots) else np.eye(4)
+    turn = np.round(turn) if np.allclose(turn, np.round(turn), atol=1e-6) else np.eye(4)
+    if not np.array_equal(turn, np.eye(4)):
+        nodes = builder.tree["nodes"]
+        for scene in builder.tree.get("scenes", []):
+            free = [
+                node for node in scene.get("nodes", []) if "skin" in nodes[node] and not nodes[node].get("children")
+            ]
+            below = [node for node in scene.get("nodes", []) if node not in free]
+            if below:
+                scene["nodes"] = [
+                    *free,
+                    builder.add("nodes", {"name": "upright", "matrix": turn.T.reshape(-1).tolist(), "children": below}),
+                ]
+    return np.asarray(turn @ raw)
+
+
+def _local(source: Source, animation: RigAnimation, above_all: np.ndarray) -> np.ndarray:
+    """Transform of each bone's node in its parent, shape (N, J, 4, 4)."""
+    rig = animation.character.rig
+    assert rig is not None
+    moved = animation.transforms().astype(np.float64)
+    bones = {node: bone for bone, node in enumerate(source.skins.nodes)}
+    frames = len(moved)
+    world: dict[int, np.ndarray] = {}
+    out = np.empty((frames, len(bones), 4, 4))
+    for node in source.tree.order:
+        parent = int(source.tree.parents[node])
+        above = world[parent] if parent >= 0 else above_all
+        bone = bones.get(node)
+        if bone is None:
+            world[node] = world[parent] @ source.tree.local[node] if parent >= 0 else source.tree.local[node]
+            continue
+        here = np.zeros((frames, 4, 4))
+        here[:, :3] = moved[:, bone, :, :3] @ rig.transforms[bone][:3]
+        here[:, :3, 3] += moved[:, bone, :, 3]
+        here[:, 3, 3] = 1
+        world[node], out[:, bone] = here, np.linalg.pinv(above) @ here
+    return out
+
+
+def _mesh(carrier: MeshCarrier, number: int, part: MeshPart | None) -> dict[str, Any]:
+    document, builder = carrier.document, carrier.builder
+    old = document.item("meshes", number)
+    if part is None:  # in no scene: kept without vertices of its own skin
+        part = MeshPart(-1, number, np.eye(4), False, ())
+    mesh: dict[str, Any] = {key: copy.deepcopy(old[key]) for key in ("name", "extras") if key in old}
+    slots = _slots(carrier.source, part)
+    primitives: list[dict[str, Any]] = []
+    influences: dict[int, dict[str, int]] = {}
+    for group in part.groups:
+        if slots is not None:
+            influences |= dict.fromkeys(group.primitives, _influences(builder, group.joints, group.weights, slots))
+    for index, primitive in enumerate(document.objects(old, "primitives")):
+        entry = carrier.primitive(primitive, document.count(primitive["attributes"]["POSITION"]))
+        entry["attributes"].update(influences.get(index, {}))
+        primitives.append(entry)
+    mesh["primitives"] = primitives
+    if "weights" in old and all("targets" in primitive for primitive in primitives):
+        mesh["weights"] = copy.deepcopy(old["weights"])
+    return mesh
+
+
+def _slots(source: Source, part: MeshPart) -> np.ndarray | None:
+    """Slot in the skin of a mesh of each joint of all skins, -1 for none; None where the mesh has no skin."""
+    skin = source.document.item("nodes", part.node).get("skin") if part.node >= 0 else None
+    if type(skin) is not int or not 0 <= skin < len(source.skins.slots):
+        return None
+    out = np.full(len(source.skins.nodes), -1)
+    own = source.skins.slots[skin]
+    out[own[::-1]] = np.arange(len(own))[::-1]
+    return out
+
+
+def _influences(builder: GltfBuilder, joints: np.ndarray, weights: np.ndarray, slots: np.ndarray) -> dict[str, int]:
+    if not len(joints):
+        return {}
+    width = -(-joints.shape[1] // 4) * 4
+    where, shares = np.zeros((len(joints), width), np.int64), np.zeros((len(joints), width))
+    where[:, : joints.shape[1]], shares[:, : joints.shape[1]] = slots[joints], weights
+    shares[where < 0] = 0
+    shares /= np.maximum(shares.sum(axis=1, keepdims=True), 1e-12)
+    stored = np.where(shares > 1e-7, shares, 0).astype(np.float32)
+    first = stored.argmax(axis=1)
+    rows = np.arange(len(stored))
+    stored[rows, first] += (1 - stored.sum(axis=1, dtype=np.float64)).astype(np.float32)
+    where[stored <= 0] = 0
+    kind = np.uint8 if len(slots) <= 256 else "<u2"
+    out = {}
+    for number in range(width // 4):
+        cut = slice(4 * number, 4 * number + 4)
+        if number and not stored[:, cut].any():
+            break
+        out[f"JOINTS_{number}"] = builder.array(where[:, cut].astype(kind), ARRAY_BUFFER)
+        out[f"WEIGHTS_{number}"] = builder.array(np.ascontiguousarray(stored[:, cut]), ARRAY_BUFFER)
+    return out
+
+
+def plain_rig(character: Character) -> tuple[GltfBuilder, list[int]]:
+    """The meshes with one skin made of the rig, whose bones turn in the world's axes where they rest; also the nodes of
+    the bones.
+    """
+    rig = character.rig
+    assert rig is not None
+    source = document_of(character)
+    builder = GltfBuilder(drop_clip(carry_tree(source.document)))
+    carry_images(source.document, builder)
+    rest = rig.positions
+    for bone, label in enumerate(rig.names):
+        parent = int(rig.parents[bone])
+        number = rest[bone] - (rest[parent] if parent >= 0 else 0)
+        entry: dict[str, Any] = {"name": label, "translation": number.astype(np.float32).tolist()}
+        children = [int(child) for child in np.flatnonzero(rig.parents == bone)]
+        builder.add("nodes", {**entry, "children": children} if children else entry)
+    nodes = list(range(len(rest)))
+    inverse = np.tile(np.eye(4), (len(rest), 1, 1))
+    inverse[:, 3, :3] = -rest  # column after column
+    skin = builder.add(
+        "skins", {"joints": nodes, "inverseBindMatrices": builder.array(inverse.reshape(-1, 16).astype(np.float32))}
+    )
+    carrier, start = MeshCarrier(source, builder), 0
+    roots = [bone for bone in nodes if rig.parents[bone] < 0]
+    slots = np.arange(len(rest))
+    for part in source.parts:
+        index = source.index[start : start + sum(len(group.vertices) for group in part.groups)]
+        start += len(index)
+        if not len(index):
+            continue
+        mesh, first = carrier.mesh(part, character.vertices[index], index), 0
+        for group in part.groups:
+            own = index[first : first + len(group.vertices)]
+            first += len(own)
+            added = _influences(builder, rig.indices[own], rig.weights[own], slots)
+            for member in group.primitives:
+                mesh["primitives"][member]["attributes"].update(added)
+        label = str(source.document.item("nodes", part.node).get("name") or f"mesh_{part.mesh}")
+        roots.append(builder.add("nodes", {"name": label, "mesh": builder.add("meshes", mesh), "skin": skin}))
+    builder.tree["scenes"][0]["nodes"] = roots
+    add_humanoid(builder.tree, rig, nodes, character.name)
+    return builder, nodes
+
+
+def _plain_local(animation: RigAnimation) -> np.ndarray:
+    """Transform of each bone in its parent, shape (N, J, 4, 4)."""
+    rig = animation.character.rig
+    assert rig is not None
+    rest = rig.positions
+    local = np.tile(np.eye(4), (len(animation), len(rest), 1, 1))
+    local[..., :3, :3] = animation.rotations
+    local[..., :3, 3] = rest - np.where(rig.parents[:, None] >= 0, rest[rig.parents], 0) + animation.translations
+    return local

@@ -1,0 +1,361 @@
+"""Read PLY and STL, text or binary."""
+
+from __future__ import annotations
+
+import os
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from bunraku.core.character import Character
+from bunraku.core.files import check_text, path_inside
+from bunraku.errors import FormatError
+from bunraku.files.gltf.colors import linear_from_srgb
+from bunraku.files.gltf.document import Document, mesh_document
+from bunraku.files.gltf.read import character_from_document
+from bunraku.files.meshes.obj import embeddable, parse_numbers
+
+__all__ = ["read_ply", "read_stl"]
+
+
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8",
+    "float64": "f8",
+}  # fmt: skip
+_BROKEN = "the file is truncated or broken, export it again"
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    properties: list[tuple[str, str, str | None]] = field(default_factory=list)  # name, type, type of the list's length
+
+
+def read_ply(path: Path, data: bytes) -> Character:
+    """Read a PLY file; polygons become fans of triangles.
+
+    Args:
+        path: The file; a texture that it names is looked for in its folder only.
+        data: Its bytes.
+
+    Raises:
+        FormatError: The file is truncated or broken.
+        CharacterError: What it holds is no character.
+    """
+    kind, elements, texture, body = _header(path, data)
+    vertices: dict[str, np.ndarray] = {}
+    triangles = np.zeros((0, 3), np.int64)
+    if kind == "ascii":
+        check_text(path, data)
+    reader = (
+        _Text(path, body, elements)
+        if kind == "ascii"
+        else _Binary(path, body, ">" if kind == "binary_big_endian" else "<")
+    )
+    for element in elements:
+        lists = [entry for entry in element.properties if entry[2]]
+        if not lists:
+            columns = reader.scalars(element)
+            if element.name == "vertex":
+                vertices = columns
+        elif element.name == "face":
+            triangles = _triangles(path, *reader.lists(element))
+        elif element.name == "tristrips":
+            raise FormatError(path, "its faces are triangle strips, which are not read; export it with plain faces")
+        else:
+            reader.lists(element)
+    if not all(axis in vertices for axis in "xyz"):
+        raise FormatError(path, "its vertices have no x, y and z; export it again")
+    count = len(vertices["x"])
+    if len(triangles) and not 0 <= int(triangles.min()) <= int(triangles.max()) < count:
+        raise FormatError(path, f"a face uses vertex {int(triangles.max())} but there are {count}; {_BROKEN}")
+    return character_from_document(_document(path, vertices, triangles, texture), path.stem, suffix=".ply")
+
+
+def _document(path: Path, vertices: dict[str, np.ndarray], triangles: np.ndarray, texture: str) -> Document:
+    def columns(*choices: tuple[str, ...]) -> np.ndarray | None:
+        names = next((choice for choice in choices if all(name in vertices for name in choice)), None)
+        return None if names is None else np.stack([vertices[name] for name in names], axis=1)
+
+    positions = np.stack([vertices[axis] for axis in "xyz"], axis=1)
+    normals, uvs = columns(("nx", "ny", "nz")), columns(("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+    colors = columns(("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
+    if colors is not None:
+        scale = (
+            np.iinfo(colors.dtype).max
+            if colors.dtype.kind in "iu"
+            else (255.0 if np.nan_to_num(colors).max(initial=0) > 1 else 1.0)
+        )
+        colors = linear_from_srgb(np.clip(np.nan_to_num(colors.astype(float)) / scale, 0, 1))
+    if normals is not None:
+        length = np.linalg.norm(normals.astype(float), axis=1, keepdims=True)
+        normals = (
+            normals / np.where(length > 1e-12, length, 1)
+            if np.isfinite(length).all() and (length > 1e-12).all()
+            else None
+        )
+    if uvs is not None:
+        uvs = np.nan_to_num(np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1))
+    shader: dict = {"metallicFactor": 0, "roughnessFactor": 0.9}
+    target = path_inside(path.parent, texture) if texture and uvs is not None else None
+    image = embeddable(target) if target is not None and os.path.isfile(target) else None
+    if image is not None:
+        shader["baseColorTexture"] = {"index": 0}
+    materials: list[dict[str, object]] = [{"name": path.stem, "pbrMetallicRoughness": shader}]
+    images = [image] if image else None
+    return mesh_document(
+        path, positions, [(triangles, 0)], normals=normals, uvs=uvs, colors=colors, materials=materials, images=images
+    )
+
+
+def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, bytes]:
+    end = data.find(b"end_header", 0, 1 << 20)
+    line_end = data.find(b"\n", end)
+    if end < 0 or line_end < 0:
+        raise FormatError(path, f"the PLY header has no end; {_BROKEN}")
+    kind, elements, texture = "", [], ""
+    for line in data[:end].decode("ascii", "replace").splitlines():
+        words = line.split()
+        try:
+            if words[:1] == ["format"]:
+                kind = words[1]
+            elif words[:2] == ["comment", "TextureFile"]:
+                texture = " ".join(words[2:])
+            elif words[:1] == ["element"]:
+                elements.append(_Element(words[1], int(words[2])))
+            elif words[:2] == ["property", "list"]:
+                elements[-1].properties.append((words[4], _TYPES[words[3]], _TYPES[words[2]]))
+            elif words[:1] == ["property"]:
+                elements[-1].properties.append((words[2], _TYPES[words[1]], None))
+        except (KeyError, IndexError, ValueError):
+            raise FormatError(path, f"the PLY header line {line[:60]!r} cannot be understood; {_BROKEN}") from None
+    if kind not in ("ascii", "binary_little_endian", "binary_big_endian"):
+        raise FormatError(
+            path, f"the PLY kind {kind[:30]!r} is unknown; export it again as ascii or binary_little_endian"
+        )
+    if any(element.count < 0 or len(element.properties) > 1000 for element in elements):
+        raise FormatError(path, f"the PLY header declares impossible counts; {_BROKEN}")
+    return kind, elements, texture, data[line_end + 1 :]
+
+
+def _triangles(path: Path, flat: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Fans of polygons whose vertex indices stand in one row, shape (F, 3)."""
+    if (sizes < 0).any() or len(flat) != sizes.sum():
+        raise FormatError(path, f"its faces are cut short; {_BROKEN}")
+    counts = np.maximum(sizes - 2, 0)
+    face = np.repeat(np.arange(len(sizes)), counts)
+    starts = (np.cumsum(sizes) - sizes)[face]
+    step = np.arange(len(face)) - (np.cumsum(counts) - counts)[face]
+    return flat[np.stack([starts, starts + step + 1, starts + step + 2], axis=1)].reshape(-1, 3)
+
+
+def _wanted(element: _Element) -> int:
+    """Which list property holds the vertices of a face."""
+    names = [name for name, _, length in element.properties if length]
+    return next((k for k, name in enumerate(names) if name in ("vertex_indices", "vertex_index")), 0)
+
+
+class _Binary:
+    def __init__(self, path: Path, body: bytes, order: str):
+        self.path, self.body, self.at, self.order = path, body, 0, order
+
+    def _short(self) -> FormatError:
+        return FormatError(self.path, f"it ends before its last element; {_BROKEN}")
+
+    def scalars(self, element: _Element) -> dict[str, np.ndarray]:
+        """Columns of an element without lists."""
+        names = [f"{k}" for k in range(len(element.properties))]
+        dtype = np.dtype([(name, self.order + entry[1]) for name, entry in zip(names, element.properties, strict=True)])
+        if element.count * dtype.itemsize > len(self.body) - self.at:
+            raise self._short()
+        rows = np.frombuffer(self.body, dtype, element.count, self.at) if dtype.itemsize else np.zeros(0, dtype)
+        self.at += element.count * dtype.itemsize
+        return {
+            entry[0]: rows[name].astype(rows[name].dtype.newbyteorder("="))
+            for name, entry in zip(names, element.properties, strict=True)
+        }
+
+    def lists(self, element: _Element) -> tuple[np.ndarray, np.ndarray]:
+        """The vertex lists of an element, end to end, and the length of each."""
+        least = sum(np.dtype(length or kind).itemsize for _, kind, length in element.properties)
+        if element.count * least > len(self.body) - self.at:
+            raise self._short()
+        return self._uniform(element) or self._walk(element)
+
+    def _uniform(self, element: _Element) -> tuple[np.ndarray, np.ndarray] | None:
+        """All rows at once where every list is as long as in the first row, as in nearly all files."""
+        if not element.count:
+            return np.zeros(0, np.int64), np.zeros(0, np.int64)
+        fields: list[tuple] = []
+        at, wanted, lists = self.at, "", 0
+        for number, (_, kind, length) in enumerate(element.properties):
+            if length is None:
+                fields.append((f"v{number}", self.order + kind))
+                at += np.dtype(kind).itemsize
+                continue
+            width = np.dtype(length).itemsize
+            if at + width > len(self.body):
+                raise self._short()
+            size = int(np.frombuffer(self.body, self.order + length, 1, at)[0])
+            if not 0 <= size <= 4096:
+                return None
+            fields += [(f"n{number}", self.order + length), (f"v{number}", self.order + kind, (size,))]
+            at += width + size * np.dtype(kind).itemsize
+            if lists == _wanted(element):
+                wanted = f"{number}"
+            lists += 1
+        dtype = np.dtype(fields)
+        if element.count * dtype.itemsize > len(self.body) - self.at:
+            return None
+        rows = np.frombuffer(self.body, dtype, element.count, self.at)
+        if any((rows[name] != rows[name][0]).any() for name in dtype.names or () if name[0] == "n"):
+            return None
+        self.at += element.count * dtype.itemsize
+        return rows[f"v{wanted}"].astype(np.int64).reshape(-1), rows[f"n{wanted}"].astype(np.int64)
+
+    def _walk(self, element: _Element) -> tuple[np.ndarray, np.ndarray]:
+        flat, sizes, at, chosen = [], [], self.at, _wanted(element)
+        plan = [
+            (np.dtype(self.order + kind), None if length is None else np.dtype(self.order + length))
+            for _, kind, length in element.properties
+        ]
+        for _ in range(element.count):
+            lists = 0
+            for kind, length in plan:
+                if length is None:
+                    at += kind.itemsize
+                    continue
+                if at + length.itemsize > len(self.body):
+                    raise self._short()
+                size = int(np.frombuffer(self.body, length, 1, at)[0])
+                at += length.itemsize
+                if size < 0 or size * kind.itemsize > len(self.body) - at:
+                    raise self._short()
+                if lists == chosen:
+                    flat.append(np.frombuffer(self.body, kind, size, at))
+                    sizes.append(size)
+                at += size * kind.itemsize
+                lists += 1
+        self.at = at
+        return np.concatenate(flat).astype(np.int64) if flat else np.zeros(0, np.int64), np.array(sizes, np.int64)
+
+
+class _Text:
+    def __init__(self, path: Path, body: bytes, elements: list[_Element]):
+        self.path, self.at = path, 0
+        try:
+            self.values = parse_numbers(body.split())
+        except ValueError:
+            raise FormatError(path, f"it holds something that is not a number; {_BROKEN}") from None
+
+    def _short(self) -> FormatError:
+        return FormatError(self.path, f"it ends before its last element; {_BROKEN}")
+
+    def scalars(self, element: _Element) -> dict[str, np.ndarray]:
+        """Columns of an element without lists."""
+        width = len(element.properties)
+        if element.count * width > len(self.values) - self.at:
+            raise self._short()
+        rows = self.values[self.at : self.at + element.count * width].reshape(element.count, width)
+        self.at += element.count * width
+        with np.errstate(invalid="ignore"):
+            return {name: rows[:, k].astype(kind) for k, (name, kind, _) in enumerate(element.properties)}
+
+    def lists(self, element: _Element) -> tuple[np.ndarray, np.ndarray]:
+        """The vertex lists of an element, end to end, and the length of each."""
+        if element.count * len(element.properties) > len(self.values) - self.at:
+            raise self._short()
+        chosen, starts, sizes, at = _wanted(element), [], [], self.at
+        for _ in range(element.count):
+            lists = 0
+            for _, _, length in element.properties:
+                if length is None:
+                    at += 1
+                    continue
+                if at >= len(self.values) or not 0 <= self.values[at] <= len(self.values):
+                    raise self._short()
+                size = int(self.values[at])
+                if lists == chosen:
+                    starts.append(at + 1)
+                    sizes.append(size)
+                at += 1 + size
+                lists += 1
+        if at > len(self.values):
+            raise self._short()
+        self.at = at
+        count = np.array(sizes, np.int64)
+        if int(count.sum()) > len(self.values):
+            raise self._short()
+        where = np.repeat(np.array(starts, np.int64) - (np.cumsum(count) - count), count) + np.arange(int(count.sum()))
+        values = self.values[where]
+        return np.where(np.abs(values) < 2**40, values, -1).astype(np.int64), count
+
+
+_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+def read_stl(path: Path, data: bytes) -> Character:
+    """Read an STL file; vertices are numbered as they come first, triangles keep their order.
+
+    Triangles with two corners at one position have no surface and are dropped.
+
+    Args:
+        path: The file.
+        data: Its bytes.
+
+    Raises:
+        FormatError: The file is truncated or broken.
+        CharacterError: What it holds is no character.
+    """
+    count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else 0
+    text = (
+        data[:512].lstrip().lower().startswith(b"solid")
+        and b"facet" in data[:4096].lower()
+        and len(data) != 84 + 50 * count
+    )
+    if text:
+        check_text(path, data)
+    corners = _text(path, data) if text else _binary(path, data, count)
+    vertices, triangles = _welded(corners)
+    material: dict[str, object] = {
+        "name": path.stem,
+        "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9, "baseColorFactor": [0.6, 0.6, 0.6, 1]},
+    }
+    document = mesh_document(path, vertices, [(triangles, 0)], materials=[material])
+    return character_from_document(document, path.stem, suffix=".stl")
+
+
+def _binary(path: Path, data: bytes, count: int) -> np.ndarray:
+    if len(data) < 84 + 50 * count or len(data) < 84:
+        raise FormatError(
+            path, f"an STL of {count} triangles has {84 + 50 * count} bytes but this one has {len(data)}; {_BROKEN}"
+        )
+    return np.frombuffer(data, _RECORD, count, 84)["corners"].reshape(-1, 3)
+
+
+def _text(path: Path, data: bytes) -> np.ndarray:
+    lines = [line.split()[1:4] for line in data.lower().splitlines() if line.lstrip().startswith(b"vertex")]
+    try:
+        corners = np.array([[float(number) for number in line] for line in lines]).reshape(-1, 3)
+    except ValueError:
+        raise FormatError(path, f"a vertex holds something that is not three numbers; {_BROKEN}") from None
+    if len(corners) % 3 or b"endsolid" not in data[-1024:].lower():
+        raise FormatError(path, f"it ends inside a triangle; {_BROKEN}")
+    return corners
+
+
+def _welded(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners without repetitions, and the triangles that have three different ones, shapes (V, 3) and (F, 3)."""
+    corners = np.ascontiguousarray(corners, np.float32) + np.float32(0)  # no -0.0: the bits are compared
+    keys = corners.view(np.dtype((np.void, 12))).ravel()
+    _, first, vertex = np.unique(keys, return_index=True, return_inverse=True)
+    number = np.argsort(np.argsort(first))  # in the order of the file
+    triangles = number[vertex].reshape(-1, 3)
+    flat = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
+    used, kept = np.unique(triangles[~flat], return_inverse=True)
+    return corners[np.sort(first)][used], kept.reshape(-1, 3)

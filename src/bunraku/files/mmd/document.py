@@ -1,0 +1,209 @@
+"""A PMX or PMD model as a glTF document: mesh, materials, textures, and the bones as a skin, for writers and
+previews.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.core.avatars import MmdBone
+from bunraku.core.files import path_inside
+from bunraku.files.gltf.colors import linear_from_srgb
+from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Document, GltfBuilder
+from bunraku.files.meshes.obj import embeddable
+
+__all__ = ["MmdMaterial", "model_document"]
+
+LIGHT = 154 / 255
+"""MMD's lamp: the diffuse colour is seen at this share, with the ambient colour added."""
+
+
+@dataclass(frozen=True)
+class MmdMaterial:
+    """A material.
+
+    Args:
+        name: Its name.
+        diffuse: sRGB and opacity, from 0 to 1, shape (4,).
+        ambient: sRGB, shape (3,).
+        double_sided: Whether triangles are seen from behind.
+        texture: Path of its texture as the file says it, "" for none.
+        corners: Three times the number of its triangles.
+    """
+
+    name: str
+    diffuse: np.ndarray
+    ambient: np.ndarray
+    double_sided: bool
+    texture: str
+    corners: int
+
+
+def model_document(
+    path: Path,
+    name: str,
+    materials: Sequence[MmdMaterial],
+    mesh: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    skin: tuple[np.ndarray, np.ndarray],
+    bones: Sequence[MmdBone],
+    note: Callable[[str, str], None],
+) -> Document:
+    """The document.
+
+    Args:
+        path: The file; textures are read from its folder and below only.
+        name: Of the model.
+        materials: In the order of the triangles.
+        mesh: Positions [m] (V, 3), normals (V, 3), UVs (V, 2) and triangles (F, 3).
+        skin: Bones (V, 4) and shares (V, 4) of each vertex.
+        bones: Without loops.
+        note: Called with what is wrong and with whose name.
+    """
+    builder = GltfBuilder({"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"nodes": [0]}]})
+    positions, normals, uvs, triangles = mesh
+    names = name or path.stem
+    builder.tree["materials"] = _materials(path, materials, builder, note)
+    attributes = {}
+    if len(positions):
+        attributes["POSITION"] = builder.array(
+            positions.astype(np.float32), ARRAY_BUFFER, bounds=bool(np.isfinite(positions).all())
+        )
+        attributes["NORMAL"] = builder.array(_unit(normals).astype(np.float32), ARRAY_BUFFER)
+        attributes["TEXCOORD_0"] = builder.array(np.nan_to_num(uvs).astype(np.float32), ARRAY_BUFFER)
+        if bones:
+            attributes["JOINTS_0"] = builder.array(skin[0].astype("<u2"), ARRAY_BUFFER)
+            attributes["WEIGHTS_0"] = builder.array(skin[1].astype(np.float32), ARRAY_BUFFER)
+    primitives: list[dict[str, Any]] = []
+    kind, start = ("<u2" if len(positions) < 65535 else "<u4"), 0
+    for number, corners in enumerate([*(max(material.corners, 0) // 3 for material in materials), len(triangles)]):
+        chosen = triangles[start : start + corners]
+        start += corners
+        if len(chosen) and attributes:
+            primitive: dict[str, Any] = {"attributes": attributes, "mode": 4}
+            primitive["indices"] = builder.array(
+                np.ascontiguousarray(chosen).reshape(-1, 1).astype(kind), ELEMENT_ARRAY_BUFFER
+            )
+            primitives.append(primitive | ({"material": number} if number < len(materials) else {}))
+    if not primitives and attributes:
+        primitives = [{"attributes": attributes, "mode": 0}]
+    builder.tree["meshes"] = [{"name": names, "primitives": primitives}]
+    node: dict[str, Any] = {"name": names, "mesh": 0}
+    builder.add("nodes", node)
+    if bones:
+        node["skin"] = 0
+        _add_skin(builder, bones)
+        builder.tree["scenes"][0]["nodes"] = [0, 1]
+    if not builder.tree["materials"]:
+        del builder.tree["materials"]
+    return builder.document(path)
+
+
+def _unit(normals: np.ndarray) -> np.ndarray:
+    normals = np.nan_to_num(normals, posinf=0, neginf=0)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 1e-12, normals / np.where(length > 1e-12, length, 1), [0.0, 1, 0])
+
+
+def _add_skin(builder: GltfBuilder, bones: Sequence[MmdBone]) -> None:
+    """Nodes of the bones under one that stands for the skeleton, and the skin that binds the mesh to them."""
+    first = 2
+    below: dict[int, list[int]] = {}
+    for index, bone in enumerate(bones):
+        below.setdefault(bone.parent, []).append(first + index)
+    builder.add("nodes", {"name": "bones", "children": below[-1]})
+    for index, bone in enumerate(bones):
+        offset = bone.position - (bones[bone.parent].position if bone.parent >= 0 else 0)
+        node = {"name": bone.name or f"bone_{index}", "translation": offset.tolist()}
+        builder.add("nodes", node | ({"children": below[index]} if index in below else {}))
+    inverse = np.tile(np.eye(4), (len(bones), 1, 1))
+    inverse[:, :3, 3] = [-bone.position for bone in bones]
+    stored = inverse.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32)
+    builder.add(
+        "skins",
+        {"joints": list(range(first, first + len(bones))), "skeleton": 1, "inverseBindMatrices": builder.array(stored)},
+    )
+
+
+def _materials(
+    path: Path, materials: Sequence[MmdMaterial], builder: GltfBuilder, note: Callable[[str, str], None]
+) -> list[dict[str, Any]]:
+    images: dict[Path, tuple[int, bool] | None] = {}
+    out = []
+    for material in materials:
+        colors = np.clip(np.nan_to_num([*material.diffuse[:3] * LIGHT + material.ambient, material.diffuse[3]]), 0, 1)
+        shader: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 0.9}
+        shader["baseColorFactor"] = [*linear_from_srgb(colors[:3]).tolist(), float(colors[3])]
+        entry: dict[str, Any] = {"name": material.name, "pbrMetallicRoughness": shader}
+        found = _texture(path, material.texture, images, builder, note) if material.texture else None
+        if found is not None:
+            shader["baseColorTexture"] = {"index": found[0]}
+        if colors[3] < 1 or (found is not None and found[1]):
+            entry["alphaMode"] = "BLEND"
+        if material.double_sided:
+            entry["doubleSided"] = True
+        out.append(entry)
+    return out
+
+
+def _texture(
+    path: Path,
+    name: str,
+    images: dict[Path, tuple[int, bool] | None],
+    builder: GltfBuilder,
+    note: Callable[[str, str], None],
+) -> tuple[int, bool] | None:
+    """Number of a texture and whether one can see through it; None where there is none inside the model's folder."""
+    target = path_inside(path.parent, name)
+    if target is None:
+        note("textures are outside the model's folder and are left out", name)
+        return None
+    target = _whatever_case(path.parent, target)
+    if target not in images:
+        image = embeddable(target) if os.path.isfile(target) else None
+        images[target] = (
+            None
+            if image is None
+            else (builder.add("textures", {"source": builder.image(*image)}), _transparent(image[0]))
+        )
+    if images[target] is None:
+        note("textures are missing or cannot be read; their materials are plain", name)
+    return images[target]
+
+
+def _whatever_case(folder: Path, target: Path) -> Path:
+    """The file of this path in a folder where its name may be written with other capitals, as Windows allows."""
+    root = folder.resolve()
+    if os.path.isfile(target) or not target.is_relative_to(root):
+        return target
+    at = root
+    for part in target.relative_to(root).parts:
+        try:
+            same = [entry for entry in os.listdir(at) if entry.lower() == part.lower()]
+        except OSError:
+            return target
+        if not same:
+            return target
+        at = at / (part if part in same else same[0])
+    return at if at.resolve().is_relative_to(root) else target
+
+
+def _transparent(data: bytes) -> bool:
+    import io
+
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+            return (
+                "A" in image.getbands()
+                and image.width * image.height < 70_000_000
+                and bool(image.getchannel("A").getextrema()[0] < 250)  # type: ignore[operator, index]
+            )
+    except Exception:  # not a PNG, or one that will not open: seen as it is
+        return False

@@ -1,0 +1,427 @@
+"""Read PMX 2.0 and 2.1, and the older PMD: the models of MikuMikuDance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from bunraku.core.avatars import MMD_METRE, MmdAppend, MmdBone, MmdIk, MmdIkLink, MmdMorph, mmd_angles, mmd_points
+from bunraku.core.character import Character
+from bunraku.files.mmd.model import (
+    MAX_BODIES,
+    MAX_BONES,
+    MAX_JOINTS,
+    MmdFile,
+    MmdMaterial,
+    MmdReader,
+    mmd_character,
+    read_body,
+    read_joint,
+)
+
+__all__ = ["read_pmd", "read_pmx"]
+
+
+_MORPHS = ("group", "vertex", "bone", "uv", "uv", "uv", "uv", "uv", "material", "flip", "impulse")
+_BONES_OF = (1, 2, 4, 2, 4)  # how many bones BDEF1, BDEF2, BDEF4, SDEF and QDEF name
+_NUMBERS_OF = (0, 1, 4, 10, 4)  # and how many numbers follow
+
+
+@dataclass
+class _Sizes:
+    """Bytes of indices, and how many further UVs a vertex has."""
+
+    uvs: int
+    vertex: int
+    texture: int
+    material: int
+    bone: int
+    morph: int
+    body: int
+
+
+@dataclass
+class _Read:
+    """A file that is being read."""
+
+    reader: MmdReader
+    sizes: _Sizes
+    out: MmdFile
+    textures: list[str] = field(default_factory=list)
+
+
+def read_pmx(path: Path, data: bytes) -> Character:
+    """Read a PMX file.
+
+    Args:
+        path: The file; textures are looked for in its folder and below, nowhere else.
+        data: Its bytes.
+
+    Raises:
+        FormatError: It is no PMX file, is cut off, announces more than it has room for, or has indices that point
+            outside.
+        CharacterError: What it holds is no character.
+    """
+    return mmd_character(path, read_pmx_file(path, data))
+
+
+def read_pmx_file(path: Path, data: bytes) -> MmdFile:
+    """What a PMX file says, its indices not checked.
+
+    Raises:
+        FormatError: It is no PMX file, is cut off, or announces more than it has room for.
+    """
+    reader = MmdReader(path, data)
+    if reader.take(4) != b"PMX ":
+        reader.fail("it does not begin with 'PMX ', so it is no PMX file")
+    version = float(reader.one("f"))
+    if not 1.99 < version < 2.2:
+        reader.fail(f"it is of version {version:.3g}, and 2.0 and 2.1 are read")
+    globals_ = reader.take(int(reader.one("B")))
+    if len(globals_) < 8 or globals_[0] > 1 or globals_[1] > 4 or any(size not in (1, 2, 4) for size in globals_[2:8]):
+        reader.fail("its header names sizes that no PMX file has")
+    reader.encoding = "utf-8" if globals_[0] else "utf-16-le"
+    name, english = reader.text(), reader.text()
+    reader.text(), reader.text()  # comments
+    read = _Read(reader, _Sizes(*globals_[1:8]), MmdFile(f"PMX {version:.1f}", name, english))
+    _vertices(read)
+    size = read.sizes.vertex
+    count = reader.count("triangle corners", size)
+    corners = np.frombuffer(reader.take(count * size), {1: "u1", 2: "<u2", 4: "<i4"}[size])
+    read.out.triangles = corners[: count - count % 3].reshape(-1, 3).astype(np.int64)
+    read.textures = [reader.text() for _ in range(reader.count("textures", 4))]
+    read.out.materials = [_material(read) for _ in range(reader.count("materials", 64 + 4 * 3))]
+    count = reader.count("bones", 4 + 4 + 12 + 4 + 2 + 2)
+    if count > MAX_BONES:
+        reader.fail(f"it has {count:,} bones, and at most {MAX_BONES:,} are read")
+    read.out.bones = [_bone(read, index) for index in range(count)]
+    read.out.morphs = [_morph(read) for _ in range(reader.count("morphs", 4 + 4 + 2 + 4))]
+    for _ in range(reader.count("display frames", 4 + 4 + 1 + 4)):
+        reader.text(), reader.text(), reader.one("B")
+        for _ in range(int(reader.one("i"))):
+            reader.skip(read.sizes.morph if reader.one("B") else read.sizes.bone)
+    _physics(read)
+    return read.out
+
+
+def _vertices(read: _Read) -> None:
+    """Records have five sizes: one pass finds where they start, then those of a kind are read at once."""
+    reader, sizes = read.reader, read.sizes
+    head = 32 + 16 * sizes.uvs
+    count = reader.count("vertices", head + 1 + sizes.bone + 4)
+    length = [
+        head + 1 + bones * sizes.bone + 4 * numbers + 4 for bones, numbers in zip(_BONES_OF, _NUMBERS_OF, strict=True)
+    ]
+    data, at, starts, end = reader.data, reader.at, np.empty(count, np.int64), len(reader.data)
+    for vertex in range(count):
+        starts[vertex] = at
+        kind = data[at + head] if at + head < end else 0
+        if kind > 4:
+            reader.fail(f"vertex {vertex} deforms in a way that PMX does not have")
+        at += length[kind]
+    if at > end:
+        reader.fail("it is cut off in its vertices")
+    raw = np.frombuffer(data, np.uint8)
+    reader.at = at
+    out = read.out
+    fixed = raw[starts[:, None] + np.arange(32)].view("<f4")
+    out.positions, out.normals, out.uvs = fixed[:, :3].astype(float), fixed[:, 3:6].astype(float), fixed[:, 6:8]
+    out.deforms = raw[starts + head]
+    out.indices, out.weights = np.full((count, 4), -1, np.int64), np.zeros((count, 4))
+    out.sdef = np.zeros((count, 3, 3))
+    integer = {1: "i1", 2: "<i2", 4: "<i4"}[sizes.bone]
+    for kind, (bones, numbers) in enumerate(zip(_BONES_OF, _NUMBERS_OF, strict=True)):
+        chosen = np.flatnonzero(out.deforms == kind)
+        first = starts[chosen, None] + head + 1
+        out.indices[chosen, :bones] = np.ascontiguousarray(raw[first + np.arange(bones * sizes.bone)]).view(integer)
+        values = (
+            np.ascontiguousarray(raw[first + bones * sizes.bone + np.arange(4 * numbers)]).view("<f4").astype(float)
+        )
+        if bones == 1:
+            out.weights[chosen, 0] = 1
+        elif bones == 2:
+            out.weights[chosen, 0], out.weights[chosen, 1] = values[:, 0], 1 - values[:, 0]
+        else:
+            out.weights[chosen] = values
+        if kind == 3:
+            out.sdef[chosen] = values[:, 1:].reshape(-1, 3, 3)
+
+
+def _material(read: _Read) -> MmdMaterial:
+    reader = read.reader
+    name = reader.text() or "material"
+    reader.text()
+    diffuse = reader.floats(4)
+    reader.skip(16)  # specular
+    ambient = reader.floats(3)
+    flags = reader.one("B")
+    reader.skip(20)  # edge
+    texture = reader.index(read.sizes.texture)
+    reader.skip(read.sizes.texture + 1)  # sphere map
+    reader.skip(1 if reader.one("B") else read.sizes.texture)  # toon
+    reader.text()  # memo
+    path = read.textures[texture] if 0 <= texture < len(read.textures) else ""
+    return MmdMaterial(name, diffuse, ambient, bool(flags & 1), path, int(reader.one("i")))
+
+
+def _bone(read: _Read, index: int) -> MmdBone:
+    reader, size = read.reader, read.sizes.bone
+    name, english = reader.text(), reader.text()
+    position = mmd_points(reader.floats(3))
+    parent, layer, flags = reader.index(size), int(reader.one("i")), int(reader.one("H"))
+    tail = None
+    if flags & 0x1:
+        read.out.tails[index] = reader.index(size)
+    else:
+        tail = mmd_points(reader.floats(3))
+    append = None
+    if flags & 0x300:
+        append = MmdAppend(
+            reader.index(size), float(reader.one("f")), bool(flags & 0x100), bool(flags & 0x200), bool(flags & 0x80)
+        )
+    fixed = mmd_points(reader.floats(3)) / MMD_METRE if flags & 0x400 else None
+    local = None
+    if flags & 0x800:
+        x, z = mmd_points(reader.floats(3)) / MMD_METRE, -mmd_points(reader.floats(3)) / MMD_METRE
+        local = np.stack([x, np.cross(z, x), z])
+    if flags & 0x2000:
+        reader.skip(4)  # key of an external parent
+    ik = None
+    if flags & 0x20:
+        target, loops, limit = reader.index(size), int(reader.one("i")), float(reader.one("f"))
+        links = []
+        section = reader.section
+        for _ in range(reader.count("links of inverse kinematics", size + 1)):
+            bone = reader.index(size)
+            limits = mmd_angles(reader.floats(3), reader.floats(3)) if reader.one("B") else (None, None)
+            links.append(MmdIkLink(bone, *limits))
+        reader.section = section
+        ik = MmdIk(target, loops, limit, tuple(links))
+    return MmdBone(
+        name, english, position, parent, layer, bool(flags & 0x1000), bool(flags & 0x2), bool(flags & 0x4), tail,
+        append, fixed, local, ik
+    )  # fmt: skip
+
+
+def _morph(read: _Read) -> MmdMorph:
+    reader, sizes = read.reader, read.sizes
+    name = reader.text()
+    reader.text()
+    _, kind = reader.values("BB")
+    if kind >= len(_MORPHS):
+        reader.fail(f"a morph is of kind {kind}, which PMX does not have")
+    index = {
+        "group": sizes.morph,
+        "flip": sizes.morph,
+        "bone": sizes.bone,
+        "material": sizes.material,
+        "impulse": sizes.body,
+    }
+    rest = {"group": 4, "flip": 4, "vertex": 12, "bone": 28, "uv": 16, "material": 1 + 28 * 4, "impulse": 1 + 24}
+    what = _MORPHS[kind]
+    size = index.get(what, sizes.vertex) + rest[what]
+    section = reader.section
+    count = reader.count("offsets of a morph", size)
+    reader.skip(count * size)
+    reader.section = section
+    return MmdMorph(name, what, count)
+
+
+def _physics(read: _Read) -> None:
+    """Rigid bodies and joints; more than can be simulated are left out, with a warning."""
+    reader, out, size = read.reader, read.out, read.sizes.body
+    if not reader.left:
+        return
+    bodies = reader.count("rigid bodies", 4 + 4 + read.sizes.bone + 1 + 2 + 1 + 36 + 20 + 1)
+    if bodies > MAX_BODIES:
+        out.note(f"its {bodies:,} rigid bodies are left out, at most {MAX_BODIES:,} are read")
+        return
+    for _ in range(bodies):
+        name = reader.text()
+        reader.text()
+        bone = reader.index(read.sizes.bone)
+        out.bodies.append(read_body(reader, name, bone, np.zeros(3)))
+    joints = reader.count("joints", 4 + 4 + 1 + 2 * size + 96)
+    if joints > MAX_JOINTS:
+        out.note(f"its {joints:,} joints are left out, at most {MAX_JOINTS:,} are read")
+        return
+    for _ in range(joints):
+        name = reader.text()
+        reader.text(), reader.one("B")
+        out.joints.append(read_joint(reader, name, (reader.index(size), reader.index(size))))
+
+
+_VERTEX = np.dtype(
+    [
+        ("position", "<f4", 3),
+        ("normal", "<f4", 3),
+        ("uv", "<f4", 2),
+        ("bones", "<u2", 2),
+        ("weight", "u1"),
+        ("edge", "u1"),
+    ]
+)
+_NONE = 0xFFFF
+_TURNS_AND_MOVES, _IK, _TURNS_WITH, _TWIST, _TURNS_PARTLY = 1, 2, 5, 8, 9  # kinds of bones
+_STILL = (6, 7)  # targets of inverse kinematics, and hidden ones
+_KNEE = np.radians([[-180.0, 0, 0], [-0.5, 0, 0]])
+
+
+def read_pmd(path: Path, data: bytes) -> Character:
+    """Read a PMD file.
+
+    Args:
+        path: The file; textures are looked for in its folder and below, nowhere else.
+        data: Its bytes.
+
+    Raises:
+        FormatError: It is no PMD file, is cut off, announces more than it has room for, or has indices that point
+            outside.
+        CharacterError: What it holds is no character.
+    """
+    return mmd_character(path, read_pmd_file(path, data))
+
+
+def read_pmd_file(path: Path, data: bytes) -> MmdFile:
+    """What a PMD file says, its indices not checked.
+
+    Raises:
+        FormatError: It is no PMD file, is cut off, or announces more than it has room for.
+    """
+    reader = MmdReader(path, data)
+    if reader.take(3) != b"Pmd":
+        reader.fail("it does not begin with 'Pmd', so it is no PMD file")
+    reader.skip(4)  # version
+    out = MmdFile("PMD", reader.field(20))
+    reader.skip(256)
+    _mesh(reader, out)
+    out.materials = [_pmd_material(reader) for _ in range(reader.count("materials", 70, "I"))]
+    count = reader.count("bones", 39, "H")
+    if count > MAX_BONES:
+        reader.fail(f"it has {count:,} bones, and at most {MAX_BONES:,} are read")
+    raw = [_pmd_bone(reader, out, index) for index in range(count)]
+    out.bones = [_twisting(bone, out.tails.get(index, -1), kind, raw) for index, (bone, kind) in enumerate(raw)]
+    _inverse_kinematics(reader, out)
+    for _ in range(reader.count("morphs", 25, "H")):
+        name, offsets, _ = reader.field(20), int(reader.one("I")), reader.one("B")
+        reader.skip(16 * offsets)
+        out.morphs.append(MmdMorph(name, "vertex", offsets))
+    groups = _display(reader)
+    if reader.left:
+        _english(reader, out, groups)
+    if reader.left >= 1000:
+        reader.skip(1000)  # toon textures
+        _pmd_physics(reader, out)
+    return out
+
+
+def _mesh(reader: MmdReader, out: MmdFile) -> None:
+    vertices = reader.records(_VERTEX, reader.count("vertices", _VERTEX.itemsize, "I"))
+    count = len(vertices)
+    out.positions, out.normals, out.uvs = (vertices[name].astype(float) for name in ("position", "normal", "uv"))
+    share = np.clip(vertices["weight"] / 100.0, 0, 1)
+    out.indices, out.weights = np.full((count, 4), -1, np.int64), np.zeros((count, 4))
+    out.indices[:, :2] = vertices["bones"]
+    out.weights[:, 0], out.weights[:, 1] = share, 1 - share
+    out.deforms, out.sdef = np.ones(count, np.uint8), np.zeros((count, 3, 3))
+    corners = reader.records(np.dtype("<u2"), reader.count("triangle corners", 2, "I"))
+    out.triangles = corners[: len(corners) // 3 * 3].reshape(-1, 3).astype(np.int64)
+
+
+def _pmd_material(reader: MmdReader) -> MmdMaterial:
+    diffuse = reader.floats(4)
+    reader.skip(16)  # shininess and specular
+    ambient = reader.floats(3)
+    reader.skip(2)  # toon and edge
+    corners = int(reader.one("I"))
+    texture = next((part for part in reader.field(20).split("*") if not part.lower().endswith((".sph", ".spa"))), "")
+    return MmdMaterial("material", diffuse, ambient, bool(diffuse[3] < 1), texture, corners)
+
+
+def _pmd_bone(reader: MmdReader, out: MmdFile, index: int) -> tuple[MmdBone, int]:
+    """A bone with its kind."""
+    name = reader.field(20)
+    parent, tail, kind, other = reader.values("HHBH")
+    position = mmd_points(reader.floats(3))
+    out.tails[index] = tail if tail not in (0, _NONE) else -1  # 0 and none both say that there is no tail
+    append = None
+    if kind == _TURNS_WITH and other != _NONE:
+        append = MmdAppend(other, 1.0, True, False)
+    elif kind == _TURNS_PARTLY:
+        append = MmdAppend(tail, float(np.int16(np.uint16(other))) / 100, True, False)
+        out.tails[index] = -1
+    bone = MmdBone(
+        name, "", position, -1 if parent == _NONE else parent, rotates=kind not in _STILL,
+        moves=kind in (_TURNS_AND_MOVES, _IK), append=append
+    )  # fmt: skip
+    return bone, int(kind)
+
+
+def _twisting(bone: MmdBone, tail: int, kind: int, bones: list[tuple[MmdBone, int]]) -> MmdBone:
+    """The bone; one that twists turns only about the line to its tail."""
+    if kind != _TWIST or not 0 <= tail < len(bones):
+        return bone
+    line = bones[tail][0].position - bone.position
+    length = float(np.linalg.norm(line))
+    return replace(bone, fixed_axis=line / length) if length > 1e-9 else bone
+
+
+def _inverse_kinematics(reader: MmdReader, out: MmdFile) -> None:
+    for _ in range(reader.count("inverse kinematics", 11, "H")):
+        goal, target, links, loops, limit = reader.values("HHBHf")
+        chain = [_link(int(bone), out) for bone in reader.values(f"{links}H")]
+        if goal >= len(out.bones):
+            out.note("inverse kinematics are of bones that do not exist and are left out", f"bone {goal}")
+            continue
+        out.bones[goal] = replace(
+            out.bones[goal], layer=1, ik=MmdIk(int(target), int(loops), 4.0 * limit, tuple(chain))
+        )
+
+
+def _link(bone: int, out: MmdFile) -> MmdIkLink:
+    knee = bone < len(out.bones) and "ひざ" in out.bones[bone].name
+    return MmdIkLink(bone, *mmd_angles(*_KNEE)) if knee else MmdIkLink(bone)
+
+
+def _display(reader: MmdReader) -> int:
+    """Pass over what editors show, and tell how many groups of bones there are."""
+    reader.skip(2 * reader.count("shown morphs", 2, "B"))
+    groups = reader.count("groups of bones", 50, "B")
+    reader.skip(50 * groups)
+    reader.skip(3 * reader.count("shown bones", 3, "I"))
+    return groups
+
+
+def _english(reader: MmdReader, out: MmdFile, groups: int) -> None:
+    reader.section = "English names"
+    if not reader.one("B"):
+        return
+    out.english = reader.field(20)
+    reader.skip(256)
+    out.bones = [replace(bone, english=reader.field(20)) for bone in out.bones]
+    reader.skip(20 * max(len(out.morphs) - 1, 0) + 50 * groups)
+
+
+def _pmd_physics(reader: MmdReader, out: MmdFile) -> None:
+    if not reader.left:
+        return
+    bodies = reader.count("rigid bodies", 83, "I")
+    if bodies > MAX_BODIES:
+        out.note(f"its {bodies:,} rigid bodies are left out, at most {MAX_BODIES:,} are read")
+        return
+    for _ in range(bodies):
+        name, bone = reader.field(20), int(reader.one("H"))
+        bone = -1 if bone == _NONE else bone
+        origin = (
+            out.bones[max(bone, 0)].position if max(bone, 0) < len(out.bones) else np.zeros(3)
+        )  # those on no bone stand at the first
+        out.bodies.append(read_body(reader, name, bone, origin))
+    joints = reader.count("joints", 124, "I")
+    if joints > MAX_JOINTS:
+        out.note(f"its {joints:,} joints are left out, at most {MAX_JOINTS:,} are read")
+        return
+    for _ in range(joints):
+        name, first, second = reader.field(20), reader.one("I"), reader.one("I")
+        out.joints.append(read_joint(reader, name, (first, second)))

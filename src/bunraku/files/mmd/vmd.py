@@ -1,0 +1,313 @@
+"""VMD, the motion of MikuMikuDance: keys of bones with Bezier curves, and switches of inverse kinematics, read and
+written.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from bunraku.core.avatars import MMD_METRE
+from bunraku.core.files import atomic_write, read_bounded
+from bunraku.core.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, quaternion_slerp
+from bunraku.errors import FormatError
+
+__all__ = ["MmdClip", "VMD_FPS", "VmdMotion", "VmdTrack", "load_vmd", "pack_vmd", "read_vmd", "write_vmd"]
+
+
+VMD_FPS = 30.0
+
+LONGEST = 4 * 3600 * 30  # frames
+_BONE = np.dtype(
+    [("name", "S15"), ("frame", "<u4"), ("position", "<f4", 3), ("rotation", "<f4", 4), ("curve", "u1", (4, 16))]
+)
+_MORPH = np.dtype([("name", "S15"), ("frame", "<u4"), ("weight", "<f4")])
+_SKIPPED = (("camera keys", 61), ("light keys", 28), ("shadow keys", 9))
+_HEADERS = ((b"Vocaloid Motion Data 0002", 20), (b"Vocaloid Motion Data file", 10))  # and bytes of the model's name
+_HALVINGS = 24  # of the search on a curve: exact to 1e-7
+
+
+@dataclass(frozen=True)
+class VmdTrack:
+    """Keys of one bone.
+
+    Args:
+        frames: Frame of each key at 30 frames a second, rising, shape (K,).
+        positions: How far the bone is moved from its rest position, in its parent's axes [m], shape (K, 3).
+        rotations: How it is turned from its rest pose, xyzw, shape (K, 4).
+        curves: Control points x1, y1, x2, y2 from 0 to 1 of the way from the key before to this one, for x, y, z and
+            the rotation, shape (K, 4, 4).
+    """
+
+    frames: np.ndarray
+    positions: np.ndarray
+    rotations: np.ndarray
+    curves: np.ndarray
+
+    def sample(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions [m] (N, 3) and rotation matrices (N, 3, 3) at frames of 30 a second, shape (N,); ends are held."""
+        at = np.clip(np.asarray(frames, float), self.frames[0], self.frames[-1])
+        low = np.clip(np.searchsorted(self.frames, at, "right") - 1, 0, max(len(self.frames) - 2, 0))
+        high = np.minimum(low + 1, len(self.frames) - 1)
+        share = (at - self.frames[low]) / np.maximum(self.frames[high] - self.frames[low], 1)
+        along = _eased(self.curves[high], share)
+        positions = self.positions[low] + along[:, :3] * (self.positions[high] - self.positions[low])
+        return positions, np.asarray(
+            matrix_from_quaternion(quaternion_slerp(self.rotations[low], self.rotations[high], along[:, 3]))
+        )
+
+
+@dataclass(frozen=True)
+class VmdMotion:
+    """What a VMD file holds of a model's motion.
+
+    Args:
+        model: Name of the model that it was made with.
+        bones: Track of each bone by its name.
+        morphs: Number of keys of each morph by its name.
+        switches: Inverse kinematics on or off by the name of its bone, from a frame on, by rising frames.
+    """
+
+    model: str
+    bones: dict[str, VmdTrack]
+    morphs: dict[str, int]
+    switches: tuple[tuple[int, dict[str, bool]], ...]
+
+    @property
+    def last_frame(self) -> int:
+        """Frame of the last key of a bone, at 30 frames a second."""
+        return max((int(track.frames[-1]) for track in self.bones.values()), default=0)
+
+    def frame_count(self, fps: float = VMD_FPS) -> int:
+        """How many frames there are from frame 0 to the last key, at a rate [1/s]."""
+        return int(self.last_frame / VMD_FPS * fps + 1e-6) + 1
+
+    def sample(
+        self, fps: float = VMD_FPS, bones: Collection[str] | None = None
+    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Positions [m] (N, 3) and rotation matrices (N, 3, 3) of each bone, or those named, from frame 0 to the last
+        key, at a rate [1/s].
+        """
+        frames = np.arange(self.frame_count(fps)) * (VMD_FPS / fps)
+        return {name: track.sample(frames) for name, track in self.bones.items() if bones is None or name in bones}
+
+
+def load_vmd(path: str | Path) -> VmdMotion:
+    """Read a VMD file.
+
+    Raises:
+        FormatError: The file cannot be read.
+    """
+    path = Path(path)
+    return read_vmd(path, read_bounded(path))
+
+
+def read_vmd(path: Path, data: bytes) -> VmdMotion:
+    """Read a VMD file from its bytes.
+
+    Raises:
+        FormatError: It is no VMD file, is cut off, announces more keys than it has room for, or holds what is no
+        number.
+    """
+    name_size = next((size for magic, size in _HEADERS if data.startswith(magic)), 0)
+    if not name_size:
+        raise FormatError(path, "it does not begin with 'Vocaloid Motion Data', so it is no VMD file; save it again")
+    at = 30 + name_size
+    model = _text(data[30:at])
+    keys, at = _records(path, data, at, _BONE, "bone keys", needed=True)
+    if not (np.isfinite(keys["position"]).all() and np.isfinite(keys["rotation"]).all()):
+        raise FormatError(path, "one of its bone keys holds values that are not numbers; save it again")
+    if len(keys) and keys["frame"].max() > LONGEST:
+        raise FormatError(
+            path, f"its last key is at frame {keys['frame'].max()}, hours after the start; delete that key"
+        )
+    morphs, at = _records(path, data, at, _MORPH, "morph keys")
+    for what, size in _SKIPPED:
+        _, at = _records(path, data, at, np.dtype((np.void, size)), what)
+    names, counts = np.unique(morphs["name"], return_counts=True)
+    return VmdMotion(
+        model,
+        _tracks(keys),
+        {_text(name): int(count) for name, count in zip(names, counts, strict=True)},
+        _switches(path, data, at),
+    )
+
+
+def _text(raw: bytes) -> str:
+    """A name in Shift JIS; the half of a letter that was cut off by the field's size is dropped."""
+    return raw.split(b"\0")[0].decode("cp932", "ignore")
+
+
+def _count(path: Path, data: bytes, at: int, size: int, what: str) -> int:
+    """The number of records that is written at a place, as long as they fit into the file; 0 at the end of the file."""
+    if at + 4 > len(data):
+        return 0  # older programs leave the last sections out
+    (count,) = struct.unpack_from("<I", data, at)
+    room = (len(data) - at - 4) // size
+    if count > room:
+        raise FormatError(
+            path, f"it announces {count} {what} but has room for {room}: it is cut off or broken; save it again"
+        )
+    return int(count)
+
+
+def _records(
+    path: Path, data: bytes, at: int, dtype: np.dtype, what: str, needed: bool = False
+) -> tuple[np.ndarray, int]:
+    if needed and at + 4 > len(data):
+        raise FormatError(path, f"it is cut off before its {what}; save it again")
+    count = _count(path, data, at, dtype.itemsize, what)
+    return np.frombuffer(data, dtype, count, min(at + 4, len(data)) if count else 0), at + 4 + count * dtype.itemsize
+
+
+def _tracks(keys: np.ndarray) -> dict[str, VmdTrack]:
+    """Keys by bone, turned into our frame: z is turned round, and so are rotations about x and y."""
+    out = {}
+    names, owner = np.unique(keys["name"], return_inverse=True)
+    order = np.lexsort((np.arange(len(keys)), keys["frame"], owner))
+    for group in np.split(order, np.flatnonzero(np.diff(owner[order])) + 1) if len(keys) else []:
+        frames = keys["frame"][group].astype(np.int64)
+        group = group[np.append(np.diff(frames) > 0, True)]  # of two keys at a frame the later one in the file counts
+        rotations = keys["rotation"][group].astype(float) * [-1, -1, 1, 1]
+        length = np.linalg.norm(rotations, axis=-1, keepdims=True)
+        rotations = np.where(length > 1e-6, rotations / np.maximum(length, 1e-6), [0.0, 0, 0, 1])
+        # Row r holds the curves from byte r on, so its first column is that of channel r; row 0 itself is partly
+        # overwritten.
+        curves = np.clip(keys["curve"][group][:, :, [0, 4, 8, 12]] / 127.0, 0, 1)
+        positions = keys["position"][group].astype(float) * np.array([1, 1, -1]) * MMD_METRE
+        out[_text(names[owner[group[0]]])] = VmdTrack(
+            keys["frame"][group].astype(np.int64), positions, rotations, curves
+        )
+    return out
+
+
+def _eased(curves: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """How far each channel is, from 0 to 1, at a share of the time between two keys: y where x is that share, on a
+    Bezier curve.
+
+    Args:
+        curves: Control points x1, y1, x2, y2 of four channels, shape (N, 4, 4).
+        share: From 0 to 1, shape (N,).
+    """
+    x1, y1, x2, y2 = np.moveaxis(curves, -1, 0)
+    low, high = np.zeros_like(x1), np.ones_like(x1)
+    for _ in range(_HALVINGS):  # x rises with the parameter
+        middle = (low + high) / 2
+        before = _bezier(x1, x2, middle) < share[:, None]
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    straight = (x1 == y1) & (x2 == y2)
+    return np.where(straight, share[:, None], _bezier(y1, y2, (low + high) / 2))
+
+
+def _bezier(first: np.ndarray, second: np.ndarray, s: np.ndarray) -> np.ndarray:
+    return np.asarray(3 * (1 - s) ** 2 * s * first + 3 * (1 - s) * s**2 * second + s**3)
+
+
+def _switches(path: Path, data: bytes, at: int) -> tuple[tuple[int, dict[str, bool]], ...]:
+    """Keys that show the model and switch its inverse kinematics."""
+    count = _count(path, data, at, 9, "inverse kinematics keys")
+    out = []
+    at += 4
+    for _ in range(count):
+        if at + 9 > len(data):
+            raise FormatError(path, "it is cut off in its inverse kinematics keys; save it again")
+        frame, _, bones = struct.unpack_from("<IBI", data, at)
+        at += 9
+        if bones * 21 > len(data) - at:
+            raise FormatError(
+                path, f"it announces {bones} inverse kinematics bones in one key but is cut off; save it again"
+            )
+        states = {
+            _text(data[at + 21 * bone : at + 21 * bone + 20]): bool(data[at + 21 * bone + 20]) for bone in range(bones)
+        }
+        at += 21 * bones
+        out.append((int(frame), states))
+    return tuple(sorted(out, key=lambda key: key[0]))
+
+
+_KEY = np.dtype(
+    [("name", "S15"), ("frame", "<u4"), ("position", "<f4", 3), ("rotation", "<f4", 4), ("curve", "u1", 64)]
+)
+_ROW = bytes([20] * 8 + [107] * 8)  # x1 and y1 of the four channels, then x2 and y2: a straight line
+_CURVE = np.frombuffer(b"".join(_ROW[shift:] + bytes(shift) for shift in range(4)), np.uint8)
+_STILL_DEGREES, _STILL_METRES = 1e-4, 1e-7
+
+
+@dataclass(frozen=True)
+class MmdClip:
+    """Motion of the bones of a model at 30 frames a second.
+
+    Args:
+        bones: By their names: how far each is moved from its rest position, in its parent's axes [m], shape (N, 3), and
+            how it is turned from its rest pose, shape (N, 3, 3).
+        model: Name of the model.
+        ik_off: Bones whose inverse kinematics are off.
+    """
+
+    bones: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    model: str = ""
+    ik_off: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return max((len(positions) for positions, _ in self.bones.values()), default=0)
+
+
+def write_vmd(clip: MmdClip, path: str | Path) -> Path:
+    """Write a clip as VMD and return the path.
+
+    Raises:
+        FormatError: A bone's name cannot be written in Shift JIS, or the file cannot be written.
+    """
+    path = Path(path)
+    packed = pack_vmd(clip, path)
+    with atomic_write(path) as file:
+        file.write(packed)
+    return path
+
+
+def pack_vmd(clip: MmdClip, path: Path = Path("motion.vmd")) -> bytes:
+    """The bytes of a clip as VMD; a bone that stands still has one key.
+
+    Args:
+        clip: The clip.
+        path: For messages.
+
+    Raises:
+        FormatError: A bone's name cannot be written in Shift JIS.
+    """
+    parts = [_keys(path, name, *track) for name, track in clip.bones.items()]
+    keys = np.concatenate(parts) if parts else np.zeros(0, _KEY)
+    model = clip.model.encode("cp932", "ignore")[:19]
+    head = struct.pack("<30s20sI", b"Vocaloid Motion Data 0002", model, len(keys))
+    names = [_name(path, name, 20) for name in clip.ik_off]
+    switches = struct.pack("<IIBI", 1, 0, 1, len(names)) + b"".join(struct.pack("<20sB", name, 0) for name in names)
+    return head + keys.tobytes() + bytes(16) + switches  # no keys of morphs, camera, light and shadow
+
+
+def _name(path: Path, name: str, size: int) -> bytes:
+    try:
+        return name.encode("cp932")[:size]
+    except UnicodeEncodeError:
+        raise FormatError(
+            path, f"the bone {name[:40]!r} has a name that VMD cannot hold (it is in Shift JIS); rename it in the model"
+        ) from None
+
+
+def _keys(path: Path, name: str, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    positions = np.asarray(positions, float) * [1, 1, -1] / MMD_METRE
+    quaternions = quaternion_from_matrix(np.asarray(rotations, float)) * [-1, -1, 1, 1]
+    still = (
+        np.ptp(positions, axis=0).max() <= _STILL_METRES / MMD_METRE
+        and (np.abs(quaternions @ quaternions[0]) > np.cos(np.radians(_STILL_DEGREES))).all()
+    )
+    count = 1 if still else len(positions)
+    flips = np.where((quaternions[1:] * quaternions[:-1]).sum(-1) < 0, -1.0, 1.0)
+    quaternions[1:] *= np.cumprod(flips)[:, None]  # other programs may not take the short way
+    out = np.zeros(count, _KEY)
+    out["name"], out["frame"] = _name(path, name, 15), np.arange(count)
+    out["position"], out["rotation"], out["curve"] = positions[:count], quaternions[:count], _CURVE
+    return out

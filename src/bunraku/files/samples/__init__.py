@@ -1,0 +1,55 @@
+"""Sample characters that come with the package, so that demos and tests need no downloads.
+
+Each sample is a GLB file beside this module with smooth normals and one material per colour. It stands on y = 0, faces
++Z and has its left side at +X; people are in T-pose. `python tools/make_samples.py` writes the files again.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bunraku.errors import OptionError
+
+if TYPE_CHECKING:
+    from bunraku.core.character import Character
+
+__all__ = ["sample_character", "sample_file", "sample_names"]
+
+_NAMES = ("person", "dancer", "dog", "mushroom", "robot", "dragon")
+
+
+def sample_names() -> tuple[str, ...]:
+    """The names that `sample_character` knows."""
+    return _NAMES
+
+
+def sample_file(name: str) -> Path:
+    """The GLB file of a sample character.
+
+    Raises:
+        OptionError: The name is unknown.
+    """
+    if name not in _NAMES:
+        raise OptionError(f"there is no sample character named {name[:40]!r}; choose one of {', '.join(_NAMES)}")
+    return Path(__file__).with_name(f"{name}.glb")
+
+
+def sample_character(name: str) -> Character:
+    """A sample character, without a rig.
+
+    Args:
+        name: One of `sample_names`.
+
+    Returns:
+        The character: closed parts of 6,000 to 9,000 vertices together, wound outward, with one colour a face.
+
+    Raises:
+        OptionError: The name is unknown.
+        FormatError: The installation is damaged: the file cannot be read.
+    """
+    path = sample_file(name)
+    from bunraku.core.files import read_bounded
+    from bunraku.files.gltf.read import read_gltf
+
+    return read_gltf(path, read_bounded(path))

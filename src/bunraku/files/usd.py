@@ -1,0 +1,571 @@
+"""Write USD: the mesh with its materials, and the handles or the bones of its own rig as a UsdSkel skeleton with
+motion.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bunraku.core.body.layout import handle_names
+from bunraku.core.character import Character
+from bunraku.core.files import check_output_folder, share_file, writing
+from bunraku.core.geometry.axes import UNITS, FileFrame
+from bunraku.core.geometry.rotations import quaternion_from_matrix
+from bunraku.core.motion import checked_fps
+from bunraku.errors import FormatError, MissingExtraError, OptionError
+from bunraku.files.gltf.carry import image_type
+from bunraku.files.gltf.colors import linear_from_srgb
+from bunraku.files.gltf.document import Document
+from bunraku.files.gltf.read import Source
+
+if TYPE_CHECKING:
+    from bunraku.core.animation import Animation, PointAnimation, RigAnimation
+    from bunraku.core.character import Handles
+    from bunraku.core.motion import HandleMotion
+
+__all__ = [
+    "Look",
+    "Piece",
+    "add_mesh",
+    "check_available",
+    "pieces",
+    "prim_name",
+    "write_points",
+    "write_rig",
+    "write_usd",
+]
+
+
+_WRAP = {33071: "clamp", 33648: "mirror", 10497: "repeat"}
+_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg"}
+
+
+def prim_name(text: str, fallback: str = "character") -> str:
+    """Text as the name of a prim."""
+    name = re.sub(r"[^A-Za-z0-9_]+", "_", text).strip("_")[:60]
+    return name if name and not name[0].isdigit() else f"{fallback}_{name}".rstrip("_")
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A part of a character that has one material.
+
+    Args:
+        name: A name for its prim.
+        index: The character's vertex behind each of its own, shape (V,).
+        faces: Its triangles, shape (F, 3).
+        uv: Texture coordinates with v upwards, shape (V, 2), or None.
+        material: The material's number in the document, or None.
+    """
+
+    name: str
+    index: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray | None = None
+    material: int | None = None
+
+
+@dataclass
+class Look:
+    """The materials of a document as they are used by what has been written so far.
+
+    Args:
+        usd: The modules of USD.
+        stage: Where they are written.
+        root: Path of the prim that they are under.
+        folder: Name of the folder of the textures, as the file says it.
+        textures: Images that are needed: bytes by file name.
+    """
+
+    usd: dict[str, ModuleType]
+    stage: Any
+    root: str
+    folder: str
+    textures: dict[str, bytes] = field(default_factory=dict)
+    _made: dict[tuple[int, bool], Any] = field(default_factory=dict)
+
+    def bind(self, prim: Any, document: Document, number: int, painted: bool) -> None:
+        """Give a prim a material of a document; where it has no texture, one that shows the vertex colours of what is
+        painted with them.
+        """
+        key = number, painted
+        if key not in self._made:
+            self._made[key] = self._material(document, number, painted)
+        shade = self.usd["UsdShade"]
+        shade.MaterialBindingAPI.Apply(prim).Bind(self._made[key])
+
+    def _material(self, document: Document, number: int, painted: bool) -> Any:
+        shade, types = self.usd["UsdShade"], self.usd["Sdf"].ValueTypeNames
+        entry = document.item("materials", number)
+        rough = entry.get("pbrMetallicRoughness")
+        rough = rough if isinstance(rough, dict) else {}
+        factor = np.clip(document.numbers(rough, "baseColorFactor", [1.0] * 4), 0, 1).tolist()
+        material = shade.Material.Define(self.stage, f"{self.root}/Materials/material_{number}{'_painted' * painted}")
+        path = str(material.GetPath())
+        surface = shade.Shader.Define(self.stage, f"{path}/Surface")
+        surface.CreateIdAttr("UsdPreviewSurface")
+        for name, key in (("roughness", "roughnessFactor"), ("metallic", "metallicFactor")):
+            value = float(document.numbers({key: [rough.get(key, 1.0)]}, key, [1.0])[0])
+            surface.CreateInput(name, types.Float).Set(min(max(value, 0.0), 1.0))
+        material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
+        opacity, color = surface.CreateInput("opacity", types.Float), surface.CreateInput("diffuseColor", types.Color3f)
+        seen = entry.get("alphaMode") in ("MASK", "BLEND")
+        if entry.get("alphaMode") == "MASK":
+            cutoff = entry.get("alphaCutoff", 0.5)
+            surface.CreateInput("opacityThreshold", types.Float).Set(
+                float(cutoff) if isinstance(cutoff, int | float) else 0.5
+            )
+        texture = self._texture(document, rough.get("baseColorTexture"), path, factor)
+        if texture is None:
+            color.Set(self.usd["Gf"].Vec3f(*factor[:3]))
+            if painted:
+                reader = shade.Shader.Define(self.stage, f"{path}/VertexColors")
+                reader.CreateIdAttr("UsdPrimvarReader_float3")
+                reader.CreateInput("varname", types.String).Set("displayColor")
+                reader.CreateOutput("result", types.Float3)
+                color.ConnectToSource(reader.ConnectableAPI(), "result")
+            opacity.Set(factor[3] if seen else 1.0)
+        else:
+            color.ConnectToSource(texture.ConnectableAPI(), "rgb")
+            if seen:
+                opacity.ConnectToSource(texture.ConnectableAPI(), "a")
+        return material
+
+    def _texture(self, document: Document, info: Any, path: str, factor: list[float]) -> Any:
+        """A texture that is read by the coordinates `st`, or None where the image is missing or of a kind that USD does
+        not have.
+        """
+        if not isinstance(info, dict):
+            return None
+        texture = document.item("textures", info.get("index"))
+        number = texture.get("source")
+        if type(number) is not int:
+            return None
+        data = bytes(document.image(number) or b"")
+        suffix = _SUFFIX.get(image_type(data[:16]) or "")
+        if suffix is None:
+            return None
+        name = f"image_{number}{suffix}"
+        self.textures[name] = data
+        shade, types = self.usd["UsdShade"], self.usd["Sdf"].ValueTypeNames
+        reader = shade.Shader.Define(self.stage, f"{path}/Coordinates")
+        reader.CreateIdAttr("UsdPrimvarReader_float2")
+        reader.CreateInput("varname", types.String).Set("st")
+        reader.CreateOutput("result", types.Float2)
+        out = shade.Shader.Define(self.stage, f"{path}/BaseColor")
+        out.CreateIdAttr("UsdUVTexture")
+        out.CreateInput("file", types.Asset).Set(self.usd["Sdf"].AssetPath(f"./{self.folder}/{name}"))
+        out.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
+        out.CreateInput("scale", types.Float4).Set(self.usd["Gf"].Vec4f(*factor))
+        out.CreateInput("st", types.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+        sampler = texture.get("sampler")
+        wrap = document.item("samplers", sampler) if sampler is not None else {}
+        for axis in "ST":
+            out.CreateInput(f"wrap{axis}", types.Token).Set(_WRAP.get(wrap.get(f"wrap{axis}", 10497), "repeat"))
+        out.CreateOutput("rgb", types.Float3)
+        out.CreateOutput("a", types.Float)
+        return out
+
+
+def pieces(character: Character) -> list[Piece]:
+    """The pieces of a character: those of its document where it has one, itself otherwise."""
+    source = character.source
+    if (
+        not isinstance(source, Source)
+        or not len(source.index)
+        or int(source.index.max()) + 1 != len(character.vertices)
+    ):
+        return [Piece("Mesh", np.arange(len(character.vertices)), character.faces)]
+    out: list[Piece] = []
+    start, document = 0, source.document
+    for part in source.parts:
+        title = (
+            document.item("nodes", part.node).get("name") or document.item("meshes", part.mesh).get("name") or "Mesh"
+        )
+        primitives = document.item("meshes", part.mesh)["primitives"]
+        for group in part.groups:
+            index = source.index[start : start + len(group.vertices)]
+            start += len(group.vertices)
+            for member, faces in zip(group.primitives, group.triangles, strict=True):
+                if not len(faces):
+                    continue
+                used, local = np.unique(faces, return_inverse=True)
+                material = primitives[member].get("material")
+                uv = _coordinates(document, primitives[member], len(group.vertices))
+                own = None if uv is None else np.ascontiguousarray(uv[used], np.float32)
+                number = material if type(material) is int else None
+                out.append(
+                    Piece(f"{prim_name(str(title), 'Mesh')}_{len(out)}", index[used], local.reshape(-1, 3), own, number)
+                )
+    return out
+
+
+def _coordinates(document: Document, primitive: dict[str, object], count: int) -> np.ndarray | None:
+    """The texture coordinates that the base colour of a primitive is read by, with v upwards."""
+    texture = None
+    if type(primitive.get("material")) is int:
+        rough = document.item("materials", primitive["material"]).get("pbrMetallicRoughness")
+        texture = rough.get("baseColorTexture") if isinstance(rough, dict) else None
+    number = texture.get("texCoord", 0) if isinstance(texture, dict) else 0
+    accessor = document.entry(primitive, "attributes").get(f"TEXCOORD_{number}")
+    if accessor is None or document.count(accessor) != count:
+        return None
+    uv = np.nan_to_num(document.accessor(accessor, ("VEC2",)).astype(np.float32), posinf=0.0, neginf=0.0)
+    return np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)
+
+
+def add_mesh(
+    usd: dict[str, ModuleType], stage: Any, path: str, piece: Piece, character: Character, rest: np.ndarray, look: Look
+) -> Any:
+    """Add a piece as a mesh and return it.
+
+    Args:
+        usd: The modules of USD.
+        stage: The stage.
+        path: Path of the prim.
+        piece: The piece.
+        character: What it is of.
+        rest: Its rest positions in the file's frame, shape (V, 3), float32.
+        look: Where its material goes.
+    """
+    array, types = usd["Vt"].Vec3fArray.FromNumpy, usd["Sdf"].ValueTypeNames
+    mesh = usd["UsdGeom"].Mesh.Define(stage, path)
+    mesh.CreateSubdivisionSchemeAttr("none")
+    mesh.CreatePointsAttr(array(rest))
+    mesh.CreateFaceVertexCountsAttr(usd["Vt"].IntArray.FromNumpy(np.full(len(piece.faces), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(
+        usd["Vt"].IntArray.FromNumpy(np.ascontiguousarray(piece.faces.reshape(-1), np.int32))
+    )
+    mesh.CreateExtentAttr(array(np.stack([rest.min(axis=0), rest.max(axis=0)])))
+    mesh.CreateDoubleSidedAttr(True)
+    primvars = usd["UsdGeom"].PrimvarsAPI(mesh)
+    if character.colors is not None:
+        colors = np.ascontiguousarray(linear_from_srgb(character.colors[piece.index] / 255.0), np.float32)
+        primvars.CreatePrimvar("displayColor", types.Color3fArray, "vertex").Set(array(colors))
+    if piece.uv is not None:
+        primvars.CreatePrimvar("st", types.TexCoord2fArray, "vertex").Set(usd["Vt"].Vec2fArray.FromNumpy(piece.uv))
+    if piece.material is not None and isinstance(character.source, Source):
+        painted = character.colors is not None and int(np.ptp(character.colors[piece.index], axis=0).max(initial=0)) > 2
+        look.bind(mesh.GetPrim(), character.source.document, piece.material, painted)
+    return mesh
+
+
+SMALL = 1e-5  # weights under this move nothing that is seen
+CHUNK = 32  # frames posed at once
+
+
+def write_usd(
+    animation: Animation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m", points: bool = False
+) -> Path:
+    """Write an animation as USD.
+
+    Args:
+        animation: The animation.
+        path: The file: .usd and .usdc are binary, .usda is text, .usdz is a package.
+        fps: Frames a second [1/s]; those of the motion by default.
+        up: "+y", as USD has it by default, or "+z"; the stage's `upAxis` says which.
+        unit: Unit of lengths, one of `bunraku.core.geometry.axes.UNITS`; the stage's `metersPerUnit` says which.
+        points: Write the position of every vertex in every frame instead of a skeleton.
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        FormatError: The file cannot be written.
+        MissingExtraError: The extra `usd` is not installed.
+        OptionError: An option makes no sense.
+    """
+    if points:
+        return write_points(animation, path, fps=fps, up=up, unit=unit)
+    frame = FileFrame.of(up, unit)
+    moved = animation.at(checked_fps(fps, animation.motion.fps))
+    return _write_skinned(path, moved.character, _of_handles(moved, frame), moved.motion.fps, up, unit)
+
+
+def write_rig(
+    animation: RigAnimation,
+    path: Path,
+    *,
+    fps: float | None = None,
+    up: str = "+y",
+    unit: str = "m",
+    points: bool = False,
+) -> Path:
+    """Write an animation of a character's own rig as USD: its bones in their tree, under their names; arguments and
+    errors are those of `write_usd`.
+    """
+    if points:
+        return write_points(animation.animation(), path, fps=fps, up=up, unit=unit)
+    frame = FileFrame.of(up, unit)
+    moved = animation.at(checked_fps(fps, animation.fps))
+    return _write_skinned(path, moved.character, _of_bones(moved, frame), moved.fps, up, unit)
+
+
+def _write_skinned(path: Path, character: Character, skin: _Skin, fps: float, up: str, unit: str) -> Path:
+    usd, frame = _library(), FileFrame.of(up, unit)
+    stage, name = _stage(usd, fps, len(skin.translations), up, unit), prim_name(character.name)
+    root = usd["UsdSkel"].Root.Define(stage, f"/{name}")
+    look = Look(usd, stage, f"/{name}", _texture_folder(path))
+    _add_skinned(usd, stage, f"/{name}", character, skin, frame, look)
+    stage.SetDefaultPrim(root.GetPrim())
+    return _export(usd, stage, path, look)
+
+
+def write_points(
+    animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m"
+) -> Path:
+    """Write where every vertex is in every frame as USD; arguments are those of `write_usd`."""
+    usd, frame = _library(), FileFrame.of(up, unit)
+    moved = animation.at(checked_fps(fps, animation.motion.fps))
+    stage, name = _stage(usd, moved.motion.fps, len(moved.motion), up, unit), prim_name(animation.character.name)
+    root = usd["UsdGeom"].Xform.Define(stage, f"/{name}")
+    look, rest, array = (
+        Look(usd, stage, f"/{name}", _texture_folder(path)),
+        frame.points(animation.character.vertices),
+        usd["Vt"].Vec3fArray.FromNumpy,
+    )
+    meshes = []
+    for piece in pieces(animation.character):
+        mesh = add_mesh(
+            usd,
+            stage,
+            f"/{name}/{piece.name}",
+            piece,
+            animation.character,
+            np.ascontiguousarray(rest[piece.index]),
+            look,
+        )
+        meshes.append((piece, mesh.GetPointsAttr(), mesh.GetExtentAttr()))
+    for start in range(0, len(moved.motion), CHUNK):
+        for number, posed in enumerate(moved.vertices(slice(start, start + CHUNK)), start):
+            positions = np.ascontiguousarray(frame.points(posed), np.float32)
+            for piece, points, extent in meshes:
+                own = np.ascontiguousarray(positions[piece.index])
+                points.Set(array(own), number)
+                extent.Set(array(np.stack([own.min(axis=0), own.max(axis=0)])), number)
+    stage.SetDefaultPrim(root.GetPrim())
+    return _export(usd, stage, path, look)
+
+
+def check_available() -> None:
+    """Raise MissingExtraError unless USD is installed."""
+    _library()
+
+
+def _library() -> dict[str, ModuleType]:
+    try:
+        return {
+            name: import_module(f"pxr.{name}")
+            for name in ("Gf", "Sdf", "Usd", "UsdGeom", "UsdShade", "UsdSkel", "UsdUtils", "Vt")
+        }
+    except ImportError as error:
+        raise MissingExtraError("usd-core", "usd", "writing USD") from error
+
+
+def _stage(usd: dict[str, ModuleType], fps: float, frames: int, up: str, unit: str) -> Any:
+    stage = usd["Usd"].Stage.CreateInMemory()
+    usd["UsdGeom"].SetStageUpAxis(stage, up[1:].upper())
+    usd["UsdGeom"].SetStageMetersPerUnit(stage, UNITS[unit])
+    stage.SetTimeCodesPerSecond(fps)
+    stage.SetFramesPerSecond(fps)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(frames - 1)
+    stage.GetRootLayer().documentation = "bunraku"
+    return stage
+
+
+@dataclass(frozen=True, eq=False)
+class _Skin:
+    """A skeleton of J joints in the file's frame, none turned at rest, its motion in N frames, and its weights.
+
+    Args:
+        joints: Paths of the joints, every parent before its children.
+        bind: Where they rest, shape (J, 3).
+        local: The same from their parents, shape (J, 3).
+        translations, rotations: Of each in its parent's frame, shapes (N, J, 3) and (N, J, 4), xyzw, float32.
+        indices, weights: Joints of each vertex and their shares, shape (V, M).
+    """
+
+    joints: list[str]
+    bind: np.ndarray
+    local: np.ndarray
+    translations: np.ndarray
+    rotations: np.ndarray
+    indices: np.ndarray
+    weights: np.ndarray
+
+
+def _of_handles(animation: Animation, frame: FileFrame) -> _Skin:
+    handles = animation.handles
+    names = [prim_name(name) for name in handle_names(handles)]
+    h = frame.points(handles.positions.astype(np.float64))
+    local = h - h[0]
+    local[0] = h[0]
+    joints = [names[0], *(f"{names[0]}/{name}" for name in names[1:])]
+    return _Skin(joints, h, local, *_channels(handles, animation.motion, frame), *_influences(handles.weights))
+
+
+def _of_bones(animation: RigAnimation, frame: FileFrame) -> _Skin:
+    from bunraku.core.animation import bone_order
+
+    rig = animation.character.rig
+    assert rig is not None
+    order = bone_order(rig.parents)
+    place = {bone: number for number, bone in enumerate(order)}
+    joints: list[str] = []
+    local = rig.positions.astype(np.float64).copy()
+    for bone in order:
+        parent = int(rig.parents[bone])
+        above = f"{joints[place[parent]]}/" if parent >= 0 else ""
+        name = label = prim_name(rig.names[bone])
+        number = 1
+        while above + name in joints:
+            number += 1
+            name = f"{label}_{number}"
+        joints.append(above + name)
+        if parent >= 0:
+            local[bone] -= rig.positions[parent]
+    translations = (local + animation.translations)[:, order]
+    rotations = _signed(quaternion_from_matrix(frame.turn @ animation.rotations[:, order].astype(float) @ frame.turn.T))
+    return _Skin(
+        joints,
+        frame.points(rig.positions[order].astype(np.float64)),
+        frame.points(local[order]),
+        np.ascontiguousarray(frame.points(translations), np.float32),
+        rotations,
+        *_influences(rig.dense_weights()[:, order]),
+    )
+
+
+def _add_skinned(
+    usd: dict[str, ModuleType], stage: Any, root: str, character: Character, skin: _Skin, frame: FileFrame, look: Look
+) -> None:
+    Gf, UsdSkel, Vt = usd["Gf"], usd["UsdSkel"], usd["Vt"]
+    joints = skin.joints
+    skeleton = UsdSkel.Skeleton.Define(stage, f"{root}/Skeleton")
+    skeleton.CreateJointsAttr(joints)
+    for make, positions in (
+        (skeleton.CreateBindTransformsAttr, skin.bind),
+        (skeleton.CreateRestTransformsAttr, skin.local),
+    ):
+        make(Vt.Matrix4dArray([Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(*matrix)) for matrix in positions.tolist()]))
+    clip = UsdSkel.Animation.Define(stage, f"{root}/Skeleton/Animation")
+    clip.CreateJointsAttr(joints)
+    UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([clip.GetPath()])
+    clip.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * len(joints)))
+    moved, turned = clip.CreateTranslationsAttr(), clip.CreateRotationsAttr()
+    for number in range(len(skin.translations)):
+        moved.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(skin.translations[number])), number)
+        turned.Set(Vt.QuatfArray.FromNumpy(np.ascontiguousarray(skin.rotations[number])), number)
+
+    rest = frame.points(character.vertices)
+    indices, weights = skin.indices, skin.weights
+    for piece in pieces(character):
+        mesh = add_mesh(
+            usd,
+            stage,
+            f"{root}/{piece.name}",
+            piece,
+            character,
+            np.ascontiguousarray(rest[piece.index]),
+            look,
+        )
+        binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+        binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+        binding.CreateJointIndicesPrimvar(False, indices.shape[1]).Set(
+            Vt.IntArray.FromNumpy(indices[piece.index].reshape(-1))
+        )
+        binding.CreateJointWeightsPrimvar(False, indices.shape[1]).Set(
+            Vt.FloatArray.FromNumpy(weights[piece.index].reshape(-1))
+        )
+        binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1))
+
+
+def _channels(handles: Handles, motion: HandleMotion, frame: FileFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Translations (N, K, 3) and xyzw rotations (N, K, 4) of the joints of Eq. 3 in the file's frame, float32."""
+    h = handles.positions.astype(np.float64)
+    translations = h + motion.translations
+    translations[:, 1:] -= h[0]
+    translations[:, 0] = h[0] + motion.root_translation
+    matrices = motion.rotations.astype(np.float64)
+    matrices[:, 0] = motion.root_rotation
+    rotations = quaternion_from_matrix(frame.turn @ matrices @ frame.turn.T)
+    return np.ascontiguousarray(frame.points(translations), np.float32), _signed(rotations)
+
+
+def _signed(rotations: np.ndarray) -> np.ndarray:
+    """Quaternions (N, K, 4) that do not change their signs on the way, so that they can be interpolated, float32."""
+    flips = np.where((rotations[1:] * rotations[:-1]).sum(-1) < 0, -1.0, 1.0)
+    rotations[1:] *= np.cumprod(flips, axis=0)[..., None]
+    return np.ascontiguousarray(rotations, np.float32)
+
+
+def _influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All weights that matter, largest first: joints (V, M) int32 and shares (V, M) float32, as many columns as any
+    vertex needs.
+    """
+    from bunraku.core.character import top_influences
+
+    most = max(int((weights > SMALL).sum(axis=1).max()), 1)
+    indices, shares = top_influences(np.where(weights > SMALL, weights, 0), most)
+    return np.ascontiguousarray(indices, np.int32), np.ascontiguousarray(shares, np.float32)
+
+
+def _texture_folder(path: Path) -> str:
+    """Where the textures of a file are: in the package, or in a folder beside the file."""
+    return "textures" if path.suffix.lower() == ".usdz" else f"{prim_name(path.stem, 'usd')}_textures"
+
+
+def _check_textures(path: Path, look: Look) -> None:
+    """Raise FormatError where the folder for the textures holds anything but earlier ones."""
+    folder = path.parent / look.folder
+    if path.suffix.lower() == ".usdz" or not look.textures or not folder.exists():
+        return
+    if not folder.is_dir() or any(not re.fullmatch(r"image_\d+\.(png|jpg)", entry.name) for entry in folder.iterdir()):
+        raise FormatError(path, f"{folder} exists and holds other files; choose another name for the USD file")
+
+
+def _export(usd: dict[str, ModuleType], stage: Any, path: Path, look: Look) -> Path:
+    """Write the stage and its textures to a folder beside the target, from which they take their places when they are
+    whole.
+    """
+    check_output_folder(path)
+    _check_textures(path, look)
+    suffix = path.suffix.lower()
+    if suffix not in (".usd", ".usda", ".usdc", ".usdz"):
+        raise OptionError(f"USD is written to .usd, .usda, .usdc or .usdz, not {suffix}")
+    with (
+        writing(path),
+        tempfile.TemporaryDirectory(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent) as folder,
+    ):
+        layer, images = (
+            Path(folder, f"{prim_name(path.stem)}{'.usda' if suffix == '.usda' else '.usdc'}"),
+            Path(folder, look.folder),
+        )
+        written = bool(stage.GetRootLayer().Export(str(layer)))
+        if look.textures:
+            images.mkdir()
+            for name, data in look.textures.items():
+                (images / name).write_bytes(data)
+        if written and suffix == ".usdz":
+            package = layer.with_suffix(".usdz")
+            written = bool(usd["UsdUtils"].CreateNewUsdzPackage(str(layer), str(package)))
+            layer = package
+        if not written:
+            raise FormatError(path, "USD cannot write the file; choose another folder or free some space")
+        share_file(layer)
+        if look.textures and suffix != ".usdz":
+            shutil.rmtree(path.parent / look.folder, ignore_errors=True)
+            os.replace(images, path.parent / look.folder)
+        os.replace(layer, path)
+    return path

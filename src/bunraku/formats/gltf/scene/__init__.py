@@ -1,1 +1,0 @@
-"""What a document describes: its nodes, meshes, colours, skins and their bind pose, and what VRM adds."""

@@ -1,0 +1,327 @@
+"""Candidates sampled in one batch: scripts to windows, noise to features, paths of the root, and parts of the body that
+are kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bunraku.core.geometry.curves import smooth_step
+from bunraku.core.request import CANDIDATES
+from bunraku.core.request import GUIDANCE as GUIDANCE_LIMIT
+from bunraku.core.request import STEPS as STEP_LIMIT
+from bunraku.core.travel import GroundPath
+from bunraku.errors import OptionError
+from bunraku.generation.composition import steadied, straightened, turned_as_asked
+from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, root_velocities, standing_legs
+from bunraku.generation.networks import Networks
+from bunraku.language.sentence import Clause
+
+if TYPE_CHECKING:
+    from bunraku.generation.classifier_guidance import Critic
+    from bunraku.generation.denoiser import Denoiser
+    from bunraku.generation.guide import GuidanceExample
+    from bunraku.generation.networks import Texts
+    from bunraku.generation.ranking import Candidate
+    from bunraku.generation.sampler import Solver
+
+__all__ = ["GUIDANCE", "STEPS", "SamplingSettings", "arrive", "draw_candidates", "frames_of", "way_of"]
+
+
+STILL = 0.3  # m/s; a loop whose root goes no faster than this, all in all, is meant to stay where it is
+
+
+def arrive(root: np.ndarray, fps: float, turn: float | None, travel: tuple[float, float] | None) -> np.ndarray:
+    """Root velocities changed as little and as evenly as they can be so that they lead to a given place.
+
+    Args:
+        root: Yaw velocity [rad/s] and planar velocity in the heading of each frame [m/s], shape (N, 3), as `features`
+            has them.
+        fps: Frames a second [1/s].
+        turn: Turn of all frames together [rad]; None for the nearest whole number of turns.
+        travel: Way (x, z) of all frames together [m], seen from the heading before the first; None keeps the way unless
+            it is so short that it is meant to be none.
+
+    Returns:
+        Shape (N, 3).
+    """
+    count = len(root)
+    weight = np.ones(count)
+    if travel is not None:  # little at both ends, so that the velocities stay smooth where these frames meet others
+        weight = np.sin(math.pi * (np.arange(count) + 1) / (count + 1))
+    weight = (weight / weight.sum()).astype(root.dtype)
+    yaw = root[:, 0]
+    total = float(yaw.sum()) / fps
+    target = round(total / (2 * math.pi)) * 2 * math.pi if turn is None else turn
+    yaw = yaw + (target - total) * fps * weight
+    angle = yaw.cumsum() / fps
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, z = root[:, 1] * cos + root[:, 2] * sin, root[:, 2] * cos - root[:, 1] * sin
+    displacement = (float(x.sum()) / fps, float(z.sum()) / fps)
+    if travel is None:
+        travel = displacement if math.hypot(*displacement) > STILL * count / fps else (0.0, 0.0)
+    x, z = x + (travel[0] - displacement[0]) * fps * weight, z + (travel[1] - displacement[1]) * fps * weight
+    return np.stack([yaw, x * cos - z * sin, z * cos + x * sin], -1).astype(root.dtype)
+
+
+STEPS = 8
+GUIDANCE = 3.5
+MADE_UNTIL = 0
+"""Step of the sampler down to which a gesture made by code stands for what the network predicts. It has seen none:
+from 100 on it already stills the hands of somebody who claps.
+"""
+STANDING, GOING_DOWN = 6, 14
+"""Frames for which who is about to sit or lie down still stands, and frames in which that is let go of."""
+
+
+@dataclass(frozen=True)
+class SamplingSettings:
+    """How a motion is drawn.
+
+    Args:
+        steps: Sampling steps, 1 to 1,000; None takes the few that the denoiser was distilled into, or 8.
+        guidance: Classifier-free guidance scale, 0 to 20; None takes 3.5, which few steps hold in their weights.
+        mesh_feature: f_phi of the character, shape (448,); None, or weights that were trained without characters,
+            generate for no mesh in particular.
+        progress: Called with a stage's name and the share done.
+        checkpoint: Weights of the denoiser in place of the shipped ones.
+        candidates: How many motions are drawn for each that is given back: the one that the ranker likes best
+            (`generation.ranking`), 1 to 16. The first has the noise that it has alone. Where none has the side, the
+            turn or the direction that the sentence says, as many are drawn again, three times at the most.
+        examples: All candidates but the first start from captured examples where there are any that fit
+            (`diffusion.examples`). They are of people.
+        all_led: The first does so too.
+        classifier_guidance: What is predicted is guided towards its sentences, as people do them
+            (`diffusion.sampling.classifier_guidance`).
+        note: Called with what should be known of a motion, one line each.
+        held: The networks; None loads those of `checkpoint` when they are asked for.
+
+    Raises:
+        OptionError: A setting is outside what can be done.
+    """
+
+    steps: int | None = None
+    guidance: float | None = None
+    mesh_feature: object | None = None
+    progress: Callable[[str, float], None] | None = None
+    checkpoint: str | Path | None = None
+    candidates: int = 1
+    examples: bool = True
+    all_led: bool = False
+    classifier_guidance: bool = True
+    note: Callable[[str], None] | None = None
+    held: Networks | None = None
+
+    def __post_init__(self) -> None:
+        CANDIDATES.check(self.candidates)
+        STEP_LIMIT.check(self.steps)
+        GUIDANCE_LIMIT.check(self.guidance)
+
+    @property
+    def networks(self) -> Networks:
+        """The networks that draw."""
+        return self.held or Networks(self.checkpoint)
+
+    @property
+    def denoiser(self) -> Denoiser:
+        """What predicts: the denoiser of few steps where no other number of steps or guidance is asked for."""
+        few = self.networks.few_steps if self.steps is None and self.guidance is None else None
+        return few or self.networks.denoiser
+
+    def of_body(self, model: Denoiser) -> bool:
+        """Whether what is drawn is a body's own motion: see `HandleMotion`."""
+        return self.mesh_feature is not None and bool(model.notes.get("creatures"))
+
+    @property
+    def solver(self) -> Solver:
+        """How they are denoised."""
+        from bunraku.generation.sampler import Solver
+
+        progress = self.progress
+        return Solver(
+            STEPS if self.steps is None else self.steps,
+            GUIDANCE if self.guidance is None else self.guidance,
+            progress=(lambda done, total: progress("generate", done / total)) if progress else None,
+        )
+
+    def mesh_features(self, model: Denoiser, rows: int) -> np.ndarray | None:
+        """The character's f_phi for this many sentences, shape (rows, 448)."""
+        if self.mesh_feature is None or not model.knows_meshes:
+            return None
+        mesh = np.asarray(self.mesh_feature, np.float32)
+        if mesh.shape != (model.config.mesh_features,) or not bool(np.isfinite(mesh).all()):
+            raise OptionError(f"the mesh feature must be {model.config.mesh_features} finite numbers")
+        return np.broadcast_to(mesh, (rows, len(mesh)))
+
+
+def draw_candidates(
+    texts: Texts,
+    scripts: Sequence[Sequence[Clause]],
+    noise: list[tuple[int, int]],
+    how: SamplingSettings,
+    loop: bool,
+    path: GroundPath | None,
+    examples: Sequence[tuple[GuidanceExample | None, GuidanceExample | None]],
+    critic: Critic | None = None,
+) -> list[Candidate]:
+    """One candidate for each script from its own noise, all in one batch.
+
+    Args:
+        texts: What the denoiser reads of the scripts.
+        scripts: The clauses of each.
+        noise: Seed and row of each (see `drawn_noise`).
+        how: How they are drawn.
+        loop: Make loops.
+        path: What the root follows, in metres of the reference body; None for its own way.
+        examples: Examples that each starts from, and those of the gestures that are made at the same time; None for
+            none.
+        critic: What guides them towards their sentences; None for nothing.
+    """
+    from bunraku.core.nn.layers import one_thread
+    from bunraku.generation.composition import PartTrack, with_limbs
+    from bunraku.generation.ranking import Candidate, script_agreement
+    from bunraku.generation.sampler import Steering
+    from bunraku.generation.windows import plan_windows, sample_plans
+
+    model = how.denoiser
+    lengths = [frames_of([clause.seconds for clause in script], model.config.fps) for script in scripts]
+    plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
+    told = [second is not None for _, second in examples]  # limbs are then laid over the motion
+    tracks = [track for row, script in enumerate(scripts) if (track := PartTrack.of(row, script, not told[row]))]
+    sentences = [clause.body.text for script in scripts for clause in script]
+    text = texts.batch(sentences + [sentence for track in tracks for sentence in track.sentences])
+    statistics = FeatureStatistics(model.mean, model.std)
+    plans += [plans[track.motion] for track in tracks]
+    noise = noise + [noise[track.motion] for track in tracks]
+    sizes = [plan.frames for plan in plans]
+
+    owners = [*range(len(scripts)), *(track.motion for track in tracks)]
+    ways: list[np.ndarray] = []
+    if path is not None:
+        ways = [way_of(path, sum(own), model.config.fps, script) for own, script in zip(lengths, scripts, strict=True)]
+    stands = [path is None and not loop and "goes down" in script[0].traits for script in scripts]
+    held = None
+    if ways or any(stands):
+        own_ways = [ways[row] for row in owners] if ways else None
+        held = _held(own_ways, [stands[row] for row in owners], sizes, statistics, model.config.fps)
+
+    starts = [first for first, _ in examples] + [examples[track.motion][1] for track in tracks]
+    guide = _guided(starts, [lengths[row] for row in owners], sizes, statistics, loop)
+    classifier_guidance = None
+    if critic is not None:
+        clauses = [[clause.body.text for clause in script] for script in scripts]
+        classifier_guidance = critic.guidance(model, clauses, lengths, sizes[: len(scripts)], guide, how.solver.steps)
+
+    def refine(values: np.ndarray) -> np.ndarray:
+        parts = np.split(values, np.cumsum(sizes)[:-1])
+        for own, track in enumerate(tracks, len(scripts)):
+            parts[own] = track.follow(parts[track.motion], parts[own])
+        return np.concatenate([closed(part, model) for part in parts] if loop else parts)
+
+    steering, mesh = (
+        Steering(classifier_guidance, guide, refine if loop or tracks else None, held),
+        how.mesh_features(model, len(text.mask)),
+    )
+    with one_thread():
+        found = sample_plans(model, text, plans, how.solver, steering, seeds=noise, mesh_features=mesh)
+    for track, own in zip(tracks, found[len(scripts) :], strict=True):
+        found[track.motion] = replace(own, adaptation=track.adapt(found[track.motion].adaptation, own.adaptation))
+    drawn = []
+    for row, (part, script, own_lengths, example) in enumerate(zip(found, scripts, lengths, starts, strict=False)):
+        frames = np.arange(sum(own_lengths) + loop) % len(part.values)
+        timed = list(zip(script, own_lengths, strict=True))
+        features = steadied(statistics.restore(part.values), loop)
+        if not loop and path is None:
+            features = straightened(features, timed, model.config.fps)
+            features = turned_as_asked(features, timed, model.config.fps)
+        limbs = examples[row][1]
+        if limbs is not None and any(clause.limbs_meanwhile for clause in script):
+            gesture = statistics.restore(limbs.on(own_lengths, sizes[row], statistics, closed=loop).values)
+            features = with_limbs(features, gesture, timed)
+        features = features[frames]
+        said = script_agreement(features, timed, example is not None) if how.candidates > 1 and path is None else None
+        drawn.append(Candidate(features, part.adaptation[frames], timed, said, example is not None))
+    return drawn
+
+
+def way_of(path: GroundPath, frames: int, fps: float, script: Sequence[Clause]) -> np.ndarray:
+    """Position (x, z) [m] and heading [rad] of a root that follows a path in each frame, shape (N, 3)."""
+    back = "backward" in script[0].traits
+    return np.column_stack([path.positions(frames, fps), path.headings(frames, fps, back)])
+
+
+def _held(
+    ways: Sequence[np.ndarray] | None,
+    stands: Sequence[bool],
+    sizes: Sequence[int],
+    statistics: FeatureStatistics,
+    fps: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What is known beforehand, in network units, and which features these are: both (F, D). The root's velocities
+    where it follows a path; legs that stand in the first frames of who is about to sit or lie down.
+    """
+    values, share = (np.zeros((sum(sizes), FEATURE_SIZE), np.float32) for _ in range(2))
+    pose, legs = standing_legs()
+    hold = np.concatenate([np.ones(STANDING), 1 - smooth_step(np.arange(1, GOING_DOWN) / GOING_DOWN)])
+    start = 0
+    for row, size in enumerate(sizes):
+        if ways is not None:
+            values[start : start + len(ways[row]), :3] = root_velocities(ways[row], fps)
+            share[start : start + len(ways[row]), :3] = 1
+        if stands[row]:
+            first = slice(start, start + min(len(hold), size))
+            values[first, legs] = pose[legs]
+            share[first, legs] = hold[:size, None]
+        start += size
+    known = np.where(share > 0, statistics.normalise(values), 0).astype(np.float32)
+    return known, share
+
+
+def _guided(
+    examples: Sequence[GuidanceExample | None],
+    lengths: Sequence[list[int]],
+    sizes: Sequence[int],
+    statistics: FeatureStatistics,
+    loop: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """What candidates start from, in network units, (F, D), how far, (F, 1), and down to which step of the sampler,
+    (F, 1); None where no one has an example.
+    """
+    from bunraku.generation.sampler import LED_UNTIL
+
+    if not any(examples):
+        return None
+    values, share = np.zeros((sum(sizes), FEATURE_SIZE), np.float32), np.zeros((sum(sizes), 1), np.float32)
+    until = np.full((sum(sizes), 1), LED_UNTIL, np.int64)
+    ends = np.cumsum(sizes)
+    for example, own, stop, size in zip(examples, lengths, ends, sizes, strict=True):
+        if example is not None:
+            guide = example.on(own, size, statistics, closed=loop)
+            values[stop - size : stop], share[stop - size : stop, 0] = guide.values, guide.share
+            until[stop - size : stop, 0] = np.where(guide.made, MADE_UNTIL, LED_UNTIL)
+    return values, share, until
+
+
+def frames_of(seconds: Sequence[float], fps: float) -> list[int]:
+    """Frames of each part, at least one, so that the parts end where the sum of their seconds says, whatever the
+    rounding.
+    """
+    ends = [round(float(end) * fps) for end in np.cumsum(seconds)]
+    out = [max(1, after - before) for before, after in zip([0, *ends], ends, strict=False)]
+    return out
+
+
+def closed(values: np.ndarray, model: Denoiser) -> np.ndarray:
+    """Values of a loop, shape (N, D) in network units, whose root ends facing as it starts, and where it starts if it
+    hardly travels.
+    """
+
+    mean, std = model.mean[:3], model.std[:3]
+    root = arrive(values[:, :3] * std + mean, model.config.fps, None, None)
+    return np.concatenate([(root - mean) / std, values[:, 3:]], axis=-1)

@@ -1,0 +1,438 @@
+"""The denoiser of Shape-aware Motion Diffusion as it runs (section 3.2 of TapMo), its checkpoint, and what changes for
+few steps.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.core.body.layout import HANDLE_PARENTS
+from bunraku.core.body.reference import capped
+from bunraku.core.geometry.rotations import matrix_from_6d
+from bunraku.core.nn.checkpoints import load_checkpoint, read_config
+from bunraku.core.nn.layers import Memory, Norm, Rotary, Weights, hidden_by, normed, silu
+from bunraku.errors import WeightsError
+from bunraku.generation.features import ROOT_SIZE
+from bunraku.generation.layers import (
+    TRAINING_STEPS,
+    Condition,
+    DecoderLayer,
+    DenoiserConfig,
+    denoiser_config,
+    rotary_positions,
+    waves,
+)
+
+__all__ = [
+    "Denoiser",
+    "EXAMPLE_TOKENS",
+    "FEW_STEPS_KIND",
+    "FewSteps",
+    "RetrievedExamples",
+    "fingerprint",
+    "joint_offsets",
+    "load_denoiser",
+    "load_denoiser_of_few_steps",
+    "load_few_steps",
+    "text_encoder_name",
+]
+
+
+EXAMPLE_TOKENS = 2
+"""Motion tokens whose frames share one token of an example: examples need less detail, and attention to them is half
+of its price.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class RetrievedExamples:
+    """Captured motions that show what each sentence of a batch says.
+
+    Args:
+        values: Network units, zero behind an example's end, shape (B, R, N, D).
+        lengths: Real frames, 0 where there is no example, shape (B, R).
+        pooled: The vector of each example's own sentence, shape (B, R, P).
+    """
+
+    values: np.ndarray
+    lengths: np.ndarray
+    pooled: np.ndarray
+
+    def rows(self, rows: np.ndarray) -> RetrievedExamples:
+        """Some rows of the batch, in the order that is given."""
+        return RetrievedExamples(self.values[rows], self.lengths[rows], self.pooled[rows])
+
+
+FEW_STEPS_KIND = "few-steps"
+_MARK = "motion_out.weight"
+
+
+def fingerprint(state: Mapping[str, np.ndarray]) -> str:
+    """Tells weights of a denoiser from others: of its last layer, in half precision."""
+    found = state.get(_MARK)
+    return "" if found is None else hashlib.sha256(found.astype(np.float16).tobytes()).hexdigest()[:32]
+
+
+@dataclass(frozen=True, eq=False)
+class FewSteps:
+    """Changes to a denoiser's weights, and the steps that they are for.
+
+    Args:
+        of: `fingerprint` of the teacher.
+        visited: Diffusion steps, falling.
+        guidance: Scale of the teacher's guidance by sentences, which the changes hold.
+        changes: Up (O, R) and down (R, I) by the name of the matrix (O, I).
+    """
+
+    of: str
+    visited: tuple[int, ...]
+    guidance: float
+    changes: Mapping[str, tuple[np.ndarray, np.ndarray]]
+
+    def fits(self, state: Mapping[str, np.ndarray]) -> bool:
+        """Whether these are the teacher's weights."""
+        return self.of == fingerprint(state)
+
+    def on(self, state: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+        """The teacher's weights, each changed when it is asked for, so that they are never all there twice.
+
+        Raises:
+            ValueError: A change is of no matrix of theirs.
+        """
+        for name, (up, down) in self.changes.items():
+            matrix = state.get(name)
+            if matrix is None or up.ndim != 2 or down.ndim != 2 or matrix.shape != (len(up), down.shape[1]):
+                raise ValueError(f"'{name}' is no matrix of the denoiser that has this change's size")
+        return _Changed(state, self.changes)
+
+
+class _Changed(Mapping[str, np.ndarray]):
+    def __init__(self, state: Mapping[str, np.ndarray], changes: Mapping[str, tuple[np.ndarray, np.ndarray]]):
+        self._state, self._changes = state, changes
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        matrix, change = self._state[name], self._changes.get(name)
+        if change is None:
+            return matrix
+        up, down = (part.astype(np.float32) for part in change)
+        return np.asarray(matrix.astype(np.float32) + up @ down)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._state)
+
+    def __len__(self) -> int:
+        return len(self._state)
+
+
+def load_few_steps(path: str | Path) -> FewSteps:
+    """Read what `bunraku train few-steps` wrote.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or names no steps.
+    """
+    state, config = load_checkpoint(path, FEW_STEPS_KIND, half=True)
+    visited: Any = config.get("visited")
+    steps = visited if isinstance(visited, list) else []
+    whole = all(isinstance(one, int) and 0 <= one < TRAINING_STEPS for one in steps)
+    if not steps or not whole or any(a <= b for a, b in zip(steps, steps[1:], strict=False)):
+        raise WeightsError(f"{path}: it names no falling diffusion steps; distil the denoiser again")
+    names = sorted({name.rpartition(".")[0] for name in state})
+    try:
+        changes = {name: (state[f"{name}.up"], state[f"{name}.down"]) for name in names}
+        return FewSteps(str(config["of"]), tuple(steps), float(config["guidance"]), changes)
+    except (KeyError, TypeError, ValueError) as error:
+        raise WeightsError(
+            f"{path}: a change of the weights is not whole ({error}); distil the denoiser again"
+        ) from error
+
+
+KIND = "diffusion"
+
+
+class Denoiser:
+    """Predicts x0 and the adaptation from a noisy motion, the step, a sentence and a mesh feature.
+
+    Motion enters and leaves in network units (see `FeatureStatistics`); the statistics travel with the weights.
+
+    Args:
+        config: Its sizes.
+        weights: Of a checkpoint.
+        notes: What the checkpoint says of its training.
+        visited: The few steps that the weights were distilled for, falling; none of others.
+
+    Raises:
+        ValueError: The weights have other sizes.
+    """
+
+    def __init__(
+        self,
+        config: DenoiserConfig,
+        weights: Weights,
+        notes: dict[str, Any] | None = None,
+        visited: tuple[int, ...] = (),
+    ):
+        self.config, self.visited = config, visited
+        self.notes: dict[str, Any] = notes or {}
+        width, patch = config.width, config.frames_per_token
+        if config.heads < 1 or width % (2 * config.heads) or patch < 1:
+            raise ValueError(f"{width} channels cannot be shared by {config.heads} heads, or {patch} frames by a token")
+        self.mean, self.std = weights.array("mean", config.features), weights.array("std", config.features)
+        self.motion_in = weights.linear("motion_in", config.features * patch, width)
+        self.mesh_in = weights.linear("mesh_in", config.mesh_features, width)
+        self.pooled_in = weights.linear("pooled_in", config.pooled_size, width)
+        self.null_pooled, self.null_mesh = weights.array("null_pooled", width), weights.array("null_mesh", width)
+        self.step_in = weights.linear("step_in.0", width, width), weights.linear("step_in.2", width, width)
+        self.motion_out = weights.linear("motion_out", width, config.features * patch)
+        seen = width * (2 if config.adaptation_mesh else 1)
+        self.adaptation_out = weights.linear("adaptation_out", seen, config.handles * 3 * patch)
+        self._build(weights)
+
+    def _build(self, weights: Weights) -> None:
+        config, width = self.config, self.config.width
+        self.text_in = weights.linear("text_in", config.text_size, width)
+        self.null_text = weights.array("null_text", width)
+        self.steer = weights.linear("steer", width, 9 * width)
+        self.layers = [
+            DecoderLayer(config, weights.part(f"layers.{index}"), examples=config.examples > 0 and index % 2 == 1)
+            for index in range(config.layers)
+        ]
+        self.final = weights.linear("final", width, 2 * width)
+        self.steer_more = None
+        if config.examples:
+            self.steer_more = weights.linear("steer_more", width, 3 * width)
+            frames = config.features * config.frames_per_token * EXAMPLE_TOKENS
+            self.example_in = weights.linear("example_in", frames, width)
+            self.example_sentence_in = weights.linear("example_sentence_in", config.pooled_size, width)
+            self.null_example = weights.array("null_example", width)
+
+    @property
+    def knows_meshes(self) -> bool:
+        """Whether training saw mesh features; else the mesh token must stay the learned null token."""
+        return bool(self.notes.get("characters"))
+
+    def condition(
+        self,
+        text: np.ndarray | None,
+        text_mask: np.ndarray | None,
+        pooled: np.ndarray | None,
+        mesh: np.ndarray | None,
+        keep_text: np.ndarray,
+        keep_mesh: np.ndarray,
+        examples: RetrievedExamples | None = None,
+    ) -> Condition:
+        """What the layers read beside the motion, which does not depend on the step.
+
+        Args:
+            text: Text tokens, shape (B, L, C); None for none.
+            text_mask: True where real, shape (B, L).
+            pooled: Sentence vectors, shape (B, P).
+            mesh: Mesh features f_phi, shape (B, 448); None for no mesh in particular.
+            keep_text: False where the sentence is dropped for classifier-free guidance, shape (B,).
+            keep_mesh: False where the mesh feature is unknown, shape (B,).
+            examples: Captured examples of the sentences; they are dropped with them. None for none.
+        """
+        batch, width = len(keep_text), self.config.width
+        token = self._mesh_token(mesh, keep_mesh)
+        memory = [token[:, None], np.broadcast_to(self.null_text, (batch, 1, width))]
+        mask = [np.ones((batch, 1), bool), ~keep_text[:, None]]
+        if text is not None and text_mask is not None:
+            memory.append(self.text_in(text))
+            mask.append(text_mask & keep_text[:, None])
+        tokens = np.concatenate(memory, axis=1)
+        memories = [Memory(*layer.memory(tokens)) for layer in self.layers]
+        found: list[Memory | None] = [None] * len(self.layers)
+        hidden = None
+        if self.config.examples:
+            keys, values, real = self._example_tokens(examples, keep_text)
+            hidden = hidden_by(real)
+            rotary = self._example_rotary(keys.shape[1])
+            found = [layer.example_memory(keys, values, rotary) for layer in self.layers]
+        return Condition(
+            memories, hidden_by(np.concatenate(mask, axis=1)), self._sentence(pooled, keep_text), token, found, hidden
+        )
+
+    def _mesh_token(self, mesh: np.ndarray | None, keep: np.ndarray) -> np.ndarray:
+        null = np.broadcast_to(self.null_mesh, (len(keep), len(self.null_mesh)))
+        return null if mesh is None else np.where(keep[:, None], self.mesh_in(mesh), null)
+
+    def _sentence(self, pooled: np.ndarray | None, keep: np.ndarray) -> np.ndarray:
+        null = np.broadcast_to(self.null_pooled, (len(keep), len(self.null_pooled)))
+        if pooled is None:
+            return null
+        return np.where(keep[:, None], self.pooled_in(pooled * np.float32(self.config.pooled_size**0.5)), null)
+
+    def _example_tokens(
+        self, examples: RetrievedExamples | None, keep: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Keys, values and mask of the examples' tokens; token 0 is the learned null example, which is always there."""
+        batch, width = len(keep), self.config.width
+        null, always = np.broadcast_to(self.null_example, (batch, 1, width)), np.ones((batch, 1), bool)
+        if examples is None:
+            return null, null, always
+        size = self.config.frames_per_token * EXAMPLE_TOKENS
+        count, frames, features = examples.values.shape[1:]
+        tokens = -(-frames // size)
+        real = np.arange(tokens * size) < examples.lengths[..., None]
+        padded = np.zeros((batch, count, tokens * size, features), np.float32)
+        padded[:, :, :frames] = examples.values
+        padded *= real[..., None]
+        values = self.example_in(padded.reshape(batch, count, tokens, -1))
+        sentence = self.example_sentence_in(examples.pooled * np.float32(self.config.pooled_size**0.5))
+        keys = values + sentence[:, :, None]
+        mask = real.reshape(batch, count * tokens, size).any(-1) & keep[:, None]
+        return (
+            np.concatenate([null, keys.reshape(batch, -1, width)], axis=1),
+            np.concatenate([null, values.reshape(batch, -1, width)], axis=1),
+            np.concatenate([always, mask], axis=1),
+        )
+
+    def _example_rotary(self, tokens: int) -> Rotary:
+        """Rotary positions of the examples' tokens, each example from its own start; the null example stands there."""
+        own = EXAMPLE_TOKENS * np.arange((tokens - 1) // self.config.examples)
+        places = np.concatenate([[0], np.tile(own, self.config.examples)])[:tokens]
+        return rotary_positions(places, self.config.width // self.config.heads)
+
+    def __call__(
+        self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition, adapts: bool = True
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Clean motion and adaptation.
+
+        Args:
+            x: Noisy motion in network units, shape (B, N, D).
+            step: Diffusion step in 0..999.
+            lengths: Frames that are real in each row, shape (B,).
+            condition: What `condition` returned.
+            adapts: Whether the adaptation is wanted.
+
+        Returns:
+            x0 (B, N, D) in network units and the adaptation of local translations (B, N, K, 3) [m].
+        """
+        batch, frames, features = x.shape
+        h = self.hidden(x, step, lengths, condition)
+        motion = self.motion_out(h).reshape(batch, -1, features)[:, :frames]
+        if not adapts:
+            return motion, None
+        if self.config.adaptation_mesh:
+            token = np.broadcast_to(condition.mesh[:, None], (batch, h.shape[1], condition.mesh.shape[1]))
+            h = np.concatenate([h, token], axis=-1)
+        said = self.adaptation_out(h).reshape(batch, -1, self.config.handles, 3)[:, :frames]
+        if self.config.adaptation_frame == "joints":
+            said = capped(joint_offsets(said, motion * self.std + self.mean), soft=False)
+        return motion, said
+
+    def _tokens(self, x: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """What enters for each token, zero behind a motion's end, shape (B, T, d); and which tokens are real, shape
+        (B, T), None where all are.
+        """
+        batch, frames, features = x.shape
+        patch = self.config.frames_per_token
+        tokens = -(-frames // patch)
+        padded = np.zeros((batch, tokens * patch, features), np.float32)
+        padded[:, :frames] = x
+        whole = bool((lengths >= frames).all())
+        real = np.arange(tokens * patch) < lengths[:, None]
+        if not whole:
+            padded *= real[..., None]
+        entered = self.motion_in(padded.reshape(batch, tokens, patch * features))
+        return entered, None if whole else np.asarray(real.reshape(batch, tokens, patch).any(-1))
+
+    def _step(self, step: int) -> np.ndarray:
+        """The diffusion step as the layers see it, shape (1, d)."""
+        return self.step_in[1](silu(self.step_in[0](waves(np.array([step], np.float32), self.config.width))))
+
+    def hidden(self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition) -> np.ndarray:
+        """The last hidden states, which both heads read, shape (B, T, d) for T tokens; arguments as in `__call__`."""
+        h, real = self._tokens(x, lengths)
+        vector = silu(self._step(step) + condition.sentence)
+        width = self.config.width
+        steer = self.steer(vector).reshape(len(x), 9, width)
+        if self.steer_more is not None:
+            steer = np.concatenate([steer, self.steer_more(vector).reshape(len(x), -1, width)], axis=1)
+        rotary = rotary_positions(np.arange(h.shape[1]), width // self.config.heads)
+        for index, layer in enumerate(self.layers):
+            h = layer(h, steer, rotary, real, condition, index)
+        scale, shift = np.split(self.final(vector)[:, None], 2, axis=-1)
+        return normed(h, Norm(1 + scale, shift))
+
+
+def joint_offsets(moves: np.ndarray, features: np.ndarray) -> np.ndarray:
+    """The adaptation that moves joints: delta_k = delta_p + (R_p - R_k) d_k for a handle k and its parent p, shape (B,
+    N, K, 3).
+
+    It is what `attach_joints` does to the translations when the joint of k is held d_k farther off. It turns with the
+    body and fades where nothing bends, so one d_k serves all poses.
+
+    Args:
+        moves: d, how far each joint is moved [m], shape (B, N, K, 3).
+        features: Motion features, whose local rotations count, shape (B, N, 271).
+    """
+    local = features[..., ROOT_SIZE:].reshape(*features.shape[:2], -1, 9)
+    still = np.broadcast_to(np.eye(3, dtype=features.dtype), (*features.shape[:2], 1, 3, 3))
+    rotations = np.concatenate([still, matrix_from_6d(local[..., 3:])], axis=2)
+    parents = list(HANDLE_PARENTS[1:])
+    own = ((rotations[:, :, parents] - rotations[:, :, 1:]) @ moves[:, :, 1:, :, None])[..., 0]
+    offsets = [np.zeros_like(own[:, :, 0])]
+    for handle, parent in enumerate(parents, start=1):
+        offsets.append(offsets[parent] + own[:, :, handle - 1])
+    return np.stack(offsets, axis=2)
+
+
+def load_denoiser(path: str | Path) -> Denoiser:
+    """Read a denoiser, ready for sampling.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
+    """
+    return _built(path, *load_checkpoint(path, KIND, half=True))
+
+
+def load_denoiser_of_few_steps(path: str | Path, few: str | Path) -> Denoiser | None:
+    """Read a denoiser as `bunraku train few-steps` changed it; None where the changes are another denoiser's.
+
+    Args:
+        path: The checkpoint.
+        few: The changes.
+
+    Raises:
+        WeightsError: A file is missing, damaged, of another kind, or its config and weights disagree.
+    """
+    changes = load_few_steps(few)
+    state, config = load_checkpoint(path, KIND, half=True)
+    if not changes.fits(state):
+        return None
+    try:
+        changed = changes.on(state)
+    except ValueError as error:
+        raise WeightsError(f"{few}: {error}; distil the denoiser again") from error
+    return _built(path, changed, config, changes.visited)
+
+
+def _built(
+    path: str | Path, state: Mapping[str, np.ndarray], config: dict[str, Any], visited: tuple[int, ...] = ()
+) -> Denoiser:
+    notes = config.pop("notes", None)
+    try:
+        weights = Weights(state)
+        model = Denoiser(denoiser_config(config), weights, dict(notes or {}), visited)
+        weights.done()
+    except Exception as error:
+        raise WeightsError(
+            f"{path}: the config and the weights of this denoiser disagree ({str(error).splitlines()[0]}); train it "
+            "again"
+        ) from error
+    return model
+
+
+def text_encoder_name(path: str | Path) -> str:
+    """Of the text encoder that a denoiser was trained with.
+
+    Raises:
+        WeightsError: The file is missing, damaged or of another kind.
+    """
+    return str(read_config(Path(path), KIND).get("text_encoder", DenoiserConfig.text_encoder))

@@ -1,0 +1,222 @@
+"""A handle motion as the numbers that the denoiser sees.
+
+Each frame holds the root without its place and heading, then each other handle, D = 10 + 9 (K - 1) = 271 numbers:
+
+====== ==========================================================================
+0      yaw velocity [rad/s], from the frame before to this one
+1:3    planar velocity (x, z) in this frame's heading [m/s], from the frame before
+3      height of the root over its rest height [m]
+4:10   rotation of the root with its heading removed, 6D
+10:    for handles 1..K-1, local translation [m] (3) and local rotation, 6D (6)
+====== ==========================================================================
+
+The first frame's velocities say how it was reached (a copy of the second's when nothing is known) and do not count when
+a motion is put together, so any cut of a clip is a clip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES
+from bunraku.core.geometry.rotations import heading, matrix_from_6d, matrix_to_6d, matrix_y
+from bunraku.core.motion import HandleMotion
+from bunraku.errors import MotionError
+
+__all__ = [
+    "decode",
+    "encode",
+    "feature_mask",
+    "FEATURE_SIZE",
+    "feature_weights",
+    "FeatureStatistics",
+    "HANDLE_SIZE",
+    "is_rotation",
+    "mirror",
+    "root_velocities",
+    "ROOT_SIZE",
+    "standing_legs",
+]
+
+ROOT_SIZE, HANDLE_SIZE = 10, 9
+FEATURE_SIZE = ROOT_SIZE + HANDLE_SIZE * (HANDLE_COUNT - 1)
+_SIX_SIGNS = np.array([1, -1, -1, -1, 1, 1], np.float32)
+
+
+def encode(motion: HandleMotion) -> np.ndarray:
+    """Features of a handle motion, shape (N, 271), float32.
+
+    Raises:
+        MotionError: The motion has another number of handles than 30.
+    """
+    frames, count = motion.translations.shape[:2]
+    if count != HANDLE_COUNT:
+        raise MotionError(f"the denoiser knows {HANDLE_COUNT} handles but the motion has {count}")
+    angle = heading(motion.root_rotation, motion.fps)
+    back = matrix_y(-angle)
+    out = np.empty((frames, FEATURE_SIZE), np.float32)
+    step = np.diff(np.asarray(motion.root_translation, float), axis=0, prepend=0)
+    out[:, 0] = np.diff(angle, prepend=0) * motion.fps
+    out[:, 1:3] = np.einsum("nij,nj->ni", back, step)[:, [0, 2]] * motion.fps
+    out[0, :3] = out[1, :3] if frames > 1 else 0
+    out[:, 3] = motion.root_translation[:, 1]
+    out[:, 4:10] = matrix_to_6d(back @ motion.root_rotation)
+    local = out[:, ROOT_SIZE:].reshape(frames, HANDLE_COUNT - 1, 9)
+    local[..., :3] = motion.translations[:, 1:]
+    local[..., 3:] = matrix_to_6d(motion.rotations[:, 1:])
+    return out
+
+
+def decode(features: np.ndarray, fps: float = 20.0) -> HandleMotion:
+    """The handle motion of features: velocities are summed up from a canonical start at x = z = 0 that faces +Z.
+
+    Args:
+        features: Shape (N, 271).
+        fps: Frames a second [1/s].
+
+    Raises:
+        MotionError: The shape is another one, or a value is not finite.
+    """
+    x = np.asarray(features, float)
+    if x.ndim != 2 or x.shape[1] != FEATURE_SIZE:
+        raise MotionError(f"motion features must have shape (frames, {FEATURE_SIZE}), not {x.shape}")
+    frames = len(x)
+    turns, velocity = x[:, 0] / fps, np.zeros((frames, 3))
+    velocity[:, [0, 2]] = x[:, 1:3] / fps
+    turns[:1], velocity[:1] = 0, 0
+    facing = matrix_y(np.cumsum(turns))
+    position = np.cumsum(np.einsum("nij,nj->ni", facing, velocity), axis=0)
+    position[:, 1] = x[:, 3]
+    local = x[:, ROOT_SIZE:].reshape(frames, HANDLE_COUNT - 1, 9)
+    translations = np.zeros((frames, HANDLE_COUNT, 3))
+    translations[:, 1:] = local[..., :3]
+    rotations = np.broadcast_to(np.eye(3), (frames, HANDLE_COUNT, 3, 3)).copy()
+    rotations[:, 1:] = matrix_from_6d(local[..., 3:])
+    return HandleMotion(translations, rotations, position, facing @ matrix_from_6d(x[:, 4:10]), fps)
+
+
+def root_velocities(path: np.ndarray, fps: float) -> np.ndarray:
+    """The first three features of a root that goes a way, shape (N, 3).
+
+    Args:
+        path: Position (x, z) [m] and heading [rad] in each frame, shape (N, 3).
+        fps: Frames a second [1/s].
+    """
+    step, angle = np.diff(path[:, :2], axis=0, prepend=path[:1, :2]), path[:, 2]
+    out = np.empty((len(path), 3))
+    out[:, 0] = np.diff(angle, prepend=angle[:1]) * fps
+    out[:, 1] = (step[:, 0] * np.cos(angle) - step[:, 1] * np.sin(angle)) * fps
+    out[:, 2] = (step[:, 0] * np.sin(angle) + step[:, 1] * np.cos(angle)) * fps
+    if len(path) > 1:
+        out[0] = out[1]
+    return out
+
+
+def _mirror_map() -> tuple[np.ndarray, np.ndarray]:
+    order, sign = np.arange(FEATURE_SIZE), np.ones(FEATURE_SIZE, np.float32)
+    sign[:2] = -1
+    sign[4:10] = _SIX_SIGNS
+    for handle in range(1, HANDLE_COUNT):
+        here, there = ROOT_SIZE + 9 * (handle - 1), ROOT_SIZE + 9 * (HANDLE_MIRROR[handle] - 1)
+        order[here : here + 9] = np.arange(there, there + 9)
+        sign[here : here + 9] = [-1, 1, 1, *_SIX_SIGNS]
+    return order, sign
+
+
+_MIRROR_ORDER, _MIRROR_SIGN = _mirror_map()
+
+
+def mirror(features: np.ndarray) -> np.ndarray:
+    """Features of the motion seen in a mirror (x -> -x, left handles become right ones), shape [..., 271]."""
+    return features[..., _MIRROR_ORDER] * _MIRROR_SIGN
+
+
+def _groups() -> list[slice]:
+    groups = [slice(0, 1), slice(1, 3), slice(3, 4), slice(4, 10)]
+    for start in range(ROOT_SIZE, FEATURE_SIZE, 9):
+        groups += [slice(start, start + 3), slice(start + 3, start + 9)]
+    return groups
+
+
+def feature_weights() -> np.ndarray:
+    """How much each feature counts in the motion loss, shape (271,), mean 1.
+
+    Fingers, head top, face and wings repeat their parents' motion on the reference body and its tail does not move, so
+    they count less; the root moves everything, so it counts more.
+    """
+    weights = np.ones(FEATURE_SIZE, np.float32)
+    weights[:3], weights[3:10] = 6, 3
+    for handle in range(22, HANDLE_COUNT):
+        start = ROOT_SIZE + 9 * (handle - 1)
+        weights[start : start + 9] = 0.25 if handle < 28 else 0.1
+    return weights / weights.mean()
+
+
+@dataclass(frozen=True)
+class FeatureStatistics:
+    """Mean and deviation that bring features to about zero and one.
+
+    Args:
+        mean: Shape (271,).
+        std: Shape (271,), one value for each group of a kind (the three coordinates of a translation, the six numbers
+            of a rotation), with a floor of 3 cm and 0.12, so that a handle that hardly moves is not blown up.
+    """
+
+    mean: np.ndarray
+    std: np.ndarray
+
+    @classmethod
+    def measure(cls, clips: list[np.ndarray]) -> FeatureStatistics:
+        """Statistics of clips and their mirror images, each frame counting the same."""
+        frames = sum(len(clip) for clip in clips)
+        if frames == 0:
+            raise MotionError("there are no frames to measure the features of")
+        total, square = np.zeros(FEATURE_SIZE), np.zeros(FEATURE_SIZE)
+        for clip in clips:
+            total += clip.sum(0, dtype=float)
+            square += np.square(clip, dtype=float).sum(0)
+        mean = 0.5 * (total + mirror(total)) / frames
+        variance = 0.5 * (square + square[_MIRROR_ORDER]) / frames - mean**2
+        std = np.empty(FEATURE_SIZE)
+        for group in _groups():
+            floor = 0.12 if group.stop - group.start == 6 else 0.03
+            std[group] = max(float(np.sqrt(max(variance[group].mean(), 0.0))), floor)
+        return cls(mean.astype(np.float32), std.astype(np.float32))
+
+    def normalise(self, features: np.ndarray) -> np.ndarray:
+        """Features to network units, shape [..., 271]."""
+        return (features - self.mean) / self.std
+
+    def restore(self, values: np.ndarray) -> np.ndarray:
+        """Network units back to features, shape [..., 271]."""
+        return values * self.std + self.mean
+
+
+def feature_mask(handles: np.ndarray) -> np.ndarray:
+    """Which features the handles decide, shape (271,), bool: ten numbers for the root and nine for each other (see
+    `features`).
+    """
+    return np.concatenate([np.repeat(handles[:1], ROOT_SIZE), np.repeat(handles[1:], HANDLE_SIZE)])
+
+
+def is_rotation() -> np.ndarray:
+    """Which features are numbers of a rotation, shape (271,), bool."""
+    mask = np.zeros(FEATURE_SIZE, bool)
+    mask[4:ROOT_SIZE] = True
+    mask[ROOT_SIZE:].reshape(-1, HANDLE_SIZE)[:, 3:] = True
+    return mask
+
+
+def standing_legs() -> tuple[np.ndarray, np.ndarray]:
+    """Features of the reference body's rest pose, shape (271,), and which of them say how it stands: the height and
+    the tilt of its root, hips, knees and ankles, shape (271,), bool.
+    """
+    still = np.broadcast_to(np.eye(3, dtype=np.float32), (2, HANDLE_COUNT, 3, 3))
+    nothing = np.zeros((2, HANDLE_COUNT, 3), np.float32)
+    pose = encode(HandleMotion(nothing, still, nothing[:, 0], still[:, 0]))[0]
+    legs = [name.removeprefix("left_").removeprefix("right_") in ("hip", "knee", "ankle") for name in HANDLE_NAMES]
+    mask = feature_mask(np.array(legs))
+    mask[3:ROOT_SIZE] = True
+    return pose, mask

@@ -1,0 +1,417 @@
+"""From sentences to handle motions, and edits: chosen handles, or all but a span of frames, are kept (section A.3 of
+TapMo).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bunraku.core.body.layout import HANDLE_COUNT, kept_handles
+from bunraku.core.motion import HandleMotion
+from bunraku.core.travel import FADE, GroundPath, _fade, moved, placed_at, put_back, put_back_runs
+from bunraku.errors import MotionError, OptionError
+from bunraku.generation.candidates import GUIDANCE, STEPS, SamplingSettings, arrive, draw_candidates, frames_of, way_of
+from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_mask
+from bunraku.language.parse import clauses_of
+from bunraku.language.sentence import Clause
+
+if TYPE_CHECKING:
+    from bunraku.generation.denoiser import Denoiser
+    from bunraku.generation.guide import GuidanceExample, GuidanceExamples
+    from bunraku.generation.ranking import Candidate
+
+__all__ = [
+    "SamplingSettings",
+    "GUIDANCE",
+    "STEPS",
+    "adapt",
+    "continue_motion",
+    "edit_motion",
+    "generate_motion",
+    "generate_motions",
+    "generated_runs",
+    "pose_frames",
+    "span_frames",
+]
+
+
+_APART = 1_000_003
+"""Between the noise of a motion's candidates, so that none is that of another motion of the batch."""
+
+
+def generate_motion(prompt: str, seconds: float, *, seed: int = 0, **sampling: Any) -> HandleMotion:
+    """A handle motion of the reference body from a sentence (Eq. 2 of TapMo), at the model's 20 frames a second.
+
+    Args:
+        prompt: What the character does, in English, at most 1,000 characters, of which some 30 words are read.
+        seconds: Length [s].
+        seed: The same seed and version give the same motion.
+        sampling: See `SamplingSettings`.
+
+    Raises:
+        OptionError: The prompt or a setting is outside what can be done.
+        WeightsError: The weights are missing or broken.
+    """
+    return generate_motions([clauses_of([(prompt, seconds)])], seeds=seed, **sampling)[0]
+
+
+def generate_motions(
+    scripts: Sequence[Sequence[Clause]],
+    *,
+    seeds: int | Sequence[int] = 0,
+    loop: bool = False,
+    path: GroundPath | None = None,
+    **sampling: Any,
+) -> list[HandleMotion]:
+    """Handle motions of the reference body, all in one batch, each from one clause or several in a row.
+
+    Args:
+        scripts: For each motion its clauses.
+        seeds: One for each motion; a single number gives each motion noise of its own, the first as when it is alone.
+        loop: Make loops: each motion's last frame is its first again, at another position where it travels.
+        path: What the root follows, in metres of the reference body; each motion then starts where the path does. Who
+            goes backwards in the first clause looks back along it.
+        sampling: See `SamplingSettings`.
+
+    Raises:
+        OptionError: A length or a setting is outside what can be done.
+        WeightsError: The weights are missing or broken.
+    """
+    how = SamplingSettings(**sampling)
+    for clause in (clause for script in scripts for clause in script):
+        if not (math.isfinite(clause.seconds) and clause.seconds > 0):
+            raise OptionError(f"a motion needs a length of more than 0 seconds, not {clause.seconds:g}")
+    if not isinstance(seeds, int) and len(seeds) != len(scripts):
+        raise OptionError(f"{len(scripts)} motions need as many seeds, not {len(seeds)}")
+    if not scripts:
+        return []
+
+    from bunraku.core.nn.layers import one_thread
+    from bunraku.generation.classifier_guidance import Critic
+    from bunraku.generation.guide import GuidanceExamples
+    from bunraku.generation.networks import Texts
+    from bunraku.generation.windows import drawn_noise
+
+    if how.progress:
+        how.progress("generate", 0.0)
+    networks = how.networks
+    how = replace(how, held=networks)
+    model = how.denoiser
+    noise = drawn_noise(seeds, len(scripts))
+    plain = 0 if how.all_led else 1  # candidates of a turn that start from no example
+    pack = networks.examples if how.candidates > plain and how.examples else None
+    critic = networks.critic if how.classifier_guidance else None
+    texts = Texts.of(networks, scripts, how.candidates > 1, pack is not None, critic)
+    known = None if pack is None else GuidanceExamples(pack, texts.shown)
+    if known is not None and not loop:
+        scripts = [[part for clause in script for part in known.parted(clause)] for script in scripts]
+    if known is not None and how.note:
+        for told in dict.fromkeys(_left_out(known, clause) for script in scripts for clause in script):
+            if told:
+                how.note(told)
+    guides = (
+        None
+        if critic is None
+        else Critic(critic, {text: vector.astype(np.float32) for text, vector in texts.guided.items()})
+    )
+
+    def example(row: int, index: int) -> tuple[GuidanceExample | None, GuidanceExample | None]:
+        """What a candidate starts from, and what the gestures do that are made at the same time."""
+        attempt, number = divmod(index, how.candidates)
+        if known is None or (loop and len(scripts[row]) > 1):
+            return None, None
+        lengths = frames_of([clause.seconds for clause in scripts[row]], model.config.fps)
+        whole = [clause if known.shows(clause) else clause.body for clause in scripts[row]]
+        second = [clause.meanwhile or clause for clause in scripts[row]]
+        script, gestures = (list(zip(clauses, lengths, strict=True)) for clauses in (whole, second))
+        if number < plain and not known.unranked(script) and not known.unranked(gestures):
+            return None, None
+        turn = attempt * (how.candidates - plain) + max(number - plain, 0)
+        return known.of(script, noise[row], turn), known.of(gestures, noise[row], turn)
+
+    def draw(rows: list[int], indices: list[int]) -> list[Candidate]:
+        pairs = [(noise[row][0], noise[row][1] + _APART * index) for row, index in zip(rows, indices, strict=True)]
+        again = how if not any(index >= how.candidates for index in indices) else replace(how, progress=None)
+        examples = [example(row, index) for row, index in zip(rows, indices, strict=True)]
+        some = [scripts[row] for row in rows]
+        return draw_candidates(texts, some, pairs, again, loop, path, examples, guides)
+
+    rows = list(range(len(scripts)))
+    if how.candidates > 1:
+        from bunraku.generation.ranking import choose, script_scores
+
+        def score(drawn: Sequence[Candidate]) -> np.ndarray:
+            with one_thread():
+                motions = [one.motion for one in drawn]
+                return script_scores(networks.ranker, texts.ranked, motions, [one.script for one in drawn])
+
+        found = choose(draw, len(scripts), how.candidates, score)
+    else:
+        found = draw(rows, [0] * len(rows))
+    own = how.of_body(model)
+    motions = []
+    for one, script in zip(found, scripts, strict=True):
+        made = decode(one.motion, model.config.fps).of_own_body(own)
+        if path is not None:
+            x, z, heading = way_of(path, len(made), model.config.fps, script)[0]
+            made = moved(made, heading, np.array([x, 0, z]))
+        motions.append(adapt(made, one.adaptation))
+    return motions
+
+
+def _left_out(known: GuidanceExamples, clause: Clause) -> str:
+    """What of a clause no motion shows, or no gesture does, in a line; "" for nothing."""
+    word, action = known.unseen(clause)
+    if word:
+        return f"no motion of '{word}' is known; this is one of '{action}'"
+    lacking = ", ".join(f"'{word}'" for word in known.lacking(clause))
+    if not lacking:
+        return ""
+    return f"no gesture of '{clause.text}' has {lacking}; the network makes the motion, and may leave that out"
+
+
+def adapt(motion: HandleMotion, adaptation: np.ndarray) -> HandleMotion:
+    """The motion with the adaptation added to its local translations (section 3.2 of TapMo).
+
+    Args:
+        motion: N frames of K handles.
+        adaptation: Offsets [m], shape (N, K, 3); the root's is left out.
+    """
+    if not adaptation.any():
+        return motion
+    translations = motion.translations + adaptation
+    translations[:, 0] = 0
+    return replace(motion, translations=translations)
+
+
+AROUND = 60  # kept frames on either side of a span that the model sees
+HISTORY = 20  # frames of another clip that its continuation is made to follow
+
+
+def span_frames(span: tuple[float, float], frames: int, fps: float) -> tuple[int, int]:
+    """The first frame of a span of seconds and the one after its last.
+
+    Raises:
+        OptionError: The span is empty, or outside the motion.
+    """
+    start, end = span
+    seconds = frames / fps
+    if not (math.isfinite(start) and math.isfinite(end) and 0 <= start < end and start < seconds):
+        raise OptionError(
+            f"a span goes from one second of the motion to a later one, such as 1.0:3.0; it has {seconds:g} s, not "
+            f"{start:g}:{end:g}"
+        )
+    first, after = round(start * fps), min(round(end * fps), frames)
+    if after <= first:
+        raise OptionError(f"the span {start:g}:{end:g} holds no frame; there are {fps:g} a second")
+    return first, after
+
+
+def pose_frames(poses: Sequence[float], frames: int, fps: float) -> list[int]:
+    """The frames of poses that stay, in order.
+
+    Raises:
+        OptionError: A time is outside the motion.
+    """
+    for time in poses:
+        if not (math.isfinite(time) and 0 <= time <= frames / fps):
+            raise OptionError(f"a pose that stays is at a second of the motion, 0 to {frames / fps:g}, not {time:g}")
+    return sorted({min(round(time * fps), frames - 1) for time in poses})
+
+
+def generated_runs(first: int, after: int, kept: Sequence[int]) -> list[tuple[int, int]]:
+    """Runs of frames from `first` to before `after` that are generated between single frames that are kept."""
+    bounds = [first - 1, *(frame for frame in kept if first <= frame < after), after]
+    return [(low + 1, high) for low, high in zip(bounds, bounds[1:], strict=False) if high > low + 1]
+
+
+def edit_motion(
+    motion: HandleMotion,
+    clause: Clause,
+    *,
+    keep: str | Sequence[str] = (),
+    span: tuple[float, float] | None = None,
+    poses: Sequence[float] = (),
+    seed: int = 0,
+    **sampling: Any,
+) -> HandleMotion:
+    """The motion with all but what is kept generated anew from a clause.
+
+    Args:
+        motion: Motion of the reference body at the model's 20 frames a second.
+        clause: What it does instead.
+        keep: Parts or handles that stay as they are.
+        span: Seconds from and to which is generated; all of the motion by default. The frames outside stay as they are.
+        poses: Seconds of single frames in it that stay too: what is between them is generated.
+        seed: The same seed and version give the same motion.
+        sampling: See `SamplingSettings`.
+
+    Returns:
+        As many frames; those outside the span, those of `poses`, and the handles that are kept, hold the arrays of
+        `motion` bit for bit.
+
+    Raises:
+        OptionError: Nothing is kept, or everything; or a setting is outside what can be done.
+        MotionError: The motion has another number of handles or frames a second than the model.
+        WeightsError: The weights are missing or broken.
+    """
+    how = SamplingSettings(**sampling)
+    handles = kept_handles(keep) if keep else np.zeros(HANDLE_COUNT, bool)
+    first, after = (0, len(motion)) if span is None else span_frames(span, len(motion), motion.fps)
+    runs = generated_runs(first, after, pose_frames(poses, len(motion), motion.fps))
+    if not handles.any() and runs == [(0, len(motion))]:
+        raise OptionError(
+            "nothing is kept of the motion; name what stays with keep (such as 'legs'), the span of seconds that "
+            "changes, or the times of poses that stay"
+        )
+    model = how.networks.denoiser
+    _check(motion, model)
+    low, high = max(first - AROUND, 0), min(after + AROUND, len(motion))
+    part = motion.take(slice(low, high))
+    made = _generate(
+        part, [(start - low, stop - low) for start, stop in runs], handles, [clause.text], [high - low], seed, how
+    )
+    kept = np.setdiff1d(np.arange(low, high), np.concatenate([np.arange(*run) for run in runs]))
+    anchor = int(kept[0]) - low if len(kept) else 0  # a kept frame where there is one
+    made = placed_at(made, anchor, part, anchor)
+    whole = made.take(
+        np.clip(np.arange(len(motion)) - low, 0, len(made) - 1)
+    )  # what is kept beyond the part comes next
+    own = {name: getattr(motion, name) for name in ("own_kind", "own_height", "soft")}
+    return replace(put_back_runs(whole, motion, handles, runs, fade=0), **own)
+
+
+def continue_motion(motion: HandleMotion, script: Sequence[Clause], *, seed: int = 0, **sampling: Any) -> HandleMotion:
+    """A motion that starts in the last pose of another, at its position and speed.
+
+    Args:
+        motion: Motion of the reference body at the model's 20 frames a second.
+        script: What is done, clause by clause.
+        seed: The same seed and version give the same motion.
+        sampling: See `SamplingSettings`.
+
+    Returns:
+        The new motion alone; its first frame is the last one of `motion`, bit for bit.
+
+    Raises:
+        OptionError: A setting is outside what can be done.
+        MotionError: The motion has another number of handles or frames a second than the model.
+        WeightsError: The weights are missing or broken.
+    """
+    how = SamplingSettings(**sampling)
+    model = how.networks.denoiser
+    _check(motion, model)
+    lengths = frames_of([clause.seconds for clause in script], model.config.fps)
+    past = min(len(motion), HISTORY)
+    history = motion.take(slice(len(motion) - past, len(motion)))
+    frames = np.minimum(np.arange(past - 1 + sum(lengths)), past - 1)
+    still = history.take(frames)
+    lengths[0] += past - 1
+    made = _generate(
+        still,
+        [(past, len(frames))],
+        np.zeros(HANDLE_COUNT, bool),
+        [clause.text for clause in script],
+        lengths,
+        seed,
+        how,
+    )
+    made = placed_at(made, past - 1, history, past - 1).take(slice(past - 1, len(made)))
+    return put_back(made, still.take(slice(past - 1, len(still))), np.zeros(HANDLE_COUNT, bool), 1, len(made), fade=0)
+
+
+def _check(motion: HandleMotion, model: Denoiser) -> None:
+    if motion.translations.shape[1] != HANDLE_COUNT or model.config.features != FEATURE_SIZE:
+        raise MotionError(f"a motion that is edited has {HANDLE_COUNT} handles, not {motion.translations.shape[1]}")
+    if abs(motion.fps - model.config.fps) > 1e-3:
+        raise MotionError(
+            f"a motion that is edited has {model.config.fps:g} frames a second, not {motion.fps:g}; save it at that "
+            "rate"
+        )
+
+
+def _generate(
+    original: HandleMotion,
+    runs: Sequence[tuple[int, int]],
+    handles: np.ndarray,
+    texts: list[str],
+    lengths: list[int],
+    seed: int,
+    how: SamplingSettings,
+) -> HandleMotion:
+    """All frames of the original with some runs of frames made anew, but for the kept handles; the root's path from x
+    = z = 0 facing +Z.
+    """
+    from bunraku.core.nn.layers import one_thread
+    from bunraku.generation.sampler import Steering
+    from bunraku.generation.windows import plan_windows, sample_plans
+
+    if how.progress:
+        how.progress("generate", 0.0)
+    networks = how.networks
+    model, encoder = networks.denoiser, networks.encoder
+    text = encoder.encode(texts)
+    plan = plan_windows(lengths, model.config.frames)
+    frames = len(original)
+    statistics = FeatureStatistics(model.mean, model.std)
+    features = encode(original)
+    mask = np.zeros((plan.frames, FEATURE_SIZE), bool)
+    mask[:frames] = True
+    for first, after in runs:
+        mask[first:after] = False
+    mask[:frames, feature_mask(handles)] = True
+    values = np.zeros((plan.frames, FEATURE_SIZE), np.float32)
+    values[:frames] = statistics.normalise(features)
+    held, share = values, mask.astype(np.float32)
+    reaches = [_reach(first, after, frames) for first, after in runs]
+    goals = [
+        _goal(features, first, after, model.config.fps) if len(reach) == 2 and not handles[0] else None
+        for (first, after), reach in zip(runs, reaches, strict=True)
+    ]
+
+    def refine(x0: np.ndarray) -> np.ndarray:
+        x0 = x0.copy()
+        mean, std = model.mean[:3], model.std[:3]
+        for (first, after), reach, goal in zip(runs, reaches, goals, strict=True):
+            for edge, near in reach:
+                fade = _fade(len(near)).astype(x0.dtype)[:, None]
+                x0[near] += fade * (held[edge] - x0[edge])
+            if goal is not None:
+                x0[first:after, :3] = (arrive(x0[first:after, :3] * std + mean, model.config.fps, *goal) - mean) / std
+        return x0
+
+    with one_thread():
+        mesh = how.mesh_features(model, len(text.mask))
+        steering = Steering(refine=refine, known=(held, share))
+        (found,) = sample_plans(model, text, [plan], how.solver, steering, seeds=seed, mesh_features=mesh)
+    made = statistics.restore(found.values[:frames])
+    made[mask[:frames]] = features[mask[:frames]]
+    adaptation = found.adaptation[:frames].copy()
+    made_anew = np.zeros(frames, bool)
+    for (first, after), reach in zip(runs, reaches, strict=True):
+        made_anew[first:after] = True
+        for _, near in reach:  # the adaptation sets in as smoothly as what it is added to
+            adaptation[near] *= (1 - _fade(len(near)))[:, None, None]
+    adaptation[~made_anew] = 0
+    adaptation[:, handles] = 0
+    return adapt(decode(made, model.config.fps).of_own_body(how.of_body(model)), adaptation)
+
+
+def _reach(first: int, after: int, frames: int) -> list[tuple[int, np.ndarray]]:
+    """The kept frames that a run meets, each with the frames of the run that are led to it, nearest first."""
+    edges = [(first - 1, 1)] * (first > 0) + [(after, -1)] * (after < frames)
+    return [(edge, edge + way * np.arange(1, min(FADE, after - first) + 1)) for edge, way in edges]
+
+
+def _goal(features: np.ndarray, first: int, after: int, fps: float) -> tuple[float, tuple[float, float]]:
+    """Turn [rad] and way [m] of the original over the frames of a span, seen from the heading before it."""
+    path = decode(np.concatenate([features[first - 1 : first], features[first:after]]), fps)
+    return float(features[first:after, 0].sum() / fps), (
+        float(path.root_translation[-1, 0]),
+        float(path.root_translation[-1, 2]),
+    )

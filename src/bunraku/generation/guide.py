@@ -1,0 +1,492 @@
+"""Examples laid on a time line for the sampler to start from, and which candidate starts from which example."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bunraku.core.geometry.curves import smooth_step
+from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
+from bunraku.generation.pack import ExamplePack
+from bunraku.generation.retrieve import Found, retrieve
+from bunraku.generation.splicing import AROUND, END, Joins, held, on_one_leg, played, rests
+from bunraku.gestures.catalogue import at_part
+from bunraku.gestures.interactions import interaction_gesture
+from bunraku.gestures.limb_gesture import in_stance, limb_gesture
+from bunraku.language.lexicon import goes_ahead, is_cyclic
+from bunraku.language.phrasing import tells_all, unseen_word
+from bunraku.language.posing import AS_USUAL, Manner, Posing
+from bunraku.language.sentence import Clause
+
+if TYPE_CHECKING:
+    from bunraku.gestures.pose import Gesture
+
+__all__ = [
+    "CROUCH",
+    "GuidanceExample",
+    "GuidanceExamples",
+    "Guide",
+    "circled",
+    "fills",
+    "fits_into",
+    "goes_on",
+    "hurried",
+    "laid",
+    "laid_script",
+    "liveliest",
+    "pose_distance",
+]
+
+
+HURRY = 1.35
+"""Factor by which an example that is done once is sped up at the most to fit in."""
+FILLED = 0.6
+"""Share of the time that an example goes on for at least; shorter ones are taken where there are no others."""
+UPRIGHT = 0.9
+"""Of the root's axis, in who stands."""
+_LEAD = 30
+"""Frames that somebody stands before what is done once, at the most."""
+CROUCH = 0.12
+"""Height [m] by which somebody who stands is lower at the most."""
+NEAR = 1.0
+"""Difference of two poses, in network units, up to which what rests is joined to standing; what stands in mid-motion is
+joined whatever it is. The sampler repairs what is between.
+"""
+AIRBORNE = 0.1
+"""Height of the root over standing [m] from which on nobody stays."""
+GOES = 1.0
+"""Speed [m/s] of who goes on."""
+EASE = 0.6
+"""Share of a pose's change that is left from frame to frame where a motion comes to rest."""
+SHORTEST_LOOP = 12
+"""Frames under which what is played on is a part of a movement, half a punch."""
+WEIGHTS = feature_weights()[3:]
+"""Of what a pose is: all but the root's velocities."""
+_FADE = 10
+"""Frames over which the sampler is left to itself where one sentence goes over into the next."""
+
+
+@dataclass(frozen=True)
+class Guide:
+    """What the sampler starts from.
+
+    Args:
+        values: Network units, shape (N, 271).
+        share: How far each frame is the example's, shape (N,).
+        made: Whether that is a gesture made by code or a clip of one's own, shape (N,).
+    """
+
+    values: np.ndarray
+    share: np.ndarray
+    made: np.ndarray
+
+
+def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
+    """Whether an example is done within so many frames, or can be cut anywhere."""
+    return goes_on(pack, found) or pack.examples[found.number].frames * found.times <= HURRY * frames
+
+
+def fills(pack: ExamplePack, found: Found, frames: int) -> bool:
+    """Whether an example goes on for most of so many frames."""
+    return goes_on(pack, found) or pack.examples[found.number].frames * found.times >= FILLED * frames
+
+
+def laid(
+    pack: ExamplePack,
+    found: Found,
+    frames: int,
+    statistics: FeatureStatistics,
+    random: np.random.Generator,
+    manner: Manner = AS_USUAL,
+) -> Guide:
+    """An example made as long as is wanted: what goes on is played on or cut, what is done once is joined to standing,
+    or done faster. Where it neither rests nor can be joined, the frames before and after it are the sampler's own. A
+    gesture is performed anew, for so long.
+
+    Args:
+        pack: That it is of.
+        found: Which one.
+        frames: Wanted.
+        statistics: Units of the network.
+        random: Draws when it begins, and all that differs in a gesture.
+        manner: How it is done. In a loop what goes on is done a whole number of times, and what is done once is no
+            example.
+    """
+    closed = manner.closed
+    gesture = pack.gesture(found.number)
+    if gesture is not None and found.told is not None:
+        gesture = limb_gesture(found.told) if isinstance(found.told, Posing) else interaction_gesture(found.told)
+    elif gesture is not None and found.part:
+        gesture = at_part(gesture, found.part)
+    if gesture is not None and manner.stance is not None and not isinstance(found.told, Posing):
+        gesture = in_stance(gesture, manner.stance)
+    if gesture is not None and not (closed and gesture.cycle is None):
+        features = _performed(pack, gesture, frames, random, manner)
+        if found.mirrored:
+            features = mirror(features)
+        every = np.ones(frames, np.float32)
+        return Guide(statistics.normalise(features).astype(np.float32), every, every > 0)
+    features = pack.features(found.number)
+    if found.mirrored:
+        features = mirror(features)
+    example = pack.examples[found.number]
+    made = np.full(frames, example.unranked)  # the network may have seen no more of it than the ranker
+    if found.times > 1 and not closed:
+        features = repeated(liveliest(features, int(HURRY * frames / found.times), statistics), found.times)
+    loop = _loop(pack, found)
+    if closed:
+        share = np.full(frames, loop is not None, np.float32)
+        features = features[:1].repeat(frames, axis=0) if loop is None else circled(features, loop, frames)
+        return Guide(statistics.normalise(features).astype(np.float32), share, made)
+    if loop is None and len(features) > frames:
+        features = hurried(liveliest(features, int(HURRY * frames), statistics), frames)
+    values = statistics.normalise(features).astype(np.float32)
+    if loop is not None:
+        values = played(values, loop, frames)
+        start = int(random.integers(len(values) - frames + 1))
+        return Guide(values[start : start + frames], np.ones(frames, np.float32), made)
+    lead = min(int((frames - len(values)) * random.uniform(0.15, 0.5)), _LEAD)
+    first = last = "free"  # who goes on does not stand still before or after; the sampler goes on with it
+    if not manner.lasts:
+        first = _end(features[:END], values[:END], features[-1, 3], statistics, example.made)
+        last = _end(features[-END:], values[-END:], features[0, 3], statistics, example.made)
+    still = statistics.normalise(np.zeros(FEATURE_SIZE, np.float32))[:3]
+    led = longer = values
+    if len(values) < frames and (first, last) != ("free", "free") and pack.standing:
+        own = [index for index in pack.standing if pack.examples[index].made == example.made] or pack.standing
+        standing = [statistics.normalise(pack.features(index)).astype(np.float32) for index in own]
+        before, after = (Joins(standing, near=NEAR if end == "stays" else np.inf) for end in (first, last))
+        if first != "free" and lead > AROUND:  # nothing of the motion itself is cross-faded
+            eased = held(values[::-1], AROUND, still, EASE)[::-1]
+            led = before.led(eased, lead - AROUND, random)
+            led = values if led is eased else led
+        longer = led
+        if last != "free" and len(led) + AROUND < frames:
+            eased = held(led, AROUND, still, EASE)
+            longer = after.followed(eased, frames, False, random)[:frames]
+    room = frames - len(longer)
+    lead = min(lead, room) if led is values else 0
+    share = np.ones(frames, np.float32)
+    if first != "stays":
+        share[:lead] = _rise(lead)
+    if last != "stays":
+        share[frames - (room - lead) :] = _rise(room - lead)[::-1]
+    return Guide(held(held(longer[::-1], lead, still, EASE)[::-1], room - lead, still, EASE), share, made)
+
+
+def _performed(
+    pack: ExamplePack, gesture: Gesture, frames: int, random: np.random.Generator, manner: Manner
+) -> np.ndarray:
+    """What the denoiser sees of a gesture that is done by one of the people who stand, shape (N, 271)."""
+    from bunraku.anatomy.anatomy import body_handle_motion
+    from bunraku.gestures.perform import performed
+
+    return encode(body_handle_motion(performed(gesture, frames, pack.idles, random, manner, busy=pack.busy)))
+
+
+def _end(
+    features: np.ndarray, values: np.ndarray, other: float, statistics: FeatureStatistics, made: bool = False
+) -> str:
+    """What may be done where a motion ends, of its last frames, shape (M, D), in both units, and the height of the root
+    at its other end [m]: it "stays"; it "moves" but stands, and can be joined to standing; or it is "free", left to the
+    sampler, as in the air, in a crouch and in a run. A gesture that is `made` by code rests where it says so.
+    """
+    if made and rests(values, statistics):
+        return "stays"
+    height = float(features[:, 3].max())
+    if _crouches(height, other) or height > AIRBORNE or np.linalg.norm(features[:, 1:3], axis=1).mean() > GOES:
+        return "free"
+    stands = height > -CROUCH and float(features[:, 8].min()) > UPRIGHT
+    if (rests(values, statistics) and not (stands and on_one_leg(features))) or height < -3 * CROUCH:
+        return "stays"
+    return "moves" if stands else "free"
+
+
+def goes_on(pack: ExamplePack, found: Found) -> bool:
+    """Whether an example can be played on."""
+    loop = pack.examples[found.number].loop
+    if loop is not None and loop[0] - loop[1] >= SHORTEST_LOOP:
+        return True  # without a look at its frames, which takes 10 ms
+    return _loop(pack, found) is not None
+
+
+def _loop(pack: ExamplePack, found: Found) -> tuple[int, int] | None:
+    """Frames (i, j) such that playing on from j after i goes on with what is done: the whole example, where that is at
+    least as smooth as the frames that were found for it; None where it is done once, or they span half a movement.
+    """
+    loop = pack.examples[found.number].loop
+    if loop is None or pack.examples[found.number].made:
+        return loop  # a gesture's cycle is between two rests
+    features = pack.features(found.number)
+    whole = len(features) - 1, 0
+    poses = features[:, 3:]
+    if pose_distance(*poses[[*whole]]) <= pose_distance(*poses[[*loop]]):
+        return whole
+    return loop if loop[0] - loop[1] >= SHORTEST_LOOP else None
+
+
+def pose_distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """How far poses are from others, squared, shapes (..., 268) -> (...): features but for the root's velocities."""
+    return np.asarray((WEIGHTS * (one - other) ** 2).sum(axis=-1))
+
+
+def _crouches(here: float, there: float) -> bool:
+    """Whether nobody stays at this height of the root over standing [m], whose motion has this one at its other end:
+    the crouch before a jump, and not the seat that somebody gets up from, nor the floor on which somebody lies on.
+    """
+    return here < -CROUCH and there < here + CROUCH and max(here, there) > -3 * CROUCH
+
+
+def _rise(frames: int) -> np.ndarray:
+    """Shares of frames before something that is held: none, and a rise at the end."""
+    return smooth_step(np.clip(1 - (frames - np.arange(frames)) / _FADE, 0, 1)).astype(np.float32)
+
+
+def liveliest(features: np.ndarray, frames: int, statistics: FeatureStatistics) -> np.ndarray:
+    """The part of a motion with the most movement, of at most so many frames, shape (M, D)."""
+    if len(features) <= frames:
+        return features
+    pose = statistics.normalise(features)[:, 3:]
+    step = np.diff(pose, axis=0, prepend=pose[:1])
+    moved = np.concatenate([[0.0], np.cumsum((step**2).sum(axis=1))])
+    start = int((moved[frames:] - moved[:-frames]).argmax())
+    return features[start : start + frames]
+
+
+def repeated(features: np.ndarray, times: int) -> np.ndarray:
+    """A motion so many times in a row, each cross-faded into the next, shape (M, D)."""
+    fade = min(_FADE, len(features) // 3)
+    share = smooth_step((np.arange(fade) + 1) / (fade + 1))[:, None].astype(np.float32)
+    out = features
+    for _ in range(times - 1):
+        joined = out[len(out) - fade :] * (1 - share) + features[:fade] * share
+        out = np.concatenate([out[: len(out) - fade], joined, features[fade:]])
+    return out
+
+
+def hurried(features: np.ndarray, frames: int) -> np.ndarray:
+    """The same motion in fewer frames, shape (frames, D)."""
+    at = np.linspace(0, len(features) - 1, frames)
+    low = np.minimum(at.astype(int), len(features) - 2)
+    share = (at - low)[:, None].astype(np.float32)
+    out = features[low] * (1 - share) + features[low + 1] * share
+    out[:, :3] *= (len(features) - 1) / max(frames - 1, 1)
+    return np.asarray(out, np.float32)
+
+
+def circled(features: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
+    """A cycle done as often as fits best into so many frames, a little faster or slower, shape (frames, D).
+
+    Args:
+        features: Motion that has it, shape (N, D).
+        loop: Frames (i, j) such that frame j may follow where frame i would be.
+        frames: Wanted.
+    """
+    cycle = features[loop[1] : loop[0]]
+    times = max(round(frames / len(cycle)), 1)
+    pace = times * len(cycle) / frames
+    at = np.arange(frames) * pace % len(cycle)
+    low = np.minimum(at.astype(int), len(cycle) - 1)
+    share = (at - low)[:, None].astype(np.float32)
+    out = cycle[low] * (1 - share) + cycle[(low + 1) % len(cycle)] * share
+    out[:, :3] *= pace
+    return np.asarray(out, np.float32)
+
+
+def laid_script(
+    pack: ExamplePack,
+    parts: Sequence[tuple[Found | None, int]],
+    frames: int,
+    statistics: FeatureStatistics,
+    random: np.random.Generator,
+    manners: Sequence[Manner] = (),
+) -> Guide:
+    """The examples of sentences in a row; frames of a sentence without one are the sampler's own.
+
+    Args:
+        pack: That they are of.
+        parts: For each sentence its example and its frames.
+        frames: On the time line, at least those of the parts.
+        statistics: Units of the network.
+        random: Draws when each begins.
+        manners: How each is done; as usual where there are none.
+    """
+    values, share = np.zeros((frames, FEATURE_SIZE), np.float32), np.zeros(frames, np.float32)
+    made = np.zeros(frames, bool)
+    start = 0
+    for number, (found, length) in enumerate(parts):
+        own = frames - start if number == len(parts) - 1 else length  # frames that make up for a short motion
+        if found is not None:
+            one = laid(pack, found, own, statistics, random, manners[number] if manners else AS_USUAL)
+            values[start : start + own] = one.values
+            before = np.arange(own) + 1 if number else np.full(own, _FADE)
+            after = np.arange(own)[::-1] + 1 if number < len(parts) - 1 else np.full(own, _FADE)
+            edge = smooth_step(np.minimum(np.minimum(before, after) / _FADE, 1.0))
+            share[start : start + own] = one.share * edge
+            made[start : start + own] = one.made
+        start += own
+    return Guide(values, share, made)
+
+
+@dataclass(frozen=True)
+class GuidanceExample:
+    """The examples that one candidate starts from.
+
+    Args:
+        pack: That they are of.
+        found: One for each sentence of the script, None where none fits.
+        seed: Of when each begins.
+        manners: How each is done.
+    """
+
+    pack: ExamplePack
+    found: tuple[Found | None, ...]
+    seed: tuple[int, ...]
+    manners: tuple[Manner, ...] = ()
+
+    def on(self, lengths: Sequence[int], frames: int, statistics: FeatureStatistics, closed: bool = False) -> Guide:
+        """The guide of a time line of so many frames, of which the sentences have these; of a loop, which has one
+        sentence, where it is `closed`.
+        """
+        random = np.random.default_rng(self.seed)
+        if closed and self.found[0] is not None:
+            manner = replace(self.manners[0] if self.manners else AS_USUAL, closed=True)
+            return laid(self.pack, self.found[0], frames, statistics, random, manner)
+        parts = list(zip(self.found, lengths, strict=True))
+        return laid_script(self.pack, parts, frames, statistics, random, self.manners)
+
+
+NEAREST = 3
+ALIKE = 1.0
+"""Distance of poses by which others of these may begin less so than the nearest."""
+TRIED = 3
+"""Examples that are looked at for one."""
+LEFT = 0.35
+"""Share of gestures that are done with the left hand where nobody says with which."""
+SIDES = ("left", "right")
+PACES = {"slow": 0.72, "fast": 1.35}
+"""Tempo of a gesture by what is said of it."""
+ODD = 4.9
+"""Distance of a pose from those of people who stand with which nobody begins; that of a kick at its height is 4.8."""
+
+
+class GuidanceExamples:
+    """Examples for the clauses of a call, looked up once each.
+
+    Args:
+        pack: To choose from.
+        clauses: Each clause by its text, with the ranker's unit vector of it as said of a person.
+    """
+
+    def __init__(self, pack: ExamplePack, clauses: Mapping[str, tuple[Clause, np.ndarray]]):
+        self.pack = pack
+        retrieved = {text: retrieve(pack, *one) for text, one in clauses.items()}
+        self._found = {text: one.found for text, one in retrieved.items()}
+        self._lacking = {text: one.lacking for text, one in retrieved.items()}
+
+    def shows(self, clause: Clause) -> bool:
+        """Whether there is an example for a clause."""
+        return bool(self._found.get(clause.text))
+
+    def parted(self, clause: Clause) -> tuple[Clause, ...]:
+        """A clause in the parts that are done one after the other, where no example shows it whole and one shows a
+        part; else the clause.
+        """
+        if clause.parts and not self.shows(clause) and any(map(self.shows, clause.parts)):
+            return clause.parts
+        return (clause,)
+
+    def lacking(self, clause: Clause) -> tuple[str, ...]:
+        """What a clause says beyond an action whose gestures leave that out, so that none of them is used."""
+        return self._lacking.get(clause.text, ())
+
+    def unseen(self, clause: Clause) -> tuple[str, str]:
+        """A word that says a clause's only action while no caption and no example has it, and that action; "" and ""
+        for none.
+        """
+        found = self._found.get(clause.text, [])
+        if len(clause.actions) != 1 or any(self.pack.examples[one.number].made for one in found):
+            return "", ""
+        word = unseen_word(clause.person, clause.actions[0])
+        if not word or any(tells_all((word,), example.texts) for example in self.pack.examples):
+            return "", ""
+        return word, clause.actions[0]
+
+    def unranked(self, script: Sequence[tuple[Clause, int]]) -> bool:
+        """Whether a clause requests what the ranker has never seen, a gesture that is made by code or a clip of one's
+        own: the network may not have learned it either.
+        """
+        return any(
+            self.pack.examples[found.number].unranked
+            for clause, _ in script
+            for found in self._found.get(clause.text, [])[:1]
+        )
+
+    def of(self, script: Sequence[tuple[Clause, int]], noise: tuple[int, int], number: int) -> GuidanceExample | None:
+        """What a candidate starts from; None where no clause has an example.
+
+        Args:
+            script: Clauses with the frames that each lasts.
+            noise: Seed and row of the motion's own noise: it orders the examples.
+            number: Of the candidate among those that start from examples.
+        """
+        seed = (noise[0] % 2**63, noise[1] % 2**63)
+        random = np.random.default_rng(seed)
+        chosen: list[Found | None] = []
+        for clause, frames in script:
+            offered = self._found.get(clause.text, [])
+            fitting = [one for one in offered if fits_into(self.pack, one, frames)] or offered
+            fitting = [one for one in fitting if fills(self.pack, one, frames)] or fitting
+            if chosen and chosen[-1] is not None:
+                fitting = self._following(chosen[-1], fitting)
+            order = random.permutation(len(fitting)).tolist()
+            first = number % max(len(order), 1)
+            turn = [fitting[index] for index in order[first:] + order[:first]][:TRIED]
+            chosen.append(next((one for one in turn if not self._begins_oddly(one)), turn[0]) if turn else None)
+        if not any(chosen):
+            return None
+        hands = np.random.default_rng((*seed, number, 1))
+        sided = [self._sided(clause, one, hands) for (clause, _), one in zip(script, chosen, strict=True)]
+        return GuidanceExample(self.pack, tuple(sided), (*seed, number), tuple(_manner(clause) for clause, _ in script))
+
+    def _sided(self, clause: Clause, found: Found | None, random: np.random.Generator) -> Found | None:
+        """A gesture with either hand, where the clause names no side and people use either."""
+        gesture = None if found is None else self.pack.gesture(found.number)
+        if found is None or gesture is None or gesture.handed or any(cue.startswith(SIDES) for cue in clause.cues):
+            return found
+        return found._replace(mirrored=bool(random.random() < LEFT))
+
+    def _following(self, last: Found, fitting: list[Found]) -> list[Found]:
+        """The few that begin most as another ends: who sits on a chair does not get up from the floor."""
+        end = self._pose(last, -1)
+        away = np.sqrt([float(pose_distance(self._pose(one, 0), end)) for one in fitting])
+        order = np.argsort(away, kind="stable")[:NEAREST]
+        return [fitting[index] for index in order[away[order] <= away.min(initial=np.inf) + ALIKE].tolist()]
+
+    def _begins_oddly(self, found: Found) -> bool:
+        """Whether who stands as an example begins does so bent, as between two exercises, or with a leg far up."""
+        first = self.pack.features(found.number)[0]
+        if first[3] < -CROUCH or not self.pack.standing:
+            return False
+        return bool(np.sqrt(pose_distance(self._standing, first[3:])).min() > ODD)
+
+    @functools.cached_property
+    def _standing(self) -> np.ndarray:
+        """Mean poses of the stretches of standing, shape (S, 268)."""
+        return np.stack(list(self.pack.standing_poses.values()))
+
+    def _pose(self, found: Found, frame: int) -> np.ndarray:
+        features = self.pack.features(found.number)[[frame]]
+        return (mirror(features) if found.mirrored else features)[0, 3:]
+
+
+def _manner(clause: Clause) -> Manner:
+    """How a clause says that something is done."""
+    said = [pace for cue, pace in PACES.items() if cue in clause.cues]
+    goes = "goes" in clause.traits or goes_ahead(clause.actions)
+    lasts = goes and all(map(is_cyclic, clause.actions)) and clause.count is None and "halts" not in clause.traits
+    return Manner(clause.count, said[0] if len(said) == 1 else 1.0, lasts=lasts, stance=clause.stance)

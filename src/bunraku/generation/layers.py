@@ -1,0 +1,203 @@
+"""What a denoiser is built of: its configuration, the presets, and its layers as they run in numpy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bunraku.core.body.layout import HANDLE_COUNT
+from bunraku.core.nn.checkpoints import config_of
+from bunraku.core.nn.layers import Attention, Memory, Norm, Rotary, Weights, hidden_by, split_heads, turned
+from bunraku.generation.features import FEATURE_SIZE
+
+__all__ = [
+    "Condition",
+    "DecoderLayer",
+    "DenoiserConfig",
+    "PRESETS",
+    "TRAINING_STEPS",
+    "denoiser_config",
+    "rotary_positions",
+    "waves",
+]
+
+
+TRAINING_STEPS = 1000
+"""Of noise, from the clean motion on; a sampler visits some of them."""
+
+_RETIRED = ("architecture", "convolution")
+"""Fields of older checkpoints; what they switched on had weights of its own, by which it is refused."""
+
+
+@dataclass(frozen=True)
+class DenoiserConfig:
+    """All that builds a denoiser; a checkpoint carries it.
+
+    Args:
+        width: Size of a token, d.
+        layers: Decoder layers.
+        heads: Attention heads.
+        feedforward: Inner size of the feed-forward blocks.
+        frames: Longest motion in one pass.
+        frames_per_token: Frames that share a token.
+        features: Numbers a frame, D.
+        handles: Mesh handles, K.
+        mesh_features: Size of f_phi.
+        text_encoder: Name of the text encoder that it was trained with.
+        text_size: Size of its tokens.
+        pooled_size: Size of its sentence vector.
+        fps: Frames a second [1/s].
+        adaptation_mesh: Whether the adaptation's linear layer sees the mesh token beside the hidden state.
+        adaptation_frame: What that layer says: "root", offsets in the root's frame as in the paper; or "joints", how
+            far the joint between each handle and its parent should be moved, which gives `joint_offsets`.
+        examples: Captured examples, retrieved for the sentence, that motion tokens attend to; 0 for none.
+    """
+
+    width: int = 256
+    layers: int = 8
+    heads: int = 4
+    feedforward: int = 1024
+    frames: int = 196
+    frames_per_token: int = 4
+    features: int = FEATURE_SIZE
+    handles: int = HANDLE_COUNT
+    mesh_features: int = 448
+    text_encoder: str = "all-MiniLM-L6-v2"
+    text_size: int = 384
+    pooled_size: int = 384
+    fps: float = 20.0
+    adaptation_mesh: bool = False
+    adaptation_frame: str = "root"
+    examples: int = 0
+
+
+def denoiser_config(data: Mapping[str, object]) -> DenoiserConfig:
+    """The config that a checkpoint carries, also one with fields that are no longer in use.
+
+    Raises:
+        OptionError: As `config_of`.
+    """
+    return config_of(DenoiserConfig, {name: value for name, value in data.items() if name not in _RETIRED})
+
+
+PRESETS: dict[str, DenoiserConfig] = {
+    "small": DenoiserConfig(),
+    "paper": DenoiserConfig(width=512, feedforward=1024, frames_per_token=1),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """What the layers read beside the motion.
+
+    Args:
+        memories: Of sentence and mesh, in each layer.
+        hidden: Of them, as `hidden_by` gives it.
+        sentence: Shape (B, d).
+        mesh: The mesh token, shape (B, d).
+        examples: Of examples, in each layer; None in one that does not look at them.
+        hidden_examples: Of these.
+    """
+
+    memories: Sequence[Memory]
+    hidden: np.ndarray | None
+    sentence: np.ndarray
+    mesh: np.ndarray
+    examples: Sequence[Memory | None]
+    hidden_examples: np.ndarray | None
+
+    def rows(self, rows: slice) -> Condition:
+        """Of some rows of the batch."""
+        return Condition(
+            [Memory(one.keys[rows], one.values[rows]) for one in self.memories],
+            None if self.hidden is None else self.hidden[rows],
+            self.sentence[rows],
+            self.mesh[rows],
+            [None if one is None else Memory(one.keys[rows], one.values[rows]) for one in self.examples],
+            None if self.hidden_examples is None else self.hidden_examples[rows],
+        )
+
+
+def rotary_positions(tokens: np.ndarray, size: int) -> Rotary:
+    """Cosines and sines of rotary positions (Su et al. 2021) of tokens at these places in time, shape (T,), each of
+    shape (T, size / 2).
+    """
+    rates = np.float32(1000.0) ** (-np.arange(0, size, 2, dtype=np.float32) / np.float32(size))
+    angle = tokens[:, None].astype(np.float32) * rates
+    return np.cos(angle), np.sin(angle)
+
+
+def waves(angle: np.ndarray, width: int) -> np.ndarray:
+    """Cosines and sines of numbers of shape (A,), shape (A, width)."""
+    half = width // 2
+    rates = np.exp(np.float32(-math.log(10_000.0)) * np.arange(half, dtype=np.float32) / np.float32(half))
+    turned = angle[:, None] * rates
+    return np.concatenate([np.cos(turned), np.sin(turned)], axis=-1)
+
+
+class DecoderLayer:
+    """Self-attention, cross-attention, feed-forward; each behind an adaptive norm and a gate.
+
+    Args:
+        config: Sizes.
+        weights: Of the layer.
+        examples: Whether this layer attends to examples.
+    """
+
+    def __init__(self, config: DenoiserConfig, weights: Weights, examples: bool):
+        width = config.width
+        self.heads = config.heads
+        self.offset = weights.array("offset", 9, width)
+        self.own = weights.attention("self_in", "self_out", width, config.heads)
+        query, out = weights.linear("cross_query", width, width), weights.linear("cross_out", width, width)
+        self.cross = Attention(query, out, config.heads)
+        self.cross_memory = weights.linear("cross_memory", width, 2 * width)
+        self.mix = weights.feed_forward("wide", "narrow", width, config.feedforward)
+        if config.examples:
+            self.offset = np.concatenate([self.offset, weights.array("offset_more", 3, width)])
+        self.examples = None
+        if examples:
+            part = weights.part("examples")
+            query, out, self.example_key, self.example_value = (
+                part.linear(name, width, width) for name in ("query", "out", "key", "value")
+            )
+            self.examples = Attention(query, out, config.heads)
+
+    def memory(self, tokens: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Keys and values of tokens (B, M, d)."""
+        return split_heads(self.cross_memory(tokens), self.heads, 2)
+
+    def example_memory(self, keys: np.ndarray, values: np.ndarray, rotary: Rotary) -> Memory | None:
+        """Keys and values of examples' tokens (B, M, d); None in a layer that does not look at them."""
+        if self.examples is None:
+            return None
+        (key,) = split_heads(self.example_key(keys), self.heads)
+        (value,) = split_heads(self.example_value(values), self.heads)
+        return Memory(turned(key, rotary), value)
+
+    def __call__(
+        self, x: np.ndarray, steer: np.ndarray, rotary: Rotary, real: np.ndarray | None, condition: Condition,
+        index: int,
+    ) -> np.ndarray:  # fmt: skip
+        """The next hidden states, shape (B, T, d).
+
+        Args:
+            x: Hidden states, shape (B, T, d), which it takes to write on.
+            steer: Scale, shift and gate of each block, shape (B, 9, or 12 with examples, d).
+            rotary: Of the tokens.
+            real: Which tokens are real, shape (B, T); None where all are.
+            condition: What they read.
+            index: Of the layer.
+        """
+        parts = (steer + self.offset)[:, :, None].swapaxes(0, 1)
+        scales = 1 + parts[::3]
+        hidden = None if real is None else hidden_by(real)
+        x = self.own(x, Norm(scales[0], parts[1]), None, hidden, rotary, parts[2])
+        x = self.cross(x, Norm(scales[1], parts[4]), condition.memories[index], condition.hidden, None, parts[5])
+        examples = condition.examples[index]
+        if self.examples is not None and examples is not None:
+            x = self.examples(x, Norm(scales[-1], parts[-2]), examples, condition.hidden_examples, rotary, parts[-1])
+        return self.mix(x, Norm(scales[2], parts[7]), parts[8])

@@ -1,0 +1,187 @@
+"""The networks that make a motion from a sentence, and what they read of it: each text is encoded once."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bunraku.core.files import weights_file
+from bunraku.core.nn.checkpoints import dated, dated_checkpoint
+from bunraku.core.nn.layers import one_thread
+from bunraku.language.encoders import TextBatch, TextEncoder, encoder_of, text_encoder
+from bunraku.language.sentence import Clause
+
+if TYPE_CHECKING:
+    from bunraku.generation.denoiser import Denoiser
+    from bunraku.generation.extractor import Extractor
+    from bunraku.generation.pack import ExamplePack
+
+__all__ = ["Networks", "Texts", "load_generator"]
+
+
+@dataclass(frozen=True)
+class Networks:
+    """The networks that make a motion, each loaded when it is first asked for and then kept.
+
+    Args:
+        checkpoint: Weights of the denoiser in place of the shipped ones.
+
+    Raises:
+        WeightsError: The weights of a network are missing or broken; raised when it is first used.
+    """
+
+    checkpoint: str | Path | None = None
+
+    @cached_property
+    def denoiser(self) -> Denoiser:
+        """What predicts the clean motion (section 3.2 of TapMo)."""
+        return _denoiser(*dated_checkpoint("diffusion", self.checkpoint))
+
+    @cached_property
+    def encoder(self) -> TextEncoder:
+        """The denoiser's text encoder."""
+        return _encoder(*dated_checkpoint("diffusion", self.checkpoint))
+
+    @cached_property
+    def few_steps(self) -> Denoiser | None:
+        """The denoiser for the few steps that it was distilled into, which holds its guidance; None where it was not.
+        The changes are a file beside its weights, or the shipped ones where they are of these weights.
+        """
+        path, changed = dated_checkpoint("diffusion", self.checkpoint)
+        return _load_few(path, changed, *dated(self.few_steps_file))
+
+    @property
+    def few_steps_file(self) -> Path:
+        """Where the changes are; it need not exist."""
+        beside = dated_checkpoint("diffusion", self.checkpoint)[0].with_name("few-steps.safetensors")
+        return beside if beside.is_file() else weights_file("few-steps.safetensors")
+
+    @cached_property
+    def ranker(self) -> Extractor:
+        """What chooses among candidates."""
+        from bunraku.generation.extractor import load_ranker
+
+        return load_ranker()
+
+    @cached_property
+    def critic(self) -> Extractor | None:
+        """What guides motions towards their sentences; None where its file was taken away."""
+        from bunraku.generation.extractor import load_critic
+
+        return load_critic()
+
+    @cached_property
+    def examples(self) -> ExamplePack | None:
+        """Captured examples that candidates start from; None where their file was taken away."""
+        from bunraku.generation.pack import load_examples
+
+        return load_examples()
+
+
+def load_generator(checkpoint: str | Path | None = None) -> tuple[Denoiser, TextEncoder]:
+    """The denoiser and its text encoder, kept between calls as long as the file does not change.
+
+    Weights trained with CLIP look for its folder in the environment variable BUNRAKU_CLIP.
+
+    Args:
+        checkpoint: Weights in place of the shipped ones.
+
+    Raises:
+        WeightsError: The weights are missing or broken.
+    """
+    found = dated_checkpoint("diffusion", checkpoint)
+    return _denoiser(*found), _encoder(*found)
+
+
+@functools.lru_cache(maxsize=2)
+def _denoiser(path: Path, changed: int) -> Denoiser:
+    from bunraku.generation.denoiser import load_denoiser
+
+    return load_denoiser(path)
+
+
+@functools.lru_cache(maxsize=2)
+def _encoder(path: Path, changed: int) -> TextEncoder:
+    from bunraku.generation.denoiser import text_encoder_name
+
+    name = text_encoder_name(path)
+    return text_encoder(name, os.environ.get("BUNRAKU_CLIP") if name.startswith("clip") else None)
+
+
+@functools.lru_cache(maxsize=1)
+def _load_few(path: Path, changed: int, few: Path, few_changed: int) -> Denoiser | None:
+    from bunraku.generation.denoiser import load_denoiser_of_few_steps
+
+    return load_denoiser_of_few_steps(path, few) if few.is_file() else None
+
+
+@dataclass(frozen=True, eq=False)
+class Texts:
+    """The texts of some scripts as the networks read them.
+
+    Args:
+        rows: The row of `tokens` of each text.
+        tokens: What the denoiser's text encoder makes of the texts of clauses and of the gestures made meanwhile.
+        ranked: The ranker's vectors of the texts of clauses, shape (E,) each.
+        shown: The ranker's unit vector of each clause as said of a person, by its text; none where no examples are
+            looked up.
+        guided: The critic's, of what all of the body but a gesture does.
+    """
+
+    rows: dict[str, int]
+    tokens: TextBatch
+    ranked: dict[str, np.ndarray]
+    shown: dict[str, tuple[Clause, np.ndarray]]
+    guided: dict[str, np.ndarray]
+
+    @classmethod
+    def of(
+        cls, networks: Networks, scripts: Sequence[Sequence[Clause]], ranks: bool, shows: bool, critic: Extractor | None
+    ) -> Texts:
+        """The texts of scripts.
+
+        Args:
+            networks: That read them.
+            scripts: For each motion its clauses.
+            ranks: Whether the ranker is to choose among candidates.
+            shows: Whether examples are to be looked up.
+            critic: What guides motions; None for nothing.
+        """
+        from bunraku.generation.extractor import RADIUS, sentence_vectors
+
+        clauses = [clause for script in scripts for clause in script]
+        clauses += [part for clause in clauses for part in clause.parts] if shows else []
+        voices = [one for clause in clauses for one in (clause, *clause.voices)] if shows else []
+        bodies = [clause.body for clause in clauses] if critic is not None else []
+        plain = {text: None for clause in clauses for text in (clause.body.text, (clause.meanwhile or clause).text)}
+        ranker = networks.ranker if ranks or shows else None
+        networks_of = ranker, critic, ranker
+        wanted = [sorted({clause.person for clause in some}) for some in (voices, bodies)]
+        wanted.append(sorted({clause.text for clause in clauses}) if ranks else [])
+        encoders = [
+            networks.encoder if network is None else encoder_of(network.config.text_encoder, networks.encoder)
+            for network in networks_of
+        ]
+        with one_thread():
+            batches = [own.encode(texts) if texts else None for own, texts in zip(encoders[:2], wanted, strict=False)]
+        tokens = networks.encoder.encode(list(plain))
+        with one_thread():
+            batches.append(encoders[2].encode(wanted[2]) if ranks else None)
+            found: list[dict[str, np.ndarray]] = []
+            for network, texts, batch in zip(networks_of, wanted, batches, strict=True):
+                vectors = () if network is None or batch is None else sentence_vectors(network, batch)
+                found.append(dict(zip(texts, vectors, strict=True)))
+        shown = {clause.text: (clause, found[0][clause.person] / RADIUS) for clause in voices}
+        guided = {clause.text: found[1][clause.person] / RADIUS for clause in bodies}
+        return cls({text: row for row, text in enumerate(plain)}, tokens, found[2], shown, guided)
+
+    def batch(self, texts: Sequence[str]) -> TextBatch:
+        """The tokens of some texts, in the order that is given."""
+        return self.tokens.some([self.rows[text] for text in texts])

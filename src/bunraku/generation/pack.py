@@ -1,0 +1,458 @@
+"""Captured examples in one file: short stretches of motion with sentences, and where the ranker's network places both.
+
+A stretch is kept as the motion of a skeleton of 22 joints: the root's position and the joints' rotations at 20 frames a
+second, in steps of half a millimetre and of a milliradian, their differences packed by LZMA: 50 bytes a frame. What the
+sentences say, and where somebody stands well, is kept in a JSON file beside it, so that no run works it out again.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import lzma
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from bunraku.core.arrays import lzma_filters, pack_steps, unpack_steps
+from bunraku.core.body.layout import JOINT_COUNT
+from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from bunraku.errors import WeightsError
+from bunraku.language.lexicon import actions_of, main_actions, said_cues, said_traits
+
+if TYPE_CHECKING:
+    from bunraku.core.motion import SkeletalMotion
+    from bunraku.gestures.pose import Gesture
+
+__all__ = [
+    "BUSY",
+    "FPS",
+    "IDLE",
+    "KIND",
+    "MADE",
+    "OWN",
+    "Example",
+    "ExamplePack",
+    "Said",
+    "fingerprint",
+    "load_examples",
+    "packed_stretch",
+    "read_pack",
+    "said_by",
+    "said_path",
+    "stand_well",
+    "unpacked_stretch",
+    "write_pack",
+    "write_said",
+]
+
+KIND = "examples"
+FPS = 20.0
+MADE = "gesture_"
+"""How the names of those begin that are made by code."""
+OWN = "own_"
+"""How the names of those begin that somebody has added to the shipped ones."""
+IDLE = "#idle"
+"""How the names of those end in which somebody stands by whom gestures are made."""
+BUSY = "#busy"
+"""The same of those who do something with their hands; gestures take all but these from them."""
+_AND = ", "
+_OTHER_SIDE = {"left": "right", "right": "left"}
+MOST_FRAMES = 2_000
+"""Of one stretch; what a file says beyond is damage."""
+_METRES, _RADIANS = 5e-4, 1e-3
+_NUMBERS = 3 + 3 * JOINT_COUNT
+_FILTERS = lzma_filters(9 | lzma.PRESET_EXTREME, 1 << 16)
+
+
+@dataclass(frozen=True)
+class Example:
+    """One stretch of a captured or keyframed clip.
+
+    Args:
+        name: The clip it is of, and its first frame there.
+        texts: Sentences that tell it, the fullest first; none where somebody only stands, for others to be joined to.
+        frames: How many it has.
+        loop: Frames (i, j) such that playing on from j after i is smooth and the sentences stay true; None where it is
+            done once.
+    """
+
+    name: str
+    texts: tuple[str, ...]
+    frames: int
+    loop: tuple[int, int] | None = None
+
+    @property
+    def unranked(self) -> bool:
+        """Whether the ranker has never seen its like: it is made by code, or a clip of one's own."""
+        return self.name.startswith((MADE, OWN))
+
+    @property
+    def made(self) -> bool:
+        """Whether it is a gesture made by code (`bunraku.gestures`)."""
+        return self.name.startswith(MADE)
+
+    @property
+    def idle(self) -> bool:
+        """Whether somebody stands in it who shifts the weight and breathes."""
+        return self.name.endswith(IDLE)
+
+    @property
+    def busy(self) -> bool:
+        """Whether somebody stands in it who does something with the hands."""
+        return self.name.endswith(BUSY)
+
+    @property
+    def stands(self) -> bool:
+        """Whether gestures are made by who stands in it."""
+        return self.idle or self.busy
+
+
+class Said(NamedTuple):
+    """What the sentences of an example say, by the lexicon.
+
+    Args:
+        actions: What they agree on (`main_actions`).
+        cues: Of all of them.
+        traits: Of all of them.
+        besides: What the fullest says beyond the actions.
+    """
+
+    actions: frozenset[str]
+    cues: frozenset[str]
+    traits: frozenset[str]
+    besides: frozenset[str] = frozenset()
+
+    @property
+    def mirrored_cues(self) -> frozenset[str]:
+        """The cues of the sentences with left and right exchanged."""
+        found = set()
+        for cue in self.cues:
+            side, _, part = cue.partition(" ")
+            found.add(f"{_OTHER_SIDE[side]} {part}" if side in _OTHER_SIDE else cue)
+        return frozenset(found)
+
+
+def said_by(texts: Sequence[str]) -> Said:
+    """What the sentences of an example say."""
+    cues, traits = (frozenset[str]().union(*map(read, texts)) for read in (said_cues, said_traits))
+    actions = frozenset(main_actions(texts))
+    besides = frozenset(actions_of(texts[0])) if texts else frozenset[str]()
+    return Said(actions, cues, traits, besides - actions)
+
+
+_said_by = functools.lru_cache(maxsize=4096)(said_by)
+
+
+@dataclass(frozen=True, eq=False)
+class ExamplePack:
+    """Examples with their vectors, each as it is and in the mirror.
+
+    Args:
+        examples: E of them.
+        data: Packed stretches.
+        owners: Which example each sentence is of, shape (T,).
+        texts: Unit vectors of the sentences and of the mirrored ones, shape (2, T, V).
+        motions: Unit vectors of the stretches and of their mirror images, shape (2, E, V).
+        ranker: What tells the ranker's weights that made the vectors.
+        stored: What `Said` holds of each example, each field parted by commas; none where nobody stored it.
+        stored_standing: What `stand_well` finds; None where nobody stored it.
+    """
+
+    examples: tuple[Example, ...]
+    data: tuple[bytes, ...]
+    owners: np.ndarray
+    texts: np.ndarray
+    motions: np.ndarray
+    ranker: str
+    stored: Sequence[Sequence[str]] = ()
+    stored_standing: Sequence[int] | None = None
+
+    @functools.cached_property
+    def made(self) -> np.ndarray:
+        """Which ones are gestures made by code, shape (E,), bool."""
+        return np.array([one.name.startswith(MADE) for one in self.examples], bool)
+
+    @functools.cached_property
+    def handled(self) -> tuple[int, ...]:
+        """The gesture that stands for whatever is done with things; none in a pack without it."""
+        return tuple(index for index in np.flatnonzero(self.made).tolist() if self.said(index).actions == {"handle"})
+
+    @functools.cached_property
+    def standing_poses(self) -> dict[int, np.ndarray]:
+        """Those that are there for others to be joined to, in which somebody stands on both legs: their mean poses, as
+        the denoiser sees them but for the root's velocities, shape (268,).
+        """
+        chosen = [index for index in self._standing_well if not self.examples[index].stands]
+        if not chosen:
+            return {}
+        return {
+            index: features[:, 3:].mean(axis=0)
+            for index, features in zip(chosen, _encoded_at_once(self, chosen), strict=True)
+        }
+
+    @property
+    def standing(self) -> tuple[int, ...]:
+        """Which ones are there for others to be joined to: in which somebody stands, on both legs."""
+        return tuple(self.standing_poses)
+
+    @functools.cached_property
+    def idles(self) -> tuple[SkeletalMotion, ...]:
+        """People who stand, by whom gestures are made."""
+        return tuple([_skeletal(self, index) for index in self._standing_well if self.examples[index].idle])
+
+    @functools.cached_property
+    def busy(self) -> tuple[SkeletalMotion, ...]:
+        """People who stand and do something with their hands, whose legs, trunk and head gestures take."""
+        return tuple([_skeletal(self, index) for index in self._standing_well if self.examples[index].busy])
+
+    @functools.cached_property
+    def _standing_well(self) -> Sequence[int]:
+        return stand_well(self) if self.stored_standing is None else self.stored_standing
+
+    def said(self, index: int) -> Said:
+        """What the sentences of an example say."""
+        if not self.stored:
+            return _said_by(tuple(self.examples[index].texts))
+        return Said(*[frozenset(names.split(_AND)) - {""} for names in self.stored[index]])
+
+    def gesture(self, index: int) -> Gesture | None:
+        """The gesture that an example is; None where it is captured, or no gesture of this version."""
+        from bunraku.gestures.catalogue import gesture_of
+
+        one = self.examples[index]
+        return gesture_of(one.texts) if one.made and one.texts else None
+
+    def features(self, index: int) -> np.ndarray:
+        """What the denoiser sees of an example (see `diffusion.features`), shape (N, 271)."""
+        return _features(self.data[index], self.examples[index].frames)
+
+
+def stand_well(pack: ExamplePack) -> list[int]:
+    """Which of those without a sentence serve: others are joined to one in which somebody stands on both legs, and
+    gestures are made by one who stands well.
+    """
+    from bunraku.generation.splicing import on_one_leg
+    from bunraku.gestures.standing import stands_well
+
+    wordless = [index for index, one in enumerate(pack.examples) if not one.texts]
+    others = [index for index in wordless if not pack.examples[index].stands]
+    lifted = {
+        index for index, features in zip(others, _encoded_at_once(pack, others), strict=True) if on_one_leg(features)
+    }
+    return [
+        index for index in wordless
+        if (stands_well(_skeletal(pack, index)) if pack.examples[index].stands else index not in lifted)
+    ]  # fmt: skip
+
+
+def _encoded_at_once(pack: ExamplePack, indices: Sequence[int]) -> list[np.ndarray]:
+    """Features of some examples but for their first frames' velocities, shape (N, 271) each."""
+    if not indices:
+        return []
+    lengths = [pack.examples[index].frames for index in indices]
+    packed = zip([pack.data[index] for index in indices], lengths, strict=True)
+    values = np.concatenate([_stretch_values(*one) for one in packed])
+    return np.split(_encoded(*_as_motion(values)), np.cumsum(lengths)[:-1])
+
+
+def _skeletal(pack: ExamplePack, index: int) -> SkeletalMotion:
+    """The motion of an example."""
+    from bunraku.core.body.reference import reference_body
+    from bunraku.core.motion import SkeletalMotion
+
+    root, rotations = unpacked_stretch(pack.data[index], pack.examples[index].frames)
+    return SkeletalMotion(reference_body().skeleton, rotations, root, FPS)
+
+
+@functools.lru_cache(maxsize=128)
+def _features(data: bytes, frames: int) -> np.ndarray:
+    return _encoded(*unpacked_stretch(data, frames))
+
+
+def _encoded(root: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    """Features of a stretch (see `diffusion.features`), shape (N, 271)."""
+    from bunraku.anatomy.anatomy import body_handle_motion
+    from bunraku.core.body.reference import reference_body
+    from bunraku.core.motion import SkeletalMotion
+    from bunraku.generation.features import encode
+
+    return encode(body_handle_motion(SkeletalMotion(reference_body().skeleton, rotations, root, FPS)))
+
+
+def packed_stretch(root: np.ndarray, rotations: np.ndarray) -> bytes:
+    """A skeleton's motion in few bytes.
+
+    Args:
+        root: Position of the root in each frame [m], shape (N, 3).
+        rotations: Of the 22 joints relative to their parents, shape (N, 22, 3, 3).
+    """
+    turns = axis_angle_from_matrix(rotations.astype(float)).reshape(len(root), -1)
+    return pack_steps(np.concatenate([root / _METRES, turns / _RADIANS], axis=1), 1, _FILTERS)
+
+
+def unpacked_stretch(data: bytes, frames: int) -> tuple[np.ndarray, np.ndarray]:
+    """Root (N, 3) and rotations (N, 22, 3, 3) of what `packed_stretch` packed.
+
+    Raises:
+        WeightsError: The bytes are none of that.
+    """
+    return _as_motion(_stretch_values(data, frames))
+
+
+def _as_motion(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Root (N, 3) and rotations (N, 22, 3, 3) of the numbers that are packed, shape (N, 69)."""
+    turns = (values[:, 3:] * _RADIANS).reshape(len(values), JOINT_COUNT, 3)
+    return values[:, :3] * _METRES, matrix_from_axis_angle(turns)
+
+
+def _stretch_values(data: bytes, frames: int) -> np.ndarray:
+    try:
+        if not 0 < frames <= MOST_FRAMES:
+            raise ValueError
+        return unpack_steps(data, frames, _NUMBERS, 1, _FILTERS)
+    except ValueError as error:
+        raise WeightsError("the examples are damaged; install Bunraku again or build them again") from error
+
+
+def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object]) -> Path:
+    """Write examples with what is to be known of them: where they are from, and how they were chosen; and beside them
+    (`said_path`) what their sentences say.
+    """
+    from bunraku.core.nn.checkpoints import save_checkpoint
+
+    table = [[one.name, list(one.texts), one.frames, list(one.loop or ())] for one in pack.examples]
+    tensors: dict[str, np.ndarray] = {
+        "data": np.frombuffer(b"".join(pack.data), np.uint8),
+        "sizes": np.array([len(part) for part in pack.data], np.int32),
+        "owners": pack.owners.astype(np.int32),
+        "texts": pack.texts.astype(np.float32),
+        "motions": pack.motions.astype(np.float32),
+    }
+    write_said(path, pack)
+    return save_checkpoint(path, tensors, {"examples": table, "ranker": pack.ranker, "notes": notes}, KIND, half=True)
+
+
+def said_path(path: str | Path) -> Path:
+    """Where it stands what the sentences of a pack say: beside it."""
+    return Path(path).with_suffix(".json")
+
+
+def write_said(path: str | Path, pack: ExamplePack) -> None:
+    """Write beside a pack what its sentences say and where somebody stands well.
+
+    Args:
+        path: Of the pack.
+        pack: It.
+    """
+    from bunraku.core.files import atomic_write
+
+    rows = [json.dumps([_AND.join(sorted(names)) for names in said_by(one.texts)]) for one in pack.examples]
+    head = f'{{"of": "{_contents(pack)}", "stand": {stand_well(pack)}, "rows": [\n'
+    with atomic_write(said_path(path)) as file:
+        file.write((head + ",\n".join(rows) + "\n]}\n").encode())
+
+
+def _contents(pack: ExamplePack) -> str:
+    """What tells the sentences of a pack, the lexicon that reads them, and those who stand, from others."""
+    found = hashlib.sha256(resources.files("bunraku.language").joinpath("lexicon.json").read_bytes())
+    found.update(json.dumps([one.texts for one in pack.examples]).encode())
+    for one, data in zip(pack.examples, pack.data, strict=False):  # a pack that is damaged has fewer
+        if not one.texts:
+            found.update(data)
+    return found.hexdigest()[:16]
+
+
+def _with_stored(pack: ExamplePack, path: str | Path) -> ExamplePack:
+    """A pack with what `write_said` stored; as it is where that is missing, or of another pack or by another lexicon.
+
+    Raises:
+        WeightsError: The file is damaged.
+    """
+    file, count = said_path(path), len(pack.examples)
+    if not file.is_file():
+        return pack
+    try:
+        words = json.loads(file.read_bytes())
+        if words["of"] != _contents(pack):
+            return pack
+        rows: list[list[str]] = words["rows"]
+        standing: list[int] = words["stand"]
+        if len(rows) != count or {tuple(map(type, row)) for row in rows} - {(str,) * len(Said._fields)}:
+            raise ValueError
+        if {type(index) for index in standing} - {int} or not all(0 <= index < count for index in standing):
+            raise ValueError
+    except (ValueError, TypeError, LookupError, RecursionError) as error:
+        raise WeightsError(f"{file}: what the examples say is damaged; take the file away") from error
+    return replace(pack, stored=rows, stored_standing=standing)
+
+
+def read_pack(path: str | Path) -> ExamplePack:
+    """Read examples.
+
+    Raises:
+        WeightsError: The file is missing, damaged or of another kind.
+    """
+    from bunraku.core.nn.checkpoints import fitting_config, load_checkpoint
+
+    state, config = load_checkpoint(path, KIND)
+    with fitting_config(path):
+        sizes = state["sizes"].tolist()
+        ends = np.cumsum([0, *sizes])
+        data = state["data"].tobytes()
+        if min(sizes, default=0) < 0 or ends[-1] != len(data):
+            raise ValueError("the sizes of the stretches do not add up")
+        examples = [
+            Example(str(name), tuple(map(str, texts)), int(frames), (int(loop[0]), int(loop[1])) if loop else None)
+            for name, texts, frames, loop in config["examples"]
+        ]
+        owners = state["owners"]
+        found = ExamplePack(
+            tuple(examples),
+            tuple([data[start:stop] for start, stop in zip(ends, ends[1:], strict=False)]),
+            owners,
+            state["texts"],
+            state["motions"],
+            str(config["ranker"]),
+        )
+        fits = found.texts.shape[:2] == (2, len(owners)) and found.motions.shape[:2] == (2, len(examples))
+        if not fits or len(sizes) != len(examples) or not ((owners >= 0) & (owners < len(examples))).all():
+            raise ValueError("its tables have different lengths")
+    return _with_stored(found, path)
+
+
+def load_examples() -> ExamplePack | None:
+    """The examples beside the shipped weights, kept between calls as long as the file does not change; None where there
+    are none.
+
+    Raises:
+        WeightsError: The file is damaged, or was made with another ranker than the one beside it.
+    """
+    from bunraku.core.files import weights_file
+    from bunraku.core.nn.checkpoints import dated_checkpoint
+
+    path = weights_file("examples.safetensors")
+    if not path.is_file():
+        return None
+    return _load(*dated_checkpoint("examples", path), *dated_checkpoint("ranker"))
+
+
+@functools.lru_cache(maxsize=2)
+def _load(path: Path, changed: int, ranker: Path, ranker_changed: int) -> ExamplePack:
+    found = read_pack(path)
+    if found.ranker != fingerprint(ranker):
+        raise WeightsError(
+            f"{path}: the examples were made with another ranker than {ranker.name} beside them; build them again with "
+            "'bunraku data examples', or take them away"
+        )
+    return found
+
+
+def fingerprint(path: Path) -> str:
+    """What tells a ranker's weights from others."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]

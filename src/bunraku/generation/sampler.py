@@ -1,0 +1,534 @@
+"""Sampling: from seeded noise and sentences to motions, with solvers, classifier-free guidance and values that are
+known beforehand.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from bunraku.core.nn.layers import side_by_side
+from bunraku.generation.denoiser import Denoiser, RetrievedExamples
+from bunraku.generation.features import FeatureStatistics
+from bunraku.generation.layers import TRAINING_STEPS
+from bunraku.language.encoders import TextBatch
+
+__all__ = [
+    "Known",
+    "Noise",
+    "Predictor",
+    "Sample",
+    "Solver",
+    "Steering",
+    "Window",
+    "alphas_cumprod",
+    "between",
+    "dpm_solver",
+    "guided",
+    "row_noise",
+    "sample",
+    "sample_windows",
+    "sampling_steps",
+    "starting_noise",
+    "token_share",
+]
+
+
+_BITS = 24
+_LANES = 16
+"""Numbers that are made together: the first half are lengths, the second angles (Box & Muller 1958)."""
+
+
+class Noise:
+    """Normal numbers from a Mersenne twister (Matsumoto & Nishimura 1998).
+
+    Args:
+        seed: Any number; its lowest 32 bits count.
+    """
+
+    def __init__(self, seed: int):
+        self._twister = np.random.RandomState(seed & 0xFFFFFFFF)
+
+    def draw(self, *shape: int) -> np.ndarray:
+        """The next numbers, float32: at least 16 at a time.
+
+        Args:
+            shape: Of what is drawn.
+        """
+        count = int(np.prod(shape))
+        uniform = self._uniform(count)
+        whole = count // _LANES * _LANES
+        out = np.empty(count, np.float32)
+        out[:whole] = _normal(uniform[:whole])
+        if whole < count:  # the last 16 are drawn anew
+            out[count - _LANES :] = _normal(self._uniform(_LANES))
+        return out.reshape(shape)
+
+    def _uniform(self, count: int) -> np.ndarray:
+        """Numbers from 0 to below 1, float32."""
+        drawn = self._twister.randint(0, 1 << _BITS, count, np.uint32)
+        return drawn.astype(np.float32) * np.float32(2.0**-_BITS)
+
+
+def _normal(uniform: np.ndarray) -> np.ndarray:
+    first, second = np.split(uniform.reshape(-1, _LANES), 2, axis=1)
+    length = np.sqrt(np.float32(-2) * np.log(np.float32(1) - first))
+    angle = np.float32(2 * np.pi) * second
+    return np.concatenate([length * np.cos(angle), length * np.sin(angle)], axis=1).reshape(-1)
+
+
+def generator(seed: int, row: int) -> Noise:
+    """What draws the noise of one row of a batch, so that a row is the same in any batch."""
+    return Noise((seed + row * 0x9E3779B97F4A7C15) % 2**63)
+
+
+def row_noise(frames: int, features: int, seed: int, row: int = 0) -> np.ndarray:
+    """x_T of one row of a batch, from a generator of (seed, row) of its own, shape (frames, features)."""
+    return generator(seed, row).draw(frames, features)
+
+
+def starting_noise(rows: int, frames: int, features: int, seed: int) -> np.ndarray:
+    """x_T, shape (rows, frames, features): one `row_noise` for each row."""
+    return np.stack([row_noise(frames, features, seed, row) for row in range(rows)])
+
+
+FEW, MANY = (4, (-3.5, 2.0)), (20, (-6.0, 4.0))
+"""Of how many steps, the lambda near the first that a sampler visits and at the last: 980 and 78 of four, 999 and 5 of
+twenty. Beyond them little changes from step to step, and few steps are better spent between.
+"""
+
+
+def alphas_cumprod() -> np.ndarray:
+    """Share of signal power left after each step, shape (1000,), float64, falling; betas are capped at 0.999."""
+    time = np.arange(TRAINING_STEPS + 1) / TRAINING_STEPS
+    curve = np.cos((time + 0.008) / 1.008 * math.pi / 2) ** 2
+    betas = np.minimum(1 - curve[1:] / curve[:-1], 0.999)
+    return np.cumprod(1 - betas)
+
+
+def sampling_steps(count: int) -> list[int]:
+    """Training steps that a sampler of `count` steps, 1 to 1,000, visits: falling, even in the log of the
+    signal-to-noise ratio.
+
+    The high end decides what happens and the low end how crisply, and both get more of such steps than of even ones: 20
+    even steps lose a sixth of the motion's spread and end four times as far from the limit of many steps. 12 of these
+    end nearer to it than 20 that are dense at both ends as a cosine is. Twenty and more begin with the last training
+    step; fewer end their range earlier at both sides.
+    """
+    curve = alphas_cumprod()
+    ratio = 0.5 * np.log(curve / (1 - curve))  # the lambda of DPM-Solver++, falling
+    ends = np.array([np.interp(count, (FEW[0], MANY[0]), pair) for pair in zip(FEW[1], MANY[1], strict=True)])
+    wanted = np.interp(np.linspace(ends[0], ends[1], count), ratio[::-1], np.arange(TRAINING_STEPS)[::-1])
+    steps: list[int] = []
+    for index, step in enumerate(wanted):
+        below = steps[-1] - 1 if steps else TRAINING_STEPS - 1
+        even = below if count >= MANY[0] and not steps else round(float(step))
+        steps.append(max(min(even, below), count - 1 - index))  # no step twice, and room for those to come
+    return steps
+
+
+Predict = Callable[[np.ndarray, int], np.ndarray]
+StepProgress = Callable[[int, int], None]
+
+
+def _moments(step: int, curve: np.ndarray) -> tuple[float, float, float]:
+    """alpha, sigma and half the log of their ratio's square after `step`; step -1 is the clean motion."""
+    share = float(curve[step]) if step >= 0 else 1.0
+    alpha, sigma = math.sqrt(share), math.sqrt(1 - share)
+    return alpha, sigma, math.log(alpha / sigma) if sigma > 0 else math.inf
+
+
+def dpm_solver(
+    predict: Predict, noise: np.ndarray, steps: list[int], progress: StepProgress | None = None, order: int = 2
+) -> np.ndarray:
+    """DPM-Solver++ (2M): from x_T to x_0 with one prediction of x0 a step.
+
+    Args:
+        predict: (x_t, t) -> x0.
+        noise: x_T, of any shape.
+        steps: Training steps to visit, falling.
+        progress: Called with (done, total).
+        order: 2; of order 1 it is DDIM (Song et al. 2021), which networks learn few steps by.
+    """
+    curve, x = alphas_cumprod(), noise
+    before: tuple[np.ndarray, float] | None = None  # the last prediction and its lambda
+    for index, step in enumerate(steps):
+        _, sigma, here = _moments(step, curve)
+        alpha_next, sigma_next, there = _moments(steps[index + 1] if index + 1 < len(steps) else -1, curve)
+        clean = predict(x, step)
+        direction = clean
+        if order > 1 and before is not None and math.isfinite(there):  # second order: extrapolate in lambda
+            ratio = (there - here) / (here - before[1])
+            direction = clean + 0.5 * ratio * (clean - before[0])
+        x = (sigma_next / sigma) * x - alpha_next * math.expm1(here - there) * direction
+        before = (clean, here)
+        if progress is not None:
+            progress(index + 1, len(steps))
+    return x
+
+
+# Guidance acts while the diffusion step, 0 to 999, is at least this; below it the sentence's own prediction is taken,
+# which costs half. The early, noisy steps decide what is done. In the late ones the scale only enlarges details: waves
+# trembled above 5 Hz. (Guidance on an interval of noise: Kynkaanniemi et al. 2024.)
+GUIDED_FROM = 500
+# Down to this step a guide stands for what the network would predict; the next one visited has a log signal-to-noise
+# ratio of about -0.4. The root's way, height and tilt are the guide's to the end: the network halves the height of a
+# jump even where there is no noise left.
+LED_UNTIL = 600
+ROOT = slice(0, 10)  # its features (`diffusion.features`)
+GROUP = 16  # windows that go through the denoiser at once; more gain nothing on a CPU and take memory
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the motion must keep.
+
+    Args:
+        values: Clean frames in network units, shape (B, N, D); anything where `share` is 0.
+        share: How far each frame, or each feature of each frame, is held, 1 for fully, shape (N,), (N, D) or (B, N, D).
+    """
+
+    values: np.ndarray
+    share: np.ndarray
+
+    def spread(self) -> tuple[np.ndarray, np.ndarray]:
+        """Values and share on one time line, shapes (B N, D) and (B N, D or 1)."""
+        share = self.share[:, None] if self.share.ndim == 1 else self.share
+        rows, frames, features = self.values.shape
+        spread = np.broadcast_to(share, (rows, frames, share.shape[-1]))
+        return self.values.reshape(-1, features), spread.reshape(rows * frames, -1)
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of the time line that the denoiser sees at once.
+
+    Args:
+        frames: Which frames of the time line, shape (L,); a loop's run on from its end to its start, and may come
+            twice.
+        share: What the window's prediction of each frame counts among those of all windows, shape (L,).
+        row: The sentence, and mesh feature, that it is given.
+    """
+
+    frames: np.ndarray
+    share: np.ndarray
+    row: int
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What a sampler gives.
+
+    Args:
+        values: Motions in network units, shape (B, N, D).
+        adaptation: Offsets on the local translations [m], shape (B, N, K, 3).
+    """
+
+    values: np.ndarray
+    adaptation: np.ndarray
+
+
+def between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """The first, and the second by its share; where that is 0 or 1, bit for bit what is meant."""
+    way = second - first
+    return np.where(share < 0.5, first + share * way, second - way * (1 - share))
+
+
+def guided(
+    conditional: np.ndarray,
+    unconditional: np.ndarray,
+    guidance: float,
+    rescale: float = 0.0,
+    real: np.ndarray | None = None,
+) -> np.ndarray:
+    """Classifier-free guidance on x0 (Ho & Salimans 2022), brought back towards the conditional's deviation by the
+    share `rescale` (Lin et al. 2023), shape (B, N, D); `real` (B, N) is False in padding, which does not count in the
+    deviation.
+    """
+    x0 = unconditional + np.float32(guidance) * (conditional - unconditional)
+    if rescale > 0:
+        factor = _deviation(conditional, real) / np.maximum(_deviation(x0, real), np.float32(1e-8))
+        x0 = x0 * (np.float32(rescale) * factor + np.float32(1 - rescale))
+    return np.asarray(x0)
+
+
+def _deviation(x: np.ndarray, real: np.ndarray | None) -> np.ndarray:
+    rows = x if real is None else [row[keep] for row, keep in zip(x, real, strict=True)]
+    return np.array([row.std(ddof=1) for row in rows], np.float32)[:, None, None]
+
+
+def token_share(frames: int, patch: int) -> np.ndarray:
+    """How far each frame trusts its token, shape (frames,): most in the middle, least at the edges."""
+    return (1 - np.abs((np.arange(frames) % patch + 0.5) * 2 / patch - 1)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Solver:
+    """How motions are denoised.
+
+    Args:
+        steps: Predictions of x0 that are made, one after the other.
+        guidance: Scale of classifier-free guidance; 1 is the conditional model alone and takes half the time.
+        rescale: Share of guidance rescaling, 0 to 1.
+        progress: Called with (done, total) steps.
+    """
+
+    steps: int = 8
+    guidance: float = 3.0
+    rescale: float = 0.0
+    progress: Progress | None = None
+
+
+@dataclass(frozen=True)
+class Steering:
+    """What acts on the predicted x0 of a time line at each step, in this order.
+
+    Args:
+        classifier_guidance: Changes what the network predicts (F, D) at the step that it is told.
+        guide: What is predicted while the noise is strong, how far, and down to which step, at most `LED_UNTIL`, shapes
+            (F, D), (F, 1) and (F, 1): where the motion starts from.
+        refine: Changes the predicted x0 (F, D).
+        known: Values to keep and how far, shapes (F, D) and (F, D) or (F, 1).
+    """
+
+    classifier_guidance: Callable[[np.ndarray, int], np.ndarray] | None = None
+    guide: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    refine: Callable[[np.ndarray], np.ndarray] | None = None
+    known: tuple[np.ndarray, np.ndarray] | None = None
+
+
+def sample(
+    model: Denoiser,
+    text: TextBatch,
+    frames: int | Sequence[int],
+    solver: Solver = Solver(),
+    *,
+    mesh_features: np.ndarray | None = None,
+    seed: int = 0,
+    known: Known | None = None,
+) -> Sample:
+    """Draw one motion for each sentence, all in one batch.
+
+    Args:
+        model: The denoiser.
+        text: B encoded sentences.
+        frames: Length N of the motions, at most the model's `frames`; or that of each, and all are padded with zeros to
+            the longest.
+        solver: How they are denoised.
+        mesh_features: f_phi of each row's character, shape (B, 448); None for no mesh in particular.
+        seed: Of the starting noise.
+        known: What to keep: it overwrites the predicted x0 at each step (section A.3).
+    """
+    rows = len(text.mask)
+    lengths = [frames] * rows if isinstance(frames, int) else list(frames)
+    longest = max(lengths)
+    windows = [
+        Window(np.arange(row * longest, row * longest + length), np.ones(length, np.float32), row)
+        for row, length in enumerate(lengths)
+    ]
+    noise = starting_noise(rows, longest, model.config.features, seed).reshape(rows * longest, -1)
+    steering = Steering(known=None if known is None else known.spread())
+    found = sample_windows(model, text, windows, noise, solver, steering, mesh_features=mesh_features)
+    values, adaptation = (part.reshape(rows, longest, *part.shape[1:]) for part in (found.values, found.adaptation))
+    return Sample(values, adaptation)
+
+
+def sample_windows(
+    model: Denoiser,
+    text: TextBatch,
+    windows: Sequence[Window],
+    noise: np.ndarray,
+    solver: Solver = Solver(),
+    steering: Steering = Steering(),
+    *,
+    mesh_features: np.ndarray | None = None,
+) -> Sample:
+    """Denoise a time line through windows, all of them at each step: where they overlap, x0 is the mean of what they
+    predict.
+
+    Neighbours thus agree while the motion takes shape, and not only afterwards (as in DiffCollage, Zhang et al. 2023,
+    and the first take of DoubleTake, Shafir et al. 2023). Motions of a batch lie one after the other on the time line,
+    no window reaching from one into another.
+
+    Args:
+        model: The denoiser.
+        text: Encoded sentences, which the windows name by their rows.
+        windows: What the denoiser sees at once.
+        noise: x_T on the time line, shape (F, D).
+        solver: How it is denoised.
+        steering: What acts on the predictions.
+        mesh_features: f_phi of each sentence's character, shape (B, 448).
+
+    Returns:
+        Values (F, D) and adaptation (F, K, 3); zero in frames that no window counts in.
+    """
+    predictor = Predictor(model, text, windows, len(noise), solver, steering, mesh_features)
+    values = dpm_solver(predictor, noise, predictor.visited, solver.progress, 1 if model.visited else 2)
+    return Sample(values, predictor.adaptation)
+
+
+class Predictor:
+    """What a solver asks for: x0 of a time line at a step, as all windows and all that steers say.
+
+    Args:
+        model: The denoiser; one that learned few steps visits those and takes its guidance from its weights.
+        text: Encoded sentences, which the windows name by their rows.
+        windows: What the denoiser sees at once.
+        frames: Of the time line, F.
+        solver: How it is denoised.
+        steering: What acts on the predictions.
+        mesh_features: f_phi of each sentence's character, shape (B, 448).
+
+    Attributes:
+        visited: The steps, falling; the last one tells the adaptation.
+        adaptation: Of the last step, shape (F, K, 3).
+    """
+
+    def __init__(
+        self,
+        model: Denoiser,
+        text: TextBatch,
+        windows: Sequence[Window],
+        frames: int,
+        solver: Solver = Solver(),
+        steering: Steering = Steering(),
+        mesh_features: np.ndarray | None = None,
+    ):
+        self.model, self.steering = model, steering
+        self.visited = list(model.visited) or sampling_steps(solver.steps)
+        guide = steering.guide
+        order = sorted(windows, key=lambda window: len(window.frames))  # a group pads to its longest
+        led_whole = [guide is not None and bool((guide[1][window.frames] >= 1).all()) for window in order]
+        examples = None
+        if model.config.examples:
+            from bunraku.generation.attended import example_bank
+
+            examples = example_bank(model.config, FeatureStatistics(model.mean, model.std))(text)
+        total = np.zeros(frames, np.float32)
+        for window in windows:
+            np.add.at(total, window.frames, window.share)
+        if model.visited:
+            solver = replace(solver, guidance=1.0)
+        self._groups = [
+            _Group(model, text, some[start : start + GROUP], mesh_features, examples, solver, total, led)
+            for led in (False, True)
+            for some in [[window for window, own in zip(order, led_whole, strict=True) if own == led]]
+            for start in range(0, len(some), GROUP)
+        ]
+        self.adaptation = np.zeros((frames, model.config.handles, 3), np.float32)
+
+    def __call__(self, x: np.ndarray, step: int) -> np.ndarray:
+        """x0 (F, D) from x_t on the time line (F, D)."""
+        x0, final = np.zeros_like(x), step == self.visited[-1]
+        for group in self._groups:
+            if group.led and step >= LED_UNTIL and not final:
+                continue  # whatever the network says, the guide overwrites it
+            values, offsets = group.predict(self.model, x, step, final)
+            x0 += group.laid(values)
+            if offsets is not None:
+                laid = group.laid(offsets.reshape(*offsets.shape[:2], -1))
+                self.adaptation += laid.reshape(self.adaptation.shape)
+        steering = self.steering
+        if steering.classifier_guidance is not None:
+            x0 = steering.classifier_guidance(x0, step)
+        if steering.guide is not None:
+            values, share, until = steering.guide
+            pose = slice(ROOT.stop, None)
+            x0[:, ROOT] = between(x0[:, ROOT], values[:, ROOT], share)
+            x0[:, pose] = between(x0[:, pose], values[:, pose], share * (step >= until))
+        if steering.refine is not None:
+            x0 = steering.refine(x0)
+        return x0 if steering.known is None else between(x0, *steering.known)
+
+
+class _Group:
+    """Windows that go through the denoiser together, with what does not depend on the step. All of a group are led by
+    a guide in all of their frames, or none is.
+    """
+
+    def __init__(
+        self,
+        model: Denoiser,
+        text: TextBatch,
+        windows: Sequence[Window],
+        mesh_features: np.ndarray | None,
+        examples: RetrievedExamples | None,
+        solver: Solver,
+        total: np.ndarray,
+        led: bool,
+    ):
+        self.led = led
+        count, longest = len(windows), max(len(window.frames) for window in windows)
+        self.guidance, self.rescale = solver.guidance, solver.rescale
+        self.twice = 1 if solver.guidance == 1 else 2
+        self.lengths = np.array([len(window.frames) for window in windows])
+        self.real = np.arange(longest) < self.lengths[:, None]
+        self.frames = np.zeros((count, longest), np.int64)
+        share = np.zeros((count, longest), np.float32)
+        for row, window in enumerate(windows):
+            self.frames[row, : len(window.frames)], share[row, : len(window.frames)] = window.frames, window.share
+        share /= np.maximum(total[self.frames], np.float32(1e-8))
+        seen = np.flatnonzero(self.real)
+        self._laid = csr_matrix(
+            (share.reshape(-1)[seen], (self.frames.reshape(-1)[seen], seen)), (len(total), share.size)
+        )
+        rows = np.array([window.row for window in windows])
+        both = np.tile(rows, self.twice)
+        mesh = None if mesh_features is None else mesh_features.astype(np.float32)[both]
+        keep_text = np.arange(len(both)) < count
+        self.condition = model.condition(
+            text.tokens[both], text.mask[both], text.pooled[both], mesh, keep_text,
+            np.full_like(keep_text, mesh is not None), None if examples is None else examples.rows(both),
+        )  # fmt: skip
+
+    def laid(self, values: np.ndarray) -> np.ndarray:
+        """What the windows say (G, L, C) on the time line, each by its share of all that see a frame, shape (F, C)."""
+        return np.asarray(self._laid @ values.reshape(-1, values.shape[-1]))
+
+    def predict(self, model: Denoiser, x: np.ndarray, step: int, final: bool) -> tuple[np.ndarray, np.ndarray | None]:
+        """x0 (G, L, D) of each window, from x_t on the time line (F, D), and at the final step the adaptation (G, L,
+        K, 3).
+        """
+        seen, patch = x[self.frames], model.config.frames_per_token
+        x0, adaptation = self._run(model, seen, step, self.lengths, final)
+        if final and patch > 1 and adaptation is not None:
+            # Frames of one token agree better than neighbours across two: a second grid, moved by half a token, heals
+            # the seams.
+            ahead = patch // 2
+            moved = np.concatenate([seen[:, :ahead][:, ::-1], seen], axis=1)
+            other, other_adaptation = self._run(model, moved, step, self.lengths + ahead, final)
+            assert other_adaptation is not None
+            share = token_share(seen.shape[1], patch)[:, None]
+            x0 = between(other[:, ahead:], x0, share)
+            adaptation = between(other_adaptation[:, ahead:], adaptation, share[..., None])
+        return x0, adaptation
+
+    def _run(
+        self, model: Denoiser, x: np.ndarray, step: int, lengths: np.ndarray, final: bool
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        count, twice = len(x), self.twice if step >= GUIDED_FROM else 1
+        seen, lengths = np.tile(x, (twice, 1, 1)), np.tile(lengths, twice)
+
+        def run(rows: slice) -> tuple[np.ndarray, np.ndarray | None]:
+            return model(seen[rows], step, lengths[rows], self.condition.rows(rows), final)
+
+        if len(seen) == 1:
+            motion, adaptation = run(slice(1))
+        else:  # in halves on every processor, whether or not they run at once, so that all give the same
+            half = (len(seen) + 1) // 2
+            whole = len(seen)
+            first, second = side_by_side(lambda: run(slice(half)), lambda: run(slice(half, whole)))
+            motion = np.concatenate([first[0], second[0]])
+            adaptation = None
+            if first[1] is not None and second[1] is not None:
+                adaptation = np.concatenate([first[1], second[1]])
+        if twice == 2:
+            real = np.arange(x.shape[1]) < lengths[:count, None]
+            motion = guided(motion[:count], motion[count:], self.guidance, self.rescale, real)
+        return motion, None if adaptation is None else adaptation[:count]

@@ -1,0 +1,230 @@
+"""Motions cut and put together: join points, cross-fades, loops, and what a motion that is done once is joined to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bunraku.core.geometry.curves import smooth_step
+from bunraku.generation.agreement import Track
+from bunraku.generation.features import FeatureStatistics, decode, feature_weights
+
+__all__ = [
+    "AROUND",
+    "END",
+    "FEWEST",
+    "Joins",
+    "held",
+    "join_point",
+    "on_one_leg",
+    "played",
+    "rests",
+    "splice",
+    "standing_stretches",
+]
+
+
+END = 4
+"""Frames that say whether somebody rests."""
+_BLEND = 6
+
+
+def join_point(
+    tail: np.ndarray,
+    head: np.ndarray,
+    weights: np.ndarray,
+    blend: int = _BLEND,
+    most: tuple[int | None, int | None] = (None, None),
+) -> tuple[int, int, float]:
+    """Where to leave one motion and enter another so that pose and velocity agree best.
+
+    Args:
+        tail: Motion to leave in its last quarter, shape (N, D), network units.
+        head: Motion to enter in its first quarter, shape (M, D).
+        weights: Share of each feature, shape (D,).
+        blend: Frames that both must still have after that.
+        most: Frames at the most, beside the blend, that are lost of the tail's end and of the head's beginning; None
+            for a quarter.
+
+    Returns:
+        Frame i of the tail, frame j of the head, and the mean squared difference there.
+    """
+    last = max(len(tail) - blend + 1, 1)
+    first = min(3 * len(tail) // 4, last - 1) if most[0] is None else max(last - 1 - most[0], 0)
+    stop = max(1, min(len(head) // 4 if most[1] is None else most[1] + 1, len(head) - blend))
+    scale = np.sqrt(weights / weights.sum())
+    a, b = tail[first:last] * scale, head[:stop] * scale
+    distance = (a**2).sum(1)[:, None] + (b**2).sum(1) - 2 * a @ b.T
+    i, j = np.unravel_index(int(distance.argmin()), distance.shape)
+    return first + int(i), int(j), float(max(distance[i, j], 0))
+
+
+def splice(tail: np.ndarray, head: np.ndarray, i: int, j: int, blend: int = _BLEND) -> np.ndarray:
+    """`tail` up to frame i, then `head` from frame j, cross-faded over the next `blend` frames of both."""
+    blend = min(blend, len(tail) - i, len(head) - j)
+    share = smooth_step(np.linspace(0, 1, blend + 2, dtype=np.float32)[1:-1, None])
+    mixed = tail[i : i + blend] * (1 - share) + head[j : j + blend] * share
+    return np.concatenate([tail[:i], mixed, head[j + blend :]])
+
+
+def played(values: np.ndarray, loop: tuple[int, int], target: int) -> np.ndarray:
+    """A motion played on from frame j after frame i until it has at least `target` frames."""
+    i, j = loop
+    longer = values
+    while len(longer) < target:
+        longer = splice(longer, values, len(longer) - len(values) + i, j)
+    return longer
+
+
+def held(values: np.ndarray, frames: int, still: np.ndarray, ease: float = 0.0) -> np.ndarray:
+    """A motion with its last pose held for so many frames, its root coming to rest.
+
+    Args:
+        values: Frames, shape (N, D).
+        frames: To add.
+        still: What a resting root's velocities are, shape (3,).
+        ease: Share of the pose's change that is left from frame to frame; 0 stops it at once.
+    """
+    hold = np.repeat(values[-1:], frames, axis=0)
+    count = np.arange(1, len(hold) + 1, dtype=np.float32)[:, None]
+    hold[:, :3] = still + (hold[:, :3] - still) * 0.5**count
+    if ease > 0 and len(values) > 1:
+        hold[:, 3:] += (values[-1:, 3:] - values[-2:-1, 3:]) * (ease * (1 - ease**count) / (1 - ease))
+    return np.concatenate([values, hold])
+
+
+def rests(values: np.ndarray, statistics: FeatureStatistics) -> bool:
+    """Whether somebody who moves like this could stay so: the root is slow and the pose hardly changes.
+
+    Args:
+        values: Frames at an end of a motion, network units, shape (N, D).
+        statistics: These units.
+    """
+    speed = np.abs(statistics.restore(values)[:, :3]).max()
+    return bool(speed < 0.5 and (np.diff(values, axis=0)[:, 4:] ** 2).mean() < 0.02)
+
+
+FEWEST = 24
+"""Frames of a stretch of standing that is kept."""
+TRIED = 20
+NEAR = 0.5
+"""Difference of two poses that are joined, at the most, where nothing is done about it afterwards."""
+BLEND = 10
+"""Frames over which one goes over into the other."""
+LIFTED = 0.15
+"""Height of an ankle over the other [m] with which a foot is up."""
+_LOST = 3
+AROUND = BLEND + _LOST
+"""Frames at an end that joining may change."""
+
+
+class Joins:
+    """Banks of standing and of walking, and how a motion is joined to them.
+
+    Args:
+        standing: Stretches in which somebody stands and hardly moves, shape (N, D) each, network units.
+        walking: Walks and runs, with the frames between which they can be played again (see `splicing.played`).
+        near: Mean squared difference in network units up to which two poses are joined.
+    """
+
+    def __init__(
+        self,
+        standing: Sequence[np.ndarray],
+        walking: Sequence[tuple[np.ndarray, tuple[int, int]]] = (),
+        near: float = NEAR,
+    ):
+        self._share, self._near = feature_weights(), near
+        self.standing, self.walking = list(standing), list(walking)
+
+    def around(self, values: np.ndarray, target: int, goes: bool, random: np.random.Generator) -> np.ndarray:
+        """The motion with standing before and after it, or walking on after it, as far as poses agree.
+
+        Args:
+            values: Its frames, shape (N, D).
+            target: Frames wanted.
+            goes: Somebody walks or runs in it, and may walk on.
+            random: Draws the pieces.
+
+        Returns:
+            The very array where nothing fits, else a longer one of at most `target` frames.
+        """
+        room = target - len(values)
+        before = int(random.integers(6, 50)) if random.random() < 0.6 else 0
+        if 0 < before <= room and self.standing:
+            values = self.led(values, before, random)
+        if len(values) < target:
+            values = self.followed(values, target, goes and bool(self.walking), random)
+        return values[:target]
+
+    def led(self, values: np.ndarray, frames: int, random: np.random.Generator) -> np.ndarray:
+        """The motion with at most so many frames of standing before it; the very array where no pose agrees."""
+        best: tuple[float, int, int, np.ndarray] | None = None
+        for index in random.integers(len(self.standing), size=TRIED):
+            piece = self._idle(int(index), frames + BLEND)
+            i, j, distance = join_point(piece, values, self._share, BLEND, (min(8, len(piece) // 3), _LOST))
+            if best is None or distance < best[0]:
+                best = (distance, i, j, piece)
+        if best is None or best[0] > self._near:
+            return values
+        _, i, j, piece = best
+        return splice(piece[max(0, i - frames) :], values, min(i, frames), j, BLEND)
+
+    def followed(self, values: np.ndarray, target: int, goes: bool, random: np.random.Generator) -> np.ndarray:
+        """The motion with standing, or walking on where it `goes`, after it, of about `target` frames; the very array
+        where no pose agrees.
+        """
+        best: tuple[float, int, int, np.ndarray] | None = None
+        bank = len(self.standing) + (len(self.walking) if goes else 0)
+        if bank == 0:
+            return values
+        for _ in range(TRIED):
+            wanted = target - len(values) + BLEND + _LOST
+            if goes and random.random() < 0.6:
+                walk, loop = self.walking[int(random.integers(len(self.walking)))]
+                piece = played(walk, loop, wanted)
+            elif self.standing:
+                piece = self._idle(int(random.integers(len(self.standing))), wanted)
+            else:
+                continue
+            i, j, distance = join_point(values, piece, self._share, BLEND, (_LOST, min(16, len(piece) // 2)))
+            if best is None or distance < best[0]:
+                best = (distance, i, j, piece)
+        if best is None or best[0] > self._near:
+            return values
+        _, i, j, piece = best
+        return splice(values, piece, i, j, BLEND)
+
+    def _idle(self, index: int, frames: int) -> np.ndarray:
+        piece = self.standing[index]
+        if len(piece) >= frames:
+            return piece
+        i, j, _ = join_point(piece, piece, self._share)
+        return played(piece, (i, j), frames) if i - j >= 6 else piece
+
+
+def on_one_leg(features: np.ndarray) -> bool:
+    """Whether a foot is up in a frame of a motion, as at the height of a kick.
+
+    Args:
+        features: Of each frame (see `diffusion.features`), shape (N, 271).
+    """
+    points = Track.of(decode(features)).points
+    return bool(np.abs(points["left_ankle"][:, 1] - points["right_ankle"][:, 1]).max() > LIFTED)
+
+
+def standing_stretches(values: np.ndarray, statistics: FeatureStatistics) -> list[np.ndarray]:
+    """Stretches in which somebody stands upright on both legs and hardly moves."""
+    if len(values) < FEWEST:
+        return []
+    features = statistics.restore(values)
+    change = (np.diff(values[:, 4:], axis=0, prepend=values[:1, 4:]) ** 2).mean(1)
+    calm = (
+        (change < 0.004) & (np.abs(features[:, :3]).max(1) < 0.25) & (features[:, 3] > -0.1) & (features[:, 8] > 0.95)
+    )
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], calm.astype(np.int8), [0]])))
+    return [
+        values[start:stop]
+        for start, stop in zip(edges[::2], edges[1::2], strict=True)
+        if stop - start >= FEWEST and not on_one_leg(features[start:stop])
+    ]

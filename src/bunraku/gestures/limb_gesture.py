@@ -1,0 +1,387 @@
+"""What a sentence says limbs do, as a gesture: poses of a stance, of limbs that are held, and of those that move."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bunraku.gestures.limb_poses import ARM, LOW, hand_of, low_place, postures, with_legs
+from bunraku.gestures.play import Tracks, posed
+from bunraku.gestures.pose import (
+    HANGING,
+    STEP,
+    Foot,
+    Gesture,
+    Key,
+    Pose,
+    Repeat,
+    Vector,
+    again,
+    mirrored_pose,
+    through,
+    vector,
+)
+from bunraku.gestures.standing import AT, SIDES, still
+from bunraku.language.limb_phrases import Target
+from bunraku.language.posing import Posing, Stance, Step
+
+__all__ = ["in_stance", "limb_gesture", "limbed", "stance_pose", "way_down"]
+
+
+AHEAD, SIDE, BACK, TWIST = 28.0, 25.0, 34.0, 46.0
+"""How far the trunk leans or twists as usual [degrees]."""
+BENDS, BOWS = 2.2, 1.9
+"""How much farther who bends, or bows, goes than who leans."""
+NODS, TURNS, TILTS = 38.0, 58.0, 28.0
+"""The same of the head."""
+MOST_LEAN = 80.0
+BEHIND = 0.1
+"""How far behind the pelvis a place is that nobody bends for [m]."""
+_THROUGH = {"back": "floor", "belly": "both knees"}
+HANGS = 24.0
+"""Lean from which on arms that nothing is said of hang down from the shoulders [degrees]."""
+
+
+def limbed(stance: Stance, targets: Sequence[Target]) -> Pose:
+    """Somebody with limbs where some targets say; where two say something of the same limb, both count.
+
+    Args:
+        stance: How somebody is.
+        targets: Of single ways: where something goes to and fro, one of its ends.
+    """
+    stance = stance._replace(name="chair") if stance.name == "seat" else stance
+    pose = with_legs(
+        stance_pose(stance), stance, [one for one in targets if one.limb in ("leg", "knee", "heel", "hips")]
+    )
+    for one in targets:
+        if one.limb == "trunk":
+            pose = _with_trunk(pose, stance, one)
+        elif one.limb == "head":
+            pose = _with_head(pose, one)
+        elif one.limb == "shoulders":
+            pose = replace(pose, shrug=0.0 if "down" in one.ways else 1.3 * min(one.amount, 1.1))
+    arms = [one for one in targets if one.limb in ("arm", "elbow")]
+    arms += [
+        Target("arm", "both", frozenset(["back"]), "floor", "on") for one in targets
+        if one.limb == "trunk" and one.at == "arm"
+    ]  # fmt: skip
+    pose = _reaching(pose, stance, arms)
+    return _with_arms(pose, stance, arms)
+
+
+def stance_pose(stance: Stance) -> Pose:
+    """Somebody who is so, and of whose limbs nothing is said."""
+    pose = postures("stances")["chair" if stance.name == "seat" else stance.name]
+    return mirrored_pose(pose) if stance.side == "left" else pose
+
+
+def in_stance(gesture: Gesture, stance: Stance) -> Gesture:
+    """A gesture of who stands, done by who sits, kneels or lies; one that moves the legs as it is."""
+    poses = [pose for _, pose in gesture.keys]
+    if gesture.steps or any(pose.tilt or Foot() != pose.right_foot or Foot() != pose.left_foot for pose in poses):
+        return gesture
+    base = stance_pose(stance)
+
+    def placed(pose: Pose) -> Pose:
+        right = base.right if pose.right == HANGING else pose.right
+        left = base.left if pose.left == HANGING else pose.left
+        lean, head = _sum(pose.lean, base.lean), _sum(pose.head, base.head)
+        return replace(base, right=right, left=left, lean=lean, head=head, shrug=pose.shrug)
+
+    return replace(gesture, keys=tuple([(time, placed(pose)) for time, pose in gesture.keys]))
+
+
+def way_down(stance: Stance) -> list[Pose]:
+    """Poses on the way from standing."""
+    if stance.name in _THROUGH:  # who lies down sits or kneels first
+        other = Stance(_THROUGH[stance.name])
+        return [*way_down(other), stance_pose(other)]
+    found = postures("ways").get("chair" if stance.name == "seat" else stance.name)
+    return [] if found is None else [mirrored_pose(found) if stance.side == "left" else found]
+
+
+def joints_of(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+    """World rotations (22, 3, 3) and positions (22, 3) [m] of the joints in a pose."""
+    moments = np.zeros(1)
+    motion = posed(Tracks.of([(0.0, pose), (1.0, pose)]), np.array([0.0, 1.0]), moments, still(1), 20.0)
+    rotations, positions = motion.world()
+    return rotations[0].astype(float), positions[0].astype(float)
+
+
+def _with_trunk(pose: Pose, stance: Stance, target: Target) -> Pose:
+    """The trunk leant, bent or twisted; who stands keeps the balance with the pelvis."""
+    far, ways = target.amount, target.ways
+    ahead = aside = turn = 0.0
+    more = BENDS if "bent" in ways else BOWS if "bowed" in ways else 1.0
+    if ways & {"ahead", "down"}:
+        ahead = (max(more, BENDS) if "down" in ways else more) * AHEAD * far
+    elif "back" in ways:
+        ahead = -BACK * far * (1.4 if more > 1 else 1.0)
+    side = float("right" in ways) - float(bool(ways & {"left", "side"}))
+    if "turned" in ways:
+        turn = -side * TWIST * far
+    else:
+        aside = side * SIDE * far * (1.3 if "bent" in ways else 1.0)
+    ahead = float(np.clip(ahead, -65, 115))
+    over = max(ahead - 45, 0) * 0.5 if stance.name == "stand" else 0.0  # the pelvis takes what the spine does not
+    x, y, z = pose.hips
+    hips = (x + 0.0025 * aside, y, z - 0.0022 * ahead) if stance.name in ("stand", "squat") else pose.hips
+    lean = _sum(pose.lean, (ahead - over, turn, aside))
+    head = _sum(pose.head, (0.3 * max(-ahead, 0.0), 0.3 * turn, 0.0))
+    return replace(pose, lean=lean, hips=hips, tilt=pose.tilt + over, head=head)
+
+
+def _with_head(pose: Pose, target: Target) -> Pose:
+    far, ways = target.amount, target.ways
+    ahead = NODS * far * (float(bool(ways & {"down", "ahead"})) - float(bool(ways & {"back", "up"})))
+    side = float("left" in ways) - float(bool(ways & {"right", "side"}))
+    turned = "turned" in ways
+    angles = (ahead, side * TURNS * min(far, 1.3), 0.0) if turned else (ahead, 0.0, -side * TILTS * far)
+    return replace(pose, head=_sum(pose.head, angles))
+
+
+def _reaching(pose: Pose, stance: Stance, arms: Sequence[Target]) -> Pose:
+    """A pose bent so far that hands reach what is low ahead, if bending brings them nearer."""
+    before, nearest = pose, np.inf
+    while pose.lean[0] <= MOST_LEAN:
+        _, positions = joints_of(pose)
+        far = 0.0
+        for one in arms:
+            for side in _sides(one):
+                goal = low_place(one, side, positions)
+                if goal is not None and goal[2] > positions[AT["pelvis"], 2] - BEHIND:
+                    far = max(far, float(np.linalg.norm(goal - positions[AT[f"{side}_shoulder"]])) - ARM)
+        if far <= 0 or far >= nearest:
+            return pose if far <= 0 else before
+        before, nearest = pose, far
+        x, y, z = pose.hips
+        hips = (x, y - 0.012, z - 0.009) if stance.name == "stand" else pose.hips
+        pose = replace(pose, lean=_sum(pose.lean, (5.0, 0.0, 0.0)), hips=hips)
+    return before
+
+
+def _sides(target: Target) -> tuple[str, ...]:
+    """The sides that a target is of; of either the right one."""
+    return ("left", "right") if target.side == "both" else ("right",) if target.side == "one" else (target.side,)
+
+
+def _with_arms(pose: Pose, stance: Stance, arms: Sequence[Target]) -> Pose:
+    said = {side: [one for one in arms if side in _sides(one)] for side, _ in SIDES}
+    rotations, positions = joints_of(pose)
+    made = {"left": pose.left, "right": pose.right}
+    for side, sign in SIDES:
+        own = said[side]
+        default = made[side]
+        hangs = default == HANGING and abs(pose.lean[0]) + abs(pose.tilt) > HANGS and stance.name in ("stand", "squat")
+        if not own and hangs:
+            own = [Target("arm", side, frozenset(["down"]))]
+        if own:
+            made[side] = hand_of(_joined(own), side, sign, stance, rotations, positions)
+    return replace(pose, left=made["left"], right=made["right"])
+
+
+def _joined(targets: Sequence[Target]) -> Target:
+    """What several targets say of one limb."""
+    ways = frozenset[str]().union(*(one.ways for one in targets))
+    last = next((one for one in reversed(targets) if one.at), targets[-1])
+    return last._replace(ways=ways, limb="elbow" if any(one.limb == "elbow" for one in targets) else "arm")
+
+
+def _sum(one: Vector, other: Vector) -> Vector:
+    return vector(np.add(one, other))
+
+
+NAME = "limbs"
+THERE, RETURN = 0.95, 1.0
+"""Seconds to where a limb goes, and back."""
+STAYS, SHORTLY = 1.8, 0.9
+"""Seconds that it is there: at the end, and before something else is done."""
+DOWN = 0.8
+"""Seconds of each part of the way down from standing."""
+ALIVE = 4.0
+"""Period in which who holds limbs somewhere moves a little [s]."""
+PERIODS = {"arm": 1.3, "elbow": 1.3, "leg": 1.5, "knee": 1.5, "heel": 1.4, "head": 1.9, "trunk": 2.4, "hips": 1.8}
+"""Seconds of once to and fro."""
+SHAPES, BESIDE = frozenset(("bent", "tiptoe")), frozenset(("apart", "together"))
+"""Ways of legs that go together with others."""
+LIES = 60.0
+"""Tilt of the pelvis from which on somebody lies [degrees]."""
+ROUND = 8
+"""Poses of a circle."""
+TIMES = 4
+FROM = {"arm": ("ahead", "up", "back", "down"), "leg": ("ahead", "side", "back", "side")}
+"""The ways that a limb goes through in a circle; others go ahead, to the right, back and to the left."""
+
+
+@functools.lru_cache(maxsize=64)
+def limb_gesture(posing: Posing) -> Gesture:
+    """What a sentence says limbs do, by somebody who stands, or is as it says."""
+    stance = posing.stance or Stance()
+    posing = _bent_together(posing)
+    base = limbed(stance, posing.held)
+    low = stance.name != "stand"
+    legs = any(one.limb in ("leg", "knee", "heel") for one in posing.targets) and not low
+    keys: list[Key] = []
+    if low and stance.goes:
+        keys = [(0.0, Pose())]
+        for pose in way_down(stance):
+            keys.append((keys[-1][0] + DOWN, pose))
+        keys.append((keys[-1][0] + DOWN, stance_pose(stance)))
+    start = keys[-1][0] + THERE if keys else 0.0
+    if not posing.steps:
+        keys += [(start, base), (start + ALIVE / 2, _alive(base)), (start + ALIVE, base)]
+        return Gesture(NAME, (), tuple(keys), (start, start + ALIVE), legs, begins=True)
+    if len(posing.steps) == 1 and posing.steps[0].again and not keys:
+        poses, period = _cycle(stance, posing.held, posing.steps[0])
+        if len(poses) > 2:
+            return _circled(base, poses, period, legs)
+        played, repeat = again(poses, period, TIMES, start=THERE, end=RETURN, rest=base)
+        return Gesture(NAME, (), played, (repeat.start, repeat.stop - repeat.period), legs, repeat)
+    keys.append((start, base))
+    lowered = [one for one in posing.steps[0].targets if one.limb in ("arm", "leg", "knee") and one.ways == {"down"}]
+    if lowered:  # who lowers something has it up before
+        raised = [one._replace(ways=frozenset(["up"])) for one in lowered]
+        keys = [(time, pose if time < start else limbed(stance, [*posing.held, *raised])) for time, pose in keys]
+    stays = posing.steps[-1].stays or bool(lowered)
+    moment, before = start + 0.3, list(posing.held)
+    keys.append((moment, keys[-1][1]))
+    for number, step in enumerate(posing.steps):
+        last = number == len(posing.steps) - 1
+        if not step.besides:
+            before = list(posing.held)
+        if step.again:
+            poses, period = _cycle(stance, before, step)
+            for turn in range(2 if not last else 3):
+                for share, pose in enumerate(poses):
+                    keys.append((moment + THERE + period * (turn + share / len(poses)), pose))
+            moment = keys[-1][0]
+            continue
+        before = _replaced(before, step.targets)
+        pose = limbed(stance, before)
+        if step.alternately:
+            pose = limbed(stance, [*posing.held, *_of_side(step.targets, "left")])
+        moment += THERE
+        keys.append((moment, pose))
+        moment += STAYS if last else SHORTLY
+        keys.append((moment, pose))
+    if stays:
+        pose = keys[-1][1]
+        keys += [(moment + ALIVE / 2, _alive(pose)), (moment + ALIVE, pose)]
+        return Gesture(NAME, (), tuple(keys), (moment, moment + ALIVE), legs, begins=True)
+    keys.append((moment + RETURN, base))
+    return Gesture(NAME, (), tuple(keys), None, legs)
+
+
+def _bent_together(posing: Posing) -> Posing:
+    """Who bends with the hands on the knees has them there only while he is bent."""
+    bends = any(one.limb == "trunk" and one.ways & {"ahead", "down"} for step in posing.steps for one in step.targets)
+    low = [one for one in posing.held if one.at in LOW] if bends else []
+    if not low:
+        return posing
+    first, *others = posing.steps
+    held = tuple(one for one in posing.held if one not in low)
+    return replace(posing, held=held, steps=(first._replace(targets=(*first.targets, *low)), *others))
+
+
+def _replaced(targets: Sequence[Target], others: Sequence[Target]) -> list[Target]:
+    """Targets without those of limbs that others say go elsewhere, and these others; legs that stand apart may be bent
+    so.
+    """
+    kept = [
+        one for one in targets
+        if not any(
+            not (other.ways <= SHAPES and one.ways & BESIDE)
+            and _same(one.limb) == _same(other.limb) and (one.side == other.side or "both" in (one.side, other.side))
+            for other in others
+        )
+    ]  # fmt: skip
+    return [*kept, *others]
+
+
+def _same(limb: str) -> str:
+    return {"elbow": "arm", "knee": "leg", "heel": "leg"}.get(limb, limb)
+
+
+def _of_side(targets: Sequence[Target], side: str) -> list[Target]:
+    return [one._replace(side=side) if one.side in ("both", "one") else one for one in targets]
+
+
+def _cycle(stance: Stance, held: Sequence[Target], step: Step) -> tuple[list[Pose], float]:
+    """The poses of once to and fro, or once round, and its seconds."""
+    period = max(PERIODS.get(one.limb, 1.6) for one in step.targets)
+    if step.alternately:
+        right, left = (limbed(stance, _replaced(held, _of_side(step.targets, side))) for side in ("right", "left"))
+        rest = limbed(stance, held)
+        return [right, rest, left, rest], 1.4 * period
+    if any("round" in one.to for one in step.targets):
+        plain = [one for one in step.targets if "round" not in one.to]
+        circled = [one for one in step.targets if "round" in one.to]
+        ways = [[_on_circle(one, number / ROUND) for one in circled] for number in range(ROUND)]
+        return [_mixed_pose(stance, held, plain, some) for some in ways], 1.2 * period
+    common = [one._replace(to=frozenset()) for one in step.targets]
+    first = limbed(stance, _replaced(held, common))
+    ends = [_other_end(one) for one in step.targets if one.to]
+    second = limbed(stance, _replaced(held, ends) if ends else held)
+    return [first, second], period if ends else 1.5 * period
+
+
+def _other_end(target: Target) -> Target:
+    """The other end of what goes to and fro: what is said of both stays."""
+    opposite = {
+        "back": {"ahead"},
+        "ahead": {"back"},
+        "down": {"up"},
+        "right": {"left"},
+        "left": {"right"},
+        "in": {"side"},
+    }
+    (to,) = target.to
+    ways = target.ways - opposite.get(to, set()) | {"together" if to == "in" else to}
+    return target._replace(ways=frozenset(ways), to=frozenset())
+
+
+def _on_circle(target: Target, share: float) -> tuple[Target, Target, float]:
+    """Two ways between which a limb is at this share of a circle, and how far on from the one to the other."""
+    ways = FROM.get(_same(target.limb), ("ahead", "right", "back", "left"))
+    at = share * len(ways)
+    plain = target._replace(to=frozenset())
+    kept = target.ways - {"ahead", "back"}
+    first, second = (plain._replace(ways=frozenset({ways[int(at + more) % len(ways)]} | kept)) for more in (0, 1))
+    return first, second, at % 1
+
+
+def _mixed_pose(
+    stance: Stance, held: Sequence[Target], plain: Sequence[Target], circled: Sequence[tuple[Target, Target, float]]
+) -> Pose:
+    """A pose with each limb that circles at its place between two ways."""
+    first = limbed(stance, _replaced(held, [*plain, *[one for one, _, _ in circled]]))
+    second = limbed(stance, _replaced(held, [*plain, *[other for _, other, _ in circled]]))
+    share = circled[0][2]
+    return through([(0.0, first), (1.0, second)])[round(share / STEP)][1] if share else first
+
+
+def _circled(base: Pose, poses: Sequence[Pose], period: float, legs: bool) -> Gesture:
+    """Poses of a circle passed through without a stop."""
+    keys: list[Key] = [(0.0, base)]
+    length = round(period / STEP) * STEP
+    for turn in range(TIMES):
+        keys += [(THERE + length * (turn + number / len(poses)), pose) for number, pose in enumerate(poses)]
+    over = THERE + length * TIMES
+    keys += [(over, poses[0]), (over + RETURN, base)]
+    flowing = through([(round(time / STEP) * STEP, pose) for time, pose in keys])
+    repeat = Repeat(THERE, length, TIMES)
+    return Gesture(NAME, (), flowing, (repeat.start, repeat.stop - repeat.period), legs, repeat)
+
+
+def _alive(pose: Pose) -> Pose:
+    """A pose a little later, of somebody who holds it: nobody is quite still."""
+    x, y, z = pose.hips
+    ahead, turn, aside = pose.lean
+    nod, look, tilt = pose.head
+    if abs(pose.tilt) > LIES:
+        return replace(pose, head=(nod, look + 16, tilt))
+    head = (nod + 3, look - 8, tilt + 2)
+    return replace(pose, lean=(ahead + 2, turn + 4, aside + 1.5), head=head, hips=(x + 0.015, y, z))

@@ -1,1 +1,0 @@
-"""The networks of handles and orientation, as they run: in numpy."""

@@ -1,1 +1,0 @@
-"""What is said of a motion by looking at it alone: turns, ways, gaits, kicks, waves, sitting down."""

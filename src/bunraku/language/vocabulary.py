@@ -1,0 +1,387 @@
+"""Known words: those of the training sentences and of a user's own clips, corrected spelling, and the nearest known
+sentences.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bunraku.core.files import atomic_write, read_bounded, weights_file
+from bunraku.errors import WeightsError
+from bunraku.language.captions import conjugate, creature_words, known_phrases
+from bunraku.language.lexicon import actions_of, lexicon
+from bunraku.language.tokenizer import word_pieces
+from bunraku.language.word_table import table
+
+__all__ = [
+    "FILE",
+    "FUNCTION_WORDS",
+    "Word",
+    "action_stems",
+    "caption_stems",
+    "corrected",
+    "is_known",
+    "known_words",
+    "nearest_sentences",
+    "own_words",
+    "says_action",
+    "slips",
+    "stem",
+    "stems",
+    "words_of",
+    "write_own_words",
+]
+
+
+FILE = "own_words.json"
+"""Its name, in a folder of weights."""
+_MOST_OWN_WORDS = 100_000
+
+
+@functools.cache
+def own_words() -> frozenset[str]:
+    """The words of the first folder of weights that has such a file; none where there is none.
+
+    Raises:
+        WeightsError: The file is no list of words.
+    """
+    path = weights_file(FILE)
+    if not path.is_file():
+        return frozenset()
+    try:
+        found = json.loads(read_bounded(path))
+    except ValueError:
+        found = None
+    if not isinstance(found, list) or len(found) > _MOST_OWN_WORDS or not all(isinstance(one, str) for one in found):
+        raise WeightsError(f"{path}: this is no list of words; write it again with: bunraku data examples --add-to")
+    return frozenset(word.lower() for word in found)
+
+
+def write_own_words(folder: Path, words: Iterable[str]) -> Path:
+    """Write words into a folder of weights.
+
+    Raises:
+        FormatError: It cannot be written.
+    """
+    path = folder / FILE
+    with atomic_write(path) as file:
+        file.write((json.dumps(sorted({word.lower() for word in words}), ensure_ascii=False) + "\n").encode())
+    return path
+
+
+_WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
+_IRREGULAR = {
+    "ran": "run", "sat": "sit", "stood": "stand", "fell": "fall", "fallen": "fall", "went": "go", "gone": "go",
+    "threw": "throw", "thrown": "throw", "caught": "catch", "swam": "swim", "flew": "fly", "flown": "fly",
+    "shook": "shake", "shaken": "shake", "bent": "bend", "swung": "swing", "held": "hold", "hung": "hang",
+    "knelt": "kneel", "crept": "creep", "leapt": "leap", "spun": "spin", "slid": "slide", "strode": "stride",
+    "rose": "rise", "risen": "rise", "ate": "eat", "eaten": "eat", "drank": "drink", "drunk": "drink", "sang": "sing",
+    "fought": "fight", "hid": "hide", "hidden": "hide", "lain": "lie", "lying": "lie", "dying": "die", "took": "take",
+    "taken": "take", "came": "come", "got": "get", "gave": "give", "made": "make", "did": "do", "done": "do",
+    "struck": "strike", "stuck": "stick", "swept": "sweep", "slept": "sleep", "drove": "drive", "rode": "ride",
+    "bit": "bite", "dug": "dig", "shot": "shoot", "stole": "steal", "drew": "draw", "blew": "blow", "woke": "wake",
+    "feet": "foot", "men": "man", "women": "woman", "children": "child", "knives": "knife", "teeth": "tooth",
+    "mice": "mouse", "wolves": "wolf", "has": "have", "does": "do", "goes": "go", "is": "be", "are": "be", "was": "be",
+    "were": "be", "been": "be", "being": "be", "am": "be",
+}  # fmt: skip
+_FUNCTION = (
+    "a an the this that these those one ones some any each every all both other another own his her its their my your "
+    "our he she it they him them i you we me us himself herself itself themselves myself someone somebody who which "
+    "something anything nothing everything thing things and or but nor so then than as if while when whilst until "
+    "before after because since though of to in on at by for from with without into onto off out over under up down "
+    "around round about across along through between behind beside near toward towards against again also too very "
+    "really quite rather just only even still almost nearly more most less least much many few several little lot lots "
+    "be do have can could will would shall should may might must not no yes don't doesn't let lets please there here "
+    "now once twice first second third last next finally afterwards later soon same such like how what where why "
+    "person people man woman guy girl boy lady character figure human child kid creature animal "
+    "two three four five six seven eight nine ten half"
+)
+FUNCTION_WORDS = frozenset(_FUNCTION.split())
+"""Words that say nothing of a movement; they are in every language model, and no reason for a warning."""
+_THINGS = (
+    "goodbye searching everybody cups plate apple camera orchestra book page pot wrapped waking noise biceps club meal "
+    "soldier boxer jabs cross hook overarm stone fastball baseball racket serve pitcher press fours puddle obstacle "
+    "log abs freestyle newspaper soup spoon undead hair combs"
+)
+"""Other words of sentences that tell gestures."""
+_LIGHT = (
+    "be do have make let start begin continue keep try act take give get use perform show want need seem become cause "
+    "help say tell know feel set can will would may must please remain mean call change find add list own note light "
+    "present end finish handle repeat strain"
+)
+"""Verbs that say no movement by themselves: "does a blorp"."""
+
+
+class Word(NamedTuple):
+    """A word of a sentence: as it stands there, from where to where, and whether training had it."""
+
+    text: str
+    start: int
+    stop: int
+    known: bool
+
+
+@functools.lru_cache(maxsize=16384)
+def stem(word: str) -> str:
+    """What an English word has in common with its inflections: "waving", "waves" and "waved" are "wav"."""
+    return stems((word,))[0]
+
+
+def stems(words: Iterable[str]) -> list[str]:
+    """The stem of each of some words."""
+    found = []
+    for word in words:
+        word = word.lower().replace("’", "'").removesuffix("'s").rstrip("'")
+        word = _IRREGULAR.get(word, word)
+        if word.endswith("ly") and len(word) > 4:
+            word = word[:-2]
+        for ending, least in (("ies", 2), ("ied", 2), ("es", 3), ("s", 3), ("ing", 3), ("ed", 3)):
+            if word.endswith(ending) and len(word) - len(ending) >= least and not word.endswith("ss"):
+                word = word[: -len(ending)] + ("y" if ending in ("ies", "ied") else "")
+                break
+        if len(word) > 2 and word[-1] == "e":
+            word = word[:-1]
+        if len(word) > 2 and word[-1] == word[-2] and word[-1] not in "aeiou":
+            word = word[:-1]
+        found.append(word[:-1] + "i" if len(word) > 2 and word[-1] == "y" else word)
+    return found
+
+
+@functools.cache
+def _written() -> dict[str, Any]:
+    text = resources.files("bunraku.language").joinpath("vocabulary.json").read_text(encoding="utf-8")
+    found: dict[str, Any] = json.loads(text)
+    return found
+
+
+@functools.cache
+def known_words() -> dict[str, int]:
+    """The words as they are written, with how many sentences have each; 1 for those of the tables. Names of characters
+    and of parts of the body are among them, whatever the captions say of them.
+    """
+    written: dict[str, int] = _written()["words"]
+    named = [row["en"].replace("/", " ") for section in ("beings", "parts") for row in table()[section]]
+    lexical = (*lexicon().words, *lexicon().verbs, _THINGS)
+    listed = " ".join((*known_phrases(), *creature_words(), *named, *lexical))
+    return (
+        dict.fromkeys(own_words(), 1)
+        | dict.fromkeys(re.findall(r"[a-z]+", listed.lower()), 1)
+        | dict.fromkeys(FUNCTION_WORDS, 1)
+        | written
+    )
+
+
+@functools.cache
+def _stems() -> frozenset[str]:
+    return frozenset(stems(known_words()))
+
+
+@functools.cache
+def caption_stems() -> frozenset[str]:
+    """Stems of the words that watched captions share."""
+    return frozenset(stems(_written()["words"]))
+
+
+@functools.cache
+def action_stems() -> frozenset[str]:
+    """Stems of the verbs that training shows, without those that say no movement by themselves, and without those that
+    are a part of the body, too.
+    """
+    verbs = {*lexicon().verbs, *_written()["verbs"], *own_words()}
+    parts = [name for row in table()["parts"] for name in row["en"].split("/")]
+    return (frozenset(stems(verbs)) & _stems()) - frozenset(stems([*parts, *_LIGHT.split()]))
+
+
+def is_known(word: str) -> bool:
+    """Whether training had a word, in any inflection; of one with hyphens whether it had all parts."""
+    if (plain := word.lower()) in FUNCTION_WORDS or plain in lexicon().lemmas or plain in lexicon().words:
+        return True
+    if plain in _written()["words"]:
+        return True
+    known = _stems()
+    if stem(word) in known or word.isdigit() or word.lower() in FUNCTION_WORDS:
+        return True
+    parts = re.split(r"[-'’]", word)
+    return len(parts) > 1 and all(not part or part.isdigit() or stem(part) in known or len(part) < 2 for part in parts)
+
+
+def words_of(sentence: str) -> list[Word]:
+    """The words of a sentence with their places."""
+    return [Word(found.group(), *found.span(), is_known(found.group())) for found in _WORD.finditer(sentence)]
+
+
+def says_action(sentence: str) -> bool:
+    """Whether any word of a sentence is a movement that training shows."""
+    if actions_of(sentence):
+        return True
+    acting = action_stems()
+    return any(
+        stem(part) in acting
+        for word in _WORD.findall(sentence)
+        for part in (word, *re.split(r"[-'’]", word))
+        if part.lower() not in FUNCTION_WORDS
+    )
+
+
+_OFTEN = 5
+"""Sentences that must have a word for it to be meant by another one, unless it is long."""
+_LONG = 8
+"""Letters without an ending from which on two slips are forgiven: "juggling" is no "jogging"."""
+
+
+def slips(one: str, other: str, most: int = 2) -> int:
+    """How many letters must be put in, left out, changed, or swapped with their neighbour to make one word the other
+    (the restricted distance of Damerau 1964); `most` + 1 where it is more than that.
+    """
+    if abs(len(one) - len(other)) > most:
+        return most + 1
+    before, row = [0] * (len(other) + 1), list(range(len(other) + 1))
+    for i, letter in enumerate(one, 1):
+        older, before, row = before, row, [i] + [0] * len(other)
+        for j, target in enumerate(other, 1):
+            row[j] = min(before[j] + 1, row[j - 1] + 1, before[j - 1] + (letter != target))
+            if i > 1 and j > 1 and letter == other[j - 2] and one[i - 2] == target:
+                row[j] = min(row[j], older[j - 2] + 1)
+        if min(row) > most:
+            return most + 1
+    return min(row[-1], most + 1)
+
+
+@functools.cache
+def _often() -> dict[str, list[str]]:
+    """Words that may be meant, by their first letter, the most frequent first."""
+    found: dict[str, list[str]] = {}
+    for word, count in sorted(known_words().items(), key=lambda item: -item[1]):
+        if len(word) >= 4 and (count >= _OFTEN or len(word) > _LONG or word in FUNCTION_WORDS):
+            found.setdefault(word[0], []).append(word)
+    return found
+
+
+@functools.lru_cache(maxsize=1024)
+def corrected(word: str) -> str:
+    """The known word that is meant; "" where none is near, or the word is a rightly spelled one.
+
+    One slip is forgiven from four letters on, two from eight, never in the first letter but by a swap.
+    """
+    plain = word.lower()
+    if len(plain) < 4 or not plain.isascii() or not plain.isalpha() or plain in word_pieces():
+        return ""
+    most = 2 if len(stem(plain)) >= _LONG else 1
+    near = [*_often().get(plain[0], ()), *(other for other in _often().get(plain[1], ()) if other[1] == plain[0])]
+    letters = set(plain)
+    found = [
+        (slips(plain, other, most), index, other)
+        for index, other in enumerate(near)
+        if len(letters.symmetric_difference(other)) <= 2 * most
+    ]
+    best = min((item for item in found if item[0] <= most and _likely(plain, item[2])), default=None)
+    return best[2] if best else ""
+
+
+def _likely(word: str, other: str) -> bool:
+    """Whether a letter too many, where the word is not long, stands there twice: "wallks" is "walks", but "chomp" is no
+    "chop".
+    """
+    if len(word) != len(other) + 1 or len(word) >= _LONG:
+        return True
+    twice = [index for index in range(len(other)) if word[index] == word[index + 1]]
+    return any(word[:index] + word[index + 1 :] == other for index in twice)
+
+
+_LONGEST = 8
+"""Words of a phrase that is shown to somebody who looks for one."""
+_MOST_UNKNOWN = 4
+"""Unknown words that are looked up; each takes half a millisecond."""
+_SHORT, _LIKE = 5, (0.7, 0.5)
+"""Letters of a short word, and the share that it, or a longer one, must have in common with a known word to be like
+it.
+"""
+_DOING = ("do", "make", "take", "give")
+_PLAIN_WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
+
+
+@functools.cache
+def _phrases() -> tuple[tuple[str, str, frozenset[str]], ...]:
+    """Each short caption as a sentence, its verb, and the stems of its words that say something."""
+    found = []
+    for phrase in known_phrases():
+        plain = conjugate(phrase, "plain")
+        words = _PLAIN_WORD.findall(plain)
+        verb = re.match(r"\{(\w+)\}", phrase)
+        if verb and len(words) <= _LONGEST and not phrase.startswith("{be}"):
+            stems = frozenset(stem(word) for word in words if word not in FUNCTION_WORDS)
+            found.append((f"a person {conjugate(phrase, 'third')}", verb.group(1), stems))
+    return tuple(found)
+
+
+@functools.cache
+def _index() -> tuple[dict[str, tuple[int, ...]], dict[str, float], dict[str, list[str]]]:
+    """Phrases by stem, the weight of each stem (rare ones say more), and stems by the pairs of letters in them."""
+    indices: dict[str, list[int]] = {}
+    for index, (_, _, stems) in enumerate(_phrases()):
+        for one in stems:
+            indices.setdefault(one, []).append(index)
+    weights = {one: math.log(1 + len(_phrases()) / len(where)) for one, where in indices.items()}
+    looks: dict[str, list[str]] = {}
+    for one in indices:
+        for pair in _pairs(one):
+            looks.setdefault(pair, []).append(one)
+    return {one: tuple(where) for one, where in indices.items()}, weights, looks
+
+
+def _pairs(word: str) -> frozenset[str]:
+    padded = f" {word} "
+    return frozenset(padded[index : index + 2] for index in range(len(padded) - 1))
+
+
+def _alike(word: str, most: int = 6) -> list[tuple[str, float]]:
+    """Stems that look like a word, and how much: by pairs of letters first, the best of them by their slips."""
+    own, looks = _pairs(word), _index()[2]
+    common = Counter(one for pair in own for one in looks.get(pair, ()))
+    first = sorted(common, key=lambda one: (-common[one] / (len(own) + len(one)), one))[:most]
+    return [(one, max(0.0, 1 - slips(word, one, 9) / max(len(word), len(one)))) for one in first]
+
+
+def nearest_sentences(words: Sequence[str], unknown: Sequence[str] = (), count: int = 3) -> tuple[str, ...]:
+    """Captions that share stems with a sentence, or have words that look like those that are not known.
+
+    Args:
+        words: The sentence's known words.
+        unknown: Its other words.
+        count: How many, each with a verb of its own.
+    """
+    where, weights, _ = _index()
+    scores: Counter[int] = Counter()
+    wanted = {stem(word): 1.0 for word in words if word.lower() not in FUNCTION_WORDS}
+    for word in unknown[:_MOST_UNKNOWN]:
+        for one, share in _alike(stem(word)):
+            if share < _LIKE[len(word) > _SHORT]:
+                continue
+            wanted[one] = max(wanted.get(one, 0.0), 0.5 * share)
+    for one, share in wanted.items():
+        for index in where.get(one, ()):
+            scores[index] += share * weights[one]  # type: ignore[assignment]
+    phrases = _phrases()
+    usual = Counter(verb for _, verb, _ in phrases if verb not in _DOING)  # where nothing is near: what is done most
+
+    def rank(index: int) -> tuple[float, int, int, int]:
+        _, verb, stems = phrases[index]
+        return -scores[index] / (2 + len(stems)), -usual[verb], len(stems), index
+
+    order = sorted(range(len(phrases)), key=rank)
+    found: dict[str, str] = {}
+    for index in order:
+        sentence, verb, _ = phrases[index]
+        if verb not in found:
+            found[verb] = sentence
+        if len(found) == count:
+            break
+    return tuple(found.values())

@@ -1,1 +1,0 @@
-"""What becomes of chains after they were simulated: out of the body, over legs, as one sheet, and not torn."""

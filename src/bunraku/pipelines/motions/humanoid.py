@@ -1,0 +1,232 @@
+"""Motions written for humanoids, in the character's own proportions: BVH, VRMA, VMD, and NPZ of the reference body."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.avatars import mmd_model
+from bunraku.core.body.joint_rotations import skeleton_from_handles
+from bunraku.core.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.body.reference import reference_body
+from bunraku.core.character import Character
+from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
+from bunraku.errors import FormatError, MotionError, OptionError
+from bunraku.files.mmd.vmd import VMD_FPS, write_vmd
+
+if TYPE_CHECKING:
+    from bunraku.anatomy.anatomy import Anatomy
+
+__all__ = [
+    "as_skeletal",
+    "check_character",
+    "humanoid_motion",
+    "write_character_vmd",
+    "write_humanoid_bvh",
+    "write_humanoid_vrma",
+    "write_motion_bvh",
+    "write_motion_npz",
+    "write_motion_vrma",
+]
+
+
+def as_skeletal(motion: HandleMotion | SkeletalMotion) -> SkeletalMotion:
+    """The motion itself if it is of a skeleton, that of the reference body's 22 joints if it is one of its handles.
+
+    Raises:
+        MotionError: A handle motion of too few handles.
+    """
+    from bunraku.core.body.joint_rotations import skeleton_from_handles  # after the formats, in the order of imports
+
+    return skeleton_from_handles(motion) if isinstance(motion, HandleMotion) else motion
+
+
+def write_motion_bvh(
+    motion: HandleMotion | SkeletalMotion,
+    path: Path,
+    *,
+    fps: float | None = None,
+    unit: str = "cm",
+    up: str = "+y",
+    order: str = "zxy",
+) -> Path:
+    """Write a motion as BVH; see `write_bvh`."""
+    from bunraku.core.motion import checked_fps
+    from bunraku.files.motions.bvh import write_bvh
+
+    skeletal = as_skeletal(motion)
+    return write_bvh(skeletal, path, fps=checked_fps(fps, skeletal.fps), unit=unit, up=up, order=order)
+
+
+def write_motion_vrma(
+    motion: HandleMotion | SkeletalMotion, path: Path, *, fps: float | None = None, name: str | None = None
+) -> Path:
+    """Write a motion as VRMA; see `write_vrma`."""
+    from bunraku.anatomy.names.to_smpl import to_smpl
+    from bunraku.core.body.layout import JOINT_NAMES
+    from bunraku.files.gltf.vrma import write_vrma
+
+    skeletal = as_skeletal(motion)
+    if len(skeletal) and skeletal.skeleton.names != JOINT_NAMES:
+        skeletal = to_smpl(skeletal)
+    return write_vrma(skeletal, path, fps=fps, name=name)
+
+
+def write_motion_npz(motion: HandleMotion | SkeletalMotion, path: Path) -> Path:
+    """Write a handle motion of the reference body as NPZ.
+
+    Raises:
+        OptionError: The motion is of a skeleton.
+    """
+    from bunraku.core.body.reference import reference_body
+    from bunraku.core.files import atomic_write
+    from bunraku.files.motions.arrays import pack_motion
+
+    if not isinstance(motion, HandleMotion):
+        raise OptionError("an .npz holds handle motion, and this motion is of a skeleton; write it as .bvh or .vrma")
+    with atomic_write(path) as file:
+        file.write(pack_motion(motion, reference_body().handles))
+    return path
+
+
+def humanoid_motion(animation: Animation) -> SkeletalMotion:
+    """The motion of SMPL's 22 joints that an animation plays, with the character's bone lengths and path.
+
+    Parts that the character lacks have the reference body's bones in its scale. Of several limbs of one kind the first
+    counts.
+
+    Raises:
+        MotionError: The animation's handles are not the 30 of the reference body.
+    """
+    from bunraku.anatomy.anatomy import Anatomy
+    from bunraku.anatomy.joints import reference_parts
+    from bunraku.retarget.to_reference import motion_to_reference
+
+    if len(animation.handles.positions) != HANDLE_COUNT:
+        raise MotionError(
+            f"the humanoid skeleton is told by the {HANDLE_COUNT} handles of Bunraku, and this animation has "
+            f"{len(animation.handles.positions)};"
+            " animate the character with `bunraku animate`"
+        )
+    anatomy = Anatomy.of(animation.character, animation.handles)
+    plain = skeleton_from_handles(motion_to_reference(animation.motion, anatomy))
+    _, present = reference_parts(anatomy.handles, anatomy.joints)
+    pelvis = _pelvis(anatomy, present)
+    root = animation.motion.transforms(animation.handles.positions)[:, 0].astype(float)
+    skeleton = Skeleton(JOINT_NAMES, np.array(JOINT_PARENTS), _offsets(anatomy, pelvis))
+    return SkeletalMotion(skeleton, plain.rotations, root[..., :3] @ pelvis + root[..., 3], plain.fps)
+
+
+def _offsets(anatomy: Anatomy, pelvis: np.ndarray) -> np.ndarray:
+    """Rest offsets in the T-pose [m], shape (22, 3): those between the character's joints, turned as its limbs are
+    turned.
+
+    Joints that it lacks in the middle of a limb share the way between those around them as the reference body's do.
+    """
+    from bunraku.anatomy.joints import reference_parts
+
+    body = reference_body()
+    plain = body.skeleton.offsets.astype(float)
+    parents, present = reference_parts(anatomy.handles, anatomy.joints)
+    joints = anatomy.joints.positions[:JOINT_COUNT].astype(float)
+    joints[0] = pelvis
+    out = plain * anatomy.scale
+    for joint in range(1, JOINT_COUNT):
+        if not present[joint]:
+            continue
+        above = int(parents[joint])
+        line = [joint]
+        while JOINT_PARENTS[line[-1]] != above:
+            line.append(JOINT_PARENTS[line[-1]])
+        way_there = anatomy.rotations[above] @ (joints[joint] - joints[above])
+        todo = [some for some in line if some == joint or not _shared(some, joint, parents, present)]
+        way_there = way_there - sum((out[some] for some in line if some not in todo), np.zeros(3))
+        lengths = np.linalg.norm(plain[todo], axis=-1)
+        for some, length in zip(todo, lengths, strict=True):
+            out[some] = way_there * length / lengths.sum()
+    out[0] = 0
+    return out
+
+
+def _shared(joint: int, lower: int, parents: np.ndarray, present: np.ndarray) -> bool:
+    """Whether a joint that is absent was placed already, on the way to a present joint before this one."""
+    for other in range(1, lower):
+        if present[other]:
+            line = other
+            while line != int(parents[other]):
+                if line == joint:
+                    return True
+                line = JOINT_PARENTS[line]
+    return False
+
+
+def _pelvis(anatomy: Anatomy, present: np.ndarray) -> np.ndarray:
+    """Where the pelvis joint is in the rest pose [m], shape (3,): as the reference body's is to its hips, or to its
+    root handle.
+    """
+    body, joints = reference_body(), anatomy.joints.positions
+    if present[1] and present[2]:
+        size = np.linalg.norm(joints[1] - joints[2]) / np.linalg.norm(body.joints[1] - body.joints[2])
+        return np.asarray((joints[1] + joints[2]) / 2 - size * ((body.joints[1] + body.joints[2]) / 2 - body.joints[0]))
+    return np.asarray(anatomy.handles.positions[0] + (body.joints[0] - body.handles.positions[0]) * anatomy.scale)
+
+
+def write_humanoid_bvh(
+    animation: Animation, path: Path, *, fps: float | None = None, unit: str = "cm", up: str = "+y", order: str = "zxy"
+) -> Path:
+    """Write the humanoid skeleton of an animation as BVH; see `humanoid_motion` and
+    `bunraku.files.motions.bvh.write_bvh`.
+    """
+    return write_motion_bvh(humanoid_motion(animation), path, fps=fps, unit=unit, up=up, order=order)
+
+
+def write_humanoid_vrma(animation: Animation, path: Path, *, fps: float | None = None, name: str | None = None) -> Path:
+    """Write the humanoid skeleton of an animation as VRMA; see `humanoid_motion` and
+    `bunraku.files.gltf.vrma.write_vrma`.
+    """
+    return write_motion_vrma(humanoid_motion(animation), path, fps=fps, name=name)
+
+
+def check_character(character: Character, path: Path) -> None:
+    """Raise FormatError unless a VMD can hold what a character does."""
+    if mmd_model(character) is None:
+        raise FormatError(
+            path,
+            f"a VMD moves the bones of an MMD model, and {character.name} is none; transfer onto a .pmx or .pmd, or "
+            "write a .bvh or .vrma",
+        )
+
+
+def write_character_vmd(animation: Animation | RigAnimation, path: Path, *, fps: float | None = None) -> Path:
+    """Write what an MMD character does as keys of its bones, at 30 frames a second, with the inverse kinematics of its
+    legs off.
+
+    An animation of the character's own bones is written bone by bone, one of its handles as what SMPL's 22 joints do.
+
+    Args:
+        animation: Of a character that was read from a PMX or PMD file.
+        path: The file.
+        fps: Only 30 is possible, which is what VMD files have.
+
+    Raises:
+        FormatError: The character is of another kind, the model has a bone whose name VMD cannot hold, or the file
+            cannot be written.
+        OptionError: Another rate is requested.
+        MotionError: The animation is of handles, and the model's bones lack MMD's standard names.
+    """
+    from bunraku.retarget.mmd_motion import mmd_clip, mmd_motion
+
+    if fps not in (None, VMD_FPS):
+        raise OptionError(f"VMD files have 30 frames a second, not {fps:g}; leave fps out, and the motion is resampled")
+    character = animation.character
+    check_character(character, path)
+    if isinstance(animation, RigAnimation):
+        return write_vmd(mmd_clip(animation), path)
+    try:
+        motion = humanoid_motion(animation)
+    except MotionError as error:
+        raise FormatError(path, str(error)) from None
+    return write_vmd(mmd_motion(character, motion), path)

@@ -1,0 +1,123 @@
+"""A motion from any file or folder that holds one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.motion import HandleMotion, MeshMotion, SkeletalMotion
+from bunraku.errors import FormatError, MotionError
+from bunraku.files.clips import load_animation
+from bunraku.files.registry import load_character, read_motion
+
+__all__ = ["Motion", "load_mesh_motion", "load_motion"]
+
+
+MAX_VALUES = 400_000_000  # coordinates of all frames: 1.6 GB
+
+
+def load_mesh_motion(folder: str | Path, fps: float = 20.0) -> MeshMotion:
+    """Read a folder of OBJ or PLY files, one a frame in the order of their names, all with the same triangles.
+
+    Args:
+        folder: The folder.
+        fps: Frames a second [1/s].
+
+    Raises:
+        FormatError: There are no such files, one cannot be read, or their meshes differ.
+    """
+
+    folder = Path(folder)
+    kinds = [
+        sorted(file for file in folder.iterdir() if file.suffix.lower() == suffix and file.is_file())
+        for suffix in (".ply", ".obj")
+    ]
+    files = max(kinds, key=len)
+    if not files:
+        raise FormatError(folder, "it holds no .obj or .ply files; name a folder with one mesh a frame")
+    first = load_character(files[0], unit="m")
+    count = len(first.vertices)
+    if count * 3 * len(files) > MAX_VALUES:
+        raise FormatError(
+            folder, f"{len(files)} frames of {count:,} vertices are too many; simplify the meshes or leave frames out"
+        )
+    vertices = np.empty((len(files), count, 3), np.float32)
+    for number, file in enumerate(files):
+        mesh = first if not number else load_character(file, unit="m")
+        if mesh.vertices.shape != first.vertices.shape or not np.array_equal(mesh.faces, first.faces):
+            raise FormatError(
+                file,
+                f"its mesh has other triangles than {files[0].name}; export all frames with the same vertices in the "
+                "same order",
+            )
+        vertices[number] = mesh.vertices
+    return MeshMotion(vertices, first.faces, fps, folder.name)
+
+
+Motion = SkeletalMotion | HandleMotion | Animation | RigAnimation | MeshMotion
+
+
+CLIPS = (".glb", ".gltf", ".vrm", ".fbx")
+
+
+def load_motion(path: str | Path, *, fps: float = 30.0, clip: int | str = 0) -> Motion:
+    """Read a motion from any file that holds one, or a moving mesh from a folder.
+
+    Args:
+        path: The file; or a folder of .obj or .ply files, one a frame.
+        fps: Frames a second of clips that are sampled, and of folders [1/s].
+        clip: Number or name of the clip of a file with several.
+
+    Raises:
+        FormatError: It cannot be read, or holds no motion.
+        OptionError: There is no such clip.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return load_mesh_motion(path, fps)
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        motion = read_motion(path)
+        if isinstance(motion, SkeletalMotion):
+            return motion
+        from bunraku.files.clips import load_clip
+
+        return load_clip(path).of_the_reference_body()
+    if suffix == ".vmd":
+        from bunraku.retarget.mmd_motion import vmd_motion
+
+        return vmd_motion(path, fps=fps)
+    if suffix not in CLIPS:
+        return read_motion(path)
+    if suffix == ".glb":
+        own = _own_clip(path)
+        if own is not None:
+            return own
+    if suffix == ".fbx":
+        from bunraku.anatomy.names.skeleton_map import map_skeleton
+        from bunraku.files.fbx.clips import load_fbx_motion
+
+        try:  # of a person a skeleton is enough
+            motion = load_fbx_motion(path, clip or None, fps)
+            map_skeleton(motion.skeleton)
+            return motion
+        except (MotionError, FormatError):
+            pass
+
+    return load_animation(path, clip, fps)
+
+
+def _own_clip(path: Path) -> Animation | HandleMotion | None:
+    """The clip of a GLB that Bunraku wrote, None for other files: the motion of the reference body, or, of one that was
+    made for a body of its own kind, with that body.
+    """
+    from bunraku.files.clips import load_clip, load_clip_animation
+
+    try:
+        found = load_clip(path)
+    except (FormatError, MotionError):
+        return None
+    known = found.reference
+    return known if known is not None and not known.own_kind else load_clip_animation(path)

@@ -1,1 +1,0 @@
-"""What is requested: a sentence or a motion, how it is drawn, what it must meet, and how apparel moves."""

@@ -1,1 +1,0 @@
-"""The loops of the renderer, in C and in numpy."""

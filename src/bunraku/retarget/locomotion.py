@@ -1,0 +1,289 @@
+"""How bodies fly, swim, slither and stay on the ground, whatever a generator made of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.joints import attach_joints, reference_joints
+from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.curves import gaussian, smooth_step
+from bunraku.core.geometry.rotations import (
+    axis_angle_from_matrix,
+    heading,
+    matrix_from_axis_angle,
+    matrix_from_quaternion,
+    matrix_y,
+    quaternion_from_matrix,
+    quaternion_slerp,
+)
+from bunraku.core.motion import HandleMotion
+from bunraku.retarget.fit import posed
+from bunraku.retarget.stages.ground import Ground
+from bunraku.retarget.stages.trailing import Tail
+
+__all__ = ["HOVER", "in_air", "laid", "moved_so", "wing_swing", "wings_carry"]
+
+
+_LYING_LINE = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3", "tail", "tail_tip")]
+_FRONT = [HANDLE_NAMES.index(name) for name in ("neck", "head", "head_top", "face")]
+"""Parts that may rise."""
+
+
+def laid(motion: HandleMotion, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Local rotations (N, 30, 3, 3) and those of the root (N, 3, 3) in which a long body without legs keeps to the
+    ground: its root does not tilt, its parts turn aside only, and its neck and head no farther down than they rest.
+
+    Args:
+        motion: Of the reference body.
+        share: How much of that is done in each frame, 0 to 1, shape (N,).
+    """
+    root = motion.root_rotation.astype(np.float64)
+    facing = np.asarray(matrix_y(heading(root, motion.fps)), np.float64)
+    flat = _blend(root, facing, share)
+    seen = flat.transpose(0, 2, 1) @ root  # what is left of the tilt is for the parts to keep
+    rotations = motion.rotations.astype(np.float64).copy()
+    for part in (*_LYING_LINE, *_FRONT):
+        turned = seen @ rotations[:, part]
+        ahead = turned[:, :, 2]
+        level = np.asarray(matrix_y(np.arctan2(ahead[:, 0], ahead[:, 2])), np.float64)
+        if part in _FRONT:
+            up = np.maximum(np.arctan2(ahead[:, 1], np.hypot(ahead[:, 0], ahead[:, 2])), 0)
+            level = level @ matrix_from_axis_angle(-up[:, None] * np.array([1.0, 0, 0]))
+        rotations[:, part] = _blend(turned, level, share)
+    return rotations, flat
+
+
+def _blend(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Rotations (N, 3, 3) so far from one to another."""
+    return np.asarray(
+        matrix_from_quaternion(quaternion_slerp(quaternion_from_matrix(start), quaternion_from_matrix(end), share))
+    )
+
+
+HOVER = 0.8
+"""How high a body flies over where it stands, over the height of its root."""
+RISE = 0.7  # how long what flies takes up and down where something else follows [s]
+BEAT, SPREAD = 2.2, 0.6  # wing beats in a second, and how far a wing swings up and down [rad]
+BEATS = 0.5  # wings that swing through less than this do not beat [rad]
+LIFTS = 2.5  # nor do wings whose swings are slower than this carry a body [rad/s]; captured ones are at 3.9 to 17
+HELD = 0.4  # what changes more slowly than this is how a wing is held, and no beat [s]
+TILT = np.radians(30)  # a body that flies tilts so far at the most, and no part of its trunk bends farther
+BOB = 0.05  # how far a body sinks and rises with the beats, over the height of its root
+WAVE = {"swim": 1.2, "slither": 0.9}  # waves in a second
+BENT = {"swim": 0.45, "slither": 0.7}  # how far the tip of a tail turns aside [rad]
+BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
+SPEED = {"swim": 0.7, "slither": 0.5}  # heights of the root in a second
+STAYS = 0.25  # who gets ahead by less than this share of that gets no farther alone
+AIR = {"stay": 0.75, "run": 0.2, "step": 0.15, "lie": 0.05, "slither": 0.05}
+"""How long before and after a frame the ground is touched at the latest [s]; who steps has one foot on it always."""
+LEAST = 0.01  # what hovers by less, over the height, is left to the stages of fitting
+_WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in ("left", "right")]
+_LINE = {"head": -1.2, "neck": -0.9, "spine3": -0.6, "spine2": -0.4, "spine1": -0.2, "tail": 0.9, "tail_tip": 1.7}
+"""Parts along a body, and how far they are behind its middle in the wave [rad]; the size of their turn grows so too."""
+_TAIL = HANDLE_NAMES.index("tail_tip")
+_TRUNK = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3", "neck")]
+_HEAD = [HANDLE_NAMES.index(name) for name in ("head", "face", "head_top")]
+
+
+def wing_swing(motion: HandleMotion) -> float:
+    """Through which angle the wings of a body swing, as 5 of 100 frames are beyond it at either end [rad].
+
+    Args:
+        motion: Of the reference body.
+    """
+    return _range(_wing_turns(motion))
+
+
+def wings_carry(motion: HandleMotion) -> bool:
+    """Whether the wings of a body beat, through an angle (`BEATS`) and at a speed (`LIFTS`) that carry it; how they are
+    held (`HELD`) is no beat.
+
+    Args:
+        motion: Of the reference body.
+    """
+    turns = _wing_turns(motion)
+    swings = turns - gaussian(turns, HELD * motion.fps)
+    speed = np.linalg.norm(np.diff(swings, axis=0), axis=-1).mean(axis=0).max() * motion.fps
+    return bool(_range(swings) >= BEATS and speed >= LIFTS)
+
+
+def _wing_turns(motion: HandleMotion) -> np.ndarray:
+    return np.asarray(axis_angle_from_matrix(motion.rotations[:, _WINGS].astype(np.float64)))
+
+
+def _range(turns: np.ndarray) -> float:
+    low, high = np.quantile(turns, [0.05, 0.95], axis=0)
+    return float(np.linalg.norm(high - low, axis=-1).max())
+
+
+def moved_so(motion: HandleMotion, locomotion: str, where: slice, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
+    """The motion with what a locomotion needs in some of its frames; as it is for other kinds than "fly", "swim" and
+    those of `AIR`. "Stay" is to be in the air for no longer than a jump, and "lie" to be on the ground with all but the
+    front.
+
+    Args:
+        motion: Of the reference body, generated for this character.
+        locomotion: How it moves.
+        where: The frames.
+        anatomy: Of the character.
+        loop: Whether the last frame is the first again.
+    """
+    frames = np.arange(len(motion))[where]
+    if locomotion not in ("fly", *WAVE, *AIR) or len(frames) < 2:
+        return motion
+    if locomotion in ("lie", "slither"):
+        turned, root = laid(motion, _amount(len(motion), frames, motion.fps))
+        motion = replace(_attached(motion, turned, motion.root_translation.astype(np.float64)), root_rotation=root)
+    if locomotion == "fly":
+        return _flown(motion, frames, anatomy, loop)
+    if locomotion in WAVE:
+        motion = _waved(motion, locomotion, frames, anatomy, loop)
+    return _grounded(motion, locomotion, frames, anatomy) if locomotion in AIR else motion
+
+
+def in_air(motion: HandleMotion, frames: np.ndarray | None = None) -> HandleMotion:
+    """The motion at the height of flight in some frames, or in all; up and down between them and the others."""
+    share = np.ones(len(motion)) if frames is None else _amount(len(motion), frames, motion.fps)
+    path = motion.root_translation.astype(np.float64)
+    path[:, 1] += HOVER * _root() * share
+    return replace(motion, root_translation=path, own_height=True)
+
+
+def _grounded(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy) -> HandleMotion:
+    """The motion lower by as much as the character would hover in some frames, with a tail that a tilted trunk does not
+    hold up.
+    """
+    if not motion.own_height:
+        return motion
+    share = _amount(len(motion), frames, motion.fps)
+    motion = _tail_lowered(motion, share, anatomy)
+    hovers = Ground().hovering(posed(motion, anatomy), anatomy, AIR[locomotion])
+    hovers = share * gaussian(hovers, AIR[locomotion] / 3 * motion.fps)
+    least = Ground().flies[0] if locomotion == "stay" else LEAST  # what `fit_motion` sets down
+    if hovers.max() < least * anatomy.mesh.height:
+        return motion
+    path = motion.root_translation.astype(np.float64)
+    path[:, 1] -= hovers / anatomy.scale
+    return replace(motion, root_translation=path)
+
+
+def _tail_lowered(motion: HandleMotion, share: np.ndarray, anatomy: Anatomy) -> HandleMotion:
+    handles, joints = anatomy.handles, anatomy.joints
+    own = joints.present & (handles.played == np.arange(len(handles.positions)))
+    before = motion.rotations.astype(np.float64)
+    after = Tail().lowered(before, handles, replace(joints, present=own), motion.fps, motion.root_rotation)
+    if after is before:
+        return motion
+    turn = axis_angle_from_matrix(after @ before.transpose(0, 1, 3, 2))
+    after = matrix_from_axis_angle(share[:, None, None] * np.asarray(turn)) @ before
+    return _attached(motion, after, motion.root_translation.astype(np.float64))
+
+
+def _root() -> float:
+    return float(reference_body().handles.positions[0, 1])
+
+
+def _amount(count: int, frames: np.ndarray, fps: float) -> np.ndarray:
+    """1 in some frames, 0 in others, and a soft way between, shape (N,)."""
+    soft, at = RISE * fps, np.arange(count)
+    up = np.ones(count) if frames[0] == 0 else smooth_step(at, frames[0] - 0.5 * soft, frames[0] + 0.5 * soft)
+    down = (
+        np.ones(count) if frames[-1] == count - 1 else smooth_step(at, frames[-1] + 0.5 * soft, frames[-1] - 0.5 * soft)
+    )
+    return np.asarray(up * down)
+
+
+def _phase(count: int, frames: np.ndarray, rate: float, fps: float, loop: bool) -> np.ndarray:
+    """Angle of a swing in each frame [rad], shape (N,); whole swings in a loop."""
+    span = (len(frames) - 1) / fps
+    turns = max(round(rate * span), 1) if loop else rate * span
+    return np.asarray(2 * np.pi * turns * (np.arange(count) - frames[0]) / max(len(frames) - 1, 1))
+
+
+def _flown(motion: HandleMotion, frames: np.ndarray, anatomy: Anatomy, loop: bool) -> HandleMotion:
+    motion = in_air(motion, frames)
+    share = _amount(len(motion), frames, motion.fps)
+    motion = _righted(motion, share)
+    if wings_carry(HandleMotion.take(motion, frames)):
+        return motion
+    phase = _phase(len(motion), frames, BEAT, motion.fps, loop)
+    rotations = motion.rotations.astype(np.float64).copy()
+    for wing in _WINGS:
+        axis = _lifting_axis(anatomy, wing)
+        held = axis_angle_from_matrix(rotations[:, wing]) * (1 - share[:, None])  # what was drawn is no flight
+        beat = SPREAD * np.sin(phase) * share
+        rotations[:, wing] = matrix_from_axis_angle(beat[:, None] * axis) @ matrix_from_axis_angle(held)
+    path = motion.root_translation.astype(np.float64)
+    level = HOVER * _root() - BOB * _root() * np.sin(phase - 0.5)
+    path[:, 1] += share * (level - path[:, 1])
+    return _attached(motion, rotations, path)
+
+
+def _righted(motion: HandleMotion, share: np.ndarray) -> HandleMotion:
+    """The motion of a body that neither falls over nor rolls up in the air, whatever else was drawn."""
+
+    def within(turn: np.ndarray) -> np.ndarray:
+        size = np.linalg.norm(turn, axis=-1, keepdims=True)
+        least = np.minimum(1, TILT / np.maximum(size, 1e-9))
+        return np.asarray(matrix_from_axis_angle(turn * (1 + (least - 1) * share.reshape(-1, *[1] * (turn.ndim - 1)))))
+
+    facing = np.asarray(matrix_y(heading(motion.root_rotation, motion.fps)), np.float64)
+    root = facing @ within(np.asarray(axis_angle_from_matrix(facing.transpose(0, 2, 1) @ motion.root_rotation)))
+    rotations = motion.rotations.astype(np.float64).copy()
+    rotations[:, _TRUNK] = within(np.asarray(axis_angle_from_matrix(rotations[:, _TRUNK])))
+    return replace(_attached(motion, rotations, motion.root_translation.astype(np.float64)), root_rotation=root)
+
+
+def _lifting_axis(anatomy: Anatomy, wing: int) -> np.ndarray:
+    """The axis about which a wing turns upwards, from where it is joined to its middle, shape (3,)."""
+    handles = anatomy.handles
+    out = handles.positions[wing] - anatomy.joints.positions[wing]
+    axis = np.cross(out, [0.0, 1.0, 0.0])
+    if np.linalg.norm(axis) < 0.3 * max(float(np.linalg.norm(out)), 1e-9):  # it points up: it beats sideways
+        axis = np.array([0, 0, 1.0 if handles.positions[wing][0] > 0 else -1.0])
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def _waved(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy, loop: bool) -> HandleMotion:
+    some = HandleMotion.take(motion, frames)
+    share = _amount(len(motion), frames, motion.fps)
+    path = motion.root_translation.astype(np.float64)
+    ahead = matrix_y(np.asarray(heading(motion.root_rotation, motion.fps)))[:, :, 2]
+    own = float(((path[frames[-1]] - path[frames[0]]) * ahead[frames].mean(axis=0)).sum())
+    wanted = SPEED[locomotion] * _root() * len(frames) / motion.fps
+    if own < STAYS * wanted:
+        path += np.cumsum(ahead * share[:, None] * wanted / len(frames), axis=0)
+    rotations = motion.rotations.astype(np.float64).copy()
+    turns = np.asarray(axis_angle_from_matrix(some.rotations[:, _TAIL].astype(np.float64)))
+    if float(np.ptp(turns, axis=0).max()) < BENDS:
+        phase = _phase(len(motion), frames, WAVE[locomotion], motion.fps, loop)
+        axis = np.array([1.0, 0, 0]) if locomotion == "swim" and _flat_tail(anatomy) else np.array([0, 1.0, 0])
+        for name, behind in _LINE.items():
+            angle = BENT[locomotion] * abs(behind) / 1.7 * np.sin(phase - behind) * share
+            turn = matrix_from_axis_angle(angle[:, None] * axis)
+            for part in _HEAD if name == "head" else [HANDLE_NAMES.index(name)]:
+                rotations[:, part] = turn @ rotations[:, part]
+    return _attached(motion, rotations, path)
+
+
+def _flat_tail(anatomy: Anatomy) -> bool:
+    """Whether the end of a tail is wider than high, as a whale's: it beats up and down."""
+    held = anatomy.mesh.surface & (anatomy.mesh_handles.weights[:, _TAIL] > 0.5)
+    if held.sum() < 3:
+        return False
+    size = np.ptp(anatomy.mesh.vertices[held], axis=0)
+    return bool(size[0] > 1.5 * size[1])
+
+
+def _attached(motion: HandleMotion, rotations: np.ndarray, path: np.ndarray) -> HandleMotion:
+    """The motion with other rotations and another path; parts stay as far from their joints as they were."""
+    body, joints = reference_body().handles, reference_joints()
+    before = attach_joints(motion.rotations.astype(np.float64), body, joints)[1]
+    after = attach_joints(rotations, body, joints)[1]  # its rotations let a tail, which people lack, go with the hips
+    moved = motion.translations.astype(np.float64) - before + after
+    moved[:, 0] = 0
+    return replace(motion, rotations=rotations, translations=moved, root_translation=path)

@@ -1,0 +1,263 @@
+"""Pins: a hand or a foot that is at a position, and rotated as is requested, at a time.
+
+A limb is bent so that its end is where it should be, by two-bone inverse kinematics as feet are held; what is out of
+its reach the root goes the rest of the way, and feet stay where they were. The correction sets in before the pin and
+fades after it, so a clip with pins is the clip as it was elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.joints import Joints
+from bunraku.anatomy.legs import Leg, carry, local_motion, move_feet
+from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.character import Handles
+from bunraku.core.geometry.curves import smooth_step
+from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from bunraku.core.motion import HandleMotion
+from bunraku.core.request import Constraint
+from bunraku.errors import OptionError
+
+__all__ = ["PINNED", "LimbEnd", "Pin", "end_positions", "limb_ends", "meet_pins"]
+
+PINNED = ("left_hand", "right_hand", "left_foot", "right_foot")
+"""Parts that can be pinned; of further limbs of a kind the first."""
+_PART_OF = {"wrist": "hand", "elbow": "hand", "fingers": "hand", "ankle": "foot", "knee": "foot", "foot": "foot"}
+LEAD = 0.4
+"""Seconds before and after a pin over which a limb goes there and back."""
+ROOT_LEAD = 0.8
+"""The same for the root where a limb does not reach."""
+ROUNDS = 12
+CLOSE = 5e-4
+"""Error over the character's height at which a pin is met."""
+MISSED = 5e-3
+"""Error over the height from which on it is not."""
+
+
+@dataclass(frozen=True)
+class Pin(Constraint):
+    """Where a hand or a foot is at a time.
+
+    Args:
+        part: One of `PINNED`.
+        time: Seconds from the start of the clip.
+        position: Where the wrist or ankle is [m], shape (3,), in the clip's world: +Y up.
+        rotation: Turn of the hand or foot from the rest pose in the world, shape (3, 3); None leaves it as it is.
+        hold: Seconds for which it stays there.
+
+    Raises:
+        OptionError: There is no such part, or a number makes no sense.
+    """
+
+    part: str
+    time: float
+    position: tuple[float, float, float]
+    rotation: np.ndarray | None = None
+    hold: float = 0.0
+
+    kind: ClassVar[str] = "pin"
+    several: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        if self.part not in PINNED:
+            raise OptionError(f"'{self.part}' cannot be pinned; there are {', '.join(PINNED)}")
+        numbers = (self.time, self.hold, *self.position)
+        if len(self.position) != 3 or not all(math.isfinite(number) for number in numbers):
+            raise OptionError(f"the pin of {self.part} needs a time and three coordinates that are numbers")
+        if self.time < 0 or self.hold < 0:
+            raise OptionError(f"the pin of {self.part} cannot be before the start, nor be held for less than no time")
+        if self.rotation is not None:
+            turn = np.asarray(self.rotation, np.float64)
+            if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0:
+                raise OptionError(f"the rotation of {self.part} must be a matrix of three rows that only turns")
+            object.__setattr__(self, "rotation", turn)
+
+    def frames(self, count: int, fps: float) -> np.ndarray:
+        """The frames in which it is held.
+
+        Raises:
+            OptionError: It is after the end of the clip.
+        """
+        first = round(self.time * fps)
+        if first >= count:
+            raise OptionError(
+                f"the pin of {self.part} at {self.time:g} s is after the end of the clip, {count / fps:g} s"
+            )
+        return np.arange(first, min(first + round(self.hold * fps), count - 1) + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class LimbEnd:
+    """The end of a limb that can be pinned.
+
+    Args:
+        part: One of `PINNED`.
+        handle: The handle that it moves with.
+        point: The wrist or ankle in the rest pose [m], shape (3,).
+        limb: The limb.
+    """
+
+    part: str
+    handle: int
+    point: np.ndarray
+    limb: Leg
+
+
+def limb_ends(anatomy: Anatomy) -> list[LimbEnd]:
+    """The hands and feet of a character that can be pinned; none where it has no limbs."""
+    out: dict[str, LimbEnd] = {}
+    for limb in (*anatomy.legs, *anatomy.arms):
+        side, _, name = HANDLE_NAMES[int(anatomy.handles.played[limb.end])].partition("_")
+        part = f"{side}_{_PART_OF.get(name, '')}"
+        if part in PINNED and part not in out:
+            out[part] = LimbEnd(part, limb.end, limb.joints[2], limb)
+    return [out[part] for part in PINNED if part in out]
+
+
+def end_positions(motion: HandleMotion, handles: Handles, ends: Sequence[LimbEnd]) -> np.ndarray:
+    """Where ends of limbs are [m], shape (N, L, 3), float64."""
+    world = motion.transforms(handles.positions).astype(np.float64)
+    positions = [world[:, end.handle, :, :3] @ end.point + world[:, end.handle, :, 3] for end in ends]
+    return np.stack(positions, axis=1) if positions else np.zeros((len(motion), 0, 3))
+
+
+def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> HandleMotion:
+    """The motion of a character with its pins met.
+
+    Args:
+        motion: Of the character, N frames.
+        anatomy: Of the character.
+        pins: At most one of a part at a time.
+
+    Raises:
+        OptionError: A part is not there, a pin is after the end, or pins of one time are too far apart for the body.
+    """
+    if not pins:
+        return motion
+    ends, character, handles, joints = limb_ends(anatomy), anatomy.mesh, anatomy.handles, anatomy.joints
+    known = {end.part: number for number, end in enumerate(ends)}
+    for pin in pins:
+        if pin.part not in known:
+            there = ", ".join(known) or "none"
+            raise OptionError(
+                f"{character.name} has no {pin.part.replace('_', ' ')} to pin; of its limbs there are {there}"
+            )
+    given, reach = motion, np.zeros(len(motion), bool)
+    goals = np.full((len(motion), len(ends), 3), np.nan)
+    for pin in pins:
+        goals[pin.frames(len(motion), motion.fps), known[pin.part]] = pin.position
+    pinned = ~np.isnan(goals[..., 0])
+    limbs, height = [end.limb for end in ends], character.height
+    feet = [number for number, end in enumerate(ends) if end.part.endswith("foot")]
+    planted = end_positions(motion, handles, ends)
+    for _ in range(ROUNDS):
+        off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
+        if np.abs(off).max() <= CLOSE * height:
+            break
+        shifts = np.stack(
+            [spread(pinned[:, number], off[:, number], LEAD * motion.fps) for number in range(len(ends))], axis=1
+        )
+        reach |= np.abs(shifts).max(axis=(1, 2)) > 0
+        motion = move_feet(motion, handles, joints, limbs, shifts)
+        off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
+        if np.abs(off).max() <= CLOSE * height:
+            break
+        frames = pinned.any(axis=1)  # what the limbs do not reach
+        rest = off.sum(axis=1) / np.maximum(pinned.sum(axis=1), 1)[:, None]
+        step = spread(frames, rest, ROOT_LEAD * motion.fps)
+        reach |= np.abs(step).max(axis=1) > 0
+        motion = replace(motion, root_translation=motion.root_translation + step)
+        stay = np.zeros_like(shifts)
+        for number in feet:  # the root moved, and feet that nobody asked for stay where they were
+            free = 1 - spread(pinned[:, number], np.ones((len(motion), 1)), LEAD * motion.fps)
+            stay[:, number] = free * (planted - end_positions(motion, handles, ends))[:, number]
+        motion = move_feet(motion, handles, joints, limbs, stay)
+    off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
+    worst = np.linalg.norm(off, axis=-1)
+    if worst.max() > MISSED * height:
+        frame, missed = (int(index) for index in np.unravel_index(int(worst.argmax()), worst.shape))
+        raise OptionError(
+            f"the pin of {ends[missed].part.replace('_', ' ')} at {frame / motion.fps:g} s is missed by "
+            f"{worst.max():.2f} m: the pins of that time are too far apart for this body; move them together"
+        )
+    turned = [pin for pin in pins if pin.rotation is not None]
+    for pin in turned:
+        reach |= np.abs(spread(_asked(pin, motion), np.ones((len(motion), 1)), LEAD * motion.fps))[:, 0] > 0
+    met = _turned(motion, handles, joints, ends, turned)
+    arrays = {
+        name: np.where(
+            reach.reshape(-1, *[1] * (getattr(met, name).ndim - 1)), getattr(met, name), getattr(given, name)
+        )
+        for name in HandleMotion.arrays
+    }
+    return replace(met, **arrays)  # what no pin reaches stays bit for bit
+
+
+def _asked(pin: Pin, motion: HandleMotion) -> np.ndarray:
+    pinned = np.zeros(len(motion), bool)
+    pinned[pin.frames(len(motion), motion.fps)] = True
+    return pinned
+
+
+def _turned(
+    motion: HandleMotion, handles: Handles, joints: Joints, ends: list[LimbEnd], pins: list[Pin]
+) -> HandleMotion:
+    """The motion with hands and feet turned about their joints where pins say so."""
+    if not pins:
+        return motion
+    world = motion.transforms(handles.positions).astype(np.float64)
+    for end in ends:
+        own = [pin for pin in pins if pin.part == end.part]
+        if not own:
+            continue
+        if not end.limb.foot:
+            raise OptionError(f"the {end.part.replace('_', ' ')} of this character has no handle to turn it by")
+        turns, pinned = np.zeros((len(motion), 3)), np.zeros(len(motion), bool)
+        for pin in own:
+            frames = pin.frames(len(motion), motion.fps)
+            turns[frames] = axis_angle_from_matrix(
+                np.asarray(pin.rotation) @ np.swapaxes(world[frames, end.handle, :, :3], -1, -2)
+            )
+            pinned[frames] = True
+        turned = matrix_from_axis_angle(spread(pinned, turns, LEAD * motion.fps))
+        pivot = world[:, end.handle, :, :3] @ end.point + world[:, end.handle, :, 3]
+        for handle in end.limb.foot:
+            carry(world, handle, joints, pivot, pivot, turned)
+    return local_motion(world, motion, handles)
+
+
+def spread(pinned: np.ndarray, values: np.ndarray, lead: float) -> np.ndarray:
+    """A smooth curve through values in the frames that ask for one, which comes from zero before and goes to it after.
+
+    Args:
+        pinned: Which frames ask, shape (N,), bool.
+        values: What for, shape (N, D).
+        lead: Frames over which it comes and goes; frames that ask and are nearer than twice that are joined.
+
+    Returns:
+        Shape (N, D).
+    """
+    out = np.zeros(values.shape)
+    frames = np.flatnonzero(pinned)
+    if not len(frames):
+        return out
+    count, time = len(values), np.arange(len(values))
+    knots: list[tuple[float, np.ndarray]] = [(frames[0] - lead, np.zeros(values.shape[1]))]
+    for index, frame in enumerate(frames):
+        knots.append((float(frame), values[frame]))
+        after = frames[index + 1] if index + 1 < len(frames) else count + 4 * lead
+        if after - frame > 2 * lead:
+            knots.append((frame + lead, np.zeros(values.shape[1])))
+            knots.append((after - lead, np.zeros(values.shape[1])))
+    for (start, low), (end, high) in zip(knots, knots[1:], strict=False):
+        span = (time >= start) & (time <= end)
+        out[span] = low + smooth_step(time[span], start, max(end, start + 1e-9))[:, None] * (high - low)
+    out[frames] = values[frames]
+    return out

@@ -1,0 +1,206 @@
+"""To the reference body: from a character's handle motion, from the motion of its own rig, or from a mesh that
+moves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.joints import attach_joints, downwards, reference_joints, reference_parts
+from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.core.body.reference import ReferenceBody, capped, handle_positions, reference_body
+from bunraku.core.geometry.surface import vertex_areas
+from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.core.skinning import register, skin
+from bunraku.retarget.rig_parts import RigParts
+
+__all__ = [
+    "bones_to_handles",
+    "handle_animation",
+    "handle_motion_of_body",
+    "handle_motion_of_mesh",
+    "motion_to_reference",
+    "registered_body",
+    "rig_to_reference",
+]
+
+
+_TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
+
+
+def motion_to_reference(motion: HandleMotion, anatomy: Anatomy, own: bool = False) -> HandleMotion:
+    """A handle motion of a character as the one of the reference body that `fit_motion` of such a motion without
+    its ground stages takes back to the character's.
+
+    Limbs turn back from the character's rest directions, parts that the character lacks move with their parents,
+    and what its parts do beyond stiff joints is carried over in the reference's scale. Of several limbs that play
+    one part, the first speaks for all. The root's path keeps its height over the floor that the character's rest
+    pose stands on.
+
+    Args:
+        motion: Motion of the character's handles.
+        anatomy: Of the character, in the pose that the motion is relative to.
+        own: The motion stays one of this very body. Otherwise it becomes a person's: parts stay closer to their
+            joints, there is no tail, and the reference body stands on y = 0.
+
+    Returns:
+        The motion of the reference body's handles.
+    """
+    handles, joints = anatomy.handles, anatomy.joints
+    parents, present = reference_parts(handles, joints)
+    rotations = motion.rotations.astype(np.float64) @ anatomy.rotations.transpose(0, 2, 1)
+    stiff = attach_joints(motion.rotations.astype(np.float64), handles, joints)[1]
+    residual = (motion.translations - stiff) / anatomy.scale * present[:, None]
+    residual[:, 0] = 0
+    for handle in downwards(HANDLE_PARENTS):
+        if not present[handle] and handle:
+            rotations[:, handle] = rotations[:, max(int(parents[handle]), 0)]
+    translations = attach_joints(rotations, reference_body().handles, reference_joints())[1] + capped(residual, own)
+    path = motion.root_translation - np.array([0, anatomy.rise, 0])
+    path = (path - (motion.root_rotation - np.eye(3)) @ anatomy.lever) / anatomy.scale
+    result = replace(motion, rotations=rotations, translations=translations, root_translation=path)
+    return result if own else _as_person(result)
+
+
+def _as_person(motion: HandleMotion) -> HandleMotion:
+    """The motion without a tail, and moved along Y so that the reference body stands on y = 0."""
+    body = reference_body()
+    changed: dict[str, Any] = {"rotations": motion.rotations.copy(), "translations": motion.translations.copy()}
+    changed["rotations"][:, _TAIL], changed["translations"][:, _TAIL] = np.eye(3), 0
+    result = replace(motion, **changed)
+    lowest = skin(body.vertices, body.handle_weights, result.transforms(body.handles.positions))[..., 1].min(axis=1)
+    return replace(
+        result, root_translation=motion.root_translation - np.array([0, np.quantile(lowest, 0.05), 0], np.float32)
+    )
+
+
+def bones_to_handles(parts: RigParts, world_rotations: np.ndarray, positions: np.ndarray, fps: float) -> HandleMotion:
+    """Motion of the rig's 30 handles; each moves as its first bone.
+
+    Args:
+        parts: The rig.
+        world_rotations: World rotation of each bone from its rest pose, shape (N, J, 3, 3).
+        positions: Where its head is [m], shape (N, J, 3).
+        fps: Frames a second [1/s].
+    """
+    assert parts.character.rig is not None
+    rest, h = parts.character.rig.positions, parts.handles.positions.astype(np.float64)
+    pelvis = int(parts.leads[0])
+    root = world_rotations[:, pelvis]
+    back = np.swapaxes(root, -1, -2)
+    rotations, translations = (
+        np.tile(np.eye(3), (len(world_rotations), len(h), 1, 1)),
+        np.zeros((len(world_rotations), len(h), 3)),
+    )
+    centre = positions[:, pelvis] + np.einsum("nij,j->ni", root, h[0] - rest[pelvis])
+    for handle in range(1, len(h)):
+        bone = int(parts.leads[handle])
+        if bone < 0:
+            continue
+        index = positions[:, bone] + np.einsum("nij,j->ni", world_rotations[:, bone], h[handle] - rest[bone])
+        rotations[:, handle] = back @ world_rotations[:, bone]
+        translations[:, handle] = np.einsum("nij,nj->ni", back, index - centre) + h[0] - h[handle]
+    return HandleMotion(translations, rotations, centre - h[0], root, fps)
+
+
+def handle_animation(animation: RigAnimation) -> Animation:
+    """The same animation on 30 handles, those of the rig; bones of one part become one.
+
+    Raises:
+        CharacterError: The names of its bones do not tell which parts they move.
+    """
+    parts = RigParts.of(animation.character)
+    motion = bones_to_handles(parts, *animation.world(), animation.fps)
+    return Animation(animation.character, parts.handles, motion, animation.reference)
+
+
+def rig_to_reference(
+    parts: RigParts, rotations: np.ndarray, positions: np.ndarray, fps: float, own: bool = False
+) -> HandleMotion:
+    """Motion of a rig's bones as handle motion of the reference body.
+
+    Args:
+        parts: The rig, facing +Z.
+        rotations: World rotation of each bone from its rest pose, shape (N, J, 3, 3).
+        positions: Where its head is [m], shape (N, J, 3).
+        fps: Frames a second [1/s].
+        own: See `motion_to_reference`.
+    """
+    return motion_to_reference(bones_to_handles(parts, rotations, positions, fps), parts.anatomy, own)
+
+
+def handle_motion_of_mesh(
+    rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, positions: np.ndarray, areas: np.ndarray, fps: float
+) -> HandleMotion:
+    """Handle motion of a mesh that moves, by weighted rigid registration (section A.2).
+
+    The root handle's motion is the global one; it is taken off before the other handles are registered, so theirs are
+    local.
+
+    Args:
+        rest: Rest vertices [m], shape (V, 3).
+        posed: Moved vertices of each frame [m], shape (N, V, 3).
+        weights: Handle weights, shape (V, K).
+        positions: Handle positions [m], shape (K, 3).
+        areas: Surface area that each vertex stands for, shape (V,).
+        fps: Frames a second [1/s].
+
+    Returns:
+        The motion; handles without weight stay at the identity.
+    """
+    mass = weights * areas[:, None]
+    rotations, translations = register(rest, posed, mass[:, :1], positions[:1])
+    root_rotation, root_translation = rotations[:, 0], translations[:, 0]
+    local = np.einsum("nji,nvj->nvi", root_rotation, posed - positions[0] - root_translation[:, None]) + positions[0]
+    rotations, translations = register(rest, local, mass, positions)
+    still = mass.sum(axis=0) <= 1e-6 * areas.sum()
+    still[0] = True
+    rotations[:, still], translations[:, still] = np.eye(3), 0
+    return HandleMotion(translations, rotations, root_translation, root_rotation, fps)
+
+
+CHUNK = 400  # frames posed at once: bounds memory at about 30 MB a worker
+
+
+def handle_motion_of_body(motion: SkeletalMotion, body: ReferenceBody | None = None) -> HandleMotion:
+    """Skeletal motion of SMPL's joints as handle motion of the reference body.
+
+    The body is set on the ground: the clip is moved along Y so that the lowest point of its standing frames (5 %
+    quantile) is at 0, unless that is more than 15 cm away, where the clip means to be off the ground.
+    """
+    whole, lowest, _ = registered_body(motion, body)
+    floor = float(np.quantile(lowest, 0.05))
+    drop = np.array([0, floor if abs(floor) < 0.15 else 0, 0], np.float32)
+    return replace(whole, root_translation=whole.root_translation - drop)
+
+
+def registered_body(
+    motion: SkeletalMotion, body: ReferenceBody | None = None
+) -> tuple[HandleMotion, np.ndarray, np.ndarray]:
+    """Handle motion of the reference body as the skeleton moves it, wherever the ground is.
+
+    Returns:
+        The motion, the lowest point of the body in each frame [m], shape (N,), and that of all but its arms.
+    """
+    body = body or reference_body()
+    areas = vertex_areas(body.vertices, body.faces)
+    positions = handle_positions(body.vertices, body.handle_weights, areas)
+    arms = [
+        HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("elbow", "wrist", "fingers")
+    ]
+    carries = body.handle_weights[:, arms].sum(axis=1) < 0.5
+    parts, lowest, carrying = [], [], []
+    for start in range(0, len(motion), CHUNK):
+        cut = slice(start, start + CHUNK)
+        posed = body.pose(
+            SkeletalMotion(motion.skeleton, motion.rotations[cut], motion.root_translation[cut], motion.fps)
+        )
+        lowest.append(posed[..., 1].min(axis=1))
+        carrying.append(posed[:, carries, 1].min(axis=1))
+        parts.append(handle_motion_of_mesh(body.vertices, posed, body.handle_weights, positions, areas, motion.fps))
+    return HandleMotion.joined(parts), np.concatenate(lowest), np.concatenate(carrying)

@@ -1,0 +1,317 @@
+"""The apparel of takes: which vertices it is, as the page paints it, and how it moves."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.arrays import read_npy
+from bunraku.core.character import Character, Handles
+from bunraku.core.files import atomic_write, read_bounded
+from bunraku.core.motion import HandleMotion
+from bunraku.errors import CharacterError, FormatError, OptionError
+from bunraku.files.gltf.write import document_of
+from bunraku.pipelines.requests import Apparel
+from bunraku.retarget.fit import Stages
+from bunraku.studio.wire import Dressed, Take, body_of
+
+if TYPE_CHECKING:
+    from bunraku.anatomy.anatomy import Anatomy
+    from bunraku.apparel.chains.chain_rig import Chained
+
+__all__ = [
+    "WORN",
+    "apparel_mask_of",
+    "chain_facts",
+    "chains_of",
+    "check_fits",
+    "clean_mask",
+    "dress_take",
+    "found_mask",
+    "has_apparel",
+    "paint",
+    "painted_file",
+    "redress_take",
+    "save_worn",
+    "shown_mask",
+]
+
+
+WORN = "worn.bin"
+"""What is found of a character, beside its mesh."""
+_MAGIC = b"BNRM"
+
+
+def save_worn(character: Character, found: np.ndarray | None, path: Path) -> None:
+    """Write what was found, and which vertices the page draws.
+
+    `BNRM`, the length of a JSON header padded to four bytes, the header (`vertices`, and `parts`: mesh, primitive,
+    rows), a bit for each vertex of the character, lowest first, padded to four bytes, and for each primitive the vertex
+    of the character that each of its rows is, uint32.
+
+    Args:
+        character: The character.
+        found: Vertices that are apparel, shape (V,), bool; None where nobody could look.
+        path: The file.
+
+    Raises:
+        FormatError: It cannot be written.
+    """
+    source = document_of(character)
+    parts: list[dict[str, int]] = []
+    rows: list[np.ndarray] = []
+    start, mesh = 0, 0
+    for part in source.parts:
+        own: dict[int, np.ndarray] = {}
+        for group in part.groups:
+            own |= dict.fromkeys(group.primitives, source.index[start : start + len(group.vertices)])
+            start += len(group.vertices)
+        if not any(len(index) for index in own.values()):
+            continue
+        for primitive, member in enumerate(sorted(own)):
+            parts.append({"mesh": mesh, "primitive": primitive, "rows": len(own[member])})
+            rows.append(own[member].astype("<u4"))
+        mesh += 1
+    count = len(character.vertices)
+    words = json.dumps({"vertices": count, "parts": parts}).encode()
+    words += b" " * (-len(words) % 4)
+    bits = packed_bits(np.zeros(count, bool) if found is None else found)
+    with atomic_write(path) as file:
+        file.write(b"".join([_MAGIC, struct.pack("<I", len(words)), words, bits, *(row.tobytes() for row in rows)]))
+
+
+def packed_bits(mask: np.ndarray) -> bytes:
+    """A bit for each entry, lowest first, padded to four bytes."""
+    bits = np.packbits(mask, bitorder="little").tobytes()
+    return bits + b"\0" * (-len(bits) % 4)
+
+
+def shown_mask(worn: Path, painted: Path) -> bytes:
+    """What the page gets: the file of `save_worn`, with what was painted in the place of what was found.
+
+    Args:
+        worn: The file of `save_worn`.
+        painted: The file that was painted, if it is there.
+
+    Raises:
+        FormatError: One of them is broken.
+    """
+    data = read_bounded(worn)
+    start, count = _head(worn, data)
+    if not painted.is_file():
+        return data
+    mask = read_npy(painted, read_bounded(painted))
+    if mask.shape != (count,):
+        raise FormatError(painted.name, f"it is no mask of {count:,} vertices; paint it again")
+    bits = packed_bits(mask > 0.5)
+    return data[:start] + bits + data[start + len(bits) :]
+
+
+def found_mask(worn: Path) -> np.ndarray:
+    """What was found, shape (V,), bool.
+
+    Raises:
+        FormatError: The file is broken.
+    """
+    data = read_bounded(worn)
+    start, count = _head(worn, data)
+    return np.unpackbits(np.frombuffer(data[start:], np.uint8), count=count, bitorder="little").astype(bool)
+
+
+def _head(worn: Path, data: bytes) -> tuple[int, int]:
+    """Where the bits begin, and how many there are."""
+    try:
+        length = struct.unpack("<I", data[4:8])[0]
+        header: dict[str, Any] = json.loads(data[8 : 8 + length])
+        count = int(header["vertices"])
+    except (ValueError, KeyError, TypeError, struct.error):
+        raise FormatError(worn.name, "it is broken; open the character again") from None
+    if data[:4] != _MAGIC or len(data) < 8 + length + len(packed_bits(np.zeros(count, bool))):
+        raise FormatError(worn.name, "it is broken; open the character again")
+    return 8 + length, count
+
+
+def painted_file(source: Path) -> Path:
+    """Where the painted mask of a character's file is."""
+    return source.with_name(f"{source.stem}.apparel.npy")
+
+
+def clean_mask(worn: Path, bits: bytes) -> np.ndarray:
+    """The mask that a page sent, shape (V,), bool.
+
+    Args:
+        worn: The file of `save_worn`.
+        bits: As of `packed_bits`.
+
+    Raises:
+        OptionError: It is of another mesh.
+        FormatError: The file is broken.
+    """
+    _, count = _head(worn, read_bounded(worn))
+    if len(bits) != len(packed_bits(np.zeros(count, bool))):
+        raise OptionError(f"this is no mask of {count:,} vertices; reload the page")
+    return np.unpackbits(np.frombuffer(bits, np.uint8), count=count, bitorder="little").astype(bool)
+
+
+def paint(mask: np.ndarray, path: Path) -> None:
+    """Write a painted mask.
+
+    Raises:
+        FormatError: It cannot be written.
+    """
+    packed = io.BytesIO()
+    np.save(packed, mask, allow_pickle=False)
+    with atomic_write(path) as file:
+        file.write(packed.getvalue())
+
+
+Report = Callable[[str, float], None]
+MOST_PLACES = 30_000_000
+"""Vertices times frames of apparel that moves on its own, which takes 24 bytes for each."""
+LEAST = 0.01
+"""Share of a mesh that is apparel where there is some."""
+
+
+def check_fits(apparel: Apparel, character: Character, seconds: float) -> None:
+    """Whether apparel of a clip can move so, before the work.
+
+    Args:
+        apparel: How it is to move.
+        character: The character.
+        seconds: Length of the clip.
+
+    Raises:
+        CharacterError: It is to be simulated, and the file says nothing of physics.
+        OptionError: It moves on its own, and the mesh is too large for so long a clip.
+    """
+    from bunraku.apparel.chains.moving import check_apparel
+    from bunraku.pipelines.apparel import RATE
+
+    if apparel.motion == "simulate":
+        check_apparel(character)
+    most = MOST_PLACES / (RATE * len(character.vertices))
+    if apparel.motion in ("learn", "chains") and seconds > most:
+        raise OptionError(
+            f"moving apparel of {len(character.vertices):,} vertices does not fit into the studio for {seconds:g} "
+            f"seconds; take at most {most:.1f}, or use the command line"
+        )
+
+
+def dress_take(body: Animation | RigAnimation, apparel: Apparel, report: Report) -> Take:
+    """A take of an animation, with apparel that moves as is requested.
+
+    Args:
+        body: The animation, apparel going with the body.
+        apparel: How it is to move.
+        report: Called with a stage's name and the share done.
+
+    Raises:
+        CharacterError: The mesh has no apparel.
+        OptionError: See `check_fits`.
+    """
+    from bunraku.core.animation import PointAnimation
+    from bunraku.pipelines.apparel import dressed
+
+    if not apparel.moves:
+        return body
+    check_fits(apparel, body.character, len(body.motion) / body.fps)
+    moved = dressed(body, apparel.motion, stiffness=apparel.stiffness, gravity=apparel.gravity, progress=report)
+    if apparel.motion == "chains" and isinstance(moved, RigAnimation):
+        return Dressed.of_chains(body, moved, apparel.stiffness, apparel.gravity)
+    return Dressed(body, moved, apparel.stiffness) if isinstance(moved, PointAnimation) else moved
+
+
+def redress_take(
+    take: Take,
+    apparel: Apparel,
+    handles: Handles,
+    *,
+    in_place: bool = False,
+    stages: Stages | None = None,
+    report: Report,
+) -> Take:
+    """A take of the same motion whose apparel moves otherwise.
+
+    Args:
+        take: The take.
+        apparel: How apparel moves.
+        handles: Those of the character.
+        in_place: Whether the way over the ground was taken out of its motion.
+        stages: Which stages fit the motion to the character, where that has to be done again.
+        report: Called with a stage's name and the share done.
+
+    Raises:
+        CharacterError: There is no such apparel.
+        OptionError: What moves its bones is not known as a motion of the body.
+    """
+    from bunraku.anatomy.anatomy import Anatomy
+    from bunraku.pipelines.apply import apply_motion, apply_simulated, reference_of
+    from bunraku.pipelines.requests import Constraints
+
+    body = body_of(take)
+    check_fits(apparel, body.character, len(body.motion) / body.fps)
+    if apparel.motion in ("learn", "chains") or (not apparel.moves and isinstance(body, Animation)):
+        return dress_take(body, apparel, report)
+    if isinstance(body, RigAnimation) and body.reference is None:
+        raise OptionError(
+            "the bones of this take were moved by its file; drop that file again with other hair and clothes"
+        )
+    anatomy = Anatomy.of(body.character, handles)
+    motion: HandleMotion = reference_of(body)
+    if apparel.motion == "simulate":
+        return apply_simulated(motion, body.character, in_place=in_place, stages=stages, progress=report)
+    return apply_motion(motion, anatomy, Constraints.of(in_place=in_place), stages, report)
+
+
+def apparel_mask_of(character: Character, handles: Handles) -> np.ndarray | None:
+    """Which vertices of a character are apparel: as its file says, or else as a network finds; shape (V,), bool. None
+    where nobody can tell.
+    """
+    from bunraku.apparel.fitting import joint_weights_of_handles, joints_of_handles
+    from bunraku.apparel.learned.segmentation import find_apparel
+    from bunraku.apparel.mask import apparel_mask, artist_mask
+    from bunraku.core.body.layout import HANDLE_COUNT
+
+    mask = artist_mask(character)
+    if mask is None:
+        mask = apparel_mask(character)
+    if mask is None and len(handles.positions) == HANDLE_COUNT:
+        joints = joints_of_handles(
+            character.vertices, joint_weights_of_handles(handles), character.areas, handles.positions
+        )
+        mask = find_apparel(character.vertices, character.faces, joints).mask
+    return mask
+
+
+def has_apparel(mask: np.ndarray | None) -> bool:
+    """Whether so much of a mesh is apparel that there is some."""
+    return mask is not None and bool(mask.mean() >= LEAST)
+
+
+def chains_of(anatomy: Anatomy) -> tuple[Chained | None, str]:
+    """A character with chains of bones over its apparel; None with a sentence where there are none."""
+    from bunraku.pipelines.clothes import rig_with_chains
+
+    try:
+        return rig_with_chains(anatomy), ""
+    except CharacterError as error:
+        return None, str(error)
+
+
+def chain_facts(made: Chained) -> list[dict[str, Any]]:
+    """What a page shows of chains: name, kind, points at rest [m], and the handle that carries each."""
+    carriers: dict[int, int] = {}
+    told = []
+    for chain in made.chains:
+        carrier = carriers.get(chain.holder, int(chain.holder))
+        carriers |= dict.fromkeys(chain.bones.tolist(), carrier)
+        points = chain.points.astype(float).round(5).tolist()
+        told.append({"name": chain.name, "kind": chain.kind, "joint": carrier, "points": points})
+    return told

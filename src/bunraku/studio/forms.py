@@ -1,0 +1,514 @@
+"""What a page requests, a dataclass per form: the same for a request of the page, a link and a project file."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+from bunraku.core.request import (
+    CANDIDATES,
+    FPS,
+    GRAVITY,
+    GUIDANCE,
+    SECONDS,
+    STEPS,
+    STIFFNESS,
+    Limit,
+    from_json,
+    to_json,
+)
+from bunraku.errors import OptionError
+from bunraku.files.presets import preset_named
+from bunraku.generation.library import clip as find_clip
+from bunraku.pipelines.requests import Apparel, Constraints, Keep, Pose, Request, Sampling
+
+if TYPE_CHECKING:
+    from bunraku.core.travel import GroundPath
+    from bunraku.retarget.fit import Stages
+    from bunraku.retarget.pins import Pin
+
+__all__ = [
+    "ChangeForm",
+    "ClipsForm",
+    "Drawn",
+    "DressForm",
+    "MOST_PARTS",
+    "MOST_SEED",
+    "MOST_WORDS",
+    "Motion",
+    "Part",
+    "PoseForm",
+    "TIME",
+    "TakeForm",
+    "TakeRecordForm",
+    "check_asked",
+    "check_pins",
+    "read_path",
+    "read_pins",
+    "read_script",
+    "script_json",
+    "sequence_of",
+    "stages_without",
+]
+
+
+MOST_SEEDS = 8
+MOST_SEED = 2**53
+"""Seeds are less, so that a browser knows them exactly."""
+TIME = Limit("time", 0, SECONDS.high)
+Motion = Literal["rigid", "simulate", "chains", "learn"]
+"""How apparel moves."""
+
+
+def stages_without(names: Sequence[str]) -> Stages | None:
+    """The stages of generated motions but those named; None where none is.
+
+    Raises:
+        OptionError: There is no such stage.
+    """
+    from bunraku.pipelines.apply import GENERATED_STAGES
+
+    known = sorted(field.name for field in fields(GENERATED_STAGES))
+    for name in names:
+        if name not in known:
+            raise OptionError(f"there is no stage '{name[:40]}'; there are {', '.join(known)}")
+    return replace(GENERATED_STAGES, **dict.fromkeys(names, False)) if names else None
+
+
+def read_pins(forms: Sequence[object]) -> list[Pin]:
+    """Pins of their JSON forms.
+
+    Raises:
+        OptionError: One is none.
+    """
+    from bunraku.retarget.pins import Pin
+
+    found = [Pin.from_json(form) for form in forms]
+    for pin in found:
+        TIME.check(pin.time)
+        TIME.check(pin.hold, "hold")
+    return found
+
+
+def check_pins(forms: Sequence[object]) -> None:
+    """Whether these are JSON forms of pins.
+
+    Raises:
+        OptionError: One is none.
+    """
+    read_pins(forms)
+
+
+def read_path(points: Sequence[object]) -> GroundPath | None:
+    """Points of a path on the floor, x and z [m]; None where there are none.
+
+    Raises:
+        OptionError: They are no such points.
+    """
+    from bunraku.core.travel import LONGEST, GroundPath
+
+    if not points:
+        return None
+    limit = Limit("x and z of a path", -LONGEST, LONGEST)
+    positions = []
+    for point in points:
+        if not isinstance(point, list) or len(point) != 2 or not all(type(one) in (int, float) for one in point):
+            raise OptionError("a path is a list of points, each with x and z")
+        for one in point:
+            limit.check(one)
+        positions.append((float(point[0]), float(point[1])))
+    return GroundPath(tuple(positions))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawn:
+    """How takes are drawn.
+
+    Args:
+        seeds: One for each take.
+        steps: Of the sampler; None takes the default.
+        guidance: Of the sentence; None takes the default.
+        candidates: Motions of which one is chosen.
+        force: Go on where no movement is understood.
+        without: Names of stages that are left out.
+        pins: JSON forms of pins.
+    """
+
+    seeds: tuple[float, ...] = (0,)
+    steps: int | None = None
+    guidance: float | None = None
+    candidates: int = 3
+    force: bool = False
+    without: tuple[str, ...] = ()
+    pins: tuple[object, ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.seeds) > MOST_SEEDS:
+            raise OptionError(f"seeds has more than {MOST_SEEDS} entries")
+        if any(seed != int(seed) or not 0 <= seed < MOST_SEED for seed in self.seeds):
+            raise OptionError("seeds are whole numbers from 0 on")
+        object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds) or (0,))
+        STEPS.check(self.steps, "steps")
+        GUIDANCE.check(self.guidance, "guidance")
+        CANDIDATES.check(self.candidates, "candidates")
+
+    def sampling(self, seconds: float) -> Sampling:
+        """The same of a clip of some seconds."""
+        return Sampling(seconds, int(self.seeds[0]), self.steps, self.guidance, self.candidates)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DressForm:
+    """How the apparel of takes moves.
+
+    Args:
+        apparel: With the body, by the physics of the file, by chains of bones, or as it is learned.
+        stiffness: Factor on how stiff apparel is.
+        gravity: Factor on the gravity of what is simulated.
+    """
+
+    apparel: Motion = "rigid"
+    stiffness: float = 1.0
+    gravity: float = 1.0
+
+    def __post_init__(self) -> None:
+        STIFFNESS.check(self.stiffness, "stiffness")
+        GRAVITY.check(self.gravity, "gravity")
+
+    @property
+    def apparel_request(self) -> Apparel:
+        """The same as a part of a request."""
+        return Apparel(self.apparel, self.stiffness, self.gravity)
+
+
+MOST_PARTS = 20
+MOST_WORDS = 1000
+
+
+@dataclass(frozen=True)
+class Part:
+    """A sentence of a script, or a clip of the library.
+
+    Args:
+        text: What the character does.
+        seconds: For how long.
+        clip: The name of a clip, which is played as it is; "" where the sentence is generated.
+    """
+
+    text: str
+    seconds: float = 4.0
+    clip: str = ""
+
+    def __post_init__(self) -> None:
+        if len(self.text) > MOST_WORDS:
+            raise OptionError(f"text has more than {MOST_WORDS} characters, {len(self.text):,}; say it in fewer")
+        SECONDS.check(self.seconds)
+        if self.clip:
+            find_clip(self.clip)
+
+
+def read_script(script: Sequence[Part]) -> tuple[Part, ...]:
+    """The sentences of a script one by one: what was typed in a row, such as "walks:4; jumps:2", is several.
+
+    Raises:
+        OptionError: A sentence is empty, or all are too long.
+    """
+    from bunraku.language.prompts import parse_sequence, timed_sequence
+
+    if not script or not all(part.clip or part.text.strip(" ;\n\t") for part in script):
+        raise OptionError("type what the character does, such as: walks forward, then waves")
+    if len(script) > MOST_PARTS:
+        raise OptionError(f"script has more than {MOST_PARTS} entries")
+    timed: list[Part] = []
+    for part in script:
+        if part.clip:
+            timed.append(part)
+            continue
+        typed = parse_sequence(part.text.replace("\n", " ").strip())
+        timed += [Part(text, seconds) for text, seconds in timed_sequence(typed, part.seconds)]
+    if len(timed) > MOST_PARTS:
+        raise OptionError(f"script has more than {MOST_PARTS} entries")
+    if sum(part.seconds for part in timed) > SECONDS.high:
+        raise OptionError(f"all sentences together last at most {SECONDS.high:g} seconds; shorten some")
+    return tuple(timed)
+
+
+def sequence_of(script: Sequence[Part]) -> str:
+    """The sentences in a row, as a prompt says them."""
+    return "; ".join(f"{part.text}:{part.seconds:g}" for part in script)
+
+
+def script_json(script: Sequence[Part]) -> list[dict[str, object]]:
+    """What a record keeps of a script."""
+    return [
+        {"text": part.text, "seconds": part.seconds, **({"clip": part.clip} if part.clip else {})} for part in script
+    ]
+
+
+MOST_TITLE = 80
+
+
+@dataclass(frozen=True, kw_only=True)
+class TakeForm(Drawn):
+    """Takes that are made from sentences.
+
+    Args:
+        script: What the character does.
+        draft: Show a quick one first.
+        loop: Make loops.
+        in_place: Take the path over the ground out.
+        apparel: How apparel moves.
+        stiffness: How stiff apparel is.
+        gravity: How strongly what is simulated is drawn downwards.
+        path: Points that the root passes, x and z [m].
+        after: The take in whose last pose these start.
+        rig: What moves: handles, or the bones of the file's own skeleton.
+    """
+
+    script: tuple[Part, ...] = ()
+    draft: bool = True
+    loop: bool = False
+    in_place: bool = False
+    apparel: Motion = "rigid"
+    stiffness: float = 1.0
+    gravity: float = 1.0
+    path: tuple[object, ...] | None = None
+    after: str | None = None
+    rig: Literal["handles", "own"] = "handles"
+
+    def request(self, handles: Literal["predict", "rig"] = "predict") -> Request:
+        """The request, checked; the take that is followed is only named.
+
+        Args:
+            handles: How the handles of the character were made.
+
+        Raises:
+            OptionError: It cannot be requested, or a sentence is not understood.
+        """
+        script = read_script(self.script)
+        found = Request(
+            sequence_of(script), self.sampling(sum(part.seconds for part in script)),
+            Constraints.of(
+                loop=self.loop, in_place=self.in_place, after=self.after or None, path=read_path(self.path or ()),
+                pins=read_pins(self.pins),
+            ),
+            self.dress.apparel_request, stages_without(self.without),
+            "predict" if self.apparel == "simulate" else handles, self.force,
+            self.rig if self.rig == "own" else "auto" if self.apparel in ("simulate", "learn") else "handles",
+        )  # fmt: skip
+        found.check()
+        return found.with_parsed()
+
+    @property
+    def dress(self) -> DressForm:
+        """How apparel moves."""
+        return DressForm(apparel=self.apparel, stiffness=self.stiffness, gravity=self.gravity)
+
+    def pieces(self, handles: Literal["predict", "rig"] = "predict") -> list[dict[str, Any]]:
+        """The JSON forms of clips and of requests of the sentences between them, of a script with clips.
+
+        Raises:
+            OptionError: It cannot be requested, or a sentence is not understood.
+        """
+        if self.after:
+            raise OptionError("a script with clips follows no other take; put its clip or sentence before them")
+        found: list[dict[str, Any]] = []
+        for played, parts in itertools.groupby(read_script(self.script), lambda part: bool(part.clip)):
+            some = tuple(parts)
+            if played:
+                found += [{"clip": part.clip, "seconds": part.seconds} for part in some]
+            else:
+                own = replace(self, script=some, loop=False, in_place=False, path=None, pins=(), apparel="rigid")
+                seconds = sum(part.seconds for part in some)
+                found.append({"seconds": seconds, "request": own.request(handles).to_json()})
+        return found
+
+    def constraints(self) -> Constraints:
+        """What a script with clips must meet; alone a clip that loops can be a loop."""
+        return Constraints.of(
+            loop=self.loop and len(self.script) == 1, in_place=self.in_place, path=read_path(self.path or ()),
+            pins=read_pins(self.pins),
+        )  # fmt: skip
+
+    def asked(self) -> dict[str, Any]:
+        """What a take's record keeps of it, for links."""
+        kept = (
+            "seeds",
+            "steps",
+            "guidance",
+            "loop",
+            "in_place",
+            "apparel",
+            "stiffness",
+            "gravity",
+            "path",
+            "pins",
+            "rig",
+        )
+        return {name: to_json(getattr(self, name)) for name in kept}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TakeRecordForm:
+    """What a page changes of a take that is there.
+
+    Args:
+        star: Whether it is starred.
+        deleted: Whether it is given up.
+        title: Its name; "" is that of its sentence.
+    """
+
+    star: bool | None = None
+    deleted: bool | None = None
+    title: str | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.title or "") > MOST_TITLE:
+            raise OptionError(f"title has more than {MOST_TITLE} characters")
+
+
+@dataclass(frozen=True)
+class PoseForm:
+    """A pose that stays.
+
+    Args:
+        time: Seconds of the clip.
+        take: The take that it is of; None is the clip itself.
+        at: Seconds of that take; None is `time`.
+    """
+
+    time: float = 0.0
+    take: str | None = None
+    at: float | None = None
+
+    def __post_init__(self) -> None:
+        TIME.check(self.time)
+        TIME.check(self.at, "at")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangeForm(Drawn):
+    """Takes that are made from one: parts kept and the rest generated, bent to pins, dressed anew, mirrored, trimmed.
+
+    Args:
+        prompt: What is done instead; nothing is generated where it is empty.
+        keep: Parts that stay.
+        span: Seconds from and to which is generated.
+        poses: Poses that stay.
+        apparel: How apparel moves, where that is to change.
+        stiffness: How stiff apparel is.
+        gravity: How strongly what is simulated is drawn downwards.
+        mirror: Left and right are exchanged; nothing else is then changed.
+        trim: Seconds from and to of what stays; all else goes.
+    """
+
+    prompt: str = ""
+    keep: tuple[str, ...] = ()
+    span: tuple[float, ...] | None = None
+    poses: tuple[PoseForm, ...] = ()
+    apparel: Motion | None = None
+    stiffness: float = 1.0
+    gravity: float = 1.0
+    mirror: bool = False
+    trim: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.prompt) > MOST_WORDS:
+            raise OptionError(f"prompt has more than {MOST_WORDS} characters, {len(self.prompt):,}; say it in fewer")
+        if len(self.span or ()) not in (0, 2):
+            raise OptionError("a span is two seconds, from and to")
+        for second in self.span or ():
+            TIME.check(second, "span")
+        for second in self.trim or ():
+            TIME.check(second, "trim")
+        if self.trim and self.trim[0] >= self.trim[1]:
+            raise OptionError("trim is from an earlier second to a later one")
+
+    def request(self, apparel: Apparel) -> Request:
+        """The request of an edit, checked.
+
+        Args:
+            apparel: How the apparel of the take moves.
+
+        Raises:
+            OptionError: Nothing is kept, or the sentence is not understood.
+        """
+        from bunraku.core.body.layout import kept_handles
+
+        if self.keep:
+            kept_handles(self.keep)
+        if not self.keep and not self.span and not self.poses:
+            raise OptionError("nothing is kept: select a span of time, keep parts of the body, or pin poses")
+        span = (self.span[0], self.span[1]) if self.span else None
+        stays = [Keep(self.keep, span)] if self.keep or span else []
+        poses = [Pose(pose.time, pose.take, pose.at) for pose in self.poses]
+        found = Request(
+            self.prompt.strip(), self.sampling(6.0), Constraints((*stays, *poses, *read_pins(self.pins))), apparel,
+            stages_without(self.without), force=self.force,
+        )  # fmt: skip
+        found.check(clip=True)
+        return found.with_parsed()
+
+    def bends(self) -> Constraints:
+        """Its pins, for a take that is bent to them."""
+        return Constraints(read_pins(self.pins))
+
+    def asked(self, apparel: Apparel) -> dict[str, Any]:
+        """What a take's record keeps of it."""
+        kept = ("seeds", "keep", "span", "poses", "pins", "prompt")
+        return {**{name: to_json(getattr(self, name)) for name in kept}, "apparel": apparel.motion,
+                "stiffness": apparel.stiffness, "gravity": apparel.gravity}  # fmt: skip
+
+
+MOST_CLIPS = 100
+"""Takes in one file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipsForm:
+    """Takes that become the clips of one file.
+
+    Args:
+        takes: Their names, in order, each once.
+        fps: Frames a second [1/s].
+        preset: The program that the file is for, one of `files.presets`; "" for a plain GLB. Its rate holds where
+            `fps` is 0.
+    """
+
+    takes: tuple[str, ...] = ()
+    fps: float = 30.0
+    preset: str = ""
+
+    def __post_init__(self) -> None:
+        if self.preset:
+            preset_named(self.preset)
+        if not self.preset or self.fps:
+            FPS.check(self.fps)
+        if not 1 <= len(self.takes) <= MOST_CLIPS or len(set(self.takes)) < len(self.takes):
+            raise OptionError(f"one file has 1 to {MOST_CLIPS} clips, each another take; choose them again")
+
+
+def check_asked(how: object, script: object, asked: object) -> None:
+    """Whether what a project says of a take was requested by a page.
+
+    Args:
+        how: How the take was made.
+        script: Its script.
+        asked: What its record kept of the form.
+
+    Raises:
+        OptionError: It was not.
+    """
+    kept: dict[str, Any] = asked if isinstance(asked, dict) else {}
+    if how == "animate":
+        form = from_json(TakeForm, {**kept, "script": script})
+        read_script(form.script)
+        read_path(form.path or ())
+        read_pins(form.pins)
+    elif how == "edit":
+        read_pins(from_json(ChangeForm, kept).pins)
+    else:
+        from_json(DressForm, {name: kept[name] for name in ("apparel", "stiffness", "gravity") if name in kept})

@@ -1,0 +1,240 @@
+"""What a request brings, checked: JSON within bounds, uploads streamed to disk."""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+import zipfile
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+
+from bunraku.core.files import path_inside, writing
+from bunraku.core.request import Limit, read_json
+from bunraku.errors import BunrakuError, FormatError, OptionError
+from bunraku.files.registry import FORMATS
+from bunraku.studio.projects import copy_entry, open_archive
+from bunraku.studio.state import State
+
+__all__ = [
+    "CHARACTERS",
+    "MOST_BYTES",
+    "MOTIONS",
+    "PROJECTS",
+    "TooLarge",
+    "beside",
+    "body_of",
+    "choice",
+    "number",
+    "plain_name",
+    "ready_character",
+    "receive",
+    "studio_state",
+    "text",
+    "unpack",
+]
+
+
+MOST_BYTES = 200 << 20
+"""Bytes of an upload."""
+MOST_REFUSED = 1 << 30
+"""Bytes of what is refused that are read, and not kept, so that who sends them hears why."""
+MOST_UNPACKED = 600 << 20
+MOST_ENTRIES = 2000
+CHARACTERS = tuple(suffix for one in FORMATS if one.character for suffix in one.suffixes)
+"""Suffixes of what becomes a character."""
+MOTIONS = (".bvh", ".vmd", ".vrma", ".npz", ".npy")
+"""Suffixes of what is a motion and nothing else."""
+PROJECTS = (".bunraku",)
+_BESIDE = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".dds", ".webp", ".sph", ".spa", ".bin", ".mtl", *CHARACTERS)
+
+
+class TooLarge(BunrakuError):
+    """More bytes than are taken."""
+
+
+def plain_name(name: str) -> tuple[str, str]:
+    """A title and a suffix of a client's file name, without its folders; the suffix is lower case."""
+    path = PurePosixPath(name.replace("\\", "/"))
+    title = re.sub(r"[^\w .()-]+", " ", path.stem).strip(" .")[:80] or "character"
+    suffix = path.suffix.lower()
+    return title, suffix if re.fullmatch(r"\.[a-z0-9]{1,8}", suffix) else ""
+
+
+async def receive(request: Request, path: Path, most: int | None = None) -> int:
+    """Write the body of a request to a file and return its size; a file that did not come whole is removed.
+
+    Raises:
+        TooLarge: It has more bytes than are taken.
+        FormatError: The connection broke, there was nothing, or it cannot be written.
+    """
+    most = MOST_BYTES if most is None else most
+    declared = request.headers.get("content-length", "")
+    size, whole, chunks = 0, False, request.stream()
+    try:
+        if declared.isdecimal() and int(declared) > most:
+            raise TooLarge(
+                f"{path.name}: {int(declared) >> 20} MiB are too many, at most {most >> 20} are taken; simplify it"
+            )
+        with writing(path), path.open("wb") as file:
+            async for chunk in chunks:
+                size += len(chunk)
+                if size > most:
+                    raise TooLarge(f"{path.name}: more than {most >> 20} MiB are not taken; simplify it")
+                file.write(chunk)
+        if not size:
+            raise FormatError(path.name, "the file is empty; export it again")
+        if declared.isdecimal() and size != int(declared):
+            raise FormatError(path.name, "it did not come whole; drop it again")
+        whole = True
+    except ClientDisconnect:
+        raise FormatError(path.name, "it did not come whole; drop it again") from None
+    finally:
+        if not whole:
+            path.unlink(missing_ok=True)
+            with suppress(ClientDisconnect):  # who still sends would not hear the answer
+                async for chunk in chunks:
+                    size += len(chunk)
+                    if size > MOST_REFUSED:
+                        break
+    return size
+
+
+def unpack(archive: Path, folder: Path) -> str:
+    """Unpack the character of a ZIP with what lies beside it, and give back its file, relative to the folder.
+
+    Raises:
+        FormatError: The ZIP is broken, unpacks to too much, names a place outside, or holds no character.
+    """
+    found: list[str] = []
+    with open_archive(archive, MOST_ENTRIES, MOST_UNPACKED) as opened:
+        for entry in opened.infolist():
+            if entry.is_dir():
+                continue
+            target = path_inside(folder, _decoded(entry))
+            if target is None:
+                raise FormatError(archive.name, "a file in it is to lie outside of its folder; pack it again")
+            if target.suffix.lower() not in _BESIDE:
+                continue
+            copy_entry(opened, entry, target)
+            if target.suffix.lower() in CHARACTERS:
+                found.append(target.relative_to(folder.resolve()).as_posix())
+    if not found:
+        raise FormatError(archive.name, f"there is no character in it; characters are {', '.join(CHARACTERS)}")
+    return min(found, key=lambda name: (name.count("/"), CHARACTERS.index(Path(name).suffix.lower()), name))
+
+
+def _decoded(entry: zipfile.ZipInfo) -> str:
+    """The name of an entry; ZIPs of MMD models are packed in Japan, whose names are in Shift JIS."""
+    if entry.flag_bits & 0x800:
+        return entry.filename
+    try:
+        return entry.filename.encode("cp437").decode("shift_jis")
+    except UnicodeError:
+        return entry.filename
+
+
+MOST_JSON = 4 << 20
+
+
+def studio_state(request: Request) -> State:
+    """The state behind the routes."""
+    state = request.app.state.studio if hasattr(request.app.state, "studio") else request.scope["app"].state.studio
+    assert isinstance(state, State)
+    return state
+
+
+def ready_character(state: State, name: str) -> dict[str, Any]:
+    """The record of a character that is open.
+
+    Raises:
+        OptionError: It is not.
+        NotThere: There is none.
+    """
+    record = state.store.get("characters", name)
+    if record["state"] != "ready":
+        raise OptionError(f"{record['name']} is not open yet ({record['error'] or record['state']}); wait for it")
+    return record
+
+
+async def body_of(request: Request) -> dict[str, Any]:
+    """The JSON object of a request.
+
+    Raises:
+        OptionError: It is none, or too large.
+    """
+    data = bytearray()
+    async for chunk in request.stream():
+        data += chunk
+        if len(data) > MOST_JSON:
+            raise OptionError(f"a request of more than {MOST_JSON >> 20} MiB is not taken")
+    found = read_json(bytes(data) or b"{}", "the request", MOST_JSON)
+    if not isinstance(found, dict):
+        raise OptionError("the request is no JSON object")
+    return found
+
+
+def beside(handler: Callable[[Request, dict[str, Any]], Any]) -> Callable[[Request], Awaitable[Any]]:
+    """A route that writes to the disk: it is done beside the thread that answers, which goes on however slow the disk
+    is. Such routes are done one after the other, so what one has looked up stays so until it has written.
+
+    Args:
+        handler: Called with the request and the JSON object of its body, empty where it has none.
+    """
+
+    def alone(request: Request, body: dict[str, Any]) -> Any:
+        with studio_state(request).writing:
+            return handler(request, body)
+
+    @functools.wraps(handler)
+    async def route(request: Request) -> Any:
+        body = {} if request.method in ("GET", "DELETE") else await body_of(request)
+        return await run_in_threadpool(alone, request, body)
+
+    return route
+
+
+def number(body: dict[str, object], name: str, limit: Limit, default: float) -> float:
+    """A number of a request, or the default where it says nothing.
+
+    Raises:
+        OptionError: It is no number, or out of range.
+    """
+    value = body.get(name)
+    if value is None:
+        return default
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise OptionError(f"{name} must be a number")
+    limit.check(value, name)
+    return value
+
+
+def text(body: dict[str, object], name: str, most: int, default: str = "") -> str:
+    """A text of a request.
+
+    Raises:
+        OptionError: It is no text, or too long.
+    """
+    value = body.get(name, default)
+    if not isinstance(value, str):
+        raise OptionError(f"{name} must be a text")
+    if len(value) > most:
+        raise OptionError(f"{name} has more than {most} characters")
+    return value
+
+
+def choice(body: dict[str, object], name: str, known: Sequence[str], default: str) -> str:
+    """One of some words.
+
+    Raises:
+        OptionError: It is none of them.
+    """
+    value = body.get(name, default)
+    if value not in known:
+        raise OptionError(f"{name} is one of {', '.join(known)}")
+    return str(value)

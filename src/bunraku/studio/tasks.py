@@ -1,0 +1,219 @@
+"""The tasks of the worker by name, with those that open characters and write files."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import zipfile
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.character import Character
+from bunraku.core.request import from_json
+from bunraku.errors import OptionError
+from bunraku.studio.dressing import WORN, chain_facts, chains_of
+from bunraku.studio.takes import Animate, Bend, Dress, Edit, Mirror, Partly, Play, Preview, Report, Task, Transfer, Trim
+from bunraku.studio.wire import Dressed, save_handles
+from bunraku.studio.workspace import PREVIEWS, Settings, Workspace, apparel_facts, character_facts, opened_character
+
+__all__ = ["CHAINED", "Export", "ExportClips", "FindApparel", "LayChains", "Open", "TASKS", "run_task"]
+
+
+CHAINED = "chains.glb"
+"""The mesh of a character with chains of bones for its apparel, and their springs in the extras."""
+
+
+@dataclass(frozen=True)
+class Open:
+    """Open a character."""
+
+    character: str
+    file: str
+    settings: Settings = field(default_factory=Settings)
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.files import save_character
+        from bunraku.pipelines.animate import rig
+
+        folder = shop.folder_of("characters", self.character)
+        report("read", 0.1)
+        character, taken = opened_character(folder / self.file, self.settings)
+        report("handles", 0.3)
+        handles = rig(character, handles=self.settings.handles)
+        report("write", 0.8)
+        save_character(character, folder / "mesh.glb", handles)
+        for made in ("bones.glb", CHAINED):
+            (folder / made).unlink(missing_ok=True)
+        shutil.rmtree(folder / PREVIEWS, ignore_errors=True)
+        save_handles(handles, folder / "handles.npz")
+        return {**taken, **character_facts(character, handles), "clips": _clips_of(character), "chains": []}
+
+
+@dataclass(frozen=True)
+class FindApparel:
+    """What is longer looked for of a character that is open already."""
+
+    character: str
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        body = shop.body(self.character)
+        report("look", 0.1)
+        worn = shop.folder_of("characters", self.character) / WORN
+        painted = shop.painted(self.character)
+        return {**apparel_facts(body.character, body.anatomy, worn, painted), "painted": painted}
+
+
+@dataclass(frozen=True)
+class LayChains:
+    """Chains of bones over the hair and clothes of a character that is open, with springs for the page."""
+
+    character: str
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.apparel.chains.avatars import vrm_avatar
+        from bunraku.files import save_character
+
+        report("look", 0.1)
+        body = shop.body(self.character)
+        made, why = chains_of(body.anatomy)
+        if made is None:
+            reason = why.removeprefix(f"{body.character.name}: ").partition(";")[0]
+            return {"chains": [], "unchained": f"{reason}; paint what is hair and clothes"}
+        report("springs", 0.4)
+        path = shop.folder_of("characters", self.character) / CHAINED
+        save_character(made.character, path, rig=True, avatar=vrm_avatar(made))
+        return {"chains": chain_facts(made), "unchained": ""}
+
+
+def _clips_of(character: Character) -> list[str]:
+    """Names of the clips that the character's file brings."""
+    from bunraku.files.clips import clip_names
+    from bunraku.files.gltf.read import Source
+
+    source = character.source
+    return clip_names(source.document)[:50] if isinstance(source, Source) and character.rig is not None else []
+
+
+BODIES = (".bvh", ".vrma", ".vmd", ".npz")
+"""Formats of the motion of a body, in which apparel has no place."""
+
+
+@dataclass(frozen=True)
+class Export:
+    """A take as a file of another program."""
+
+    character: str
+    export: str
+    file: str
+    take: str
+    fps: float = 30.0
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.files.registry import check_writer
+
+        target = shop.folder_of("exports", self.export) / self.file
+        check_writer(target)
+        report("write", 0.1)
+        take = shop.take(self.take, self.character)
+        options = {} if target.suffix in (".npz", ".vmd") else {"fps": self.fps}
+        if isinstance(take, Dressed):
+            shown = take.points if take.bones is None else take.bones
+            (take.body if target.suffix in BODIES else shown).save(target, **options)
+        else:
+            take.save(target, **options)
+        return {"export": self.export, "bytes": target.stat().st_size}
+
+
+@dataclass(frozen=True)
+class ExportClips:
+    """Several takes of a character as the clips of one file, or of a ZIP of as many as a program wants."""
+
+    character: str
+    export: str
+    file: str
+    takes: tuple[str, ...]
+    names: tuple[str, ...]
+    fps: float = 30.0
+    preset: str = ""
+    title: str = "clips"
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.files.presets import preset_named, save_clips, save_for
+
+        target = shop.folder_of("exports", self.export) / self.file
+        clips: dict[str, Animation | RigAnimation] = {}
+        character: Character | None = None
+        for number, (take, name) in enumerate(zip(self.takes, self.names, strict=True)):
+            report("read", number / len(self.takes))
+            found = shop.take(take, self.character)
+            if isinstance(found, Dressed):
+                raise OptionError(
+                    "apparel that moves on its own has no place among several clips; download those alone"
+                )
+            character = character or found.character
+            clips[name] = replace(found, character=character)  # each was read with a copy of it
+        if self.preset:
+            clips = _named(clips, shop, self.character, preset_named(self.preset).skeleton)
+        if not self.preset:
+            save_clips(clips, target, fps=self.fps)
+        elif target.suffix == ".zip":
+            with tempfile.TemporaryDirectory(dir=target.parent) as folder:
+                named = Path(folder, f"{self.title}{preset_named(self.preset).suffix}")
+                with zipfile.ZipFile(target, "w") as archive:
+                    for file in save_for(self.preset, clips, named, fps=self.fps or None):
+                        archive.write(file, file.name)
+        else:
+            save_for(self.preset, clips, target, fps=self.fps or None)
+        return {"export": self.export, "bytes": target.stat().st_size}
+
+
+def _named(
+    clips: dict[str, Animation | RigAnimation], shop: Workspace, character: str, names: str
+) -> dict[str, Animation | RigAnimation]:
+    """Clips of a person by its handles, on a tree of joints with a program's names; others as they are."""
+    from bunraku.retarget.engine_skeleton import carried, on_skeleton
+
+    moved = {name: clip for name, clip in clips.items() if isinstance(clip, Animation)}
+    body = shop.body(character) if len(moved) == len(clips) else None
+    if body is None or not body.takes_skeleton:
+        return clips
+    skeleton = on_skeleton(body.anatomy, names)
+    return {name: carried(clip, body.anatomy, skeleton) for name, clip in moved.items()}
+
+
+TASKS: dict[str, type[Task]] = {
+    "open": Open,
+    "find-out": FindApparel,
+    "lay-chains": LayChains,
+    "animate": Animate,
+    "edit": Edit,
+    "bend": Bend,
+    "dress": Dress,
+    "mirror": Mirror,
+    "trim": Trim,
+    "transfer": Transfer,
+    "play": Play,
+    "preview": Preview,
+    "export": Export,
+    "export-clips": ExportClips,
+}
+
+
+def run_task(shop: Workspace, task: str, params: object, report: Report, partly: Partly) -> dict[str, Any]:
+    """Run a task of `TASKS`.
+
+    Args:
+        shop: What it works with.
+        task: Its name.
+        params: Its JSON form.
+        report: Called with a stage's name and the share done.
+        partly: Called with what is there before the end.
+
+    Raises:
+        OptionError: There is no such task, or it cannot be done.
+    """
+    if task not in TASKS:
+        raise OptionError(f"there is no task '{task}'")
+    return from_json(TASKS[task], params, f"the task {task}")(shop, report, partly)

@@ -1,1 +1,0 @@
-"""What the worker does: open a character, make takes, change them, carry a motion over, play clips, write files."""

@@ -1,0 +1,260 @@
+"""The worker's state: files opened as characters, the latest of them in memory, takes from disk."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.handles.orientation import ResolvedAxes, resolve_axes
+from bunraku.core.animation import RigAnimation
+from bunraku.core.character import Character, Handles
+from bunraku.core.files import MAX_BYTES, atomic_write
+from bunraku.errors import BunrakuError, CharacterError, OptionError
+from bunraku.files import load_character
+from bunraku.files.gltf.read import turned
+from bunraku.files.registry import in_metres, resolve_unit
+from bunraku.pipelines.animator import Body
+from bunraku.studio.dressing import painted_file
+from bunraku.studio.wire import Dressed, Take, body_of, load_handles, load_take, packed_clip, save_take
+
+__all__ = ["MAX_VERTICES", "PREVIEWS", "Settings", "Workspace", "apparel_facts", "character_facts", "opened_character"]
+
+
+_log = logging.getLogger(__name__)
+MAX_VERTICES = 1_000_000
+"""A browser draws more only on a large machine."""
+assert MAX_BYTES  # the bound of files on disk; uploads have a smaller one
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a file is taken.
+
+    Args:
+        up, front: Axes of the file, or "auto".
+        unit: Its unit, or "auto".
+        handles: "predict" them from the shape, or take those of the file's "rig".
+    """
+
+    up: str = "auto"
+    front: str = "auto"
+    unit: str = "auto"
+    handles: Literal["predict", "rig"] = "predict"
+
+
+def opened_character(path: Path, settings: Settings) -> tuple[Character, dict[str, Any]]:
+    """The character of a file in metres, standing along +Y and facing +Z, and what was taken for granted on the way.
+
+    Raises:
+        FormatError: The file cannot be read.
+        CharacterError: It holds no usable mesh, or too many vertices.
+        OptionError: The unit or the axes cannot be.
+    """
+    from bunraku.core.geometry.axes import axis_name
+
+    for axis in (settings.up, settings.front):
+        if axis != "auto":
+            axis_name(axis)
+    if settings.up != "auto" and settings.front != "auto" and settings.up[1] == settings.front[1]:
+        raise OptionError("up and front lie along the same axis; choose two at a right angle")
+    character = load_character(path, unit="m")
+    if len(character.vertices) > MAX_VERTICES:
+        raise CharacterError(
+            f"{path.name}: {len(character.vertices):,} vertices are more than the studio shows ({MAX_VERTICES:,}); "
+            "simplify the mesh, or use the command line"
+        )
+    found = resolve_axes(character, settings.up, settings.front)
+    standing = turned(character, found.up, found.front)
+    suffix = str(getattr(standing.source, "suffix", ""))
+    unit = resolve_unit(standing.height, suffix, settings.unit)
+    character, _ = in_metres(standing, settings.unit, "+y")
+    return character, {"axes": _axes(found), "unit": {"unit": unit.unit, "likely": unit.likely, "note": unit.note}}
+
+
+def _axes(found: ResolvedAxes) -> dict[str, Any]:
+    """The axes that were taken, how sure that is, and what else it could be."""
+    guess, taken = found.guess, (found.up, found.front)
+    out: dict[str, Any] = {"up": found.up, "front": found.front, "sure": 1.0, "other": None}
+    if guess is None:
+        return out
+    out["sure"] = round(guess.probability(*taken), 3)
+    out["other"] = list((guess.up, guess.front) if taken != (guess.up, guess.front) else guess.next_best(*taken))
+    return out
+
+
+def _has_skeleton(character: Character) -> bool:
+    """Whether the bones of the file are understood, so that they can be moved."""
+    from bunraku.retarget.rig_parts import understood_rig
+
+    try:
+        return character.rig is not None and understood_rig(character) is not None
+    except CharacterError:
+        return False
+
+
+def apparel_facts(character: Character, anatomy: Anatomy, worn: Path, painted: bool = False) -> dict[str, Any]:
+    """What a page shows of a character and is longer looked for: apparel, and where hands and feet are.
+
+    Args:
+        character: The character.
+        anatomy: Of it.
+        worn: The file that gets which vertices are apparel.
+        painted: Whether somebody painted them, so that they are not what is found.
+
+    Raises:
+        FormatError: That cannot be written.
+    """
+    from bunraku.retarget.pins import limb_ends
+    from bunraku.studio.dressing import apparel_mask_of, has_apparel, save_worn
+
+    try:
+        mask = apparel_mask_of(character, anatomy.handles)
+    except Exception:  # clothes that nobody finds are no reason not to open a character
+        _log.exception("apparel could not be looked for")
+        mask = None
+    if not worn.is_file() or not painted:
+        save_worn(character, mask, worn)  # what is painted is not what was found
+    ends = [
+        {"part": end.part, "handle": end.handle, "point": np.round(end.point, 5).tolist()} for end in limb_ends(anatomy)
+    ]
+    return {"apparel": has_apparel(mask), "ends": ends}
+
+
+def character_facts(character: Character, handles: Handles) -> dict[str, Any]:
+    """What a page shows of a character."""
+    from bunraku.anatomy.names.bone_names import rig_handles
+    from bunraku.apparel.physics.rig import apparel_rig
+    from bunraku.core.avatars import mmd_model
+
+    try:
+        usable = character.rig is not None and rig_handles(character) is not None
+    except CharacterError:
+        usable = False
+    try:
+        physics = apparel_rig(character) is not None
+    except Exception:  # broken physics are no reason not to open a character
+        physics = False
+    low, high = character.vertices[character.surface].min(axis=0), character.vertices[character.surface].max(axis=0)
+    used = np.flatnonzero(handles.weights.max(axis=0) > 0.01)
+    return {
+        "vertices": len(character.vertices),
+        "faces": len(character.faces),
+        "height": round(character.height, 4),
+        "bounds": [low.astype(float).round(4).tolist(), high.astype(float).round(4).tolist()],
+        "joints": 0 if character.rig is None else len(character.rig.names),
+        "rig": usable,
+        "physics": physics,
+        "skeleton": _has_skeleton(character),
+        "mmd": mmd_model(character) is not None,
+        "roles": handles.played.tolist(),
+        "positions": handles.positions.astype(float).round(5).tolist(),
+        "used": used.tolist(),
+    }
+
+
+PREVIEWS = "clips"
+"""The folder of a character that holds how clips of the library look on it."""
+KEPT = 4
+"""Characters that stay in memory."""
+
+
+class Workspace:
+    """The latest characters, and the files of all things.
+
+    Args:
+        folder: The studio's.
+    """
+
+    def __init__(self, folder: str):
+        self.folder = Path(folder)
+        self._open: OrderedDict[tuple[str, int], tuple[Character, Handles]] = OrderedDict()
+        self._bodies: OrderedDict[str, Body] = OrderedDict()
+
+    def warm_up(self) -> None:
+        """Load the networks, so that the first user does not wait for them."""
+        from bunraku.files.samples import sample_character
+        from bunraku.pipelines.animator import Animator
+        from bunraku.pipelines.requests import Request, Sampling
+
+        try:
+            Animator.shipped()(sample_character("person"), Request("walks", Sampling(2, steps=2, candidates=2)))
+        except BunrakuError as error:  # it will be reported where it matters
+            logging.getLogger(__name__).warning("%s", error)
+
+    def folder_of(self, kind: str, name: str) -> Path:
+        """The folder of a thing; names are those that the store gave."""
+        return self.folder / kind / name
+
+    def character(self, name: str) -> tuple[Character, Handles]:
+        """A character that was opened, with its handles."""
+        folder = self.folder_of("characters", name)
+        handles_file = folder / "handles.npz"
+        try:
+            stamp = handles_file.stat().st_mtime_ns
+            record = json.loads((folder / "record.json").read_text(encoding="utf-8"))
+        except OSError:
+            raise OptionError("this character is not open; open its file again") from None
+        key = (name, stamp)
+        if key not in self._open:
+            character, _ = opened_character(folder / record["file"], Settings(**record["settings"]))
+            self._open[key] = replace(character, name=record["name"][:60]), load_handles(handles_file)
+            while len(self._open) > KEPT:
+                self._open.popitem(last=False)
+        self._open.move_to_end(key)
+        return self._open[key]
+
+    def painted(self, name: str) -> bool:
+        """Whether somebody painted what of a character is hair and clothes."""
+        folder = self.folder_of("characters", name)
+        record = json.loads((folder / "record.json").read_text(encoding="utf-8"))
+        return painted_file(folder / record["file"]).is_file()
+
+    def body(self, name: str) -> Body:
+        """A character that was opened, with what is known of its handles' anatomy worked out once."""
+        character, handles = self.character(name)
+        if name not in self._bodies or self._bodies[name].character is not character:
+            anatomy = Anatomy.of(character, handles).measured()
+            self._bodies[name] = Body(character, handles.features, anatomy)
+            while len(self._bodies) > KEPT:
+                self._bodies.popitem(last=False)
+        return self._bodies[name]
+
+    def take(self, name: str, owner: str) -> Take:
+        """A take that is finished, of a character."""
+        path = self.folder_of("takes", name) / "motion.npz"
+        if not path.is_file():
+            raise OptionError("that take is not finished, or is gone; choose another one")
+        return load_take(path, *self.character(owner))
+
+    def keep(self, take: Take, name: str, owner: str, draft: bool = False) -> dict[str, Any]:
+        """Write a take's files; what its record learns."""
+        folder = self.folder_of("takes", name)
+        clip = "draft.bin" if draft else "clip.bin"
+        shown = take.points if isinstance(take, Dressed) else take
+        with atomic_write(folder / clip) as file:
+            file.write(packed_clip(take))
+        skin = "bones" if isinstance(body_of(take), RigAnimation) else "handles"
+        if not draft:
+            save_take(take, folder / "motion.npz")
+            mesh = self.folder_of("characters", owner) / "bones.glb"
+            if skin == "bones" and not mesh.is_file():
+                from bunraku.files import save_character
+
+                save_character(shown.character, mesh, shown.handles)
+        return {
+            "clip": clip,
+            "skin": skin,
+            "fps": float(take.fps),
+            "frames": len(shown.motion),
+            "seconds": round(len(shown.motion) / take.fps, 4),
+            "stiffness": take.stiffness if isinstance(take, Dressed) else None,
+            "gravity": take.gravity if isinstance(take, Dressed) else None,
+            "worn": take.motion if isinstance(take, Dressed) else None,
+        }

@@ -1,1 +1,0 @@
-"""What the worker works with: characters that are open, takes on disk and on the wire, apparel."""

@@ -1,0 +1,310 @@
+"""Faults of simulated apparel: parts inside the body, which are measured and pushed out, and hems that stay up; and the
+facts by which apparel data are compared with real files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import igl
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from bunraku.apparel.body import BodyVolume, body_points, eq4_transforms
+from bunraku.apparel.clothed import ClothedCharacter
+from bunraku.apparel.learned.player import Carrier, Safety, SafetySettings
+from bunraku.apparel.nodes import apparel_nodes
+from bunraku.core.body.layout import JOINT_NAMES
+from bunraku.core.skinning import skin
+from bunraku_lab.datasets.apparel.shards import ApparelData
+
+__all__ = [
+    "ApparelFacts",
+    "DEEP",
+    "Insides",
+    "PushOut",
+    "apparel_facts",
+    "deep_inside",
+    "facts_table",
+    "inside_shares",
+    "pushed_out_clips",
+    "standing_out",
+    "sway_frequency",
+    "unclothed",
+]
+
+
+DEEP = 0.01
+"""Vertices deeper than this are counted [m]."""
+
+
+def deep_inside(body: BodyVolume, vertices: np.ndarray, points: np.ndarray, depth: float = DEEP) -> np.ndarray:
+    """Which points are deeper than this inside a body, shape (P,), bool.
+
+    Args:
+        body: Its faces are taken.
+        vertices: Of the body in this frame [m], shape (B, 3).
+        points: Shape (P, 3).
+        depth: [m].
+    """
+    vertices, points = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(points, np.float64)
+    out = np.abs(igl.fast_winding_number(vertices, body.faces, points)) > 0.5
+    inside = np.flatnonzero(out)
+    if len(inside):
+        out[inside] = igl.point_mesh_squared_distance(points[inside], vertices, body.faces)[0] > depth * depth
+    return np.asarray(out)
+
+
+HIPS = [JOINT_NAMES.index("left_hip"), JOINT_NAMES.index("right_hip")]
+CALM = np.radians(25)
+"""Angle between thighs and pelvis under which a leg is not raised [rad]."""
+SETTLED = 15
+"""Frames for which legs are calm before a hem that is still up stands out."""
+UPRIGHT = 0.95
+UP = 0.06
+"""How much higher than at rest a hem is, over the character's size."""
+STILL = 0.15
+"""Speed under which it hangs there [m/s]."""
+LEAST_SHARE = 0.03
+"""Share of what hangs from the pelvis that must stand out for a frame to count."""
+
+
+def standing_out(
+    clothed: ClothedCharacter, transforms: np.ndarray, loose: np.ndarray, offsets: np.ndarray, fps: float = 30.0
+) -> float:
+    """Share of the frames with calm legs in which apparel that hangs from the pelvis stands out; 0 where there is none.
+
+    Args:
+        clothed: The character.
+        transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
+        loose: Vertices that leave their joints, shape (M,).
+        offsets: By how much [m], shape (N, M, 3).
+        fps: Frames a second.
+    """
+    hung = (
+        clothed.apparel[loose] & (clothed.weights[loose].argmax(axis=1) == 0)
+        & (clothed.rest[loose, 1] < clothed.joints[0, 1])
+    )  # fmt: skip
+    turn = np.asarray(transforms[:, 0, :, :3], np.float32)
+    thighs = np.einsum("nba,njbc->njac", turn, transforms[:, HIPS, :, :3])
+    angle = np.arccos(np.clip((np.trace(thighs, axis1=2, axis2=3) - 1) / 2, -1, 1)).max(axis=1)
+    calm = (angle < CALM) & (turn[:, 1, 1] > UPRIGHT)
+    settled = np.convolve(calm, np.ones(SETTLED + 1), "full")[: len(calm)] > SETTLED
+    if not hung.any() or not settled.any():
+        return 0.0
+    away = np.einsum("nba,nmb->nma", turn, offsets[:, hung].astype(np.float32))
+    speed = np.linalg.norm(np.gradient(away, axis=0), axis=2) * fps
+    up = (away[..., 1] > UP * clothed.scale) & (speed < STILL)
+    return float((up[settled].mean(axis=1) > LEAST_SHARE).mean())
+
+
+NODES = 512
+POINTS = 2000  # of the body
+PASSES = 6
+SMOOTH = 0.05
+"""Of the push in time, standard deviation [s]."""
+SETTINGS = SafetySettings(clear=0.004, slack=0.004, spread=0.07, most=0.2)
+Insides = tuple[float, float, float]
+
+
+class PushOut:
+    """The push for the clips of one character.
+
+    Args:
+        clothed: The character.
+        fps: Frames a second [1/s].
+    """
+
+    def __init__(self, clothed: ClothedCharacter, fps: float = 30.0):
+        self.clothed, self.fps = clothed, fps
+        self.safety: Safety | None = None
+        if clothed.apparel.any():
+            self.nodes = apparel_nodes(clothed, NODES)
+            self.carrier = Carrier(clothed, self.nodes)
+            self.safety = Safety(clothed, self.nodes, body_points(clothed, POINTS), self.carrier, SETTINGS)
+
+    def __call__(self, transforms: np.ndarray, loose: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        """The offsets of a clip with its apparel out of the body [m], shape (N, M, 3), of the type that they had.
+
+        Args:
+            transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
+            loose: Vertices that have offsets, shape (M,).
+            offsets: How far they are from what the joints alone give [m], shape (N, M, 3).
+        """
+        if self.safety is None or self.safety.depth is None:
+            return offsets
+        clothed, nodes = self.clothed, self.nodes
+        numbering = np.full(len(clothed.rest), -1)
+        numbering[loose] = np.arange(len(loose))
+        affine = eq4_transforms(transforms, clothed.joints)
+        turns = affine[:, nodes.joint, :, :3]
+        of_nodes = numbering[nodes.vertex]
+        start = np.array(skin(nodes.rest, nodes.weights, affine))
+        start[:, of_nodes >= 0] += offsets[:, of_nodes[of_nodes >= 0]].astype(np.float32)
+        push, ways = np.zeros_like(start), []
+        for frame, positions in enumerate(start):
+            ways.append(self.safety.unposed(positions, affine[frame]))
+            moved = positions
+            for _ in range(PASSES):
+                moved = self.safety.outside(moved, ways[-1])
+            push[frame] = (turns[frame].transpose(0, 2, 1) * (moved - positions)[:, None, :]).sum(axis=-1)
+        push = gaussian_filter1d(push, SMOOTH * self.fps, axis=0, mode="nearest")
+        # apparel without offsets goes with its joint, and so it stays
+        moving = np.flatnonzero(numbering[self.carrier.vertices] >= 0)
+        chosen = self.carrier.vertices[moving]
+        columns, index, share = numbering[chosen], self.carrier.index[moving], self.carrier.share[moving]
+        carried = skin(clothed.rest[chosen], clothed.weights[chosen], affine)
+        everywhere = np.zeros((len(self.carrier.vertices), 3), np.float32)
+        out = np.array(offsets)
+        for frame, unposed in enumerate(ways):
+            own = (turns[frame] * push[frame][:, None, :]).sum(axis=-1)
+            everywhere[moving] = carried[frame] + offsets[frame, columns] + (share[..., None] * own[index]).sum(axis=1)
+            out[frame, columns] = self.safety.vertices(everywhere, unposed)[moving] - carried[frame]
+        return out
+
+
+def inside_shares(
+    clothed: ClothedCharacter,
+    transforms: np.ndarray,
+    loose: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    most: int = 600,
+) -> Insides:
+    """Share of the apparel vertices deeper than 1 cm in the body, of those that are not so at rest, mean over the
+    frames: of rigid apparel, of some offsets, and of others.
+
+    Args:
+        clothed: The character.
+        transforms: `[R | t]` of its joints, shape (N, 22, 3, 4).
+        loose: Vertices that have offsets, shape (M,).
+        before, after: Their offsets [m], shape (N, M, 3).
+        most: Vertices that are looked at.
+
+    Raises:
+        CharacterError: All of the character is apparel.
+    """
+    volume = BodyVolume.of_mesh(clothed.rest, clothed.faces, clothed.weights, clothed.apparel, "the mesh")
+    cloth = np.flatnonzero(clothed.apparel)
+    cloth = cloth[np.linspace(0, len(cloth) - 1, min(most, len(cloth))).astype(np.int64)]
+    cloth = cloth[~deep_inside(volume, volume.rest, clothed.rest[cloth])]
+    if not len(cloth):
+        return 0.0, 0.0, 0.0
+    affine = eq4_transforms(transforms, clothed.joints)
+    rigid = skin(clothed.rest[cloth], clothed.weights[cloth], affine)
+    index = np.full(len(clothed.rest), -1)
+    index[loose] = np.arange(len(loose))
+    rows = index[cloth]
+    clouds = [np.array(rigid) for _ in range(3)]
+    for cloud, offsets in zip(clouds[1:], (before, after), strict=True):
+        cloud[:, rows >= 0] += offsets[:, rows[rows >= 0]].astype(np.float32)
+    bodies = volume.posed(affine)
+    deep = [
+        deep_inside(volume, body, np.concatenate([cloud[frame] for cloud in clouds]))
+        for frame, body in enumerate(bodies)
+    ]
+    return tuple(np.reshape(deep, (len(bodies), 3, -1)).mean(axis=(0, 2)).tolist())
+
+
+def pushed_out_clips(
+    clothed: ClothedCharacter,
+    transforms: np.ndarray,
+    loose: np.ndarray,
+    offsets: np.ndarray,
+    clips: Sequence[Mapping[str, Any]],
+) -> np.ndarray:
+    """The offsets of a character's clips with its apparel out of its body, shape (N, M, 3).
+
+    Args:
+        clothed: The character.
+        transforms, loose, offsets: As of `Recording`.
+        clips: Where each begins ("first") and how long it is ("frames").
+    """
+    push = PushOut(clothed)
+    spans = [slice(clip["first"], clip["first"] + clip["frames"]) for clip in clips]
+    return np.concatenate([push(transforms[span], loose, offsets[span]) for span in spans])
+
+
+def unclothed(
+    rest: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray, part: np.ndarray
+) -> ClothedCharacter:
+    """A clothed character of whose springs nothing is said."""
+    none = np.zeros(int(part.max(initial=-1)) + 1, np.float32)
+    return ClothedCharacter(rest, faces, joints, weights, apparel.astype(bool), part, none, none)
+
+
+MOST_VERTICES = 200  # vertices of a character that are looked at
+
+
+@dataclass(frozen=True)
+class ApparelFacts:
+    """A character of a data set, in its first clip.
+
+    Args:
+        name: Of the character.
+        share: Of its vertices that is apparel.
+        parts: Parts of its apparel.
+        offset: Root mean square of how far apparel is from rigid motion [cm].
+        frequency: Centroid of the spectrum of that [1/s].
+        spring: Median stiffness of the parts' joints [N m / rad].
+        stands_out: Share of the frames with calm legs in which its hem stands out.
+    """
+
+    name: str
+    share: float
+    parts: float
+    offset: float
+    frequency: float
+    spring: float
+    stands_out: float
+
+
+def apparel_facts(data: ApparelData) -> list[ApparelFacts]:
+    """The facts of every character of a data set.
+
+    Raises:
+        FormatError: A shard is damaged.
+    """
+    out = []
+    for clip in {clip.character: clip for clip in reversed(data.clips)}.values():
+        character, shard = data.character(clip), data.shard(clip.shard)
+        cloth = np.flatnonzero(character.apparel[character.loose])
+        some = cloth[np.linspace(0, len(cloth) - 1, min(MOST_VERTICES, len(cloth))).astype(np.int64)]
+        span = clip.first, clip.first + clip.frames
+        loose = shard.frames("offsets", *span)
+        away = loose[:, some].astype(np.float64)
+        clothed = unclothed(
+            character.rest, character.faces, character.joints, character.weights, character.apparel, character.part
+        )
+        out.append(
+            ApparelFacts(
+                character.name, float(character.apparel.mean()), float(len(character.spring)),
+                100 * float(np.sqrt(np.square(away).sum(axis=-1).mean())) if len(some) else 0.0,
+                sway_frequency(away, data.fps), float(np.median(character.spring)),
+                standing_out(clothed, shard.frames("transforms", *span), character.loose, loose, data.fps),
+            )
+        )  # fmt: skip
+    return out
+
+
+def sway_frequency(offsets: np.ndarray, fps: float) -> float:
+    """Centroid of the power spectrum of offsets about their means [1/s], shape (N, V, 3); 0 where nothing moves."""
+    power = np.square(np.abs(np.fft.rfft(offsets - offsets.mean(axis=0), axis=0))).sum(axis=(1, 2))
+    rates = np.fft.rfftfreq(len(offsets), 1 / fps)
+    return float(power @ rates / power.sum()) if power.sum() > 0 else 0.0
+
+
+def facts_table(facts: Sequence[ApparelFacts]) -> str:
+    """Lines of the 5th, 25th, 50th, 75th and 95th percentile of each fact."""
+    columns = {
+        "share of vertices [%]": [100 * one.share for one in facts], "parts": [one.parts for one in facts],
+        "offset, RMS [cm]": [one.offset for one in facts], "frequency [1/s]": [one.frequency for one in facts],
+        "spring [N m / rad]": [one.spring for one in facts],
+        "hem stands out [%]": [100 * one.stands_out for one in facts],
+    }  # fmt: skip
+    lines = [f"{len(facts)} characters{'':<14}" + "".join(f"{f'{percent} %':>9}" for percent in (5, 25, 50, 75, 95))]
+    for name, values in columns.items():
+        lines.append(f"{name:<25}" + "".join(f"{value:9.3g}" for value in np.percentile(values, (5, 25, 50, 75, 95))))
+    return "\n".join(lines)

@@ -1,0 +1,360 @@
+"""The networks of apparel (section 4 of MMDMC): the segmentation network f_c, and the displacement network f_d with its
+head that cannot drift and its recurrent part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from bunraku.apparel.learned.features import BASIS, GLOBAL
+from bunraku.apparel.learned.network import (
+    CHANGE,
+    KEEP,
+    MOTION,
+    MOTION_HIDDEN,
+    NODE_INPUT,
+    OWN_STATE,
+    SET,
+    SHARE,
+    WORLD_STATE,
+    DisplacementConfig,
+)
+from bunraku.apparel.learned.segmentation import POINT_FEATURES, SampledMesh, SegmentationConfig
+from bunraku.core.nn.checkpoints import config_of
+from bunraku_lab.nn.checkpoints import load_network, save_network
+from bunraku_lab.nn.graph import EdgeBlock, NodeGraph, node_graph
+
+__all__ = [
+    "AnchorHead",
+    "DisplacementNetwork",
+    "Inputs",
+    "NodeEncoder",
+    "Past",
+    "RecurrentPart",
+    "SegmentationNetwork",
+    "load_displacement",
+    "load_segmentation",
+    "mesh_block",
+    "node_state",
+    "past_of_states",
+    "save_displacement",
+    "save_segmentation",
+]
+
+
+class Inputs:
+    """Features of M nodes in one frame each.
+
+    Args:
+        static_vectors: Shape (M, STATIC_VECTORS, 3).
+        static_scalars: Shape (M, STATIC_SCALARS).
+        vectors: Shape (M, VECTORS, 3).
+        scalars: Shape (M, SCALARS).
+        whole: Of each character, shape (B, GLOBAL).
+        graph: Of all nodes.
+    """
+
+    def __init__(
+        self, static_vectors: torch.Tensor, static_scalars: torch.Tensor, vectors: torch.Tensor, scalars: torch.Tensor,
+        whole: torch.Tensor, graph: NodeGraph,
+    ):  # fmt: skip
+        self.static_vectors, self.static_scalars, self.vectors, self.scalars = (
+            static_vectors, static_scalars, vectors, scalars,
+        )  # fmt: skip
+        self.whole, self.graph = whole, graph
+
+    def nodes(self) -> torch.Tensor:
+        """All numbers of each node, shape (M, NODE_INPUT)."""
+        return torch.cat(
+            [self.static_vectors.flatten(1), self.static_scalars, self.vectors.flatten(1), self.scalars], dim=1
+        )
+
+
+class NodeEncoder(nn.Module):
+    """Features of nodes through an MLP and edge convolutions.
+
+    Args:
+        extra: Numbers of each node beside those of `Inputs`.
+        width: Channels.
+        blocks: Edge convolutions.
+        motion: Channels of the encoded motion f_t(T).
+    """
+
+    mean: torch.Tensor
+    std: torch.Tensor
+
+    def __init__(self, extra: int = 0, width: int = 96, blocks: int = 2, motion: int = MOTION):
+        super().__init__()
+        count = NODE_INPUT + extra
+        self.register_buffer("mean", torch.zeros(count))
+        self.register_buffer("std", torch.ones(count))
+        self.motion = nn.Sequential(nn.Linear(GLOBAL, MOTION_HIDDEN), nn.GELU(), nn.Linear(MOTION_HIDDEN, motion))
+        self.enter = nn.Sequential(
+            nn.Linear(count + motion, width), nn.GELU(), nn.Linear(width, width), nn.LayerNorm(width)
+        )  # without the norm the features grow a hundredfold in training, and the decoder dies
+        self.blocks = nn.ModuleList(EdgeBlock(width) for _ in range(blocks))
+
+    def forward(self, nodes: torch.Tensor, inputs: Inputs) -> torch.Tensor:
+        """Shape (M, NODE_INPUT + extra) -> (M, width)."""
+        known = ((nodes - self.mean) / self.std).clamp(-6, 6)
+        x: torch.Tensor = self.enter(torch.cat([known, self.motion(inputs.whole)[inputs.graph.owner]], dim=1))
+        for block in self.blocks:
+            x = block(x, inputs.graph)
+        return x
+
+
+class AnchorHead(nn.Module):
+    """The head.
+
+    Args:
+        width, blocks: As in `NodeEncoder`.
+    """
+
+    def __init__(self, width: int = 96, blocks: int = 2):
+        super().__init__()
+        self.encoder = NodeEncoder(0, width, blocks)
+        last = nn.Linear(width, BASIS + 3)
+        self.decoder = nn.Sequential(nn.Linear(width, width), nn.GELU(), last)
+        nn.init.normal_(last.weight, 0, 1e-3)
+        nn.init.zeros_(last.bias)
+
+    def forward(self, inputs: Inputs) -> torch.Tensor:
+        """Displacement of each node in the frame of its carrying joint, over the character's size, shape (M, 3)."""
+        out = self.decoder(self.encoder(inputs.nodes(), inputs))
+        share = SHARE * torch.tanh(out[:, :BASIS])
+        mixed: torch.Tensor = torch.einsum("mk,mka->ma", share, inputs.vectors[:, :BASIS]) + out[:, BASIS:]
+        return mixed
+
+
+BEGIN = (3.0, -0.8, -1.6, -0.2, 0.0, 0.0, 0.0)
+"""What the decoder says before it has learned: about the best linear prediction of the wardrobe's apparel."""
+SPREADS = (0.02, 0.005, 0.003, 0.02, 0.03, 0.006, 0.005, 0.01)
+"""What the encoder divides by: difference, velocity, acceleration, inertia, lag, own change, head's change, speed."""
+
+
+@dataclass
+class Past:
+    """The last three states.
+
+    Args:
+        rest: Difference from the head (frame="joint"), in the frame of the carrying joint, or position from the pelvis
+            (frame="world"), newest first, shape (3, M, 3).
+        whole: The last two displacements that were given out, in the frame of the carrying joint, newest first, shape
+            (2, M, 3).
+        positions: Positions of the last two frames in the world, newest first, shape (2, M, 3).
+    """
+
+    rest: torch.Tensor
+    whole: torch.Tensor
+    positions: torch.Tensor
+
+
+def past_of_states(
+    part: RecurrentPart, states: torch.Tensor, heads: torch.Tensor, turns: torch.Tensor, positions: torch.Tensor
+) -> Past:
+    """The past after three frames whose displacements are known.
+
+    Args:
+        part: The network that goes on from it.
+        states: Displacements, in the frames of the carrying joints, oldest first, shape (3, M, 3).
+        heads: What the head says of these frames, shape (3, M, 3).
+        turns: Frames of the carrying joints, shape (3, M, 3, 3).
+        positions: Carried positions, as `RecurrentPart.forward` takes them, shape (3, M, 3).
+    """
+    world = positions + torch.einsum("fmab,fmb->fma", turns, states)
+    rest = world if part.world else states - heads
+    return Past(rest.flip(0), states.flip(0)[:2], world.flip(0)[:2])
+
+
+def node_state(past: torch.Tensor) -> torch.Tensor:
+    """State, velocity and acceleration of each node, of its last three states [MMDMC 12], shape (3, M, 3) -> (M, 9).
+
+    The global feature f_t(T) joins them in `NodeEncoder`.
+    """
+    now, before, early = past
+    return torch.cat([now, now - before, now - 2 * before + early], dim=1)
+
+
+class RecurrentPart(nn.Module):
+    """The network f_d.
+
+    Args:
+        width, blocks: As in `NodeEncoder`.
+        world: Whether it is the paper's form.
+    """
+
+    def __init__(self, width: int = 64, blocks: int = 2, world: bool = False):
+        super().__init__()
+        self.world = world
+        self.encoder = NodeEncoder(WORLD_STATE if world else OWN_STATE, width, blocks)
+        last = nn.Linear(width, 3 if world else SET)
+        self.decoder = nn.Sequential(nn.Linear(width, width), nn.GELU(), last)
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+        spreads = torch.tensor([0.1] * WORLD_STATE if world else [*np.repeat(SPREADS[:-1], 3), SPREADS[-1]])
+        self.encoder.std[-len(spreads) :] = spreads
+        if not world:
+            with torch.no_grad():
+                last.bias.copy_(torch.tensor(BEGIN))
+
+    def forward(
+        self, inputs: Inputs, past: Past, anchor: torch.Tensor, turns: torch.Tensor, positions: torch.Tensor
+    ) -> tuple[torch.Tensor, Past]:
+        """The next displacement: the last state and a change of it [MMDMC 11], shape (M, 3), and the new past.
+
+        In the frame of the carrying joint, e(t) = e*(t) + r(t) with
+
+            r(t) = a (r(t-1) + s dr(t-1) + g (u(t) - e(t-1)) - (1 - h) de*(t)) + d
+
+        where u is where inertia alone takes the node and e* what the head says. What the network sets is bounded: a
+        below 1, s + g too (they share 1), h between 0 and 1, and d. So what is remembered fades whatever it says.
+
+        Args:
+            inputs: Features of the frame.
+            past: The last three states.
+            anchor: What the head says, e*, shape (M, 3).
+            turns: Frames of the carrying joints, shape (M, 3, 3).
+            positions: Carried positions over the character's size; from the pelvis where `world`, shape (M, 3).
+        """
+        state = node_state(past.rest)
+        if self.world:
+            change = self.decoder(self.encoder(torch.cat([inputs.nodes(), state], dim=1), inputs))
+            now = past.rest[0] + change
+            moved = torch.einsum("mba,mb->ma", turns, now - positions)
+            whole = torch.stack([moved, past.whole[0]])
+            return moved, Past(torch.cat([now[None], past.rest[:2]]), whole, past.positions)
+        carried_on = 2 * past.positions[0] - past.positions[1]
+        inertia = torch.einsum("mba,mb->ma", turns, carried_on - positions) - past.whole[0]
+        late = past.whole[0] - anchor
+        own_change = past.whole[0] - past.whole[1]
+        head_change = past.rest[0] - late  # e*(t) - e*(t-1)
+        speed = own_change.norm(dim=1, keepdim=True)
+        own = torch.cat([state, inertia, late, own_change, head_change, speed], dim=1)
+        out = self.decoder(self.encoder(torch.cat([inputs.nodes(), own], dim=1), inputs))
+        keep = KEEP * torch.sigmoid(out[:, :1])
+        shares = torch.softmax(torch.cat([out[:, 1:3], torch.zeros_like(out[:, :1])], dim=1), dim=1)
+        followed = torch.sigmoid(out[:, 3:4])
+        kept = past.rest[0] + shares[:, :1] * state[:, 3:6] + shares[:, 1:2] * inertia - (1 - followed) * head_change
+        rest = keep * kept + CHANGE * torch.tanh(out[:, 4:] / CHANGE)
+        moved = anchor + rest
+        now = positions + torch.einsum("mab,mb->ma", turns, moved)
+        whole = torch.stack([moved, past.whole[0]])
+        return moved, Past(torch.cat([rest[None], past.rest[:2]]), whole, torch.cat([now[None], past.positions[:1]]))
+
+
+class DisplacementNetwork(nn.Module):
+    """The head that cannot drift, and the recurrent part about it.
+
+    Args:
+        config: Its shape.
+    """
+
+    def __init__(self, config: DisplacementConfig | None = None):
+        super().__init__()
+        self.config = config = config or DisplacementConfig()
+        self.anchor = AnchorHead(config.width, config.blocks)
+        self.recurrent = (
+            RecurrentPart(config.recurrent, config.blocks, config.frame == "world") if config.recurrent else None
+        )
+
+
+def save_displacement(
+    path: str | Path, model: DisplacementNetwork, note: Mapping[str, object] | None = None, half: bool = False
+) -> Path:
+    """Write the weights with their config as a checkpoint of kind "apparel".
+
+    Args:
+        path: The file.
+        model: The network.
+        note: Anything else to carry.
+        half: Store the matrices as float16.
+    """
+    return save_network(path, model, "apparel", note, half)
+
+
+def load_displacement(path: str | Path) -> DisplacementNetwork:
+    """Read a checkpoint of kind "apparel", ready to use.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """
+    return load_network(path, "apparel", lambda shape: DisplacementNetwork(config_of(DisplacementConfig, shape)))
+
+
+def normalize_inputs(model: DisplacementNetwork, nodes: torch.Tensor) -> None:
+    """Set what the encoders subtract and divide by, from the features of many nodes, shape (M, NODE_INPUT)."""
+    mean, std = nodes.mean(dim=0), nodes.std(dim=0).clamp(min=1e-3)
+    for part in (model.anchor, model.recurrent):
+        if part is not None:
+            part.encoder.mean[: len(mean)] = mean
+            part.encoder.std[: len(std)] = std
+
+
+class SegmentationNetwork(nn.Module):
+    """The network.
+
+    Args:
+        config: Its shape.
+    """
+
+    mean: torch.Tensor
+    std: torch.Tensor
+
+    def __init__(self, config: SegmentationConfig | None = None):
+        super().__init__()
+        self.config = config = config or SegmentationConfig()
+        width = config.width
+        self.register_buffer("mean", torch.zeros(POINT_FEATURES))
+        self.register_buffer("std", torch.ones(POINT_FEATURES))
+        self.enter = nn.Sequential(nn.Linear(POINT_FEATURES, width), nn.GELU(), nn.Linear(width, width))
+        self.blocks = nn.ModuleList(EdgeBlock(width) for _ in range(config.blocks))
+        self.pooled = nn.Linear(width, width)
+        self.decoder = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, 3))
+
+    def scores(self, features: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
+        """Before the sigmoid: apparel, stiffness and log10 of what a second of damping leaves, shape (S, 3).
+
+        Args:
+            features: Of the points of B meshes, shape (S, POINT_FEATURES).
+            graph: Their neighbours, loose parts and meshes.
+        """
+        x = self.enter(((features - self.mean) / self.std).clamp(-6, 6))
+        for block in self.blocks:
+            x = block(x, graph)
+        meshes = int(graph.owner.max()) + 1
+        rows = graph.owner[:, None].expand_as(x)
+        whole = x.new_full((meshes, x.shape[1]), -1e4).scatter_reduce(0, rows, x, "amax")
+        out: torch.Tensor = self.decoder(torch.cat([x, self.pooled(whole)[graph.owner]], dim=1))
+        return out
+
+    def forward(self, features: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
+        """Probability of each point to be apparel, Sigmoid(f_c(V)) [MMDMC 2], shape (S,)."""
+        return torch.sigmoid(self.scores(features, graph)[:, 0])
+
+
+def mesh_block(meshes: Sequence[SampledMesh]) -> tuple[torch.Tensor, NodeGraph]:
+    """Features and graph of several meshes as one block."""
+    features = torch.cat([torch.from_numpy(mesh.features) for mesh in meshes])
+    return features, node_graph([mesh.neighbours for mesh in meshes], [mesh.part for mesh in meshes])
+
+
+def save_segmentation(
+    path: str | Path, model: SegmentationNetwork, note: Mapping[str, object] | None = None, half: bool = False
+) -> Path:
+    """Write the weights with their config as a checkpoint of kind "apparel-mask"."""
+    return save_network(path, model, "apparel-mask", note, half)
+
+
+def load_segmentation(path: str | Path) -> SegmentationNetwork:
+    """Read a checkpoint of kind "apparel-mask", ready to use.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """
+    return load_network(path, "apparel-mask", lambda shape: SegmentationNetwork(config_of(SegmentationConfig, shape)))

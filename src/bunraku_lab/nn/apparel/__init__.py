@@ -1,1 +1,0 @@
-"""The networks of apparel (section 4 of MMDMC)."""

@@ -1,1 +1,0 @@
-"""Networks of torch as `bunraku` runs them."""

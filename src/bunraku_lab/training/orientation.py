@@ -1,0 +1,327 @@
+"""Training of the orientation network: variants of characters, a resumable run with validation on unseen characters,
+and the weights of the simple evidence that is used beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.optimize import minimize
+
+from bunraku.anatomy.handles.networks import OrientationConfig, shape_tokens
+from bunraku.anatomy.handles.orientation_evidence import lean, rest
+from bunraku.core.geometry.axes import AXES, ORIENTATIONS
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
+from bunraku.errors import OptionError
+from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter, augment
+from bunraku_lab.nn.handles import OrientationPredictor, load_orientation_predictor, save_orientation_predictor
+from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
+
+__all__ = [
+    "FRONTS",
+    "OTHERS",
+    "OrientationTrainConfig",
+    "OrientationTrainer",
+    "UPRIGHT",
+    "fitted_temperature",
+    "fitted_weights",
+    "orientation_results",
+    "train_orientation",
+    "validate_orientation",
+    "varied_tokens",
+]
+
+
+UPRIGHT = ORIENTATIONS.index(("+y", "+z"))
+"""The orientation of all training characters."""
+FRONTS = [n for n, (up, _) in enumerate(ORIENTATIONS) if up == "+y"]
+"""Those that stand upright, whatever they face."""
+OTHERS = [n for n, (up, _) in enumerate(ORIENTATIONS) if up != "+y"]
+"""Those that do not."""
+
+
+def varied_tokens(
+    character: TrainingCharacter,
+    rng: np.random.Generator,
+    anchors: int = 128,
+    tilt: float = 0.26,
+    config: AugmentConfig | None = None,
+) -> np.ndarray:
+    """Tokens of a random variant of an upright character that is still nearly upright, shape (M, 10).
+
+    Args:
+        character: The character.
+        rng: Source of randomness.
+        anchors: Tokens, M.
+        tilt: Largest tilt [rad].
+        config: How its rest pose and proportions vary.
+    """
+    mesh = augment(character, rng, config or AugmentConfig(poses=0))
+    axis = rng.normal(size=3)
+    turn = np.asarray(matrix_from_axis_angle(axis / np.linalg.norm(axis) * rng.uniform(0, tilt)))
+    return _corrupted(mesh.vertices, mesh.normals, mesh.areas, rng, anchors, turn)
+
+
+def _corrupted(
+    points: np.ndarray, normals: np.ndarray, areas: np.ndarray, rng: np.random.Generator, anchors: int, turn: np.ndarray
+) -> np.ndarray:
+    """Tokens of another sampling of a surface, with noise, turned; now and then with its normals inside out."""
+    kept = rng.random(len(points)) < rng.uniform(0.5, 1)
+    kept = kept if kept.sum() >= anchors else np.ones(len(kept), bool)
+    points = points[kept] + rng.normal(0, 0.004, (int(kept.sum()), 3))
+    areas = areas[kept] * np.exp(rng.normal(0, 0.2, len(points)))
+    inside_out = -1 if rng.random() < 0.03 else 1
+    return shape_tokens(points @ turn.T, inside_out * normals[kept] @ turn.T, areas, anchors)
+
+
+@torch.no_grad()
+def validate_orientation(
+    model: OrientationPredictor,
+    characters: Sequence[TrainingCharacter],
+    variants: int = 2,
+    seed: int = 0,
+) -> np.ndarray:
+    """Log-probabilities of all orientations for characters that are upright, as they are and varied.
+
+    Args:
+        model: The network.
+        characters: With labels.
+        variants: Varied forms of each (rest pose, proportions, tilt) beside its own.
+        seed: Of the variants.
+
+    Returns:
+        Shape (C, 1 + variants, 24).
+    """
+    model.eval()
+    rows = []
+    for number, c in enumerate(characters):
+        rng = np.random.default_rng([seed, number])
+        tokens = [shape_tokens(c.vertices, c.normals, c.areas, model.config.anchors)] + [
+            varied_tokens(c, rng, model.config.anchors) for _ in range(variants)
+        ]
+        rows.append(
+            np.stack(
+                [
+                    model.probabilities(torch.from_numpy(some).to(model.rotations.device)).log().cpu().numpy()
+                    for some in tokens
+                ]
+            )
+        )
+    return np.stack(rows)
+
+
+def orientation_results(logs: np.ndarray) -> dict[str, float]:
+    """Accuracy of log-probabilities of shape (N, 24), all of characters that are upright.
+
+    Returns:
+        up: Share whose up axis is right (6 ways). front: share whose front is right given the right up (4 ways). both:
+        share whose orientation is right (24 ways). loss: mean cross-entropy.
+    """
+    ups = np.array([up for up, _ in ORIENTATIONS])
+    chances = np.exp(logs)
+    by_up = np.stack([chances[:, ups == up].sum(1) for up in dict.fromkeys(ups)], axis=1)
+    own = list(dict.fromkeys(ups)).index("+y")
+    front = logs[:, FRONTS].argmax(1) == FRONTS.index(UPRIGHT)
+    return {
+        "up": float((by_up.argmax(1) == own).mean()),
+        "front": float(front.mean()),
+        "both": float((logs.argmax(1) == UPRIGHT).mean()),
+        "loss": float(-logs[:, UPRIGHT].mean()),
+    }
+
+
+def fitted_temperature(logs: np.ndarray) -> float:
+    """The temperature, 0.5 to 5, at which log-probabilities (N, 24) of upright characters have the least
+    cross-entropy.
+    """
+    choices = np.exp(np.linspace(np.log(0.5), np.log(5), 60))
+
+    def loss(temperature: float) -> float:
+        scaled = logs / temperature
+        return float(
+            np.mean(np.log(np.exp(scaled - scaled.max(1, keepdims=True)).sum(1)) + scaled.max(1) - scaled[:, UPRIGHT])
+        )
+
+    return float(min(choices, key=loss))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrientationTrainConfig(StepSettings):
+    """Settings of a training run.
+
+    Args:
+        cache: Folder of cached characters (`bunraku data characters`).
+        device: Where to train.
+        others: Rotations that are not upright, of the 20, that an example is compared with; each stands for its share.
+        tilt: Largest tilt of an example [rad].
+        reference_share: Share of the examples that are the reference body.
+        start: A checkpoint whose weights the run begins with, of the same shape; random ones where not given.
+    """
+
+    cache: Path = Path("runs/data/characters")
+    out: Path = Path("runs/orientation")
+    minutes: float = 12.0
+    device: str = "cpu"
+    batch: int = 8
+    others: int = 5
+    rate: float = 1e-3
+    warmup: int = 50
+    weight_decay: float = 0.02
+    tilt: float = 0.26
+    reference_share: float = 0.05
+    start: Path | None = None
+    validate_every: int = 200
+    predictor: OrientationConfig = field(default_factory=OrientationConfig)
+    augment: AugmentConfig = field(default_factory=lambda: AugmentConfig(poses=0))
+
+
+class OrientationTrainer(AveragedRun[OrientationPredictor]):
+    """One training run in memory: the network, its optimiser, and the characters.
+
+    Args:
+        config: Settings.
+        characters: To train on, all upright and facing +Z.
+        held_out: To validate on.
+        reference: The reference body's shapes, mixed in.
+    """
+
+    kind = "orientation"
+    columns = ("loss", "won", "rate")
+
+    def __init__(
+        self,
+        config: OrientationTrainConfig,
+        characters: Sequence[TrainingCharacter],
+        held_out: Sequence[TrainingCharacter] = (),
+        reference: Sequence[TrainingCharacter] = (),
+    ):
+        if not characters:
+            raise OptionError("there are no characters to train on; build the cache first")
+        self.config = config
+        self.characters, self.held_out, self.reference = list(characters), list(held_out), list(reference)
+        self.temperature = 1.0
+        self.set_up(lambda: OrientationPredictor(config.predictor).to(config.device), self._begin)
+        self.chances = _chances([c.name for c in self.characters])
+
+    def _begin(self, model: OrientationPredictor) -> None:
+        if self.config.start is None:
+            return
+        given = load_orientation_predictor(self.config.start)
+        if replace(given.config, temperature=1.0) != replace(self.config.predictor, temperature=1.0):
+            raise OptionError(f"{self.config.start}: its network has another shape than this run; give its settings")
+        model.load_state_dict(given.state_dict())
+
+    def loss(self, tokens: torch.Tensor, others: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        """Cross-entropy of the upright orientation against the three other fronts and a sample of the rest; and the
+        scores.
+        """
+        chosen = [*FRONTS, *others]
+        scores = self.model.scores(tokens, self.model.rotations[chosen])
+        offset = torch.zeros(len(chosen), device=scores.device)
+        offset[len(FRONTS) :] = math.log(len(OTHERS) / len(others))
+        target = torch.full((len(scores),), chosen.index(UPRIGHT), device=scores.device)
+        return torch.nn.functional.cross_entropy(scores + offset, target), scores
+
+    def step_loss(self) -> tuple[torch.Tensor, dict[str, float]]:
+        """The loss, and how often upright won among what it was compared with."""
+        config = self.config
+        tokens = []
+        for _ in range(config.batch):
+            known = self.reference and self.rng.random() < config.reference_share
+            character = (
+                self.reference[self.rng.integers(len(self.reference))]
+                if known
+                else self.characters[self.rng.choice(len(self.characters), p=self.chances)]
+            )
+            tokens.append(varied_tokens(character, self.rng, config.predictor.anchors, config.tilt, config.augment))
+        others = self.rng.choice(OTHERS, size=min(config.others, len(OTHERS)), replace=False)
+        loss, scores = self.loss(torch.from_numpy(np.stack(tokens)).to(config.device), others)
+        won = float((scores.argmax(1) == FRONTS.index(UPRIGHT)).float().mean())
+        return loss, {"won": won}
+
+    def validate(self) -> dict[str, float]:
+        """Figures of what was held out, as it is and varied, and the temperature that divides the scores."""
+        logs = validate_orientation(self.average, self.held_out)
+        every = logs.reshape(-1, len(ORIENTATIONS))
+        plain, changed = (
+            orientation_results(logs[:, 0]),
+            orientation_results(logs[:, 1:].reshape(-1, len(ORIENTATIONS))),
+        )
+        results = {f"held_{name}": value for name, value in plain.items()}
+        results |= {f"varied_{name}": value for name, value in changed.items()}
+        self.temperature = fitted_temperature(every)
+        return results | {"temperature": self.temperature}
+
+    def write(self, note: TrainingNote) -> Path:
+        """Write the checkpoint."""
+        shipped = OrientationPredictor(replace(self.average.config, temperature=self.temperature))
+        shipped.load_state_dict(self.average.state_dict())
+        return save_orientation_predictor(self.checkpoint, shipped, note, half=True)
+
+
+def _chances(names: Sequence[str]) -> np.ndarray:
+    """How often each example is drawn, so that large packs do not drown small ones, shape (C,)."""
+    folders = [name.rpartition("/")[0] for name in names]
+    counts = Counter(folders)
+    share = np.array([counts[folder] ** -0.5 for folder in folders])
+    return np.asarray(share / share.sum())
+
+
+def train_orientation(
+    config: OrientationTrainConfig, report: Report | None = None, progress: Progress | None = None
+) -> Path:
+    """Train the orientation network, or go on where the run in `config.out` stopped.
+
+    Args:
+        config: Settings.
+        report: Called at each validation with its figures (the row of log.csv).
+        progress: Called with a stage's name and the share done.
+
+    Returns:
+        The checkpoint.
+
+    Raises:
+        BunrakuError: No cache, or the folder cannot be written.
+    """
+    from bunraku_lab.datasets.characters.build import load_characters, reference_characters
+
+    config.prepare()
+    characters, held_out = load_characters(config.cache)
+    reference = reference_characters() if config.reference_share > 0 else ()
+    return OrientationTrainer(config, characters, held_out, reference).learn(report, progress)
+
+
+def fitted_weights(surfaces: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, float]:
+    """The weights of `rest` and of `lean` that have the least cross-entropy.
+
+    Args:
+        surfaces: Points and unit normals of characters that stand along +Y and face +Z, shape (N, 3) each.
+
+    Returns:
+        Of `rest`, shape (3,), and of `lean`.
+    """
+    rests, leans = [], []
+    for points, normals in surfaces:
+        rests.append(rest(points, normals))
+        leans.append(lean(points)[FRONTS, None])
+    return (
+        _least(np.stack(rests), AXES.index("+y")),
+        float(_least(np.stack(leans), FRONTS.index(UPRIGHT))[0]),
+    )
+
+
+def _least(features: np.ndarray, right: int) -> np.ndarray:
+    """Weights of a softmax over choices, features of shape (S, choices, K), always with the same right one."""
+
+    def loss(weights: np.ndarray) -> float:
+        scores = features @ weights
+        scores = scores - scores.max(axis=1, keepdims=True)
+        return float((np.log(np.exp(scores).sum(axis=1)) - scores[:, right]).mean() + 1e-3 * np.square(weights).sum())
+
+    return np.asarray(minimize(loss, np.zeros(features.shape[2])).x)

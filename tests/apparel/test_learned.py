@@ -1,0 +1,614 @@
+"""The displacement network's parts: each layer and formula against a value that is computed by hand."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from bunraku.apparel.body import BodyPoints, Unposed, body_points, eq4_transforms, nearest_point
+from bunraku.apparel.clothed import NORMAL_STIFFNESS, SOFTEST, ClothedCharacter, Swing, part_stiffness
+from bunraku.apparel.learned.features import (
+    BASIS,
+    DAMPING,
+    FILTER_GRAVITY,
+    FREQUENCIES,
+    GLOBAL,
+    OWN,
+    PENDULUMS,
+    SCALARS,
+    STATIC_SCALARS,
+    STATIC_VECTORS,
+    VECTORS,
+    MotionFilters,
+    Pendulums,
+    clip_features,
+    lead_in_transforms,
+    mirror_global,
+    rest_transforms,
+    static_features,
+)
+from bunraku.apparel.learned.network import CHANGE, KEEP, DisplacementConfig, FoldedNetwork
+from bunraku.apparel.learned.network import past_of_states as folded_past
+from bunraku.apparel.learned.player import (
+    ApparelPlayer,
+    Carrier,
+    Safety,
+    SafetySettings,
+    known_share,
+    node_turns,
+    polar_rotation,
+)
+from bunraku.apparel.nodes import NodeGraph, apparel_nodes, part_neighbours
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
+from bunraku.core.motion import line_up
+from bunraku.errors import CharacterError, WeightsError
+from bunraku_lab.nn.apparel import (
+    AnchorHead,
+    DisplacementNetwork,
+    Inputs,
+    Past,
+    RecurrentPart,
+    load_displacement,
+    node_state,
+    past_of_states,
+)
+from bunraku_lab.nn.apparel import save_displacement as save
+from bunraku_lab.nn.graph import EdgeBlock, node_graph
+from bunraku_lab.nn.running import running_displacement
+
+
+def curtain(rows=7, columns=4):
+    """A body and a curtain of cloth that hangs from its pelvis, a few centimetres before it."""
+    body = reference_body()
+    across, down = np.meshgrid(np.linspace(-0.1, 0.1, columns), np.linspace(0, 0.5, rows))
+    pelvis = body.joints[0]
+    cloth = np.stack([across, pelvis[1] - down, np.full_like(across, pelvis[2] + 0.25)], axis=-1).reshape(-1, 3)
+    index = np.arange(rows * columns).reshape(rows, columns)
+    quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], axis=-1).reshape(-1, 4)
+    faces = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]]) + len(body.vertices)
+    own = np.zeros((len(cloth), JOINT_COUNT), np.float32)
+    own[:, 0] = 1
+    apparel = np.arange(len(body.vertices) + len(cloth)) >= len(body.vertices)
+    return ClothedCharacter(
+        np.concatenate([body.vertices, cloth]).astype(np.float32), np.concatenate([body.faces, faces]),
+        np.asarray(body.joints), np.concatenate([body.joint_weights, own]).astype(np.float32), apparel,
+        np.where(apparel, 0, -1), np.array([-1.0], np.float32), np.array([0.9], np.float32),
+    )  # fmt: skip
+
+
+def still(clothed, frames):
+    """The rest pose, for so many frames, shape (F, 22, 3, 4)."""
+    pose = np.concatenate([np.tile(np.eye(3), (JOINT_COUNT, 1, 1)), clothed.joints[..., None]], axis=2)
+    return np.tile(pose, (frames, 1, 1, 1)).astype(np.float32)
+
+
+def inputs_of(clothed, nodes, frame):
+    vectors, scalars = static_features(clothed, nodes)
+    graph = node_graph([nodes.neighbours], [nodes.part])
+    moving = (torch.from_numpy(value) for value in (frame.vectors, frame.scalars))
+    return Inputs(
+        torch.from_numpy(vectors), torch.from_numpy(scalars), *moving, torch.from_numpy(frame.whole)[None], graph
+    )
+
+
+def test_nodes_hang_where_their_part_is_held():
+    clothed = curtain()
+    nodes = apparel_nodes(clothed, 12)
+    assert len(nodes) == 12 and (clothed.part[nodes.vertex] == 0).all() and (nodes.joint == 0).all()
+    top = clothed.rest[clothed.apparel][:, 1].max()
+    # the nearest end to the body is where it is held: the distance of a node is its way along the cloth from there
+    assert nodes.distance.max() <= nodes.length[0] + 1e-6 and nodes.distance.min() >= 0
+    assert nodes.length[0] >= 0.2 and top > 0
+    assert (np.linalg.norm(nodes.held, axis=1) <= nodes.distance + 1e-5).all()
+
+
+def test_neighbours_are_the_nearest_of_the_same_part():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0], [0.1, 0, 0]])
+    near = part_neighbours(points, np.array([0, 0, 0, 1]))
+    assert near[0, :2].tolist() == [1, 2] and near[2, :2].tolist() == [1, 0]
+    assert (near[3] == 3).all()  # nobody else is of its part
+
+
+def test_an_oscillator_by_hand():
+    """One step of `y'' + 2 z w y' + w^2 y = -p''` after a jump of what carries it, then the next."""
+    filters = MotionFilters(np.zeros((1, 3)), np.eye(3)[None], fps=10.0)
+    velocity, acceleration = filters.advance(np.array([[0.2, 0, 0]]), np.eye(3)[None])
+    assert velocity[0, 0] == pytest.approx(2.0) and acceleration[0, 0] == pytest.approx(20.0)
+    speed, sway = -2.0, -0.2
+    assert filters.sway[:, 0, 0] == pytest.approx(sway)
+    filters.advance(np.array([[0.2, 0, 0]]), np.eye(3)[None])  # it stands again: p'' = -20
+    w = 2 * math.pi * FREQUENCIES[0]
+    speed = speed + 0.1 * (20.0 - 2 * DAMPING * w * speed - w * w * sway)
+    assert filters.sway[0, 0, 0] == pytest.approx(sway + 0.1 * speed, rel=1e-4)
+
+
+def test_filters_forget():
+    """Whatever went before, a minute of standing still leaves nothing: what is computed from them cannot drift."""
+    random = np.random.default_rng(0)
+    filters = MotionFilters(np.zeros((1, 3)), np.eye(3)[None])
+    for _ in range(60):
+        turn = matrix_from_axis_angle(random.normal(size=(1, 3)))
+        filters.advance(random.normal(size=(1, 3)), turn)
+    assert np.abs(filters.sway).max() > 0.1
+    for _ in range(1800):
+        filters.advance(np.ones((1, 3)), np.eye(3)[None])
+    assert np.abs(filters.sway).max() < 1e-6 and np.abs(filters.late - np.eye(3)).max() < 1e-5
+
+
+def test_pendulums_keep_their_lengths_and_come_to_hang_as_forces_balance():
+    held = np.array([[0.3, 0, 0], [0, -0.4, 0]], np.float32)
+    positions, turns = held + [0, 1, 0], np.repeat(np.eye(3)[None], 2, axis=0)
+    hung = Pendulums(positions, held, turns, 1.0)
+    for _ in range(600):
+        away = hung.advance(positions, turns) + held
+        np.testing.assert_allclose(np.linalg.norm(away, axis=2), [[0.3, 0.4]] * len(PENDULUMS), rtol=1e-4)
+    for (spring, _), sideways, down in zip(PENDULUMS, away[:, 0], away[:, 1], strict=True):
+        # gravity and the spring's pull to (0.3, 0, 0) leave nothing across the rod
+        pull = np.array([0, -FILTER_GRAVITY, 0]) - spring * (sideways - [0.3, 0, 0])
+        across = np.array([-sideways[1], sideways[0], 0]) / 0.3
+        assert abs(pull @ across) < 0.01 * FILTER_GRAVITY and sideways[1] < 0
+        np.testing.assert_allclose(down, [0, -0.4, 0], atol=1e-5)
+
+
+def test_a_small_swing_has_the_period_of_a_pendulum(monkeypatch):
+    monkeypatch.setattr("bunraku.apparel.learned.features.PENDULUMS", ((0.0, 0.0),))
+    held = np.array([[0.02, -0.5, 0]], np.float32)
+    swing = Pendulums(held, held, np.eye(3)[None], 1.0)
+    way = np.array([(swing.advance(held, np.eye(3)[None]) + held)[0, 0, 0] for _ in range(300)])
+    crossings = np.flatnonzero((way[:-1] > 0) & (way[1:] <= 0)) / 30
+    assert np.diff(crossings).mean() == pytest.approx(2 * np.pi * np.sqrt(0.5 / FILTER_GRAVITY), rel=0.03)
+
+
+def test_at_rest_nothing_is_felt():
+    clothed = curtain()
+    nodes = apparel_nodes(clothed, 12)
+    frame = clip_features(clothed, nodes, still(clothed, 3))[-1]
+    assert np.abs(frame.vectors[:, :BASIS]).max() < 1e-5
+    np.testing.assert_allclose(frame.positions, nodes.rest, atol=1e-5)
+
+
+def swinging(clothed, limit):
+    """The curtain, each vertex of which swings about its upper edge as far as a limit, as a file would say."""
+    away = (clothed.rest - clothed.joints[0]) * np.array([0, 1, 0])
+    count = len(away)
+    wide, one = np.full((count, 3), limit), np.ones(count)
+    told = Swing(away, away, np.tile([0, -0.3, 0], (count, 1)), np.tile(np.eye(3), (count, 1, 1)), -wide,
+                 wide, np.zeros((count, 3)), 0.5 * one, 0.1 * one, one, one)  # fmt: skip
+    return replace(clothed, swing=told.rows())
+
+
+def test_a_told_limit_is_felt_by_the_pendulums_of_a_node():
+    """The curtain is carried to and fro: the basis has how far each node would swing, and what holds it is told."""
+    times = np.arange(60) / 30
+    clothed = curtain()
+    transforms = np.array(still(clothed, len(times)))
+    transforms[:, :, 2, 3] += 0.3 * (1 - np.cos(4 * times))[:, None]
+    swings = {}
+    for limit in (0.01, 0.1, np.pi):
+        told = swinging(clothed, limit)
+        nodes = apparel_nodes(told, 12)
+        frames = clip_features(told, nodes, transforms)
+        swings[limit] = np.stack([frame.vectors[:, BASIS - len(OWN)] for frame in frames])
+        low = nodes.rest[:, 1].argmin()
+        assert frames[-1].scalars[:, 2].max() <= limit * np.sqrt(3) + 1e-6
+        numbers = static_features(told, nodes)[1][:, -7:]
+        assert numbers[:, -1].tolist() == [1] * len(nodes)
+        assert 10 ** numbers[low, 0] == pytest.approx(limit * np.sqrt(2) if limit < 1 else np.pi, rel=0.2)
+    assert np.abs(swings[np.pi][:, low]).max() > 2 * np.abs(swings[0.1][:, low]).max() > 4 * np.abs(swings[0.01]).max()
+    bare = static_features(clothed, nodes)[1][:, -1]
+    assert bare.tolist() == [0] * len(nodes)  # nothing is told
+
+
+def test_stiff_parts_move_where_it_is_told_how():
+    stiff = replace(curtain(), stiffness=np.full_like(curtain().stiffness, 2.0))
+    for clothed, share in ((stiff, 0.0), (swinging(stiff, 0.1), 1.0)):
+        nodes = apparel_nodes(clothed, 12)
+        safety = Safety(clothed, nodes, body_points(clothed), Carrier(clothed, nodes))
+        assert np.unique(safety.share).tolist() == [share]
+
+
+def test_a_mirrored_pose_has_mirrored_features():
+    random = np.random.default_rng(1)
+    whole = random.normal(size=GLOBAL).astype(np.float32)
+    np.testing.assert_allclose(mirror_global(mirror_global(whole)), whole)
+    turn = matrix_from_axis_angle(np.array([0.3, -0.5, 0.7]))
+    flip = np.diag([-1.0, 1, 1])
+    both = turn, flip @ turn @ flip
+    rows = [np.zeros((JOINT_COUNT, 9)) for _ in both]
+    for row, own in zip(rows, both, strict=True):
+        row[0, 3:] = own[:, :2].T.reshape(-1)  # of the pelvis, which is its own mirror image
+    ours = mirror_global(np.append(rows[0].reshape(-1), [0, 1, 0]))
+    np.testing.assert_allclose(ours[:9], rows[1][0], atol=1e-12)
+
+
+def test_the_lead_in_goes_from_rest_to_the_first_frame():
+    clothed = curtain()
+    first = still(clothed, 1)[0].copy()
+    first[:, :, :3] = matrix_from_axis_angle(np.array([0.0, 1.0, 0.0])) @ first[:, :, :3]
+    first[:, :, 3] = first[:, :, 3] @ matrix_from_axis_angle(np.array([0.0, 1.0, 0.0])).T + [1, 0, 2]
+    way = lead_in_transforms(clothed.joints, first, 20)
+    np.testing.assert_allclose(way[0], rest_transforms(clothed.joints, first), atol=1e-5)
+    np.testing.assert_allclose(way[-1], first, atol=1e-5)
+
+
+def test_signed_distance_by_hand():
+    positions, normals = np.array([[0.0, 0, 0], [0, 5, 0]]), np.array([[0.0, 1, 0], [0, 0, 1]])
+    gap, normal = nearest_point(np.array([[0.3, -0.2, 0], [0, 5, 0.4]]), positions, normals)
+    np.testing.assert_allclose(gap, [-0.2, 0.4])
+    np.testing.assert_allclose(normal, normals)
+
+
+def test_parts_do_not_hear_of_one_another():
+    graph = node_graph([np.array([[1], [0]]), np.array([[0]])], [np.array([0, 0]), np.array([0])])
+    assert graph.part.tolist() == [0, 0, 1] and graph.owner.tolist() == [0, 0, 1] and graph.edges.tolist() == [[0, 1]]
+    x = torch.tensor([[1.0], [4.0], [9.0]])
+    torch.manual_seed(0)
+    block = EdgeBlock(1)
+    before = block(x, graph)
+    after = block(torch.tensor([[1.0], [4.0], [-3.0]]), graph)
+    assert torch.equal(before[:2], after[:2])
+
+
+def test_edge_convolution_by_hand():
+    """max_j W1 H_i + W2 (H_j - H_i) with neighbours and itself."""
+    graph = node_graph([np.array([[1], [0]])], [np.array([0, 0])])
+    block = EdgeBlock(1)
+    with torch.no_grad():
+        block.edge.own.weight.fill_(2.0)
+        block.edge.own.bias.fill_(0.5)
+        block.edge.neighbour.weight.fill_(3.0)
+    heard = block.edge(torch.tensor([[1.0], [4.0]]), graph)
+    # node 0: 2*1 + 0.5 + max(0, 3*(4-1)) = 11.5; node 1: 2*4 + 0.5 + max(0, 3*(1-4)) = 8.5
+    assert heard[:, 0].tolist() == pytest.approx([11.5, 8.5])
+
+
+def test_the_block_says_the_same_with_and_without_gradients():
+    random = np.random.default_rng(3)
+    points, part = random.normal(size=(40, 3)), np.arange(40) % 3
+    graph = node_graph([part_neighbours(points, part)], [part])
+    torch.manual_seed(0)
+    block, x = EdgeBlock(8), torch.randn(40, 8)
+    with torch.inference_mode():
+        fast = block(x, graph)
+    np.testing.assert_allclose(fast.numpy(), block(x, graph).detach().numpy(), atol=1e-6)
+
+
+def test_state_velocity_and_acceleration_by_hand():
+    past = torch.tensor([[[9.0, 0, 0]], [[4.0, 0, 0]], [[1.0, 0, 0]]])  # newest first: 1, 4, 9
+    assert node_state(past)[0].tolist() == [9, 0, 0, 5, 0, 0, 2, 0, 0]
+
+
+def test_the_recurrent_part_adds_to_the_last_state():
+    """With a decoder that says nothing but its bias: the formula of `RecurrentPart.forward` by hand."""
+    part = RecurrentPart(8, 1)
+    clothed = curtain()
+    nodes = apparel_nodes(clothed, 12)
+    frame = clip_features(clothed, nodes, still(clothed, 1))[0]
+    inputs = inputs_of(clothed, nodes, frame)
+    with torch.no_grad():
+        part.decoder[-1].weight.zero_()
+        part.decoder[-1].bias.copy_(torch.tensor([0.4, -0.3, 0.2, 0.7, 0.01, -0.02, 0.03]))
+    count = len(nodes)
+
+    def all_of(values):
+        return torch.stack([torch.full((count, 3), value) for value in values])
+
+    # the head said 0.08 and 0.07, what was given out is 0.13 and 0.10; now it says 0.1
+    past = Past(all_of([0.05, 0.03, 0.02]), all_of([0.13, 0.10]), all_of([0.53, 0.51]))
+    turns, positions = torch.eye(3).expand(count, 3, 3), torch.full((count, 3), 0.35)
+    with torch.no_grad():
+        moved, after = part(inputs, past, torch.full((count, 3), 0.1), turns, positions)
+    keep = KEEP / (1 + math.exp(-0.4))
+    whole = math.exp(-0.3) + math.exp(0.2) + 1
+    swing, gate, followed = math.exp(-0.3) / whole, math.exp(0.2) / whole, 1 / (1 + math.exp(-0.7))
+    inertia = 2 * 0.53 - 0.51 - 0.35 - 0.13  # from the last displacement to where inertia alone takes the node
+    kept = 0.05 + swing * 0.02 + gate * inertia - (1 - followed) * (0.1 - 0.08)
+    wanted = [0.1 + keep * kept + CHANGE * math.tanh(value / CHANGE) for value in (0.01, -0.02, 0.03)]
+    assert moved[0].tolist() == pytest.approx(wanted, rel=1e-4)
+    assert torch.allclose(after.rest[0] + 0.1, moved) and torch.equal(after.rest[1:], past.rest[:2])
+    assert torch.equal(after.whole[0], moved) and torch.equal(after.whole[1], past.whole[0])
+    assert torch.allclose(after.positions[0], moved + 0.35)
+
+
+def test_what_it_remembers_fades():
+    """r(t) = a (r + s dr + g dr) with the largest of all has roots inside the unit circle: s + g is below 1."""
+    for share in np.linspace(0, 1, 21):
+        roots = np.roots([1, -KEEP * (1 + share), KEEP * share])
+        assert np.abs(roots).max() < 1
+
+
+def test_the_papers_form_is_positions_in_the_world():
+    part = RecurrentPart(8, 1, world=True)
+    with torch.no_grad():
+        part.decoder[-1].weight.zero_()
+        part.decoder[-1].bias.copy_(torch.tensor([0.5, 0.0, 0.0]))
+    clothed = curtain()
+    nodes = apparel_nodes(clothed, 12)
+    inputs = inputs_of(clothed, nodes, clip_features(clothed, nodes, still(clothed, 1))[0])
+    count = len(nodes)
+    turn = torch.from_numpy(matrix_from_axis_angle(np.array([0.0, 0, math.pi / 2]))).float().expand(count, 3, 3)
+    positions = torch.ones(count, 3)
+    states = torch.zeros(3, count, 3)
+    past = past_of_states(part, states, states, turn.expand(3, -1, -1, -1), positions.expand(3, -1, -1))
+    assert past.whole.shape == (2, count, 3)
+    assert torch.allclose(past.rest[0], positions)
+    with torch.no_grad():
+        moved, _ = part(inputs, past, states[0], turn, positions)
+    # the node went by 0.5 along the world's x, which is minus y of a frame that is turned by 90 degrees about z
+    assert moved[0].tolist() == pytest.approx([0, -0.5, 0], abs=1e-6)
+
+
+def test_the_head_mixes_its_basis_by_hand():
+    head = AnchorHead(8, 1)
+    clothed = curtain()
+    nodes = apparel_nodes(clothed, 12)
+    inputs = inputs_of(clothed, nodes, clip_features(clothed, nodes, still(clothed, 1))[0])
+    inputs.vectors = torch.zeros(len(nodes), VECTORS, 3)
+    inputs.vectors[:, 2] = torch.tensor([1.0, 2.0, 3.0])
+    with torch.no_grad():
+        head.decoder[-1].weight.zero_()
+        head.decoder[-1].bias.zero_()
+        head.decoder[-1].bias[2] = 10.0
+        head.decoder[-1].bias[BASIS] = 0.25
+        moved = head(inputs)
+    assert moved[0].tolist() == pytest.approx([1.75, 3.0, 4.5], rel=1e-4)
+
+
+def test_the_nearest_rotation():
+    turn = matrix_from_axis_angle(np.array([0.4, -1.1, 0.3]))
+    stretch = np.diag([2.0, 1.0, 0.5])
+    np.testing.assert_allclose(polar_rotation(turn @ stretch), turn, atol=1e-4)
+    left, _, right = np.linalg.svd(turn @ stretch @ turn + 0.3)
+    np.testing.assert_allclose(polar_rotation(turn @ stretch @ turn + 0.3), left @ right, atol=1e-3)
+    np.testing.assert_allclose(polar_rotation(np.diag([1.0, 1, -1])), np.eye(3))  # none is nearer than others
+    many = np.random.default_rng(0).normal(size=(200, 3, 3)) * 10.0 ** np.linspace(-6, 6, 200)[:, None, None]
+    u, s, vt = np.linalg.svd(many)
+    sign = np.sign(np.linalg.det(u @ vt))
+    wanted = (u * np.stack([np.ones(200), np.ones(200), sign], axis=1)[:, None, :]) @ vt
+    clear = s[:, 1] + sign * s[:, 2] > 1e-2 * s[:, 0]
+    np.testing.assert_allclose(polar_rotation(many)[clear], wanted[clear], atol=1e-3)
+    thin = turn @ np.diag([1.0, 0.03, 0.03])  # a strand
+    np.testing.assert_allclose(polar_rotation(thin), turn, atol=1e-4)
+
+
+def test_vertices_turn_with_their_nodes():
+    """Nodes of a rigid turn about the place where the cloth is held take all vertices along, nearly."""
+    clothed = curtain(14, 8)
+    nodes = apparel_nodes(clothed, 40)
+    carrier = Carrier(clothed, nodes)
+    turn = matrix_from_axis_angle(np.array([0.5, 0, 0]))
+    pivot = clothed.joints[0]
+    moved = ((nodes.rest - pivot) @ turn.T + pivot - nodes.rest).astype(np.float32)
+    rest = clothed.rest[carrier.vertices]
+    wanted = (rest - pivot) @ turn.T + pivot - rest
+    assert np.abs(carrier.displacements(moved) - wanted).max() < 2e-3
+    assert np.abs(carrier.displacements(np.zeros_like(moved))).max() < 1e-6
+
+
+def test_vertices_by_the_plain_formula():
+    """Sum of shares of `m_i + T_i a - a` over the nodes around, in the frame of the vertex' joint, on what its skin
+    says.
+    """
+    clothed = curtain(14, 8)
+    chest = JOINT_NAMES.index("spine3")
+    weights = np.array(clothed.weights)
+    weights[np.flatnonzero(clothed.apparel)[::3], [[0], [chest]]] = [[0.3], [0.7]]  # a third goes with another joint
+    clothed = replace(clothed, weights=weights)
+    nodes = apparel_nodes(clothed, 30)
+    carrier, random = Carrier(clothed, nodes), np.random.default_rng(0)
+    moved = random.normal(0, 0.05, (len(nodes), 3)).astype(np.float32)
+    affine = np.concatenate([
+        matrix_from_axis_angle(random.normal(0, 0.5, (JOINT_COUNT, 3))), random.normal(0, 0.3, (JOINT_COUNT, 3, 1))
+    ], axis=2).astype(np.float32)  # fmt: skip
+    turns = node_turns(nodes, carrier.spokes, carrier.prior, moved)
+    positions, swung = carrier.positions(moved, affine), carrier.displacements(moved)
+    for row in range(0, len(carrier.vertices), 7):
+        vertex = carrier.vertices[row]
+        rest, own = clothed.rest[vertex].astype(np.float64), clothed.weights[vertex]
+        wanted = np.zeros(3)
+        for node, share in zip(carrier.index[row], carrier.share[row], strict=True):
+            away = rest - nodes.rest[node]
+            wanted += share * (moved[node] + turns[node] @ away - away)
+        np.testing.assert_allclose(swung[row], wanted, atol=1e-5)
+        blend = np.einsum("j,jab->ab", own, affine)
+        skinned = blend[:, :3] @ rest + blend[:, 3]
+        np.testing.assert_allclose(positions[row], skinned + affine[own.argmax(), :, :3] @ wanted, atol=1e-5)
+
+
+def test_safety_by_hand():
+    clothed = curtain()
+    nodes = apparel_nodes(clothed, 12)
+    empty = np.zeros((0, 3), np.float32)
+    nothing = BodyPoints(empty, empty, np.zeros((0, JOINT_COUNT), np.float32), np.zeros(0, np.int64))
+    carrier = Carrier(clothed, nodes)
+    safety = Safety(clothed, nodes, nothing, carrier, SafetySettings(passes=200))
+    affine = np.tile(np.eye(4)[:3], (JOINT_COUNT, 1, 1)).astype(np.float32)
+    random = np.random.default_rng(0)
+    far = nodes.rest + random.normal(0, 0.05, nodes.rest.shape)
+    a, b = safety.edges.T
+    free = (safety.free[a, 0] + safety.free[b, 0]) > 0
+
+    def worst(positions):
+        ratio = np.linalg.norm(positions[a] - positions[b], axis=1) / safety.lengths
+        return max((ratio[free] - 1.15).max(), (0.85 - ratio[free]).max())
+
+    done = safety(far, affine)[0]
+    assert worst(far) > 0.2 and worst(done) < 0.35 * worst(far)
+    np.testing.assert_array_equal(safety(nodes.rest, affine)[0], nodes.rest)
+    assert safety(nodes.rest, affine)[1] is None  # there is no body to be out of
+
+
+def test_safety_pushes_out_of_the_body():
+    """A curtain that is blown against the thighs comes to lie on them, all of its neighbourhood with it."""
+    clothed = curtain(13, 9)
+    nodes = apparel_nodes(clothed, 64)
+    carrier = Carrier(clothed, nodes)
+    safety = Safety(clothed, nodes, body_points(clothed, 1500), carrier, SafetySettings(shortest=0.0, longest=9.0))
+    affine = np.tile(np.eye(4)[:3], (JOINT_COUNT, 1, 1)).astype(np.float32)
+    rest, unposed = safety(nodes.rest, affine)
+    np.testing.assert_allclose(rest, nodes.rest, atol=1e-6)
+    blown = nodes.rest - np.array([0, 0, 0.22], np.float32) * (nodes.distance / nodes.length)[:, None]
+    loose = safety.free[:, 0] > 0
+    before = safety.depth.at(blown)[0][loose]
+    after = safety.depth.at(safety(blown, affine)[0])[0][loose]
+    assert before.min() < -0.012 and after.min() > -0.006
+    vertices = clothed.rest[carrier.vertices] - np.array([0, 0, 0.16], np.float32)
+    assert safety.depth.at(vertices)[0].min() < -0.05
+    assert safety.depth.at(safety.vertices(vertices, unposed))[0].min() > -0.01
+
+
+def test_vertices_between_two_limbs_are_asked_for_both():
+    """A vertex whose first node is beside another limb than its second, in whose limb it is."""
+    clothed = curtain()
+    nodes, points = apparel_nodes(clothed, 12), body_points(clothed, 300)
+    safety = Safety(clothed, nodes, points, Carrier(clothed, nodes))
+    assert safety.depth is not None
+    inside = points.rest - 0.02 * points.normals
+    indices = inside[np.abs(safety.depth.at(inside)[0] + 0.02).argmin()][None]
+    safety.node, safety.second, safety.third = np.array([0]), np.array([1]), np.array([1])
+    safety.vertex_gap, safety.deep_gap = np.array([-0.005], np.float32), np.array([-0.006], np.float32)
+    away = np.array([[5.0, 0, 0], [0, 0, 0]], np.float32)  # by the first node it is far outside
+    turns = np.tile(np.eye(3, dtype=np.float32), (2, 1, 1))
+    moved = safety.vertices(indices, Unposed(turns, away, np.array([0, 1])))
+    assert safety.depth.at(moved)[0] == pytest.approx(-0.005, abs=2e-3)
+    same = safety.vertices(indices, Unposed(turns, away, np.array([1, 1])))
+    np.testing.assert_array_equal(same, indices)
+    safety.second = np.array([0])  # now only its third node is near the limb that it is in: it may stay a little
+    moved = safety.vertices(indices, Unposed(turns, away, np.array([0, 1])))
+    assert safety.depth.at(moved)[0] == pytest.approx(-0.006, abs=2e-3)
+
+
+def test_safety_lays_a_skirt_over_a_lifted_leg():
+    """A thigh lifted through the curtain has it behind it, in nothing; the stage brings it in front again."""
+    clothed = curtain(13, 9)
+    nodes = apparel_nodes(clothed, 64)
+    points = body_points(clothed, 1500)
+    safety = Safety(clothed, nodes, points, Carrier(clothed, nodes))
+    pose = still(clothed, 1)[0]
+    hip, turn = JOINT_NAMES.index("left_hip"), matrix_from_axis_angle(np.array([-0.8, 0, 0]))
+    for joint in range(JOINT_COUNT):
+        if hip in line_up(joint, JOINT_PARENTS):
+            pose[joint, :, :3] = turn
+            pose[joint, :, 3] = clothed.joints[hip] + turn @ (clothed.joints[joint] - clothed.joints[hip])
+    affine = eq4_transforms(pose[None], clothed.joints)[0]
+    body = points.posed(affine)[0]
+
+    def behind(positions):
+        """Nodes with a point of the body before them, 2 cm to the side at most."""
+        beside = np.linalg.norm(body[None, :, :2] - positions[:, None, :2], axis=-1) < 0.02
+        return int((beside & (body[None, :, 2] > positions[:, None, 2] + 0.02)).any(axis=1).sum())
+
+    assert behind(nodes.rest) > 3
+    assert behind(safety(nodes.rest, affine)[0]) < 0.4 * behind(nodes.rest)
+
+
+def test_parts_stiffer_than_the_networks_know_stay():
+    assert known_share(np.array([-1.0, 1.5, 1.625, 1.75, 2.0])).tolist() == [1, 1, 0.5, 0, 0]
+
+
+def test_stiffness_by_hand():
+    # 0.784 N m / rad on 0.1 kg at 1 m: the moment is 0.1 * 7.84 * 1, so log10 is 0; ten times the spring is 1
+    stiff = part_stiffness(np.array([0.784, 0.784]), np.array([0.1, 0.1]), np.array([1.0, 1.0]))
+    np.testing.assert_allclose(stiff, 0, atol=1e-6)
+    assert part_stiffness(np.array([0.784]), np.array([0.1]), np.array([1.0]), 10.0)[0] == pytest.approx(1)
+    assert part_stiffness(np.zeros(1), np.ones(1), np.ones(1))[0] == pytest.approx(NORMAL_STIFFNESS)
+    assert part_stiffness(np.full(1, 1e-6), np.ones(1), np.ones(1))[0] == pytest.approx(SOFTEST)
+
+
+def test_a_player_gives_every_frame_alike():
+    """Frame by frame or as a clip, and the same again after a minute elsewhere: the head has no memory."""
+    torch.manual_seed(0)
+    clothed = curtain()
+    network = DisplacementNetwork(DisplacementConfig(16, 1, recurrent=0)).eval()
+    for value in network.anchor.decoder[-1].parameters():
+        torch.nn.init.normal_(value, 0, 0.05)
+    poses = still(clothed, 8)
+    poses[:, :, :3, :3] = matrix_from_axis_angle(np.linspace(0, 1, 8)[:, None] * [0.0, 1, 0])[:, None]
+    player = ApparelPlayer(clothed, running_displacement(network), nodes=16)
+    clip = player.clip(poses)
+    again = ApparelPlayer(clothed, running_displacement(network), nodes=16)
+    again.start(poses[0])
+    np.testing.assert_array_equal(np.stack([again.advance(pose) for pose in poses]), clip)
+    assert clip.shape == (8, int(clothed.apparel.sum()), 3) and np.isfinite(clip).all()
+
+
+@pytest.mark.parametrize("frame", ["joint", "world"])
+def test_the_folded_network_says_what_the_layers_say(frame):
+    """Frame after frame, each network with its own past: the matrices of the player against the modules of training."""
+    torch.manual_seed(0)
+    clothed = curtain(13, 9)
+    half = (clothed.part == 0) & (clothed.rest[:, 0] > 0.01)  # two parts
+    two = np.array([-1.0, 0.0], np.float32)
+    clothed = replace(
+        clothed, part=np.where(half, 1, clothed.part), stiffness=two, damping=np.full(2, 0.9, np.float32), limit=None
+    )
+    nodes = apparel_nodes(clothed, 40)
+    network = DisplacementNetwork(DisplacementConfig(16, 2, 8, frame)).eval()
+    for part in (network.anchor, network.recurrent):
+        torch.nn.init.normal_(part.encoder.mean, 0, 0.1)
+        torch.nn.init.uniform_(part.encoder.std, 0.2, 1.0)
+        torch.nn.init.normal_(part.decoder[-1].weight, 0, 0.05)
+    poses = still(clothed, 6)
+    poses[:, :, :3, :3] = matrix_from_axis_angle(np.linspace(0, 1, 6)[:, None] * [0.3, 1, 0])[:, None]
+    graph = NodeGraph(nodes.neighbours, nodes.part)
+    folded = FoldedNetwork(running_displacement(network), *static_features(clothed, nodes), graph)
+    start = torch.zeros(3, len(nodes), 3)
+    past = past_of_states(network.recurrent, start, start, torch.eye(3).expand(3, len(nodes), 3, 3), start + 0.1)
+    zeros, eyes = np.zeros((3, len(nodes), 3), np.float32), np.tile(np.eye(3, dtype=np.float32), (3, len(nodes), 1, 1))
+    arrays = folded_past(running_displacement(network).recurrent, zeros, zeros, eyes, zeros + np.float32(0.1))
+    for one in clip_features(clothed, nodes, poses):
+        inputs = inputs_of(clothed, nodes, one)
+        turns, positions = torch.from_numpy(one.turns), torch.from_numpy(one.positions)
+        with torch.no_grad():
+            anchor = network.anchor(inputs)
+            moved, past = network.recurrent(inputs, past, anchor, turns, positions)
+        told = np.ascontiguousarray(one.vectors), one.scalars, one.whole
+        head = folded.anchor(*told)
+        fast, arrays = folded.recurrent(*told, arrays, head, one.turns, one.positions)
+        np.testing.assert_allclose(head, anchor.numpy(), atol=2e-6)
+        np.testing.assert_allclose(fast, moved.numpy(), atol=5e-6)
+        for array, tensor in zip(arrays, (past.rest, past.whole, past.positions), strict=True):
+            np.testing.assert_allclose(array, tensor.numpy(), atol=5e-6)
+    assert np.abs(fast).max() > 1e-3
+
+
+def test_a_known_difference_fades():
+    """Three true frames, then the head with nine tenths of what it missed, then with nine tenths of that."""
+    torch.manual_seed(0)
+    clothed = curtain()
+    network = DisplacementNetwork(DisplacementConfig(16, 1, recurrent=0)).eval()
+    poses = still(clothed, 8)
+    plain, told = (ApparelPlayer(clothed, running_displacement(network), nodes=16, safe=False) for _ in range(2))
+    rest = plain.clip(poses)
+    told.start(poses[0])
+    states = np.zeros((3, len(told.nodes), 3), np.float32)
+    states[..., 2] = 0.1  # over the size
+    told.know(states, poses[:3])
+    first, second = told.advance(poses[3]) - rest[3], told.advance(poses[4]) - rest[4]
+    np.testing.assert_allclose(first[:, 2], 0.9 * 0.1 * clothed.scale, rtol=0.05)
+    np.testing.assert_allclose(second, 0.9 * first, atol=1e-4)
+
+
+def test_a_network_comes_back_from_its_checkpoint(tmp_path):
+    network = DisplacementNetwork(DisplacementConfig(16, 1, 8, "world"))
+    path = save(tmp_path / "a.safetensors", network)
+    again = load_displacement(path)
+    assert again.config == network.config
+    for one, other in zip(network.parameters(), again.parameters(), strict=True):
+        assert torch.equal(one, other)
+    with pytest.raises(WeightsError):
+        load_displacement(tmp_path / "none.safetensors")
+
+
+def test_a_clothed_character_is_of_one_character():
+    clothed = curtain()
+    with pytest.raises(CharacterError):
+        ClothedCharacter(clothed.rest, clothed.faces, clothed.joints, clothed.weights[:-1], clothed.apparel,
+            clothed.part,
+               clothed.stiffness, clothed.damping)  # fmt: skip
+    assert STATIC_VECTORS == 5 and static_features(clothed, apparel_nodes(clothed, 5))[1].shape[1] == STATIC_SCALARS
+    assert SCALARS == 4

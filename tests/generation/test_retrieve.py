@@ -1,0 +1,379 @@
+"""Examples: their pack, retrieval, and attention to them."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bunraku.anatomy.anatomy import body_handle_motion
+from bunraku.core.body.joint_rotations import skeleton_from_handles
+from bunraku.core.body.layout import JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.body.reference import reference_body
+from bunraku.core.files import weights_file
+from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from bunraku.core.motion import SkeletalMotion, Skeleton
+from bunraku.errors import WeightsError
+from bunraku.generation.attended import ExampleBank, take_of
+from bunraku.generation.extractor import ExtractorConfig
+from bunraku.generation.features import FeatureStatistics, decode, encode, mirror
+from bunraku.generation.pack import (
+    Example,
+    ExamplePack,
+    fingerprint,
+    load_examples,
+    packed_stretch,
+    read_pack,
+    said_by,
+    said_path,
+    stand_well,
+    unpacked_stretch,
+    write_pack,
+)
+from bunraku.generation.retrieve import retrieve
+from bunraku.language.captions import mirror_words
+from bunraku.language.lexicon import said_cues
+from bunraku.language.parse import clause_of
+from bunraku_lab.evaluation.motion.metrics import posed_positions
+
+
+def test_a_packed_stretch_is_the_same_to_half_a_millimetre_and_a_milliradian():
+    random = np.random.default_rng(0)
+    root = np.cumsum(random.normal(0, 0.02, (80, 3)), axis=0)
+    rotations = matrix_from_axis_angle(np.cumsum(random.normal(0, 0.03, (80, 22, 3)), axis=0))
+    data = packed_stretch(root, rotations)
+    found_root, found = unpacked_stretch(data, 80)
+    assert np.abs(found_root - root).max() <= 0.00026
+    assert np.linalg.norm(axis_angle_from_matrix(found.swapaxes(-1, -2) @ rotations), axis=-1).max() < 0.0015
+    assert len(data) < 80 * 150
+
+
+def test_bytes_of_another_length_or_none_at_all_are_refused():
+    data = packed_stretch(np.zeros((5, 3)), np.broadcast_to(np.eye(3), (5, 22, 3, 3)))
+    for bad, frames in ((data, 6), (data, 4), (data, 0), (data, 10**9), (b"", 5), (b"nonsense", 5)):
+        with pytest.raises(WeightsError, match="damaged"):
+            unpacked_stretch(bad, frames)
+
+
+def test_what_the_denoiser_sees_of_an_example_is_what_it_sees_of_the_clip():
+    random = np.random.default_rng(1)
+    turns = np.zeros((30, 22, 3))
+    turns[:, [0, 4, 16, 18]] = np.cumsum(random.normal(0, 0.05, (30, 4, 3)), axis=0)
+    skeleton = Skeleton(JOINT_NAMES, np.asarray(JOINT_PARENTS), reference_body().skeleton.offsets)
+    root = np.cumsum(random.normal(0, 0.02, (30, 3)), axis=0) + [0, 0.9, 0]
+    clip = body_handle_motion(SkeletalMotion(skeleton, matrix_from_axis_angle(turns), root, 20.0))
+    found = skeleton_from_handles(clip)
+    example = Example("clip", ("a person moves",), 30)
+    data = (packed_stretch(found.root_translation, found.rotations),)
+    pack = ExamplePack((example,), data, np.zeros(1, int), np.ones((2, 1, 1)), np.ones((2, 1, 1)), "")
+    seen, meant = (posed_positions(decode(values))[:, :22] for values in (pack.features(0), encode(clip)))
+    assert np.linalg.norm(seen - meant, axis=-1).max() < 0.03
+
+
+def test_a_file_gives_back_what_was_written(pack, tmp_path):
+    path = write_pack(tmp_path / "examples.safetensors", pack, {"licences": {"CC0": 2}})
+    found = read_pack(path)
+    assert found.examples == pack.examples and found.data == pack.data and found.ranker == "none"
+    np.testing.assert_allclose(found.texts, pack.texts)
+    np.testing.assert_allclose(found.motions, pack.motions)
+    np.testing.assert_array_equal(found.owners, pack.owners)
+
+
+def test_tables_that_disagree_are_refused(pack, tmp_path):
+    for change in (
+        {"owners": np.array([0, 0, 7])}, {"data": pack.data[:1]}, {"motions": pack.motions[:, :1]},
+    ):  # fmt: skip
+        path = write_pack(tmp_path / "broken.safetensors", replace(pack, **change), {})
+        with pytest.raises(WeightsError, match=r"broken\.safetensors"):
+            read_pack(path)
+
+
+def test_examples_of_another_ranker_and_none_at_all(pack, tmp_path, monkeypatch):
+    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))
+    assert load_examples() is None
+    (tmp_path / "ranker.safetensors").write_bytes(b"weights")
+    write_pack(tmp_path / "examples.safetensors", pack, {})
+    with pytest.raises(WeightsError, match="another ranker"):
+        load_examples()
+    own = replace(pack, ranker=fingerprint(tmp_path / "ranker.safetensors"))
+    write_pack(tmp_path / "examples.safetensors", own, {})
+    assert load_examples().examples == pack.examples
+
+
+def test_what_the_shipped_examples_say_is_stored_as_it_is_read_today():
+    path = weights_file("examples.safetensors")
+    if not path.is_file():
+        pytest.skip("the shipped weights are not there")
+    pack = read_pack(path)
+    assert len(pack.stored) == len(pack.examples), "write it anew: pack.write_said(path, read_pack(path))"
+    for index, one in enumerate(pack.examples):
+        assert pack.said(index) == said_by(one.texts), one.texts
+        told = frozenset().union(*(said_cues(mirror_words(text)) for text in one.texts))
+        assert pack.said(index).mirrored_cues == told, one.texts
+    assert pack.stored_standing == stand_well(pack) and 0 < len(pack.idles) < len(pack.stored_standing)
+
+
+def test_what_is_stored_is_left_alone_where_the_sentences_or_the_lexicon_are_others(pack, tmp_path):
+    path = write_pack(tmp_path / "examples.safetensors", pack, {})
+    said = read_pack(path).said(0)
+    assert read_pack(path).stored and said == pack.said(0) and "left arm" in said.cues and said.actions == {"wave"}
+    table = json.loads(said_path(path).read_text())
+    for change in ({"of": "0" * 16}, None):
+        if change is None:
+            said_path(path).unlink()
+        else:
+            said_path(path).write_text(json.dumps(table | change))
+        assert not read_pack(path).stored and read_pack(path).said(0) == said
+    for bad in (
+        "", "[", "3", json.dumps(table | {"rows": [["", 1, ""]] * 2}), json.dumps(table | {"rows": []}),
+        *(json.dumps(table | {"stand": bad}) for bad in ([2], [-1], ["0"], [True], 1)),
+    ):  # fmt: skip
+        said_path(path).write_text(bad)
+        with pytest.raises(WeightsError, match=r"examples\.json"):
+            read_pack(path)
+
+
+AXES = np.eye(4)
+
+
+def names(pack, sentence, vector):
+    return [(pack.examples[one.number].name, one.mirrored) for one in retrieve(pack, clause_of(sentence), vector).found]
+
+
+def test_the_nearest_that_does_the_same_is_found(pack):
+    assert names(pack, "someone is waving", AXES[0]) == [("wave", False)]
+    assert names(pack, "someone kicks", AXES[1]) == [("kick", False)]
+
+
+def test_another_side_is_the_mirror_image(pack):
+    between = (AXES[0] + AXES[2]) / 2**0.5  # as near to the wave as to its mirror image
+    assert names(pack, "someone waves with the left hand", between) == [("wave", False)]
+    assert names(pack, "someone waves with the right hand", between) == [("wave", True)]
+
+
+def test_what_does_something_else_is_no_example_however_near(pack):
+    assert names(pack, "a person sits down", 0.8 * AXES[0] + 0.6 * AXES[3]) == []
+    assert names(pack, "a person walks and waves with the left hand", 0.8 * AXES[0] + 0.6 * AXES[3]) == []
+
+
+def test_a_sentence_without_a_known_action_takes_only_what_means_the_same(pack):
+    assert names(pack, "hello", AXES[0]) == [("wave", False)]
+    assert names(pack, "hello", 0.8 * AXES[0] + 0.6 * AXES[1]) == []
+
+
+def test_what_is_far_is_no_example(pack):
+    assert names(pack, "someone is waving", 0.5 * AXES[0] + 0.75**0.5 * AXES[1]) == []
+
+
+def test_a_pace_that_was_not_asked_for_and_the_floor_in_place_of_a_chair_are_no_example(pack):
+    def named(*texts):
+        return replace(pack, examples=(replace(pack.examples[0], texts=texts), pack.examples[1]))
+
+    slow = named("a person waves slowly with the left hand", "waves")
+    assert names(slow, "someone is waving", AXES[0]) == []
+    assert names(slow, "someone is waving slowly", AXES[0]) == [("wave", False)]
+    up = named("a person gets up from the floor", "stands up")
+    assert names(up, "someone gets up from a chair", AXES[0]) == []
+    assert names(up, "someone gets up", AXES[0]) == [("wave", False)]
+
+
+def test_plain_walks_take_only_what_is_near(pack):
+    walk = replace(pack, examples=(replace(pack.examples[0], texts=("a person walks", "walk")), pack.examples[1]))
+    for cosine, found in ((0.75, []), (0.85, [("wave", False)])):
+        near = cosine * AXES[0] + (1 - cosine**2) ** 0.5 * AXES[1]
+        assert names(walk, "somebody walks", near) == found
+        assert names(pack, "somebody waves", near) == [("wave", False)]
+
+
+def test_where_a_gesture_made_by_code_is_nearest_only_what_is_about_as_near_is_offered(pack):
+    near = 0.75 * AXES[0] + 0.66 * AXES[1]
+    both = replace(pack, examples=(pack.examples[0], replace(pack.examples[1], texts=("waves",))))
+    assert names(both, "someone is waving", (AXES[0] + AXES[1]) / 2**0.5) == [("wave", False), ("kick", False)]
+    assert len(names(both, "someone is waving", near)) == 2
+    made = replace(both, examples=(replace(both.examples[0], name="gesture_wave_1"), both.examples[1]))
+    assert names(made, "someone is waving", near) == [("gesture_wave_1", False)]
+    assert len(names(made, "someone is waving", (AXES[0] + AXES[1]) / 2**0.5)) == 2
+    other = replace(both, examples=(both.examples[0], replace(both.examples[1], name="gesture_wave_1")))
+    assert ("wave", False) in names(other, "someone is waving", near)
+
+
+def test_a_gesture_made_by_code_is_what_its_words_say_however_near(pack):
+    sits = replace(pack, examples=(replace(pack.examples[0], texts=("does sit-ups",)), pack.examples[1]))
+    assert names(sits, "a person sits down", AXES[0]) == [("wave", False)]  # its sentence means the same
+    made = replace(sits, examples=(replace(sits.examples[0], name="gesture_sit-up_1"), pack.examples[1]))
+    assert names(made, "a person sits down", AXES[0]) == []
+    assert names(made, "someone does sit-ups", AXES[0]) == [("gesture_sit-up_1", False)]
+
+
+def named(pack, name, *texts):
+    return replace(pack, examples=(replace(pack.examples[0], name=name, texts=texts), pack.examples[1]))
+
+
+def test_a_gesture_made_by_code_is_mirrored_only_where_a_side_is_said(pack):
+    between = (AXES[0] + AXES[2]) / 2**0.5
+    made = named(pack, "gesture_wave_1", "a person waves with the left hand", "waves")
+    assert names(made, "someone is waving", between) == [("gesture_wave_1", False)]
+    assert names(made, "someone waves with the right hand", between) == [("gesture_wave_1", True)]
+
+
+def test_a_halt_that_was_not_asked_for_is_no_example_of_a_run(pack):
+    run = named(pack, "run", "someone running comes to a halt and sets off again", "runs")
+    assert names(run, "a person runs", AXES[0]) == []
+    assert names(named(pack, "run", "a person runs"), "a person runs", AXES[0]) == [("run", False)]
+
+
+def test_one_arm_is_no_example_of_both(pack):
+    one, two = named(pack, "one", "raises the left arm"), named(pack, "two", "raises both arms")
+    assert names(one, "a person raises an arm", AXES[0]) == [("one", False)]
+    assert names(one, "a person raises both arms", AXES[0]) == []
+    assert names(two, "a person raises both arms", AXES[0]) == [("two", False)]
+    assert names(two, "a person raises an arm", AXES[0]) == []
+
+
+def test_who_is_on_the_floor_does_not_get_up_from_a_chair(pack):
+    chair = named(pack, "chair", "stands up from a chair")
+    assert names(chair, "a person stands up from the floor", AXES[0]) == []
+    assert names(chair, "a person stands up", AXES[0]) == [("chair", False)]
+
+
+def test_both_feet_are_no_example_of_one(pack):
+    hop = named(pack, "hop", "hops forward from both feet", "hops")
+    assert names(hop, "a person hops on one foot", AXES[0]) == []
+    assert names(hop, "a person hops", AXES[0]) == [("hop", False)]
+
+
+def test_who_sets_off_from_a_walk_is_no_example_of_a_run(pack):
+    off = named(pack, "off", "someone walks forward a little and then takes off into a run", "a person runs")
+    assert names(off, "a person runs forward", AXES[0]) == []
+    off = named(pack, "off", "a person runs, speeding up", "a person runs")
+    assert names(off, "a person runs", AXES[0]) == []
+    assert names(off, "a person runs, speeding up", AXES[0]) == [("off", False)]
+
+
+def test_who_climbs_down_or_up_a_ladder_is_no_example_of_climbing_stairs(pack):
+    down = named(pack, "down", "a person climbs back down step by step", "climbs")
+    assert names(down, "a person climbs", AXES[0]) == []
+    assert names(down, "a person climbs down", AXES[0]) == [("down", False)]
+    ladder = named(pack, "ladder", "a person climbs a ladder", "climbs")
+    assert names(ladder, "a person climbs the stairs", AXES[0]) == []
+    assert names(ladder, "a person climbs", AXES[0]) == [("ladder", False)]
+
+
+def test_what_is_shown_once_is_done_as_often_as_is_counted(pack):
+    (one,) = retrieve(pack, clause_of("someone kicks twice with the right leg"), AXES[1]).found
+    assert one.number == 1 and one.times == 2
+    assert retrieve(pack, clause_of("someone kicks with the right leg"), AXES[1]).found[0].times == 1
+    assert names(pack, "someone waves twice with the left hand", AXES[0]) == []  # that goes on, as often as it likes
+    assert names(pack, "someone kicks nine times with the right leg", AXES[1]) == []
+    twice = replace(pack.examples[1], texts=("a person kicks twice with the right leg",))
+    counted = replace(pack, examples=(pack.examples[0], twice))
+    (one,) = retrieve(counted, clause_of("someone kicks twice with the right leg"), AXES[1]).found
+    assert one.times == 1
+    assert names(counted, "someone kicks three times with the right leg", AXES[1]) == []
+
+
+def test_the_limb_that_is_meant_counts_more_than_the_way_of_its_movement(pack):
+    assert names(pack, "someone kicks a ball to the left with the right foot", AXES[1]) == [("kick", False)]
+    assert names(pack, "someone kicks a ball to the left with the left foot", AXES[1]) == []
+    assert names(pack, "someone kicks a ball to the left", AXES[1]) == []
+
+
+def test_who_falls_does_not_get_up_where_nobody_says_so(pack):
+    again = named(pack, "again", "a person falls, gets up and falls again", "falls")
+    assert names(again, "a person falls", AXES[0]) == []
+    assert names(again, "a person falls and gets up again", AXES[0]) == [("again", False)]
+    assert names(named(pack, "down", "a person falls and lies still", "falls"), "a person falls", AXES[0])
+
+
+def test_what_is_high_is_no_example_of_what_is_low(pack):
+    high = named(pack, "high", "a person kicks high with the left foot")
+    assert names(high, "a person does a low kick", AXES[0]) == []
+    assert names(high, "a person kicks", AXES[0])
+
+
+def test_examples_that_show_more_are_left_where_enough_do_not(pack):
+    extra = [replace(pack.examples[0], name=f"{n}", texts=(text, "waves")) for n, text in enumerate((
+        "a person waves and kicks", "a person waves", "a person is waving", "waves on", "waves and waves",
+    ))]  # fmt: skip
+    size = len(extra)
+    many = replace(
+        pack, examples=tuple(extra), data=pack.data[:1] * size, owners=np.arange(size),
+        texts=np.repeat(pack.texts[:, :1], size, axis=1), motions=np.repeat(pack.motions[:, :1], size, axis=1),
+    )  # fmt: skip
+    assert [name for name, _ in names(many, "someone is waving", AXES[0])] == ["1", "2", "3", "4"]
+
+
+@pytest.fixture
+def statistics(pack):
+    return FeatureStatistics.measure([pack.features(index) for index in range(2)])
+
+
+@pytest.fixture
+def bank(pack, encoder, statistics):
+    torch = pytest.importorskip("torch", reason="networks are made with PyTorch")
+    from bunraku_lab.nn.running import running_extractor
+    from bunraku_lab.nn.text import Extractor
+
+    torch.manual_seed(3)
+    sizes = {"width": 16, "layers": 1, "heads": 2, "feedforward": 16, "embedding": 4, "text_size": 8, "pooled_size": 8}
+    ranker = running_extractor(Extractor(ExtractorConfig(**sizes, text_encoder="words")))
+    return ExampleBank(pack, ranker, encoder, statistics, count=2)
+
+
+def test_the_nearest_by_vectors_alone_each_once_on_the_nearer_side(bank):
+    assert bank.nearest(AXES[0]) == [(0, False), (1, False)]
+    assert bank.nearest(AXES[3])[0] == (1, True)
+    assert bank.nearest((AXES[2] + 0.5 * AXES[1]) / 1.25**0.5) == [(0, True), (1, False)]
+
+
+def test_what_is_left_out_is_not_found(bank):
+    assert bank.nearest(AXES[0], {"wave"}) == [(1, False)]
+    assert bank.nearest(AXES[0], {"wave", "kick"}) == []
+
+
+def test_gestures_made_by_code_are_not_attended_to(bank, pack):
+    made = replace(pack, examples=(replace(pack.examples[0], name="gesture_wave"), pack.examples[1]))
+    other = ExampleBank(made, bank.ranker, bank.encoder, bank.statistics, 2)
+    assert other.nearest(AXES[0]) == [(1, False)]
+
+
+def test_values_are_in_network_units_with_the_vector_of_their_own_sentence(bank, pack, encoder, statistics):
+    text = encoder.encode(["kicks hard", "waves"])
+    found = bank(text, [{"wave"}, {"kick"}])
+    assert found.lengths.tolist() == [[30, 0], [40, 0]]
+    assert found.values.shape == (2, 2, 40, 271) and found.pooled.shape == (2, 2, 8)
+    kick = statistics.normalise(pack.features(1))
+    own = found.values[0, 0, :30]
+    side = min((kick, statistics.normalise(mirror(pack.features(1)))), key=lambda one: np.abs(one - own).max())
+    np.testing.assert_allclose(own, side, atol=0.02)
+    said = "a person kicks with the right leg" if side is kick else "a person kicks with the left leg"
+    np.testing.assert_allclose(found.pooled[0, 0], encoder.encode([said]).pooled[0])
+    assert not found.values[0, 1].any() and not found.values[0, 0, 30:].any()
+
+
+def test_takes():
+    names = ("cmu_13_29_jacks@40", "cmu_13_29@0#12", "snu_WalkSad05@0", "snu_WalkSad11", "hdm_kick", "turn_cmu_02_01")
+    found = [take_of(name) for name in names]
+    assert found == ["cmu_13_29", "cmu_13_29", "snu_WalkSad", "snu_WalkSad", "hdm_kick", "cmu_02_01"]
+
+
+def test_the_sampler_retrieves_for_the_sentence_from_the_shipped_examples(running):
+    """Motions of a network that attends to examples differ from those that it makes where none is usable."""
+    from bunraku.generation import attended
+    from bunraku.generation.sampler import Solver, sample
+    from bunraku.language.encoders import text_encoder
+
+    name = "all-MiniLM-L6-v2+cues"
+    encoder = text_encoder(name)
+    sizes = {"text_encoder": name, "text_size": encoder.token_size, "pooled_size": encoder.pooled_size}
+    model = running(examples=2, **sizes)
+    text = encoder.encode(["a person does a cartwheel"])
+    statistics = FeatureStatistics(model.mean, model.std)
+    bank = attended.example_bank(model.config, statistics)
+    assert attended.example_bank(model.config, statistics) is bank
+    found = bank(text)
+    assert found.values.shape[:2] == (1, 2) and (found.lengths > 0).all()
+    one = sample(model, text, 40, Solver(2), seed=1).values
+    assert np.array_equal(one, sample(model, text, 40, Solver(2), seed=1).values)
+    model.layers[1].examples.leave.matrix[:] = 0
+    assert np.abs(one - sample(model, text, 40, Solver(2), seed=1).values).max() > 1e-3

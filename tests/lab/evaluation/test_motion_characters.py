@@ -1,0 +1,159 @@
+"""Motion on characters: quality and ARAP-Loss."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bunraku.core.animation import Animation
+from bunraku.core.body.layout import HANDLE_COUNT
+from bunraku.core.body.reference import reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku_lab.evaluation.motion.characters import (
+    ArapRow,
+    ArapTable,
+    animation_arap,
+    arap_loss,
+    gauge,
+    measure,
+    measure_adaptation,
+    pooled,
+    stage_effects,
+)
+
+FRAMES = 40
+CM = 170 / reference_body().character().height  # at human size, for each metre of the reference body
+
+
+def moving(path):
+    """The reference body in its rest pose along a path (N, 3)."""
+    frames = len(path)
+    eye = np.tile(np.eye(3), (frames, HANDLE_COUNT, 1, 1))
+    return HandleMotion(np.zeros((frames, HANDLE_COUNT, 3)), eye, path, eye[:, 0])
+
+
+def line(x=0.0, y=0.0, z=0.0):
+    return np.linspace(0, 1, FRAMES)[:, None] * [x, y, z]
+
+
+def measured(motion):
+    body = reference_body()
+    return measure(gauge(body.character(), body.handles), motion)
+
+
+def test_a_body_that_glides_slides_by_its_own_speed():
+    assert measured(moving(line())).sliding == 0
+    assert measured(moving(line(z=0.39))).sliding == pytest.approx(0.01 * CM, rel=1e-3)  # 1 cm a frame
+    assert measured(moving(line(x=0.39) + [0, 0.5, 0])).sliding == 0  # in the air
+
+
+def test_the_size_of_a_character_does_not_matter():
+    body = reference_body()
+    giant = Character("giant", body.vertices * 30, body.faces)
+    handles = Handles(body.handles.positions * 30, body.handle_weights)
+    motion = replace(moving(line(z=0.39)), root_translation=line(z=0.39) * 30)
+    assert measure(gauge(giant, handles), motion).sliding == pytest.approx(0.01 * CM, rel=1e-3)
+
+
+def test_a_foot_that_swings_low_is_told_from_one_that_slides():
+    path = np.zeros((FRAMES, 3))
+    path[20:, 2] = np.arange(20) * 0.15  # 3 m/s, but the body goes with it: that is sliding
+    what = gauge(reference_body().character(), reference_body().handles)
+    quality = measure(what, moving(path))
+    assert quality.contact_share == 1
+    assert quality.sliding == quality.sliding_all == pytest.approx(0.15 * CM * 19 / 39, rel=1e-3)
+    still = moving(np.zeros((FRAMES, 3)))
+    shift = np.zeros_like(still.translations)
+    shift[20:, [1, 4, 7, 10], 2] = (np.arange(20) * 0.15)[:, None]  # only the left leg does: a step
+    quality = measure(what, replace(still, translations=shift))
+    assert quality.contact_share == pytest.approx(1 - 19 / 39 / 2, abs=0.01)
+    assert quality.sliding < 0.01 < 3 < quality.sliding_all
+
+
+def test_depth_is_that_of_the_lowest_vertex():
+    height = reference_body().character().height
+    assert measured(moving(line())).deepest == pytest.approx(0, abs=1e-4)
+    assert measured(moving(line(y=-0.1))).deepest == pytest.approx(10 / height, rel=1e-3)
+
+
+def test_jitter_is_the_third_difference():
+    assert measured(moving(line(x=3) ** 1)).jitter == pytest.approx(0, abs=1e-3)
+    cubic = moving((np.arange(FRAMES)[:, None] / 20.0) ** 3 * [0, 0, 1])
+    assert measured(cubic).jitter == pytest.approx(6 / 20**3 * CM, rel=0.02)
+    assert measured(moving(np.zeros((3, 3)))).jitter == 0
+
+
+def test_pooling_weighs_by_feet_that_are_down():
+    what = gauge(reference_body().character(), reference_body().handles)
+    one, other = measure(what, moving(line())), measure(what, moving(line(z=0.39) + [0, 0.5, 0]))
+    both = pooled([one, other])
+    assert both.sliding == one.sliding == 0
+    assert both.frames == 2 * FRAMES
+    assert both.contact_share == pytest.approx(0.5)
+
+
+def test_each_stage_has_its_effect():
+    body = reference_body()
+    rng = np.random.default_rng(0)
+    faulty = moving(line(z=0.6) + 0.0004 * rng.normal(size=(FRAMES, 3)))
+    rows = stage_effects([faulty], {"person": (body.character(), body.handles)})
+    assert [row["without"] for row in rows] == ["nothing", "smooth", "feet", "floor", "smooth, feet, floor"] * 2
+    own = {row["without"]: row for row in rows if row["character"] == "person"}
+    assert own["nothing"]["sliding"] < 0.2 < 1 < own["feet"]["sliding"]
+    assert own["nothing"]["jitter"] < 0.8 * own["smooth"]["jitter"]
+    assert own["nothing"]["deepest"] < 0.5
+    assert own["smooth, feet, floor"]["moved"] == 0
+
+
+def test_arap_loss_by_hand():
+    """Eq. 12: a triangle of extent 2 whose edges 2, 2 and 2.828 become 3, 2 and 3.606."""
+    rest = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0]], np.float32)
+    posed = np.stack([rest, rest])
+    posed[1, 1, 0] = 3
+    edges = np.array([[0, 1], [1, 2], [0, 2]])
+    want = (1.0**2 + (np.sqrt(13) - np.sqrt(8)) ** 2) / 4
+    np.testing.assert_allclose(arap_loss(posed, rest, edges), [0, want], rtol=1e-5)
+
+
+def test_a_rigid_motion_costs_nothing():
+    character = Character(
+        "tetra", np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), [[0, 1, 2], [0, 1, 3], [1, 2, 3]]
+    )
+    handles = Handles(np.zeros((2, 3)), [[1, 0], [1, 0], [0.5, 0.5], [0, 1]])
+    turn = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0.0]])
+    motion = HandleMotion(np.zeros((1, 2, 3)), np.tile(np.eye(3), (1, 2, 1, 1)), np.ones((1, 3)), turn[None])
+    assert animation_arap(Animation(character, handles, motion)) < 1e-12
+
+
+def test_the_ratio_is_that_of_the_means():
+    seen = (ArapRow("a", False, 1.0, 1.5, 2.0, 5.0, 0.01), ArapRow("b", False, 3.0, 3.0, 3.0, 5.0, 0.03))
+    table = ArapTable((*seen, ArapRow("c", True, 9.0, 9.5, 10.0, 12.0, 0.02)))
+    assert table.ratio(unseen=False) == 4 / 5 and table.ratio(unseen=True) == 0.9
+    assert math.isclose(table.means(unseen=False)["delta"], 0.02) and math.isnan(ArapTable(()).ratio(unseen=True))
+
+
+def test_a_generated_clip_is_measured_with_and_without():
+    """The shipped weights on a small character: the three rows come from one motion, and the stage `attach` keeps edges
+    together.
+    """
+    from dataclasses import replace
+
+    from bunraku.anatomy.names.bone_names import rig_handles
+    from bunraku_lab.synthetic.samples import make_sample
+
+    character = make_sample("dancer", 0.4, rigged=True)
+    handles = replace(rig_handles(character).top(4), features=np.zeros(448, np.float32))
+    told = []
+    table = measure_adaptation(
+        [("samples/dancer", replace(character, rig=None), handles)],
+        ["a person waves"],
+        seconds=2.0,
+        steps=8,
+        progress=lambda stage, share: told.append(share),
+    )
+    row = table.rows[0]
+    assert row.name == "samples/dancer" and not row.unseen and told[-1] == 1
+    assert 0 < row.plain < row.loose and row.adapted > 0 and 0 <= row.delta < 0.05
+    assert row.adapted < row.plain and (row.learned == row.plain) == (row.delta == 0)

@@ -1,0 +1,322 @@
+"""Training of the denoiser, from other weights too, and the tool for graphics cards."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from bunraku.errors import FormatError, OptionError
+from bunraku.generation.layers import DenoiserConfig
+from bunraku_lab.nn.checkpoints import load_training_state
+from bunraku_lab.nn.denoiser import Denoiser, load_denoiser, save_denoiser
+from bunraku_lab.training.diffusion.train import TrainingConfig, rescaled, start_from, train_diffusion
+from bunraku_lab.training.diffusion.trainer import Trainer
+
+
+@pytest.fixture
+def settings(swings, tmp_path):
+    return lambda **how: TrainingConfig(
+        **{"data": swings, "out": tmp_path / "run", "minutes": None, "steps": 4, "batch": 4, "device": "cpu", **how}
+    )
+
+
+def weights(path):
+    return load_training_state(path / "state.safetensors")
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_weights(settings, tmp_path, config, encoder, monkeypatch):
+    train_diffusion(settings(out=tmp_path / "whole"), config(), encoder)
+    update = Trainer.update
+
+    def update_then_stop(self, example):
+        losses = update(self, example)
+        if self.step == 2:
+            os.kill(os.getpid(), signal.SIGTERM)  # what a batch system sends
+        return losses
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "update", update_then_stop)
+        train_diffusion(settings(), config(), encoder)
+    assert weights(tmp_path / "run").step == 2
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    path = train_diffusion(settings(), config(), encoder)
+    whole, parts = weights(tmp_path / "whole"), weights(tmp_path / "run")
+    assert whole.step == parts.step == 4
+    for name in ("model", "average"):
+        assert all(torch.equal(value, parts.models[name][key]) for key, value in whole.models[name].items())
+    model = load_denoiser(path)
+    assert model.notes["steps"] == 4 and not model.knows_meshes and model.mean.abs().sum() > 0
+    assert (tmp_path / "run" / "log.csv").read_text().startswith("step,")
+
+
+def test_mesh_features_are_trained_when_a_bank_is_given(settings, config, encoder, tmp_path):
+    import numpy as np
+
+    bank = tmp_path / "bank.npz"
+    np.savez(bank, features=np.random.default_rng(0).normal(size=(5, 12)).astype(np.float32))
+    assert load_denoiser(train_diffusion(settings(mesh_bank=bank, steps=1), config(), encoder)).knows_meshes
+    np.savez(bank, features=np.zeros((5, 3)))
+    with pytest.raises(FormatError, match=r"bank\.npz.*\(characters, 12\)"):
+        train_diffusion(settings(mesh_bank=bank), config(), encoder)
+
+
+def test_text_tokens_are_dropped_in_training_alone(settings, config, encoder, swings):
+    """Of all tokens about as many as asked for; sentence vectors stay, and noise and steps are those without it."""
+    from bunraku.generation.features import FeatureStatistics
+    from bunraku_lab.nn.text import tensors_of
+    from bunraku_lab.training.rows.clip_rows import ClipSet
+    from bunraku_lab.training.rows.clips import load_clips
+
+    found = load_clips(swings)
+    statistics = FeatureStatistics.measure([entry["features"] for entry in found.values()])
+    batch = ClipSet(found, statistics, frames=60).batch(0, 0, 64)
+    text = tensors_of(encoder.encode(batch.sentences))
+    plain, dropping = (Trainer(settings(drop_tokens=share), config(), statistics) for share in (0.0, 0.3))
+    whole, less = (trainer.example(batch, text, [0, 1]) for trainer in (plain, dropping))
+    assert torch.equal(whole.text.mask, text.mask) and torch.equal(whole.text.pooled, less.text.pooled)
+    assert torch.equal(whole.noise, less.noise) and torch.equal(whole.keep_text, less.keep_text)
+    assert not (less.text.mask & ~text.mask).any()
+    assert 0.6 < float(less.text.mask.sum() / text.mask.sum()) < 0.8
+    assert torch.equal(dropping.example(batch, text, [0, 1], train=False).text.mask, text.mask)
+
+
+def test_training_learns(settings, config, encoder):
+    """The motion loss of the four motions falls well below that of the mean pose, which is about their variance."""
+    import csv
+
+    path = train_diffusion(
+        settings(steps=180, batch=8, learning_rate=3e-3, warmup=10, bf16=False, validate_every=60, compose=0.0),
+        config(),
+        encoder,
+    )
+    with (path.parent / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["step"] for row in rows] == ["20", "60", "120", "180"]
+    assert float(rows[-1]["motion"]) < 0.5 * float(rows[0]["motion"])
+
+
+def test_no_thread_outlives_a_run(settings, config, encoder, monkeypatch):
+    """One that is inside torch when the process ends would abort it."""
+    from bunraku_lab.training.rows.clip_rows import ClipSet
+
+    batch = ClipSet.batch
+
+    def slow(*words):
+        time.sleep(0.3)
+        return batch(*words)
+
+    monkeypatch.setattr(ClipSet, "batch", slow)
+    train_diffusion(settings(steps=1, batch=2, bf16=False), config(), encoder)
+    assert "batches" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_wrong_settings_are_clear(settings, config, encoder, tmp_path):
+    for how, words in {
+        "preset": ("huge", "unknown"),
+        "batch": (0, "positive"),
+        "steps": (-1, "positive"),
+        "minutes": (-5.0, "positive"),
+    }.items():
+        with pytest.raises(OptionError, match=words[1]):
+            train_diffusion(settings(**{how: words[0]}), config(), encoder)
+    with pytest.raises(FormatError, match="bunraku data motions"):
+        train_diffusion(settings(data=tmp_path / "nowhere"), config(), encoder)
+    train_diffusion(settings(steps=1), config(), encoder)
+    with pytest.raises(OptionError, match="another network"):
+        train_diffusion(settings(steps=1), config(width=32), encoder)
+
+
+def test_mesh_specific_learning_goes_on_after_a_stop(settings, config, encoder, bank_path, tmp_path):
+    """Spring and adversarial loss with a bank of characters; discriminator and turn are part of the state."""
+    how = {"character_bank": bank_path, "characters": 2, "character_frames": 8, "validate_every": 2}
+    train_diffusion(settings(out=tmp_path / "whole", **how), config(), encoder)
+    train_diffusion(settings(steps=2, **how), config(), encoder)
+    path = train_diffusion(settings(**how), config(), encoder)
+    whole, parts = weights(tmp_path / "whole"), weights(tmp_path / "run")
+    for name in ("model", "discriminator"):
+        assert all(torch.equal(value, parts.models[name][key]) for key, value in whole.models[name].items())
+    assert load_denoiser(path).knows_meshes
+    log = (tmp_path / "run" / "log.csv").read_text().splitlines()
+    assert log[0].endswith("spring,adversarial,discriminator,score") and len(log) == 3 and "nan" not in log[-1]
+
+
+def test_an_older_state_goes_on(settings, config, encoder, bank_path, tmp_path):
+    """A state of before the discriminator, with other fields of the network's config."""
+    from bunraku_lab.nn.checkpoints import save_training_state
+
+    train_diffusion(settings(steps=1), config(), encoder)
+    state = weights(tmp_path / "run")
+    state.config["network"].pop("adaptation_mesh")
+    state.config["network"] |= {"architecture": "decoder", "convolution": 0}  # fields that are no longer in use
+    save_training_state(tmp_path / "run" / "state.safetensors", state)
+    train_diffusion(settings(steps=2, character_bank=bank_path, characters=2), config(), encoder)
+    assert weights(tmp_path / "run").step == 2 and "discriminator" in weights(tmp_path / "run").models
+
+
+def test_curves_for_tensorboard(settings, config, encoder, tmp_path):
+    events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    train_diffusion(settings(steps=4, validate_every=2), config(), encoder)
+    found = events.EventAccumulator(str(tmp_path / "run" / "events")).Reload()
+    assert {"motion", "velocity", "rate", "validation", "steps_per_second"} <= set(found.Tags()["scalars"])
+    assert [event.step for event in found.Scalars("motion")] == [2, 4]
+
+
+def test_without_tensorboard_one_line_says_so(settings, config, encoder, tmp_path, monkeypatch, capsys):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    train_diffusion(settings(steps=1), config(), encoder)
+    assert capsys.readouterr().out.replace("\n", " ").count("no TensorBoard curves") == 1
+    assert not (tmp_path / "run" / "events").exists()
+
+
+def test_several_processes_without_accelerate_are_an_error(settings, config, encoder, monkeypatch):
+    import sys
+
+    from bunraku.errors import MissingExtraError
+
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setitem(sys.modules, "accelerate", None)
+    with pytest.raises(MissingExtraError, match=r"bunraku\[train\]"):
+        train_diffusion(settings(steps=1), config(), encoder)
+
+
+def test_the_checkpoint_says_that_creatures_were_trained(settings, config, encoder, swings):
+    import json
+
+    index = json.loads((swings / "index.json").read_text())
+    index["clips"]["waves_0"] |= {"species": "horse", "action": "walk", "character": "pack/Horse"}
+    (swings / "index.json").write_text(json.dumps(index))
+    assert load_denoiser(train_diffusion(settings(steps=1), config(), encoder)).notes["creatures"] is True
+
+
+TINY = DenoiserConfig(
+    width=32, layers=2, heads=2, feedforward=48, frames=24, frames_per_token=4, text_size=8, pooled_size=8
+)
+
+
+def denoiser(config=TINY, seed=0):
+    torch.manual_seed(seed)
+    model = Denoiser(config).eval()
+    with torch.no_grad():
+        for value in model.parameters():
+            value.add_(0.05 * torch.randn_like(value))
+        model.mean.copy_(torch.randn(config.features))
+        model.std.copy_(torch.rand(config.features) + 0.5)
+    return model
+
+
+def predict(model, values):
+    """Clean motion in plain units, in and out."""
+    yes = torch.ones(len(values), dtype=torch.bool)
+    condition = model.condition(None, None, None, None, ~yes, ~yes)
+    lengths = torch.full((len(values),), values.shape[1])
+    with torch.no_grad():
+        out, _ = model((values - model.mean) / model.std, torch.full((len(values),), 300), lengths, condition)
+    return out * model.std + model.mean
+
+
+def test_other_units_same_motion():
+    old, new = denoiser(), denoiser(seed=1)
+    values = torch.randn(2, 16, TINY.features)
+    expected = predict(old, values)
+    assert not torch.allclose(predict(new, values), expected, atol=0.1)
+    new.load_state_dict(rescaled(old, new.mean, new.std))
+    torch.testing.assert_close(predict(new, values), expected, atol=2e-4, rtol=1e-4)
+
+
+def test_start_from_a_checkpoint(tmp_path):
+    old, new = denoiser(), denoiser(replace(TINY, adaptation_mesh=True), seed=1)
+    path = save_denoiser(tmp_path / "old.safetensors", old, half=False)
+    head = new.adaptation_out.weight.clone()
+    mean = new.mean.clone()
+    start_from(path, new)
+    values = torch.randn(1, 16, TINY.features)
+    torch.testing.assert_close(predict(new, values), predict(old, values), atol=2e-4, rtol=1e-4)
+    assert torch.equal(new.adaptation_out.weight, head) and torch.equal(new.mean, mean)
+
+
+def test_another_network_is_refused(tmp_path):
+    path = save_denoiser(tmp_path / "old.safetensors", denoiser())
+    with pytest.raises(OptionError, match="whose width differ"):
+        start_from(path, denoiser(replace(TINY, width=48)))
+    with pytest.raises(OptionError, match="pooled_size differ"):
+        start_from(path, denoiser(replace(TINY, pooled_size=8 + 30)))
+
+
+def test_attention_to_examples_starts_without_effect(tmp_path):
+    """A network with examples begins as the one that it starts from."""
+    old, new = denoiser(), Denoiser(replace(TINY, examples=2)).eval()
+    new.mean.copy_(old.mean)
+    new.std.copy_(old.std)
+    start_from(save_denoiser(tmp_path / "old.safetensors", old, half=False), new)
+    new.adaptation_out.load_state_dict(old.adaptation_out.state_dict())
+    values = torch.randn(2, 16, TINY.features)
+    torch.testing.assert_close(predict(new, values), predict(old, values), atol=1e-6, rtol=1e-5)
+    assert new.example_in.weight.shape == (32, 2 * 4 * TINY.features)
+
+
+TOOL = Path(__file__).parents[3] / "tools" / "gpu.py"
+
+
+def call(tool, folder, *words, status=0):
+    clean = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHONPATH", "BUNRAKU"))}
+    done = subprocess.run(
+        [sys.executable, str(tool), *map(str, words)],
+        cwd=folder,
+        env=clean,
+        capture_output=True,
+        text=True,
+        timeout=900,
+    )
+    assert done.returncode == status, done.stderr
+    return done.stdout + done.stderr
+
+
+@pytest.fixture
+def packed(swings, tmp_path):
+    bank = tmp_path / "bank.npz"
+    np.savez(bank, features=np.random.default_rng(0).normal(size=(3, 448)).astype(np.float32))
+    out = tmp_path / "gpu"
+    said = call(TOOL, tmp_path, "pack", "--data", swings, "--mesh-bank", bank, "-o", out)
+    assert "8 clips" in said and "MiB" in said
+    return out
+
+
+def test_packed_trained_in_two_calls_and_joined(packed, tmp_path):
+    """A step, one more where it stopped, and the weights come back in pieces, whole."""
+    assert not (packed / "src/bunraku/weights/diffusion.safetensors").exists()
+    back = tmp_path / "back"
+    how = ("--preset", "small", "--batch", 2, "--device", "cpu", "--threads", 1, "--piece", 4, "--out", back)
+    said = call(packed / "gpu.py", tmp_path, "train", *how, "--steps", 1, "--files", 3, status=1)
+    assert "are more than 3 files" in said  # what was trained is kept
+    said = call(packed / "gpu.py", tmp_path, "train", *how, "--steps", 2)
+    assert "from step 1" in said
+    pieces = sorted(back.glob("*.piece"))
+    assert len(pieces) >= 5 and max(piece.stat().st_size for piece in pieces) <= 4 << 20
+    said = call(TOOL, tmp_path, "join", back, "-o", tmp_path / "run")
+    assert "2 steps" in said
+    whole = tmp_path / "run" / "diffusion.safetensors"
+    assert whole.read_bytes() == (packed / "run" / "diffusion.safetensors").read_bytes()
+    model = load_denoiser(whole)
+    assert model.notes["steps"] == 2 and model.knows_meshes
+    with (tmp_path / "run" / "log.csv").open() as file:
+        assert csv.DictReader(file).fieldnames[0] == "step"
+    pieces[0].unlink()
+    said = call(TOOL, tmp_path, "join", back, "-o", tmp_path / "other", status=1)
+    assert "piece 0 of diffusion.safetensors is missing" in said
+
+
+def test_a_limit_that_comes_too_early_is_said(packed, tmp_path):
+    """The alarm rings within seconds, while the libraries are still being loaded."""
+    said = call(packed / "gpu.py", tmp_path, "train", "--limit", 0.001, "--steps", 1, "--device", "cpu", status=1)
+    assert "the limit came before the first step" in said
