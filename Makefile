@@ -89,7 +89,7 @@ test: $(DEVELOP) .venv/.validator .venv/.browser
 # The Khronos validator checks every GLB that the tests write, and three.js opens some. Both come from npm; without npm those tests are skipped and
 # say so, as those with Blender are where there is none.
 .venv/.validator: $(DEVELOP) tests/files/validator/package.json tools/check_viewers/package.json
-	@if command -v npm >/dev/null; then for folder in tests/formats/validator tools/check_viewers; do \
+	@if command -v npm >/dev/null; then for folder in tests/files/validator tools/check_viewers; do \
 		npm install --silent --no-audit --no-fund --no-package-lock --prefix $$folder || echo "npm install failed in $$folder; its tests are skipped"; \
 		done; fi
 	@touch $@

@@ -25,9 +25,7 @@ from bunraku import transfer
 from bunraku.anatomy.handles.orientation import resolve_axes
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
-from bunraku.files import load_character
-from bunraku.files.gltf.read import turned
-from bunraku.files.registry import in_metres
+from bunraku.files import in_metres, load_character, turned
 from bunraku.generation.library import all_clips, clip
 from bunraku.pipelines.animate import rig
 from bunraku.pipelines.apparel import dressed

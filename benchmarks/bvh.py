@@ -28,7 +28,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bunraku.core.motion import SkeletalMotion, Skeleton
-from bunraku.files.motions.bvh import write_bvh
+from bunraku.files import write_bvh
 from bunraku.pipelines.motions.read import load_motion
 
 

@@ -22,8 +22,7 @@ from bunraku.anatomy.handles.orientation import SURE, resolve_axes, upright
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.errors import BunrakuError
-from bunraku.files import load_character
-from bunraku.files.gltf.read import turned
+from bunraku.files import load_character, turned
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.requests import Request, Sampling
 from bunraku_lab.evaluation.handles.measures import edge_error

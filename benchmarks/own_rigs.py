@@ -22,8 +22,7 @@ from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character
 from bunraku.errors import BunrakuError
-from bunraku.files import load_character
-from bunraku.files.gltf.read import Source
+from bunraku.files import Source, load_character
 from bunraku.pipelines.animator import Animator, Body
 from bunraku.pipelines.requests import Request, Sampling
 from bunraku.retarget.rig_parts import RigParts

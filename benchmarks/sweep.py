@@ -4,7 +4,7 @@
 
 For each file: the whole of `bunraku.animate` and `save`; the GLB played by an independent reading of the glTF rules
 (`tests/files/gltf_player.py`) against the library's own vertices; vertex count and order, UVs, materials and images
-against the source; and the Khronos validator where node and `npm install` in tests/formats/validator are there. Ends
+against the source; and the Khronos validator where node and `npm install` in tests/files/validator are there. Ends
 with status 1 when anything failed.
 """
 
@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests" / "formats"))
+sys.path.insert(0, str(ROOT / "tests" / "files"))
 
 from gltf_player import Player  # noqa: E402
 
@@ -30,7 +30,7 @@ import bunraku  # noqa: E402
 from bunraku.core.animation import Animation  # noqa: E402
 
 SUFFIXES = {".glb", ".gltf", ".vrm", ".obj", ".ply", ".stl"}
-VALIDATOR = Path(os.environ.get("BUNRAKU_GLTF_VALIDATOR", ROOT / "tests/formats/validator"))
+VALIDATOR = Path(os.environ.get("BUNRAKU_GLTF_VALIDATOR", ROOT / "tests/files/validator"))
 
 
 def kept(path: Path, source: Path) -> str:
@@ -84,7 +84,7 @@ def validate(paths: list[Path]) -> dict[str, int] | None:
     """Errors that the Khronos validator finds, by file; None where it is not installed."""
     if not (VALIDATOR / "node_modules" / "gltf-validator").is_dir():
         return None
-    command = ["node", str(ROOT / "tests/formats/validator/validate.js"), *map(str, paths)]
+    command = ["node", str(ROOT / "tests/files/validator/validate.js"), *map(str, paths)]
     output = subprocess.run(
         command, capture_output=True, check=True, env={**os.environ, "NODE_PATH": str(VALIDATOR / "node_modules")}
     ).stdout

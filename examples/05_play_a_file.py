@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
-from bunraku.files.clips import load_animation
+from bunraku.files import load_animation
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "outputs")
 folder.mkdir(parents=True, exist_ok=True)

@@ -19,9 +19,7 @@ import bunraku
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.cli import main as bunraku_command
 from bunraku.core.animation import Animation
-from bunraku.files import save_character
-from bunraku.files.clips import load_animation
-from bunraku.files.samples import sample_character
+from bunraku.files import load_animation, sample_character, save_character
 from bunraku.pipelines.animate import animate, rig
 from bunraku.pipelines.apply import apply_motion
 from bunraku.render import contact_sheet, render_animation

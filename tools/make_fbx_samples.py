@@ -4,7 +4,7 @@ vertices.
 Run it with any Python that has `bpy` (tried with 5.0.1; it is no dependency of Bunraku, and needs an environment of its
 own):
 
-    python tools/make_fbx_samples.py tests/formats/data
+    python tools/make_fbx_samples.py tests/files/data
 
 It writes a man of boxes with Mixamo's names for his bones and a short clip: once +Z up in centimetres, once +Y up in
 metres, and once without the mesh, all packed by gzip. `boxman.npz` holds the rest pose and the posed vertices as

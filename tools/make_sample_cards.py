@@ -10,7 +10,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from bunraku.files.samples import sample_character, sample_names
+from bunraku.files import sample_character, sample_names
 from bunraku.render.frames import render_still
 
 SIZE = 192, 144

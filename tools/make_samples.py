@@ -8,10 +8,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from bunraku.files.samples import sample_names
+from bunraku.files import sample_names
 from bunraku_lab.synthetic.samples import write_sample
 
-TARGET = Path(__file__).resolve().parents[1] / "src" / "bunraku" / "samples"
+TARGET = Path(__file__).resolve().parents[1] / "src" / "bunraku" / "files" / "samples"
 
 
 def main() -> int:

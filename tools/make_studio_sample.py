@@ -10,8 +10,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from bunraku.files import save_character
-from bunraku.files.samples import sample_character
+from bunraku.files import sample_character, save_character
 from bunraku.studio.projects import pack_project
 from bunraku.studio.state import SAMPLE
 from bunraku.studio.store import Store

@@ -35,9 +35,7 @@ if TYPE_CHECKING:
     from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
     from bunraku.core.character import Character, Handles, Rig
     from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
-    from bunraku.files import load_character, save_character
-    from bunraku.files.presets import save_clips, save_for
-    from bunraku.files.samples import sample_character
+    from bunraku.files import load_character, sample_character, save_character, save_clips, save_for
     from bunraku.generation import library as clips
     from bunraku.pipelines.animate import animate, edit, generate, rig, with_skeleton
     from bunraku.pipelines.animator import Animator

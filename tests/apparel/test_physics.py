@@ -451,9 +451,6 @@ def test_a_node_of_two_springs_swings_once():
     assert len(rig.dynamic) == 2 and any("several springs" in note for note in rig.notes)
 
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-
 _TURN = np.radians(20.0)
 
 

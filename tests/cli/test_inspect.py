@@ -64,7 +64,7 @@ def test_a_file_that_says_how_it_moves_needs_none(tmp_path: Path, capsys) -> Non
     assert not (tmp_path / "one.apparel.toml").exists()
 
 
-DATA = Path(__file__).parents[1] / "formats" / "data"
+DATA = Path(__file__).parents[1] / "files" / "data"
 
 
 def inspected(name: str, folder: Path, capsys) -> dict:

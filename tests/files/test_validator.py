@@ -24,7 +24,7 @@ MODULES = Path(os.environ.get("BUNRAKU_GLTF_VALIDATOR", HERE / "validator")) / "
 DATA = Path(os.environ.get("BUNRAKU_DATA", HERE.parents[2] / "shared"))
 needs_validator = pytest.mark.skipif(
     not shutil.which("node") or not (MODULES / "gltf-validator").is_dir(),
-    reason="needs node, and `npm install` in tests/formats/validator (or BUNRAKU_GLTF_VALIDATOR)",
+    reason="needs node, and `npm install` in tests/files/validator (or BUNRAKU_GLTF_VALIDATOR)",
 )
 
 

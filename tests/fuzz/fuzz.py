@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent / "formats"))
+sys.path.insert(0, str(HERE.parent / "files"))
 
 from gltf_files import CUBE, CUBE_FACES, Maker, cube_glb, textured_glb  # noqa: E402
 from mmd_bytes import plank, pmd, pmx  # noqa: E402
@@ -83,7 +83,7 @@ def seeds() -> list[tuple[str, bytes]]:
     np.save(joints, positions.astype(np.float32))
     amass = io.BytesIO()
     np.savez(amass, poses=np.zeros((10, 156)), trans=np.zeros((10, 3)), mocap_framerate=30.0, betas=np.zeros(16))
-    fbx = gzip.decompress((HERE.parent / "formats" / "data" / "boxman_y_up_m.fbx.gz").read_bytes())
+    fbx = gzip.decompress((HERE.parent / "files" / "data" / "boxman_y_up_m.fbx.gz").read_bytes())
     return [
         ("cube.glb", cube_glb()),
         ("textured.glb", textured_glb()),

@@ -156,7 +156,7 @@ def test_files_of_skeletons(person, tmp_path):
         bunraku.transfer(person, tmp_path / "names.json")
 
 
-FILES = Path(__file__).parents[1] / "formats" / "data"
+FILES = Path(__file__).parents[1] / "files" / "data"
 QUICK = Sampling(2.0, 1, 4, candidates=1)
 
 

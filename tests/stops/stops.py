@@ -86,11 +86,6 @@ KILLED = (
         ("data", "characters", "--source", "IN/characters", "-o", "OUT", "--vertices", "400", "--code-made", "2"),
         ("characters",),
     ),
-    Command(
-        "data surfaces",
-        ("data", "surfaces", "--source", "IN/characters", "-o", "OUT/surfaces.npz", "--poses", "1", "--forms", "1"),
-        ("characters",),
-    ),
     Command("data mesh-bank", ("data", "mesh-bank", "--cache", "IN/cache", "-o", "OUT/bank.npz"), ("cache",)),
     Command(
         "data character-bank",

@@ -32,7 +32,7 @@ pytestmark = [
     pytest.mark.skipif(not VITE.exists(), reason="the page cannot be built: npm ci in studio/"),
 ]
 DATA = Path(os.environ.get("BUNRAKU_DATA", "runs/data"))
-FILES = Path(__file__).parents[1] / "formats" / "data"
+FILES = Path(__file__).parents[1] / "files" / "data"
 
 
 @pytest.fixture(scope="module")

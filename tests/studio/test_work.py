@@ -24,7 +24,7 @@ from bunraku.studio.store import Store
 from bunraku.studio.wire import load_handles, unpacked_clip
 from bunraku.studio.workspace import Workspace
 
-FILES = Path(__file__).parents[1] / "formats" / "data"
+FILES = Path(__file__).parents[1] / "files" / "data"
 
 
 @pytest.fixture(scope="module")

@@ -24,9 +24,9 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import BunrakuError
+from bunraku.files import save_clips
 from bunraku.files.fbx.write_meshes import meshes_of
 from bunraku.files.fbx.write_motion import Bones
-from bunraku.files.presets import save_clips
 
 CLIPS, FPS, FRAMES = ("idle", "walk", "Run fast", "Attack"), 30.0, 60
 TIMES = np.array([0, 7, 23, 42, 59]) / FPS

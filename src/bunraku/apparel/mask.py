@@ -12,8 +12,7 @@ from bunraku.core.avatars import MmdModel, VrmModel, mmd_model, vrm_model
 from bunraku.core.character import Character
 from bunraku.core.files import read_bounded
 from bunraku.errors import FormatError
-from bunraku.files.gltf.read import read_gltf
-from bunraku.files.meshes.ply import read_ply
+from bunraku.files import read_gltf, read_ply
 
 __all__ = [
     "APPAREL_SHARE",

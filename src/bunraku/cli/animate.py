@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from bunraku.core.animation import AnimatedCharacter
     from bunraku.core.character import Character, Handles
     from bunraku.core.motion import HandleMotion
-    from bunraku.files.presets import Preset
+    from bunraku.files import Preset
     from bunraku.language.sentence import Sentence
     from bunraku.pipelines.animator import Body
 
@@ -87,7 +87,7 @@ def characters_of(folder: Path) -> dict[Path, str]:
     Raises:
         FormatError: There is none, or the folder cannot be read.
     """
-    from bunraku.files.registry import FORMATS
+    from bunraku.files import FORMATS
 
     suffixes = {suffix for kind in FORMATS if kind.character for suffix in kind.suffixes} - {".txt"}  # beside an OBJ
     try:
@@ -346,7 +346,7 @@ class Animate(GeneratingOptions):
             with stages() as report:
                 body, request = _ready(self, self._request(), self.character, report)
 
-                from bunraku.files.gltf.clips import write_stretches
+                from bunraku.files import write_stretches
                 from bunraku.pipelines.animator import Animator
 
                 animator = Animator.shipped(report, _limits_said(self.character, body))
@@ -502,8 +502,7 @@ def _kept(verb: Animate, path: Path) -> tuple[Body, Request]:
 
 def _ready(verb: Animate, request: Request, path: Path, report: Report) -> tuple[Body, Request]:
     """A character as it is to be animated, and what is requested of it."""
-    from bunraku.files import load_character
-    from bunraku.files.registry import check_writes
+    from bunraku.files import check_writes, load_character
 
     report("load", 0.0)
     character = stand_up(load_character(path, unit="m", clips=verb.fps), path, verb.up, verb.front, verb.unit)
@@ -535,7 +534,7 @@ def _ready(verb: Animate, request: Request, path: Path, report: Report) -> tuple
 def _preset(program: str | None) -> Preset | None:
     if program is None:
         return None
-    from bunraku.files.presets import preset_named
+    from bunraku.files import preset_named
 
     return preset_named(program)
 
@@ -569,7 +568,7 @@ def _numbered(
 
 def _before(path: Path, character: Character, handles: Handles) -> HandleMotion | AnimatedCharacter:
     """The clip to start from: of this character if it was made for it, of the reference body otherwise."""
-    from bunraku.files.clips import load_clip
+    from bunraku.files import load_clip
 
     clip = load_clip(path)
     return clip.on(character, handles) or clip.of_the_reference_body()

@@ -144,7 +144,7 @@ class Samples:
     """Only print the names."""
 
     def run(self) -> None:
-        from bunraku.files.samples import sample_names
+        from bunraku.files import sample_names
 
         known = tuple(sample_names())
         for name in self.names:
@@ -162,7 +162,7 @@ class Samples:
     def _write(self, outputs: dict[str, Path]) -> None:
         """Write the samples that are not there yet."""
         from bunraku.core.files import atomic_write, read_bounded
-        from bunraku.files.samples import sample_file
+        from bunraku.files import sample_file
 
         todo = {name: read_bounded(sample_file(name)) for name in outputs}
         there = [name for name, path in outputs.items() if path.is_file() and path.read_bytes() == todo[name]]

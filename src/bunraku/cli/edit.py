@@ -111,8 +111,7 @@ class Edit(GeneratingOptions):
     def _animation(self, report: Report) -> Animation:
         from bunraku.core.animation import Animation
         from bunraku.core.body.reference import reference_body
-        from bunraku.files import load_character
-        from bunraku.files.clips import load_clip, load_clip_animation
+        from bunraku.files import load_character, load_clip, load_clip_animation
 
         clip = load_clip(self.clip)
         if self.clip.suffix.lower() != ".npz":
@@ -188,7 +187,7 @@ class Merge:
             check_different(outputs)
             check_free(outputs, self.overwrite)
 
-            from bunraku.files.clips import merge
+            from bunraku.files import merge
 
             written: list[Path] = []
             try:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from bunraku.anatomy.anatomy import Anatomy
     from bunraku.apparel.chains.chain import Chain
     from bunraku.core.motion import SkeletalMotion, Skeleton
-    from bunraku.files.gltf.document import Document
+    from bunraku.files import Document
 
 __all__ = [
     "Inspect",
@@ -72,7 +72,7 @@ def vmd_facts(path: Path) -> dict[str, Any]:
         FormatError: The file cannot be read.
     """
     from bunraku.anatomy.names.skeleton_map import mmd_skeleton_map
-    from bunraku.files.mmd.vmd import VMD_FPS, load_vmd
+    from bunraku.files import VMD_FPS, load_vmd
 
     motion = load_vmd(path)
     return {
@@ -315,7 +315,7 @@ def _body(character: Character, up: str, front: str) -> dict[str, Any]:
     """What handles make of it: what it stands on, which parts are found and how clearly, and what it cannot do."""
     from bunraku.anatomy.anatomy import Anatomy
     from bunraku.anatomy.handles.predict import predict_handles
-    from bunraku.files.gltf.read import turned
+    from bunraku.files import turned
     from bunraku.pipelines.bodies import body_facts
 
     try:
@@ -338,14 +338,14 @@ def _says_apparel(character: Character) -> bool:
 
 def _fbx(path: Path) -> dict[str, Any]:
     from bunraku.core.files import read_bounded
-    from bunraku.files.fbx.read import fbx_facts
+    from bunraku.files import fbx_facts
 
     return fbx_facts(path, read_bounded(path))
 
 
 def _motion(path: Path) -> dict[str, Any]:
     from bunraku.core.motion import HandleMotion, SkeletalMotion
-    from bunraku.files.registry import read_motion
+    from bunraku.files import read_motion
 
     motion = read_motion(path)
     facts: dict[str, Any] = {"kind": "handle motion" if isinstance(motion, HandleMotion) else "skeletal motion"}
@@ -454,12 +454,12 @@ def _orientation(character: Character) -> dict[str, Any]:
 
 def _unit(height: float, suffix: str, unit: str) -> dict[str, str]:
     """What unit the file is likely to be in, and what animate and rig make of it."""
-    from bunraku.files.registry import NAMES, resolve_unit
+    from bunraku.files import UNIT_NAMES, resolve_unit
 
     resolved = resolve_unit(height, suffix, "auto")
     if unit != "auto":
-        return {"name": NAMES[unit], "note": ""}
-    return {"name": NAMES[resolved.likely], "note": resolved.note}
+        return {"name": UNIT_NAMES[unit], "note": ""}
+    return {"name": UNIT_NAMES[resolved.likely], "note": resolved.note}
 
 
 def _document(document: Document) -> dict[str, Any]:

@@ -84,8 +84,7 @@ def stand_up(character: Character, path: Path, up: str = "auto", front: str = "a
         OptionError: The unit of the file cannot be changed.
         WeightsError: Something is to be guessed and the weights are missing or broken.
     """
-    from bunraku.files.gltf.read import turned
-    from bunraku.files.registry import in_metres
+    from bunraku.files import in_metres, turned
 
     resolved, line = resolve_file(character, up, front)
     if line:

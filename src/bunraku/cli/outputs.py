@@ -26,7 +26,7 @@ from bunraku.retarget.stages import Stages
 
 if TYPE_CHECKING:
     from bunraku.core.animation import AnimatedCharacter
-    from bunraku.files.presets import Preset
+    from bunraku.files import Preset
     from bunraku.language.sentence import Sentence
 
 __all__ = [
@@ -125,7 +125,7 @@ NEEDY = (".usd", ".usda", ".usdc", ".usdz")
 
 def check_written(apparel: Apparel, outputs: Iterable[Path]) -> None:
     """Raise FormatError where apparel is to be learned and a file of its kind cannot hold what moves so."""
-    from bunraku.files.registry import check_points_writer
+    from bunraku.files import check_points_writer
 
     if apparel.learns:
         for path in outputs:
@@ -205,14 +205,14 @@ def check_output(path: Path, suffixes: Iterable[str], inputs: Iterable[Path] = (
     if any(path.exists() and other.exists() and path.samefile(other) for other in inputs):
         raise FormatError(path, "this would overwrite the input; choose another name")
     if path.suffix.lower() in SEQUENCES:
-        from bunraku.files.meshes import obj
+        from bunraku.files import check_sequence
 
-        obj.check_sequence(path)
+        check_sequence(path)
     check_folder(path.parent)
     if path.suffix.lower() in NEEDY:
-        from bunraku.files import registry
+        from bunraku.files import check_writer
 
-        registry.check_writer(path)
+        check_writer(path)
 
 
 def written_path(path: Path) -> Path:
@@ -399,7 +399,7 @@ def save_all(
 def _fitting(animation: AnimatedCharacter, path: Path) -> AnimatedCharacter:
     """The animation, or, where its apparel moves by itself and a file of this kind cannot hold that, the body alone."""
     from bunraku.core.animation import PointAnimation
-    from bunraku.files.registry import check_points_writer
+    from bunraku.files import check_points_writer
 
     if not isinstance(animation, PointAnimation):
         return animation
@@ -429,7 +429,7 @@ def save_clips_to(
         report: Called with a stage's name and the share done.
         preset: What the program wants that the files are for; its rate holds where `fps` is the usual one.
     """
-    from bunraku.files.presets import save_clips, save_for
+    from bunraku.files import save_clips, save_for
 
     written: dict[Path, list[str]] = {}
     try:

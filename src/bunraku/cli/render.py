@@ -104,7 +104,7 @@ class Render:
     def _motion(self, report: Report) -> Animation:
         from bunraku.core.animation import Animation
         from bunraku.core.motion import HandleMotion
-        from bunraku.files.registry import load_character, read_motion
+        from bunraku.files import load_character, read_motion
         from bunraku.pipelines.animate import rig
 
         assert self.character is not None
@@ -118,8 +118,7 @@ class Render:
         return Animation(character, rig(character, progress=report), motion)
 
     def _clip(self) -> Animation | None:
-        from bunraku.files.clips import load_animation
-        from bunraku.files.registry import load_with_clips
+        from bunraku.files import load_animation, load_with_clips
 
         source = load_with_clips(self.file, self.fps).source
         if getattr(source, "document", None) is None or not source.document.items("animations"):

@@ -103,7 +103,7 @@ class Tools:
             output: The file to write; NAME-PROMPT.glb where it is empty.
             fps: Frames a second [1/s].
         """
-        from bunraku.files.registry import load_character
+        from bunraku.files import load_character
         from bunraku.pipelines.animator import Animator
 
         _check_files(request.apparel, request.constraints)
@@ -126,7 +126,7 @@ class Tools:
             output: The file to write; NAME-MOTION.glb where it is empty.
             fps: Frames a second [1/s].
         """
-        from bunraku.files.registry import load_character
+        from bunraku.files import load_character
         from bunraku.pipelines.animator import Animator
         from bunraku.pipelines.transfer import Source, transferred
 
@@ -152,7 +152,7 @@ class Tools:
             output: The file to write; NAME-rigged.glb where it is empty.
             skeleton: "mixamo", "vrm" or "unreal", for persons; "" for handles.
         """
-        from bunraku.files.registry import load_character, save_character
+        from bunraku.files import load_character, save_character
         from bunraku.pipelines.animate import rig, with_skeleton
         from bunraku.render.preview import save_still
 
@@ -173,9 +173,7 @@ class Tools:
         Args:
             file: A file of the folder.
         """
-        from bunraku.files.clips import clip_names
-        from bunraku.files.gltf.read import Source
-        from bunraku.files.registry import load_with_clips
+        from bunraku.files import Source, clip_names, load_with_clips
         from bunraku.render.preview import save_still
 
         mesh = load_with_clips(self.path(file), 30.0)
@@ -197,7 +195,7 @@ class Tools:
             clip: Number or name of the clip; the first where it is empty.
             fps: Frames a second of the video [1/s].
         """
-        from bunraku.files.clips import load_animation
+        from bunraku.files import load_animation
         from bunraku.render.preview import save_preview
 
         found = load_animation(self.path(file), int(clip) if clip.isdecimal() else clip or 0, fps)

@@ -40,7 +40,7 @@ from bunraku.pipelines.requests import Apparel, TransferRequest
 if TYPE_CHECKING:
     from bunraku.core.animation import AnimatedCharacter
     from bunraku.core.character import Character, Handles
-    from bunraku.files.presets import Preset
+    from bunraku.files import Preset
     from bunraku.pipelines.transfer import Source
     from bunraku.retarget.fit import Stages
 
@@ -115,7 +115,7 @@ def holds_character(path: Path) -> bool:
         FormatError: The file is missing, or its kind is unknown.
     """
     from bunraku.core.files import check_input, open_input
-    from bunraku.files.registry import detect
+    from bunraku.files import detect
 
     if path.is_dir():
         return False
@@ -134,10 +134,10 @@ def holds_character(path: Path) -> bool:
         file.seek(0)
         data = file.read(size)
     if gltf:
-        from bunraku.files.gltf.open import open_document
+        from bunraku.files import open_document
 
         return bool(open_document(path, data).items("meshes"))
-    from bunraku.files.fbx.read import fbx_facts
+    from bunraku.files import fbx_facts
 
     return bool(fbx_facts(path, data)["meshes"])
 
@@ -165,7 +165,7 @@ def animation_of(
     Raises:
         BunrakuError: A file cannot be read, the two do not go together, or there is nothing to simulate.
     """
-    from bunraku.files.registry import check_writes
+    from bunraku.files import check_writes
     from bunraku.pipelines.animator import Animator
     from bunraku.pipelines.transfer import transferred
 
@@ -239,7 +239,7 @@ def marks_of(pairs: Iterable[Pair], settings: Settings) -> dict[Path, str]:
 
 def names_of(motions: Iterable[Path]) -> dict[str, Path]:
     """Motions by the names of their clips: those of their files; one that is there already gets a number."""
-    from bunraku.files.gltf.carry import free_name
+    from bunraku.files import free_name
 
     out: dict[str, Path] = {}
     for motion in motions:
@@ -462,7 +462,7 @@ class Transfer:
 
     def _for(self, program: str, characters: list[Path], motions: list[Path], settings: Settings) -> None:
         """Write the clips of one character as a program wants them."""
-        from bunraku.files.presets import preset_named
+        from bunraku.files import preset_named
 
         if len(characters) != 1:
             raise OptionError(f"--for writes the clips of one character; name one of these {len(characters)} at a time")
@@ -499,7 +499,7 @@ class Transfer:
         jobs: int | str,
         suffix: str,
     ) -> int:
-        from bunraku.files.registry import check_writer
+        from bunraku.files import check_writer
 
         if len(self.output) > 1:
             raise OptionError("several files go into one folder; name it with a single -o")
@@ -559,7 +559,7 @@ def _label(pair: Pair, reason: str) -> str:
 
 
 def _outputs() -> tuple[str, ...]:
-    from bunraku.files.registry import FORMATS
+    from bunraku.files import FORMATS
 
     return tuple(suffix for found in FORMATS if found.animation for suffix in found.suffixes)
 

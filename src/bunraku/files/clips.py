@@ -23,7 +23,7 @@ from bunraku.files.gltf.nodes import MAX_SECONDS, clip_curves, node_worlds
 from bunraku.files.gltf.read import Source
 from bunraku.files.gltf.write import clip_handles, packed_motion
 from bunraku.files.gltf.write_rig import save_rig_clips
-from bunraku.files.motions.arrays import read_motion, read_positions, read_reference
+from bunraku.files.motions.arrays import read_npz_motion, read_positions, read_reference
 from bunraku.files.registry import load_character, load_with_clips
 
 __all__ = ["Clip", "bones_of", "clip_names", "load_animation", "load_clip", "load_clip_animation", "merge"]
@@ -90,7 +90,7 @@ def load_clip(path: str | Path) -> Clip:
         raise FormatError(
             path, "clips are read from the .glb and .npz files that Bunraku writes; make one with `bunraku animate`"
         )
-    return Clip(path, read_motion(path, data), read_reference(path, data), read_positions(path, data))
+    return Clip(path, read_npz_motion(path, data), read_reference(path, data), read_positions(path, data))
 
 
 def load_clip_animation(path: str | Path) -> Animation:

@@ -23,10 +23,10 @@ from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionErro
 from bunraku.files.gltf.read import scaled
 
 __all__ = [
-    "CHOICES",
+    "UNIT_CHOICES",
     "FORMATS",
     "Format",
-    "NAMES",
+    "UNIT_NAMES",
     "SettledUnit",
     "check_points_writer",
     "check_unit",
@@ -201,8 +201,8 @@ FORMATS: tuple[Format, ...] = (
 )
 
 
-CHOICES = ("auto", "m", "cm", "mm", "in")
-NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "in": "inches", "": "unknown"}
+UNIT_CHOICES = ("auto", "m", "cm", "mm", "in")
+UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "in": "inches", "": "unknown"}
 
 
 @dataclass(frozen=True)
@@ -222,8 +222,8 @@ class SettledUnit:
 
 def check_unit(unit: str, option: str = "unit") -> None:
     """Raise OptionError unless this is a unit of characters or "auto"."""
-    if unit not in CHOICES:
-        raise OptionError(f"{option}: '{unit}' is no unit of characters; there are {', '.join(CHOICES)}")
+    if unit not in UNIT_CHOICES:
+        raise OptionError(f"{option}: '{unit}' is no unit of characters; there are {', '.join(UNIT_CHOICES)}")
 
 
 def resolve_unit(height: float, suffix: str, unit: str = "auto") -> SettledUnit:
@@ -243,7 +243,7 @@ def resolve_unit(height: float, suffix: str, unit: str = "auto") -> SettledUnit:
         return SettledUnit(
             "m", likely, f"{height:.2g} m tall: probably shrunk 100 or 1,000 times on its way; left as it is"
         )
-    size = f"{height:,.4g} {'' if bare else 'm '}tall: probably {NAMES[likely]}"
+    size = f"{height:,.4g} {'' if bare else 'm '}tall: probably {UNIT_NAMES[likely]}"
     if bare:
         return SettledUnit(likely, likely, f"{size}; taken as {height * UNITS[likely]:.3g} m")
     return SettledUnit("m", likely, f"{size}, against the unit of its format; left as it is")

@@ -88,9 +88,7 @@ class Clip:
 @functools.cache
 def all_clips() -> tuple[Clip, ...]:
     """All clips, by kind and name."""
-    table = tomllib.loads(
-        resources.files("bunraku.generation").joinpath("library.toml").read_text(encoding="utf-8")
-    )
+    table = tomllib.loads(resources.files("bunraku.generation").joinpath("library.toml").read_text(encoding="utf-8"))
     sources = [Source(tuple(row["begins"]), row["credit"], row["terms"]) for row in table["source"]]
     found = []
     for name, row in table["clips"].items():

@@ -436,7 +436,7 @@ def _written_handles(character: Character) -> Handles | None:
     """The handles of a file that Bunraku wrote; None of others."""
     if character.rig is None:
         return None
-    from bunraku.files.gltf.write import clip_handles
+    from bunraku.files import clip_handles
 
     try:
         return clip_handles(Path(character.name), character)

@@ -590,7 +590,7 @@ def clip_names(prompts: Iterable[str]) -> dict[str, str]:
     """Prompts by the names of their clips: those that stand before them, or their words, "walks forward" as
     walks-forward; one that is there already gets a number.
     """
-    from bunraku.files.gltf.carry import free_name
+    from bunraku.files import free_name
     from bunraku.language.prompts import split_name
 
     out: dict[str, str] = {}

@@ -18,7 +18,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.curves import tallest_steady
 from bunraku.core.motion import HandleMotion, MeshMotion, SkeletalMotion
 from bunraku.errors import CharacterError, MotionError
-from bunraku.files.clips import bones_of
+from bunraku.files import bones_of
 from bunraku.pipelines.motions.read import Motion
 from bunraku.retarget.creatures import CreatureMotion, motion_of_handles, motion_of_rig, motion_of_skeleton
 from bunraku.retarget.rig_parts import RigParts
@@ -139,7 +139,7 @@ def _facing(
     """A character and the motion of its bones, turned to face +Z by what its rig says."""
     from bunraku.anatomy.names.bone_names import rig_axes
     from bunraku.core.geometry.axes import upright_rotation
-    from bunraku.files.gltf.read import turned
+    from bunraku.files import turned
 
     rig = character.rig
     assert rig is not None

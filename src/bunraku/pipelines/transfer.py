@@ -19,7 +19,7 @@ from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import CharacterError
-from bunraku.files.clips import bones_of
+from bunraku.files import bones_of
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.motions.read import Motion, load_motion
 from bunraku.pipelines.requests import RATE, Apparel, TransferRequest
@@ -244,7 +244,7 @@ def played_by_mmd(character: Character, path: str | Path, fps: float) -> RigAnim
     if Path(path).suffix.lower() != ".vmd":
         return None
     from bunraku.core.avatars import mmd_model
-    from bunraku.files.mmd.vmd import load_vmd
+    from bunraku.files import load_vmd
     from bunraku.retarget.mmd_motion import mmd_animation
 
     return None if mmd_model(character) is None else mmd_animation(character, load_vmd(path), fps)

@@ -203,7 +203,7 @@ def orientation_views(character: Character, count: int = 4) -> np.ndarray:
         MissingExtraError: Pillow is not installed.
     """
     from bunraku.anatomy.handles.orientation import guess_orientation
-    from bunraku.files.gltf.read import turned
+    from bunraku.files import turned
 
     guess = guess_orientation(character)
     likely = np.argsort(-guess.probabilities)[:count]

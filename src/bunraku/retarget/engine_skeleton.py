@@ -18,7 +18,7 @@ from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, REQUIRED, ROO
 from bunraku.core.character import Character, Handles, Rig, top_influences
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, OptionError
-from bunraku.files.gltf.read import Source
+from bunraku.files import Source
 
 __all__ = ["carried", "on_skeleton", "t_pose"]
 

@@ -18,7 +18,7 @@ from bunraku.core.character import Character
 from bunraku.core.geometry.rotations import Resampling, axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.core.motion import SkeletalMotion, Skeleton, line_up, local_rotations, resample_motion
 from bunraku.errors import MotionError
-from bunraku.files.mmd.vmd import VMD_FPS, MmdClip, VmdMotion, load_vmd
+from bunraku.files import VMD_FPS, MmdClip, VmdMotion, load_vmd
 from bunraku.retarget.mmd_pose import MmdPoses, pose_mmd
 
 __all__ = [

@@ -26,7 +26,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import rotation_between
 from bunraku.core.motion import Skeleton
 from bunraku.errors import CharacterError
-from bunraku.files.gltf.read import Source
+from bunraku.files import Source
 
 __all__ = ["HUMANOID", "RigParts", "is_humanoid_rig", "understood_rig"]
 

@@ -17,7 +17,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.files import atomic_write, read_bounded
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import CharacterError, FormatError, OptionError
-from bunraku.files.gltf.write import document_of
+from bunraku.files import document_of
 from bunraku.pipelines.requests import Apparel
 from bunraku.retarget.fit import Stages
 from bunraku.studio.wire import Dressed, Take, body_of

@@ -20,7 +20,7 @@ from bunraku.core.request import (
     to_json,
 )
 from bunraku.errors import OptionError
-from bunraku.files.presets import preset_named
+from bunraku.files import preset_named
 from bunraku.generation.library import clip as find_clip
 from bunraku.pipelines.requests import Apparel, Constraints, Keep, Pose, Request, Sampling
 

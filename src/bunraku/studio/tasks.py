@@ -89,8 +89,7 @@ class LayChains:
 
 def _clips_of(character: Character) -> list[str]:
     """Names of the clips that the character's file brings."""
-    from bunraku.files.clips import clip_names
-    from bunraku.files.gltf.read import Source
+    from bunraku.files import Source, clip_names
 
     source = character.source
     return clip_names(source.document)[:50] if isinstance(source, Source) and character.rig is not None else []
@@ -111,7 +110,7 @@ class Export:
     fps: float = 30.0
 
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
-        from bunraku.files.registry import check_writer
+        from bunraku.files import check_writer
 
         target = shop.folder_of("exports", self.export) / self.file
         check_writer(target)
@@ -140,7 +139,7 @@ class ExportClips:
     title: str = "clips"
 
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
-        from bunraku.files.presets import preset_named, save_clips, save_for
+        from bunraku.files import preset_named, save_clips, save_for
 
         target = shop.folder_of("exports", self.export) / self.file
         clips: dict[str, Animation | RigAnimation] = {}

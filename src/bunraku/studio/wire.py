@@ -21,15 +21,16 @@ from bunraku.core.arrays import npz_names, open_npz, read_member
 from bunraku.core.character import Character, Handles, Rig
 from bunraku.core.files import atomic_write, read_bounded
 from bunraku.errors import CharacterError, FormatError, MotionError
-from bunraku.files.gltf.write import joint_tracks
-from bunraku.files.gltf.write_points import before_skin, shapes_of_meshes
-from bunraku.files.motions.arrays import (
+from bunraku.files import (
     REFERENCE,
+    before_skin,
+    joint_tracks,
     motion_arrays,
     pack_animation,
-    read_motion,
+    read_npz_motion,
     read_positions,
     read_reference,
+    shapes_of_meshes,
 )
 
 __all__ = [
@@ -270,7 +271,7 @@ def _load_body(path: Path, character: Character, handles: Handles) -> Animation 
     positions = read_positions(path, data)
     if positions is None or positions.shape != handles.positions.shape:
         raise FormatError(path, "this take was made for other handles of the character; make it again")
-    return Animation(character, handles, read_motion(path, data), read_reference(path, data))
+    return Animation(character, handles, read_npz_motion(path, data), read_reference(path, data))
 
 
 def save_handles(handles: Handles, path: Path) -> None:

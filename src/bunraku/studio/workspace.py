@@ -17,9 +17,7 @@ from bunraku.core.animation import RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import MAX_BYTES, atomic_write
 from bunraku.errors import BunrakuError, CharacterError, OptionError
-from bunraku.files import load_character
-from bunraku.files.gltf.read import turned
-from bunraku.files.registry import in_metres, resolve_unit
+from bunraku.files import in_metres, load_character, resolve_unit, turned
 from bunraku.pipelines.animator import Body
 from bunraku.studio.dressing import painted_file
 from bunraku.studio.wire import Dressed, Take, body_of, load_handles, load_take, packed_clip, save_take
@@ -179,7 +177,7 @@ class Workspace:
 
     def warm_up(self) -> None:
         """Load the networks, so that the first user does not wait for them."""
-        from bunraku.files.samples import sample_character
+        from bunraku.files import sample_character
         from bunraku.pipelines.animator import Animator
         from bunraku.pipelines.requests import Request, Sampling
 

@@ -18,7 +18,7 @@ from bunraku.core.files import remove_leftovers
 from bunraku.core.motion import HandleMotion, SkeletalMotion, cut_motion, resample_motion
 from bunraku.core.parallel import Pool
 from bunraku.errors import BunrakuError, FormatError
-from bunraku.files.motions.arrays import HUMANML3D_FPS, TimedCaption, read_texts
+from bunraku.files import HUMANML3D_FPS, TimedCaption, read_texts
 from bunraku.generation.pack import OWN
 from bunraku.retarget.to_reference import handle_motion_of_body
 from bunraku_lab.datasets.motions.build import split_of

@@ -20,7 +20,7 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.files import read_bounded
 from bunraku.core.geometry.rotations import rotation_between
 from bunraku.errors import FormatError
-from bunraku.files.meshes.obj import read_obj
+from bunraku.files import read_obj
 from bunraku_lab.synthetic.surfaces import nearest_shares
 
 __all__ = [

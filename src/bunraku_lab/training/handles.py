@@ -529,10 +529,7 @@ def train_handles(config: HandleTrainConfig, report: Report | None = None, progr
     Raises:
         BunrakuError: No cache, the folder cannot be written, or the checkpoint to start from does not fit.
     """
-    from bunraku_lab.datasets.characters.build import (  # the data is built on this package's types
-        load_characters,
-        reference_characters,
-    )
+    from bunraku_lab.datasets.characters.build import load_characters, reference_characters
 
     config.prepare()
     characters, held_out = load_characters(config.cache)

@@ -6,17 +6,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.optimize import minimize
 
 from bunraku.anatomy.handles.networks import OrientationConfig, shape_tokens
-from bunraku.anatomy.handles.orientation_evidence import lean, rest
-from bunraku.core.geometry.axes import AXES, ORIENTATIONS
+from bunraku.core.geometry.axes import ORIENTATIONS
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.errors import OptionError
 from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter, augment
@@ -30,7 +28,6 @@ __all__ = [
     "OrientationTrainer",
     "UPRIGHT",
     "fitted_temperature",
-    "fitted_weights",
     "orientation_results",
     "train_orientation",
     "validate_orientation",
@@ -295,33 +292,3 @@ def train_orientation(
     characters, held_out = load_characters(config.cache)
     reference = reference_characters() if config.reference_share > 0 else ()
     return OrientationTrainer(config, characters, held_out, reference).learn(report, progress)
-
-
-def fitted_weights(surfaces: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, float]:
-    """The weights of `rest` and of `lean` that have the least cross-entropy.
-
-    Args:
-        surfaces: Points and unit normals of characters that stand along +Y and face +Z, shape (N, 3) each.
-
-    Returns:
-        Of `rest`, shape (3,), and of `lean`.
-    """
-    rests, leans = [], []
-    for points, normals in surfaces:
-        rests.append(rest(points, normals))
-        leans.append(lean(points)[FRONTS, None])
-    return (
-        _least(np.stack(rests), AXES.index("+y")),
-        float(_least(np.stack(leans), FRONTS.index(UPRIGHT))[0]),
-    )
-
-
-def _least(features: np.ndarray, right: int) -> np.ndarray:
-    """Weights of a softmax over choices, features of shape (S, choices, K), always with the same right one."""
-
-    def loss(weights: np.ndarray) -> float:
-        scores = features @ weights
-        scores = scores - scores.max(axis=1, keepdims=True)
-        return float((np.log(np.exp(scores).sum(axis=1)) - scores[:, right]).mean() + 1e-3 * np.square(weights).sum())
-
-    return np.asarray(minimize(loss, np.zeros(features.shape[2])).x)

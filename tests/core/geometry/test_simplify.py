@@ -216,7 +216,7 @@ def test_max_vertices_is_kept(mesh):
 
 @pytest.mark.data
 def test_real_characters():
-    folder = Path(os.environ.get("BUNRAKU_DATA", Path(__file__).parents[3] / "shared")) / "characters"
+    folder = Path(os.environ.get("BUNRAKU_DATA", Path(__file__).parents[4] / "shared")) / "characters"
     files = sorted(folder.glob("**/*.glb"))[::20]
     if not files:
         pytest.skip("the training archive's characters are absent; name their folder's parent with BUNRAKU_DATA")

@@ -99,7 +99,7 @@ def test_archive(tmp_path):
     assert sum(name.startswith("mesh2motion/") for name in HELD_OUT) == 2
 
 
-DATA = Path(__file__).parents[2] / "formats" / "data"
+DATA = Path(__file__).parents[2] / "files" / "data"
 
 
 def put_rignet(folder: Path) -> None:

@@ -17,7 +17,6 @@ from bunraku_lab.training.orientation import (
     OrientationTrainConfig,
     OrientationTrainer,
     fitted_temperature,
-    fitted_weights,
     orientation_results,
     train_orientation,
     validate_orientation,
@@ -139,17 +138,3 @@ def test_a_run_may_begin_with_given_weights(characters, tmp_path):
     wide = OrientationConfig(width=32, layers=1, heads=2, anchors=24)
     with pytest.raises(OptionError, match="another shape"):
         OrientationTrainer(replace(settings(tmp_path, start=path), predictor=wide), characters)
-
-
-def test_weights_of_simple_witnesses_are_fitted():
-    """Of tables whose tops lean forward: what is told gets a weight, and what is the same on all sides gets none."""
-    rng = np.random.default_rng(1)
-    surfaces = []
-    for _ in range(4):
-        flat = rng.uniform([-0.5, 0, -0.5], [0.5, 0, 0.5], (400, 3)), np.tile([0.0, -1, 0], (400, 1))
-        top = rng.normal([0, 1, 0.2], 0.05, (400, 3)), np.tile([0.0, 0, 1], (400, 1))
-        surfaces.append((np.concatenate([flat[0], top[0]]), np.concatenate([flat[1], top[1]])))
-    rests, leans = fitted_weights(surfaces)
-    assert rests.shape == (3,) and rests[0] > 0 and leans > 1
-    level = [(points * [1, 1, 0], normals) for points, normals in surfaces]
-    assert abs(fitted_weights(level)[1]) < 0.1

@@ -18,7 +18,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.closest import least_distance
 from bunraku.core.geometry.graph import clean_mesh
 from bunraku.core.geometry.surface import surface_points
-from bunraku.files.gltf.read import Source
+from bunraku.files import Source
 
 __all__ = [
     "BlockParts",

@@ -13,7 +13,7 @@ from bunraku.anatomy.handles.orientation_evidence import evidence, has_rule, kin
 from bunraku.core.character import Character
 from bunraku.core.geometry.axes import AXES, ORIENTATIONS, axis_name, default_orientation, upright_rotation
 from bunraku.core.geometry.surface import surface_points
-from bunraku.files.gltf.read import turned
+from bunraku.files import turned
 
 if TYPE_CHECKING:
     from bunraku.anatomy.handles.networks import OrientationPredictor

@@ -22,7 +22,7 @@ from bunraku.files.gltf.mesh import MeshPart, PrimitiveData
 from bunraku.files.gltf.open import open_document
 from bunraku.files.gltf.read import Source, character_from_document
 from bunraku.files.motions.arrays import pack_animation
-from bunraku.files.motions.arrays import read_motion as read_npz
+from bunraku.files.motions.arrays import read_npz_motion as read_npz
 
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation

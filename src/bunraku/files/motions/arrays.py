@@ -33,7 +33,7 @@ __all__ = [
     "read_amass",
     "read_any_motion",
     "read_humanml3d",
-    "read_motion",
+    "read_npz_motion",
     "read_positions",
     "read_reference",
     "read_texts",
@@ -303,10 +303,10 @@ def read_any_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
 
     with open_npz(path, data) as archive:
         names = npz_names(archive)
-    return read_amass(path, data) if AMASS_ARRAYS & names else read_motion(path, data)
+    return read_amass(path, data) if AMASS_ARRAYS & names else read_npz_motion(path, data)
 
 
-def read_motion(path: Path, data: bytes, *, prefix: str = "") -> HandleMotion:
+def read_npz_motion(path: Path, data: bytes, *, prefix: str = "") -> HandleMotion:
     """Read a handle motion; rotations may be 6D or matrices.
 
     Args:
@@ -356,7 +356,7 @@ def read_reference(path: Path, data: bytes) -> HandleMotion | None:
     """
     with open_npz(path, data) as archive:
         known = f"{REFERENCE}translations" in npz_names(archive)
-    return read_motion(path, data, prefix=REFERENCE) if known else None
+    return read_npz_motion(path, data, prefix=REFERENCE) if known else None
 
 
 def read_positions(path: Path, data: bytes) -> np.ndarray | None:

@@ -15,7 +15,7 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
 from bunraku.errors import FormatError, MotionError, OptionError
-from bunraku.files.mmd.vmd import VMD_FPS, write_vmd
+from bunraku.files import VMD_FPS, write_vmd
 
 if TYPE_CHECKING:
     from bunraku.anatomy.anatomy import Anatomy
@@ -55,7 +55,7 @@ def write_motion_bvh(
 ) -> Path:
     """Write a motion as BVH; see `write_bvh`."""
     from bunraku.core.motion import checked_fps
-    from bunraku.files.motions.bvh import write_bvh
+    from bunraku.files import write_bvh
 
     skeletal = as_skeletal(motion)
     return write_bvh(skeletal, path, fps=checked_fps(fps, skeletal.fps), unit=unit, up=up, order=order)
@@ -67,7 +67,7 @@ def write_motion_vrma(
     """Write a motion as VRMA; see `write_vrma`."""
     from bunraku.anatomy.names.to_smpl import to_smpl
     from bunraku.core.body.layout import JOINT_NAMES
-    from bunraku.files.gltf.vrma import write_vrma
+    from bunraku.files import write_vrma
 
     skeletal = as_skeletal(motion)
     if len(skeletal) and skeletal.skeleton.names != JOINT_NAMES:
@@ -83,7 +83,7 @@ def write_motion_npz(motion: HandleMotion | SkeletalMotion, path: Path) -> Path:
     """
     from bunraku.core.body.reference import reference_body
     from bunraku.core.files import atomic_write
-    from bunraku.files.motions.arrays import pack_motion
+    from bunraku.files import pack_motion
 
     if not isinstance(motion, HandleMotion):
         raise OptionError("an .npz holds handle motion, and this motion is of a skeleton; write it as .bvh or .vrma")

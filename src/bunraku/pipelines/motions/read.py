@@ -9,8 +9,7 @@ import numpy as np
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.motion import HandleMotion, MeshMotion, SkeletalMotion
 from bunraku.errors import FormatError, MotionError
-from bunraku.files.clips import load_animation
-from bunraku.files.registry import load_character, read_motion
+from bunraku.files import load_animation, load_character, read_motion
 
 __all__ = ["Motion", "load_mesh_motion", "load_motion"]
 
@@ -82,7 +81,7 @@ def load_motion(path: str | Path, *, fps: float = 30.0, clip: int | str = 0) -> 
         motion = read_motion(path)
         if isinstance(motion, SkeletalMotion):
             return motion
-        from bunraku.files.clips import load_clip
+        from bunraku.files import load_clip
 
         return load_clip(path).of_the_reference_body()
     if suffix == ".vmd":
@@ -97,7 +96,7 @@ def load_motion(path: str | Path, *, fps: float = 30.0, clip: int | str = 0) -> 
             return own
     if suffix == ".fbx":
         from bunraku.anatomy.names.skeleton_map import map_skeleton
-        from bunraku.files.fbx.clips import load_fbx_motion
+        from bunraku.files import load_fbx_motion
 
         try:  # of a person a skeleton is enough
             motion = load_fbx_motion(path, clip or None, fps)
@@ -113,7 +112,7 @@ def _own_clip(path: Path) -> Animation | HandleMotion | None:
     """The clip of a GLB that Bunraku wrote, None for other files: the motion of the reference body, or, of one that was
     made for a body of its own kind, with that body.
     """
-    from bunraku.files.clips import load_clip, load_clip_animation
+    from bunraku.files import load_clip, load_clip_animation
 
     try:
         found = load_clip(path)

@@ -12,7 +12,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 
 from bunraku.core.files import atomic_write
 from bunraku.errors import FormatError, OptionError
-from bunraku.files.registry import CHOICES
+from bunraku.files import UNIT_CHOICES
 from bunraku.studio.dressing import WORN, clean_mask, found_mask, has_apparel, paint, painted_file, shown_mask
 from bunraku.studio.routes.reading import (
     CHARACTERS,
@@ -76,7 +76,7 @@ def _fresh(title: str, file: str) -> dict[str, Any]:
 
 
 def _sampled(state: State, sample: str) -> dict[str, Any]:
-    from bunraku.files.samples import sample_file
+    from bunraku.files import sample_file
 
     file = sample_file(sample)
     record = state.store.new("characters", _fresh(sample, ""))
@@ -110,7 +110,7 @@ def character(request: Request, body: dict[str, Any]) -> Any:
     settings = {
         "up": choice(body, "up", AXES, old["up"]),
         "front": choice(body, "front", AXES, old["front"]),
-        "unit": choice(body, "unit", CHOICES, old["unit"]),
+        "unit": choice(body, "unit", UNIT_CHOICES, old["unit"]),
         "handles": choice(body, "handles", ("predict", "rig"), old["handles"]),
     }
     if settings == old and record["state"] in ("ready", "opening"):

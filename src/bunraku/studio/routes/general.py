@@ -15,7 +15,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 
 from bunraku.core.request import FPS, from_json
 from bunraku.errors import BunrakuError, OptionError
-from bunraku.files.presets import preset_rows
+from bunraku.files import preset_rows
 from bunraku.generation.library import Clip, search
 from bunraku.generation.library import clip as find_clip
 from bunraku.studio.jobs import public
@@ -203,7 +203,7 @@ LONGEST_NUMBER = 15
 async def about(request: Request) -> Any:
     """What this installation can do, and all that there is."""
     from bunraku import __version__
-    from bunraku.files.samples import sample_names
+    from bunraku.files import sample_names
 
     state = studio_state(request)
     return {

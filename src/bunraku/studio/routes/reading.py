@@ -17,7 +17,7 @@ from starlette.requests import ClientDisconnect, Request
 from bunraku.core.files import path_inside, writing
 from bunraku.core.request import Limit, read_json
 from bunraku.errors import BunrakuError, FormatError, OptionError
-from bunraku.files.registry import FORMATS
+from bunraku.files import FORMATS
 from bunraku.studio.projects import copy_entry, open_archive
 from bunraku.studio.state import State
 

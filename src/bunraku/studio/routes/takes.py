@@ -10,7 +10,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 
 from bunraku.core.request import FPS, from_json, to_json
 from bunraku.errors import FormatError, OptionError
-from bunraku.files.presets import preset_named
+from bunraku.files import preset_named
 from bunraku.pipelines.requests import Apparel, clip_names
 from bunraku.studio.forms import (
     ChangeForm,

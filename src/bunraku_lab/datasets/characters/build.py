@@ -22,9 +22,7 @@ from bunraku.core.character import Character, Rig
 from bunraku.core.files import MAX_BYTES, check_text, read_bounded, remove_leftovers
 from bunraku.core.geometry.simplify import network_mesh
 from bunraku.errors import BunrakuError, CharacterError, FormatError
-from bunraku.files import load_character
-from bunraku.files.gltf.mesh import borrow_weights, strongest
-from bunraku.files.registry import in_metres
+from bunraku.files import borrow_weights, in_metres, load_character, strongest
 from bunraku_lab.datasets.characters.training_character import (
     TrainingCharacter,
     facing_rotation,
@@ -384,7 +382,7 @@ def build_characters(
     Raises:
         FormatError: There is no such file under the folder.
     """
-    from bunraku.files.samples import sample_names
+    from bunraku.files import sample_names
     from bunraku_lab.synthetic.families import code_made_character, code_made_names
     from bunraku_lab.synthetic.samples import make_sample
 

@@ -346,7 +346,7 @@ def clip_vertices(body: CreatureBody, label: str) -> np.ndarray:
     Raises:
         BunrakuError: The clip cannot be played.
     """
-    from bunraku.files.clips import load_animation
+    from bunraku.files import load_animation
 
     return np.asarray(load_animation(body.path, label, FPS).vertices() @ body.turn.T.astype(np.float32))
 
@@ -414,8 +414,7 @@ def add_creatures(
     Raises:
         FormatError: There is no index, or none of the characters is there.
     """
-    from bunraku.files.clips import clip_names
-    from bunraku.files.gltf.open import open_document
+    from bunraku.files import clip_names, open_document
 
     characters, out = Path(characters), Path(out)
     load_index(out)  # there must be one, before minutes are spent
@@ -492,7 +491,7 @@ def add_game_clips(
     Raises:
         FormatError: There is no index, or none of the characters is there.
     """
-    from bunraku.files.clips import load_animation
+    from bunraku.files import load_animation
 
     characters, out = Path(characters), Path(out)
     clips = load_index(out)

@@ -21,8 +21,7 @@ from bunraku.core.character import Character
 from bunraku.core.geometry.closest import least_distance
 from bunraku.core.geometry.surface import surface_points
 from bunraku.core.skinning import register
-from bunraku.files import load_character
-from bunraku.files.clips import load_animation
+from bunraku.files import load_animation, load_character
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.requests import Request, Sampling
 
@@ -130,7 +129,7 @@ def block_file(
     Raises:
         BunrakuError: The file cannot be read or animated.
     """
-    from bunraku.files.gltf.read import turned
+    from bunraku.files import turned
 
     found = load_character(path, unit="m")
     standing = resolve_axes(found)

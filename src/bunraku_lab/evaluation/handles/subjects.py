@@ -138,7 +138,7 @@ def find_files(folder: Path, everything: bool = False) -> list[Path]:
     Raises:
         FormatError: There are none.
     """
-    from bunraku.files.registry import FORMATS
+    from bunraku.files import FORMATS
 
     suffixes = {suffix for known in FORMATS if known.character for suffix in known.suffixes} - _NO_RIG
     files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in suffixes and file.is_file())

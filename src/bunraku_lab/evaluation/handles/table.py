@@ -241,9 +241,7 @@ def _top4(one: Subject, handles: Handles) -> float:
 
 def _clips(one: Subject, handles: Handles) -> list[HandleMotion]:
     """A few of the file's clips as motions of the handles, by weighted registration (section A.2 of TapMo)."""
-    from bunraku.files.clips import clip_names, load_animation
-    from bunraku.files.gltf.read import Source
-    from bunraku.files.registry import load_character
+    from bunraku.files import Source, clip_names, load_animation, load_character
     from bunraku.retarget.to_reference import handle_motion_of_mesh
 
     if one.path is None:

@@ -379,7 +379,7 @@ def _key(
     adapt: bool,
 ) -> str:
     wanted = [[request.sentence, request.frames] for request in requests]
-    how = [sampling.steps, sampling.guidance, sampling.seed, adapt, BATCH]
+    how: list[object] = [sampling.steps, sampling.guidance, sampling.seed, adapt, BATCH]
     if sampling.candidates > 1 or sampling.examples or sampling.classifier_guidance:
         files = [path for name in CHOOSING if (path := weights_file(f"{name}.safetensors")).is_file()]
         how += [sampling.candidates, sampling.examples, sampling.classifier_guidance, *map(checkpoint_digest, files)]

@@ -107,8 +107,7 @@ class Source:
 
 def facing_character(path: Path, name: str) -> Character:
     """A character facing +Z, by what is known of the archive's rigs."""
-    from bunraku.files import load_character
-    from bunraku.files.gltf.read import turned
+    from bunraku.files import load_character, turned
 
     character = load_character(path)
     return turned(character, "+y", named_front(character, name))
@@ -204,7 +203,7 @@ def _there_and_back(path: Path, character: Character, name: str) -> _Back:
     """Mean error of the vertices of a character's own clip, over its height, after the way to the reference body and
     back; none without clips.
     """
-    from bunraku.files.clips import clip_names, load_animation
+    from bunraku.files import clip_names, load_animation
     from bunraku.pipelines.to_reference import reference_motion
     from bunraku.pipelines.transfer import apply_transfer, same_skeleton
 
@@ -373,7 +372,7 @@ def result_angle(path: Path, name: str, source: Source) -> float | None:
     Raises:
         FormatError: The file cannot be read, or holds no clip.
     """
-    from bunraku.files.clips import bones_of, load_animation
+    from bunraku.files import bones_of, load_animation
 
     animation = load_animation(path, 0, source.motion.fps)
     try:

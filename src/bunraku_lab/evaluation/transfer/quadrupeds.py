@@ -59,7 +59,7 @@ def captured_animal(animation: Animation | RigAnimation, parts: RigParts, flat: 
         parts: Of its character.
         flat: All bones of the rest pose lie along one axis; otherwise it is the rig's.
     """
-    from bunraku.files.clips import bones_of
+    from bunraku.files import bones_of
 
     turns, positions = animation.world() if isinstance(animation, RigAnimation) else bones_of(animation)
     handles = [handle for handle in range(len(HANDLE_NAMES)) if parts.leads[handle] >= 0 and _name(handle)]
@@ -156,7 +156,7 @@ def measure_quadrupeds(
         ground; `quadruped_hind_above_back`, the share of frames in which a hind foot is above the back; and
         `quadrupeds` with a row for each pair.
     """
-    from bunraku.files.clips import clip_names, load_animation
+    from bunraku.files import clip_names, load_animation
     from bunraku.pipelines.animate import rig
     from bunraku.pipelines.to_reference import creature_motion
     from bunraku.pipelines.transfer import apply_transfer

@@ -23,7 +23,7 @@ from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
 from bunraku.core.parallel import run_parallel
 from bunraku.errors import BunrakuError, FormatError
-from bunraku.files.mmd.vmd import VmdMotion
+from bunraku.files import VmdMotion
 from bunraku_lab.evaluation.report import Bar, reached_bars
 from bunraku_lab.evaluation.transfer.character import (
     SUFFIXES,
@@ -58,8 +58,7 @@ MANY = 20_000  # vertices of the character that is timed
 def bvh_again(path: Path) -> float | None:
     """Largest difference of a rotation after a skeletal motion is written as BVH and read again [degrees]."""
     from bunraku.core.geometry.rotations import axis_angle_from_matrix
-    from bunraku.files.motions.bvh import write_bvh
-    from bunraku.files.registry import read_motion
+    from bunraku.files import read_motion, write_bvh
 
     motion = read_motion(path)
     if not isinstance(motion, SkeletalMotion):
@@ -124,8 +123,7 @@ def _many(character: Character) -> Character:
 def _bvh_seconds() -> float:
     """Time to read a file of 14,400 frames of 31 joints [s], the best of two."""
     from bunraku.core.geometry.rotations import matrix_from_axis_angle
-    from bunraku.files.motions.bvh import write_bvh
-    from bunraku.files.registry import read_motion
+    from bunraku.files import read_motion, write_bvh
 
     random = np.random.default_rng(0)
     names = tuple(HANDLE_NAMES) + ("end",)
@@ -165,8 +163,7 @@ def measure_soles(folder: str | Path | None, failed: dict[str, str]) -> dict[str
         target itself [m]. None without files.
     """
     from bunraku.core.avatars import mmd_model
-    from bunraku.files import load_character
-    from bunraku.files.mmd.vmd import load_vmd
+    from bunraku.files import load_character, load_vmd
 
     files = [] if folder is None else sorted(path for path in Path(folder).rglob("*") if path.is_file())
     motions: dict[str, VmdMotion] = {}

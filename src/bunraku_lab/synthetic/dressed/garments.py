@@ -16,7 +16,7 @@ from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.graph import mesh_parts, unique_edges
 from bunraku.core.geometry.surface import vertex_normals
 from bunraku.errors import CharacterError, FormatError
-from bunraku.files.meshes.obj import read_obj
+from bunraku.files import read_obj
 from bunraku_lab.synthetic.makehuman import MakeHumanBody
 
 __all__ = [

@@ -6,7 +6,6 @@ seams between colours, as in most files from artists: welded, every part is clos
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +13,7 @@ import numpy as np
 from bunraku.core.character import Character
 from bunraku.core.files import atomic_write
 from bunraku.errors import OptionError
-from bunraku.files.gltf.colors import linear_from_srgb
-from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GltfBuilder
-from bunraku.files.samples import sample_names
+from bunraku.files import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GltfBuilder, linear_from_srgb, sample_names
 from bunraku.render.stage import build_surface
 
 __all__ = ["make_sample", "write_sample"]
@@ -41,7 +38,17 @@ def make_sample(name: str, detail: float = 1.0, *, rigged: bool = False) -> Char
         raise OptionError(f"there is no sample character named {name!r}; choose one of {', '.join(sample_names())}")
     if not 0.3 <= detail <= 4:
         raise OptionError(f"the detail of a sample character must be between 0.3 and 4, not {detail}")
-    return importlib.import_module(f"bunraku_lab.synthetic.{name}").build(detail, rigged)
+    from bunraku_lab.synthetic.samples import creatures, people
+
+    build = {
+        "person": people.build_person,
+        "dancer": people.build_dancer,
+        "robot": people.build_robot,
+        "dog": creatures.build_dog,
+        "dragon": creatures.build_dragon,
+        "mushroom": creatures.build_mushroom,
+    }
+    return build[name](detail, rigged)
 
 
 def write_sample(name: str, path: Path) -> Path:

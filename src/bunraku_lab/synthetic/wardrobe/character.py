@@ -17,7 +17,7 @@ import numpy as np
 from bunraku.core.character import Character
 from bunraku.core.files import atomic_write
 from bunraku.errors import FormatError
-from bunraku.files.mmd.write import pmx_bytes
+from bunraku.files import pmx_bytes
 from bunraku_lab.synthetic.dressed.garments import BodyShape, Garment, Piece, Wardrobe
 from bunraku_lab.synthetic.figures import DRAWN, Figure, J, figure_of, random_figure
 from bunraku_lab.synthetic.makehuman import (

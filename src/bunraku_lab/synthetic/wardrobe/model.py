@@ -12,10 +12,7 @@ import numpy as np
 from bunraku.core.avatars import MMD_METRE, MmdBody, MmdBone, MmdIk, MmdIkLink, MmdJoint
 from bunraku.core.character import Character
 from bunraku.core.geometry.surface import vertex_normals
-from bunraku.files.mmd.document import LIGHT
-from bunraku.files.mmd.model import MmdFile, MmdMaterial, mmd_character
-from bunraku.files.mmd.read import read_pmx_file
-from bunraku.files.mmd.write import pmx_bytes
+from bunraku.files import LIGHT, MmdFile, MmdMaterial, mmd_character, pmx_bytes, read_pmx_file
 from bunraku_lab.synthetic.figures import Figure, J
 
 __all__ = [
