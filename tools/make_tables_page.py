@@ -18,7 +18,6 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from bunraku_lab.evaluation.tables.measured import PAPERS
 from bunraku_lab.evaluation.tables.paper_table import EITHER_WAY, NAMES, measured_table
 
 PICTURES = {
@@ -106,6 +105,8 @@ def _markdown(rows: list[list[str]]) -> str:
 
 def kept_tables(kept: dict[str, Any]) -> list[dict[str, Any]]:
     """The kept tables with the rows, reasons and notes of the tables as they are."""
+    from bunraku_lab.evaluation.tables.measured import PAPERS  # loads torch
+
     out = []
     for old in kept["tables"]:
         (table,) = (each for each in PAPERS[old["paper"]] if (each.number, each.title) == (old["number"], old["title"]))
