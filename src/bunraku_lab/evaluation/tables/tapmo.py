@@ -16,7 +16,7 @@ _TRANSFER = "--baselines has no transfer network: bunraku train transfer-baselin
 _JUDGES = (
     "Critic, ranker and extractor are networks of one kind, trained apart on the same sentences, so a ratio over 1 to "
     "real is no proof of better than captured. TapMo (MDM) has had 5,000 steps of 32 clips and the shipped network "
-    "many more, so the comparison is in our favour; docs/measurements.md has equal trainings."
+    "many more, so the comparison is in our favour; docs/history.md has equal trainings."
 )
 
 _PEOPLE = "people rank them: bunraku study make, then bunraku evaluate study"
