@@ -21,6 +21,7 @@ def tool(name):
 prose = tool("prose")
 DOCS = sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")] + DOCS
+CARDS = sorted((ROOT / "src").rglob("weights/*.md"))
 WORDS = 32_000
 """Of all pages together, as `wc -w` counts."""
 HISTORY = 3_000
@@ -35,7 +36,7 @@ def test_the_documentation_is_short():
     assert words(ROOT / "docs" / "history.md") <= HISTORY
 
 
-@pytest.mark.parametrize("path", [*PAGES, ROOT / "SECURITY.md"], ids=lambda path: path.name)
+@pytest.mark.parametrize("path", [*PAGES, ROOT / "SECURITY.md", *CARDS], ids=lambda path: path.name)
 def test_who_follows_a_noun(path):
     assert prose.stumbles(prose.markdown_text(path)) == []
 
@@ -48,6 +49,7 @@ def test_who_follows_a_noun(path):
         ("It is done. Who falls stays down.", 1),
         ("arms of who lies, and legs as who walks", 2),
         ("for whom it may concern", 1),
+        ("people by whom gestures are performed", 0),
         ("whoever turns, and nobody runs", 2),
         ("- who tabs", 1),
         ("a person who walks, people who sit, those who pass it on", 0),
@@ -76,7 +78,7 @@ def test_the_site_lists_every_page():
 
 
 def test_links_lead_to_headings_that_exist():
-    headings = {path.resolve(): set(anchors(path)) for path in [*PAGES, *(ROOT / "src/bunraku/weights").glob("*.md")]}
+    headings = {path.resolve(): set(anchors(path)) for path in [*PAGES, *CARDS]}
     for path in headings:
         for link, anchor in re.findall(r"\]\(([^)#:]*)#([^)]+)\)", path.read_text(encoding="utf-8")):
             target = (path.parent / link).resolve() if link else path

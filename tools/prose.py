@@ -24,6 +24,8 @@ NOUNS = frozenset(_NOUNS.split())
 """Words that "who" may follow."""
 VAGUE = frozenset({"somebody", "nobody", "whoever", "whomever"})
 """Words that are never used."""
+PREPOSITIONS = frozenset({"at", "by", "for", "from", "of", "on", "to", "with"})
+"""Words that may stand between the noun and "whom"."""
 _MARKS = "\"'`*_()[]{}<>|,.;:!?…“”‘’"
 _ENDS = (".", "!", "?", ":", ";")
 
@@ -38,6 +40,8 @@ def stumbles(text: str) -> list[str]:
     for index, word in enumerate(words):
         bare = word.strip(_MARKS).lower().removesuffix("'s")
         before = words[index - 1] if index else ""
+        if bare == "whom" and before.lower() in PREPOSITIONS:  # "people by whom"
+            before = words[index - 2] if index > 1 else ""
         if bare in VAGUE or (bare in ("who", "whom") and not _has_noun(before) and not _asks(before, words[index:])):
             found.append(" ".join(words[max(index - 3, 0) : index + 4]))
     return found
