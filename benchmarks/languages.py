@@ -51,7 +51,7 @@ def captions() -> None:
 
 
 def read(sentence: str) -> frozenset[str]:
-    """The actions that somebody who gives a sentence gets."""
+    """The actions that a user who gives a sentence gets."""
     found = understood(sentence)
     return frozenset(actions_of(found.english)) if found.ok else frozenset()
 
