@@ -11,8 +11,8 @@ RUN pip wheel --no-cache-dir --wheel-dir /wheels '/source[compressed,studio]'
 
 FROM python:3.12-slim
 
-# what previews draw with: OpenGL without a display, and a compiler for the loops where there is none
-RUN apt-get update && apt-get install --yes --no-install-recommends gcc libc6-dev libegl1 libgl1 libgl1-mesa-dri \
+# a compiler for the loops that draw previews
+RUN apt-get update && apt-get install --yes --no-install-recommends gcc libc6-dev \
     && rm -rf /var/lib/apt/lists/*
 
 RUN --mount=type=bind,from=wheels,source=/wheels,target=/wheels \

@@ -75,7 +75,7 @@ demo: $(READY) demo/$(SAMPLE).glb
 	@echo "animation: demo/$(SAMPLE)-animated.glb"
 	@echo "video:     demo/$(SAMPLE)-animated.mp4"
 
-demo/$(SAMPLE).glb: $(READY) $(wildcard src/bunraku/samples/*.py)
+demo/$(SAMPLE).glb: $(READY) $(wildcard src/bunraku/samples/*.glb)
 	@$(BIN)/bunraku samples $(SAMPLE) -o demo
 	@touch $@
 

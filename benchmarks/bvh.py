@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.formats.bvh.write import write_bvh
-from bunraku.io import load_motion
+from bunraku.io.motions import load_motion
 
 
 def made_up(frames: int, joints: int, fps: float) -> SkeletalMotion:

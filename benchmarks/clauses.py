@@ -37,9 +37,9 @@ def main() -> None:
     from bunraku.diffusion.generation.networks import load_generator
     from bunraku.diffusion.inference.extractor import embed_motions, embed_sentences, load_extractor
     from bunraku.language.parse import clauses_of, parse
-    from bunraku.nn.checkpoints import shipped_checkpoint
+    from bunraku_lab.nn.checkpoints import lab_checkpoint
 
-    extractor = load_extractor(shipped_checkpoint("extractor"))
+    extractor = load_extractor(lab_checkpoint("extractor"))
     sentences = [f"a person {action}" for action in ACTIONS]
     known = embed_sentences(extractor, load_generator()[1], sentences)
     table = np.stack([known[sentence] for sentence in sentences])

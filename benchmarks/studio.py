@@ -30,9 +30,9 @@ from bunraku.diffusion.generation.drawing import GUIDANCE, STEPS
 from bunraku.io import load_character, save_character
 from bunraku.pipelines.animate import animate, generate, rig
 from bunraku.pipelines.apply import apply_motion
-from bunraku.samples import sample_character
 from bunraku.studio.tasks.making import DRAFT_STAGES
 from bunraku.studio.workspace.opened import Settings, opened_character
+from bunraku_lab.synthetic.samples import make_sample
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "studio"))
 
@@ -164,7 +164,7 @@ def main() -> None:
 
 def written(file: Path, detail: float, dense: bool) -> Path:
     """A file with the sample person, without a rig."""
-    person = sample_character("person", detail)
+    person = make_sample("person", detail)
     vertices, faces = person.vertices, person.faces
     if dense:
         vertices, faces = trimesh.remesh.subdivide(vertices, faces)

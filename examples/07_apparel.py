@@ -16,7 +16,7 @@ import bunraku
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "outputs")
 folder.mkdir(parents=True, exist_ok=True)
 
-dancer = bunraku.sample_character("dancer", 0.4)
+dancer = bunraku.sample_character("dancer")
 stiff = bunraku.animate(dancer, "turns around", seconds=1, steps=10, seed=2)
 swinging = bunraku.transfer(stiff.character, stiff, apparel="learn")
 path = swinging.save(folder / "dancer-swings.glb")

@@ -1,4 +1,4 @@
-// The page of the studio. Names without hashes, so that a build gives the same files, and the licences of what is in it.
+// The page of the studio. It takes three.js from the built view (vite.view.config.js), so that it is shipped once. Names without hashes, so that a build gives the same files, and the licences of what is in it.
 import { readFileSync, readdirSync } from "node:fs";
 import { defineConfig } from "vite";
 
@@ -20,9 +20,21 @@ function licences() {
   };
 }
 
+/** In what is built, three.js is what view.js exports. */
+function threeFromTheView() {
+  return {
+    name: "three-from-the-view",
+    apply: "build",
+    enforce: "pre",
+    resolveId(source) {
+      return source === "three" || source.startsWith("three/") ? { id: "./view.js", external: true } : null;
+    },
+  };
+}
+
 export default defineConfig({
   base: "./",
-  plugins: [licences()],
+  plugins: [threeFromTheView(), licences()],
   test: { environment: "happy-dom", include: ["tests/*.test.ts", "tests/*.test.tsx"] },
   build: {
     outDir: "../src/bunraku/studio/static",

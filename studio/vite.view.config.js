@@ -1,4 +1,5 @@
-// The view of one animation: a single script that pages and notebooks hold, without a server, and three.js's licence.
+// The view of one animation: a single module that pages and notebooks hold, without a server, and that the studio's page loads; and
+// three.js's licence.
 import { readFileSync } from "node:fs";
 import { defineConfig } from "vite";
 
@@ -17,6 +18,7 @@ export default defineConfig({
     outDir: "../src/bunraku/render/view",
     emptyOutDir: false,
     target: "es2022",
-    lib: { entry: "src/view.ts", formats: ["iife"], name: "bunrakuView", fileName: () => "view.js" },
+    lib: { entry: "src/view.ts", formats: ["es"], fileName: () => "view.js" },
+    rolldownOptions: { output: { minify: true } }, // a library's whitespace would stay
   },
 });

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import bunraku.samples
+import bunraku_lab.synthetic.samples
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.denoiser_config import DenoiserConfig
@@ -25,8 +26,9 @@ from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_to_6d
 from bunraku.language.encoders import TextBatch
 from bunraku.nn.layers import unit
 
-# Characters are read-only, so tests share those that are made by code; tests/samples makes its own.
+# Characters are read-only, so tests share the samples; tests/lab/synthetic/samples makes its own.
 bunraku.samples.sample_character = functools.cache(bunraku.samples.sample_character)
+bunraku_lab.synthetic.samples.make_sample = functools.cache(bunraku_lab.synthetic.samples.make_sample)
 
 
 class WordEncoder:
@@ -167,12 +169,12 @@ def bank_path(tmp_path_factory):
     from dataclasses import replace
 
     from bunraku.handles.from_rig import rig_handles
-    from bunraku.samples import sample_character
     from bunraku_lab.datasets.characters.character_bank import bank_row, write_rows
+    from bunraku_lab.synthetic.samples import make_sample
 
     random, rows = np.random.default_rng(0), []
     for name in ("dancer", "dog", "person"):
-        character = sample_character(name, 0.5, rigged=True)
+        character = make_sample(name, 0.5, rigged=True)
         handles = replace(rig_handles(character).top(4), features=random.normal(size=12).astype(np.float32))
         rows.append(bank_row(character, f"samples/{name}", lambda plain, handles=handles: handles))
     return write_rows(tmp_path_factory.mktemp("bank") / "bank.npz", rows, np.zeros(12, np.float32))

@@ -18,7 +18,6 @@ HEAVY = (
     "transformers",
     "diffusers",
     "trimesh",
-    "moderngl",
     "av",
     "scipy",
     "igl",
@@ -46,7 +45,7 @@ def test_command_line_import_is_light():
 
 
 def test_core_types_do_not_load_the_networks():
-    heavy = {"torch", "transformers", "diffusers", "moderngl", "av", "trimesh"}
+    heavy = {"torch", "transformers", "diffusers", "av", "trimesh"}
     assert not loaded_after("import bunraku\nbunraku.Character, bunraku.Animation, bunraku.HandleMotion").intersection(
         heavy
     )
@@ -94,7 +93,7 @@ def test_extras_that_errors_name_exist():
 
 def test_every_import_is_a_declared_dependency():
     """What the package imports anywhere, against what a plain install brings."""
-    names = {"PIL": "pillow", "igl": "libigl", "motionmcp": "motionmcp-sdk", "mujoco": "mujoco-core"}
+    names = {"PIL": "pillow", "igl": "libigl", "mujoco": "mujoco-core"}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     declared = {re.split(r"[<>=\[ ]", requirement)[0] for requirement in project["dependencies"]}
     used = set()
@@ -113,7 +112,7 @@ def test_every_import_is_a_declared_dependency():
     packages = {names.get(name, name.replace("_", "-")) for name in used}
     optional = {
         re.split(r"[<>=\[ ]", requirement)[0]
-        for extra in ("clip", "compressed", "lab", "mmcp", "physics", "ray", "serve", "studio", "train", "usd")
+        for extra in ("clip", "compressed", "lab", "physics", "ray", "serve", "studio", "train", "usd")
         for requirement in project["optional-dependencies"][extra]
     }
     assert packages - declared <= optional  # used inside functions that say what is missing

@@ -32,8 +32,9 @@ def test_wheel_holds_every_file_of_the_package(wheel):
     assert wheel.name == f"bunraku-{bunraku.__version__}-py3-none-any.whl"
     names = set(zipfile.ZipFile(wheel).namelist())
     for path in (ROOT / "src").rglob("*"):
-        if path.is_file() and "__pycache__" not in path.parts and path.suffix != ".pyc" and path.stem != "extractor":
-            assert path.relative_to(ROOT / "src").as_posix() in names
+        if path.is_file() and "__pycache__" not in path.parts and path.suffix != ".pyc":
+            laboratory = path.is_relative_to(ROOT / "src/bunraku_lab/weights")
+            assert (path.relative_to(ROOT / "src").as_posix() in names) != laboratory
     assert all(
         name.startswith(("bunraku/", "bunraku_lab/", f"bunraku-{bunraku.__version__}.dist-info/")) for name in names
     )

@@ -75,7 +75,7 @@ def train(options: argparse.Namespace) -> None:
     alarm.start()
     from bunraku_lab.training.diffusion.train import TrainingConfig, train_diffusion
 
-    names = ("batch", "learning_rate", "steps", "examples", "convolution", "drop_tokens", "ema", "warmup", "pool")
+    names = ("batch", "learning_rate", "steps", "examples", "drop_tokens", "ema", "warmup", "pool")
     settings = {name: getattr(options, name) for name in names}
     config = TrainingConfig(
         data=options.data or HERE / BUNDLE, out=options.run, preset=options.preset, start=options.start,
@@ -94,7 +94,7 @@ def train(options: argparse.Namespace) -> None:
 
 def bring(options: argparse.Namespace) -> None:
     """Pieces of the weights, and the log, where they are fetched from."""
-    from bunraku.formats.pieces import split_file
+    from bunraku_lab.training.pieces import split_file
 
     pieces = split_file(options.run / WEIGHTS, options.out, options.piece << 20)
     if len(pieces) + 1 > options.files:
@@ -104,7 +104,7 @@ def bring(options: argparse.Namespace) -> None:
 
 
 def join(options: argparse.Namespace) -> None:
-    from bunraku.formats.pieces import join_pieces
+    from bunraku_lab.training.pieces import join_pieces
 
     joined = join_pieces(options.folder, options.output)
     from bunraku_lab.nn.diffusion.checkpoint import load_denoiser  # not before: it loads torch
@@ -141,7 +141,6 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--warmup", type=int, help="steps")
     one.add_argument("--ema", type=float, help="decay of the averaged weights")
     one.add_argument("--examples", type=int, help="captured examples that the network attends to")
-    one.add_argument("--convolution", type=int, help="tokens that a convolution reaches over")
     one.add_argument("--drop-tokens", type=float, help="share of the text tokens that rows lack")
     one.add_argument("--workers", type=int, default=0, help="processes that draw rows into a pool on the device")
     one.add_argument("--pool", type=int, help="rows in it")

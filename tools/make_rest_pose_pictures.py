@@ -16,10 +16,10 @@ from bunraku.core.character import Character
 from bunraku.pipelines.animate import rig
 from bunraku.render import contact_sheet, render_animation, render_still
 from bunraku.retarget.fit import fit_motion
-from bunraku.samples import sample_character
 from bunraku_lab.evaluation.handles.rest_pose_transfer import TRANSFER_POSES, code_made_motions
 from bunraku_lab.evaluation.handles.rest_poses import posed_limbs
 from bunraku_lab.evaluation.handles.subjects import subject
+from bunraku_lab.synthetic.samples import make_sample
 
 OUT = Path(__file__).parents[1] / "docs/pictures/rest-poses.png"
 FRAMES = (("wave", 0.75), ("walk", 0.25), ("squat", 0.5))  # motion and moment [s]
@@ -27,7 +27,7 @@ SIZE = (200, 230)
 
 
 def main() -> None:
-    one = subject(sample_character("person", rigged=True), "person")
+    one = subject(make_sample("person", rigged=True), "person")
     motions = code_made_motions()
     poses = ("T", *TRANSFER_POSES)
     rows: list[list[np.ndarray]] = [[] for _ in range(1 + len(FRAMES))]

@@ -176,44 +176,13 @@ STATES = {  # those of a first visit before those that leave something behind
 """What is done, whether it is dark, and how wide the window is."""
 
 
-def study(browser: object) -> None:
-    """A trial of a blind study."""
-    from bunraku.pipelines.animate import animate, rig
-    from bunraku.samples import sample_character
-    from bunraku.studio.study.make import Line, make_study
-
-    character = sample_character("dragon")
-    handles = rig(character)
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        methods = {name: folder / name for name in ("one", "two", "three")}
-        for seed, position in enumerate(methods.values()):
-            position.mkdir()
-            animate(character, "jumps high", seconds=3, seed=seed, handles=handles).save(position / "1.glb")
-        make_study(methods, [Line("dragon.glb", "jumps high")], folder / "study")
-        shown = Studio(folder / "studio", "--study", str(folder / "study"))
-        try:
-            page = Page(browser, shown, scale=1)
-            page.page.wait_for_selector(".ranks")
-            page.page.wait_for_timeout(6000)
-            for clip in range(3):
-                page.page.click(f".ranks fieldset:first-child [role=group] >> nth={clip} >> button >> nth={clip}")
-            page.page.wait_for_timeout(3000)
-            shot(page, "study")
-            page.close()
-        finally:
-            shown.stop()
-
-
 def main(names: list[str]) -> None:
     """Make them all, or those that are named."""
     OUT.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, chromium() as browser:
-        if not names or "study" in names:
-            study(browser)
         studio = Studio(Path(folder) / "studio")
         try:
-            for name in [name for name in names if name != "study"] or (STATES if not names else ()):
+            for name in names or STATES:
                 act, dark, width = STATES[name]
                 for project in studio.get("/api/about")["projects"]:
                     studio.ask("DELETE", f"/api/projects/{project['id']}")

@@ -19,7 +19,6 @@ from bunraku.body.from_handles import skeleton_from_handles
 from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
-from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.diffusion.generation.generate import generate_motion
 from bunraku.nn.checkpoints import shipped_checkpoint
@@ -49,20 +48,16 @@ def rows_of(rows: dict[str, np.ndarray], character: Character, path: Path, title
     contact_sheet(pictures, labels, path, columns=MOMENTS, title=title)
 
 
-def drawn(checkpoint: Path | None) -> HandleMotion:
-    return generate_motion(PROMPT, SECONDS, seed=SEED, candidates=1, checkpoint=checkpoint)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--character", type=Path, required=True, help="of table 2")
     parser.add_argument("--baselines", type=Path, required=True, help="folder of the other methods' weights")
     options = parser.parse_args()
-    ours, theirs = drawn(None), drawn(options.baselines / "mdm.safetensors")
+    ours = generate_motion(PROMPT, SECONDS, seed=SEED, candidates=1)
 
     body = reference_body()
     chosen = generate_motion(PROMPT, SECONDS, seed=SEED)
-    shown = {"TapMo (MDM)": theirs, "ours, one sample": ours, "ours, as animate chooses": chosen}
+    shown = {"ours, one sample": ours, "ours, as animate chooses": chosen}
     figure = body.character()
     rows = {name: Animation(figure, body.handles, motion).vertices() for name, motion in shown.items()}
     rows_of(rows, figure, OUT / "tables-tapmo-1.png", f'TapMo, table 1: "{PROMPT}"')
@@ -70,14 +65,14 @@ def main() -> None:
     character = bunraku.load_character(options.character)
     handles = bunraku.rig(character)
     anatomy = Anatomy.of(character, handles)
-    copied = copied_motion(rig_by_embedding(character.vertices, character.faces), skeleton_from_handles(theirs))
+    copied = copied_motion(rig_by_embedding(character.vertices, character.faces), skeleton_from_handles(ours))
     network = load_transfer(options.baselines / TRANSFER)
     rows = {"MDM-SR": copied}
     rows["MDM-SFR"] = transferred_motion(
-        network, character, handles, source_motion(network, skeleton_from_handles(theirs))
+        network, character, handles, source_motion(network, skeleton_from_handles(ours))
     )
     for name, motion, stages in (
-        ("MDM-SFR, floor", theirs, NO_STAGES),
+        ("MDM-SFR, floor", ours, NO_STAGES),
         ("ours, not adapted", ours, Stages(shape=False)),
         ("ours", ours, Stages(shape=True)),
     ):

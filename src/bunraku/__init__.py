@@ -19,7 +19,7 @@ if is_command_line():  # what follows takes a while
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from bunraku.core.saving import set_writer
+from bunraku.core.saving import provide
 from bunraku.errors import (
     BunrakuError,
     CharacterError,
@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
     from bunraku.core.rig_animation import RigAnimation
     from bunraku.handles.orientation import Orientation, guess_orientation, upright
-    from bunraku.io import load_character, load_motion, save_character
+    from bunraku.io import load_character, save_character
+    from bunraku.io.motions import load_motion
     from bunraku.io.presets import save_for
     from bunraku.io.save_clips import save_clips
     from bunraku.pipelines.animate import animate, generate, rig, with_skeleton
@@ -109,7 +110,7 @@ _HOME = {
     "generate": "bunraku.pipelines.animate",
     "guess_orientation": "bunraku.handles.orientation",
     "load_character": "bunraku.io",
-    "load_motion": "bunraku.io",
+    "load_motion": "bunraku.io.motions",
     "rig": "bunraku.pipelines.animate",
     "sample_character": "bunraku.samples",
     "save_character": "bunraku.io",
@@ -124,7 +125,20 @@ _HOME = {
 _ROOMS = {"clips": "bunraku.clips"}
 """Rooms that are public as they are."""
 
-set_writer("bunraku.io.registry:save")
+provide(
+    save="bunraku.io.registry:save",
+    resolve_axes="bunraku.handles.orientation:resolve_axes",
+    handle_animation="bunraku.retarget.rig_motion:handle_animation",
+    write_humanoid_bvh="bunraku.io.humanoid:write_humanoid_bvh",
+    write_humanoid_vrma="bunraku.io.humanoid:write_humanoid_vrma",
+    write_motion_bvh="bunraku.io.skeletal:write_motion_bvh",
+    write_motion_npz="bunraku.io.skeletal:write_motion_npz",
+    write_motion_vrma="bunraku.io.skeletal:write_motion_vrma",
+    write_character_vmd="bunraku.io.mmd_motion:write_character_vmd",
+    check_mmd_character="bunraku.io.mmd_motion:check_character",
+    write_html="bunraku.render.html:write_html",
+    save_preview="bunraku.render.preview:save_preview",
+)
 
 
 def __getattr__(name: str) -> Any:

@@ -21,7 +21,6 @@ import {
   about, aside, attempt, character, comparing, doc, drawing, follow, locked, notice, ownTakes, painting, playing, redo, start, take, time,
   trouble, undo, warm,
 } from "./state";
-import { Study } from "./study";
 import { Takes } from "./takes";
 import { pinPose, Timeline } from "./timeline";
 import "./style.css";
@@ -242,14 +241,6 @@ function App() {
   }, []);
   if (locked.value) {
     return <Lock />;
-  }
-  if (about.value?.study) {
-    return (
-      <>
-        <Study />
-        <Notice />
-      </>
-    );
   }
   return (
     <>

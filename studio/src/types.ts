@@ -133,7 +133,6 @@ export interface About {
   /** Fewest and most frames a second of a file. */
   fps: [number, number];
   samples: string[];
-  study: boolean;
   worker: { warm: boolean; process: number };
   event: number;
   characters: Character[];

@@ -1,7 +1,19 @@
-/** The view of one animation, inside a page of its own: a GLB that the page holds, a floor, a clock, a camera to turn. */
+/**
+ * The view of one animation, inside a page of its own: a GLB that the page holds, a floor, a clock, a camera to turn.
+ *
+ * The studio's page loads the same file and takes what it needs of three.js from its exports (`vite.config.js`).
+ */
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
+
+export { GLTFLoader, OrbitControls };
+export {
+  AmbientLight, BufferAttribute, BufferGeometry, CircleGeometry, Color, DirectionalLight, DynamicDrawUsage,
+  Float32BufferAttribute, Fog, HemisphereLight, Line, LineBasicMaterial, LineSegments, Mesh,
+  MeshBasicMaterial, MeshStandardMaterial, PCFShadowMap, PerspectiveCamera, Plane, Quaternion, Raycaster, Scene,
+  ShadowMaterial, SkinnedMesh, SphereGeometry, Spherical, Vector2, Vector3, WebGLRenderer,
+} from "three";
 
 async function bytes(text: string): Promise<ArrayBuffer> {
   return (await fetch(`data:application/octet-stream;base64,${text}`)).arrayBuffer();
@@ -97,6 +109,8 @@ async function show(): Promise<void> {
   });
 }
 
-show().catch((error: unknown) => {
-  document.body.append(`This view needs WebGL: ${String(error)}`);
-});
+if (document.getElementById("model")) {
+  show().catch((error: unknown) => {
+    document.body.append(`This view needs WebGL: ${String(error)}`);
+  });
+}

@@ -14,7 +14,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import CharacterError
 from bunraku.handles.from_rig import rig_handles
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 
 def body(width: float = 1.0) -> Anatomy:
@@ -63,7 +63,7 @@ def test_what_is_worked_out_is_the_objects_own_and_cannot_be_written_to():
 
 
 def test_nothing_is_turned_in_a_body_that_is_taken_as_it_rests():
-    dog = sample_character("dog", 0.3, rigged=True)
+    dog = make_sample("dog", 0.3, rigged=True)
     found = Anatomy.of(replace(dog, rig=None), rig_handles(dog))
     assert found.plan == replace(found.plan, hind=2, front=2, upright=False) and isinstance(found.plan, BodyPlan)
     np.testing.assert_array_equal(found.unturned.rotations, np.tile(np.eye(3), (30, 1, 1)))

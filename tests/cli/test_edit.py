@@ -20,10 +20,10 @@ QUICK = ["--steps", "2"]
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     from bunraku.io import save_character
-    from bunraku.samples import sample_character
+    from bunraku_lab.synthetic.samples import make_sample
 
     folder = tmp_path_factory.mktemp("edit")
-    save_character(sample_character("person", 0.3), folder / "person.glb")
+    save_character(make_sample("person", 0.3), folder / "person.glb")
     if shipped_checkpoint("diffusion").is_file():
         words = ["animate", str(folder / "person.glb"), "walks:1.5; waves:1.5", *QUICK]
         assert main([*words, "-o", str(folder / "clip.glb"), "-o", str(folder / "clip.npz")]) == 0

@@ -23,7 +23,8 @@ from bunraku.errors import FormatError
 from bunraku.formats.bvh.write import write_bvh
 from bunraku.formats.mmd.vmd import load_vmd
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.io import load_character, load_motion
+from bunraku.io import load_character
+from bunraku.io.motions import load_motion
 from bunraku.retarget.mmd.play import mmd_animation
 from bunraku.retarget.mmd.standard import standard_model
 

@@ -12,6 +12,7 @@ from bunraku.cli import main
 from bunraku.clips import all_clips, clip, search
 from bunraku.diffusion.examples.pack import load_examples
 from bunraku.language.lexicon.tables import lexicon
+from bunraku_lab.synthetic.samples import make_sample
 
 
 def test_each_row_says_what_its_stretch_is():
@@ -90,7 +91,7 @@ def test_a_clip_stands_on_the_ground_and_lasts_as_long_as_is_asked():
 
 
 def test_a_clip_goes_on_a_character():
-    character = bunraku.sample_character("mushroom", 0.3)
+    character = make_sample("mushroom", 0.3)
     made = bunraku.transfer(character, bunraku.clips.clip("jumping-jacks").motion())
     assert np.isfinite(made.vertices([0, 20])).all() and len(made.motion) > 60
 

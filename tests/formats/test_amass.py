@@ -11,7 +11,7 @@ from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.body.smpl_rest import smpl_offsets, smpl_rotations
 from bunraku.errors import BunrakuError, FormatError, MotionError
-from bunraku.io import load_motion
+from bunraku.io.motions import load_motion
 
 UPRIGHT = [np.pi / 2, 0, 0]  # turns SMPL's +Y up into the +Z up of AMASS
 

@@ -17,7 +17,7 @@ from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.formats.bvh.read import load_bvh
 from bunraku.formats.bvh.write import write_bvh
-from bunraku.io import load_motion
+from bunraku.io.motions import load_motion
 
 ARCHIVE = Path(os.environ.get("BUNRAKU_DATA", "../shared/data"))
 

@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from bunraku import Animation, Character, FormatError, HandleMotion, Handles, OptionError
 from bunraku.io import save_animation, save_character
 from bunraku.io.play import load_animation
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 
 def random_animation(seed: int = 0, frames: int = 12, count: int = 5) -> Animation:
     rng = np.random.default_rng(seed)
-    character = sample_character("mushroom", 0.3)
+    character = make_sample("mushroom", 0.3)
     positions = character.vertices[rng.integers(len(character.vertices), size=count)]
     weights = rng.dirichlet(np.ones(count), len(character.vertices)).astype(np.float32)
     rotations = (

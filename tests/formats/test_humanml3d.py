@@ -9,7 +9,7 @@ from motion_files import about_y, humanml3d_vectors, walk_about
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.errors import BunrakuError, FormatError, MotionError
 from bunraku.formats.arrays.humanml3d import positions_of_vectors, read_texts
-from bunraku.io import load_motion
+from bunraku.io.motions import load_motion
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

@@ -15,7 +15,7 @@ from bunraku.errors import FormatError, MissingExtraError, OptionError
 from bunraku.formats.usd.look import prim_name
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.io import load_character
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 Y_FROM_Z = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # rows times this
 
@@ -184,7 +184,7 @@ def test_options_that_make_no_sense(pxr, animation, tmp_path):
 def test_the_bones_of_a_rig_keep_their_tree_and_names(pxr, tmp_path, up):
     from pxr import UsdSkel
 
-    robot = sample_character("robot", rigged=True)
+    robot = make_sample("robot", rigged=True)
     rig, random = robot.rig, np.random.default_rng(2)
     turns = matrix_from_axis_angle(0.4 * random.normal(size=(6, len(rig.names), 3)))
     moved = RigAnimation(robot, turns, 0.02 * random.normal(size=(6, len(rig.names), 3)))

@@ -30,7 +30,8 @@ from mmd_bytes import plank, pmd, pmx  # noqa: E402
 from motion_files import humanml3d_vectors, walk_about  # noqa: E402
 
 from bunraku.errors import BunrakuError  # noqa: E402
-from bunraku.io import load_character, load_motion  # noqa: E402
+from bunraku.io import load_character  # noqa: E402
+from bunraku.io.motions import load_motion  # noqa: E402
 
 SECONDS, PER_BYTE, BASE = 10.0, 4, 300e6
 FAULTS = ("foreign", "slow", "large", "outside")

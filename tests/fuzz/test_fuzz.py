@@ -3,7 +3,8 @@
 import fuzz
 import pytest
 
-from bunraku.io import load_character, load_motion
+from bunraku.io import load_character
+from bunraku.io.motions import load_motion
 
 
 def test_no_broken_file_does_harm():

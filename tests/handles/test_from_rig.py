@@ -9,7 +9,7 @@ import bunraku
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.errors import CharacterError, OptionError
 from bunraku.handles.from_rig import resolve_joints, rig_handles
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 
 def test_joints_without_a_name_join_their_nearest_known_ancestor():
@@ -18,7 +18,7 @@ def test_joints_without_a_name_join_their_nearest_known_ancestor():
 
 
 def test_handles_from_bone_names_hold_every_vertex():
-    person = sample_character("person", 0.3, rigged=True)
+    person = make_sample("person", 0.3, rigged=True)
     handles = rig_handles(person)
     np.testing.assert_allclose(handles.weights.sum(axis=1), 1, atol=1e-4)
     left = handles.weights[:, HANDLE_NAMES.index("left_wrist")] > 0.5
@@ -26,7 +26,7 @@ def test_handles_from_bone_names_hold_every_vertex():
 
 
 def test_an_unknown_bone_follows_the_bone_that_it_hangs_on():
-    person = sample_character("person", 0.3, rigged=True)
+    person = make_sample("person", 0.3, rigged=True)
     names = list(person.rig.names)
     forearm = names.index("LeftForeArm")
     names[forearm] = "xyzzy"
@@ -37,8 +37,8 @@ def test_an_unknown_bone_follows_the_bone_that_it_hangs_on():
 
 def test_what_cannot_be_understood_is_said():
     with pytest.raises(CharacterError, match="no rig in this file"):
-        rig_handles(sample_character("person", 0.3))
-    person = sample_character("person", 0.3, rigged=True)
+        rig_handles(make_sample("person", 0.3))
+    person = make_sample("person", 0.3, rigged=True)
     names = tuple(f"Bone.{n:03d}" for n in range(len(person.rig.names)))
     with pytest.raises(CharacterError, match="do not tell which part"):
         rig_handles(dataclasses.replace(person, rig=dataclasses.replace(person.rig, names=names)))

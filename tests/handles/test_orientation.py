@@ -14,6 +14,7 @@ from bunraku.handles.orientation import SURE, Orientation, guess_orientation, re
 from bunraku.handles.orientation_evidence import combined, kind_weights
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.samples import sample_character, sample_names
+from bunraku_lab.synthetic.samples import make_sample
 
 try:
     shipped_checkpoint("orientation")
@@ -40,7 +41,7 @@ def test_the_samples_are_recognised_however_they_lie(name):
 
 def test_a_rigged_figure_that_faces_backwards_is_turned():
     """Its bones and its shape say so, whatever rigged files are like."""
-    person = sample_character("person", rigged=True)
+    person = make_sample("person", rigged=True)
     assert guess_orientation(person, suffix=".glb").front == "+z"
     turn = np.diag([-1.0, 1, -1, 1])
     rig = replace(person.rig, transforms=turn @ person.rig.transforms)

@@ -6,7 +6,7 @@ import pytest
 from bunraku.geometry.axes import AXES, ORIENTATIONS, upright_rotation
 from bunraku.handles.orientation_colors import front_scores, variety
 from bunraku.handles.orientation_evidence import combined, told
-from bunraku.samples.isosurface import grid_surface
+from bunraku_lab.synthetic.samples.isosurface import grid_surface
 
 EQUAL = np.full(24, 1 / 24)
 

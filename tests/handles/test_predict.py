@@ -10,7 +10,7 @@ from bunraku.body.layout import HANDLE_MIRROR, HANDLE_NAMES
 from bunraku.core.character import Character
 from bunraku.handles.predict import mesh_feature, predict_handles, smooth_weights, trim_weights
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 needs_weights = pytest.mark.skipif(
     not shipped_checkpoint("handles").is_file(), reason="the shipped weights are not there"
@@ -32,7 +32,7 @@ def test_trimming_by_hand():
 @needs_weights
 @pytest.mark.parametrize("name", ["person", "robot", "dog"])
 def test_left_and_right_are_where_they_are(name):
-    character = sample_character(name, 0.5)
+    character = make_sample(name, 0.5)
     handles = predict_handles(character)
     np.testing.assert_allclose(handles.weights.sum(axis=1), 1, atol=1e-5)
     assert handles.features.shape == (448,)
@@ -44,7 +44,7 @@ def test_left_and_right_are_where_they_are(name):
 
 @needs_weights
 def test_a_finer_tessellation_has_the_same_handles():
-    character = sample_character("person", 0.5)
+    character = make_sample("person", 0.5)
     mesh = trimesh.Trimesh(character.vertices, character.faces, process=False).subdivide()
     coarse, fine = predict_handles(character), predict_handles(Character("fine", mesh.vertices, mesh.faces))
     used = coarse.weights.mean(axis=0) > 0.003  # a handle that moves next to nothing may stand anywhere
@@ -56,7 +56,7 @@ def test_a_finer_tessellation_has_the_same_handles():
 
 @needs_weights
 def test_vertices_at_one_place_have_equal_weights():
-    character = sample_character("person", 0.5)
+    character = make_sample("person", 0.5)
     whole = predict_handles(character)
     soup = Character(
         "soup", character.vertices[character.faces].reshape(-1, 3), np.arange(3 * len(character.faces)).reshape(-1, 3)
@@ -70,13 +70,13 @@ def test_vertices_at_one_place_have_equal_weights():
 
 @needs_weights
 def test_the_feature_alone_is_that_of_the_prediction():
-    character = sample_character("dog", 0.4)
+    character = make_sample("dog", 0.4)
     np.testing.assert_allclose(mesh_feature(character), predict_handles(character).features, atol=1e-5)
 
 
 @needs_weights
 def test_a_mirrored_character_has_mirrored_weights():
-    character = sample_character("dragon", 0.4)
+    character = make_sample("dragon", 0.4)
     flipped = Character("flipped", character.vertices * [-1, 1, 1], character.faces[:, ::-1])
     got = predict_handles(flipped).weights[:, list(HANDLE_MIRROR)]
     assert np.abs(got - predict_handles(character).weights).sum(axis=1).mean() < 0.1

@@ -5,7 +5,8 @@ import numpy as np
 from bunraku.core.character import Character, Rig
 from bunraku.core.mmd_model import MmdBody, MmdJoint
 from bunraku.core.rig_animation import RigAnimation
-from bunraku.physics import ApparelRig, PhysicsSettings
+from bunraku.physics.apparel_rig import ApparelRig
+from bunraku.physics.settings import PhysicsSettings
 
 BARE = PhysicsSettings(air=0.0, least_ratio=0.0, limbs=False, gravity=9.81)
 """Nothing but gravity."""

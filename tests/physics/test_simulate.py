@@ -15,7 +15,10 @@ from scipy.spatial.transform import Rotation
 from bunraku.core.character import Character, Rig
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, MotionError, OptionError
-from bunraku.physics import ApparelRig, PhysicsSettings, apparel_rig, simulate
+from bunraku.physics.apparel_rig import ApparelRig
+from bunraku.physics.from_file import apparel_rig
+from bunraku.physics.settings import PhysicsSettings
+from bunraku.physics.simulate import simulate
 
 GENE = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/mmd/gene/Gene.pmx")
 WALK = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/mmd/motion/walk.vmd")

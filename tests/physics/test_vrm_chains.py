@@ -6,7 +6,7 @@ import numpy as np
 from bodies import BARE, character, still
 
 from bunraku.core.vrm_model import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
-from bunraku.physics import simulate
+from bunraku.physics.simulate import simulate
 from bunraku.physics.vrm_chains import VRM_RATE, vrm_rig
 
 

@@ -12,7 +12,7 @@ from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.pipelines.animate import animate, rig
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.requests.request import Request, Sampling
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 pytestmark = pytest.mark.skipif(
     not (shipped_checkpoint("handles").is_file() and shipped_checkpoint("diffusion").is_file()),
@@ -23,7 +23,7 @@ PROMPT = "a person walks forward"
 
 @pytest.fixture(scope="module")
 def person():
-    return sample_character("person", 0.5)
+    return make_sample("person", 0.5)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_handles_are_as_viewers_read_them(person):
 
 @pytest.mark.parametrize("name", ["dog", "mushroom", "dragon"])
 def test_other_bodies_move_and_hold_together(name):
-    character = sample_character(name, 0.5)
+    character = make_sample(name, 0.5)
     animation = animate(character, "a person waves", seconds=1.0)
     faces = character.faces
     edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)

@@ -12,7 +12,7 @@ from bunraku.physics.from_file import apparel_rig
 from bunraku.pipelines.animate import animate, generate
 from bunraku.pipelines.apply import apply_simulated
 from bunraku.retarget.to_rig import fit_rig
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 pytestmark = pytest.mark.skipif(
@@ -56,7 +56,7 @@ def test_what_cannot_be_simulated_is_refused(dressed):
     with pytest.raises(OptionError, match="'simulate', 'chains' or 'learn'"):
         animate(dressed, "walks", apparel="jelly")
     with pytest.raises(CharacterError, match="nothing of this character is moved by physics"):
-        animate(sample_character("person", 0.5), "walks", apparel="simulate")
+        animate(make_sample("person", 0.5), "walks", apparel="simulate")
 
 
 def test_the_command_line_takes_one_prompt_or_many(dressed, tmp_path, capsys):

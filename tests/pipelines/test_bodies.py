@@ -9,13 +9,13 @@ from bunraku.body.reference import reference_body
 from bunraku.language.parse import parse
 from bunraku.pipelines.bodies import as_bodies_do
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.samples import sample_character
 from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character
+from bunraku_lab.synthetic.samples import make_sample
 
 
 @pytest.fixture(scope="module")
 def bodies():
-    made = {name: RigParts.of(sample_character(name, rigged=True)) for name in ("dog", "dragon")}
+    made = {name: RigParts.of(make_sample(name, rigged=True)) for name in ("dog", "dragon")}
     made["snake"] = RigParts.of(code_made_character("snake", EVALUATION_SEED))
     known = {name: (parts.character, parts.handles) for name, parts in made.items()}
     return known | {"person": (reference_body().character(), reference_body().handles)}

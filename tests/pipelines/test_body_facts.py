@@ -11,7 +11,7 @@ from bunraku.language.bodies import for_body
 from bunraku.language.parse import parse
 from bunraku.pipelines.bodies import body_facts, kind_of, suited
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 PERSON = BodyPlan(hind=2, front=0, upright=True, arms=True, wings=False, tail=False)
 DOG = BodyPlan(hind=2, front=2, upright=False, arms=True, wings=False, tail=True)
@@ -25,7 +25,7 @@ BIRD = BodyPlan(hind=2, front=0, upright=False, arms=False, wings=True, tail=Tru
 
 
 def test_a_dog_s_parts_are_named_with_how_clear_they_are():
-    dog = sample_character("dog", rigged=True)
+    dog = make_sample("dog", rigged=True)
     facts = body_facts(Anatomy.of(dog, RigParts.of(dog).handles))
     names = {part.name for part in facts.parts}
     assert {"left foreleg", "right foreleg", "left leg", "right leg", "tail", "head", "trunk"} <= names

@@ -4,11 +4,11 @@ import numpy as np
 
 from bunraku.core.mesh_motion import MeshMotion
 from bunraku.pipelines.to_reference import _standing
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 
 def test_a_mesh_that_crouches_first_stands_as_it_does_later():
-    person = sample_character("person", 0.3)
+    person = make_sample("person", 0.3)
     low = person.vertices * [1, 0.5, 1]
     moving = np.stack([low] * 20 + [person.vertices] * 20).astype(np.float32)
     np.testing.assert_array_equal(_standing(MeshMotion(moving, person.faces)).vertices, person.vertices)

@@ -1,4 +1,4 @@
-"""Pixels of known scenes: coverage, depth order, the camera's promise, and both renderers drawing the same picture."""
+"""Pixels of known scenes: coverage, depth order and the camera's promise."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import pytest
 
 from bunraku.errors import OptionError
 from bunraku.render import Camera, render_frames
-from bunraku.render.backends import backend, open_renderer
 from bunraku.render.camera import Framing
+from bunraku.render.software import SoftwareRenderer
 from bunraku.render.stage import set_stage
 from bunraku.render.surface import build_surface, linear_from_srgb, srgb_from_linear
 
@@ -53,7 +53,7 @@ def is_red(picture: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("winding", [(0, 1, 2), (0, 2, 1)])
 def test_triangle_covers_its_pixels_from_both_sides(winding):
-    picture = render_frames(TRIANGLE[None], np.array([winding]), RED, FRONT, size=SIZE, renderer="software")[0]
+    picture = render_frames(TRIANGLE[None], np.array([winding]), RED, FRONT, size=SIZE)[0]
     corners = FRONT.project(TRIANGLE, SIZE)[:, :2]
     x, y = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
     edges = []
@@ -72,8 +72,8 @@ def test_nearer_triangle_wins(order):
     vertices = np.concatenate([TRIANGLE, TRIANGLE + [0, 0, 0.5]]).astype(np.float32)
     faces = np.array([(0, 1, 2), (3, 4, 5)])[list(order)]
     colors = np.array([BLUE] * 3 + [RED] * 3, np.uint8)
-    picture = render_frames(vertices[None], faces, colors, FRONT, size=SIZE, renderer="software")[0]
-    alone = render_frames(vertices[None, 3:], faces[:1] % 3, RED, FRONT, size=SIZE, renderer="software")[0]
+    picture = render_frames(vertices[None], faces, colors, FRONT, size=SIZE)[0]
+    alone = render_frames(vertices[None, 3:], faces[:1] % 3, RED, FRONT, size=SIZE)[0]
     assert is_red(alone).sum() > 200
     assert is_red(picture)[is_red(alone)].all()
 
@@ -81,16 +81,14 @@ def test_nearer_triangle_wins(order):
 def test_floor_is_darker_under_a_character():
     vertices, faces = sphere()
     vertices = vertices + np.float32([0, 1, 0])
-    with_it = render_frames(vertices[None], faces, size=(200, 160), renderer="software")[0].astype(int)
+    with_it = render_frames(vertices[None], faces, size=(200, 160))[0].astype(int)
     # The same stage with nothing on it: a speck far too small to see keeps the camera.
     framing = Framing(1, (200, 160))
     framing.add(0, vertices)
     stage, camera = set_stage(framing), framing.camera()
     speck = (vertices * np.float32(1e-5)).astype(np.float32)
     empty = (
-        open_renderer((200, 160), build_surface(speck, faces), stage, "software")
-        .draw(speck, camera, np.zeros(3))
-        .astype(int)
+        SoftwareRenderer((200, 160), build_surface(speck, faces), stage).draw(speck, camera, np.zeros(3)).astype(int)
     )
     shadow = camera.project(np.array([0.0, 0.0, 0.0]) - 1.1 * stage.light * [1, 0, 1], (200, 160))
     column, row = int(shadow[0]), int(shadow[1])
@@ -143,40 +141,6 @@ def test_srgb_curves_are_inverse():
     values = np.linspace(0, 1, 1001, dtype=np.float32)
     assert np.abs(srgb_from_linear(linear_from_srgb(values)) - values).max() < 1e-6
     assert linear_from_srgb(np.float32(0.5)) == pytest.approx(0.21404, abs=1e-5)
-
-
-def test_both_renderers_draw_the_same_picture():
-    try:
-        from bunraku.render.opengl import open_context
-
-        open_context().release()
-    except Exception as error:
-        pytest.skip(f"no OpenGL through EGL here: {error}")
-    round_, round_faces = sphere(16, 0.8)
-    square, square_faces = cube()
-    vertices = np.concatenate([round_ + [0.4, 2.4, 0.2], square * [0.7, 0.5, 0.6]]).astype(np.float32)
-    faces = np.concatenate([round_faces, square_faces + len(round_)])
-    colors = np.random.default_rng(3).integers(30, 230, (len(vertices), 3)).astype(np.uint8)
-    frames = np.stack([vertices, vertices + np.float32([0.3, 0.2, 0])])
-    one, other = (
-        render_frames(frames, faces, colors, size=(200, 161), renderer=name).astype(int)
-        for name in ("software", "opengl")
-    )
-    difference = np.abs(one - other).max(axis=-1)
-    assert difference.mean() < 1.0
-    assert (difference > 24).mean() < 0.01
-    assert one.std() > 10
-
-
-def test_backend_says_why_and_can_be_overruled(monkeypatch):
-    monkeypatch.delenv("BUNRAKU_RENDERER", raising=False)
-    chosen = backend()
-    assert chosen.name in ("opengl", "software") and chosen.reason
-    monkeypatch.setenv("BUNRAKU_RENDERER", "software")
-    assert backend().name == "software"
-    monkeypatch.setenv("BUNRAKU_RENDERER", "crayon")
-    with pytest.raises(OptionError, match="crayon"):
-        backend()
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from bunraku.samples import sample_character
 from bunraku.skeletons.bone_names import handle_of_joints
 from bunraku_lab.evaluation.transfer.quadrupeds import captured_animal
 from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character
+from bunraku_lab.synthetic.samples import make_sample
 
 BARE = Stages(feet=False, floor=False, smooth=False, ground=False, hands=False)
 SWING = 0.4
@@ -32,7 +33,7 @@ SWING = 0.4
 
 @pytest.fixture(scope="module")
 def dog():
-    return sample_character("dog", rigged=True)
+    return make_sample("dog", rigged=True)
 
 
 def dog_skeleton(dog) -> Skeleton:
@@ -175,7 +176,7 @@ def test_a_clip_written_as_a_captured_skeleton_has_the_same_paws(dog):
 
 def flapping(seconds: float = 2.0) -> bunraku.Animation:
     """The sample dragon on the spot, beating its wings."""
-    parts = RigParts.of(sample_character("dragon", rigged=True))
+    parts = RigParts.of(make_sample("dragon", rigged=True))
     count = round(20 * seconds)
     turns = np.tile(np.eye(3), (count, 30, 1, 1))
     still = HandleMotion(np.zeros((count, 30, 3)), turns, np.zeros((count, 3)), turns[:, 0], 20.0).of_own_body()

@@ -12,14 +12,14 @@ from bunraku.core.skinning import skin
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.stages.front import Front
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 FRAMES = 41
 
 
 @pytest.fixture(scope="module")
 def dog():
-    return RigParts.of(sample_character("dog", rigged=True))
+    return RigParts.of(make_sample("dog", rigged=True))
 
 
 def bowed(angle: float) -> HandleMotion:

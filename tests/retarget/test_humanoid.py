@@ -13,11 +13,11 @@ from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import MotionError
 from bunraku.geometry.surface import vertex_areas
 from bunraku.handles.from_rig import rig_handles
-from bunraku.io import load_motion
 from bunraku.io.humanoid import humanoid_motion
+from bunraku.io.motions import load_motion
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.from_mesh import handle_motion_of_body
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 
 def degrees(a, b):
@@ -93,7 +93,7 @@ def test_an_animation_is_saved_as_it(child, tmp_path, suffix):
 
 
 def test_a_creature_has_one_too(source):
-    dog = sample_character("dog", 0.3, rigged=True)
+    dog = make_sample("dog", 0.3, rigged=True)
     handles = rig_handles(dog)
     found = humanoid_motion(
         Animation(dog, handles, fit_motion(handle_motion_of_body(source), Anatomy.of(dog, handles)))

@@ -15,6 +15,7 @@ from bunraku.pipelines.animate import rig
 from bunraku.retarget.fit import fit_motion
 from bunraku.retarget.stages.pins import PINNED, Pin, end_positions, limb_ends, meet_pins, spread
 from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 HUMAN = 1.7
 
@@ -127,7 +128,7 @@ def test_pins_that_are_none(values):
 
 
 def test_who_has_no_hands_cannot_pin_one():
-    character = sample_character("person", 0.5, rigged=True)
+    character = make_sample("person", 0.5, rigged=True)
     whole = rig_handles(character)
     arm = [HANDLE_NAMES.index(f"left_{part}") for part in ("shoulder", "elbow", "wrist")]
     weights = whole.weights.copy()

@@ -13,14 +13,14 @@ from bunraku.core.motion import HandleMotion
 from bunraku.handles.from_rig import rig_handles
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.reference import motion_to_reference
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 BARE = Stages(feet=False, smooth=False, floor=False, hands_clear=False)
 """What carries a motion over, without what corrects it."""
 
 
 def beast(name):
-    character = sample_character(name, 0.3, rigged=True)
+    character = make_sample(name, 0.3, rigged=True)
     return character, rig_handles(character)
 
 

@@ -17,7 +17,7 @@ from bunraku.handles.from_rig import rig_handles
 from bunraku.retarget.fit import STAGES, fit_motion, running
 from bunraku.retarget.stages.stage import Fitting
 from bunraku.retarget.stages.switches import Stages
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -78,7 +78,7 @@ def test_without_stages_a_motion_is_played_in_the_body_s_own_scale():
 
 
 def test_what_was_made_for_a_kind_a_height_and_a_softness_is_looked_after_apart():
-    dog = sample_character("dog", 0.3, rigged=True)
+    dog = make_sample("dog", 0.3, rigged=True)
     anatomy = Anatomy.of(replace(dog, rig=None), rig_handles(dog))
     stages = {stage.name: stage for stage in STAGES}
     turns = np.tile(np.eye(3), (20, 30, 1, 1))

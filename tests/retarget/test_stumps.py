@@ -13,12 +13,12 @@ from bunraku.core.skinning import skin
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.handles.from_rig import rig_handles
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 
 def clubbed():
     """The sample person with arms that reach far below its feet when they hang, and no hands."""
-    person = sample_character("person", 0.5, rigged=True)
+    person = make_sample("person", 0.5, rigged=True)
     weights = rig_handles(person).weights.copy()
     vertices = person.vertices.copy()
     for side in ("left", "right"):

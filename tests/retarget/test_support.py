@@ -14,7 +14,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.stages.support import Support
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 FPS = 20.0
@@ -22,7 +22,7 @@ FPS = 20.0
 
 @pytest.fixture(scope="module")
 def dog():
-    character = sample_character("dog", rigged=True)
+    character = make_sample("dog", rigged=True)
     parts = RigParts.of(character)
     return character, parts.handles, parts.joints
 

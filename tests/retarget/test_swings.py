@@ -16,15 +16,15 @@ from bunraku.retarget.body_motion import body_handle_motion
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.stages.gaits.swings import Swings, pairs_of
 from bunraku.retarget.stages.stage import Fitting
-from bunraku.samples import sample_character
 from bunraku_lab.evaluation.motion.viewer.gaits import gait_of
+from bunraku_lab.synthetic.samples import make_sample
 
 PLAIN = Stages(ground=False, feet=False, smooth=False, floor=False, support=False)
 
 
 @pytest.fixture(scope="module")
 def dog():
-    character = sample_character("dog", rigged=True)
+    character = make_sample("dog", rigged=True)
     return Anatomy.of(character, rig_handles(character))
 
 

@@ -15,7 +15,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.stages.trailing.tail import Tail, TailClear
-from bunraku.samples import sample_character
+from bunraku_lab.synthetic.samples import make_sample
 
 FPS, FRAMES = 20.0, 60
 TAIL, TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
@@ -74,7 +74,7 @@ def test_what_is_not_held_up_stays_bit_for_bit():
 
 
 def test_a_tail_is_turned_up_where_it_would_sink():
-    dog = RigParts.of(sample_character("dog", rigged=True))
+    dog = RigParts.of(make_sample("dog", rigged=True))
     motion = HandleMotion(
         np.zeros((FRAMES, 30, 3)), np.tile(np.eye(3), (FRAMES, 30, 1, 1)), np.zeros((FRAMES, 3)),
         np.tile(np.eye(3), (FRAMES, 1, 1)), FPS,

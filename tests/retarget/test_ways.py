@@ -17,8 +17,8 @@ from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_
 from bunraku.retarget.creatures.ways import BEATS, HOVER, TILT, in_air, moved_so, wing_swing, wings_carry
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.samples import sample_character
 from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character
+from bunraku_lab.synthetic.samples import make_sample
 
 FRAMES = 60
 EVERY = slice(0, FRAMES)
@@ -31,7 +31,7 @@ def still() -> HandleMotion:
 
 @pytest.fixture(scope="module")
 def dragon():
-    return RigParts.of(sample_character("dragon", rigged=True))
+    return RigParts.of(make_sample("dragon", rigged=True))
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import MotionError
-from bunraku.io import load_motion
+from bunraku.io.motions import load_motion
 from bunraku.skeletons.skeleton_map import map_skeleton
 from bunraku.skeletons.to_smpl import rest_is_a_pose, to_smpl
 

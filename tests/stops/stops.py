@@ -118,7 +118,6 @@ KILLED = (
         ),
         ("motions",),
     ),
-    Command("data push-out", ("data", "push-out", "IN/apparel", "--jobs", "2", "-o", "OUT"), ("apparel",)),
     Command(
         "train handles",
         (

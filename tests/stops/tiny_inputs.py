@@ -23,11 +23,11 @@ def make_clips(folder: Path) -> None:
 def make_characters(folder: Path) -> None:
     """A folder of two rigged characters."""
     from bunraku.io import save_character
-    from bunraku.samples import sample_character
+    from bunraku_lab.synthetic.samples import make_sample
 
     (folder / "characters").mkdir()
     for name in ("person", "dancer"):
-        save_character(sample_character(name, 0.5, rigged=True), folder / "characters" / f"{name}.glb", rig=True)
+        save_character(make_sample(name, 0.5, rigged=True), folder / "characters" / f"{name}.glb", rig=True)
 
 
 def make_motions(folder: Path) -> None:

@@ -42,6 +42,7 @@ from bunraku.studio.workspace.dressing import check_fits, dressed_anew, found_ap
 from bunraku.studio.workspace.opened import Settings, opened_character
 from bunraku.studio.workspace.workspace import Workspace
 from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
+from bunraku_lab.synthetic.samples import make_sample
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 STUDIO = Path(__file__).resolve().parents[2] / "studio"
@@ -55,7 +56,7 @@ def quiet(stage, done):
 def file(tmp_path_factory):
     """A character as the studio keeps it."""
     path = tmp_path_factory.mktemp("dressing") / "dragon.glb"
-    save_character(sample_character("dragon", 0.4), path)
+    save_character(make_sample("dragon", 0.4), path)
     return path
 
 

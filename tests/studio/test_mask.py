@@ -11,7 +11,6 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError, OptionError
 from bunraku.formats.gltf.read import read_gltf
 from bunraku.io import load_character, save_character
-from bunraku.samples import sample_character
 from bunraku.studio.tasks.table import run_task
 from bunraku.studio.workspace.clips import Dressed, load_take
 from bunraku.studio.workspace.mask import (
@@ -25,6 +24,7 @@ from bunraku.studio.workspace.mask import (
     shown_mask,
 )
 from bunraku.studio.workspace.workspace import Workspace
+from bunraku_lab.synthetic.samples import make_sample
 
 
 def parts_of(data):
@@ -42,7 +42,7 @@ def parts_of(data):
 
 
 def test_rows_of_the_page_are_vertices_of_the_character(tmp_path):
-    save_character(sample_character("dancer", 0.3), tmp_path / "dancer.glb")
+    save_character(make_sample("dancer", 0.3), tmp_path / "dancer.glb")
     character = load_character(tmp_path / "dancer.glb")
     found = character.vertices[:, 1] > 0.5
     save_worn(character, found, tmp_path / WORN)
@@ -61,7 +61,7 @@ def test_rows_of_the_page_are_vertices_of_the_character(tmp_path):
 
 
 def test_a_painted_mask_stands_in_for_what_was_found(tmp_path):
-    save_character(sample_character("mushroom", 0.3), tmp_path / "mushroom.glb")
+    save_character(make_sample("mushroom", 0.3), tmp_path / "mushroom.glb")
     character = load_character(tmp_path / "mushroom.glb")
     save_worn(character, None, tmp_path / WORN)
     painted = painted_file(tmp_path / "mushroom.glb")
@@ -85,7 +85,7 @@ def test_a_page_paints_and_takes_it_back(client, ready):
     state = client.app.state.studio
     folder = state.store.folder_of("characters", ready)
     (folder / "source").mkdir()
-    save_character(sample_character("mushroom", 0.3), folder / "source" / "one.glb")
+    save_character(make_sample("mushroom", 0.3), folder / "source" / "one.glb")
     path = f"/api/characters/{ready}/mask"
     assert client.get(path).status_code == 404  # it is not looked at yet
     character = load_character(folder / "source" / "one.glb")
@@ -107,7 +107,7 @@ def test_a_painted_skirt_swings_on_chains(tmp_path):
     """The tasks of the worker in this process: a mask that is painted, chains over it, a take on them, its files."""
     folder = tmp_path / "characters" / "one"
     (folder / "source").mkdir(parents=True)
-    save_character(sample_character("dancer", 0.3), folder / "source" / "dancer.glb")
+    save_character(make_sample("dancer", 0.3), folder / "source" / "dancer.glb")
     for name in ("takes/a", "takes/b", "exports/e"):
         (tmp_path / name).mkdir(parents=True)
     settings = {"up": "auto", "front": "auto", "unit": "auto", "handles": "predict"}

@@ -12,11 +12,25 @@ from bunraku.diffusion.generation.drawing import GUIDANCE, STEPS
 
 ROOT = Path(__file__).resolve().parents[2]
 STATIC = ROOT / "src" / "bunraku" / "studio" / "static"
+VIEW = ROOT / "src" / "bunraku" / "render" / "view"
 
 
 def test_the_script_is_small():
-    total = sum(len(gzip.compress(path.read_bytes(), 9, mtime=0)) for path in STATIC.glob("*.js"))
+    total = sum(len(gzip.compress(path.read_bytes(), 9, mtime=0)) for path in (*STATIC.glob("*.js"), VIEW / "view.js"))
     assert 50_000 < total <= 250_000
+
+
+def test_three_is_shipped_once():
+    """The page takes what it needs of three.js from the view, which exports no more than that."""
+    page, view = (
+        (folder / name).read_text(encoding="utf-8") for folder, name in ((STATIC, "studio.js"), (VIEW, "view.js"))
+    )
+    (wanted,) = re.findall(r'import\{([^}]*)\}from"./view\.js"', page)
+    (given,) = re.findall(r"export\{([^}]*)\};?\s*$", view)
+    assert {name.split(" as ")[0] for name in wanted.split(",")} == {
+        name.split(" as ")[-1] for name in given.split(",")
+    }
+    assert "WebGLRenderer:" not in page and all(len(path.read_bytes()) < 200_000 for path in STATIC.glob("*.js"))
 
 
 def test_the_page_names_no_other_host():
@@ -59,6 +73,5 @@ def test_building_the_view_again_gives_the_same_bytes(tmp_path):
         ["npx", "vite", "build", "-c", "vite.view.config.js", "--outDir", str(tmp_path)],
         cwd=ROOT / "studio", check=True, capture_output=True,
     )  # fmt: skip
-    view = ROOT / "src" / "bunraku" / "render" / "view"
     assert {path.name for path in tmp_path.iterdir()} == {"view.js", "LICENSE-three.txt"}
-    assert [path.name for path in tmp_path.iterdir() if path.read_bytes() != (view / path.name).read_bytes()] == []
+    assert [path.name for path in tmp_path.iterdir() if path.read_bytes() != (VIEW / path.name).read_bytes()] == []

@@ -66,11 +66,6 @@ VERBS: Verbs = {
         "Doctor",
         "tell what this installation has, what is missing, and what that costs",
     ),
-    ("study", "make"): (
-        "bunraku.cli.verbs.study",
-        "StudyMake",
-        "make a blind study of what methods made of the same sentences",
-    ),
 }
 
 _GROUP = "bunraku.verbs"

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import functools
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.core.request.limits import SECONDS
-from bunraku.diffusion.examples.pack import FPS, ExamplePack, load_examples
-from bunraku.diffusion.features import decode
-from bunraku.diffusion.splicing import held, played
 from bunraku.errors import WeightsError
+
+if TYPE_CHECKING:
+    from bunraku.diffusion.examples.pack import ExamplePack
 
 __all__ = ["features_of", "motion_of"]
 
@@ -21,6 +22,8 @@ _EASE = 0.3
 
 def motion_of(stretch: str, seconds: float | None = None, loop: bool = False) -> HandleMotion:
     """The motion of a stretch on the reference body, for `Clip.motion`."""
+    from bunraku.diffusion.features import decode
+
     return decode(features_of(stretch, seconds, loop))
 
 
@@ -35,6 +38,9 @@ def features_of(stretch: str, seconds: float | None = None, loop: bool = False) 
         OptionError: It cannot last so long.
         WeightsError: The examples are missing or broken.
     """
+    from bunraku.diffusion.examples.pack import FPS, load_examples
+    from bunraku.diffusion.splicing import held, played
+
     SECONDS.check(seconds, "seconds")
     pack = load_examples()
     if pack is None:
@@ -56,6 +62,8 @@ def features_of(stretch: str, seconds: float | None = None, loop: bool = False) 
 
 def _rounds(values: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
     """As many whole rounds of a loop as come nearest to so many frames: all that are played on are alike."""
+    from bunraku.diffusion.splicing import played
+
     start, length = loop[0], loop[0] - loop[1]
     count = max(round(frames / length), 1)
     return played(values, loop, start + count * length)[start : start + count * length]

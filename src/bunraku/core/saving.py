@@ -1,28 +1,38 @@
-"""How `.save()` of the types finds the writers, which stand above them, and how they show themselves in a notebook."""
+"""Functions of rooms above that the types and the files call by name, `.save()` of all types, and how animations show
+themselves in a notebook.
+"""
 
 from __future__ import annotations
 
 import base64
 import html
 import tempfile
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from bunraku.errors import BunrakuError
 
-__all__ = ["Shown", "save", "set_writer"]
+__all__ = ["Shown", "provide", "provided", "save"]
 
-_writers: list[str] = []
+_provided: dict[str, str] = {}
 
 
-def set_writer(writer: str) -> None:
-    """Say who writes what the types hold.
+def provide(**functions: str) -> None:
+    """Name functions of rooms above that rooms below call, so that nothing below imports them.
 
     Args:
-        writer: As "module:function", called with the thing, the path and the format's options; it gives the path of
-            what it wrote.
+        **functions: "module:function" by the name that the rooms below use.
     """
-    _writers[:] = [writer]
+    _provided.update(functions)
+
+
+def provided(name: str) -> Callable[..., Any]:
+    """The function that was provided under a name; its module is imported now."""
+    module, _, function = _provided[name].partition(":")
+    found: Callable[..., Any] = getattr(import_module(module), function)
+    return found
 
 
 def save(thing: object, path: str | Path, **options: object) -> Path:
@@ -31,8 +41,7 @@ def save(thing: object, path: str | Path, **options: object) -> Path:
     Raises:
         FormatError: The suffix is unknown, or the file cannot be written.
     """
-    module, _, name = _writers[0].partition(":")
-    written: Path = getattr(import_module(module), name)(thing, path, **options)
+    written: Path = provided("save")(thing, path, **options)
     return written
 
 

@@ -1,18 +1,21 @@
-"""What builds a denoiser: its sizes and kind, and the presets."""
+"""What builds a denoiser: its sizes, and the presets."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.diffusion.features import FEATURE_SIZE
+from bunraku.nn.checkpoints import config_of
 
-__all__ = ["ARCHITECTURES", "PRESETS", "TRAINING_STEPS", "DenoiserConfig"]
+__all__ = ["PRESETS", "TRAINING_STEPS", "DenoiserConfig", "denoiser_config"]
 
 TRAINING_STEPS = 1000
 """Of noise, from the clean motion on; a sampler visits some of them."""
 
-ARCHITECTURES = ("decoder", "encoder")
+_RETIRED = ("architecture", "convolution")
+"""Fields of older checkpoints; what they switched on had weights of its own, by which it is refused."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +36,9 @@ class DenoiserConfig:
         text_size: Size of its tokens.
         pooled_size: Size of its sentence vector.
         fps: Frames a second [1/s].
-        architecture: "decoder" for `Denoiser`, "encoder" for the one that the paper calls "TapMo (MDM)".
         adaptation_mesh: Whether the adaptation's linear layer sees the mesh token beside the hidden state.
         adaptation_frame: What that layer says: "root", offsets in the root's frame as in the paper; or "joints", how
             far the joint between each handle and its parent should be moved, which gives `joint_offsets`.
-        convolution: Tokens that a convolution beside attention reaches over, odd; 0 for no convolution.
         examples: Captured examples, retrieved for the sentence, that motion tokens attend to; 0 for none.
     """
 
@@ -54,20 +55,21 @@ class DenoiserConfig:
     text_size: int = 384
     pooled_size: int = 384
     fps: float = 20.0
-    architecture: str = "decoder"
     adaptation_mesh: bool = False
     adaptation_frame: str = "root"
-    convolution: int = 0
     examples: int = 0
 
-    @property
-    def added_blocks(self) -> int:
-        """How many blocks with an adaptive norm a layer has beside those of the paper."""
-        return (self.convolution > 0) + (self.examples > 0)
+
+def denoiser_config(data: Mapping[str, object]) -> DenoiserConfig:
+    """The config that a checkpoint carries, also one with fields that are no longer in use.
+
+    Raises:
+        OptionError: As `config_of`.
+    """
+    return config_of(DenoiserConfig, {name: value for name, value in data.items() if name not in _RETIRED})
 
 
 PRESETS: dict[str, DenoiserConfig] = {
     "small": DenoiserConfig(),
     "paper": DenoiserConfig(width=512, feedforward=1024, frames_per_token=1),
-    "mdm": DenoiserConfig(architecture="encoder"),
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bunraku.io.motions import load_motion
 from bunraku.io.registry import load_character, save_animation, save_character, save_motion
 
-__all__ = ["load_character", "load_motion", "save_animation", "save_character", "save_motion"]
+__all__ = ["load_character", "save_animation", "save_character", "save_motion"]

@@ -8,11 +8,10 @@ the character's own joints.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.limbs import reference_parts
 from bunraku.body.from_handles import skeleton_from_handles
 from bunraku.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.body.reference import reference_body
@@ -20,7 +19,9 @@ from bunraku.core.animation import Animation
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import MotionError
 from bunraku.io.skeletal import write_motion_bvh, write_motion_vrma
-from bunraku.retarget.reference import motion_to_reference
+
+if TYPE_CHECKING:
+    from bunraku.anatomy.anatomy import Anatomy
 
 __all__ = ["humanoid_motion", "write_humanoid_bvh", "write_humanoid_vrma"]
 
@@ -34,6 +35,10 @@ def humanoid_motion(animation: Animation) -> SkeletalMotion:
     Raises:
         MotionError: The animation's handles are not the 30 of the reference body.
     """
+    from bunraku.anatomy.anatomy import Anatomy
+    from bunraku.anatomy.limbs import reference_parts
+    from bunraku.retarget.reference import motion_to_reference
+
     if len(animation.handles.positions) != HANDLE_COUNT:
         raise MotionError(
             f"the humanoid skeleton is told by the {HANDLE_COUNT} handles of Bunraku, and this animation has "
@@ -55,6 +60,8 @@ def _offsets(anatomy: Anatomy, pelvis: np.ndarray) -> np.ndarray:
 
     Joints that it lacks in the middle of a limb share the way between those around them as the reference body's do.
     """
+    from bunraku.anatomy.limbs import reference_parts
+
     body = reference_body()
     plain = body.skeleton.offsets.astype(float)
     parents, present = reference_parts(anatomy.handles, anatomy.joints)

@@ -12,7 +12,6 @@ from bunraku.errors import FormatError, MotionError, OptionError
 from bunraku.formats.mmd.vmd import VMD_FPS
 from bunraku.formats.mmd.vmd_write import write_vmd
 from bunraku.io.humanoid import humanoid_motion
-from bunraku.retarget.mmd.retarget import mmd_clip, mmd_motion
 
 __all__ = ["check_character", "write_character_vmd"]
 
@@ -44,6 +43,8 @@ def write_character_vmd(animation: Animation | RigAnimation, path: Path, *, fps:
         OptionError: Another rate is requested.
         MotionError: The animation is of handles, and the model's bones lack MMD's standard names.
     """
+    from bunraku.retarget.mmd.retarget import mmd_clip, mmd_motion
+
     if fps not in (None, VMD_FPS):
         raise OptionError(f"VMD files have 30 frames a second, not {fps:g}; leave fps out, and the motion is resampled")
     character = animation.character

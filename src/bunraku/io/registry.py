@@ -17,6 +17,7 @@ from bunraku.core.mmd_model import MmdModel
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
+from bunraku.core.saving import provided
 from bunraku.core.vrm_model import VrmModel
 from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionError, OptionError
 from bunraku.formats.files import check_input, check_output_folder, open_input
@@ -41,9 +42,6 @@ __all__ = [
 
 
 _log = logging.getLogger(__name__)
-_CHECKED = ("bunraku.formats.usd.write",)
-_OF_SOME = ("bunraku.io.mmd_motion",)
-"""What writes the animations of some characters alone."""
 _ABILITIES = {
     "character": "characters are read from",
     "motion": "motions are read from",
@@ -87,6 +85,8 @@ def detect(path: Path, start: bytes, ability: str) -> Format:
 
 
 def _resolve(target: str) -> Callable[..., Any]:
+    if ":" not in target:
+        return provided(target)
     module, name = target.split(":")
     function: Callable[..., Any] = getattr(import_module(module), name)
     return function
@@ -141,7 +141,7 @@ def load_character(
     unit: str = "auto",
     clips: float | None = None,
 ) -> Character:
-    """Read a character from GLB, glTF, VRM, FBX, OBJ, PLY, STL, or the rig text of RigNet.
+    """Read a character from GLB, glTF, VRM, FBX, OBJ, PLY or STL.
 
     The vertices of GLB, glTF, VRM and FBX are in world space, those of FBX turned from the frame and unit that the file
     states.
@@ -246,9 +246,7 @@ def _save_rig_animation(animation: RigAnimation, path: str | Path, options: dict
     if found.bones:
         return _write("bones", path, options, animation)
     if found.parts:
-        from bunraku.retarget.rig_motion import handle_animation
-
-        return _write("animation", path, options, handle_animation(animation))
+        return _write("animation", path, options, provided("handle_animation")(animation))
     return _write("animation", path, options, animation.animation())
 
 
@@ -306,9 +304,8 @@ def check_writer(path: str | Path) -> None:
         FormatError: The suffix is unknown.
     """
     path = Path(path)
-    target = detect(path, b"", "animation").animation.partition(":")[0]
-    if target in _CHECKED:
-        _resolve(f"{target}:check_available")()
+    if check := detect(path, b"", "animation").available:
+        _resolve(check)()
 
 
 def check_writes(path: str | Path, character: Character) -> None:
@@ -318,9 +315,8 @@ def check_writes(path: str | Path, character: Character) -> None:
         FormatError: They cannot: a VMD is of MMD models alone; or the suffix is unknown.
     """
     path = Path(path)
-    target = detect(path, b"", "animation").animation.partition(":")[0]
-    if target in _OF_SOME:
-        _resolve(f"{target}:check_character")(character, path)
+    if check := detect(path, b"", "animation").suits:
+        _resolve(check)(character, path)
 
 
 def check_points_writer(path: str | Path) -> None:

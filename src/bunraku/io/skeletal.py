@@ -44,9 +44,14 @@ def write_motion_vrma(
     motion: HandleMotion | SkeletalMotion, path: Path, *, fps: float | None = None, name: str | None = None
 ) -> Path:
     """Write a motion as VRMA; see `write_vrma`."""
+    from bunraku.body.layout import JOINT_NAMES
     from bunraku.formats.vrm.vrma_write import write_vrma
+    from bunraku.skeletons.to_smpl import to_smpl
 
-    return write_vrma(as_skeletal(motion), path, fps=fps, name=name)
+    skeletal = as_skeletal(motion)
+    if len(skeletal) and skeletal.skeleton.names != JOINT_NAMES:
+        skeletal = to_smpl(skeletal)
+    return write_vrma(skeletal, path, fps=fps, name=name)
 
 
 def write_motion_npz(motion: HandleMotion | SkeletalMotion, path: Path) -> Path:

@@ -13,22 +13,24 @@ __all__ = ["FORMATS", "Format"]
 class Format:
     """A file format.
 
-    Modules are those of `bunraku.io`, or have their whole name, for what needs more than files: pictures, or the
-    humanoid in a character. They are loaded when a file is read or written, so nothing here imports what is built on
-    it.
+    Functions are named as "module:function" and imported when a file is read or written. A name without a module is a
+    function of a room above, such as a renderer, which `core.saving.provide` makes known.
 
     Args:
         title: Its name in messages.
         suffixes: Suffixes that name it, lower case.
         magic: First bytes that name it whatever the suffix says.
-        character: "module:function" that makes a character of a path and its bytes.
-        motion: "module:function" that makes a motion of a path and its bytes.
-        animation: "module:function" that writes an animation to a path.
-        moved: "module:function" that writes a motion without a character to a path.
-        bones: "module:function" that writes an animation of a character's own rig to a path, where that is another.
+        character: Function that makes a character of a path and its bytes.
+        motion: Function that makes a motion of a path and its bytes.
+        animation: Function that writes an animation to a path.
+        moved: Function that writes a motion without a character to a path.
+        bones: Function that writes an animation of a character's own rig to a path, where that is another.
         parts: It speaks of a person's parts: an animation of a rig is written as that of its 30 handles.
-        points: "module:function" that writes an animation whose vertices also move on their own to a path.
-        rigged: "module:function" that writes a character with or without handles to a path.
+        points: Function that writes an animation whose vertices also move on their own to a path.
+        rigged: Function that writes a character with or without handles to a path.
+        available: Function that raises MissingExtraError where what writes the format is not installed.
+        suits: Function that takes a character and a path, and raises FormatError where files of the format cannot hold
+            what the character does.
         largest: Largest file that is opened at all [bytes].
     """
 
@@ -43,10 +45,11 @@ class Format:
     parts: bool = False
     points: str = ""
     rigged: str = ""
+    available: str = ""
+    suits: str = ""
     largest: int = MAX_BYTES
 
 
-_PREVIEW = "bunraku.render.preview:save_preview"
 FORMATS: tuple[Format, ...] = (
     Format(
         "GLB",
@@ -78,7 +81,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         "OBJ",
         (".obj",),
-        character="bunraku.formats.mesh.rignet:read_obj_with_rig",
+        character="bunraku.formats.mesh.obj:read_obj",
         animation="bunraku.formats.mesh.sequences:write_obj_sequence",
         points="bunraku.formats.mesh.sequences:write_obj_sequence",
     ),
@@ -88,6 +91,7 @@ FORMATS: tuple[Format, ...] = (
         animation="bunraku.formats.usd.write:write_usd",
         bones="bunraku.formats.usd.write:write_rig",
         points="bunraku.formats.usd.write:write_points",
+        available="bunraku.formats.usd.write:check_available",
     ),
     Format("STL", (".stl",), character="bunraku.formats.mesh.stl:read_stl"),
     Format(
@@ -97,7 +101,7 @@ FORMATS: tuple[Format, ...] = (
         motion="bunraku.formats.arrays.npz:read_any_motion",
         animation="bunraku.formats.arrays.npz:write_animation",
         parts=True,
-        moved="bunraku.io.skeletal:write_motion_npz",
+        moved="write_motion_npz",
     ),
     Format("HumanML3D", (".npy",), (b"\x93NUMPY",), motion="bunraku.formats.arrays.humanml3d:read_humanml3d"),
     Format(
@@ -105,9 +109,9 @@ FORMATS: tuple[Format, ...] = (
         (".bvh",),
         (b"HIERARCHY",),
         motion="bunraku.formats.bvh.read:read_bvh",
-        animation="bunraku.io.humanoid:write_humanoid_bvh",
+        animation="write_humanoid_bvh",
         parts=True,
-        moved="bunraku.io.skeletal:write_motion_bvh",
+        moved="write_motion_bvh",
         largest=MAX_TEXT_BYTES,
     ),
     Format(
@@ -115,9 +119,9 @@ FORMATS: tuple[Format, ...] = (
         (".vrma",),
         (b"glTF",),
         motion="bunraku.formats.vrm.vrma:read_vrma",
-        animation="bunraku.io.humanoid:write_humanoid_vrma",
+        animation="write_humanoid_vrma",
         parts=True,
-        moved="bunraku.io.skeletal:write_motion_vrma",
+        moved="write_motion_vrma",
     ),
     Format(
         "FBX",
@@ -134,8 +138,9 @@ FORMATS: tuple[Format, ...] = (
         "VMD",
         (".vmd",),
         (b"Vocaloid Motion Data",),
-        animation="bunraku.io.mmd_motion:write_character_vmd",
-        bones="bunraku.io.mmd_motion:write_character_vmd",
+        animation="write_character_vmd",
+        bones="write_character_vmd",
+        suits="check_mmd_character",
     ),
     Format(
         "PMX",
@@ -145,16 +150,15 @@ FORMATS: tuple[Format, ...] = (
         rigged="bunraku.formats.mmd.export:write_character",
     ),
     Format("PMD", (".pmd",), (b"Pmd",), character="bunraku.formats.mmd.pmd:read_pmd"),
-    Format("RigNet", (".txt",), character="bunraku.formats.mesh.rignet:read_rignet"),
     Format(
         "HTML",
         (".html",),
-        animation="bunraku.render.html:write_html",
-        bones="bunraku.render.html:write_html",
-        points="bunraku.render.html:write_html",
+        animation="write_html",
+        bones="write_html",
+        points="write_html",
     ),
-    Format("MP4", (".mp4",), animation=_PREVIEW, points=_PREVIEW),
-    Format("WEBP", (".webp",), animation=_PREVIEW, points=_PREVIEW),
-    Format("GIF", (".gif",), animation=_PREVIEW, points=_PREVIEW),
-    Format("PNG", (".png",), animation=_PREVIEW, points=_PREVIEW),
+    Format("MP4", (".mp4",), animation="save_preview", points="save_preview"),
+    Format("WEBP", (".webp",), animation="save_preview", points="save_preview"),
+    Format("GIF", (".gif",), animation="save_preview", points="save_preview"),
+    Format("PNG", (".png",), animation="save_preview", points="save_preview"),
 )

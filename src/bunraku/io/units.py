@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bunraku.core.character import Character
+from bunraku.core.saving import provided
 from bunraku.errors import OptionError, WeightsError
 from bunraku.formats.frames import BARE, UNITS, likely_unit
 from bunraku.formats.gltf.turning import scaled
@@ -82,10 +83,8 @@ def in_metres(character: Character, unit: str = "auto", up: str | None = None) -
 def _height(character: Character, up: str | None, suffix: str) -> float:
     extents = np.ptp(character.vertices[character.surface], axis=0)
     if up is None and suffix in BARE and len({likely_unit(float(extent)) for extent in extents}) > 1:
-        from bunraku.handles.orientation import resolve_axes
-
         try:
-            up = resolve_axes(character).up
+            up = provided("resolve_axes")(character).up
         except WeightsError:
             up = None  # as it is read then, with +Y up
     return float(extents["xyz".index((up or "+y")[1])]) or character.height

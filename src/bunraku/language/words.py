@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 from bunraku.language.foreign.sentence import english_sentence
 from bunraku.language.foreign.table import LANGUAGES, Concept
-from bunraku.language.foreign.unspaced import scan_unspaced
 from bunraku.language.known.vocabulary import words_of
 
 __all__ = ["Translation", "translate"]
@@ -49,6 +48,8 @@ def translate(prompt: str) -> Translation:
     Args:
         prompt: In English or a language of the table, which is told by its script and by the words that the table has.
     """
+    from bunraku.language.foreign.unspaced import scan_unspaced
+
     scripts = set() if prompt.isascii() else {_script(letter) for letter in prompt if letter.isalpha()}
     if "kana" in scripts:
         return _translated(prompt, "ja", scan_unspaced(prompt, "ja"))

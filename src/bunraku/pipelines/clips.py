@@ -6,13 +6,13 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from bunraku.formats.gltf.carry_clips import free_name
-from bunraku.language.lexicon.reading import is_cyclic
-from bunraku.language.prompts import split_name
-from bunraku.language.sentence import Sentence
 from bunraku.pipelines.requests.constraints import Constraints, Loop
 from bunraku.pipelines.requests.request import Request
+
+if TYPE_CHECKING:
+    from bunraku.language.sentence import Sentence
 
 __all__ = ["clip_names", "is_cycle", "with_loops"]
 
@@ -24,6 +24,9 @@ def clip_names(prompts: Iterable[str]) -> dict[str, str]:
     """Prompts by the names of their clips: those that stand before them, or their words, "walks forward" as
     walks-forward; one that is there already gets a number.
     """
+    from bunraku.formats.gltf.carry_clips import free_name
+    from bunraku.language.prompts import split_name
+
     out: dict[str, str] = {}
     for prompt in prompts:
         name, said = split_name(prompt)
@@ -34,6 +37,8 @@ def clip_names(prompts: Iterable[str]) -> dict[str, str]:
 
 def is_cycle(sentence: Sentence) -> bool:
     """Whether a sentence tells of one thing that goes on as it is, as walking does and jumping does not."""
+    from bunraku.language.lexicon.reading import is_cyclic
+
     if sentence.loop:
         return True
     if len(sentence.clauses) != 1:
@@ -48,6 +53,8 @@ def with_loops(requests: Mapping[str, Request]) -> dict[str, Request]:
     """Requests of which those are loops whose sentences are parsed, tell of a cycle, and meet nothing that a loop does
     not go with.
     """
+    from bunraku.language.sentence import Sentence
+
     loops: dict[int, Constraints] = {}
     out = {}
     for name, request in requests.items():

@@ -13,9 +13,7 @@ from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.parts import kept_handles
 from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
-from bunraku.core.travel import put_back_runs
 from bunraku.diffusion.generation.drawing import Drawing
-from bunraku.diffusion.generation.editing import edit_motion, generated_runs, pose_frames, span_frames
 from bunraku.errors import MotionError, OptionError
 from bunraku.language.parse import clause_of
 from bunraku.pipelines.animator import Animator
@@ -40,6 +38,9 @@ def edited(animator: Animator, clip: Clip, request: Request) -> Clip:
         request: What is done instead, and with `Keep`, `Pose` and `Pin` what stays. It has the clip's length, and one
             candidate is drawn. Results and errors are those of `edit`.
     """
+    from bunraku.core.travel import put_back_runs
+    from bunraku.diffusion.generation.editing import edit_motion, generated_runs, pose_frames, span_frames
+
     how, sentence = request.sampling, request.parsed
     for note in sentence.notes:
         _log.warning("%s", note)

@@ -1,11 +1,7 @@
-"""Headless previews: videos, moving pictures, contact sheets and stills.
-
-Importing this package loads no renderer; `bunraku.render.backend()` says which one draws here, and why.
-"""
+"""Previews without a display, drawn on the processor: videos, moving pictures, contact sheets and stills."""
 
 from __future__ import annotations
 
-from bunraku.render.backends import backend
 from bunraku.render.camera import Camera
 from bunraku.render.frames import render_animation, render_frames, render_still
 from bunraku.render.palette import HANDLE_PALETTE, handle_colors
@@ -15,7 +11,6 @@ from bunraku.render.sheets import contact_sheet
 __all__ = [
     "HANDLE_PALETTE",
     "Camera",
-    "backend",
     "contact_sheet",
     "handle_colors",
     "render_animation",

@@ -13,10 +13,10 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.point_animation import PointAnimation
 from bunraku.core.skinning import skin_basis
 from bunraku.errors import OptionError
-from bunraku.render.backends import Renderer, open_renderer
 from bunraku.render.camera import YAW, Camera, Framing, view_axes
 from bunraku.render.palette import handle_colors
 from bunraku.render.side_by_side import draw_side_by_side
+from bunraku.render.software import SoftwareRenderer
 from bunraku.render.stage import Background, set_stage
 from bunraku.render.surface import build_surface
 
@@ -51,7 +51,6 @@ def render_frames(
     size: tuple[int, int] = SIZE,
     fps: float = 20.0,
     background: Background = "studio",
-    renderer: str | None = None,
 ) -> np.ndarray:
     """Draw posed vertices.
 
@@ -63,7 +62,6 @@ def render_frames(
         size: Width and height in pixels.
         fps: Frames a second, for how softly the camera follows [1/s].
         background: "studio", "white", "dark", a colour such as "#dfe4e9", or three numbers 0 to 255.
-        renderer: "opengl" or "software"; None chooses.
 
     Returns:
         Pictures, shape (N, H, W, 3), uint8.
@@ -81,7 +79,7 @@ def render_frames(
         lambda: (np.ascontiguousarray(frame) for frame in vertices),
         len(vertices),
     )
-    return np.stack(list(_draw(take, size, fps, background, camera=camera, renderer=renderer)))
+    return np.stack(list(_draw(take, size, fps, background, camera=camera)))
 
 
 def render_animation(
@@ -92,7 +90,6 @@ def render_animation(
     times: np.ndarray | None = None,
     background: Background = "studio",
     color: Literal["texture", "handles"] = "texture",
-    renderer: str | None = None,
 ) -> Iterator[np.ndarray]:
     """Draw an animation one frame after the other; memory does not grow with its length.
 
@@ -103,7 +100,6 @@ def render_animation(
         times: Moments to draw [s], shape (M,), instead of `fps`.
         background: As for `render_frames`.
         color: The character's own colours, or those of its handles.
-        renderer: "opengl" or "software"; None chooses.
 
     Yields:
         Pictures, shape (H, W, 3), uint8.
@@ -113,7 +109,7 @@ def render_animation(
     """
     at = moments(animation, fps) if times is None else np.asarray(times, float)
     pace = (len(at) - 1) / max(float(at[-1] - at[0]), 1e-6) if len(at) > 1 else animation.motion.fps
-    return _draw(_take(animation, at, color), size, pace, background, renderer=renderer)
+    return _draw(_take(animation, at, color), size, pace, background)
 
 
 def render_still(
@@ -123,7 +119,6 @@ def render_still(
     size: tuple[int, int] = (400, 480),
     yaw: float = float(YAW),
     background: Background = "studio",
-    renderer: str | None = None,
 ) -> np.ndarray:
     """A character in its rest pose, in its own colours or, when `handles` are given, in theirs.
 
@@ -133,7 +128,6 @@ def render_still(
         size: Width and height in pixels.
         yaw: Rotation of the viewer about +Y from the character's front (+Z) towards +X [rad].
         background: As for `render_frames`.
-        renderer: "opengl" or "software"; None chooses.
 
     Returns:
         The picture, shape (H, W, 3), uint8.
@@ -142,7 +136,7 @@ def render_still(
     vertices = np.ascontiguousarray(character.vertices, np.float32)
     rest, faces, colors, _ = _simplified(vertices, character.faces, colors)
     take = _Take(rest, faces, colors, lambda: iter([rest]), 1)
-    return next(_draw(take, size, 20.0, background, axes=view_axes(yaw), renderer=renderer))
+    return next(_draw(take, size, 20.0, background, axes=view_axes(yaw)))
 
 
 def moments(animation: Animation | PointAnimation, fps: float | None) -> np.ndarray:
@@ -261,7 +255,6 @@ def _draw(
     *,
     camera: Camera | None = None,
     axes: np.ndarray | None = None,
-    renderer: str | None = None,
 ) -> Iterator[np.ndarray]:
     width, height = int(size[0]), int(size[1])
     if not (16 <= width <= 4096 and 16 <= height <= 4096):
@@ -277,8 +270,8 @@ def _draw(
     view = framing.camera() if camera is None else camera
     surface = build_surface(take.rest, take.faces, take.colors)
 
-    def opened() -> Renderer:
-        return open_renderer((width, height), surface, stage, renderer)
+    def opened() -> SoftwareRenderer:
+        return SoftwareRenderer((width, height), surface, stage)
 
     frames = take.frames() if kept is None else iter(kept)
     return draw_side_by_side(opened, ((posed, view.moved(o), o) for posed, o in zip(frames, offsets, strict=True)))

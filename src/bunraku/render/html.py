@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import html
 import tempfile
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,7 +53,7 @@ def write_html(
             path,
             f"the model is larger than the {most >> 20} MiB that a page holds; simplify the mesh, or write a GLB",
         )
-    view = files("bunraku.render").joinpath("view")
+    view = Path(__file__).with_name("view")
     page = view.joinpath("page.html").read_text(encoding="utf-8").replace("TITLE", html.escape(title))
     script = view.joinpath("view.js").read_text(encoding="utf-8").replace("</script", "<\\/script")
     before, _, rest = page.partition("MODEL")

@@ -11,8 +11,8 @@ from queue import SimpleQueue
 
 import numpy as np
 
-from bunraku.render.backends import Renderer
 from bunraku.render.camera import Camera
+from bunraku.render.software import SoftwareRenderer
 
 __all__ = ["draw_side_by_side"]
 
@@ -21,11 +21,11 @@ Frame = tuple[np.ndarray, Camera, np.ndarray]
 """Posed vertices, the camera, and how far the floor has moved: what a renderer draws."""
 
 
-def draw_side_by_side(opened: Callable[[], Renderer], frames: Iterable[Frame]) -> Iterator[np.ndarray]:
+def draw_side_by_side(opened: Callable[[], SoftwareRenderer], frames: Iterable[Frame]) -> Iterator[np.ndarray]:
     """Pictures of frames, in their order.
 
-    The software renderer draws on as many threads as there are processors, and a few pictures ahead of the one that is
-    asked for, so that a video is encoded meanwhile. A graphics card draws one after the other.
+    They are drawn on as many threads as there are processors, and a few pictures ahead of the one that is asked for, so
+    that a video is encoded meanwhile.
 
     Args:
         opened: Gives a new renderer; all draw the same.
@@ -35,16 +35,13 @@ def draw_side_by_side(opened: Callable[[], Renderer], frames: Iterable[Frame]) -
     threads = min(
         len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, MOST_THREADS
     )
-    if first.name != "software" or threads == 1:
-        try:
-            for frame in frames:
-                yield first.draw(*frame)
-        finally:
-            first.close()
+    if threads == 1:
+        for frame in frames:
+            yield first.draw(*frame)
         return
-    free: SimpleQueue[Renderer] = SimpleQueue()
+    free: SimpleQueue[SoftwareRenderer] = SimpleQueue()
     free.put(first)
-    made = [first]
+    made = 1
 
     def draw(frame: Frame) -> np.ndarray:
         renderer = free.get()
@@ -58,9 +55,9 @@ def draw_side_by_side(opened: Callable[[], Renderer], frames: Iterable[Frame]) -
     pool = ThreadPoolExecutor(threads, "bunraku-preview")
     try:
         for frame in islice(source, 2 * threads):
-            if len(made) < threads and len(ahead) >= len(made):
-                made.append(opened())
-                free.put(made[-1])
+            if made < threads and len(ahead) >= made:
+                made += 1
+                free.put(opened())
             ahead.append(pool.submit(draw, frame))
         while ahead:
             picture = ahead.popleft().result()
@@ -69,5 +66,3 @@ def draw_side_by_side(opened: Callable[[], Renderer], frames: Iterable[Frame]) -
             yield picture
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-        for renderer in made:
-            renderer.close()

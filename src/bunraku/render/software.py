@@ -1,4 +1,4 @@
-"""The renderer that always works: on the processor, four samples a pixel."""
+"""The renderer: on the processor, four samples a pixel."""
 
 from __future__ import annotations
 
@@ -22,8 +22,6 @@ class SoftwareRenderer:
         surface: The mesh.
         stage: The floor, the lights and the background.
     """
-
-    name = "software"
 
     def __init__(self, size: tuple[int, int], surface: Surface, stage: Stage):
         width, height = size
@@ -112,6 +110,3 @@ class SoftwareRenderer:
         first = np.clip(np.floor(seen[:, :2].min(axis=0)) - 1, 0, (width, height)).astype(int)
         last = np.clip(np.ceil(seen[:, :2].max(axis=0)) + 1, 0, (width, height)).astype(int)
         return int(first[0]), int(first[1]), int(last[0]), int(last[1])
-
-    def close(self) -> None:
-        """Nothing to give back."""

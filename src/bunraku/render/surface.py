@@ -36,7 +36,7 @@ def compress_highlights(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Surface:
-    """A mesh as the renderers draw it: points are vertices, split where a crease parts their normals.
+    """A mesh as the renderer draws it: points are vertices, split where a crease parts their normals.
 
     Args:
         faces: Vertices of each triangle, shape (F, 3), int32.

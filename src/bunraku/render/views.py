@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku.formats.gltf.turning import turned
 from bunraku.geometry.axes import ORIENTATIONS
-from bunraku.handles.orientation import guess_orientation
 from bunraku.render.frames import render_still
 from bunraku.render.sheets import assemble
 
@@ -31,6 +29,9 @@ def orientation_views(character: Character, count: int = 4) -> np.ndarray:
         WeightsError: The weights of the orientation network are missing or broken.
         MissingExtraError: Pillow is not installed.
     """
+    from bunraku.formats.gltf.turning import turned
+    from bunraku.handles.orientation import guess_orientation
+
     guess = guess_orientation(character)
     likely = np.argsort(-guess.probabilities)[:count]
     pictures = [render_still(turned(character, *ORIENTATIONS[n]), size=SIZE, yaw=0.2) for n in likely]

@@ -1,20 +1,20 @@
-"""Sample characters made by code, so that demos and tests need no downloads.
+"""Sample characters that come with the package, so that demos and tests need no downloads.
 
-Each sample stands on y = 0, faces +Z and has its left side at +X; people are in T-pose. A sample has no source
-document, so writers store its positions, faces and `Character.colors` as the vertex colours COLOR_0 (sRGB bytes, to be
-made linear where the format asks for it) under one white material. Vertices are doubled along the seams between
-colours, as in most files from
-artists: welded, every part is closed.
+Each sample is a GLB file beside this module with smooth normals and one material per colour. It stands on y = 0, faces
++Z and has its left side at +X; people are in T-pose. `python tools/make_samples.py` writes the files again.
 """
 
 from __future__ import annotations
 
-import importlib
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from bunraku.core.character import Character
 from bunraku.errors import OptionError
 
-__all__ = ["sample_character", "sample_names"]
+if TYPE_CHECKING:
+    from bunraku.core.character import Character
+
+__all__ = ["sample_character", "sample_file", "sample_names"]
 
 _NAMES = ("person", "dancer", "dog", "mushroom", "robot", "dragon")
 
@@ -24,23 +24,32 @@ def sample_names() -> tuple[str, ...]:
     return _NAMES
 
 
-def sample_character(name: str, detail: float = 1.0, *, rigged: bool = False) -> Character:
-    """A sample character, the same on every call.
+def sample_file(name: str) -> Path:
+    """The GLB file of a sample character.
+
+    Raises:
+        OptionError: The name is unknown.
+    """
+    if name not in _NAMES:
+        raise OptionError(f"there is no sample character named {name[:40]!r}; choose one of {', '.join(_NAMES)}")
+    return Path(__file__).with_name(f"{name}.glb")
+
+
+def sample_character(name: str) -> Character:
+    """A sample character, without a rig.
 
     Args:
         name: One of `sample_names`.
-        detail: Factor on the number of vertices, 0.3 to 4; 1 gives 3,000 to 8,000.
-        rigged: Give it its skeleton and skin weights too (names such as Hips, Spine, LeftArm, Tail1); without it `rig`
-            is None.
 
     Returns:
-        The character: closed parts, wound outward, with vertex colours.
+        The character: closed parts of 6,000 to 9,000 vertices together, wound outward, with one colour a face.
 
     Raises:
-        OptionError: The name is unknown or the detail out of range.
+        OptionError: The name is unknown.
+        FormatError: The installation is damaged: the file cannot be read.
     """
-    if name not in _NAMES:
-        raise OptionError(f"there is no sample character named {name!r}; choose one of {', '.join(_NAMES)}")
-    if not 0.3 <= detail <= 4:
-        raise OptionError(f"the detail of a sample character must be between 0.3 and 4, not {detail}")
-    return importlib.import_module(f"bunraku.samples.{name}").build(detail, rigged)
+    path = sample_file(name)
+    from bunraku.formats.files import read_bounded
+    from bunraku.formats.gltf.read import read_gltf
+
+    return read_gltf(path, read_bounded(path))

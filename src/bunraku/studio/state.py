@@ -13,7 +13,6 @@ from bunraku.errors import BunrakuError, OptionError
 from bunraku.studio.jobs import OPEN_STATES, About, Job, Jobs
 from bunraku.studio.projects import unpack_project
 from bunraku.studio.store import NotThere, Store
-from bunraku.studio.study.show import Session
 
 __all__ = ["SAMPLE", "State"]
 
@@ -29,12 +28,10 @@ class State:
 
     Args:
         store: What it keeps.
-        study: The folder of a blind study that is shown, None for none.
     """
 
-    def __init__(self, store: Store, study: Path | None = None):
+    def __init__(self, store: Store):
         self.store = store
-        self.session = None if study is None else Session(study)
         self.jobs = Jobs(store, self._finish)
         self.writing = threading.Lock()
         """Held by requests that change what there is."""

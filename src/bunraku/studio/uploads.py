@@ -22,7 +22,7 @@ MOST_REFUSED = 1 << 30
 """Bytes of what is refused that are read, and not kept, so that who sends them hears why."""
 MOST_UNPACKED = 600 << 20
 MOST_ENTRIES = 2000
-CHARACTERS = tuple(suffix for one in FORMATS if one.character and one.title != "RigNet" for suffix in one.suffixes)
+CHARACTERS = tuple(suffix for one in FORMATS if one.character for suffix in one.suffixes)
 """Suffixes of what becomes a character."""
 MOTIONS = (".bvh", ".vmd", ".vrma", ".npz", ".npy")
 """Suffixes of what is a motion and nothing else."""

@@ -24,11 +24,6 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "MeshBank",
         "write the mesh features of characters to train with",
     ),
-    ("data", "surfaces"): (
-        "bunraku_lab.cli.data.surfaces",
-        "Surfaces",
-        "make surfaces to train the orientation network on",
-    ),
     ("data", "character-bank"): (
         "bunraku_lab.cli.data.character_bank",
         "CharacterBank",
@@ -53,11 +48,6 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "bunraku_lab.cli.data.apparel",
         "Apparel",
         "simulate the apparel of characters in motion, as data to train on",
-    ),
-    ("data", "push-out"): (
-        "bunraku_lab.cli.data.push_out",
-        "PushOutData",
-        "push the apparel of stored data out of the bodies",
     ),
     ("train", "handles"): ("bunraku_lab.cli.train", "handles", "train the Mesh Handle Predictor"),
     ("train", "orientation"): (
@@ -127,19 +117,9 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "EvaluateTables",
         "measure the papers' tables, theirs and ours side by side",
     ),
-    ("evaluate", "study"): (
-        "bunraku_lab.cli.evaluate.study",
-        "EvaluateStudy",
-        "tell what people said in a blind study",
-    ),
     ("evaluate", "apparel"): (
         "bunraku_lab.cli.evaluate.apparel",
         "EvaluateApparel",
         "measure learned apparel on characters and motions that it has not seen",
-    ),
-    ("evaluate", "retrieval"): (
-        "bunraku_lab.cli.evaluate.retrieval",
-        "Retrieval",
-        "test how well sentences are found back from motions",
     ),
 }

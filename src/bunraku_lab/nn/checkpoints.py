@@ -17,12 +17,14 @@ import torch
 from safetensors.torch import save
 
 from bunraku.errors import WeightsError
+from bunraku.formats.files import weights_file
 from bunraku.nn import checkpoints as files
 from bunraku.nn.checkpoints import FORMAT, fitting_config, read_tensors, write_tensors
 
 __all__ = [
     "TrainingState",
     "fitted_network",
+    "lab_checkpoint",
     "load_checkpoint",
     "load_network",
     "load_training_state",
@@ -31,7 +33,28 @@ __all__ = [
     "save_training_state",
 ]
 
+LAB_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
+"""Where the checkpoints lie that no animation reads; they are in a checkout and not in the wheel."""
+
 Network = TypeVar("Network", bound=torch.nn.Module)
+
+
+def lab_checkpoint(name: str) -> Path:
+    """Path of a checkpoint that only the laboratory reads, or of one that comes with Bunraku, for example
+    `lab_checkpoint("extractor")`. A folder that BUNRAKU_WEIGHTS names comes first.
+
+    Raises:
+        WeightsError: It is not there.
+    """
+    shipped, own = weights_file(f"{name}.safetensors"), LAB_WEIGHTS / f"{name}.safetensors"
+    if shipped.is_file():
+        return shipped
+    if not own.is_file():
+        raise WeightsError(
+            f"{own}: the '{name}' weights are missing; take them from a checkout of Bunraku, train them, or set "
+            "BUNRAKU_WEIGHTS to their folder"
+        )
+    return own
 
 
 def _plain(value: torch.Tensor) -> torch.Tensor:

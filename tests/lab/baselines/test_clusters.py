@@ -2,8 +2,8 @@ import numpy as np
 import trimesh
 from scipy.sparse.csgraph import connected_components
 
-from bunraku.samples import sample_character
 from bunraku_lab.baselines.clusters import cluster_vertices, geodesic_clusters, geodesic_graph
+from bunraku_lab.synthetic.samples import make_sample
 
 
 def test_clusters_are_connected_and_not_empty():
@@ -32,7 +32,7 @@ def test_clusters_do_not_jump_over_gaps():
 
 
 def test_weights_are_hard_and_the_same_every_time():
-    dog = sample_character("dog", detail=0.5)
+    dog = make_sample("dog", detail=0.5)
     weights = geodesic_clusters(dog.vertices, dog.faces)
     assert weights.shape == (len(dog.vertices), 30) and set(np.unique(weights)) == {0, 1}
     np.testing.assert_array_equal(weights.sum(axis=1), 1)

@@ -17,7 +17,7 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError, OptionError
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.physics import simulate
+from bunraku.physics.simulate import simulate
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel import build as building
 from bunraku_lab.datasets.apparel.plan import (
@@ -31,7 +31,6 @@ from bunraku_lab.datasets.apparel.plan import (
 )
 from bunraku_lab.datasets.apparel.recording import record
 from bunraku_lab.datasets.apparel.report import apparel_facts, facts_table, sway_frequency
-from bunraku_lab.datasets.apparel.shards import SHARD_ARRAYS, Shard, shard_fingerprint, write_shard
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
@@ -224,35 +223,6 @@ def test_a_second_run_mends_and_gives_the_same_bytes(built, plan, tmp_path):
     assert state.done == 2 and {path.name: path.read_bytes() for path in (again / "shards").iterdir()} == shards
     assert os.stat(again / "shards" / first).st_mtime_ns == stamp
     assert (again / "index.json").read_bytes() == (built / "index.json").read_bytes()
-
-
-def test_old_data_are_mended_into_another_folder(built, tmp_path, capsys):
-    """Shards from before the push-out, their apparel moved into the body: repaired once, and what is repaired stays."""
-    old, new = tmp_path / "old", tmp_path / "new"
-    (old / "shards").mkdir(parents=True)
-    (old / "index.json").write_bytes((built / "index.json").read_bytes())
-    for path in (built / "shards").iterdir():
-        shard = Shard(path)
-        arrays = {name: np.array(shard.array(name)) for name in SHARD_ARRAYS}
-        arrays["offsets"][:, arrays["apparel"][arrays["loose"]] > 0, 2] -= np.float16(0.05)
-        facts = {key: value for key, value in shard.facts.items() if key != "pushed_out"}
-        write_shard(old / "shards" / path.name, arrays, facts)
-        assert shard_fingerprint(path) and not shard_fingerprint(old / "shards" / path.name)
-    assert main(["data", "push-out", str(old), "-o", str(new), "--jobs", "1"]) == 0
-    said = capsys.readouterr().out
-    before, after = (float(said.split(word)[0].split()[-2]) for word in ("of the apparel before", "after"))
-    assert "wrote 2 of 2 files" in said and before > 1 and after < 0.5 * before
-    first, second = ApparelData(old, fly_aways=True), ApparelData(new, fly_aways=True)
-    assert first.clips == second.clips
-    assert (
-        first.shard(first.clips[0].shard).array("rest").tobytes()
-        == second.shard(first.clips[0].shard).array("rest").tobytes()
-    )
-    bytes_ = {path.name: path.read_bytes() for path in (new / "shards").iterdir()}
-    assert main(["data", "push-out", str(old), "-o", str(new), "--jobs", "1"]) == 0
-    assert bytes_ == {path.name: path.read_bytes() for path in (new / "shards").iterdir()}
-    assert all(shard_fingerprint(path) for path in (new / "shards").iterdir())
-    assert main(["data", "push-out", str(old), "-o", str(old)]) == 2
 
 
 def test_another_plan_is_another_fingerprint(plan):

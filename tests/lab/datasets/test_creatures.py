@@ -17,7 +17,6 @@ from bunraku.errors import CharacterError, FormatError
 from bunraku.handles.from_rig import rig_handles
 from bunraku.language.captions.phrases import mirror_words
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.samples import sample_character
 from bunraku_lab.datasets.characters.build import HELD_OUT
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.datasets.motions.creatures import (
@@ -29,6 +28,7 @@ from bunraku_lab.datasets.motions.creatures import (
     creature_split,
     reference_motion,
 )
+from bunraku_lab.synthetic.samples import make_sample
 
 TABLE = json.loads(
     resources.files("bunraku_lab.datasets.motions").joinpath("creature_clips.json").read_text(encoding="utf-8")
@@ -132,7 +132,7 @@ def test_held_out_species_and_characters_are_never_trained_on():
 
 def write_dog(path, frames=30):
     """The rigged dog as a GLB whose clip wags the tail and hops."""
-    dog = sample_character("dog", 0.3, rigged=True)
+    dog = make_sample("dog", 0.3, rigged=True)
     handles = rig_handles(dog)
     phase = np.linspace(0, 2 * np.pi, frames)
     rotations = np.tile(np.eye(3), (frames, 30, 1, 1))

@@ -12,13 +12,13 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError
-from bunraku.samples import sample_character
 from bunraku_lab.datasets.motions.game_clips import add_game_clips, reference_clip
+from bunraku_lab.synthetic.samples import make_sample
 
 
 def arm_raised(side, degrees=70, frames=12):
     """The rigged person raising one arm, driven by its own joints."""
-    person = sample_character("person", 0.3, rigged=True)
+    person = make_sample("person", 0.3, rigged=True)
     rig, sign = person.rig, 1 if side == "left" else -1
     shoulder = rig.names.index(f"{side.capitalize()}Arm")
     moved = {shoulder}

@@ -4,16 +4,17 @@ import gzip
 from pathlib import Path
 
 from bunraku.io import save_character
-from bunraku.samples import sample_character, sample_names
+from bunraku.samples import sample_names
 from bunraku_lab.datasets.characters.build import build_characters, rigged_files
 from bunraku_lab.datasets.characters.training_character import TrainingCharacter
+from bunraku_lab.synthetic.samples import make_sample
 
 DATA = Path(__file__).parents[2] / "formats" / "data"
 
 
 def put_rignet(folder: Path) -> None:
     """A sample character in the layout of the ModelsResource-RigNet archive."""
-    character = sample_character("person", 0.3, rigged=True)
+    character = make_sample("person", 0.3, rigged=True)
     lines = [
         f"joints {name.replace(' ', '_')} {x} {y} {z}"
         for name, (x, y, z) in zip(character.rig.names, character.rig.positions, strict=True)
@@ -40,9 +41,7 @@ def test_all_kinds_become_training_characters(tmp_path):
     fbx = gzip.decompress((DATA / "boxman_z_up_cm.fbx.gz").read_bytes())
     (tmp_path / "mixamo").mkdir()
     (tmp_path / "mixamo" / "man.fbx").write_bytes(fbx)
-    save_character(
-        sample_character("mushroom", 0.3), tmp_path / "mixamo" / "man.glb"
-    )  # of the same name, and without a rig
+    save_character(make_sample("mushroom", 0.3), tmp_path / "mixamo" / "man.glb")  # of the same name, and without a rig
     found = [path.relative_to(tmp_path).as_posix() for path in rigged_files(tmp_path)]
     assert found == ["mixamo/man.fbx", "mixamo/man.glb", "set/obj/7.obj"]
 

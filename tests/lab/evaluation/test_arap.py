@@ -42,9 +42,9 @@ def test_a_generated_clip_is_measured_with_and_without():
     from dataclasses import replace
 
     from bunraku.handles.from_rig import rig_handles
-    from bunraku.samples import sample_character
+    from bunraku_lab.synthetic.samples import make_sample
 
-    character = sample_character("dancer", 0.4, rigged=True)
+    character = make_sample("dancer", 0.4, rigged=True)
     handles = replace(rig_handles(character).top(4), features=np.zeros(448, np.float32))
     told = []
     table = measure_adaptation(

@@ -14,13 +14,13 @@ from bunraku.geometry.axes import ORIENTATIONS, upright_rotation
 from bunraku.handles.orientation import resolve_axes
 from bunraku.io import save_character
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.samples import sample_character
 from bunraku_lab.evaluation.handles.orientation import measure_orientation
 from bunraku_lab.evaluation.handles.resampling import carried
 from bunraku_lab.evaluation.handles.subjects import find_files, subject
 from bunraku_lab.evaluation.handles.table import BARS, code_made_subjects, evaluate_handles, folder_subjects
 from bunraku_lab.evaluation.handles.trials import Reference, measure_subject, prediction_seconds, resolution_differences
 from bunraku_lab.synthetic.families import EVALUATION_SEED
+from bunraku_lab.synthetic.samples import make_sample
 
 needs_weights = pytest.mark.skipif(
     not shipped_checkpoint("handles").is_file(), reason="the shipped weights are not there"
@@ -66,14 +66,14 @@ def test_a_guess_does_not():
 
 def test_samples_are_humanoids_or_not():
     kinds = {
-        name: subject(sample_character(name, 0.3, rigged=True), name).humanoid
+        name: subject(make_sample(name, 0.3, rigged=True), name).humanoid
         for name in ("person", "dancer", "robot", "dog", "mushroom", "dragon")
     }
     assert [name for name, human in kinds.items() if human] == ["person", "dancer", "robot", "mushroom"]
 
 
 def test_what_faces_sideways_is_turned():
-    person = sample_character("person", 0.3, rigged=True)
+    person = make_sample("person", 0.3, rigged=True)
     turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # left is at -Z now
     rig = person.rig
     transforms = rig.transforms.copy()
@@ -92,14 +92,14 @@ def test_what_faces_sideways_is_turned():
 
 def test_no_rig_is_said():
     with pytest.raises(CharacterError, match="no rig"):
-        subject(sample_character("dog", 0.3), "dog")
+        subject(make_sample("dog", 0.3), "dog")
 
 
 @needs_weights
 @pytest.mark.parametrize("name", ["person", "dog"])
 def test_orientation_is_what_settle_makes_of_each_turned_file(name):
     """Measured by permuting one look; here some of the turned meshes are looked at themselves."""
-    one = subject(sample_character(name, 0.3, rigged=True), name)
+    one = subject(make_sample(name, 0.3, rigged=True), name)
     row = measure_orientation(one)
     kind = "orientation_humanoids" if one.humanoid else "orientation_creatures"
     assert row[kind] == row["orientation_up"] == row["orientation_front"] == row["orientation_upright"] == 1
@@ -112,7 +112,7 @@ def test_orientation_is_what_settle_makes_of_each_turned_file(name):
 
 @needs_weights
 def test_a_character_that_faces_backwards_counts_as_wrong():
-    one = subject(sample_character("dog", 0.3, rigged=True), "dog")
+    one = subject(make_sample("dog", 0.3, rigged=True), "dog")
     backwards = Character("dog", one.character.vertices * np.float32([-1, 1, -1]), one.character.faces)
     row = measure_orientation(replace(one, character=backwards))
     assert row["orientation_creatures"] == row["orientation_front"] == 0 and row["orientation_up"] == 1
@@ -131,7 +131,7 @@ def filled(tmp_path):
         body = reference_body().character()
         rig = Handles(reference_body().handles.positions, reference_body().handle_weights)
         save_character(Character(name, body.vertices, body.faces), tmp_path / f"{name}.glb", rig)
-    save_character(sample_character("mushroom", 0.3), tmp_path / "plain.glb")
+    save_character(make_sample("mushroom", 0.3), tmp_path / "plain.glb")
     (tmp_path / "notes.txt").write_text("nothing")
     return tmp_path
 
@@ -150,7 +150,7 @@ def table(tmp_path_factory):
     """The table of a folder in this process, its progress, and its subjects."""
     calls = []
     loads = folder_subjects(filled(tmp_path_factory.mktemp("archive")), True)
-    person = subject(sample_character("person", 0.3, rigged=True), "person")
+    person = subject(make_sample("person", 0.3, rigged=True), "person")
     result = evaluate_handles(
         loads,
         detailed={"kaykit/Other": loads["kaykit/Other"], "person": lambda: person},
@@ -194,7 +194,7 @@ def test_processes_give_the_same_table(table):
 
 
 def test_nothing_to_measure_is_said(tmp_path):
-    save_character(sample_character("mushroom", 0.3), tmp_path / "plain.glb")
+    save_character(make_sample("mushroom", 0.3), tmp_path / "plain.glb")
     if shipped_checkpoint("handles").is_file():
         with pytest.raises(OptionError, match="no rig"):
             evaluate_handles(folder_subjects(tmp_path), speed=False)

@@ -30,7 +30,7 @@ from bunraku_lab.evaluation.motion.windows import Window, window_features
 from bunraku_lab.evaluation.parts import KeptParts
 from bunraku_lab.evaluation.tables.distortion import DistortionConfig
 from bunraku_lab.evaluation.tables.global_shape import measure_handles
-from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.checkpoint import save_denoiser
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.nn.diffusion.matching import Extractor, save_extractor
 from bunraku_lab.nn.running.networks import running_denoiser
@@ -52,7 +52,7 @@ def network(**changes):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Held-out clips, two denoisers and an extractor, all with random weights."""
+    """Held-out clips, a denoiser and an extractor, with random weights."""
     home = tmp_path_factory.mktemp("evaluation")
     (home / "motions").mkdir()
     index = {}
@@ -62,8 +62,7 @@ def folder(tmp_path_factory):
             index[f"{verb}{number}"] = {"texts": [f"the figure {verb}"], "split": split, "frames": 60}
     write_index(home / "motions", index)
     torch.manual_seed(0)
-    for name, config in (("tapmo", network()), ("mdm", network(architecture="encoder"))):
-        save_denoiser(home / f"{name}.safetensors", build_denoiser(config), {"steps": 1})
+    save_denoiser(home / "tapmo.safetensors", Denoiser(network()), {"steps": 1})
     sizes = {
         "width": 16,
         "layers": 1,
@@ -98,47 +97,40 @@ def settings(folder, work, **changes):
         "steps": 2,
     }
     return MotionEvalConfig(
-        data=folder / "motions", checkpoint=folder / "tapmo.safetensors", mdm=folder / "mdm.safetensors",
+        data=folder / "motions", checkpoint=folder / "tapmo.safetensors",
         extractor=folder / "extractor.safetensors", work=work, **{**small, **changes},
     )  # fmt: skip
 
 
 def test_all_rows_and_keys(folder, tmp_path):
-    result = evaluate_motion(settings(folder, tmp_path, reference_steps=5, reference_clips=6))
-    assert set(result["rows"]) == {"real", "tapmo", "tapmo_mdm"}
+    result = evaluate_motion(settings(folder, tmp_path))
+    assert set(result["rows"]) == {"real", "tapmo"}
     for name, row in result["rows"].items():
         assert {"r_precision_1", "r_precision_2", "r_precision_3", "fid", "mm_dist", "diversity"} <= set(row)
         assert ("multimodality" in row) == (name != "real")
         assert row["r_precision_1"]["mean"] <= row["r_precision_2"]["mean"] <= row["r_precision_3"]["mean"] <= 1
-    rows = result["rows"]
-    assert result["fid_over_tapmo_mdm"] == pytest.approx(
-        rows["tapmo"]["fid"]["mean"] / rows["tapmo_mdm"]["fid"]["mean"]
-    )
-    assert result["fid_steps_ratio"] == pytest.approx(result["fid_default_steps"] / result["fid_reference_steps"])
     assert result["fid_real"] < result["fid"]  # random weights are worse than the real data
     assert 10 <= result["counts"]["clips"] <= 12 and result["counts"]["drawn"] == 16
     json.dumps(result)
 
 
 def test_what_is_chosen_has_a_row_of_its_own(folder, tmp_path):
-    result = evaluate_motion(replace(settings(folder, tmp_path), best_of=2, mdm=None))
+    result = evaluate_motion(replace(settings(folder, tmp_path), best_of=2))
     rows = result["rows"]
     assert set(rows) == {"real", "tapmo", "tapmo_guided", "tapmo_led", "tapmo_chosen"}
     assert len({rows[name]["fid"]["mean"] for name in rows}) == 5
     assert result["r_precision_1_over_real_chosen"] == pytest.approx(
         rows["tapmo_chosen"]["r_precision_1"]["mean"] / rows["real"]["r_precision_1"]["mean"]
     )
-    equal = folder / "tapmo.safetensors"  # weights after as many steps have a row of their own
-    other = evaluate_motion(
-        replace(settings(folder, tmp_path), best_of=2, mdm=None, equal=equal, classifier_guidance=False, examples=False)
-    )["rows"]
-    assert set(other) == {"real", "tapmo", "tapmo_equal", "tapmo_chosen"}
-    assert other["tapmo_equal"] == other["tapmo"]
+    other = evaluate_motion(replace(settings(folder, tmp_path), best_of=2, classifier_guidance=False, examples=False))[
+        "rows"
+    ]
+    assert set(other) == {"real", "tapmo", "tapmo_chosen"}
     assert other["tapmo_chosen"]["fid"]["mean"] != rows["tapmo_chosen"]["fid"]["mean"]
 
 
 def test_the_distilled_steps_have_a_row_where_they_are_of_these_weights(folder, tmp_path):
-    default = replace(settings(folder, tmp_path / "work"), best_of=2, mdm=None, steps=None, repeats=0, examples=False)
+    default = replace(settings(folder, tmp_path / "work"), best_of=2, steps=None, repeats=0, examples=False)
     without = evaluate_motion(replace(default, checkpoint=folder / "tapmo.safetensors"))
     assert set(without["rows"]) == {"real", "tapmo", "tapmo_guided", "tapmo_chosen"}
     assert without["fid_distilled"] is None and without["r_precision_1_over_real_distilled"] is None
@@ -230,7 +222,7 @@ def test_handle_samples_forget_place_and_heading():
 
 def test_every_row_of_the_papers_table_has_handles_on_both_bodies(folder, tmp_path):
     """What was measured of a row on a body is not measured again."""
-    config = DistortionConfig(folder, folder / "mdm.safetensors", folder / "tapmo.safetensors", work=tmp_path)
+    config = DistortionConfig(folder, folder / "tapmo.safetensors", work=tmp_path)
     kept = KeptParts(tmp_path / "parts")
     found = measure_handles(config, folder / "motions", 2, parts=kept)
     rows = {"ours", "ours, without adaptation", "MDM-SR", "MDM-SR, limbs aligned first"}
@@ -251,8 +243,6 @@ def test_handle_fid_is_the_squared_lift_of_a_lifted_motion():
 def test_bad_settings_are_one_sentence(folder, tmp_path):
     with pytest.raises(OptionError, match="drawn a run"):
         evaluate_motion(settings(folder, tmp_path, clips=25))
-    with pytest.raises(OptionError, match="comparison"):
-        evaluate_motion(settings(folder, tmp_path, reference_steps=2000))
     with pytest.raises(OptionError, match="fewer than the 32 candidates"):
         evaluate_motion(settings(folder, tmp_path, candidates=32))
 
@@ -269,8 +259,6 @@ def test_the_command_prints_the_table_and_json(folder, tmp_path, capsys):
         "2",
     ]
     words += [
-        "--mdm",
-        str(folder / "mdm.safetensors"),
         "--extractor",
         str(folder / "extractor.safetensors"),
         "--work",
@@ -282,7 +270,7 @@ def test_the_command_prints_the_table_and_json(folder, tmp_path, capsys):
     assert result["counts"]["runs"] == 3 and result["r_precision_1_over_real"] > 0
     assert main(words) == 0
     text = capsys.readouterr().out
-    assert "TapMo (MDM)" in text and "TapMo (ours)" in text and "Real" in text
+    assert "TapMo (ours)" in text and "Real" in text
     assert all(bar.title in text for bar in BARS.values())
 
 
@@ -309,7 +297,7 @@ def test_bad_options_are_one_sentence(tmp_path, capsys):
 
 
 def test_the_motions_of_others_get_a_row_on_the_same_windows(folder, tmp_path):
-    config = replace(settings(folder, tmp_path / "work"), mdm=None)
+    config = settings(folder, tmp_path / "work")
     clips, windows = table_windows(config)
     rows = list(csv.DictReader(write_prompts(tmp_path / "prompts.csv", windows).open()))
     assert [row["text"] for row in rows] == [window.sentence for window in windows]

@@ -18,8 +18,7 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, OptionError
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.physics import apparel_rig
-from bunraku.samples import sample_character
+from bunraku.physics.from_file import apparel_rig
 from bunraku_lab.datasets.apparel.body_inside import deep_inside
 from bunraku_lab.datasets.apparel.build import body_animation
 from bunraku_lab.datasets.apparel.plan import CharacterSource
@@ -27,6 +26,7 @@ from bunraku_lab.evaluation.physics.measures import apparel_chains, body_speeds,
 from bunraku_lab.evaluation.physics.penetration import nearest_joint_vertices, sample_apparel
 from bunraku_lab.evaluation.physics.table import PHYSICS_BARS, evaluate_physics, joined, measure_physics
 from bunraku_lab.evaluation.transfer.stock_motions import STOCK_MOTIONS, stock_motion
+from bunraku_lab.synthetic.samples import make_sample
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 SEED = 1
@@ -240,7 +240,7 @@ def test_processes_give_the_same_table_of_physics():
 
 def test_a_character_without_apparel_is_named():
     with pytest.raises(CharacterError, match="nothing of apparel"):
-        measure_physics(sample_character("person", 0.3, rigged=True))
+        measure_physics(make_sample("person", 0.3, rigged=True))
 
 
 def test_bad_options_are_one_sentence(tmp_path, capsys):

@@ -7,12 +7,12 @@ import numpy as np
 import bunraku
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.io import save_character
-from bunraku.samples import sample_character
 from bunraku_lab.evaluation.transfer.quadrupeds import measure_quadrupeds
+from bunraku_lab.synthetic.samples import make_sample
 
 
 def test_a_walking_dog_on_the_sample_dog(tmp_path):
-    dog = sample_character("dog", rigged=True)
+    dog = make_sample("dog", rigged=True)
     names, frames = dog.rig.names, 40
     turns = np.zeros((frames, len(names), 3))
     swing = 0.3 * np.sin(2 * np.pi * np.arange(frames) / 20)
@@ -28,7 +28,7 @@ def test_a_walking_dog_on_the_sample_dog(tmp_path):
 
 
 def test_without_animals_there_is_nothing_to_measure(tmp_path):
-    mushroom = sample_character("mushroom", rigged=True)
+    mushroom = make_sample("mushroom", rigged=True)
     path = save_character(mushroom, tmp_path / "mushroom.glb")
     found = measure_quadrupeds({"mushroom": path, "none": tmp_path / "none.glb"})
     assert found["quadruped_limbs_degrees"] is None and found["quadrupeds"] == []

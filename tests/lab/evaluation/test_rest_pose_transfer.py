@@ -5,15 +5,15 @@ import numpy as np
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.retarget.fit import Stages
-from bunraku.samples import sample_character
 from bunraku_lab.evaluation.handles.rest_pose_transfer import code_made_motions, rest_pose_transfer, true_handles
 from bunraku_lab.evaluation.handles.rest_poses import posed_limbs
 from bunraku_lab.evaluation.handles.subjects import subject
+from bunraku_lab.synthetic.samples import make_sample
 
 
 def test_the_rest_pose_does_not_show_in_the_animation():
     people = [
-        subject(sample_character("person", 0.3, rigged=True), "person"),
+        subject(make_sample("person", 0.3, rigged=True), "person"),
         subject(reference_body().character(), "reference"),
     ]
     motions = code_made_motions(0.5)
@@ -25,12 +25,12 @@ def test_the_rest_pose_does_not_show_in_the_animation():
 
 
 def test_who_is_no_humanoid_is_passed_over():
-    dog = subject(sample_character("dog", 0.3, rigged=True), "dog")
+    dog = subject(make_sample("dog", 0.3, rigged=True), "dog")
     assert rest_pose_transfer([dog])["rest_pose_transfer"] is None
 
 
 def test_posed_limbs_and_true_handles_agree_on_the_parts():
-    one = subject(sample_character("person", 0.3, rigged=True), "person")
+    one = subject(make_sample("person", 0.3, rigged=True), "person")
     sitting = posed_limbs(one.truth, "sitting")
     handles = true_handles(one, sitting)
     thigh, pelvis = (handles.positions[HANDLE_NAMES.index(name)] for name in ("left_hip", "pelvis"))

@@ -7,10 +7,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from bunraku.core.character import Character
 from bunraku.errors import OptionError
 from bunraku_lab.cli.evaluate.tables import EvaluateTables
 from bunraku_lab.evaluation.report import Report
@@ -24,7 +22,6 @@ from bunraku_lab.evaluation.tables.paper_table import (
     measured_table,
     shown_table,
 )
-from bunraku_lab.evaluation.tables.stand_in import faults, ranks
 
 TABLE = PaperTable(
     "tapmo", 9, "a table", ("loss",),
@@ -125,9 +122,7 @@ def test_without_data_every_row_says_what_it_lacks(tmp_path):
         assert [table["number"] for table in found] == [table.number for table in tables]
         for table in found:
             assert all(row["not_run"] for row in table["rows"])
-    assert any(
-        "--mdm" in row["not_run"] or "--data" in row["not_run"] for row in measure_tables(TablesConfig())[0]["rows"]
-    )
+    assert any("--data" in row["not_run"] for row in measure_tables(TablesConfig())[0]["rows"])
 
 
 def test_a_table_that_is_not_there_is_refused():
@@ -164,25 +159,3 @@ def _numbers(value):
             yield from _numbers(each)
     elif isinstance(value, int | float):
         yield value
-
-
-def test_faults_of_a_moving_mesh_by_hand():
-    """A tetrahedron that grows: its edges by a tenth; it stands still, then is lifted by its height in one frame."""
-    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0]])
-    solid = Character("solid", corners, np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3], [0, 2, 1]]))
-    still = np.tile(corners, (4, 1, 1))
-    assert faults(still, solid) == {"edges": 0, "ground": 0, "jitter": 0}
-    grown = faults(1.1 * still, solid)
-    squares = [1, 1, 1, 2, 2, 2]  # of the lengths of its six edges
-    assert grown["edges"] == pytest.approx(0.01 * sum(squares)) and grown["ground"] == grown["jitter"] == 0
-    lifted = still.copy()
-    lifted[3, :, 1] += 1
-    assert faults(lifted, solid) == {"edges": 0, "ground": pytest.approx(0.25), "jitter": pytest.approx(1)}
-
-
-def test_ranks_by_hand():
-    clean, rough = {"edges": 0.1, "ground": 0.0, "jitter": 0.2}, {"edges": 0.3, "ground": 0.1, "jitter": 0.1}
-    found = ranks({"one": {**clean, "text": 1.0}, "other": {**rough, "text": 1.0}})
-    assert found["one"] == {"overall": (1 + 1.5 + 1 + 2) / 4, "text": 1.5, "geometry": 1.0}
-    assert found["other"] == {"overall": (2 + 1.5 + 2 + 1) / 4, "text": 1.5, "geometry": 2.0}
-    assert ranks({"one": {**clean, "text": 0.0}, "other": {**rough, "text": 1.0}})["other"]["text"] == 1

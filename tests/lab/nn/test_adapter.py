@@ -8,7 +8,8 @@ import torch
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.errors import WeightsError
 from bunraku_lab.nn.diffusion.adapter import adapted_denoiser, frozen_digest, save_adapter
-from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, load_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.checkpoint import load_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.denoiser import Denoiser
 
 SMALL = DenoiserConfig(width=16, heads=2, layers=1)
 
@@ -16,9 +17,9 @@ SMALL = DenoiserConfig(width=16, heads=2, layers=1)
 def test_a_layer_comes_back_on_the_weights_that_it_is_of(tmp_path):
     """Also where it sees the mesh, which the weights' own layer does not, so that it is wider."""
     torch.manual_seed(0)
-    plain = build_denoiser(SMALL)
+    plain = Denoiser(SMALL)
     path = save_denoiser(tmp_path / "plain.safetensors", plain)
-    learned = build_denoiser(replace(SMALL, adaptation_mesh=True, adaptation_frame="joints"))
+    learned = Denoiser(replace(SMALL, adaptation_mesh=True, adaptation_frame="joints"))
     kept = {name: value for name, value in load_denoiser(path).state_dict().items() if "adaptation_out" not in name}
     learned.load_state_dict(kept, strict=False)
     with torch.no_grad():
@@ -34,7 +35,7 @@ def test_a_layer_comes_back_on_the_weights_that_it_is_of(tmp_path):
 
 def test_a_layer_of_other_weights_is_refused(tmp_path):
     torch.manual_seed(0)
-    layer = save_adapter(tmp_path / "layer.safetensors", build_denoiser(SMALL), {})
-    other = save_denoiser(tmp_path / "other.safetensors", build_denoiser(SMALL))
+    layer = save_adapter(tmp_path / "layer.safetensors", Denoiser(SMALL), {})
+    other = save_denoiser(tmp_path / "other.safetensors", Denoiser(SMALL))
     with pytest.raises(WeightsError, match="other weights"):
         adapted_denoiser(layer, other, tmp_path / "out.safetensors")

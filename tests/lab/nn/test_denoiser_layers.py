@@ -1,4 +1,3 @@
-import pytest
 import torch
 
 from bunraku_lab.nn.diffusion.checkpoint import load_denoiser, save_denoiser
@@ -6,7 +5,6 @@ from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
 
 FEATURES = 6
-BLOCKS = [{"convolution": 3}, {"examples": 2}, {"convolution": 5, "examples": 2}]
 
 
 def noise(*shape, seed=1):
@@ -28,11 +26,10 @@ def ask(model, encoder, x, lengths, keep=True, found=None):
     return model(x, torch.full((len(x),), 400), torch.tensor(lengths), condition)[0]
 
 
-@pytest.mark.parametrize("blocks", BLOCKS)
-def test_added_blocks_begin_without_effect(denoiser, encoder, blocks):
-    """A network that gets blocks says the very same, to the bit, as the one whose weights it takes over."""
+def test_attention_to_examples_begins_without_effect(denoiser, encoder):
+    """A network that gets it says the very same, to the bit, as the one whose weights it takes over."""
     old = denoiser(features=FEATURES, handles=3)
-    new = Denoiser(denoiser(features=FEATURES, handles=3, **blocks).config).eval()
+    new = Denoiser(denoiser(features=FEATURES, handles=3, examples=2).config).eval()
     missing, unexpected = new.load_state_dict(old.state_dict(), strict=False)
     assert missing and not unexpected
     x = noise(2, 30, FEATURES)
@@ -40,21 +37,11 @@ def test_added_blocks_begin_without_effect(denoiser, encoder, blocks):
         assert torch.equal(ask(new, encoder, x, [30, 17], found=examples(2)), ask(old, encoder, x, [30, 17]))
 
 
-@pytest.mark.parametrize("blocks", BLOCKS)
-def test_padding_does_not_reach_real_frames(denoiser, encoder, blocks):
-    model = denoiser(features=FEATURES, handles=3, **blocks)
+def test_padding_does_not_reach_real_frames(denoiser, encoder):
+    model = denoiser(features=FEATURES, handles=3, examples=2)
     x = noise(1, 40, FEATURES)
     alone, padded = ask(model, encoder, x[:, :20], [20]), ask(model, encoder, x, [20])
     torch.testing.assert_close(padded[:, :20], alone, atol=1e-5, rtol=1e-4)
-
-
-def test_a_convolution_reaches_no_farther_than_it_says(denoiser):
-    """By itself, without attention, an impulse at a token reaches one token to each side with a kernel of three."""
-    layer = denoiser(features=FEATURES, handles=3, convolution=3).layers[0]
-    x = torch.zeros(1, 9, 16)
-    x[0, 4] = 1
-    changed = (layer.convolution(x, None) - layer.convolution(torch.zeros_like(x), None)).abs().amax(-1)[0]
-    assert (changed[3:6] > 1e-4).all() and changed[:3].max() == 0 and changed[6:].max() == 0
 
 
 def test_what_lies_behind_an_example_and_who_has_none(denoiser, encoder):
@@ -80,8 +67,8 @@ def test_who_drops_the_sentence_drops_its_examples(denoiser, encoder):
     )
 
 
-def test_a_checkpoint_keeps_its_blocks(denoiser, encoder, tmp_path):
-    model = denoiser(features=FEATURES, handles=3, convolution=3, examples=2)
+def test_a_checkpoint_keeps_its_attention_to_examples(denoiser, encoder, tmp_path):
+    model = denoiser(features=FEATURES, handles=3, examples=2)
     other = load_denoiser(save_denoiser(tmp_path / "own.safetensors", model, half=False))
     x, found = noise(1, 24, FEATURES), examples(1)
     torch.testing.assert_close(ask(other, encoder, x, [24], found=found), ask(model, encoder, x, [24], found=found))

@@ -22,7 +22,8 @@ from bunraku.handles.inference.predictor import PredictorConfig
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.nn.layers import gelu, gelu_slope
 from bunraku_lab.nn.apparel.segmentation import SegmentationNetwork, mesh_block, save_segmentation
-from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, load_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.checkpoint import load_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
 from bunraku_lab.nn.diffusion.matching import Extractor, load_extractor, save_extractor
 from bunraku_lab.nn.handles import graph as tensors
@@ -39,12 +40,9 @@ from bunraku_lab.nn.running.networks import (
 KINDS = {
     "plain": {},
     "one frame a token": {"frames_per_token": 1},
-    "convolution": {"convolution": 5},
     "examples": {"examples": 3},
-    "convolution and examples": {"convolution": 3, "examples": 2},
     "mesh in the adaptation": {"adaptation_mesh": True},
     "joints": {"features": 271, "handles": 30, "adaptation_frame": "joints"},
-    "encoder": {"architecture": "encoder"},
 }
 
 
@@ -56,8 +54,8 @@ def randomised(model, seed=0):
 
 
 def tiny_denoiser(config, **changes):
-    model = randomised(build_denoiser(config(features=12, handles=3) if "features" not in changes else config()))
-    return model if not changes else randomised(build_denoiser(replace(model.config, **changes)))
+    model = randomised(Denoiser(config(features=12, handles=3) if "features" not in changes else config()))
+    return model if not changes else randomised(Denoiser(replace(model.config, **changes)))
 
 
 def denoised(model, found, keep, examples=None):

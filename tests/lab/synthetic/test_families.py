@@ -4,17 +4,16 @@ import pytest
 from bunraku.body.layout import HANDLE_MIRROR, HANDLE_NAMES
 from bunraku.errors import OptionError
 from bunraku.geometry.surface import vertex_normals
-from bunraku.samples.fields import ball, bar
 from bunraku.skeletons.bone_names import handle_of_joints
 from bunraku_lab.synthetic.families import (
     EVALUATION_SEED,
     FAMILIES,
-    appendage_names,
     code_made_character,
     code_made_names,
 )
 from bunraku_lab.synthetic.families.model import Chain, Model, Style
 from bunraku_lab.synthetic.families.shapes import block_mesh, melted_mesh, sheet_mesh
+from bunraku_lab.synthetic.samples.fields import ball, bar
 
 H = {name: index for index, name in enumerate(HANDLE_NAMES)}
 UPRIGHT = ("humanoid", "mascot", "mech", "seahorse")
@@ -68,7 +67,7 @@ def test_left_is_left_and_heads_are_up_or_in_front(herd):
                     centre(character, share, name),
                     centre(character, share, HANDLE_NAMES[HANDLE_MIRROR[index]]),
                 )
-                hidden = family in ("humanoid", "critter")  # by a coat, or in the trunk
+                hidden = family == "humanoid"  # by a coat
                 assert (left is None) == (right is None) or hidden, f"{what} {name}"
                 if left is not None and right is not None:
                     assert left[0] > right[0], f"{what} {name}"
@@ -114,21 +113,6 @@ def test_families_have_the_parts_that_they_should(herd):
         assert all(shown("fish", name)), name
 
 
-def test_nothing_over_the_neck_of_a_critter_is_an_arm(herd):
-    """Ears, horns and stalks above the head's joint are of the head; arms of these figures hang from the trunk."""
-    for (family, seed), (character, _, share) in herd.items():
-        if family == "critter":
-            joint = character.rig.positions[list(character.rig.names).index("Head")][1]
-            size = np.ptp(character.vertices[:, 1])
-            over = character.vertices[:, 1] > joint + 0.1 * size
-            standing = over & (share[:, [H["left_wing"], H["right_wing"]]].sum(axis=1) < 0.5)
-            arms = share[:, [H[f"{side}_{part}"] for side in ("left", "right") for part in ("elbow", "wrist")]].sum(
-                axis=1
-            )
-            assert standing.sum() > 20 and arms[standing].max() < 0.5, f"{family} {seed}"
-            assert (share[standing, H["head"]] > 0.5).mean() > 0.9, f"{family} {seed}"
-
-
 def test_the_same_seed_gives_the_same_character_and_another_another():
     first, again, other = (code_made_character("humanoid", seed) for seed in (5, 5, 6))
     np.testing.assert_array_equal(first.vertices, again.vertices)
@@ -139,8 +123,7 @@ def test_the_same_seed_gives_the_same_character_and_another_another():
 def test_names_are_shared_out_and_bad_ones_are_refused():
     names = code_made_names(200)
     assert names[:40] == code_made_names(40) and len(set(names)) == 200
-    beside = {family for family, _ in appendage_names(6)}
-    assert {family for family, _ in names} == set(FAMILIES) - beside and beside < set(FAMILIES)
+    assert {family for family, _ in names} == set(FAMILIES)
     assert sum(family == "humanoid" for family, _ in names) == pytest.approx(90, abs=3)
     with pytest.raises(OptionError, match="no family"):
         code_made_character("unicorn", 0)

@@ -50,10 +50,10 @@ def test_labels_lower_the_loss_of_a_character(bank, gesture):
 def test_the_sampled_loss_is_that_of_the_whole_mesh(bank, gesture):
     """Of the dancer: what the bank's edges say is what `animation_arap` says of all edges, up to sampling."""
     from bunraku.handles.from_rig import rig_handles
-    from bunraku.samples import sample_character
+    from bunraku_lab.synthetic.samples import make_sample
     from bunraku_lab.training.losses.batched_fit import posed_positions
 
-    character = sample_character("dancer", 0.5, rigged=True)
+    character = make_sample("dancer", 0.5, rigged=True)
     handles = rig_handles(character).top(4)
     fitted = fit_locals(*gesture("left_elbow", 4, 1.5), bank, torch.tensor([1]))
     still = np.zeros((4, 3))

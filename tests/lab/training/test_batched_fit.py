@@ -13,8 +13,8 @@ from bunraku.core.skinning import skin_reference
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.handles.from_rig import rig_handles
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.samples import sample_character
 from bunraku_lab.nn.residuals import capped_on_people
+from bunraku_lab.synthetic.samples import make_sample
 from bunraku_lab.training.losses.batched_fit import bone_positions, fit_locals, move_points, posed_positions
 
 
@@ -29,7 +29,7 @@ def motion():
 
 @pytest.mark.parametrize("row", [1, 2])
 def test_it_is_the_fit_of_animations(bank, motion, row):
-    character = sample_character(bank.names[row].removeprefix("samples/"), 0.5, rigged=True)
+    character = make_sample(bank.names[row].removeprefix("samples/"), 0.5, rigged=True)
     handles = rig_handles(character).top(4)
     off = {name: False for name in vars(Stages()) if name not in ("rest_pose", "attach")}
     fitted = fit_motion(motion, Anatomy.of(replace(character, rig=None), handles), Stages(**off))

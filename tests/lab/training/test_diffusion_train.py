@@ -80,12 +80,6 @@ def test_text_tokens_are_dropped_in_training_alone(settings, config, encoder, sw
     assert torch.equal(dropping.example(batch, text, [0, 1], train=False).text.mask, text.mask)
 
 
-def test_a_run_with_a_convolution_keeps_it(settings, config, encoder):
-    path = train_diffusion(settings(steps=2, batch=2), config(convolution=3), encoder)
-    model = load_denoiser(path)
-    assert model.config.convolution == 3 and model.layers[0].convolution.outside.weight.abs().max() > 0
-
-
 def test_training_learns(settings, config, encoder):
     """The motion loss of the four motions falls well below that of the mean pose, which is about their variance."""
     import csv
@@ -147,13 +141,13 @@ def test_mesh_specific_learning_goes_on_after_a_stop(settings, config, encoder, 
 
 
 def test_an_older_state_goes_on(settings, config, encoder, bank_path, tmp_path):
-    """A state of before the discriminator and the newer fields of the network's config."""
+    """A state of before the discriminator, with other fields of the network's config."""
     from bunraku_lab.nn.checkpoints import save_training_state
 
     train_diffusion(settings(steps=1), config(), encoder)
     state = weights(tmp_path / "run")
-    for name in ("architecture", "adaptation_mesh"):
-        state.config["network"].pop(name, None)
+    state.config["network"].pop("adaptation_mesh")
+    state.config["network"] |= {"architecture": "decoder", "convolution": 0}  # fields that are no longer in use
     save_training_state(tmp_path / "run" / "state.safetensors", state)
     train_diffusion(settings(steps=2, character_bank=bank_path, characters=2), config(), encoder)
     assert weights(tmp_path / "run").step == 2 and "discriminator" in weights(tmp_path / "run").models
@@ -194,10 +188,3 @@ def test_the_checkpoint_says_that_creatures_were_trained(settings, config, encod
     index["clips"]["waves_0"] |= {"species": "horse", "action": "walk", "character": "pack/Horse"}
     (swings / "index.json").write_text(json.dumps(index))
     assert load_denoiser(train_diffusion(settings(steps=1), config(), encoder)).notes["creatures"] is True
-
-
-def test_the_encoder_is_trained_in_the_same_way(settings, config, encoder):
-    from bunraku_lab.nn.diffusion.mdm_denoiser import EncoderDenoiser
-
-    model = load_denoiser(train_diffusion(settings(steps=1), config(architecture="encoder"), encoder))
-    assert isinstance(model, EncoderDenoiser) and model.config.architecture == "encoder"

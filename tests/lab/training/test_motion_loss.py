@@ -1,6 +1,6 @@
 import torch
 
-from bunraku_lab.training.losses.motion_loss import motion_losses, step_weights
+from bunraku_lab.training.losses.motion_loss import motion_losses
 
 
 def test_losses_are_the_masked_means_written_out():
@@ -19,10 +19,3 @@ def test_padding_does_not_count():
     predicted = clean.clone()
     predicted[:, 5:] = 9
     assert [float(part) for part in motion_losses(predicted, clean, torch.tensor([5]), torch.ones(3))] == [0, 0]
-
-
-def test_steps_count_by_their_clamped_signal_to_noise_ratio():
-    curve = torch.tensor([0.9, 0.5, 0.1], dtype=torch.float64)  # ratios 9, 1 and 1/9
-    total = 5 + 1 + 1 / 9
-    torch.testing.assert_close(step_weights(curve, 5.0), torch.tensor([15 / total, 3 / total, 1 / (3 * total)]))
-    assert step_weights(curve, 0.0).tolist() == [1, 1, 1]

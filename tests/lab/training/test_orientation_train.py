@@ -9,10 +9,9 @@ import torch
 from bunraku.errors import OptionError
 from bunraku.geometry.axes import ORIENTATIONS
 from bunraku.handles.inference.orientation import OrientationConfig
-from bunraku.samples import sample_character
 from bunraku_lab.datasets.characters.build import training_character
-from bunraku_lab.datasets.characters.surfaces import SurfaceBank
 from bunraku_lab.nn.checkpoints import load_training_state
+from bunraku_lab.synthetic.samples import make_sample
 from bunraku_lab.training.orientation.measures import (
     UPRIGHT,
     fitted_temperature,
@@ -28,8 +27,7 @@ SMALL = OrientationConfig(width=16, layers=1, heads=2, anchors=24)
 @pytest.fixture(scope="module")
 def characters():
     return [
-        training_character(sample_character(name, rigged=True), f"samples/{name}", 300)
-        for name in ("mushroom", "robot")
+        training_character(make_sample(name, rigged=True), f"samples/{name}", 300) for name in ("mushroom", "robot")
     ]
 
 
@@ -128,19 +126,6 @@ def test_results_and_temperature_against_hand_computed_ones():
     assert fitted_temperature(logs) > 2  # half of it is wrong and sure of it
     sure = logs[[0, 3]]
     assert fitted_temperature(sure) == pytest.approx(0.5)
-
-
-def test_surfaces_are_trained_on_and_validated(characters, tmp_path):
-    random = np.random.default_rng(0)
-    points = random.uniform(-0.5, 0.5, (3, 200, 3)).astype(np.float16)
-    bank = SurfaceBank(("a/one", "a/two", "b/three"), points, points)
-    config = settings(tmp_path, surface_share=1.0)
-    trainer = OrientationTrainer(config, characters, characters, surfaces=bank, held_surfaces=bank)
-    assert trainer.surface_chances == pytest.approx(np.array([1, 1, 2**0.5]) / (2 + 2**0.5))
-    before = [weight.clone() for weight in trainer.model.parameters()]
-    trainer.train_step()
-    assert any(not torch.equal(one, other) for one, other in zip(before, trainer.model.parameters(), strict=True))
-    assert 0 <= trainer.validate()["surface_both"] <= 1
 
 
 def test_a_run_may_begin_with_given_weights(characters, tmp_path):

@@ -5,7 +5,8 @@ import torch
 
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.errors import OptionError
-from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.checkpoint import save_denoiser
+from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.training.diffusion.warm_start import rescaled, start_from
 
 TINY = DenoiserConfig(
@@ -15,7 +16,7 @@ TINY = DenoiserConfig(
 
 def denoiser(config=TINY, seed=0):
     torch.manual_seed(seed)
-    model = build_denoiser(config).eval()
+    model = Denoiser(config).eval()
     with torch.no_grad():
         for value in model.parameters():
             value.add_(0.05 * torch.randn_like(value))
@@ -54,33 +55,17 @@ def test_start_from_a_checkpoint(tmp_path):
     assert torch.equal(new.adaptation_out.weight, head) and torch.equal(new.mean, mean)
 
 
-def test_cues_begin_without_effect(tmp_path):
-    """The same sentence gives the same motion, whatever its cues are, until training says otherwise."""
-    old = denoiser()
-    path = save_denoiser(tmp_path / "old.safetensors", old, half=False)
-    name = TINY.text_encoder + "+cues"
-    new = denoiser(replace(TINY, text_encoder=name, pooled_size=8 + 30), seed=1)
-    start_from(path, new)
-    yes = torch.ones(2, dtype=torch.bool)
-    text, pooled = torch.randn(2, 3, 8), torch.randn(2, 8)
-    mask = torch.ones(2, 3, dtype=torch.bool)
-    before = old.condition(text, mask, pooled, None, yes, ~yes)
-    after = new.condition(text, mask, torch.cat([pooled, torch.rand(2, 30)], 1), None, yes, ~yes)
-    for one, other in zip(before, after, strict=True):
-        torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
-    with pytest.raises(OptionError, match="pooled_size differ"):
-        start_from(path, denoiser(replace(TINY, pooled_size=8 + 30)))
-
-
 def test_another_network_is_refused(tmp_path):
     path = save_denoiser(tmp_path / "old.safetensors", denoiser())
     with pytest.raises(OptionError, match="whose width differ"):
         start_from(path, denoiser(replace(TINY, width=48)))
+    with pytest.raises(OptionError, match="pooled_size differ"):
+        start_from(path, denoiser(replace(TINY, pooled_size=8 + 30)))
 
 
-def test_added_blocks_start_without_effect(tmp_path):
-    """A network with a convolution and with examples begins as the one that it starts from."""
-    old, new = denoiser(), build_denoiser(replace(TINY, convolution=3, examples=2)).eval()
+def test_attention_to_examples_starts_without_effect(tmp_path):
+    """A network with examples begins as the one that it starts from."""
+    old, new = denoiser(), Denoiser(replace(TINY, examples=2)).eval()
     new.mean.copy_(old.mean)
     new.std.copy_(old.std)
     start_from(save_denoiser(tmp_path / "old.safetensors", old, half=False), new)
@@ -88,14 +73,3 @@ def test_added_blocks_start_without_effect(tmp_path):
     values = torch.randn(2, 16, TINY.features)
     torch.testing.assert_close(predict(new, values), predict(old, values), atol=1e-6, rtol=1e-5)
     assert new.example_in.weight.shape == (32, 2 * 4 * TINY.features)
-
-
-@pytest.mark.parametrize("before", [{"examples": 2}, {"convolution": 3}])
-def test_a_block_that_is_added_beside_another_begins_without_effect(before, tmp_path):
-    old = denoiser(replace(TINY, **before))
-    new = build_denoiser(replace(TINY, examples=2, convolution=3)).eval()
-    new.mean.copy_(old.mean), new.std.copy_(old.std)
-    start_from(save_denoiser(tmp_path / "old.safetensors", old, half=False), new)
-    new.adaptation_out.load_state_dict(old.adaptation_out.state_dict())
-    values = torch.randn(2, 16, TINY.features)
-    assert torch.allclose(predict(old, values), predict(new, values), atol=1e-4)

@@ -14,7 +14,9 @@ from bodies import body, character, joint, still
 from bunraku.apparel.displacement.own_pendulum import OwnPendulum
 from bunraku.apparel.swing import SWING_NUMBERS, Swing
 from bunraku.core.character import Rig
-from bunraku.physics import ApparelRig, PhysicsSettings, simulate
+from bunraku.physics.apparel_rig import ApparelRig
+from bunraku.physics.settings import PhysicsSettings
+from bunraku.physics.simulate import simulate
 from bunraku.physics.told.swing import vertex_swing
 
 _TURN = np.radians(20.0)

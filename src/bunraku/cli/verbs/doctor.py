@@ -16,7 +16,7 @@ from bunraku.cli.output.outputs import size_text
 
 __all__ = ["Doctor", "Finding"]
 
-PACKAGES = ("numpy", "scipy", "fast-simplification", "moderngl", "av")
+PACKAGES = ("numpy", "scipy", "fast-simplification", "av")
 WEIGHTS = {
     "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",
     "orientation": "`bunraku animate` and `bunraku rig` do not see how a mesh stands; they need --up and --front",
@@ -26,7 +26,7 @@ WEIGHTS = {
     "tagger": "words of German, French, Spanish, Japanese and Chinese that the table of words lacks are not read",
     "critic": "`bunraku animate` does not guide motions towards their sentences, and fewer do what these say",
 }
-DISTRIBUTIONS = {"pxr": "usd-core", "motionmcp": "motionmcp-sdk", "mujoco": "mujoco-core"}
+DISTRIBUTIONS = {"pxr": "usd-core", "mujoco": "mujoco-core"}
 """Names of packages that are imported by another."""
 EXTRAS = {
     "mujoco": ("physics", "`--apparel simulate` and `chains` do not work"),
@@ -39,7 +39,6 @@ EXTRAS = {
     "ray": ("ray", "`--jobs ray` does not work; `--jobs` with a number needs nothing"),
     "pxr": ("usd", "USD is not written"),
     "mcp": ("serve", "`bunraku serve` does not work"),
-    "motionmcp": ("mmcp", "`bunraku serve --mmcp` does not work"),
     "anny": ("body", "the reference body cannot be built again; the shipped one is all that a user needs"),
 }
 
@@ -138,18 +137,14 @@ def _processor() -> Iterator[Finding]:
 
 
 def _preview() -> Iterator[Finding]:
-    from bunraku.render import backend
-
-    chosen = backend()
-    yield Finding("preview", "ok", f"{chosen.name} renderer: {chosen.reason}")
     from bunraku.render.loops.native import native
 
     loops = native()
     if loops.library is not None:
-        yield Finding("preview loops", "ok", f"compiled: {loops.reason}")
+        yield Finding("preview", "ok", f"compiled loops: {loops.reason}")
     else:
         cost = "previews are the same pictures, and take about ten times as long; install a C compiler such as gcc"
-        yield Finding("preview loops", "optional", f"in numpy: {loops.reason}", cost)
+        yield Finding("preview", "optional", f"loops in numpy: {loops.reason}", cost)
 
 
 def _weights() -> Iterator[Finding]:

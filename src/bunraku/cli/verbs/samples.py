@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +12,6 @@ from bunraku.cli.output.alone import alone
 from bunraku.cli.output.checks import check_folder
 from bunraku.cli.output.ledger import check_free
 from bunraku.cli.output.outputs import wrote
-from bunraku.cli.output.progress import stages
 from bunraku.errors import OptionError
 
 __all__ = ["Samples"]
@@ -21,7 +19,7 @@ __all__ = ["Samples"]
 
 @dataclass(frozen=True)
 class Samples:
-    """Write the sample characters, which are made by code, as GLB files.
+    """Write the sample characters as GLB files.
 
     Example: bunraku samples person mushroom -o characters
     """
@@ -52,18 +50,11 @@ class Samples:
             self._write(outputs)
 
     def _write(self, outputs: dict[str, Path]) -> None:
-        """Make the samples and write those that are not there yet."""
-        from bunraku.formats.files import atomic_write
-        from bunraku.io import save_character
-        from bunraku.samples import sample_character
+        """Write the samples that are not there yet."""
+        from bunraku.formats.files import atomic_write, read_bounded
+        from bunraku.samples import sample_file
 
-        with stages() as report, tempfile.TemporaryDirectory() as scratch:
-            made = {name: Path(scratch) / f"{name}.glb" for name in outputs}
-            for number, name in enumerate(made):
-                report("samples", number / len(made))
-                save_character(sample_character(name), made[name])
-            report("samples", 1.0)
-            todo = {name: path.read_bytes() for name, path in made.items()}
+        todo = {name: read_bounded(sample_file(name)) for name in outputs}
         there = [name for name, path in outputs.items() if path.is_file() and path.read_bytes() == todo[name]]
         check_free([path for name, path in outputs.items() if name not in there], self.overwrite, ours=False)
         if there:

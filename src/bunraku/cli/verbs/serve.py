@@ -25,23 +25,8 @@ class Serve:
 
     folder: tyro.conf.Positional[Path] = Path()
     """Where files are read and written."""
-    mmcp: bool = False
-    """Serve the Motion Model Context Protocol in place of it: motion of a skeleton from sentences, by HTTP to programs
-    of this machine alone. FOLDER is not looked at.
-    """
-    port: int = 8000
-    """Port of --mmcp."""
 
     def run(self) -> None:
-        if self.mmcp:
-            from bunraku.serving.mmcp_server import mmcp_app
-
-            app = mmcp_app()
-            import uvicorn
-
-            print(f"mmcp: http://127.0.0.1:{self.port}", flush=True)
-            uvicorn.run(app, host="127.0.0.1", port=self.port, log_level="warning")
-            return
         if not self.folder.is_dir():
             raise FormatError(self.folder, "this is no folder; name one that is there")
         from bunraku.serving.mcp_server import mcp_server

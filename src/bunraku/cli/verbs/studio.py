@@ -32,8 +32,6 @@ class Studio:
     """Only print the address."""
     host: str = "127.0.0.1"
     """Address to listen at. All but this machine's own needs a password, in the variable BUNRAKU_STUDIO_PASSWORD."""
-    study: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """Show the blind study in this folder (`bunraku study make`)."""
 
     def run(self) -> None:
         check_range("--port", self.port, 0, 65535)
@@ -42,5 +40,5 @@ class Studio:
 
         serve(
             self.folder or default_folder(), port=self.port, host=self.host,
-            password=os.environ.get("BUNRAKU_STUDIO_PASSWORD", ""), browser=not self.no_browser, study=self.study,
+            password=os.environ.get("BUNRAKU_STUDIO_PASSWORD", ""), browser=not self.no_browser,
         )  # fmt: skip

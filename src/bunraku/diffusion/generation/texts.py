@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bunraku.diffusion.extractor_config import RADIUS
 from bunraku.diffusion.generation.networks import Networks
-from bunraku.diffusion.inference.extractor import Extractor, sentence_vectors
 from bunraku.language.encoders import TextBatch, encoder_of
 from bunraku.language.sentence import Clause
 from bunraku.nn.threads import one_thread
+
+if TYPE_CHECKING:
+    from bunraku.diffusion.inference.extractor import Extractor
 
 __all__ = ["Texts"]
 
@@ -49,6 +51,9 @@ class Texts:
             shows: Whether examples are to be looked up.
             critic: What guides motions; None for nothing.
         """
+        from bunraku.diffusion.extractor_config import RADIUS
+        from bunraku.diffusion.inference.extractor import sentence_vectors
+
         clauses = [clause for script in scripts for clause in script]
         clauses += [part for clause in clauses for part in clause.parts] if shows else []
         voices = [one for clause in clauses for one in (clause, *clause.voices)] if shows else []

@@ -8,7 +8,6 @@ examples.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 
 from bunraku.body.layout import HANDLE_PARENTS
 from bunraku.body.residuals import capped
-from bunraku.diffusion.denoiser_config import ARCHITECTURES, DenoiserConfig
+from bunraku.diffusion.denoiser_config import DenoiserConfig, denoiser_config
 from bunraku.diffusion.features import ROOT_SIZE
 from bunraku.diffusion.inference.examples import EXAMPLE_TOKENS, RetrievedExamples
 from bunraku.diffusion.inference.few_steps import load_few_steps
@@ -28,14 +27,12 @@ from bunraku.diffusion.inference.layers import (
 )
 from bunraku.errors import WeightsError
 from bunraku.geometry.rotations import matrix_from_6d
-from bunraku.nn.checkpoints import config_of, load_checkpoint, read_config
-from bunraku.nn.layers import Memory, Norm, PreNorm, Rotary, hidden_by, normed, silu
+from bunraku.nn.checkpoints import load_checkpoint, read_config
+from bunraku.nn.layers import Memory, Norm, Rotary, hidden_by, normed, silu
 from bunraku.nn.weights import Weights
 
 __all__ = [
     "Denoiser",
-    "EncoderDenoiser",
-    "build_denoiser",
     "joint_offsets",
     "load_denoiser",
     "load_denoiser_of_few_steps",
@@ -93,9 +90,9 @@ class Denoiser:
             for index in range(config.layers)
         ]
         self.final = weights.linear("final", width, 2 * width)
-        more = 3 * config.added_blocks
-        self.steer_more = weights.linear("steer_more", width, more * width) if more else None
+        self.steer_more = None
         if config.examples:
+            self.steer_more = weights.linear("steer_more", width, 3 * width)
             frames = config.features * config.frames_per_token * EXAMPLE_TOKENS
             self.example_in = weights.linear("example_in", frames, width)
             self.example_sentence_in = weights.linear("example_sentence_in", config.pooled_size, width)
@@ -251,51 +248,6 @@ class Denoiser:
         return normed(h, Norm(1 + scale, shift))
 
 
-class EncoderDenoiser(Denoiser):
-    """The denoiser that TapMo is compared with, "TapMo (MDM)" of its Table 1: an encoder with one token for all that it
-    is told.
-    """
-
-    def _build(self, weights: Weights) -> None:
-        config = self.config
-        inner = config.feedforward + 2 * config.width
-        self.encoder_layers = [
-            PreNorm(
-                part.attention("self_in", "self_out", config.width, config.heads),
-                part.norm("norm_a", config.width),
-                part.feed_forward("wide", "narrow", config.width, inner),
-                part.norm("norm_b", config.width),
-            )
-            for part in (weights.part(f"layers.{index}") for index in range(config.layers))
-        ]
-        self.norm_out = weights.norm("norm_out", config.width)
-
-    def condition(
-        self,
-        text: np.ndarray | None,
-        text_mask: np.ndarray | None,
-        pooled: np.ndarray | None,
-        mesh: np.ndarray | None,
-        keep_text: np.ndarray,
-        keep_mesh: np.ndarray,
-        examples: RetrievedExamples | None = None,
-    ) -> Condition:
-        """The one token, but for the step; arguments as in `Denoiser.condition`."""
-        sentence = self._sentence(pooled, keep_text) + self._mesh_token(mesh, keep_mesh)
-        return Condition([], None, sentence, sentence, [], None)
-
-    def hidden(self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition) -> np.ndarray:
-        """As `Denoiser.hidden`."""
-        entered, real = self._tokens(x, lengths)
-        token = (condition.sentence + self._step(step))[:, None]
-        h = np.concatenate([token, entered], axis=1)
-        h += waves(np.arange(h.shape[1], dtype=np.float32), self.config.width)
-        hidden = None if real is None else hidden_by(np.pad(real, ((0, 0), (1, 0)), constant_values=True))
-        for layer in self.encoder_layers:
-            h = layer(h, hidden)
-        return self.norm_out(h[:, 1:])
-
-
 def joint_offsets(moves: np.ndarray, features: np.ndarray) -> np.ndarray:
     """The adaptation that moves joints: delta_k = delta_p + (R_p - R_k) d_k for a handle k and its parent p, shape (B,
     N, K, 3).
@@ -316,23 +268,6 @@ def joint_offsets(moves: np.ndarray, features: np.ndarray) -> np.ndarray:
     for handle, parent in enumerate(parents, start=1):
         offsets.append(offsets[parent] + own[:, :, handle - 1])
     return np.stack(offsets, axis=2)
-
-
-def build_denoiser(
-    config: DenoiserConfig, weights: Weights, notes: dict[str, Any] | None = None, visited: tuple[int, ...] = ()
-) -> Denoiser:
-    """The denoiser that a config describes; both kinds are called alike.
-
-    Raises:
-        WeightsError: The architecture is unknown.
-        ValueError: The weights have other sizes.
-    """
-    if config.architecture == "decoder":
-        return Denoiser(config, weights, notes, visited)
-    if config.architecture == "encoder":
-        plain = replace(config, convolution=0, examples=0)
-        return EncoderDenoiser(plain, weights, notes, visited)
-    raise WeightsError(f"the architecture '{config.architecture}' is unknown; there are {' and '.join(ARCHITECTURES)}")
 
 
 def load_denoiser(path: str | Path) -> Denoiser:
@@ -371,7 +306,7 @@ def _built(
     notes = config.pop("notes", None)
     try:
         weights = Weights(state)
-        model = build_denoiser(config_of(DenoiserConfig, config), weights, dict(notes or {}), visited)
+        model = Denoiser(denoiser_config(config), weights, dict(notes or {}), visited)
         weights.done()
     except Exception as error:
         raise WeightsError(

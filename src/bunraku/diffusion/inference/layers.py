@@ -1,4 +1,4 @@
-"""What a layer of the denoiser is made of, as it runs: attention, and blocks that a config may add beside it.
+"""What a layer of the denoiser is made of, as it runs: attention to itself, to the sentence and to examples.
 
 The laboratory has the definitions, and the papers that they are from.
 """
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bunraku.diffusion.denoiser_config import DenoiserConfig
-from bunraku.nn.layers import Attention, Memory, Norm, Rotary, hidden_by, normed, silu, split_heads, turned
+from bunraku.nn.layers import Attention, Memory, Norm, Rotary, hidden_by, split_heads, turned
 from bunraku.nn.weights import Weights
 
 __all__ = ["Condition", "DecoderLayer", "rotary_positions", "waves"]
@@ -71,7 +71,7 @@ class DecoderLayer:
     """Self-attention, cross-attention, feed-forward; each behind an adaptive norm and a gate.
 
     Args:
-        config: Sizes, and which blocks are added.
+        config: Sizes.
         weights: Of the layer.
         examples: Whether this layer attends to examples.
     """
@@ -85,13 +85,8 @@ class DecoderLayer:
         self.cross = Attention(query, out, config.heads)
         self.cross_memory = weights.linear("cross_memory", width, 2 * width)
         self.mix = weights.feed_forward("wide", "narrow", width, config.feedforward)
-        if config.added_blocks:
-            self.offset = np.concatenate([self.offset, weights.array("offset_more", 3 * config.added_blocks, width)])
-        self.kernel = None
-        if config.convolution:
-            part = weights.part("convolution")
-            self.kernel = part.array("kernel", config.convolution, width)
-            self.outside = part.linear("outside", width, width)
+        if config.examples:
+            self.offset = np.concatenate([self.offset, weights.array("offset_more", 3, width)])
         self.examples = None
         if examples:
             part = weights.part("examples")
@@ -120,7 +115,7 @@ class DecoderLayer:
 
         Args:
             x: Hidden states, shape (B, T, d), which it takes to write on.
-            steer: Scale, shift and gate of each block, shape (B, 9 and 3 for each added block, d).
+            steer: Scale, shift and gate of each block, shape (B, 9, or 12 with examples, d).
             rotary: Of the tokens.
             real: Which tokens are real, shape (B, T); None where all are.
             condition: What they read.
@@ -130,23 +125,8 @@ class DecoderLayer:
         scales = 1 + parts[::3]
         hidden = None if real is None else hidden_by(real)
         x = self.own(x, Norm(scales[0], parts[1]), None, hidden, rotary, parts[2])
-        if self.kernel is not None:
-            x += parts[11] * self._convolved(normed(x, Norm(scales[3], parts[10])), real)
         x = self.cross(x, Norm(scales[1], parts[4]), condition.memories[index], condition.hidden, None, parts[5])
         examples = condition.examples[index]
         if self.examples is not None and examples is not None:
             x = self.examples(x, Norm(scales[-1], parts[-2]), examples, condition.hidden_examples, rotary, parts[-1])
         return self.mix(x, Norm(scales[2], parts[7]), parts[8])
-
-    def _convolved(self, x: np.ndarray, real: np.ndarray | None) -> np.ndarray:
-        """A depthwise convolution over time, then a linear layer over channels; what lies behind the end counts as
-        zero, as what lies before the start does.
-        """
-        assert self.kernel is not None
-        tokens, reach = x.shape[1], len(self.kernel)
-        padded = np.zeros((len(x), tokens + 2 * (reach // 2), x.shape[2]), np.float32)
-        padded[:, reach // 2 : reach // 2 + tokens] = x if real is None else x * real[..., None]
-        mixed = padded[:, :tokens] * self.kernel[0]
-        for shift in range(1, reach):
-            mixed += padded[:, shift : shift + tokens] * self.kernel[shift]
-        return self.outside(silu(mixed))

@@ -11,8 +11,8 @@ from scipy.sparse import csr_matrix
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.diffusion.inference.denoiser import Denoiser
 from bunraku.diffusion.inference.examples import RetrievedExamples
-from bunraku.diffusion.sampling.noise import generator, starting_noise
-from bunraku.diffusion.sampling.solvers import ancestral, dpm_solver, sampling_steps
+from bunraku.diffusion.sampling.noise import starting_noise
+from bunraku.diffusion.sampling.solvers import dpm_solver, sampling_steps
 from bunraku.language.encoders import TextBatch
 from bunraku.nn.threads import side_by_side
 
@@ -135,14 +135,12 @@ class Solver:
         steps: Predictions of x0 that are made, one after the other.
         guidance: Scale of classifier-free guidance; 1 is the conditional model alone and takes half the time.
         rescale: Share of guidance rescaling, 0 to 1.
-        method: "dpm", or "ddpm" for the ancestral reference.
         progress: Called with (done, total) steps.
     """
 
     steps: int = 8
     guidance: float = 3.0
     rescale: float = 0.0
-    method: str = "dpm"
     progress: Progress | None = None
 
 
@@ -195,7 +193,7 @@ def sample(
     ]
     noise = starting_noise(rows, longest, model.config.features, seed).reshape(rows * longest, -1)
     steering = Steering(known=None if known is None else known.spread())
-    found = sample_windows(model, text, windows, noise, solver, steering, mesh_features=mesh_features, seed=seed)
+    found = sample_windows(model, text, windows, noise, solver, steering, mesh_features=mesh_features)
     values, adaptation = (part.reshape(rows, longest, *part.shape[1:]) for part in (found.values, found.adaptation))
     return Sample(values, adaptation)
 
@@ -209,7 +207,6 @@ def sample_windows(
     steering: Steering = Steering(),
     *,
     mesh_features: np.ndarray | None = None,
-    seed: int = 0,
 ) -> Sample:
     """Denoise a time line through windows, all of them at each step: where they overlap, x0 is the mean of what they
     predict.
@@ -226,18 +223,12 @@ def sample_windows(
         solver: How it is denoised.
         steering: What acts on the predictions.
         mesh_features: f_phi of each sentence's character, shape (B, 448).
-        seed: Of the noise that the ancestral sampler adds.
 
     Returns:
         Values (F, D) and adaptation (F, K, 3); zero in frames that no window counts in.
     """
     predictor = Predictor(model, text, windows, len(noise), solver, steering, mesh_features)
-    if solver.method == "dpm":
-        values = dpm_solver(predictor, noise, predictor.visited, solver.progress, 1 if model.visited else 2)
-    elif solver.method == "ddpm":
-        values = ancestral(predictor, noise, predictor.visited, generator(seed, -1), solver.progress)
-    else:
-        raise ValueError(f"there is no sampler '{solver.method}'; take 'dpm' or 'ddpm'")
+    values = dpm_solver(predictor, noise, predictor.visited, solver.progress, 1 if model.visited else 2)
     return Sample(values, predictor.adaptation)
 
 

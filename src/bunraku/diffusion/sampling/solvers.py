@@ -1,10 +1,9 @@
-"""The noise schedule, the steps that a sampler visits, and solvers: from x_T to x_0 by predictions of x_0.
+"""The noise schedule, the steps that a sampler visits, and the solver: from x_T to x_0 by predictions of x_0.
 
 The schedule is the cosine of 1,000 steps (Nichol & Dhariwal 2021).
 
-The default is DPM-Solver++ (2M) for networks that predict x0 (Lu et al. 2022, algorithm 2), which needs 10 to 30 steps;
-the ancestral sampler of DDPM (Ho et al. 2020) is the reference beside it. The solver is written out here because
-importing diffusers' takes twice as long as torch itself; a test holds the two together.
+The solver is DPM-Solver++ (2M) for networks that predict x0 (Lu et al. 2022, algorithm 2), which needs 10 to 30 steps.
+It is written out here because importing diffusers' takes twice as long as torch itself; a test holds the two together.
 """
 
 from __future__ import annotations
@@ -15,9 +14,8 @@ from collections.abc import Callable
 import numpy as np
 
 from bunraku.diffusion.denoiser_config import TRAINING_STEPS
-from bunraku.diffusion.sampling.noise import Noise
 
-__all__ = ["alphas_cumprod", "ancestral", "dpm_solver", "sampling_steps"]
+__all__ = ["alphas_cumprod", "dpm_solver", "sampling_steps"]
 
 
 FEW, MANY = (4, (-3.5, 2.0)), (20, (-6.0, 4.0))
@@ -90,36 +88,6 @@ def dpm_solver(
             direction = clean + 0.5 * ratio * (clean - before[0])
         x = (sigma_next / sigma) * x - alpha_next * math.expm1(here - there) * direction
         before = (clean, here)
-        if progress is not None:
-            progress(index + 1, len(steps))
-    return x
-
-
-def ancestral(
-    predict: Predict, noise: np.ndarray, steps: list[int], generator: Noise, progress: Progress | None = None
-) -> np.ndarray:
-    """The sampler of DDPM: draws each x_{t-1} from the posterior q(x_{t-1} | x_t, x0); with all 1,000 steps, the
-    reference.
-
-    Args:
-        predict: (x_t, t) -> x0.
-        noise: x_T, of any shape.
-        steps: Training steps to visit, falling.
-        generator: Draws the noise of each step.
-        progress: Called with (done, total).
-    """
-    curve, x = alphas_cumprod(), noise
-    for index, step in enumerate(steps):
-        share = float(curve[step])
-        share_next = float(curve[steps[index + 1]]) if index + 1 < len(steps) else 1.0
-        kept = share / share_next
-        clean = predict(x, step)
-        mean = (
-            math.sqrt(share_next) * (1 - kept) / (1 - share) * clean
-            + math.sqrt(kept) * (1 - share_next) / (1 - share) * x
-        )
-        variance = (1 - kept) * (1 - share_next) / (1 - share)
-        x = mean + math.sqrt(variance) * generator.draw(*x.shape) if variance > 0 else mean
         if progress is not None:
             progress(index + 1, len(steps))
     return x

@@ -136,7 +136,6 @@ def sample_plans(
         solver,
         steering or Steering(),
         mesh_features=mesh_features,
-        seed=drawn[0][0],
     )
     ends = np.cumsum(lengths)[:-1]
     parts = np.split(found.values, ends), np.split(found.adaptation, ends)

@@ -6,7 +6,6 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.core.resample import resample_motion
@@ -111,6 +110,8 @@ def _hierarchy(skeleton: Skeleton, offsets: np.ndarray, order: str) -> tuple[lis
 
 def _angles(rotations: np.ndarray, order: str, before: np.ndarray | None) -> np.ndarray:
     """Angles of rotations (N, J, 3, 3) [degrees], shape (N, J, 3), without jumps by whole turns from frame to frame."""
+    from scipy.spatial.transform import Rotation
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of gimbal lock: one of the solutions is as good as another
         angles = (

@@ -11,7 +11,7 @@ import numpy as np
 
 from bunraku.core.motion import SkeletalMotion
 from bunraku.core.resample import checked_fps
-from bunraku.errors import FormatError, OptionError
+from bunraku.errors import FormatError, MotionError, OptionError
 from bunraku.formats.files import atomic_write
 from bunraku.formats.gltf.builder import GltfBuilder
 from bunraku.formats.vrm.vrma import EXTENSION, VRM_BONES
@@ -27,7 +27,7 @@ def write_vrma(motion: SkeletalMotion, path: str | Path, *, fps: float | None = 
     y = 0.
 
     Args:
-        motion: Of any humanoid skeleton; those that do not have SMPL's 22 joints are turned into ones that do.
+        motion: Of SMPL's 22 joints; `bunraku.skeletons.to_smpl` converts other skeletons.
         path: The file.
         fps: Frames a second of the keys [1/s]; those of the motion by default.
         name: The clip's name; the file's by default.
@@ -37,18 +37,17 @@ def write_vrma(motion: SkeletalMotion, path: str | Path, *, fps: float | None = 
 
     Raises:
         FormatError: The file cannot be written.
-        MotionError: No humanoid is found in the skeleton.
+        MotionError: The skeleton does not have SMPL's 22 joints.
         OptionError: `fps` is no number from 1 to 1000, or the motion has no frame.
     """
     from bunraku.body.layout import JOINT_NAMES  # after the formats, in the order of imports
     from bunraku.core.resample import resample_motion
-    from bunraku.skeletons.to_smpl import to_smpl
 
     path = Path(path)
     if not len(motion):
         raise OptionError("a motion without frames cannot be written; give it at least one")
     if motion.skeleton.names != JOINT_NAMES:
-        motion = to_smpl(motion)
+        raise MotionError("a VRMA holds the motion of SMPL's 22 joints; convert the skeleton with to_smpl first")
     motion = resample_motion(motion, checked_fps(fps, motion.fps))
     builder = GltfBuilder({"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"nodes": [0]}]})
     _add_bones(builder, motion)

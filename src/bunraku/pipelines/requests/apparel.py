@@ -9,7 +9,6 @@ from pathlib import Path
 from bunraku.core.request.constraint import Constraint
 from bunraku.core.request.limits import GRAVITY, STIFFNESS
 from bunraku.errors import OptionError
-from bunraku.physics.engine import check_engine
 
 __all__ = ["APPAREL", "Apparel"]
 
@@ -61,6 +60,8 @@ class Apparel:
             OptionError: It cannot.
             MissingExtraError: What simulates is not installed.
         """
+        from bunraku.physics.engine import check_engine
+
         if self.mask is not None and self.mask.suffix.lower() not in MASKS:
             raise OptionError(
                 f"apparel moves by 'auto', 'none', 'simulate', 'chains' or 'learn', or is named by a mask "

@@ -1,1 +1,1 @@
-"""The loops of the renderers, in C and in numpy."""
+"""The loops of the renderer, in C and in numpy."""

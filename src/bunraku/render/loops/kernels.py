@@ -1,4 +1,4 @@
-"""The loops of the renderers: compiled from `kernels.c` where there is a C compiler, in numpy where there is none
+"""The loops of the renderer: compiled from `kernels.c` where there is a C compiler, in numpy where there is none
 (`reference.py`, where each is described).
 
 The compiled ones let other threads go on, so that frames are drawn side by side.

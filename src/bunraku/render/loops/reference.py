@@ -1,4 +1,4 @@
-"""The loops of the renderers in numpy: what `kernels.c` computes, readable, and what draws where it is not compiled."""
+"""The loops of the renderer in numpy: what `kernels.c` computes, readable, and what draws where it is not compiled."""
 
 from __future__ import annotations
 

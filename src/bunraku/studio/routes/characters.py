@@ -67,16 +67,14 @@ def _fresh(title: str, file: str) -> dict[str, Any]:
 
 
 def _sampled(state: State, sample: str) -> dict[str, Any]:
-    from bunraku.io import save_character
-    from bunraku.samples import sample_character, sample_names
+    from bunraku.samples import sample_file
 
-    if sample not in sample_names():
-        raise OptionError(f"there is no sample '{sample[:40]}'; there are {', '.join(sample_names())}")
+    file = sample_file(sample)
     record = state.store.new("characters", _fresh(sample, ""))
     try:
         source = state.store.folder_of("characters", record["id"]) / "source"
         source.mkdir()
-        save_character(sample_character(sample), source / f"{sample}.glb")
+        shutil.copyfile(file, source / f"{sample}.glb")
         return state.open(record["id"], f"source/{sample}.glb")
     except BaseException:
         state.store.drop("characters", record["id"])

@@ -40,7 +40,6 @@ async def about(request: Request) -> Any:
         "fps": [FPS.low, FPS.high],
         "presets": preset_rows(),
         "samples": list(sample_names()),
-        "study": state.session is not None,
         "folder": state.store.folder.name,
         "worker": {"warm": state.jobs.warm, "process": state.jobs.process_id},
         "event": state.jobs.changes.last,

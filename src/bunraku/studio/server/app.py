@@ -23,7 +23,7 @@ from bunraku.studio.forms.exports import ClipsForm
 from bunraku.studio.forms.takes import TakeForm, TakeRecordForm
 from bunraku.studio.jobs import QueueFull
 from bunraku.studio.responses import is_full, sentence_of
-from bunraku.studio.routes import characters, files, general, library, studies, takes
+from bunraku.studio.routes import characters, files, general, library, takes
 from bunraku.studio.server.openapi import document_of
 from bunraku.studio.server.safety import Guard, Keys
 from bunraku.studio.state import State
@@ -40,22 +40,23 @@ READS: dict[tuple[str, str], type] = {
 }
 """What the body of a route is read as."""
 STATIC = Path(__file__).parents[1] / "static"
+VIEW = Path(__file__).parents[2] / "render" / "view" / "view.js"
+"""The script of `.html` files, from which the page takes three.js."""
 
 
-def studio_app(folder: Path, keys: Keys | None = None, study: Path | None = None, warm: bool = True) -> Starlette:
+def studio_app(folder: Path, keys: Keys | None = None, warm: bool = True) -> Starlette:
     """The application.
 
     Args:
         folder: Where it keeps its things.
         keys: Who is let in.
-        study: The folder of a blind study that is shown.
         warm: Start the worker with the application, and the sample where there is nothing yet.
 
     Raises:
-        FormatError: The folder cannot be used, or the study is broken.
+        FormatError: The folder cannot be used.
     """
     keys = keys or Keys()
-    state = State(Store(folder), study)
+    state = State(Store(folder))
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -66,7 +67,7 @@ def studio_app(folder: Path, keys: Keys | None = None, study: Path | None = None
         finally:
             state.stop()
 
-    api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, *library.ROUTES, *files.ROUTES, *studies.ROUTES]
+    api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, *library.ROUTES, *files.ROUTES]
     api.append(("/openapi.json", ("GET",), described))
     app = Starlette(
         routes=[
@@ -74,6 +75,7 @@ def studio_app(folder: Path, keys: Keys | None = None, study: Path | None = None
                 "/api", routes=[Route(path, _told(handler), methods=list(methods)) for path, methods, handler in api]
             ),
             Route("/", _page),
+            Route("/view.js", _view),
             Mount("/", app=StaticFiles(directory=STATIC)),
         ],
         middleware=[Middleware(Guard, keys=keys)],
@@ -92,6 +94,10 @@ async def described(request: Request) -> Any:
 
 async def _page(request: Request) -> Response:
     return FileResponse(STATIC / "index.html")
+
+
+async def _view(request: Request) -> Response:
+    return FileResponse(VIEW)
 
 
 async def _no_such_page(request: Request, error: Exception) -> Response:

@@ -29,7 +29,6 @@ def serve(
     host: str = "127.0.0.1",
     password: str = "",
     browser: bool = True,
-    study: Path | None = None,
 ) -> None:
     """Serve the studio until Ctrl-C.
 
@@ -39,7 +38,6 @@ def serve(
         host: Address to listen at; all but this machine's own needs a password.
         password: What others type.
         browser: Open the page.
-        study: The folder of a blind study to show.
 
     Raises:
         MissingExtraError: Starlette or uvicorn is not installed.
@@ -66,7 +64,7 @@ def serve(
     if not (STATIC / "index.html").is_file():
         raise BunrakuError("the studio's page is not in this installation; install Bunraku again, or run `make studio`")
     keys = Keys(password=password, hosts=LOCAL if local else (), token=secrets.token_urlsafe(24))
-    app = studio_app(folder, keys, study)
+    app = studio_app(folder, keys)
     listener = _listen(host, port)
     port = listener.getsockname()[1]
     address = f"http://{'localhost' if local else host}:{port}/#token={keys.token}"

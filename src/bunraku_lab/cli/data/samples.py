@@ -112,10 +112,6 @@ class Characters:
     """Most vertices of a simplified mesh, 200 to 20000."""
     code_made: int = 600
     """How many characters made by code to add, 0 to 100000."""
-    appendages: int = 0
-    """How many characters with large ears, horns, trunks and the like to add, made by code, 0 to 100000."""
-    fused: int = 0
-    """How many fused forms of each character to add, as image-to-3D programs make them, 0 to 100."""
     clothes: Path | None = None
     """Folder of MakeHuman clothes and hair (.mhclo); with --body-data, dressed people are made too."""
     body_data: Path | None = None
@@ -127,8 +123,6 @@ class Characters:
         _check(self.source, self.output)
         check_range("--vertices", self.vertices, 200, 20000)
         check_range("--code-made", self.code_made, 0, 100_000)
-        check_range("--appendages", self.appendages, 0, 100_000)
-        check_range("--fused", self.fused, 0, 100)
         check_range("--dressed", self.dressed, 1, 100_000)
         if (self.clothes is None) != (self.body_data is None):
             raise OptionError("dressed people need both --clothes and --body-data; give both or neither")
@@ -143,8 +137,6 @@ class Characters:
                 self.vertices,
                 progress=lambda done, total, name: report("characters", done / total),
                 code_made=self.code_made,
-                appendages=self.appendages,
-                fused=self.fused,
             )
         if not files:
             raise FormatError(

@@ -39,8 +39,6 @@ class EvaluateApparel(Printed):
     """Body networks to measure (Table 4), the first in Table 3 too. Default: the shipped one."""
     refinement: Path | None = None
     """Joint refinement of Table 3. Default: the shipped one."""
-    literal: Path | None = None
-    """Displacement network of the paper's own form (trained with --network.frame world --head 0), for its rows."""
     quick: bool = False
     """A few clips, and what takes long left out. Without --data and --files the clips are simulated for it, of
     characters and motions that are made by code.
@@ -52,7 +50,7 @@ class EvaluateApparel(Printed):
         check_range("--clips", self.clips, 1, 10_000)
         if self.data is None and not self.files and not self.quick:
             raise OptionError("there is nothing to measure; name --data, --files, or both, or give --quick")
-        networks = (self.weights, self.masks, self.refinement, self.literal)
+        networks = (self.weights, self.masks, self.refinement)
         for path in (*self.files, *self.bodies, *(p for p in networks if p is not None)):
             check_input(path)
         check_source(self.motions, "name a folder that `bunraku data motions` wrote")
@@ -61,8 +59,8 @@ class EvaluateApparel(Printed):
         with stages() as report:
             config = ApparelEvalConfig(
                 self.data, self.motions, self.files, clips=6 if self.quick else self.clips, weights=self.weights,
-                masks=self.masks, bodies=self.bodies, refinement=self.refinement, literal=self.literal,
-                quick=self.quick, chains=self.chains,
+                masks=self.masks, bodies=self.bodies, refinement=self.refinement, quick=self.quick,
+                chains=self.chains,
             )  # fmt: skip
             result = evaluate_apparel(config, report)
         self.show(result, _report)

@@ -23,7 +23,7 @@ _COLUMNS = (
     ("mm_dist", "MM-Dist"), ("diversity", "Diversity"), ("multimodality", "MModality"),
 )  # fmt: skip
 _NAMES = {
-    "real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)",
+    "real": "Real", "tapmo": "TapMo (ours)",
     "tapmo_distilled": "- four steps", "tapmo_guided": "- guided",
     "tapmo_led": "- from examples", "tapmo_chosen": "- as chosen", "others": "Others",
 }  # fmt: skip
@@ -35,7 +35,7 @@ class EvaluateMotion(Printed):
 
     Motions of the table are kept in the folder --work, so the same command goes on where a run was stopped.
 
-    Example: bunraku evaluate motion --data data/motions --mdm runs/mdm/diffusion.safetensors --json
+    Example: bunraku evaluate motion --data data/motions --json
     """
 
     data: Path
@@ -44,8 +44,6 @@ class EvaluateMotion(Printed):
     """Folder of rigged characters (the archive), for what is measured on characters. Left out without it."""
     checkpoint: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Weights of the diffusion model. Default: the shipped ones."""
-    mdm: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """Weights of the encoder-only model (`bunraku train diffusion --preset mdm`), for its row. Left out without it."""
     motions: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Folder of another method's motions, one file for each row of what --prompts-to writes, for a row of their own."""
     prompts_to: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
@@ -76,12 +74,6 @@ class EvaluateMotion(Printed):
     """What is chosen from starts from captured examples."""
     classifier_guidance: bool = True
     """What is predicted is guided towards its sentence by the ranker's gradient, in the rows beside the network's."""
-    reference_steps: int = 0
-    """Compare the default sampler with so many steps of DDPM's, 1000 for the paper's; hours on a processor. 0 leaves it
-    out.
-    """
-    reference_clips: int = 256
-    """Motions that this comparison is made on."""
     quick: bool = False
     """Few motions, 3 runs, and only what is fast: minutes, and wide intervals."""
     only: Annotated[Literal["table", "viewer"] | None, tyro.conf.arg(help_behavior_hint="")] = None
@@ -97,15 +89,13 @@ class EvaluateMotion(Printed):
         check_range("--steps", self.steps, 1, 1000)
         check_range("--guidance", self.guidance, 0, 20)
         check_range("--best-of", self.best_of, 1, 16)
-        check_range("--reference-steps", self.reference_steps, 0, 1000)
-        check_range("--reference-clips", self.reference_clips, 2, 100_000)
         check_range("--seed", self.seed, 0, 2**31)
         check_source(self.data, "make it with `bunraku data motions`")
         check_source(self.characters, "give one with rigged characters")
         check_source(self.motions, "give one with the motions of another method")
         if self.prompts_to is not None:
             check_output(self.prompts_to, [".csv"])
-        for path in (self.checkpoint, self.mdm, self.extractor):
+        for path in (self.checkpoint, self.extractor):
             if path is not None:
                 check_input(path)
         from bunraku_lab.evaluation.motion.blocks import add_blocks
@@ -115,7 +105,7 @@ class EvaluateMotion(Printed):
 
         pool = self.pool or max(256 if self.quick else 1600, self.clips or 0)
         config = MotionEvalConfig(
-            data=self.data, characters=self.characters, checkpoint=self.checkpoint, mdm=self.mdm,
+            data=self.data, characters=self.characters, checkpoint=self.checkpoint,
             motions=self.motions, extractor=self.extractor, work=self.work,
             split=self.split, pool=pool, clips=min(self.clips or (200 if self.quick else 1000), pool),
             runs=self.runs or (3 if self.quick else 20),
@@ -123,8 +113,7 @@ class EvaluateMotion(Printed):
             candidates=self.candidates,
             steps=self.steps, guidance=self.guidance, best_of=self.best_of, examples=self.examples,
             classifier_guidance=self.classifier_guidance,
-            reference_steps=self.reference_steps,
-            reference_clips=self.reference_clips, seed=self.seed,
+            seed=self.seed,
         )  # fmt: skip
         if self.prompts_to is not None:
             with stages() as report:

@@ -23,8 +23,8 @@ class EvaluateTables(Printed):
     Ratios are to the same row on both sides, since the data are others. What is not run says what it lacks. Rows are
     kept in --work by what they depend on, so a second run, or one that was stopped, does only what is new.
 
-    Example: bunraku evaluate tables --paper tapmo --table 2 --characters archive --mdm
-    benchmarks/weights/mdm.safetensors
+    Example: bunraku evaluate tables --paper tapmo --table 2 --characters archive
+    --baselines benchmarks/weights
     """
 
     paper: Literal["tapmo", "mmdmc"] = "tapmo"
@@ -37,10 +37,6 @@ class EvaluateTables(Printed):
     """Folder of rigged characters, searched through."""
     apparel: Path | None = None
     """Folder that `bunraku data apparel` wrote; with --quick some clips are simulated without it."""
-    mdm: Path | None = None
-    """Weights of the encoder-only network, "TapMo (MDM)"."""
-    equal: Path | None = None
-    """Weights of ours after as many steps as those of --mdm, for a row of TapMo's table 1."""
     bodies: tuple[Path, ...] = ()
     """Body networks of MMDMC's table 4. Default: the shipped one, and those of --baselines."""
     baselines: Path | None = None
@@ -56,7 +52,7 @@ class EvaluateTables(Printed):
     """Of everything random."""
 
     def run(self) -> None:
-        for path in (*self.bodies, *(path for path in (self.mdm, self.equal) if path is not None)):
+        for path in self.bodies:
             check_input(path)
         check_source(self.data, "name the folder that `bunraku data motions` wrote")
         check_source(self.characters, "name a folder of rigged characters")
@@ -67,7 +63,7 @@ class EvaluateTables(Printed):
         from bunraku_lab.evaluation.tables.measured import TablesConfig, measure_tables
 
         config = TablesConfig(
-            self.paper, self.table, self.data, self.characters, self.apparel, self.mdm, self.equal, self.bodies,
+            self.paper, self.table, self.data, self.characters, self.apparel, self.bodies,
             self.baselines, self.work, self.quick, self.pool,
             self.seed,
         )  # fmt: skip

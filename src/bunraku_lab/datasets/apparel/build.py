@@ -23,9 +23,9 @@ from bunraku.errors import BunrakuError, CharacterError, FormatError
 from bunraku.formats.files import atomic_write, sweep
 from bunraku.nn.spread import spread
 from bunraku_lab.datasets.apparel.plan import FPS, CharacterSource, ClipPlan, ShardPlan
+from bunraku_lab.datasets.apparel.push_out import pushed_out_clips, unclothed
 from bunraku_lab.datasets.apparel.reader import INDEX
 from bunraku_lab.datasets.apparel.recording import record
-from bunraku_lab.datasets.apparel.repair import pushed_out_clips, unclothed
 from bunraku_lab.datasets.apparel.shards import (
     LATER_ARRAYS,
     SHARD_ARRAYS,

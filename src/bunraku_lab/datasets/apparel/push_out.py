@@ -6,6 +6,9 @@ push is spread over what is around it, is smooth in time, and leaves alone what 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
@@ -19,7 +22,7 @@ from bunraku.apparel.skinning import eq4_transforms
 from bunraku.core.skinning import skin
 from bunraku_lab.datasets.apparel.body_inside import deep_inside
 
-__all__ = ["Insides", "PushOut", "inside_shares"]
+__all__ = ["Insides", "PushOut", "inside_shares", "pushed_out_clips", "unclothed"]
 
 NODES = 512
 POINTS = 2000  # of the body
@@ -127,3 +130,30 @@ def inside_shares(
         for frame, body in enumerate(bodies)
     ]
     return tuple(np.reshape(deep, (len(bodies), 3, -1)).mean(axis=(0, 2)).tolist())
+
+
+def pushed_out_clips(
+    clothed: ClothedCharacter,
+    transforms: np.ndarray,
+    loose: np.ndarray,
+    offsets: np.ndarray,
+    clips: Sequence[Mapping[str, Any]],
+) -> np.ndarray:
+    """The offsets of a character's clips with its apparel out of its body, shape (N, M, 3).
+
+    Args:
+        clothed: The character.
+        transforms, loose, offsets: As of `Recording`.
+        clips: Where each begins ("first") and how long it is ("frames").
+    """
+    push = PushOut(clothed)
+    spans = [slice(clip["first"], clip["first"] + clip["frames"]) for clip in clips]
+    return np.concatenate([push(transforms[span], loose, offsets[span]) for span in spans])
+
+
+def unclothed(
+    rest: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray, part: np.ndarray
+) -> ClothedCharacter:
+    """A clothed character of whose springs nothing is said."""
+    none = np.zeros(int(part.max(initial=-1)) + 1, np.float32)
+    return ClothedCharacter(rest, faces, joints, weights, apparel.astype(bool), part, none, none)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku_lab.datasets.apparel.push_out import unclothed
 from bunraku_lab.datasets.apparel.reader import ApparelData
-from bunraku_lab.datasets.apparel.repair import unclothed
 from bunraku_lab.datasets.apparel.standing_out import standing_out
 
 __all__ = ["ApparelFacts", "apparel_facts", "facts_table", "sway_frequency"]

@@ -10,7 +10,6 @@ import logging
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from zlib import crc32
 
 import numpy as np
 
@@ -21,7 +20,6 @@ from bunraku.errors import BunrakuError, CharacterError, FormatError
 from bunraku.formats.files import sweep
 from bunraku.geometry.simplify import network_mesh
 from bunraku.skeletons.bone_names import handle_of_joints, limb_parents
-from bunraku_lab.datasets.characters.fused import fused_character
 from bunraku_lab.datasets.characters.known_rigs import facing_turn, known_handles, root_joint
 from bunraku_lab.datasets.characters.training_character import TrainingCharacter, handle_target
 
@@ -118,9 +116,9 @@ RIGGED = (".glb", ".fbx", ".obj")
 
 def rigged_files(folder: Path) -> list[Path]:
     """Files under a folder that may hold rigged characters: GLB, FBX, and OBJ with a rig text (see
-    `bunraku.formats.mesh.rignet`).
+    `bunraku_lab.datasets.characters.rignet`).
     """
-    from bunraku.formats.mesh.rignet import find_rig
+    from bunraku_lab.datasets.characters.rignet import find_rig
 
     files = [file for file in folder.rglob("*") if file.suffix.lower() in RIGGED and file.is_file()]
     return sorted(file for file in files if file.suffix.lower() != ".obj" or find_rig(file) is not None)
@@ -146,11 +144,9 @@ def build_characters(
     mesh_vertices: int = 2400,
     progress: Callable[[int, int, str], None] | None = None,
     code_made: int = 0,
-    appendages: int = 0,
-    fused: int = 0,
 ) -> tuple[list[Path], dict[str, str]]:
-    """Build the cache: four npz for each file under a folder (see `_variants`), one for each sample character, and
-    fused forms. What is there already is kept, so a run that was cut off goes on.
+    """Build the cache: four npz for each file under a folder (see `_variants`), and one for each sample
+    character. What is there already is kept, so a run that was cut off goes on.
 
     Args:
         folder: Folder of rigged files, searched through (see `rigged_files`).
@@ -158,8 +154,6 @@ def build_characters(
         mesh_vertices: Most vertices of a network mesh.
         progress: Called with the number done, the number of all, and the name.
         code_made: How many characters made by code to add (`bunraku_lab.synthetic.families`).
-        appendages: How many with much on their heads to add (`bunraku_lab.synthetic.families.appendages`).
-        fused: How many fused forms of each to add (`fused_character`).
 
     Returns:
         The npz files, and what failed with its reason.
@@ -167,9 +161,10 @@ def build_characters(
     Raises:
         FormatError: There is no such file under the folder.
     """
-    from bunraku.io import load_character
-    from bunraku.samples import sample_character, sample_names
-    from bunraku_lab.synthetic.families import appendage_names, code_made_character, code_made_names
+    from bunraku.samples import sample_names
+    from bunraku_lab.datasets.characters.rignet import load_rigged
+    from bunraku_lab.synthetic.families import code_made_character, code_made_names
+    from bunraku_lab.synthetic.samples import make_sample
 
     folder, cache = Path(folder), Path(cache)
     files = rigged_files(folder)
@@ -184,16 +179,12 @@ def build_characters(
         name = file.relative_to(folder).with_suffix("").as_posix()
         name += file.suffix if name in makers else ""  # the same character in two formats
         makers |= {
-            name + suffix: maker for suffix, maker in _variants(partial(load_character, file), mesh_vertices).items()
+            name + suffix: maker for suffix, maker in _variants(partial(load_rigged, file), mesh_vertices).items()
         }
     for sample in sample_names():
-        makers[f"samples/{sample}"] = (partial(sample_character, sample, rigged=True), mesh_vertices)
-    for family, seed in [*code_made_names(code_made), *appendage_names(appendages)]:
+        makers[f"samples/{sample}"] = (partial(make_sample, sample, rigged=True), mesh_vertices)
+    for family, seed in code_made_names(code_made):
         makers[f"code_made/{family}_{seed}"] = (partial(code_made_character, family, seed), mesh_vertices)
-    whole = [name for name in makers if "~" not in name]
-    for form in range(fused):
-        for name in whole:
-            makers[f"{name}~fused{form}"] = (partial(_fused, makers[name][0], cache, name, form), mesh_vertices)
     for home in {(cache / name).parent for name in makers}:
         sweep(home)
     done, failed = [], {}
@@ -215,11 +206,6 @@ def build_characters(
     for name, reason in failed.items():
         _log.warning("left out %s: %s", name, reason)
     return done, failed
-
-
-def _fused(make: Callable[[], Character], cache: Path, name: str, form: int) -> Character:
-    truth = TrainingCharacter.load(cache / f"{name}.npz")
-    return fused_character(make(), truth, name, np.random.default_rng([crc32(name.encode()), form]))
 
 
 def load_characters(cache: str | Path) -> tuple[list[TrainingCharacter], list[TrainingCharacter]]:

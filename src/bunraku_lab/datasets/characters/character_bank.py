@@ -64,7 +64,7 @@ def build_character_bank(
     Raises:
         FormatError: There is no such file under the folder.
     """
-    from bunraku.io import load_character
+    from bunraku_lab.datasets.characters.rignet import load_rigged
     from bunraku_lab.synthetic.families import code_made_character, code_made_names
 
     folder = Path(folder)
@@ -73,7 +73,7 @@ def build_character_bank(
         raise no_characters(folder, RIGGED)
     makers: dict[str, Callable[[], Character]] = {}
     for file in files:
-        makers.setdefault(file.relative_to(folder).with_suffix("").as_posix(), lambda file=file: load_character(file))  # type: ignore[misc]
+        makers.setdefault(file.relative_to(folder).with_suffix("").as_posix(), lambda file=file: load_rigged(file))  # type: ignore[misc]
     for family, seed in code_made_names(code_made):
         makers[f"code_made/{family}_{seed}"] = lambda family=family, seed=seed: code_made_character(family, seed)  # type: ignore[misc]
     rows: list[Row] = []

@@ -109,7 +109,6 @@ class AugmentConfig:
         poses: Poses of each example for the Pose Loss.
         pose_angle: Largest angle of a joint in those poses [rad].
         rest_rate: Share of the examples whose rest pose is changed.
-        fused_rest_rate: The same of fused forms, whose contacts tear in other poses.
         rest_angle: Largest angle of a joint in a changed rest pose [rad].
         stretch: Largest change of each axis' scale, as a factor.
         joint_scale: Largest change of the girth and size of single parts, as a factor.
@@ -119,7 +118,6 @@ class AugmentConfig:
     poses: int = 2
     pose_angle: float = 1.05
     rest_rate: float = 0.8
-    fused_rest_rate: float = 0.25
     rest_angle: float = 0.6
     stretch: float = 1.25
     joint_scale: float = 1.35
@@ -281,7 +279,7 @@ def augment(
     vertices, normals, joints, root = (
         np.asarray(values, np.float64) for values in (c.vertices, c.normals, c.joints, c.root)
     )
-    if rng.random() < (config.fused_rest_rate if "~fused" in c.name else config.rest_rate):
+    if rng.random() < (config.rest_rate):
         rotations = random_pose(rng, c, config.rest_angle * rng.random(), share=0.4)
         if rng.random() < 0.6:
             human_rest(rng, c, rotations)

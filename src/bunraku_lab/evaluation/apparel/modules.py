@@ -14,12 +14,12 @@ from bunraku.apparel.segmentation.predict import find_apparel
 from bunraku.core.skinning import skin
 from bunraku.errors import WeightsError
 from bunraku.geometry.graph import unique_edges
-from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.evaluation.apparel.against import STRIDE, Figures, our_ten_frames, whole_figures
 from bunraku_lab.evaluation.apparel.clips import TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score
 from bunraku_lab.evaluation.apparel.names import OURS
 from bunraku_lab.evaluation.apparel.rivals import floor_movers, mover_rows
+from bunraku_lab.nn.checkpoints import lab_checkpoint
 from bunraku_lab.training.apparel.networks.body import load_body
 from bunraku_lab.training.apparel.networks.body_predict import body_weights
 from bunraku_lab.training.apparel.networks.refinement import RefinementNetwork, refined
@@ -83,7 +83,7 @@ def body_table(clips: Sequence[TrueClip], bodies: Sequence[Path]) -> dict[str, d
     paths = list(bodies)
     if not paths:
         try:
-            paths = [shipped_checkpoint("apparel-body")]
+            paths = [lab_checkpoint("apparel-body")]
         except WeightsError:
             return {}
     out: dict[str, dict[str, float]] = {}

@@ -21,6 +21,7 @@ from bunraku_lab.evaluation.apparel.rivals import rival_rows, rivals_of
 from bunraku_lab.evaluation.apparel.rows import clip_row, drift_row, frame_milliseconds, ten_frames
 from bunraku_lab.evaluation.parts import Parts, at_once
 from bunraku_lab.evaluation.report import Bar, figure, measured_in, reached_bars
+from bunraku_lab.nn.checkpoints import lab_checkpoint
 from bunraku_lab.training.apparel.networks.refinement import load_refinement
 
 __all__ = ["APPAREL_BARS", "ApparelEvalConfig", "evaluate_apparel"]
@@ -68,7 +69,6 @@ class ApparelEvalConfig:
         bodies: Body networks; Table 3 takes the first.
         refinement: Joint refinement of Table 3.
         baselines: Folder of the weights of Neural Blend Shapes and SPT, for their rows beside ours.
-        literal: Displacement network of the paper's own form, for rows beside ours.
         quick: Leave out what takes long: 60 s, the best static skinning and insides.
         whole_only: Measure whole meshes alone, by each module and beside other methods: the paper's tables 2 to 4.
         chains: Measure chains from shape alone, on the splits "val" and "test".
@@ -85,7 +85,6 @@ class ApparelEvalConfig:
     bodies: Sequence[Path] = ()
     refinement: Path | None = None
     baselines: Path | None = None
-    literal: Path | None = None
     quick: bool = False
     whole_only: bool = False
     chains: bool = False
@@ -132,19 +131,14 @@ def evaluate_apparel(
     known_body = body is not None or _ships("apparel-body")
     refinement = config.refinement
     if refinement is None and _ships("apparel-refinement"):
-        refinement = shipped_checkpoint("apparel-refinement")
+        refinement = lab_checkpoint("apparel-refinement")
     merging = None if refinement is None else load_refinement(refinement)
-    paper = None if config.literal is None else load_displacement(config.literal)
 
     def apart(number: int, clip: TrueClip) -> dict[str, Any]:
         """What the displacement network and the mask are worth, each by itself."""
         own: dict[str, Any] = {"row": clip_row(clip, network, slow=not quick), "score": mask_scores(clip, masks)}
         if number % 2 == 0 or quick:
             own["ten"] = ten_frames(clip, network)
-        if paper is not None:
-            own["row"] |= _literal(clip_row(clip, paper, slow=False))
-            if "ten" in own:
-                own["ten"]["literal"] = ten_frames(clip, paper)["learned"]
         return own
 
     def measured(number: int, clip: TrueClip) -> dict[str, Any]:
@@ -232,14 +226,9 @@ def _chain_table(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
     }  # fmt: skip
 
 
-def _literal(row: dict[str, Any]) -> dict[str, Any]:
-    """The row of the paper's own form, under names of its own."""
-    return {key.replace("learned", "literal"): value for key, value in row.items() if key.startswith("learned")}
-
-
 def _ships(name: str) -> bool:
     try:
-        shipped_checkpoint(name)
+        lab_checkpoint(name)
     except WeightsError:
         return False
     return True
@@ -313,8 +302,7 @@ def _summary(
 def _rest_table(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
     names = {
         "rigid": "parent-rigid", "nearest_joint": "nearest joint", "oracle_skinning": "best static skinning",
-        "literal": "the paper's form", "head": "head alone", "learned": "learned", "safe": "learned, safe",
-        "truth": "truth",
+        "head": "head alone", "learned": "learned", "safe": "learned, safe", "truth": "truth",
         "truth_safe": "truth, safe",
     }  # fmt: skip
     out: dict[str, dict[str, float | None]] = {}
@@ -336,9 +324,7 @@ def _rest_table(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | None]
 
 
 def _ten_table(tens: list[dict[str, float]]) -> dict[str, dict[str, float]]:
-    names = {
-        "rigid": "parent-rigid", "frozen": "true offset kept", "literal": "the paper's form", "learned": "learned",
-    }  # fmt: skip
+    names = {"rigid": "parent-rigid", "frozen": "true offset kept", "learned": "learned"}
     return {
         name: {
             "PMD_a": 100 * float(np.mean([row[key] for row in tens])),

@@ -23,7 +23,7 @@ _NEEDED = tuple(
     HANDLE_NAMES.index(name) for name in ("pelvis", "head", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
 )
 _HEAD = HANDLE_NAMES.index("head")
-_NO_RIG = {".ply", ".stl", ".txt"}  # the text of a RigNet rig is read with its OBJ
+_NO_RIG = {".ply", ".stl"}
 UPRIGHT = 0.7
 """Least share of the way from the pelvis to the head that leads up, on a humanoid."""
 
@@ -139,6 +139,6 @@ def load_subject(file: Path, name: str) -> Subject:
     Raises:
         BunrakuError: It cannot be read or has no rig.
     """
-    from bunraku.io import load_character
+    from bunraku_lab.datasets.characters.rignet import load_rigged
 
-    return subject(load_character(file), name, file)
+    return subject(load_rigged(file), name, file)

@@ -1,4 +1,4 @@
-"""What `bunraku evaluate motion` measures beside its table: speed, Handle-FID, seams, feet, distortion, creatures.
+"""What `bunraku evaluate motion` measures beside its table: speed, Handle-FID, seams, feet, distortion.
 
 Each block is a function of the result, the settings and a progress callback that returns figures by key; one that
 cannot run says why in "left_out". `BARS` lists the figures with the value that each should reach.
@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.core.motion import HandleMotion
 from bunraku.errors import BunrakuError, OptionError
 from bunraku_lab.evaluation.motion.samples import Request, checkpoint_digest, make_motions
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Report
@@ -24,7 +23,6 @@ __all__ = [
     "BARS",
     "add_blocks",
     "arap_block",
-    "creature_block",
     "foot_block",
     "handle_fid_block",
     "seam_block",
@@ -55,8 +53,6 @@ BARS = {
     "r_precision_1_over_real_guided": Bar("- one sample that is guided towards its sentence", 1.0),
     "r_precision_1_over_real_led": Bar("- one sample that is guided and starts from an example", 1.0),
     "r_precision_1_over_real_chosen": Bar("- as `animate` chooses (--best-of 3)", 1.08),
-    "fid_over_tapmo_mdm": Bar("FID over that of TapMo (MDM)", most=0.45),
-    "fid_steps_ratio": Bar("FID of the default sampler over that of the many steps", most=1.1),
     "fid_real": Bar("FID of the real data (what a perfect generator reaches)"),
     "fid_real_halves": Bar("FID between two halves of the real clips"),
     "arap_ratio_seen": Bar("ARAP-Loss with the adaptation over without, seen", most=0.87),
@@ -70,7 +66,6 @@ BARS = {
     "seam_jump_prompts_elsewhere": Bar("the same away from the seams"),
     "seam_jump_fast": Bar("the same with running and jumping"),
     "seam_jump_fast_elsewhere": Bar("the same away from the seams"),
-    "creature_accuracy": Bar("actions of creatures recognised", 0.7),
     "seconds_196": Bar("196 frames from cached text [s]", most=3.0),
     "seconds_batch8": Bar("the same in a batch of 8, each [s]", most=1.5),
 }
@@ -185,42 +180,6 @@ def arap_block(config: MotionEvalConfig, quick: bool, progress: Progress) -> dic
     )
 
 
-def creature_block(config: MotionEvalConfig, quick: bool, progress: Progress) -> dict[str, Any]:
-    """What creatures that no training sees are asked to do, by a classifier of real clips (see `creatures`).
-
-    Raises:
-        OptionError: No folder of characters was named, or the evaluation is a quick one.
-        FormatError: The data hold no clips of creatures.
-    """
-    from bunraku.diffusion.generation.generate import generate_motion
-    from bunraku_lab.evaluation.motion.characters import mesh_features
-    from bunraku_lab.evaluation.motion.creatures import creature_accuracy, load_cases
-
-    if config.characters is None:
-        raise OptionError("--characters names no folder")
-    if quick:
-        raise OptionError("it takes minutes, leave out --quick")
-    features = mesh_features(config.characters, {case.character for case in load_cases(config.data, held_out=True)})
-
-    def generate(sentence: str, feature: np.ndarray | None, seconds: float, seed: int) -> HandleMotion:
-        return generate_motion(
-            sentence,
-            seconds,
-            seed=seed,
-            mesh_feature=feature,
-            steps=config.steps,
-            guidance=config.guidance,
-            checkpoint=config.checkpoint,
-        )
-
-    found = creature_accuracy(generate, config.data, features, progress=lambda done, total: progress(done / total))
-    return {
-        "creature_accuracy": found["accuracy"],
-        "creature_accuracy_real": found["real"]["accuracy"],
-        "creatures": found,
-    }
-
-
 def _windows(
     config: MotionEvalConfig, count: int, stream: int, clips: Clips | None = None
 ) -> tuple[Clips, list[Window]]:
@@ -262,7 +221,6 @@ def add_blocks(result: dict[str, object], config: MotionEvalConfig, quick: bool,
         "handles": lambda: handle_fid_block(config, 12 if quick else 96, lambda done: report("handles", done)),
         "feet": lambda: foot_block(config, 4 if quick else 24, lambda done: report("feet", done)),
         "distortion": lambda: arap_block(config, quick, lambda done: report("distortion", done)),
-        "creatures": lambda: creature_block(config, quick, lambda done: report("creatures", done)),
     }
     for key in BARS:
         result.setdefault(key, None)

@@ -50,7 +50,6 @@ class SamplerSettings:
     Args:
         steps: Predictions of x0; None takes those that `animate` makes, by `choose_motions` alone.
         guidance: Scale of classifier-free guidance; None likewise.
-        method: "dpm", or "ddpm" for the ancestral reference.
         seed: Of the noise.
         candidates: Of how many each motion is chosen, as `animate` does; 1 for none.
         examples: Candidates start from captured examples; where there is but one, it does.
@@ -59,7 +58,6 @@ class SamplerSettings:
 
     steps: int | None
     guidance: float | None
-    method: str = "dpm"
     seed: int = 0
     candidates: int = 1
     examples: bool = False
@@ -111,7 +109,7 @@ def make_motions(
 
     if sampling.steps is None or sampling.guidance is None:
         raise ValueError("what the network says alone needs a number of steps and a guidance")
-    solver = Solver(sampling.steps, sampling.guidance, method=sampling.method)
+    solver = Solver(sampling.steps, sampling.guidance)
     longest = max((request.frames for request in requests), default=0)
     if longest > model.config.frames:
         raise OptionError(
@@ -232,7 +230,7 @@ def _key(
     adapt: bool,
 ) -> str:
     wanted = [[request.sentence, request.frames] for request in requests]
-    how = [sampling.steps, sampling.guidance, sampling.method, sampling.seed, adapt, BATCH]
+    how = [sampling.steps, sampling.guidance, sampling.seed, adapt, BATCH]
     if sampling.candidates > 1 or sampling.examples or sampling.classifier_guidance:
         files = [path for name in CHOOSING if (path := weights_file(f"{name}.safetensors")).is_file()]
         how += [sampling.candidates, sampling.examples, sampling.classifier_guidance, *map(checkpoint_digest, files)]

@@ -1,4 +1,4 @@
-"""The table of generated motion (A.2 of TapMo): real data, our denoiser, and "TapMo (MDM)", in one protocol.
+"""The table of generated motion (A.2 of TapMo): real data and our denoiser in one protocol.
 
 Windows of clips that no training saw are drawn once (`motion_windows`); each model makes a motion of each window's
 length from its sentence, once. A run then draws `clips` of the windows without repetition, and for each 31 sentences
@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.diffusion.inference.extractor import Extractor, embed_motions, embed_sentences, load_extractor
+from bunraku.diffusion.inference.extractor import embed_motions, embed_sentences, load_extractor
 from bunraku.errors import OptionError
 from bunraku.language.encoders import encoder_of
 from bunraku_lab.evaluation.motion.metrics import (
@@ -39,6 +39,7 @@ from bunraku_lab.evaluation.motion.samples import (
     make_motions,
 )
 from bunraku_lab.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
+from bunraku_lab.nn.checkpoints import lab_checkpoint
 from bunraku_lab.training.rows.clip_data import ClipEntry, load_clips, people
 
 __all__ = ["MotionEvalConfig", "Report", "Row", "evaluate_motion", "measure_rows", "table_windows"]
@@ -54,8 +55,6 @@ class MotionEvalConfig:
         data: Folder that `bunraku data motions` wrote.
         characters: Folder of rigged characters, for the ARAP-Loss and the creatures; None leaves these out.
         checkpoint: Weights of the denoiser; None takes the shipped ones.
-        mdm: Weights of the encoder-only denoiser, "TapMo (MDM)"; None leaves its row out.
-        equal: Weights of ours after as many steps as those; None leaves their row out.
         motions: Folder of another method's motions of the windows' sentences (`others`); None leaves their row out.
         extractor: Weights of the feature extractor; None takes the shipped ones.
         work: Folder in which generated motions are kept.
@@ -73,16 +72,12 @@ class MotionEvalConfig:
             does; 1 for none, and no such row.
         examples: What is chosen from starts from captured examples, as in `animate`.
         classifier_guidance: What is predicted is guided towards its sentence, as in `animate`.
-        reference_steps: Steps of DDPM's sampler that the default is compared with; 0 leaves the comparison out.
-        reference_clips: Motions that it is compared on.
         seed: Of everything random.
     """
 
     data: Path = Path("runs/data/motions")
     characters: Path | None = None
     checkpoint: Path | None = None
-    mdm: Path | None = None
-    equal: Path | None = None
     motions: Path | None = None
     extractor: Path | None = None
     work: Path = Path("runs/evaluation")
@@ -99,8 +94,6 @@ class MotionEvalConfig:
     best_of: int = 1
     examples: bool = True
     classifier_guidance: bool = True
-    reference_steps: int = 0
-    reference_clips: int = 256
     seed: int = 0
 
     def sampler(self) -> SamplerSettings:
@@ -208,10 +201,10 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         report: Called with a stage's name and the share done.
 
     Returns:
-        Numbers and lists that JSON can say: "rows" by name ("real", "tapmo", "tapmo_mdm"), each measure with "mean" and
+        Numbers and lists that JSON can say: "rows" by name ("real", "tapmo"), each measure with "mean" and
         "half" (of the 95 % interval); "counts"; and at the top level the figures that the bars are about:
-        "r_precision_1" and "r_precision_1_over_real" (2 and 3 likewise), "fid", "fid_distilled", "fid_over_tapmo_mdm",
-        "fid_real_halves", "fid_steps_ratio", "mm_dist", "diversity", "multimodality", and what `motion_blocks` adds. A
+        "r_precision_1" and "r_precision_1_over_real" (2 and 3 likewise), "fid", "fid_distilled",
+        "fid_real_halves", "mm_dist", "diversity", "multimodality", and what `motion_blocks` adds. A
         figure that was not measured is None.
 
     Raises:
@@ -225,49 +218,35 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
 
     _check(config)
     report = report or (lambda stage, done: None)
-    extractor = load_extractor(config.extractor or shipped_checkpoint("extractor"))
-    models = {"tapmo": config.checkpoint or shipped_checkpoint("diffusion")}
-    if config.mdm is not None:
-        models["tapmo_mdm"] = config.mdm
-    if config.equal is not None:
-        models["tapmo_equal"] = config.equal
-    loaded = {name: load_generator(path) for name, path in models.items()}
+    extractor = load_extractor(config.extractor or lab_checkpoint("extractor"))
+    checkpoint = config.checkpoint or shipped_checkpoint("diffusion")
+    model, own_encoder = load_generator(checkpoint)
     clips, windows = table_windows(config, report)
     elsewhere = draw_windows(clips, config.references, np.random.default_rng([config.seed, 12]))
     named = _distinct(windows, config.prompts)
     sampling = config.sampler()
 
-    encoder = encoder_of(extractor.config.text_encoder, loaded["tapmo"][1])
+    encoder = encoder_of(extractor.config.text_encoder, own_encoder)
     sentences = embed_sentences(extractor, encoder, [window.sentence for window in windows])
     real, references = (
         embed_motions(extractor, [window_features(clips, window) for window in part]) for part in (windows, elsewhere)
     )
-    rows = {"real": Row(real)}
-    for name, (model, own_encoder) in loaded.items():
-        digest = checkpoint_digest(models[name])
-
-        def progress(done: int, total: int, name: str = name) -> None:
-            report(f"motions of {name}", done / total)
-
-        requests = [Request(window.sentence, window.frames) for window in windows]
-        motions = make_motions(
-            model, own_encoder, requests, sampling, folder=config.work, digest=digest, progress=progress
-        )
-        again = [Request(window.sentence, window.frames) for window in named for _ in range(config.repeats)]
-        repeated = (
-            make_motions(model, own_encoder, again, sampling, folder=config.work, digest=digest)
-            if config.repeats > 1
-            else []
-        )
-        vectors = embed_motions(extractor, repeated).reshape(len(named), config.repeats, -1) if repeated else None
-        rows[name] = Row(embed_motions(extractor, motions), vectors)
-    for name, candidates, examples, guided in _ways(config, models["tapmo"]):
+    make = partial(
+        make_motions, model, own_encoder, sampling=sampling, folder=config.work, digest=checkpoint_digest(checkpoint)
+    )
+    requests = [Request(window.sentence, window.frames) for window in windows]
+    motions = make(requests, progress=partial(_told, report, "motions of tapmo"))
+    again = [Request(window.sentence, window.frames) for window in named for _ in range(config.repeats)]
+    repeated = make(again) if config.repeats > 1 else []
+    vectors = embed_motions(extractor, repeated).reshape(len(named), config.repeats, -1) if repeated else None
+    rows = {"real": Row(real), "tapmo": Row(embed_motions(extractor, motions), vectors)}
+    for name, candidates, examples, guided in _ways(config, checkpoint):
         found = choose_motions(
-            [Request(window.sentence, window.frames) for window in windows],
+            requests,
             replace(
                 sampling, steps=config.steps, guidance=config.guidance, candidates=candidates, examples=examples,
                 classifier_guidance=guided,
-            ), models["tapmo"],
+            ), checkpoint,
             folder=config.work, progress=partial(_told, report, f"motions of {name}"),
         )  # fmt: skip
         rows[name] = Row(embed_motions(extractor, found))
@@ -278,15 +257,7 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
 
     result = _summary(rows)
     result["fid_real_halves"] = _halves(elsewhere, references, config.runs, config.seed)
-    result["fid_steps_ratio"] = None
-    if config.reference_steps:
-        result |= _steps_ratio(extractor, rows["tapmo"].vectors, references, windows, config, report)
-    left_out: dict[str, str] = {}
-    if config.mdm is None:
-        left_out["fid_over_tapmo_mdm"] = "--mdm names no weights"
-    if not config.reference_steps:
-        left_out["fid_steps_ratio"] = "it needs --reference-steps 1000"
-    result["left_out"] = left_out
+    result["left_out"] = {}
     counts = {
         "clips": len({window.clip for window in windows}),
         "meanings": len({window.meaning for window in windows}),
@@ -299,11 +270,9 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         "runs": config.runs,
     }
     result["counts"] |= {"candidates": config.candidates, "steps": sampling.steps, "guidance": sampling.guidance}
-    result["parameters"] = {
-        name: sum(value.size for part, value in load_checkpoint(path, KIND)[0].items() if part not in ("mean", "std"))
-        for name, path in models.items()
-    }
-    result["notes"] = {name: model.notes for name, (model, _) in loaded.items()} | {"extractor": extractor.notes}
+    state = load_checkpoint(checkpoint, KIND)[0]
+    result["parameters"] = sum(value.size for name, value in state.items() if name not in ("mean", "std"))
+    result["notes"] = {"tapmo": model.notes, "extractor": extractor.notes}
     result["settings"] = {
         key: str(value) if isinstance(value, Path) else value for key, value in asdict(config).items()
     }
@@ -343,43 +312,8 @@ def _check(config: MotionEvalConfig) -> None:
             "an evaluation needs a pool of 4 or more, from 2 to all of it drawn a run, 1 or more runs, and 4 or more "
             "candidates"
         )
-    if config.reference_steps < 0 or config.reference_steps > 1000 or config.reference_clips < 2:
-        raise OptionError("the comparison of samplers takes 0 to 1,000 steps and at least 2 motions")
     if (config.steps is not None and not 1 <= config.steps <= 1000) or config.prompts < 1 or config.repeats < 0:
         raise OptionError("steps must be 1 to 1,000, prompts 1 or more, repeats 0 or more")
-
-
-def _steps_ratio(
-    extractor: Extractor,
-    fast: np.ndarray,
-    references: np.ndarray,
-    windows: list[Window],
-    config: MotionEvalConfig,
-    report: Report,
-) -> dict[str, float]:
-    """FID of the default sampler and of many DDPM steps on the same windows, against the reference windows."""
-    from bunraku.diffusion.generation.networks import load_generator
-    from bunraku.nn.checkpoints import shipped_checkpoint
-
-    path = config.checkpoint or shipped_checkpoint("diffusion")
-    model, encoder = load_generator(path)
-    sampling = replace(config.sampler(), steps=config.reference_steps, method="ddpm")
-    count = min(config.reference_clips, len(windows))
-    requests = [Request(window.sentence, window.frames) for window in windows[:count]]
-
-    def progress(done: int, total: int) -> None:
-        report(f"{sampling.steps} steps", done / total)
-
-    motions = make_motions(
-        model, encoder, requests, sampling, folder=config.work, digest=checkpoint_digest(path), progress=progress
-    )
-    reference = fid(embed_motions(extractor, motions), references)
-    here = fid(fast[:count], references)
-    return {
-        "fid_steps_ratio": here / max(reference, 1e-12),
-        "fid_default_steps": here,
-        "fid_reference_steps": reference,
-    }
 
 
 def _summary(rows: Mapping[str, Row]) -> dict[str, Any]:
@@ -397,7 +331,5 @@ def _summary(rows: Mapping[str, Row]) -> dict[str, Any]:
         share = None if row is None else row["r_precision_1"]["mean"] / max(real["r_precision_1"]["mean"], 1e-12)
         result[f"r_precision_1_over_real_{name}"] = share
     result["fid_distilled"] = table["tapmo_distilled"]["fid"]["mean"] if "tapmo_distilled" in table else None
-    mdm = table.get("tapmo_mdm")
-    result["fid_over_tapmo_mdm"] = None if mdm is None else ours["fid"]["mean"] / max(mdm["fid"]["mean"], 1e-12)
     result["fid_real"] = real["fid"]["mean"]
     return result

@@ -3,7 +3,7 @@ those that it never saw.
 
 | row | motion | onto the character |
 | --- | --- | --- |
-| MDM-SR | the encoder-only network | the human skeleton embedded, rotations copied, bone heat |
+| MDM-SR | ours, drawn for no mesh | the human skeleton embedded, rotations copied, bone heat |
 | MDM-SR, limbs aligned first | the same | the same, limbs turned to the T-pose first |
 | MDM-SFR | the same | Skeleton-free Pose Transfer, trained here |
 | MDM-SFR, untrained | the same | the same networks before they learned |
@@ -12,8 +12,9 @@ those that it never saw.
 | with an adaptation | ours, as its last layer was trained | the same |
 | ours | ours | all stages, the last step of the adaptation on the very mesh |
 
-Our motions are drawn for the character, whose mesh feature the network sees. A character that the human skeleton cannot
-be embedded in counts in the other rows, and is told.
+All rows show motion of our network, so they differ in nothing but how it moves the mesh. The other methods' motion is
+drawn for no mesh in particular, ours for the character, whose mesh feature the network sees. A character that the human
+skeleton cannot be embedded in counts in the other rows, and the counts name it.
 """
 
 from __future__ import annotations
@@ -67,7 +68,6 @@ class DistortionConfig:
 
     Args:
         characters: Folder of rigged characters.
-        mdm: Weights of the encoder-only network.
         checkpoint: Weights of ours; None takes the shipped ones.
         adapters: Last layers of the adaptation (`nn.diffusion.adapter`) by the names of their rows.
         transfer: Weights of Skeleton-free Pose Transfer, for MDM-SFR.
@@ -79,7 +79,6 @@ class DistortionConfig:
     """
 
     characters: Path
-    mdm: Path
     checkpoint: Path | None = None
     adapters: Mapping[str, Path] = field(default_factory=dict)
     transfer: Path | None = None
@@ -101,7 +100,7 @@ def measure_distortion(
     report = progress or (lambda stage, done: None)
     files = [file for unseen in (False, True) for file in chosen_files(config.characters, unseen, config.count)]
     characters = load_named(files, config.characters, progress=lambda done: report("handles", done))
-    theirs = drawn_motions(config, config.mdm)
+    theirs = drawn_motions(config, config.checkpoint)
     found: dict[str, dict[bool, list[float]]] = {}
     failed = {False: 0, True: 0}
     for number, named in enumerate(characters):

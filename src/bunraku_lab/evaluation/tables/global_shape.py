@@ -112,20 +112,19 @@ def _rows(
 ) -> Iterator[tuple[str, str, Callable[[], np.ndarray]]]:
     """Each row on a body: its name, what tells its weights from others, and what makes its samples."""
     own = config.checkpoint or shipped_checkpoint("diffusion")
-    theirs = partial(_drawn, config, config.mdm, windows, None)
+    theirs = partial(_drawn, config, own, windows, None)
     ours = checkpoint_digest(own)
     for row, stages in (("ours", Stages(shape=True)), ("ours, without adaptation", Stages(shape=False))):
         yield row, ours, partial(_ours, config, own, windows, shape, stages)
     for row, adapter in config.adapters.items():
         path = adapted_weights(config, row, adapter)
         yield row, checkpoint_digest(path), partial(_ours, config, path, windows, shape, Stages(shape=False))
-    mdm = checkpoint_digest(config.mdm)
-    yield "MDM-SFR, floor without training", mdm, lambda: _fitted(theirs(), shape, NO_STAGES)
+    yield "MDM-SFR, floor without training", ours, lambda: _fitted(theirs(), shape, NO_STAGES)
     for row, aligned in (("MDM-SR", False), ("MDM-SR, limbs aligned first", True)):
-        yield row, mdm, partial(_copied, theirs, shape, aligned)
+        yield row, ours, partial(_copied, theirs, shape, aligned)
     for row, network in transfers_of(config.transfer).items():
         digest = "" if config.transfer is None else checkpoint_digest(config.transfer)
-        yield row, mdm + digest, partial(_transferred, theirs, shape, network)
+        yield row, ours + digest, partial(_transferred, theirs, shape, network)
 
 
 def _drawn(

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from bunraku.errors import BunrakuError, OptionError, WeightsError
-from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.evaluation.apparel.names import OURS
 from bunraku_lab.evaluation.apparel.rivals import FILES
 from bunraku_lab.evaluation.parts import Parts
@@ -22,7 +21,8 @@ from bunraku_lab.evaluation.tables.paper_table import (
     half_interval,
     measured_table,
 )
-from bunraku_lab.evaluation.tables.tapmo import EQUAL, HANDLE_FID, TAPMO
+from bunraku_lab.evaluation.tables.tapmo import HANDLE_FID, MDM, TAPMO
+from bunraku_lab.nn.checkpoints import lab_checkpoint
 
 __all__ = ["PAPERS", "TablesConfig", "measure_tables"]
 
@@ -34,8 +34,7 @@ _MEASURES = {
     "Diversity": "diversity", "MModality": "multimodality",
 }  # fmt: skip
 _MOTION_ROWS = {
-    "real": "real", "tapmo_mdm": "TapMo (MDM)", "tapmo_equal": EQUAL, "tapmo": "ours, one sample",
-    "tapmo_chosen": "ours, as animate chooses",
+    "real": "real", "tapmo": "ours, one sample", "tapmo_chosen": "ours, as animate chooses",
 }  # fmt: skip
 _OURS = {"with joint refinement": OURS, "body module": "our skinning alone"}
 TRANSFER = "sfpt.safetensors"
@@ -75,8 +74,6 @@ class TablesConfig:
         data: Folder that `bunraku data motions` wrote.
         characters: Folder of rigged characters.
         apparel: Folder that `bunraku data apparel` wrote; a quick measurement without it simulates some clips.
-        mdm: Weights of the encoder-only network.
-        equal: Weights of ours after as many steps as the encoder-only network's, on the same data.
         bodies: Body networks of MMDMC's table 4.
         baselines: Folder of the other methods' weights: those of `rivals.FILES`, "sfpt.safetensors" for MDM-SFR, the
             last layers of `ADAPTERS`, and those of `BODIES`.
@@ -91,8 +88,6 @@ class TablesConfig:
     data: Path | None = None
     characters: Path | None = None
     apparel: Path | None = None
-    mdm: Path | None = None
-    equal: Path | None = None
     bodies: tuple[Path, ...] = ()
     baselines: Path | None = None
     work: Path = Path("runs/tables")
@@ -132,7 +127,7 @@ def measure_tables(config: TablesConfig, report: Report | None = None) -> list[d
 def _group(table: PaperTable, config: TablesConfig, report: Report) -> Group | None:
     if table.paper == "mmdmc":
         return _apparel_group(config, report)
-    groups = {"1": _motion_group, "2": _distortion_group, "3 stand-in": _stand_in_group}
+    groups = {"1": _motion_group, "2": _distortion_group}
     return groups[table.key](config, report) if table.key in groups else None
 
 
@@ -162,7 +157,7 @@ def _seen(config: TablesConfig, *names: str) -> dict[str, Any]:
     found: dict[str, Any] = {"quick": config.quick, "seed": config.seed}
     for name in names:
         try:
-            found[name] = shipped_checkpoint(name)
+            found[name] = lab_checkpoint(name)
         except WeightsError:
             found[name] = "missing"
     return found
@@ -170,22 +165,20 @@ def _seen(config: TablesConfig, *names: str) -> dict[str, Any]:
 
 def _motion_group(config: TablesConfig, report: Report) -> Group:
     data = _needed(config.data, "--data", "folder that `bunraku data motions` wrote")
-    mdm = _needed(config.mdm, "--mdm", "weights of the encoder-only network")
 
     def run(parts: Parts) -> Figures:
         from bunraku_lab.evaluation.motion.table import MotionEvalConfig, evaluate_motion
 
         settings: dict[str, Any] = {**sizes, "seed": config.seed, "best_of": 3, "work": config.work / "motions"}
-        result = evaluate_motion(MotionEvalConfig(data=data, mdm=mdm, equal=config.equal, **settings), report)
+        result = evaluate_motion(MotionEvalConfig(data=data, **settings), report)
         found = result["rows"]
         rows = {title: _over_runs(found[name]) for name, title in _MOTION_ROWS.items() if name in found}
-        return rows | {"counts": {key: result["counts"][key] for key in ("windows", "runs")}}
+        return rows | MDM | {"counts": {key: result["counts"][key] for key in ("windows", "runs")}}
 
     sizes = QUICK_MOTIONS if config.quick else MOTIONS
     if config.pool is not None:
         sizes = {**sizes, "pool": config.pool, "clips": max(2, round(config.pool * sizes["clips"] / sizes["pool"]))}
-    given = {"mdm": mdm, "data": data / "index.json"} | ({} if config.equal is None else {"equal": config.equal})
-    return Group("motion", run, {**_seen(config, *_NETWORKS), **sizes, **given})
+    return Group("motion", run, {**_seen(config, *_NETWORKS), **sizes, "data": data / "index.json"})
 
 
 def _over_runs(row: dict[str, dict[str, float]]) -> dict[str, float]:
@@ -197,7 +190,6 @@ def _over_runs(row: dict[str, dict[str, float]]) -> dict[str, float]:
 
 def _distortion_group(config: TablesConfig, report: Report) -> Group:
     characters = _needed(config.characters, "--characters", "folder of rigged characters")
-    mdm = _needed(config.mdm, "--mdm", "weights of the encoder-only network")
 
     def run(parts: Parts) -> Figures:
         from bunraku_lab.evaluation.tables.distortion import DistortionConfig, measure_distortion
@@ -205,8 +197,8 @@ def _distortion_group(config: TablesConfig, report: Report) -> Group:
         count, prompts = (4, 3) if config.quick else (15, 6)
         heads = {row: trained[file] for row, file in ADAPTERS.items() if file in trained}
         how = DistortionConfig(
-            characters, mdm, adapters=heads, transfer=trained.get(TRANSFER), work=config.work, count=count,
-            prompts=prompts, seed=config.seed,
+            characters, adapters=heads, transfer=trained.get(TRANSFER), work=config.work, count=count, prompts=prompts,
+            seed=config.seed,
         )  # fmt: skip
         found = measure_distortion(how, report, parts)
         if config.data is not None:
@@ -220,26 +212,7 @@ def _distortion_group(config: TablesConfig, report: Report) -> Group:
     trained = _weights(config, (TRANSFER, *ADAPTERS.values()))
     files = ",".join(sorted(path.name for path in characters.rglob("*") if path.is_file()))
     others = {**trained, **({} if config.data is None else {"data": config.data / "index.json"})}
-    return Group("distortion", run, {**_seen(config, "diffusion", "handles"), "mdm": mdm, "characters": files}, others)
-
-
-def _stand_in_group(config: TablesConfig, report: Report) -> Group:
-    characters = _needed(config.characters, "--characters", "folder of rigged characters")
-    mdm = _needed(config.mdm, "--mdm", "weights of the encoder-only network")
-    data = _needed(config.data, "--data", "folder that `bunraku data motions` wrote")
-
-    def run(parts: Parts) -> Figures:
-        from bunraku_lab.evaluation.tables.stand_in import StandInConfig, measure_stand_in
-
-        count, prompts = (4, 3) if config.quick else (15, 6)
-        how = StandInConfig(characters, mdm, data, trained.get(TRANSFER), count, prompts, seed=config.seed)
-        return measure_stand_in(how, report, parts)
-
-    trained = _weights(config, (TRANSFER,))
-    files = ",".join(sorted(path.name for path in characters.rglob("*") if path.is_file()))
-    of = {**_seen(config, "diffusion", "handles"), **trained, "mdm": mdm, "characters": files,
-          "data": data / "index.json"}  # fmt: skip
-    return Group("stand-in", run, of)
+    return Group("distortion", run, {**_seen(config, "diffusion", "handles"), "characters": files}, others)
 
 
 def _apparel_group(config: TablesConfig, report: Report) -> Group:
@@ -269,7 +242,7 @@ def _apparel_group(config: TablesConfig, report: Report) -> Group:
 
     trained = _weights(config, (*FILES.values(), *BODIES))
     others = [path for name, path in trained.items() if name in BODIES]
-    bodies = config.bodies or ((shipped_checkpoint("apparel-body"), *others) if others else ())
+    bodies = config.bodies or ((lab_checkpoint("apparel-body"), *others) if others else ())
     given = {f"body {number}": path for number, path in enumerate(bodies)}
     index = "simulated" if data is None else next(iter(sorted(data.glob("*.json"))), data)
     sizes = {"clips": clips, "least": least}

@@ -161,7 +161,7 @@ def measure_quadrupeds(
     from bunraku.pipelines.animate import rig
     from bunraku.pipelines.to_reference import creature_motion
     from bunraku.pipelines.transfer import apply_transfer
-    from bunraku.samples import sample_character
+    from bunraku_lab.synthetic.samples import make_sample
 
     targets: dict[str, tuple[Character, RigParts]] = {}
     clips: dict[str, CapturedAnimal] = {}
@@ -181,7 +181,7 @@ def measure_quadrupeds(
     nothing = ("quadruped_limbs_degrees", "quadruped_ground", "quadruped_hind_above_back")
     if not clips:
         return {**dict.fromkeys(nothing), "quadrupeds": []}
-    dog = sample_character("dog", rigged=True)
+    dog = make_sample("dog", rigged=True)
     targets["sample dog"] = dog, RigParts.of(dog)
     chosen = [list(clips)[number] for number in np.unique(np.linspace(0, len(clips) - 1, sources).round().astype(int))]
     rows: list[dict[str, Any]] = []

@@ -19,8 +19,6 @@ from bunraku_lab.nn.checkpoints import load_network, save_network
 __all__ = ["TransferConfig", "TransferNetwork", "affine_of", "load_transfer", "part_centres", "save_transfer"]
 
 KIND = "transfer"
-IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-"""A part's transform that moves nothing: translation, then the quaternion, w first."""
 
 
 @dataclass(frozen=True)

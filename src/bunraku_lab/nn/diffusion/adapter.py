@@ -11,7 +11,7 @@ import torch
 
 from bunraku.errors import WeightsError
 from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
-from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, load_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.checkpoint import load_denoiser, save_denoiser
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
 
 __all__ = ["adapted_denoiser", "frozen_digest", "save_adapter"]
@@ -61,7 +61,7 @@ def adapted_denoiser(adapter: str | Path, denoiser: str | Path, out: str | Path)
             "train adaptation`"
         )
     shape = {name: said[name] for name in ("adaptation_mesh", "adaptation_frame")}
-    built = build_denoiser(replace(model.config, **shape))
+    built = Denoiser(replace(model.config, **shape))
     try:
         built.load_state_dict({**model.state_dict(), **{name: torch.as_tensor(value) for name, value in layer.items()}})
     except RuntimeError as error:

@@ -1,4 +1,4 @@
-"""Denoisers from their configs, and in files."""
+"""Denoisers in files."""
 
 from __future__ import annotations
 
@@ -8,30 +8,13 @@ from pathlib import Path
 
 import torch
 
-from bunraku.diffusion.denoiser_config import ARCHITECTURES, DenoiserConfig
+from bunraku.diffusion.denoiser_config import denoiser_config
 from bunraku.diffusion.inference.denoiser import KIND
 from bunraku.errors import WeightsError
-from bunraku.nn.checkpoints import config_of
 from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
 
-__all__ = ["build_denoiser", "save_denoiser", "load_denoiser"]
-
-
-def build_denoiser(config: DenoiserConfig) -> Denoiser:
-    """The denoiser that a config describes; both kinds are called alike.
-
-    Raises:
-        WeightsError: The architecture is unknown.
-    """
-    if config.architecture == "decoder":
-        return Denoiser(config)
-    if config.architecture == "encoder":
-        from bunraku_lab.nn.diffusion.mdm_denoiser import EncoderDenoiser
-
-        model: Denoiser = EncoderDenoiser(config)
-        return model
-    raise WeightsError(f"the architecture '{config.architecture}' is unknown; there are {' and '.join(ARCHITECTURES)}")
+__all__ = ["load_denoiser", "save_denoiser"]
 
 
 def save_denoiser(
@@ -50,9 +33,9 @@ def load_denoiser(path: str | Path, device: str | torch.device = "cpu") -> Denoi
     state, config = load_checkpoint(path, KIND)
     notes = config.pop("notes", None)
     try:
-        built = config_of(DenoiserConfig, config)
+        built = denoiser_config(config)
         with torch.device("meta"):
-            model = build_denoiser(built)
+            model = Denoiser(built)
         model.load_state_dict(state, assign=True)
         model.notes = dict(notes or {})
     except Exception as error:

@@ -89,7 +89,7 @@ class Denoiser(nn.Module):
                 drawn(linear.weight, 0.02 / math.sqrt(2 * config.layers))
                 nn.init.zeros_(linear.bias)
         _open_gates(self.steer)
-        self.steer_more = nn.Linear(width, 3 * config.added_blocks * width) if config.added_blocks else None
+        self.steer_more = nn.Linear(width, 3 * width) if config.examples else None
         if self.steer_more is not None:
             _open_gates(self.steer_more)
         if config.examples:

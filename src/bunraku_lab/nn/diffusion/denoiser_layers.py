@@ -1,9 +1,8 @@
-"""What a layer of the denoiser is made of: attention, and blocks that a config may add beside it.
+"""What a layer of the denoiser is made of: attention to itself, to the sentence and to examples.
 
-The paper's layer is self-attention, cross-attention to the memory and a feed-forward block. A config may add a
-convolution over time (StableMoFusion, Huang et al. 2024) and attention to captured examples that are retrieved for the
-sentence (ReMoDiffuse, Zhang et al. 2023). The last linear layer of what is added starts at zero, so a network that gets
-it says at first what it said without.
+The paper's layer is self-attention, cross-attention to the memory and a feed-forward block. A config may add attention
+to captured examples that are retrieved for the sentence (ReMoDiffuse, Zhang et al. 2023). Its last linear layer starts
+at zero, so a network that gets it says at first what it said without.
 """
 
 from __future__ import annotations
@@ -89,30 +88,6 @@ def _without_effect(linear: nn.Linear) -> nn.Linear:
     return linear
 
 
-class _Convolution(nn.Module):
-    """A depthwise convolution over time, then a linear layer over channels."""
-
-    def __init__(self, width: int, reach: int):
-        super().__init__()
-        self.kernel = nn.Parameter(drawn(torch.empty(reach, width), reach**-0.5))
-        self.outside = _without_effect(nn.Linear(width, width))
-
-    def forward(self, x: Tensor, mask: Tensor | None) -> Tensor:
-        """x (B, T, d), mask (B, 1, 1, T), True where real; what lies behind the end counts as zero, as what lies before
-        the start does.
-        """
-        if mask is not None:
-            x = x * mask[:, 0, 0, :, None].to(x.dtype)
-        tokens, reach = x.shape[1], len(self.kernel)
-        padded = F.pad(x, (0, 0, reach // 2, reach // 2))
-        # sums of shifted copies: torch's grouped convolution is slower on a CPU
-        mixed = padded[:, :tokens] * self.kernel[0].to(x.dtype)
-        for shift in range(1, reach):
-            mixed = mixed + padded[:, shift : shift + tokens] * self.kernel[shift].to(x.dtype)
-        out: Tensor = self.outside(F.silu(mixed))
-        return out
-
-
 class _ExampleAttention(nn.Module):
     """Motion tokens attend to tokens of examples: keys say what an example shows and is called, values what it
     shows.
@@ -140,7 +115,7 @@ class DecoderLayer(nn.Module):
     """Self-attention, cross-attention, feed-forward; each behind an adaptive norm and a gate.
 
     Args:
-        config: Sizes, and which blocks are added.
+        config: Sizes.
         examples: Whether this layer attends to examples.
     """
 
@@ -156,8 +131,7 @@ class DecoderLayer(nn.Module):
             nn.Linear(width, width),
         )
         self.wide, self.narrow = nn.Linear(width, config.feedforward), nn.Linear(config.feedforward, width)
-        self.offset_more = nn.Parameter(torch.zeros(3 * config.added_blocks, width)) if config.added_blocks else None
-        self.convolution = _Convolution(width, config.convolution) if config.convolution else None
+        self.offset_more = nn.Parameter(torch.zeros(3, width)) if config.examples else None
         self.examples = _ExampleAttention(width, config.heads) if examples else None
 
     def forward(
@@ -170,7 +144,7 @@ class DecoderLayer(nn.Module):
         memory_mask: Tensor | None,
         examples: tuple[Tensor, ...] = (),
     ) -> Tensor:
-        """x (B, T, d), memory (B, M, d), steer (B, 9 and 3 for each added block, d), masks (B, 1, 1, T) and (B, 1, 1,
+        """x (B, T, d), memory (B, M, d), steer (B, 9, or 12 with examples, d), masks (B, 1, 1, T) and (B, 1, 1,
         M), True where real.
         """
         own = (steer[:, :9] + self.offset).to(x.dtype).unsqueeze(2).unbind(1)
@@ -184,12 +158,10 @@ class DecoderLayer(nn.Module):
         query, key, value = _heads(self.self_in(norm(own, 0)), self.heads, 3)
         mixed = _attend(_turn(query, rotary), _turn(key, rotary), value, mask)
         x = x + own[2] * self.self_out(mixed.transpose(1, 2).flatten(2))
-        if self.convolution is not None:
-            x = x + more[2] * self.convolution(norm(more, 0), mask)
         (query,) = _heads(self.cross_query(norm(own, 3)), self.heads)
         key, value = _heads(self.cross_memory(memory), self.heads, 2)
         mixed = _attend(query, key, value, memory_mask)
         x = x + own[5] * self.cross_out(mixed.transpose(1, 2).flatten(2))
         if self.examples is not None and examples:
-            x = x + more[-1] * self.examples(norm(more, len(more) - 3), rotary, examples)
+            x = x + more[2] * self.examples(norm(more, 0), rotary, examples)
         return x + own[8] * self.narrow(F.gelu(self.wide(norm(own, 6))))

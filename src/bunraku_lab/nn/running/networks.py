@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from torch import nn
 
@@ -31,7 +29,7 @@ def arrays_of(model: nn.Module) -> dict[str, np.ndarray]:
 
 def running_denoiser(model: Denoiser) -> denoiser.Denoiser:
     """A denoiser."""
-    return denoiser.build_denoiser(replace(model.config), Weights(arrays_of(model)), dict(model.notes))
+    return denoiser.Denoiser(model.config, Weights(arrays_of(model)), dict(model.notes))
 
 
 def running_extractor(model: Extractor) -> extractor.Extractor:

@@ -17,10 +17,10 @@ import numpy as np
 
 from bunraku.core.character import Character
 from bunraku.errors import OptionError
-from bunraku_lab.synthetic.families import appendages, beasts, bipeds, crawlers, people, sea, toons
+from bunraku_lab.synthetic.families import beasts, bipeds, crawlers, people, sea, toons
 from bunraku_lab.synthetic.families.model import Model
 
-__all__ = ["EVALUATION_SEED", "FAMILIES", "appendage_names", "code_made_character", "code_made_names"]
+__all__ = ["EVALUATION_SEED", "FAMILIES", "code_made_character", "code_made_names"]
 
 EVALUATION_SEED = 1_000_000
 """Seeds from here on are for evaluation; nothing trains on them."""
@@ -46,12 +46,8 @@ _MAKERS: dict[str, tuple[Callable[[Model], None], float]] = {
     "crab": (crawlers.crab, 1.5),
     "snake": (crawlers.snake, 1.5),
 }
-_OUTSTANDING: dict[str, Callable[[Model], None]] = {
-    "critter": appendages.critter,
-    "stubby_beast": appendages.stubby_beast,
-}
 
-FAMILIES: tuple[str, ...] = (*_MAKERS, *_OUTSTANDING)
+FAMILIES: tuple[str, ...] = tuple(_MAKERS)
 """Families that `code_made_character` knows."""
 
 
@@ -70,14 +66,13 @@ def code_made_character(family: str, seed: int) -> Character:
     if seed < 0:
         raise OptionError(f"the seed of a character must be 0 or more, not {seed}")
     model = Model(np.random.default_rng([crc32(family.encode()), seed]))
-    make = _OUTSTANDING[family] if family in _OUTSTANDING else _MAKERS[family][0]
-    make(model)
+    _MAKERS[family][0](model)
     return model.character(f"{family}_{seed}")
 
 
 def code_made_names(count: int, seed: int = 0) -> list[tuple[str, int]]:
-    """Family and seed of `count` characters, families by their shares, without those of `appendage_names`; a longer
-    list begins as a shorter one does.
+    """Family and seed of `count` characters, families by their shares; a longer list begins as a shorter one
+    does.
     """
     shares = np.array([share for _, share in _MAKERS.values()])
     owed, out = np.zeros(len(shares)), []
@@ -87,8 +82,3 @@ def code_made_names(count: int, seed: int = 0) -> list[tuple[str, int]]:
         owed[chosen] -= 1
         out.append((tuple(_MAKERS)[chosen], seed + number))
     return out
-
-
-def appendage_names(count: int, seed: int = 0) -> list[tuple[str, int]]:
-    """Family and seed of `count` characters with much on their heads, which are made beside the other families."""
-    return [("critter" if number % 3 else "stubby_beast", seed + number) for number in range(count)]

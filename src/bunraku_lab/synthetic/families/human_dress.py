@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bunraku.samples.surfaces import ring_mesh
 from bunraku_lab.synthetic.families.human_frame import Human, arm_chain
 from bunraku_lab.synthetic.families.model import SIDES, Chain, Model
+from bunraku_lab.synthetic.samples.surfaces import ring_mesh
 from bunraku_lab.synthetic.surfaces import unit
 
 __all__ = ["build_clothes", "build_items"]

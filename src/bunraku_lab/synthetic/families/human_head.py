@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.samples.surfaces import cylinder_mesh, ring_mesh
 from bunraku_lab.synthetic.families.human_frame import Human
 from bunraku_lab.synthetic.families.model import SIDES, Model
+from bunraku_lab.synthetic.samples.surfaces import cylinder_mesh, ring_mesh
 from bunraku_lab.synthetic.surfaces import unit
 
 __all__ = ["build_head", "ears_and_horns", "eyes"]

@@ -9,9 +9,9 @@ from typing import TypeVar
 import numpy as np
 
 from bunraku.core.character import Character, Rig, top_influences
-from bunraku.samples.fields import Lump, ball, bar
-from bunraku.samples.meshing import neighbour_average
 from bunraku_lab.synthetic.families.shapes import Mesh, block_mesh, melted_mesh, sheet_mesh, thinned
+from bunraku_lab.synthetic.samples.fields import Lump, ball, bar
+from bunraku_lab.synthetic.samples.meshing import neighbour_average
 
 __all__ = ["SIDES", "Chain", "Model", "Share", "Style"]
 

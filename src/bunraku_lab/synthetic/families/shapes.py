@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from bunraku.geometry.surface import vertex_normals
-from bunraku.samples.fields import Field, Lump
-from bunraku.samples.meshing import marched
+from bunraku_lab.synthetic.samples.fields import Field, Lump
+from bunraku_lab.synthetic.samples.meshing import marched
 from bunraku_lab.synthetic.surfaces import sheet_faces, unit
 
 __all__ = ["Mesh", "block_mesh", "melted_mesh", "sheet_mesh", "thinned"]

@@ -30,7 +30,7 @@ from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku_lab.datasets.characters.bank_file import CharacterBank, load_character_bank
 from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
 from bunraku_lab.nn.diffusion.adapter import save_adapter
-from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, load_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.checkpoint import load_denoiser, save_denoiser
 from bunraku_lab.nn.diffusion.denoiser import Denoiser, joint_offsets
 from bunraku_lab.nn.residuals import capped_on_people
 from bunraku_lab.training.adaptation.arap_labels import EdgeSystem, arap_labels, edge_system
@@ -241,7 +241,7 @@ class _Run(TrainingRun):
         save_training_state(self.out / "state.safetensors", state)
         weight, bias = self.head.folded()
         tensors = {**self.model.state_dict(), "adaptation_out.weight": weight, "adaptation_out.bias": bias}
-        built = build_denoiser(
+        built = Denoiser(
             replace(self.model.config, adaptation_mesh=self.config.mesh, adaptation_frame=self.config.frame)
         )
         built.load_state_dict(tensors)
@@ -297,8 +297,6 @@ def train_adaptation(
     config.prepare()
     device = torch.device(config.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     model = load_denoiser(config.diffusion, device)
-    if model.config.architecture != "decoder":
-        raise OptionError(f"{config.diffusion}: only the decoder has an adaptation to fine-tune")
     bank = load_character_bank(config.cache)
     if bank.features.shape[1] != model.config.mesh_features:
         raise OptionError(

@@ -17,7 +17,7 @@ from bunraku.formats.files import atomic_write, sweep
 from bunraku.physics.told.clothed import clothed_from_file
 from bunraku_lab.datasets.apparel.plan import character_split
 
-__all__ = ["MeshSample", "bare_meshes", "build_meshes", "mesh_sample", "worn_meshes"]
+__all__ = ["MeshSample", "build_meshes", "mesh_sample"]
 
 _MESH = ("clean", "points", "joints", "features", "part", "neighbours")
 
@@ -82,102 +82,22 @@ def build_meshes(
     """
     from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
-    def made(seed: int, name: str) -> MeshSample | None:
-        try:
-            return mesh_sample(wardrobe_character(seed), name, seed)
-        except BunrakuError:
-            return None
-
-    return _by_split(folder, "wardrobe", range(first, first + count), made, progress)
-
-
-def bare_meshes(folder: Path, source: Path) -> list[MeshSample]:
-    """Samples of characters on which nothing is apparel, by predicted handles, computed once.
-
-    Args:
-        folder: Where they are kept.
-        source: Folder of the characters; those that cannot be read are left out.
-    """
-    from bunraku.io import load_character
-    from bunraku.pipelines.animate import rig
-    from bunraku.pipelines.clothes import body_of_handles
-
-    folder.mkdir(parents=True, exist_ok=True)
-    sweep(folder)
-    out = []
-    for number, file in enumerate(sorted(source.glob("*.glb"))):
-        path = folder / f"bare_{file.stem}.npz"
-        if not path.is_file():
-            try:
-                character = load_character(file)
-                weights, joints = body_of_handles(character, rig(character))
-                nothing = np.zeros(len(character.vertices), bool)
-                _write(path, _seen(character, joints, weights, nothing, file.stem, number))
-            except BunrakuError:
-                continue
-        out.append(_read(path))
-    return out
-
-
-def worn_meshes(folder: Path, clothes: Path, count: int, first: int = 700_000) -> dict[str, list[MeshSample]]:
-    """Samples of people in MakeHuman's clothes by split, on whom skirts, capes, tails, ears and long hair are apparel
-    as a whole, computed once.
-
-    Args:
-        folder: Where they are kept.
-        clothes: MakeHuman's clothes and hair.
-        count: How many people.
-        first: Seed of the first.
-
-    Raises:
-        FormatError: The clothes or the body are missing or damaged.
-    """
-    from bunraku_lab.synthetic.dressed.people import dressed_person
-    from bunraku_lab.synthetic.wardrobe.makehuman import closet
-
-    def made(seed: int, name: str) -> MeshSample:
-        person = dressed_person(closet(str(clothes)), seed)
-        return _seen(person.character(name), person.joints, person.piece.joints, person.hangs, name, seed)
-
-    return _by_split(folder, "worn", range(first, first + count), made)
-
-
-def _by_split(
-    folder: Path, kind: str, seeds: range, made: Callable[[int, str], MeshSample | None],
-    progress: Callable[[float], None] | None = None,
-) -> dict[str, list[MeshSample]]:  # fmt: skip
-    """Samples of seeds by the split of their names, each made once and kept in a folder; None is left out."""
     folder.mkdir(parents=True, exist_ok=True)
     sweep(folder)
     out: dict[str, list[MeshSample]] = {"train": [], "val": [], "test": []}
-    for done, seed in enumerate(seeds, 1):
-        name = f"{kind}_{seed:06d}"
+    for done, seed in enumerate(range(first, first + count), 1):
+        name = f"wardrobe_{seed:06d}"
         path = folder / f"{name}.npz"
         if not path.is_file():
-            sample = made(seed, name)
-            if sample is None:
+            try:
+                sample = mesh_sample(wardrobe_character(seed), name, seed)
+            except BunrakuError:
                 continue
             _write(path, sample)
         out[character_split(name)].append(_read(path))
         if progress:
-            progress(done / len(seeds))
+            progress(done / count)
     return out
-
-
-def _seen(
-    character: Character, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray, name: str, seed: int
-) -> MeshSample:
-    """A sample of a character of which is known what is apparel, and not how it moves."""
-    joints = joints.astype(np.float32)
-    mesh = sampled_mesh(character.vertices, character.faces, joints, seed=seed)
-    first = np.zeros(mesh.index.max() + 1, np.int64)
-    first[mesh.index] = np.arange(len(mesh.index))
-    unknown = np.full(len(mesh.clean), np.nan, np.float32)
-    own = first[mesh.clean]
-    return MeshSample(
-        name, mesh, apparel[own], unknown, unknown, weights[own].astype(np.float32),
-        joint_distances(character.vertices, character.faces, joints, mesh.clean),
-    )  # fmt: skip
 
 
 def _write(path: Path, sample: MeshSample) -> None:

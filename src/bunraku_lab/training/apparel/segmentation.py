@@ -17,7 +17,7 @@ from bunraku_lab.nn.apparel.segmentation import (
     mesh_block,
     save_segmentation,
 )
-from bunraku_lab.training.apparel.mesh_bank import MeshSample, bare_meshes, build_meshes, worn_meshes
+from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku_lab.training.apparel.mesh_variation import varied
 from bunraku_lab.training.losses.apparel_losses import mask_loss
 from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
@@ -36,11 +36,6 @@ class SegmentationTrainConfig(StepSettings):
         overlap: Weight of 1 - (soft intersection over union) beside the cross entropy.
         stiffness: Weight of the error of stiffness and damping.
         varied: Share of the characters that are varied (`mesh_variation`).
-        bare: Folder of characters (.glb) on which nothing is apparel, to learn from as well.
-        bare_share: How many of the characters of a step are of these, as a share.
-        clothes: Folder of MakeHuman's clothes and hair, to learn from people in them as well.
-        worn: How many such people.
-        worn_share: How many of the characters of a step are of these, as a share.
         start: Checkpoint to begin with, whose shape counts.
         network: Its shape.
     """
@@ -52,11 +47,6 @@ class SegmentationTrainConfig(StepSettings):
     overlap: float = 0.5
     stiffness: float = 0.05
     varied: float = 0.7
-    bare: Path | None = None
-    bare_share: float = 0.35
-    clothes: Path | None = None
-    worn: int = 400
-    worn_share: float = 0.4
     start: Path | None = None
     weight_decay: float = 0.02
     network: SegmentationConfig = field(default_factory=SegmentationConfig)
@@ -69,9 +59,6 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
         config: Settings.
         characters: To learn from.
         held_out: To validate on.
-        bare: Others, on whom nothing is apparel.
-        worn: Others, of whom is known what is apparel and not how it moves.
-        worn_out: Such as `worn`, to validate on.
     """
 
     kind = "apparel-mask"
@@ -81,14 +68,10 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
         config: SegmentationTrainConfig,
         characters: Sequence[MeshSample],
         held_out: Sequence[MeshSample] = (),
-        bare: Sequence[MeshSample] = (),
-        worn: Sequence[MeshSample] = (),
-        worn_out: Sequence[MeshSample] = (),
     ):
         if not characters:
             raise OptionError("there are no characters to train on; ask for more with --characters")
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
-        self.bare, self.worn, self.worn_out = list(bare), list(worn), list(worn_out)
         shape = config.network if config.start is None else load_segmentation(config.start).config
         self.set_up(lambda: SegmentationNetwork(shape), self._units)
 
@@ -103,9 +86,6 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
         """Cross entropy, overlap, and the error of stiffness and damping."""
         config = self.config
         chosen = [self.characters[number] for number in self.rng.integers(len(self.characters), size=config.batch)]
-        for others, share in ((self.worn, config.worn_share), (self.bare, config.bare_share)):
-            for place in np.flatnonzero(self.rng.random(config.batch) < share) if others else ():
-                chosen[place] = others[int(self.rng.integers(len(others)))]
         chosen = [varied(one, self.rng) if self.rng.random() < config.varied else one for one in chosen]
         features, graph = mesh_block([one.mesh for one in chosen])
         noise = torch.from_numpy(self.rng.normal(0, 0.003, (len(features), 3)).astype(np.float32))
@@ -134,13 +114,8 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
             found.append(mask_iou(scores[:, 0] > 0, one.apparel))
             if one.apparel.any():
                 errors.append(float(np.abs(scores[:, 1] - one.stiffness)[one.apparel].mean()))
-        worn = [
-            mask_iou(self.average.scores(*mesh_block([one.mesh])).numpy()[:, 0] > 0, one.apparel)
-            for one in self.worn_out
-        ]
         return {
             "iou": float(np.mean(found)), "least_iou": float(np.min(found)), "stiffness": float(np.mean(errors)),
-            "worn_iou": float(np.mean(worn)) if worn else float("nan"),
         }  # fmt: skip
 
     def write(self, note: TrainingNote) -> Path:
@@ -181,14 +156,4 @@ def train_segmentation(
     """
     config.prepare()
     meshes = build_meshes(config.out.with_name(f"{config.out.name}-meshes"), config.characters)
-    kept = config.out.with_name(f"{config.out.name}-bare")
-    bare = [] if config.bare is None else bare_meshes(kept, config.bare)
-    worn = (
-        {}
-        if config.clothes is None
-        else worn_meshes(config.out.with_name(f"{config.out.name}-worn"), config.clothes, config.worn)
-    )
-    trainer = SegmentationTrainer(
-        config, meshes["train"], meshes["val"], bare, worn.get("train", ()), worn.get("val", ())
-    )
-    return trainer.learn(report, progress)
+    return SegmentationTrainer(config, meshes["train"], meshes["val"]).learn(report, progress)

@@ -24,7 +24,7 @@ class TrainingConfig(RunSettings):
             brings, with its sizes and units.
         rehearse: Share of people's rows that are captured examples which Bunraku brings, so that a network that goes on
             with few clips keeps what it knows.
-        preset: "small" trains on a CPU, "paper" is TapMo's size, "mdm" is the encoder-only denoiser to compare with.
+        preset: "small" trains on a CPU, "paper" is TapMo's size.
         minutes: Stop after so many minutes of training, earlier sessions of the run included; None for no limit.
         steps: Stop after so many optimiser steps; None for no limit.
         learning_rate: Peak, after the warm-up.
@@ -33,8 +33,6 @@ class TrainingConfig(RunSettings):
         weight_decay: AdamW's.
         velocity_weight: Weight of the frame-difference term.
         contact_weight: Weight of the contact loss: feet that stand do not slide or lift.
-        min_snr: Rows count by the lesser of this and the signal-to-noise ratio of their diffusion step (min-SNR); 0
-            counts all alike.
         drop_text: Share of rows without their sentence, for classifier-free guidance.
         drop_mesh: Share of rows without their mesh feature.
         drop_tokens: Share of the text tokens that rows lack; the sentence's vector stays.
@@ -62,7 +60,6 @@ class TrainingConfig(RunSettings):
         adversarial_weight: nu_a of Eq. 9.
         sigma: Of the spring loss (Eq. 7).
         adaptation_mesh: Let the adaptation's linear layer see the mesh token beside the hidden state.
-        convolution: Tokens that a convolution beside attention reaches over, odd; 0 trains without.
         examples: Captured examples that the network attends to, retrieved among `example_pack`; 0 trains without.
         example_pack: What `bunraku data examples` wrote; None takes the shipped examples.
         text_folder: Folder with CLIP, in place of the built-in text encoder.
@@ -87,7 +84,6 @@ class TrainingConfig(RunSettings):
     weight_decay: float = 0.02
     velocity_weight: float = 2.0
     contact_weight: float = 0.02
-    min_snr: float = 0.0
     drop_text: float = 0.1
     drop_mesh: float = 0.2
     drop_tokens: float = 0.0
@@ -109,7 +105,6 @@ class TrainingConfig(RunSettings):
     adversarial_weight: float = 0.1
     sigma: float = 0.0
     adaptation_mesh: bool = False
-    convolution: int = 0
     examples: int = 0
     example_pack: Path | None = None
     text_folder: Path | None = None

@@ -148,7 +148,6 @@ def train_diffusion(
             PRESETS[config.preset],
             **sizes,
             adaptation_mesh=config.adaptation_mesh,
-            convolution=config.convolution,
             examples=config.examples,
         )
     mesh_bank = config.mesh_bank

@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bunraku.diffusion.denoiser_config import TRAINING_STEPS, DenoiserConfig
+from bunraku.diffusion.denoiser_config import TRAINING_STEPS, DenoiserConfig, denoiser_config
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
 from bunraku.errors import OptionError
 from bunraku_lab.datasets.characters.bank_file import CharacterBank
 from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
-from bunraku_lab.nn.diffusion.checkpoint import build_denoiser, save_denoiser
+from bunraku_lab.nn.diffusion.checkpoint import save_denoiser
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
 from bunraku_lab.nn.diffusion.denoiser_layers import RetrievedExamples
 from bunraku_lab.nn.diffusion.noise import add_noise, alphas_cumprod
@@ -24,7 +24,7 @@ from bunraku_lab.nn.text import TextBatch
 from bunraku_lab.training.diffusion.config import TrainingConfig
 from bunraku_lab.training.diffusion.mesh_learning import MeshDraw, MeshLearning
 from bunraku_lab.training.losses.contact_loss import contact_loss
-from bunraku_lab.training.losses.motion_loss import motion_losses, step_weights
+from bunraku_lab.training.losses.motion_loss import motion_losses
 from bunraku_lab.training.rows.clip_rows import MotionBatch
 from bunraku_lab.training.rows.drawn_rows import DrawnRows
 from bunraku_lab.training.rows.mesh_bank import MeshBank
@@ -90,10 +90,10 @@ class Trainer:
             config.device or ("cuda" if torch.cuda.is_available() else "cpu")
         )
         torch.manual_seed(config.seed)
-        self.model = build_denoiser(network).to(self.device)
+        self.model = Denoiser(network).to(self.device)
         self.model.mean.copy_(torch.from_numpy(statistics.mean))
         self.model.std.copy_(torch.from_numpy(statistics.std))
-        self.average = build_denoiser(network).to(self.device).requires_grad_(False)
+        self.average = Denoiser(network).to(self.device).requires_grad_(False)
         self.average.load_state_dict(self.model.state_dict())
         decayed = [value for value in self.model.parameters() if value.ndim > 1]
         plain = [value for value in self.model.parameters() if value.ndim <= 1]
@@ -101,7 +101,6 @@ class Trainer:
         self.optimizer = torch.optim.AdamW(groups, lr=config.learning_rate, betas=(0.9, 0.99), fused=True)
         self.bf16 = config.bf16 and bf16_is_fast(self.device)
         self.curve = alphas_cumprod().to(self.device)
-        self.step_weights = step_weights(self.curve, config.min_snr)
         self.weights = torch.from_numpy(feature_weights()).to(self.device)
         self.mesh_bank = mesh_bank
         self.learning: MeshLearning | None = None
@@ -203,9 +202,8 @@ class Trainer:
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate()
         predicted, adaptation = self.predict(self.model, example)
-        share = self.step_weights[example.step]
         motion, velocity = (
-            (share * part).mean() for part in motion_losses(predicted, example.clean, example.lengths, self.weights)
+            part.mean() for part in motion_losses(predicted, example.clean, example.lengths, self.weights)
         )
         total = motion + config.velocity_weight * velocity
         reported = {"motion": motion, "velocity": velocity}
@@ -299,8 +297,7 @@ class Trainer:
             OptionError: The run was started with another network.
         """
         state = load_training_state(path)
-        saved = {**asdict(DenoiserConfig()), **state.config.get("network", {})}  # an older state lacks newer fields
-        if saved != asdict(network):
+        if denoiser_config(state.config.get("network", {})) != network:  # an older state lacks newer fields
             raise OptionError(
                 f"{path}: this run was started with another network; give the same preset and encoder, or another run "
                 "folder"

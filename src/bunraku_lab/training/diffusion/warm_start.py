@@ -10,19 +10,14 @@ import torch
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.inference.examples import EXAMPLE_TOKENS
 from bunraku.errors import OptionError
-from bunraku.language.encoders import CuedEncoder
 from bunraku_lab.nn.diffusion.checkpoint import load_denoiser
 from bunraku_lab.nn.diffusion.denoiser import Denoiser
 
 __all__ = ["rescaled", "start_from"]
 
 _HEAD = "adaptation_out."
-_FREE = {"adaptation_mesh", "adaptation_frame", "convolution", "examples"}
-"""What may differ: the adaptation's layer is small and is trained anew, and blocks that are added begin without
-effect.
-"""
-_TEXT = {"text_encoder", "pooled_size"}
-"""What may differ where the new encoder is the old one with cues: they begin without effect."""
+_FREE = {"adaptation_mesh", "adaptation_frame", "examples"}
+"""What may differ: the adaptation's layer is small and trained anew, and examples begin without effect."""
 
 
 @torch.no_grad()
@@ -53,25 +48,6 @@ def rescaled(model: Denoiser, mean: torch.Tensor, std: torch.Tensor) -> dict[str
     return state
 
 
-def _widened(weight: torch.Tensor, size: int) -> torch.Tensor:
-    """The layer that reads a sentence's vector, for longer vectors, which it scales by the root of their size."""
-    before = weight.shape[1]
-    cues = torch.zeros(len(weight), size - before, dtype=weight.dtype)
-    return torch.cat([weight * (before / size) ** 0.5, cues], dim=1)
-
-
-def _with_added(own: torch.Tensor, fresh: torch.Tensor, old: DenoiserConfig, new: DenoiserConfig) -> torch.Tensor:
-    """What steers the added blocks of a network, shape (blocks * rows, ...): its own of those that it has, fresh ones
-    of those that it gets.
-    """
-    blocks = [[name for name in ("convolution", "examples") if getattr(config, name)] for config in (old, new)]
-    if blocks[0] == blocks[1]:
-        return own
-    parts = dict(zip(blocks[0], own.chunk(len(blocks[0])), strict=True))
-    others = dict(zip(blocks[1], fresh.chunk(len(blocks[1])), strict=True))
-    return torch.cat([parts.get(name, others[name]).float() for name in blocks[1]])
-
-
 def start_from(path: str | Path, model: Denoiser) -> None:
     """Give a new denoiser the weights of a checkpoint, in the units of its own statistics; its adaptation's layer stays
     as it is.
@@ -85,9 +61,7 @@ def start_from(path: str | Path, model: Denoiser) -> None:
         WeightsError: It is missing or broken.
     """
     old = load_denoiser(path)
-    cued = model.config.text_encoder == old.config.text_encoder + CuedEncoder.SUFFIX
-    free = _FREE | _TEXT if cued else _FREE
-    names = [field.name for field in fields(DenoiserConfig) if field.name not in free]
+    names = [field.name for field in fields(DenoiserConfig) if field.name not in _FREE]
     other = [name for name in names if getattr(old.config, name) != getattr(model.config, name)]
     if other:
         raise OptionError(
@@ -95,13 +69,8 @@ def start_from(path: str | Path, model: Denoiser) -> None:
             "was trained with"
         )
     state = rescaled(old, model.mean.cpu(), model.std.cpu())
-    if cued:
-        state["pooled_in.weight"] = _widened(state["pooled_in.weight"], model.config.pooled_size)
     if model.config.examples and not old.config.examples:  # examples are read as motions are
         state["example_in.weight"] = state["motion_in.weight"].repeat(1, EXAMPLE_TOKENS) / EXAMPLE_TOKENS
         state["example_in.bias"] = state["motion_in.bias"].clone()
-    for name, value in state.items():  # steering of the blocks that both have
-        if "_more" in name:
-            state[name] = _with_added(value, model.state_dict()[name].cpu(), old.config, model.config)
     kept = {name: value for name, value in state.items() if not name.startswith(_HEAD)}
     model.load_state_dict(kept, strict=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-__all__ = ["motion_losses", "step_weights"]
+__all__ = ["motion_losses"]
 
 
 def motion_losses(predicted: Tensor, clean: Tensor, lengths: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
@@ -27,17 +27,3 @@ def motion_losses(predicted: Tensor, clean: Tensor, lengths: Tensor, weights: Te
     position = error.square().sum((1, 2)) / (lengths * features)
     change = (error[:, 1:] - error[:, :-1]) * real[:, 1:, None]
     return position, change.square().sum((1, 2)) / ((lengths - 1).clamp(min=1) * features)
-
-
-def step_weights(curve: Tensor, gamma: float) -> Tensor:
-    """What a row of each diffusion step counts in a loss of x0: min(SNR, gamma), with a mean of 1 over all steps, shape
-    (T,), float32 (Hang et al. 2023).
-
-    Args:
-        curve: Share of signal power left after each step, shape (T,).
-        gamma: Where the weight stops to rise with the signal-to-noise ratio; 0 weighs all steps alike.
-    """
-    if gamma <= 0:
-        return torch.ones(len(curve), device=curve.device)
-    ratio = (curve / (1 - curve)).clamp(max=gamma)
-    return (ratio / ratio.mean()).float()

@@ -8,9 +8,8 @@ import numpy as np
 import torch
 
 from bunraku.geometry.axes import ORIENTATIONS
-from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
+from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.handles.inference.orientation import shape_tokens
-from bunraku_lab.datasets.characters.surfaces import SurfaceBank
 from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter, augment
 from bunraku_lab.nn.handles.orientation_net import OrientationPredictor
 
@@ -20,9 +19,7 @@ __all__ = [
     "UPRIGHT",
     "fitted_temperature",
     "orientation_results",
-    "surface_tokens",
     "validate_orientation",
-    "validate_surfaces",
     "varied_tokens",
 ]
 
@@ -51,38 +48,9 @@ def varied_tokens(
         config: How its rest pose and proportions vary.
     """
     mesh = augment(character, rng, config or AugmentConfig(poses=0))
-    return _spoilt(mesh.vertices, mesh.normals, mesh.areas, rng, anchors, _tilted(rng, tilt))
-
-
-def surface_tokens(
-    points: np.ndarray,
-    normals: np.ndarray,
-    rng: np.random.Generator,
-    anchors: int = 128,
-    tilt: float = 0.26,
-    oblique: float = 0.6,
-) -> np.ndarray:
-    """Tokens of a random variant of an upright surface, shape (M, 10).
-
-    Args:
-        points, normals: Of the surface, shape (N, 3) each.
-        rng: Source of randomness.
-        anchors: Tokens, M.
-        tilt: Largest tilt [rad].
-        oblique: Largest turn about +Y of the half of the variants that stand oblique, as what was made from a
-            photograph does [rad]; below pi / 4 the front stays the nearest axis.
-    """
-    stretch = np.exp(rng.uniform(-0.2, 0.2, 3)) * np.where(rng.random() < 0.5, np.array([-1.0, 1, 1]), 1.0)
-    turn = np.asarray(matrix_y(np.array(rng.uniform(-oblique, oblique) if rng.random() < 0.5 else rng.normal(0, 0.1))))
-    straight = normals / stretch
-    straight = straight / np.maximum(np.linalg.norm(straight, axis=1, keepdims=True), 1e-9)
-    turn = _tilted(rng, tilt) @ turn
-    return _spoilt(points * stretch, straight, np.ones(len(points)), rng, anchors, turn)
-
-
-def _tilted(rng: np.random.Generator, tilt: float) -> np.ndarray:
     axis = rng.normal(size=3)
-    return np.asarray(matrix_from_axis_angle(axis / np.linalg.norm(axis) * rng.uniform(0, tilt)))
+    turn = np.asarray(matrix_from_axis_angle(axis / np.linalg.norm(axis) * rng.uniform(0, tilt)))
+    return _spoilt(mesh.vertices, mesh.normals, mesh.areas, rng, anchors, turn)
 
 
 def _spoilt(
@@ -130,19 +98,6 @@ def validate_orientation(
                 ]
             )
         )
-    return np.stack(rows)
-
-
-@torch.no_grad()
-def validate_surfaces(model: OrientationPredictor, surfaces: SurfaceBank, most: int = 200, seed: int = 0) -> np.ndarray:
-    """Log-probabilities of all orientations for variants of surfaces that are upright, shape (min(S, most), 24)."""
-    model.eval()
-    rows = []
-    for number in np.unique(np.linspace(0, len(surfaces) - 1, min(len(surfaces), most)).astype(int)):
-        rng = np.random.default_rng([seed, int(number)])
-        points, normals = (some[number].astype(np.float64) for some in (surfaces.points, surfaces.normals))
-        tokens = surface_tokens(points, normals, rng, model.config.anchors)
-        rows.append(model.probabilities(torch.from_numpy(tokens).to(model.rotations.device)).log().cpu().numpy())
     return np.stack(rows)
 
 

@@ -14,7 +14,6 @@ import torch
 from bunraku.errors import OptionError
 from bunraku.geometry.axes import ORIENTATIONS
 from bunraku.handles.inference.orientation import OrientationConfig
-from bunraku_lab.datasets.characters.surfaces import SurfaceBank, load_surfaces
 from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter
 from bunraku_lab.nn.handles.orientation_net import (
     OrientationPredictor,
@@ -27,9 +26,7 @@ from bunraku_lab.training.orientation.measures import (
     UPRIGHT,
     fitted_temperature,
     orientation_results,
-    surface_tokens,
     validate_orientation,
-    validate_surfaces,
     varied_tokens,
 )
 from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
@@ -49,8 +46,6 @@ class OrientationTrainConfig(StepSettings):
         others: Rotations that are not upright, of the 20, that an example is compared with; each stands for its share.
         tilt: Largest tilt of an example [rad].
         reference_share: Share of the examples that are the reference body.
-        surfaces: What `bunraku data surfaces` wrote; none where not given.
-        surface_share: Share of the examples that are such surfaces.
         start: A checkpoint whose weights the run begins with, of the same shape; random ones where not given.
     """
 
@@ -65,8 +60,6 @@ class OrientationTrainConfig(StepSettings):
     weight_decay: float = 0.02
     tilt: float = 0.26
     reference_share: float = 0.05
-    surfaces: Path | None = None
-    surface_share: float = 0.6
     start: Path | None = None
     validate_every: int = 200
     predictor: OrientationConfig = field(default_factory=OrientationConfig)
@@ -81,8 +74,6 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         characters: To train on, all upright and facing +Z.
         held_out: To validate on.
         reference: The reference body's shapes, mixed in.
-        surfaces: Surfaces to train on, mixed in.
-        held_surfaces: Surfaces to validate on.
     """
 
     kind = "orientation"
@@ -94,18 +85,14 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         characters: Sequence[TrainingCharacter],
         held_out: Sequence[TrainingCharacter] = (),
         reference: Sequence[TrainingCharacter] = (),
-        surfaces: SurfaceBank | None = None,
-        held_surfaces: SurfaceBank | None = None,
     ):
         if not characters:
             raise OptionError("there are no characters to train on; build the cache first")
         self.config = config
         self.characters, self.held_out, self.reference = list(characters), list(held_out), list(reference)
-        self.surfaces, self.held_surfaces = surfaces, held_surfaces
         self.temperature = 1.0
         self.set_up(lambda: OrientationPredictor(config.predictor).to(config.device), self._begin)
         self.chances = _chances([c.name for c in self.characters])
-        self.surface_chances = _chances(surfaces.names if surfaces is not None else [])
 
     def _begin(self, model: OrientationPredictor) -> None:
         if self.config.start is None:
@@ -131,13 +118,6 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         config = self.config
         tokens = []
         for _ in range(config.batch):
-            if self.surfaces is not None and self.rng.random() < config.surface_share:
-                chosen = int(self.rng.choice(len(self.surfaces), p=self.surface_chances))
-                points, normals = (
-                    some[chosen].astype(np.float64) for some in (self.surfaces.points, self.surfaces.normals)
-                )
-                tokens.append(surface_tokens(points, normals, self.rng, config.predictor.anchors, config.tilt))
-                continue
             known = self.reference and self.rng.random() < config.reference_share
             character = (
                 self.reference[self.rng.integers(len(self.reference))]
@@ -160,10 +140,6 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         )
         results = {f"held_{name}": value for name, value in plain.items()}
         results |= {f"varied_{name}": value for name, value in changed.items()}
-        if self.held_surfaces is not None and len(self.held_surfaces):
-            remade = validate_surfaces(self.average, self.held_surfaces)
-            every = np.concatenate([every, remade])
-            results |= {f"surface_{name}": value for name, value in orientation_results(remade).items()}
         self.temperature = fitted_temperature(every)
         return results | {"temperature": self.temperature}
 
@@ -179,7 +155,7 @@ def _chances(names: Sequence[str]) -> np.ndarray:
     folders = [name.rpartition("/")[0] for name in names]
     counts = Counter(folders)
     share = np.array([counts[folder] ** -0.5 for folder in folders])
-    return np.asarray(share / share.sum()) if len(share) else share
+    return np.asarray(share / share.sum())
 
 
 def train_orientation(
@@ -198,17 +174,9 @@ def train_orientation(
     Raises:
         BunrakuError: No cache, or the folder cannot be written.
     """
-    from bunraku_lab.datasets.characters.build import (
-        HELD_OUT,
-        load_characters,
-        reference_characters,
-    )  # the data is built on this package's types
+    from bunraku_lab.datasets.characters.build import load_characters, reference_characters
 
     config.prepare()
     characters, held_out = load_characters(config.cache)
     reference = reference_characters() if config.reference_share > 0 else ()
-    banks: list[SurfaceBank | None] = [None, None]
-    if config.surfaces is not None:
-        bank = load_surfaces(config.surfaces)
-        banks = [bank.those(frozenset(HELD_OUT), held) for held in (False, True)]
-    return OrientationTrainer(config, characters, held_out, reference, *banks).learn(report, progress)
+    return OrientationTrainer(config, characters, held_out, reference).learn(report, progress)

@@ -15,20 +15,12 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.motion import HandleMotion
-from bunraku.errors import FormatError
 from bunraku.language.description.track import SIDES
 from bunraku.language.lexicon.reading import main_actions
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.evaluation.motion.seams import measure_seams
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Report
 from bunraku_lab.evaluation.motion.viewer import measures as viewer
-from bunraku_lab.evaluation.motion.viewer.action_test import (
-    SENTENCES,
-    action_clips,
-    by_turns,
-    captured_classifier,
-    named,
-)
 from bunraku_lab.evaluation.report import Bar
 
 __all__ = ["VIEWER_BARS", "Captured", "captured_clips", "viewer_figures"]
@@ -42,9 +34,6 @@ SHORTEST = 20  # frames of a captured clip that is compared with
 Make = Callable[[Sequence[tuple[str, float]]], list[HandleMotion]]
 
 VIEWER_BARS = {
-    "action_accuracy_over_real": Bar(
-        "40 actions named by a classifier of captured clips, over the same on those", 0.85
-    ),
     "turn_side_degrees": Bar("turns left or right: degrees to that side, median", 60, 130),
     "turn_side_share": Bar("- share of 45 to 150 degrees to that side", 0.7),
     "turn_around_degrees": Bar("turns around: degrees, median", 150, 210),
@@ -158,8 +147,8 @@ def viewer_figures(config: MotionEvalConfig, quick: bool, report: Report) -> dic
         report: Called with a stage's name and the share done.
 
     Returns:
-        By key; a figure that could not be measured is None. Tables: "action_accuracy_by_action",
-        "side_accuracy_by_action", "speed_by_action" and "jitter_by_action".
+        By key; a figure that could not be measured is None. Tables: "side_accuracy_by_action",
+        "speed_by_action" and "jitter_by_action".
 
     Raises:
         FormatError: The data are missing or damaged.
@@ -182,7 +171,6 @@ def viewer_figures(config: MotionEvalConfig, quick: bool, report: Report) -> dic
         return found
 
     blocks: dict[str, Callable[[], dict[str, Any]]] = {
-        "actions": lambda: _actions(make, config.data, 1 if quick else 3),
         "turns": lambda: _turns(make, 6 if quick else 20),
         "waves": lambda: _waves(make, 6 if quick else 20),
         "sides": lambda: _sides(make, 2 if quick else 5),
@@ -196,24 +184,6 @@ def viewer_figures(config: MotionEvalConfig, quick: bool, report: Report) -> dic
         result |= block()
     report("viewer", 1.0)
     return result
-
-
-def _actions(make: Make, data: Path, seeds: int) -> dict[str, Any]:
-    """The action test on motions of 4 s; None where no clip shows one of the actions alone."""
-    try:
-        clips = action_clips(data)
-    except FormatError:
-        return dict.fromkeys(("action_accuracy", "action_accuracy_captured", "action_accuracy_over_real"))
-    captured = named([clip.action for clip in clips], by_turns(clips))
-    requests = [(action, sentence) for action, both in SENTENCES.items() for sentence in both for _ in range(seeds)]
-    motions = make([(sentence, 4.0) for _, sentence in requests])
-    found = named([action for action, _ in requests], captured_classifier(clips).predict(motions))
-    return {
-        "action_accuracy": found["accuracy"],
-        "action_accuracy_captured": captured["accuracy"],
-        "action_accuracy_over_real": found["accuracy"] / captured["accuracy"] if captured["accuracy"] else None,
-        "action_accuracy_by_action": found["by_action"],
-    }
 
 
 def _turns(make: Make, seeds: int) -> dict[str, Any]:

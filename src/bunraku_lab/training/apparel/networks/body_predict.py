@@ -9,8 +9,9 @@ import numpy as np
 import torch
 
 from bunraku.apparel.sampled_mesh import joint_distances, sampled_mesh
-from bunraku.nn.checkpoints import dated_checkpoint
+from bunraku.nn.checkpoints import dated
 from bunraku_lab.nn.apparel.graph import node_graph
+from bunraku_lab.nn.checkpoints import lab_checkpoint
 from bunraku_lab.training.apparel.networks.body import BodyNetwork, load_body
 
 __all__ = ["body_weights"]
@@ -30,13 +31,13 @@ def body_weights(
         vertices: Rest mesh V [m], +Y up and facing +Z, shape (V, 3).
         faces: Shape (F, 3).
         joints: J [m], shape (22, 3).
-        checkpoint: Weights of kind "apparel-body"; the shipped ones when not given.
+        checkpoint: Weights of kind "apparel-body"; those of a checkout when not given.
 
     Raises:
         CharacterError: The mesh is broken.
         WeightsError: The checkpoint is missing or does not fit.
     """
-    model = _model(*dated_checkpoint("apparel-body", checkpoint))
+    model = _model(*dated(lab_checkpoint("apparel-body") if checkpoint is None else Path(checkpoint)))
     mesh = sampled_mesh(vertices, faces, joints)
     geodesics = joint_distances(vertices, faces, joints, mesh.clean)
     with torch.no_grad():

@@ -1,1 +1,0 @@
-"""The blind study: made, and shown."""

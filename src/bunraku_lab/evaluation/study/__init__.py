@@ -1,1 +1,0 @@
-"""What people say: ranks of a blind study (TapMo, Table 3)."""

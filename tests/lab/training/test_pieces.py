@@ -1,0 +1,63 @@
+import json
+
+import numpy as np
+import pytest
+
+from bunraku.errors import FormatError, OptionError
+from bunraku_lab.training.pieces import join_pieces, split_file
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "weights.bin"
+    path.write_bytes(np.random.default_rng(0).bytes(40_000))
+    return path
+
+
+def test_what_was_split_is_joined(file, tmp_path):
+    folder, out = tmp_path / "back", tmp_path / "run"
+    pieces = split_file(file, folder, 16_384)
+    assert [piece.name for piece in pieces] == [f"weights.bin.{number}.piece" for number in range(3)]
+    assert all(piece.stat().st_size <= 16_384 for piece in pieces)
+    assert join_pieces(folder, out) == [out / "weights.bin"]
+    assert (out / "weights.bin").read_bytes() == file.read_bytes()
+    file.write_bytes(b"short")
+    assert len(split_file(file, folder, 16_384)) == 1  # those of before are gone
+    join_pieces(folder, out)
+    assert (out / "weights.bin").read_bytes() == b"short"
+
+
+def test_pieces_that_do_not_belong_together_are_named(file, tmp_path):
+    folder, out = tmp_path / "back", tmp_path / "run"
+    first, second, third = split_file(file, folder, 16_384)
+    sound = {piece: piece.read_bytes() for piece in (first, second, third)}
+
+    def head(of, **changes):
+        line, _, rest = sound[of].partition(b"\n")
+        return json.dumps(json.loads(line) | changes).encode() + b"\n" + rest
+
+    middle = bytearray(sound[second])
+    middle[9_000] ^= 1
+    for damage, words in (
+        ({second: None}, "piece 1 of weights.bin is missing"),
+        ({third: None}, "piece 2"),
+        ({second: bytes(middle)}, "not what was split"),
+        ({third: sound[third][:-5]}, "do not add up"),
+        ({second: sound[first]}, "piece 1"),
+        ({second: head(second, sha256="0" * 64)}, "different files"),
+        ({second: head(second, file="../weights.bin")}, "no piece"),
+        ({second: head(second, piece=-1)}, "no piece"),
+        ({second: head(second, bytes=None)}, "no piece"),
+        ({second: b"\x00" * 5_000}, "no piece"),
+        ({piece: head(piece, pieces=10**12) for piece in sound}, "piece 3"),
+        ({first: None, second: None, third: None}, "there is no piece"),
+    ):
+        for piece, data in {**sound, **damage}.items():
+            piece.unlink(missing_ok=True)
+            if data is not None:
+                piece.write_bytes(data)
+        with pytest.raises(FormatError, match=words):
+            join_pieces(folder, out)
+        assert not (out / "weights.bin").exists()
+    with pytest.raises(OptionError, match="1024"):
+        split_file(file, folder, 1024)
