@@ -67,11 +67,11 @@ TAPMO: tuple[PaperTable, ...] = (
             PaperRow("ours", (0.271, 0.329, 0.046)),
         ),
         "MDM-SR",
-        "MDM-SR leaves out characters that no human skeleton fits, in its favour. The figures of 2026-11-24 show motion "
-        "of an encoder-only network in the rows of MDM-SR and MDM-SFR; the command takes our own motion there. MDM-SFR "
-        "was trained for minutes of a processor and shares parts with our handle predictor, so a ratio to it says "
-        "little. L_h, L_a and the adaptation are last layers that were trained for 500 steps on the shipped network; "
-        "the last row is the shipped program, which has none of them. Handle-FID needs --data.",
+        "MDM-SR leaves out characters that no human skeleton fits, in its favour. The figures of 2026-11-24 show "
+        "motion of an encoder-only network in the rows of MDM-SR and MDM-SFR; the command takes our own motion there. "
+        "MDM-SFR was trained for minutes of a processor and shares parts with our handle predictor, so a ratio to it "
+        "says little. L_h, L_a and the adaptation are last layers that were trained for 500 steps on the shipped "
+        "network; the last row is the shipped program, which has none of them. Handle-FID needs --data.",
     ),
     PaperTable(
         "tapmo", 3, "user study, mean rank", ("overall", "text", "geometry"),
