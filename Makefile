@@ -5,7 +5,7 @@
 #   make test      the tests
 #   make docs      the documentation with the API, in build/docs
 #   make fuzz      broken files for all readers: COUNT=100000 of them, from seed FIRST=0 on
-#   make studio    build the studio's page and the view of .html again (needs npm; who changes nothing there needs neither)
+#   make studio    build the studio's page and the view of .html again (needs npm, and only if you change them)
 #   make stops     kills commands at TIMES=20 random file events and interrupts them at as many moments, and looks what is left
 #   make soak      mixed work in one process for MINUTES=60, whose memory must not grow
 #   make browser   the tests of the studio's page in Chromium

@@ -26,7 +26,7 @@ PROMPTS = (
     "a person dances and turns around", "a person kicks with the right leg", "a person runs forward",
     "a person walks forward",
 )  # fmt: skip
-FEW = 300  # vertices that hang, from which on somebody wears a skirt
+FEW = 300  # vertices that hang, from which on a character wears a skirt
 MOMENTS = slice(5, None, 12)
 
 

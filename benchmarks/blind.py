@@ -1,4 +1,4 @@
-"""Is generated motion recognised as often as captured motion, by who does not know which is which?
+"""Is generated motion recognised as often as captured motion, by a reader that does not know which is which?
 
     python benchmarks/blind.py draw POOL -o benchmarks/blind_prompts_3.txt
     python benchmarks/blind.py make benchmarks/blind_prompts_3.txt --pool POOL --data data/motions -o SHEETS --key KEY
@@ -14,7 +14,7 @@ body: sentences as `bunraku animate` does with its defaults, stretches as captur
 those do. Each motion is a sheet: 20 pictures, evenly spaced, and its way from above. Nothing tells how long it lasts.
 Limbs have the colours of their handles: the right leg is blue and green, the left one turquoise and light blue, the
 right arm brown and green, the left one violet and red. Sheets are numbered in shuffled order. KEY says what each shows.
-KEY-sentences, beside it, has the sentences alone, for who scores.
+KEY-sentences, beside it, has the sentences alone, for the scorer.
 
 Two people describe the sheets and see nothing else: {"1": {"description": "...", "stiff": false}, ...}. A third
 gives each description 0, 0.5 or 1, and sees descriptions and sentences alone: {"1": 0.5, ...}. Strict is the share of
@@ -141,7 +141,7 @@ def make(args: argparse.Namespace) -> None:
     for prompt, place in prompts:
         try:
             sentence, refused = parse(prompt), ""
-        except OptionError as error:  # made with --force, as the message tells who types it
+        except OptionError as error:  # made with --force, as the message says
             sentence, refused = parse(prompt, force=True), str(error)
         requests.append(Request(sentence, handles=body.handles))
         rows.append({"kind": "generated", "sentence": prompt, "from": place, "refused": refused})
@@ -158,7 +158,7 @@ def make(args: argparse.Namespace) -> None:
     args.key.write_text(json.dumps(key, indent=1), encoding="utf-8")
     sentences = args.key.with_name(f"{args.key.stem}-sentences.json")
     sentences.write_text(json.dumps({n: row["sentence"] for n, row in key.items()}, indent=1), encoding="utf-8")
-    print(f"{len(rows)} sheets in {args.output}; key: {args.key}; sentences for who scores: {sentences}")
+    print(f"{len(rows)} sheets in {args.output}; key: {args.key}; sentences for the scorer: {sentences}")
 
 
 def captured(folder: Path, count: int, random: Any) -> list[tuple[dict[str, Any], Any]]:

@@ -9,8 +9,8 @@ and the share that is understood at all.
 
 The second, where pairs are given: of those that training holds out, 200 a language drawn by lot in which the English
 says a movement as captions do, and 200 in which it says none. Columns: F1 of the actions that are found and the share
-with exactly the right ones, against what is meant and (as the trial in docs/tried.md did) against all that the rules
-find in the English; and the share of sentences without a movement in which one is read.
+with exactly the right ones, against what is meant and against all that the rules find in the English; and the share of
+sentences without a movement in which one is read.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def captions() -> None:
 
 
 def read(sentence: str) -> frozenset[str]:
-    """The actions that somebody who gives a sentence gets."""
+    """The actions that a user who gives a sentence gets."""
     found = understood(sentence)
     return frozenset(actions_of(found.english)) if found.ok else frozenset()
 

@@ -7,7 +7,7 @@
 The second line is for that machine, as often as it takes.
 
 The packed folder holds the code, the text encoder and the data. There it needs Python 3.12 with torch, numpy, scipy,
-safetensors and rich; nothing is installed or fetched. See docs/gpu.md.
+safetensors and rich; nothing is installed or fetched. See docs/training.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Make the picture of docs/rest-poses.md: `python tools/make_rest_pose_pictures.py`.
+"""Make the picture of docs/files.md: `python tools/make_rest_pose_pictures.py`.
 
 One sample character in five rest poses with the handles that the shipped weights find, and below each the same frames
 of the same motions. Takes a minute on a laptop and needs no data.

@@ -1,4 +1,4 @@
-"""Write docs/tables.md, the papers' tables with our figures, from what `bunraku evaluate tables --json` printed.
+"""Write the pages of figures: docs/tables.md, the papers' tables, and docs/measurements.md.
 
     bunraku evaluate tables --paper tapmo --data data/motions --characters archive
         --baselines benchmarks/weights --json > a.json
@@ -6,10 +6,8 @@
     python tools/make_tables_page.py a.json b.json
     python tools/make_tables_page.py
 
-The last line writes it anew from the figures that are kept, after a word of the tables has changed: rows that are new
-are not run, and the day stays.
-
-The figures are kept beside the page (docs/tables.json), so that a test finds each of its numbers there.
+The last line writes both pages again from the figures that are kept in docs/tables.json and docs/measurements.json,
+after a word of the tables or a measurement has changed.
 """
 
 from __future__ import annotations
@@ -20,9 +18,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from bunraku_lab.evaluation.report import Report
-from bunraku_lab.evaluation.tables.measured import PAPERS
-from bunraku_lab.evaluation.tables.paper_table import EITHER_WAY, measured_table, shown_table
+from bunraku_lab.evaluation.tables.paper_table import EITHER_WAY, NAMES, measured_table
 
 PICTURES = {
     ("tapmo", 1): ("tables-tapmo-1.png", "The same sentence and seed on the reference body"),
@@ -30,36 +26,88 @@ PICTURES = {
     ("mmdmc", 2): ("tables-mmdmc.png", "The same dance of a character of the wardrobe, simulated and by each way"),
 }
 """Of the first table of each number, made by `tools/make_tables_pictures.py`."""
+CONCLUSIONS = {
+    "text-based motion generation": "One sample is far nearer to real motion than TapMo (MDM); the chosen one passes "
+    "real motion's R-Precision.",
+    "mesh distortion": "Characters are distorted far less than by a skeleton fitted to them, and the adaptation helps.",
+    "apparel and body in motion, ten frames from a true state": "Ours is ahead of both methods and, on apparel, of the "
+    "best fixed skinning.",
+    "apparel and body in motion, 6 s from rest": "Apparel is behind the best fixed skinning and ahead of all else.",
+    "modules": "The apparel module takes a quarter off the error of apparel; the paper's takes two thirds.",
+    "geodesic attention, the truth without physics": "After a minute of training, attention is ahead on the body only.",
+}
+"""One line for each table that is shown, by its title."""
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 HEAD = """# The papers' tables
 
-TapMo's and MMDMC's tables with our figures, by `bunraku evaluate tables`, {day}. The data are not the papers', so what
-compares are the ratios to the same row on both sides. What stands after ± is half of a 95 % interval, in TapMo's table
-1 over the runs and elsewhere over characters. A row that was not run says what it lacks. The page is made by
-`tools/make_tables_page.py`, the other methods' weights by the commands in `benchmarks/weights/baselines.md`.
+TapMo's and MMDMC's tables with our figures, by `bunraku evaluate tables`, {day}. A cell has the paper's figure / ours,
+and in brackets both over the reference row. The data are not the papers', so only these ratios compare. What follows ±
+is half of a 95 % interval. Rows that were not run, and rows that the papers quote from others, are left out.
+`tools/make_tables_page.py` makes the page; `benchmarks/weights/baselines.md` has the commands for the other methods'
+weights.
+"""
+MEASUREMENTS = """# Measurements
+
+Figures of November 2026, each with the command that prints it and its day. [How things are measured](evaluation.md)
+defines the measures; a bar is what was aimed at before measuring. Times are those of two cores of an AMD EPYC (Zen 5)
+virtual machine. `tools/make_tables_page.py` makes this page from `docs/measurements.json`.
 """
 
 
-def page(tables: list[dict[str, object]], day: str) -> str:
-    """The page in Markdown."""
+def page(tables: list[dict[str, Any]], day: str) -> str:
+    """The page of the papers' tables in Markdown."""
     parts = [HEAD.format(day=day)]
-    pictured = dict(PICTURES)
+    pictures = dict(PICTURES)
     for table in tables:
-        parts.append(Report(shown_table(table)).markdown())
-        name, said = pictured.pop((str(table["paper"]), int(str(table["number"]))), ("", ""))
+        rows = [row for row in table["rows"] if not row["not_run"]]
+        if not rows:
+            continue
+        parts.append(f"## {NAMES[table['paper']]}, table {table['number']}: {table['title']}")
+        parts.append(CONCLUSIONS[table["title"]])
+        cells = [[row["name"], *(_cell(row["cells"][column]) for column in table["columns"])] for row in rows]
+        parts.append(_markdown([[f"over {table['our_reference']}", *table["columns"]], *cells]))
+        counts = ", ".join(f"{name} {value:g}" for name, value in table.get("counts", {}).items() if value)
+        parts.append(f"{table['note']} Measured on: {counts}.".strip())
+        name, caption = pictures.pop((str(table["paper"]), int(table["number"])), ("", ""))
         if name:
-            parts.append(f"![{said}](pictures/{name})")
-        counts = table.get("counts")  # what it was measured on
-        if isinstance(counts, dict) and counts:
-            parts.append("Measured on: " + ", ".join(f"{name} {value:g}" for name, value in counts.items()) + ".")
+            parts.append(f"![{caption}](pictures/{name})")
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
-def kept_tables(told: dict[str, Any]) -> list[dict[str, Any]]:
+def measurements_page(sections: list[dict[str, Any]]) -> str:
+    """The page of measurements in Markdown: of each table its title, one line of conclusion, and where it is from."""
+    parts = [MEASUREMENTS]
+    for section in sections:
+        parts.append(f"## {section['title']}")
+        for table in section["tables"]:
+            parts += [f"**{table['title']}.** {table['conclusion']}", _markdown([table["columns"], *table["rows"]])]
+            parts.append(f"`{table['command']}`, {table['date']}")
+    return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def _cell(cell: dict[str, Any]) -> str:
+    """Paper / ours, and both over the reference in brackets."""
+    if cell["ours"] is None and cell["paper"] is None:
+        return "-"
+    either = "" if cell.get("interval") is None else f"{EITHER_WAY}{cell['interval']:.2g}"
+    shown = "/".join("-" if cell[key] is None else f"{cell[key]:.3g}" for key in ("paper", "ours")) + either
+    ratios = [cell["paper_over_reference"], cell["ours_over_reference"]]
+    return f"{shown} ({'/'.join('-' if value is None else f'{value:.3g}' for value in ratios)})"
+
+
+def _markdown(rows: list[list[str]]) -> str:
+    head, *body = rows
+    lines = [head, ["---"] * len(head), *body]
+    return "\n".join(f"|{'|'.join(cells)}|" for cells in lines)
+
+
+def kept_tables(kept: dict[str, Any]) -> list[dict[str, Any]]:
     """The kept tables with the rows, reasons and notes of the tables as they are."""
+    from bunraku_lab.evaluation.tables.measured import PAPERS  # loads torch
+
     out = []
-    for old in told["tables"]:
-        (table,) = (one for one in PAPERS[old["paper"]] if (one.number, one.title) == (old["number"], old["title"]))
+    for old in kept["tables"]:
+        (table,) = (each for each in PAPERS[old["paper"]] if (each.number, each.title) == (old["number"], old["title"]))
         figures = {row["name"]: _figures(row["cells"]) for row in old["rows"] if not row["not_run"]}
         reasons = {row["name"]: row["not_run"] for row in old["rows"]}
         new = measured_table(table, figures)
@@ -82,11 +130,13 @@ def main() -> None:
     tables = [table for path in options.results for table in json.loads(path.read_text())["tables"]]
     day = date.today().isoformat()
     if not tables:
-        told = json.loads((DOCS / "tables.json").read_text())
-        tables, day = kept_tables(told), told["day"]
+        kept = json.loads((DOCS / "tables.json").read_text())
+        tables, day = kept_tables(kept), kept["day"]
     tables.sort(key=lambda table: (table["paper"] != "tapmo", table["number"]))
     (DOCS / "tables.json").write_text(json.dumps({"day": day, "tables": tables}, indent=1) + "\n")
     (DOCS / "tables.md").write_text(page(tables, day))
+    sections = json.loads((DOCS / "measurements.json").read_text())["sections"]
+    (DOCS / "measurements.md").write_text(measurements_page(sections))
 
 
 if __name__ == "__main__":

@@ -498,7 +498,7 @@ def save_animation(animation: Animation, path: str | Path, **options: object) ->
         path: The file. `walk.obj` becomes a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on.
         **options: `fps`, frames a second of the output [1/s], for all but .npz and .vmd; `up` ("+y" or "+z") and `unit`
             ("m", "cm", ...) for USD, .obj, .ply and .bvh; and what the writers of single formats have besides
-            (docs/formats.md).
+            (docs/files.md).
 
     Returns:
         The file or folder that was written.

@@ -151,8 +151,8 @@ def test_every_number_of_the_page_is_in_the_commands_json():
     docs = Path(__file__).parents[3] / "docs"
     told = json.loads((docs / "tables.json").read_text())
     known = {f"{value:{form}}" for value in _numbers(told["tables"]) for form in (".3g", ".2g", "g")}
-    rows = [line for line in (docs / "tables.md").read_text().splitlines() if line.startswith("| ")]
-    cells = {part.strip() for line in rows for cell in line.split("|")[2:-1] for part in re.split("[/±]", cell)}
+    rows = [line for line in (docs / "tables.md").read_text().splitlines() if line.startswith("|")]
+    cells = {part.strip() for line in rows for cell in line.split("|")[2:-1] for part in re.split("[/±() ]", cell)}
     shown = {cell for cell in cells if re.fullmatch(r"-?[\d.]+(e[+-]?\d+)?", cell)}
     assert len(shown) > 50 and shown <= known
 

@@ -21,7 +21,7 @@ class Stages:
         fins: Fins, claws and forelegs that nothing was drawn for stay near their rest.
         tail: Tails that are held up higher than they rest are lowered.
         front: Heads of bodies that lie along their spine are kept above the ground.
-        swings: Left and right legs of who goes on four swing alike.
+        swings: Left and right legs of a body on four legs swing alike.
         attach: Handles stay joined to their parents.
         shape: Handles move a little where that keeps the mesh's edges at their lengths.
         level: Bodies that lie along their spine take a third of a person's tilt of the pelvis.

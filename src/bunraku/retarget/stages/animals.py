@@ -180,7 +180,7 @@ def pairs_of(legs: list[Leg]) -> list[tuple[Leg, Leg]]:
 
 @dataclass(frozen=True)
 class Swings(Stage):
-    """Left and right legs of who goes on four swing alike.
+    """Left and right legs of a body on four legs swing alike.
 
     Args:
         shortest: Shortest cycle of steps [s].

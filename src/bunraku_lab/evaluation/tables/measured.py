@@ -46,14 +46,9 @@ _TABLE_2 = (
     PaperRow(OURS, (1.08, 1.91, 0.75, 0.94)),
 )
 _FLOORS = (
-    "Ours is the full model with its own mask, on test characters of the wardrobe. NBS and SPT were trained on the "
-    "same data set for minutes of a processor. NBS is skinning, and no skinning with fixed weights is better than that "
-    "whose weights are fitted to the truth itself, in frames of the same clip. SPT has the parts of our handle "
-    "predictor, which takes wide sleeves for a head on some of these characters, and sees the reference body in the "
-    "pose: ratios to it are in our favour. With joints given 22 parts of its own go with these and ten are free. "
-    "Untrained it moves parts as the body's. Its floor is the predicted parts moved as the character's own joints are, "
-    "which SPT itself is not told: the fair ratio is that to the floor. SPT had minutes of training, in which it has "
-    "not become better than untrained; with joints given it has, on apparel."
+    "NBS and SPT were trained on the same data for minutes of a processor. The best skinning is fitted to the truth "
+    "itself. SPT shares parts with our handle predictor; its floor moves the predicted parts as the character's own "
+    "joints move, so the fair ratio is that to the floor."
 )
 
 MMDMC: tuple[PaperTable, ...] = (
@@ -85,9 +80,8 @@ MMDMC: tuple[PaperTable, ...] = (
             PaperRow("attention", (1.14, 2.29, 0.69, 0.93)),
         ),
         "none",
-        "With --baselines all three were trained for equally long, a minute of a processor on 50 characters; otherwise "
-        "attention is the shipped network. After a minute they depend on the characters: on 24 others, of older data, "
-        "the same three files had 1.18, 1.03 and 0.28 cm.",
+        "With --baselines all three were trained for a minute on 50 characters; otherwise attention is the shipped "
+        "network. After a minute they depend on the characters.",
     ),
 )  # fmt: skip
 

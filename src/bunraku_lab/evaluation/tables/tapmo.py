@@ -287,18 +287,13 @@ HANDLE_FID = "Handle-FID"
 _HEADS = "--baselines has no adaptation trained on the shipped network: bunraku train adaptation"
 _TRANSFER = "--baselines has no transfer network: bunraku train transfer-baseline --preset sfpt-small"
 _JUDGES = (
-    "Networks judge networks here: critic, ranker and extractor are of one kind, trained apart on the same sentences, "
-    "and a ratio over 1 to real is no proof of better than captured. The row of TapMo (MDM) is kept from 2026-11-24, "
-    "when an encoder-only network was measured on windows of the same clips. It had 5,000 steps of 32 clips, and the "
-    "shipped network has had 30,140 of 64, 11,305 of 32 and 1,574 of 512, so the row is in our favour; docs/tried.md "
-    "has equal trainings."
+    "Critic, ranker and extractor are networks of one kind, trained apart on the same sentences, so a ratio over 1 to "
+    "real is no proof of better than captured. The row of TapMo (MDM) is kept from 2026-11-24, when an encoder-only "
+    "network was measured on windows of the same clips. It had 5,000 steps of 32 clips and the shipped network many "
+    "more, so the row is in our favour; docs/history.md has equal trainings."
 )
 
 _PEOPLE = "people rank them"
-FLOOR = "MDM-SFR, floor without training"
-_EITHER = {"MDM-SFR": _TRANSFER, FLOOR: "the trained one stands in its place"}
-METHODS = ("MDM-SR", "MDM-SFR", FLOOR, "ours")
-"""Rows of the stand-in for table 3; of MDM-SFR either the trained one or its floor is ranked."""
 MDM = {
     "TapMo (MDM)": {
         column: value
@@ -347,15 +342,11 @@ TAPMO: tuple[PaperTable, ...] = (
             PaperRow("ours", (0.271, 0.329, 0.046)),
         ),
         "MDM-SR",
-        "Characters that no human skeleton can be embedded in are missing from both rows of MDM-SR, in its favour. "
-        "The figures of 2026-11-24 show motion of an encoder-only network in the rows of MDM-SR and MDM-SFR. The "
-        "command takes our own motion there, so that rows differ only in how they move the mesh. "
-        "MDM-SFR was trained for minutes of a processor where its authors took days of a GPU. It has the parts of our "
-        "handle predictor and distorts far less than MDM-SR, where the paper's distorts more: a ratio to it says less "
-        "of ours than of these parts. The adaptations are last "
-        "layers that were trained for 500 steps of 12 on the shipped network, which stayed as it is; the last row has "
-        "none of them, but the step on the very mesh that the shipped program takes. "
-        "Handle-FID needs --data; its handles are read off the vertices in all rows, also the real ones.",
+        "MDM-SR leaves out characters that no human skeleton fits, in its favour. The figures of 2026-11-24 show "
+        "motion of an encoder-only network in the rows of MDM-SR and MDM-SFR; the command takes our own motion there. "
+        "MDM-SFR was trained for minutes of a processor and shares parts with our handle predictor, so a ratio to it "
+        "says little. L_h, L_a and the adaptation are last layers that were trained for 500 steps on the shipped "
+        "network; the last row is the shipped program, which has none of them. Handle-FID needs --data.",
     ),
     PaperTable(
         "tapmo", 3, "user study, mean rank", ("overall", "text", "geometry"),

@@ -109,7 +109,7 @@ class LossConfig:
         sparsity: Weight of the share outside the four largest weights.
         mirror: Weight of left-right consistency, which is also consistency between two sets of anchors.
         mirror_rate: Share of the meshes on which it is computed.
-        smoothness: Weight of the differences along edges; 0 because the ablation of `docs/benchmarks.md` shows no gain
+        smoothness: Weight of the differences along edges; 0 because an ablation (`docs/history.md`) shows no gain
             from it.
         feature: Weight of the change of f_phi against the network that a run starts from, so that what reads it goes
             on.
