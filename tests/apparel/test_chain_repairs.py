@@ -72,15 +72,9 @@ def dressed():
         *top_influences(held, 4),
     )  # fmt: skip
     chain = Chain(
-        "skirt_0_0",
-        "skirt",
-        JOINT_COUNT + np.arange(2),
-        line,
-        0,
-        np.full(2, 0.06),
-        0.01,
+        "skirt_0_0", "skirt", JOINT_COUNT + np.arange(2), line, 0, np.full(2, 0.06), 0.01,
         parameters_of_laid("skirt", 0.4),
-    )
+    )  # fmt: skip
     return clothed, Character("dressed", rest, faces, rig), chain, bare
 
 
@@ -320,11 +314,9 @@ def test_eased_vertices_go_with_the_rig_that_is_given():
     translations = np.zeros((TEAR_FRAMES, 2, 3))
     translations[:, 1] = [0, 0, 1]
     moved = RigAnimation(
-        Character("sheets", clothed.rest, clothed.faces, grown),
-        np.tile(np.eye(3), (TEAR_FRAMES, 2, 1, 1)),
-        translations,
-        30.0,
-    )
+        Character("sheets", clothed.rest, clothed.faces, grown), np.tile(np.eye(3), (TEAR_FRAMES, 2, 1, 1)),
+        translations, 30.0,
+    )  # fmt: skip
     own = np.linspace(0, 1, count, dtype=np.float32)
     up = mend_tears(moved, bare, own).vertices()[0, :, 2] - clothed.rest[:, 2]
     np.testing.assert_allclose(up, own, atol=1e-6)

@@ -24,7 +24,6 @@ from bunraku.core.skinning import skin
 
 __all__ = ["LegsUnder", "over_legs", "push_out_of_body"]
 
-
 SAMPLES = 8
 """Places of a thigh, and of a shin, that are looked at."""
 THICK = 0.045

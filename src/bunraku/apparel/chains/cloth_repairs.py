@@ -18,7 +18,6 @@ from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_
 
 __all__ = ["damped", "free_shares", "mend_tears", "smooth_neighbours", "torn_parts", "torn_shares"]
 
-
 ALIKE = {"hair": 3.0, "cape": 2.0, "skirt": 0.7}
 """What neighbours count for, beside a link itself; those of other kinds count as much."""
 OTHERS = 1.0
