@@ -383,8 +383,8 @@ def test_kinds_and_names(tmp_path: Path) -> None:
     (tmp_path / "one.apparel.toml").write_text("[hair]\nlimit = 30\nstiffness = 2\n[hair_1]\nstiffness = 5\n")
     told = parameters_beside(character)
     (chain,) = with_parameters([HAIR], told)
-    assert chain.manner.limit == pytest.approx(np.radians(30)) and chain.manner.stiffness == 5
-    assert chain.manner.damping == HAIR.manner.damping
+    assert chain.parameters.limit == pytest.approx(np.radians(30)) and chain.parameters.stiffness == 5
+    assert chain.parameters.damping == HAIR.parameters.damping
     (other,) = with_parameters([HAIR], {"skirt": {"limit": 3}})
     assert other is HAIR
 
@@ -413,7 +413,7 @@ def test_what_is_written_changes_nothing_until_a_sign_is_taken_away(tmp_path: Pa
     told = parameters_beside(character)
     assert told["hair_1"] == {"limit": 40}
     (chain,) = with_parameters([HAIR], told)
-    assert chain.manner.limit == pytest.approx(np.radians(40))
+    assert chain.parameters.limit == pytest.approx(np.radians(40))
 
 
 @pytest.fixture(scope="module")

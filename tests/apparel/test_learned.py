@@ -23,9 +23,7 @@ from bunraku.apparel.learned.features import (
     VECTORS,
     MotionFilters,
     Pendulums,
-    clip_features,
     lead_in_transforms,
-    mirror_global,
     rest_transforms,
     static_features,
 )
@@ -52,7 +50,9 @@ from bunraku_lab.nn.apparel import (
     Inputs,
     Past,
     RecurrentPart,
+    clip_features,
     load_displacement,
+    mirror_global,
     node_state,
     past_of_states,
 )

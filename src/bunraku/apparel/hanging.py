@@ -1,8 +1,8 @@
-"""What hangs on a person by its shape, whole: skirts, which go round both legs together; hair that comes down from the
-skull; and what does not hang: trousers, which go round one leg each, shirts, ends of belts, gloves and shoes.
+"""What hangs on a person by its shape, as whole parts: skirts, which go round both legs together; hair that comes down
+from the skull; and what does not hang: trousers, which go round one leg each, shirts, ends of belts, gloves and shoes.
 
-The segmentation network says how likely points are apparel. It knows what it was trained on, and its border runs
-through the midst of a part. Shape says where a part begins and ends.
+The segmentation network says how likely points are apparel, as far as it has seen the like, and its border may run
+through a part. Shape says where a part begins and ends.
 """
 
 from __future__ import annotations
@@ -10,62 +10,38 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
-from bunraku.core.body.layout import JOINT_NAMES
+from bunraku.core.body.layout import JOINT_NAMES, sided
 from bunraku.core.geometry.axes import ROUND, covered, direction_bins, directions_about, goes_round
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
 __all__ = ["hanging_mask"]
 
-LARGE = 0.3
-"""Of the surface: a loose piece with more may be the body itself."""
-LIKELY, UNLIKELY = 0.5, 0.15
-"""A loose piece of which this is the mean is apparel as a whole, or not at all."""
-HAIR = 0.04
-"""Mean of a piece that comes down from the skull as hair does, from which on it is taken for hair."""
-AROUND = 0.9
-"""Of the directions about the middle: a skirt covers so many below the crotch."""
-LEAST = 0.004
-"""Of the surface: smaller pieces below the hips are not looked at."""
-CROTCH = 0.02
-"""Over the height: how far below the hips' joints a skirt must reach."""
-FUSED = 0.35
-"""Mean likelihood of what goes round both legs of a body of one surface, from which on it is a skirt: thighs touch."""
-DEEP = 0.05
-"""Over the height: so far below the hips a skirt of one surface with the body reaches."""
-BULGES, BINS = 0.8, 24
-"""Of the convex line about it, that the line of a skirt reaches in so many directions."""
-LEVELS = 0.012
-"""Over the height: from one level at which such a surface is cut to the next."""
-STIFF = 0.13
-"""Over the height: what is shorter between the knees and the waist is a knot, a pocket or the end of a belt."""
-LONG = 0.12
-"""Over the height: what reaches so far below the base of the skull is hair, though some of it lies before the face."""
-BELOW = 0.05
-"""Over the height: how far below the base of the skull hair must reach."""
-HELD = 0.03
-"""Over the height: hair begins so near to what the head holds. A tail may reach as high."""
-SHIRT, HEM = 0.65, 0.04
-"""Of the directions about the trunk that a shirt covers; over the height: how far below the hips it ends at most."""
-THICK = 0.06
-"""Over the height: half as thick an upper arm is at most."""
-EARS = 0.1
-"""Of the way from the middle of the head to its front: the face begins there."""
-SIDE = 0.9
-"""A leg of trousers lies on one side with so much of it."""
+# Lengths over the height. All were chosen by eye.
+LARGE = 0.3  # of the surface: a loose piece with more may be the body itself
+LIKELY, UNLIKELY = 0.5, 0.15  # mean likelihood of a loose piece that is apparel as a whole, or not at all
+HAIR = 0.04  # mean likelihood from which on a piece that comes down from the skull is hair
+AROUND = 0.9  # of the directions about the middle: a skirt covers so many below the crotch
+LEAST = 0.004  # of the surface: smaller pieces below the hips are not looked at
+CROTCH = 0.02  # how far below the hips' joints a skirt must reach
+FUSED = 0.35  # mean likelihood from which on a surface round both legs is a skirt: thighs touch
+DEEP = 0.05  # how far below the hips a skirt of one surface with the body reaches
+BULGES, BINS = 0.8, 24  # of its convex hull, that the line of a skirt reaches in so many directions
+LEVELS = 0.012  # from one level at which such a surface is cut to the next
+STIFF = 0.13  # what is shorter between the knees and the waist is a knot, a pocket or the end of a belt
+LONG = 0.12  # what reaches so far below the base of the skull is hair, though some of it lies before the face
+BELOW = 0.05  # how far below the base of the skull hair must reach
+HELD = 0.03  # hair begins so near to what the head holds; a tail may reach as high
+SHIRT, HEM = 0.65, 0.04  # directions about the trunk that a shirt covers; how far below the hips it ends at most
+THICK = 0.06  # radius of an upper arm at most
+EARS = 0.1  # of the way from the middle of the head to its front: the face begins there
+SIDE = 0.9  # share of a leg of trousers that lies on one side
 _PELVIS, _WAIST, _NECK, _HEAD = (JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "neck", "head"))
-_HIPS, _KNEES, _ANKLES = (
-    [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")] for part in ("hip", "knee", "ankle")
+_HIPS, _KNEES, _ANKLES, _SHOULDERS, _ELBOWS = (
+    list(sided(part)) for part in ("hip", "knee", "ankle", "shoulder", "elbow")
 )
-_SHOULDERS, _ELBOWS = (
-    [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "elbow")
-)
-_ARMS = tuple(
-    JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")
-)
+_ARMS = sided("shoulder", "elbow", "wrist")
 """A loose piece that they carry is a sleeve: on one joint of them it would stay behind."""
-_ENDS = tuple(
-    JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("wrist", "knee", "ankle", "foot")
-)
+_ENDS = sided("wrist", "knee", "ankle", "foot")
 """What they carry is a glove, a sock or a shoe."""
 
 
@@ -73,17 +49,16 @@ def hanging_mask(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, areas: np.ndarray,
     likely: np.ndarray, mask: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """A mask of what hangs, by whole parts, and what of it is hair, which the head carries whatever lies beside it;
-    each shape (V,), bool.
+    """A mask of what hangs, by whole parts, and its hair, which the head carries whatever lies beside it; each shape
+    (V,), bool.
 
     Args:
-        vertices: Rest mesh V [m], +Y up and facing +Z, shape (V, 3).
-        faces: Shape (F, 3).
+        vertices, faces: Rest mesh [m], +Y up and facing +Z, shapes (V, 3) and (F, 3).
         joints: J [m], shape (22, 3).
         weights: Of the vertices for them, shape (V, 22).
         areas: Of the vertices, shape (V,).
         likely: Probability to be apparel, shape (V,).
-        mask: What a network takes for apparel, shape (V,), bool.
+        mask: The apparel of a network, shape (V,), bool.
 
     Raises:
         CharacterError: The mesh is broken.
@@ -112,14 +87,10 @@ def hanging_mask(
     legs = np.isin(np.arange(len(size)), piece[trousers])
     for number in np.flatnonzero(small & (mean > HAIR) & ~legs):
         rows = piece == number
-        if (
-            near_skull[rows].any()
-            and not _skin(points[rows], joints, top, height)
-            and _hair(points[rows], joints, top, height)
-            and not (
-                _face(points[rows], joints, top, front) and points[rows, 1].min() > joints[_HEAD, 1] - LONG * height
-            )
-        ):
+        part = points[rows]
+        short = part[:, 1].min() > joints[_HEAD, 1] - LONG * height
+        comes_down = near_skull[rows].any() and not _skin(part, joints, top, height)
+        if comes_down and _hair(part, joints, top, height) and not (short and _face(part, joints, top, front)):
             hair |= rows
     ahead = points[:, 2] > joints[_HEAD, 2] + EARS * (front - joints[_HEAD, 2])
     out &= ~(~small[piece] & (own[:, _HEAD] > 0.5) & ahead)  # a face that is one surface with the body
@@ -145,9 +116,9 @@ def _hair(points: np.ndarray, joints: np.ndarray, top: float, height: float) -> 
 
 
 def _skin(points: np.ndarray, joints: np.ndarray, top: float, height: float) -> bool:
-    """Whether a piece goes round an upper arm or the neck, as skin does; hair goes round neither."""
+    """Whether a piece goes round an upper arm or the neck, as skin does and hair does not."""
     thin, high = THICK * height, top - float(joints[_HEAD, 1])
-    lines = [(one, other, thin, ROUND) for one, other in zip(_SHOULDERS, _ELBOWS, strict=True)]
+    lines = [(*arm, thin, ROUND) for arm in zip(_SHOULDERS, _ELBOWS, strict=True)]
     for first, last, reach, least in (*lines, (_NECK, _HEAD, 0.5 * high, AROUND)):
         start, line = joints[first], joints[last] - joints[first]
         along = (points - start) @ line / max(float(line @ line), 1e-12)
@@ -170,8 +141,8 @@ def _face(points: np.ndarray, joints: np.ndarray, top: float, front: float) -> b
 def _below_the_hips(
     points: np.ndarray, edges: np.ndarray, piece: np.ndarray, area: np.ndarray, joints: np.ndarray, height: float
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Points of skirts and of legs of trousers, shape (P,) each, bool: what goes round both legs together below the
-    hips, and what goes round one.
+    """Points of skirts and of legs of trousers, shape (P,) each, bool: what goes round both legs together, or round
+    one.
     """
     crotch = _crotch(joints, height)
     skirt, trousers = np.zeros(len(points), bool), np.zeros(len(points), bool)
@@ -190,7 +161,7 @@ def _below_the_hips(
 
 
 def _to_the_waist(points: np.ndarray, rows: np.ndarray, joints: np.ndarray, height: float) -> np.ndarray:
-    """Points of a surface with a skirt that lie between the crotch and the waist, shape (P,)."""
+    """Points of a surface with a skirt between the crotch and the waist, shape (P,)."""
     crotch, waist = _crotch(joints, height), 0.5 * float(joints[_PELVIS, 1] + joints[_WAIST, 1])
     return np.asarray((points[:, 1] >= crotch) & (points[:, 1] < waist) & _outer(points, rows, joints))
 
@@ -203,14 +174,7 @@ def _fused_skirt(
     points: np.ndarray, faces: np.ndarray, large: np.ndarray, likely: np.ndarray, joints: np.ndarray, height: float
 ) -> np.ndarray:  # fmt: skip
     """Points of a skirt that is one surface with the body, shape (P,), bool: cut at any height from the hips down to
-    its hem, one line of the surface goes round both legs.
-
-    Args:
-        points, faces: The surface.
-        large: Points that are of a piece which may be the body, shape (P,).
-        likely: Probability to be apparel, shape (P,).
-        joints: J [m], shape (22, 3).
-        height: Of the character [m].
+    its hem, one line of the surface goes round both legs. `large` are points of a piece that may be the body.
     """
     out = np.zeros(len(points), bool)
     faces = faces[large[faces].all(axis=1)]
@@ -255,7 +219,7 @@ def _cut(points: np.ndarray, faces: np.ndarray, level: float) -> tuple[np.ndarra
 
 
 def _bulges(line: np.ndarray) -> bool:
-    """Whether a closed line (P, 2) is nowhere far inside the convex one about it, as that about two legs is."""
+    """Whether a closed line (P, 2) is nowhere far inside its convex hull; a line about two legs is."""
     centre = line.mean(axis=0)
     hull = ConvexHull(line, qhull_options="QJ").equations  # inside where normal x + offset < 0
     away = line - centre
@@ -274,26 +238,20 @@ def _leg_at(joints: np.ndarray, side: int, level: float) -> np.ndarray:
 
 
 def _stays(
-    points: np.ndarray, edges: np.ndarray, mask: np.ndarray, known: np.ndarray, joints: np.ndarray, height: float
+    points: np.ndarray, edges: np.ndarray, mask: np.ndarray, hangs: np.ndarray, joints: np.ndarray, height: float
 ) -> np.ndarray:  # fmt: skip
     """Points of parts that stay with the body, shape (P,), bool: a shirt, which goes round the trunk and ends at the
-    hips, and short stiff pieces between the knees and the waist, unless they are behind, as tails are.
-
-    Args:
-        points, edges: The surface.
-        mask: What may hang, shape (P,).
-        known: Points that are known to hang, shape (P,).
-        joints: J [m], shape (22, 3).
-        height: Of the character [m].
+    hips, and short stiff pieces between the knees and the waist, unless they are behind, as tails are. `hangs` are
+    points known to hang.
     """
     out = np.zeros(len(points), bool)
     part = mesh_parts(edges[mask[edges].all(axis=1)], len(points))
     pelvis, knees, waist = joints[_PELVIS], float(joints[_KNEES, 1].max()), float(joints[_WAIST, 1])
     crotch = _crotch(joints, height)
-    for number in np.unique(part[mask & ~known]):
+    for number in np.unique(part[mask & ~hangs]):
         rows = mask & (part == number)
         own = points[rows]
-        if known[rows].any():
+        if hangs[rows].any():
             continue
         low, high = own.min(axis=0), own.max(axis=0)
         centre = 0.5 * (low + high)
@@ -310,7 +268,7 @@ def _stays(
 def _legs(
     points: np.ndarray, edges: np.ndarray, area: np.ndarray, rows: np.ndarray, crotch: float, joints: np.ndarray
 ) -> bool:
-    """Whether at some height most of what is below the hips goes round one leg."""
+    """Whether at any height most of what is below the hips goes round one leg."""
     middle, low = joints[_HIPS].mean(axis=0), float(points[rows, 1].min())
     for level in np.linspace(crotch, low, 7)[:-1]:
         below = rows & (points[:, 1] <= level)
@@ -335,7 +293,7 @@ def _legs(
 
 
 def _outer(points: np.ndarray, rows: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Points that arms do not carry, shape (P,): between the hips and the waist hands may hang."""
+    """Points that arms do not carry, shape (P,): hands may hang between the hips and the waist."""
     away = np.abs(points[:, 0] - joints[_PELVIS, 0])
     wide = np.percentile(away[rows & (points[:, 1] < joints[_PELVIS, 1])], 98) if rows.any() else np.inf
     return np.asarray(away <= 1.1 * wide)

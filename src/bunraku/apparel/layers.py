@@ -1,9 +1,9 @@
 """What lies over what: a skirt over legs, and long hair over a skirt, as they do at rest.
 
-Apparel that hangs from the pelvis knows little of the legs under it. What the skin of the bare mesh does with it (it
-goes with the legs) looks stiff but lets no leg through. So where a leg has come through, apparel goes as far back to
-the skin as it must to lie over the leg again, and what is around it goes along. Then what was outside of it at rest,
-hair on its back, is laid over it in turn.
+Apparel that hangs from the pelvis knows little of the legs under it. The skin of the bare mesh takes it along with the
+legs: that looks stiff but lets no leg through. So where a leg has come through, apparel goes back to the skin as far as
+it must to lie over the leg again, and takes its surroundings along. Then what was outside of it at rest, hair on its
+back, is laid over it in turn.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ MOST = 0.2  # farther than this nothing is laid over another, over the same [m]
 
 
 class _How(NamedTuple):
-    """How something lies over something else.
+    """How something lies over something else. Lengths are over the character's size [m]; all were chosen by eye.
 
     Args:
         near: Points at rest under a vertex that it must stay over.
-        clear: How far over them it stays where it was farther off at rest, over the character's size [m].
-        beside: How far from the way out of a point it begins not to count, and counts no more, over the same [m].
-        reach: How near they must be at rest, over the same [m].
+        clear: How far over them it stays where it was farther off at rest.
+        beside: Distances from the way out of a point at which it begins not to count, and counts no more.
+        reach: How near they must be at rest.
     """
 
     near: int
@@ -63,7 +63,7 @@ class Layers:
         vertices: The apparel vertices that are moved, in order, shape (A,).
 
     Attributes:
-        seen: The vertices of the mesh whose place as their skin moves them is asked for, shape (S,).
+        seen: Vertices of the mesh that `clip` needs as their skin moves them, shape (S,).
     """
 
     def __init__(self, clothed: ClothedCharacter, vertices: np.ndarray):
@@ -96,8 +96,8 @@ class Layers:
     def clip(
         self, positions: np.ndarray, skinned: np.ndarray, progress: Callable[[float], None] | None = None
     ) -> np.ndarray:
-        """The same for all frames of a clip, shapes (N, A, 3) and (N, S, 3); what is changed is smooth in time.
-        `progress` is called with the share done.
+        """Apparel of all frames of a clip laid over what it lies on at rest [m], shapes (N, A, 3) and, of the vertices
+        that are `seen`, (N, S, 3); changes are smooth in time. `progress` is called with the share done.
         """
         if not len(self.skirt):
             return positions
@@ -112,12 +112,7 @@ class Layers:
         return out
 
     def __call__(self, positions: np.ndarray, skinned: np.ndarray) -> np.ndarray:
-        """Apparel vertices laid over what they lie on at rest [m], shape (A, 3).
-
-        Args:
-            positions: Of the apparel vertices [m], shape (A, 3).
-            skinned: The vertices that are `seen` as their skin moves them [m], shape (S, 3).
-        """
+        """The same for one frame, shapes (A, 3) and (S, 3)."""
         if not len(self.skirt):
             return positions
         out, skinned = np.array(positions, np.float32), np.asarray(skinned, np.float32)
@@ -155,9 +150,9 @@ class _Over:
         clothed: The character.
         part: Number of the sheet of each vertex, -1 on the body, shape (V,).
         vertices: All apparel vertices that are moved, shape (A,).
-        rows: Which of them may lie over something, shape (R,).
+        rows: Rows of those that may lie over something, shape (R,).
         under: The vertices that they may lie over, for each part, or for all (None).
-        how: How they do.
+        how: The distances.
     """
 
     def __init__(
@@ -195,7 +190,7 @@ class _Over:
         self._shares(positions, rest[self.vertices], part[self.vertices], SPREAD * scale)
 
     def _beneath(self, faces: np.ndarray, points: np.ndarray) -> None:
-        """The points that something lies over, and the faces that say which way is out of them."""
+        """The points that something lies over, and the faces that tell the way out of them."""
         used = np.zeros(int(faces.max()) + 1, bool)
         used[points] = True
         corners = faces[used[faces].any(axis=1)]
@@ -225,14 +220,13 @@ class _Over:
     def lacking(
         self, positions: np.ndarray, points: np.ndarray, most: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Where a chosen vertex is not as far over one of its points as it must be: the number of the vertex, shape
-        (L,), by how much [m], how much that counts, from 0, far beside the way out of the point, to 1, and these ways,
-        shape (3, L).
+        """Where a chosen vertex is not as far over one of its points as it must be: the row of the vertex, shape (L,),
+        by how much [m], its weight, from 0, far beside the way out of the point, to 1, and these ways, shape (3, L).
 
         Args:
             positions: Of all apparel vertices [m], shape (A, 3).
-            points: Of what is `used` [m], shape (U, 3).
-            most: Who lacks as much or more is passed over [m].
+            points: Of the `used` ones [m], shape (U, 3).
+            most: Vertices that lack as much are passed over [m].
         """
         ways = vertex_normals(points, self.corners).astype(np.float32).T.take(self.under, axis=1)
         away = positions[self.mine].T.take(self.row, axis=1)
@@ -246,11 +240,8 @@ class _Over:
         return self.row[short], lack[short], beside, ways[:, short]
 
     def largest(self, row: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """The largest value of each chosen vertex, 0 where it has none, shape (C,), float32.
-
-        Args:
-            row: Whose each is, in order, shape (L,).
-            values: Shape (L,).
+        """The largest of values (L,) of each chosen vertex, by their rows in order (L,); 0 where it has none, shape
+        (C,), float32.
         """
         out = np.zeros(len(self), np.float32)
         if len(row):
@@ -259,8 +250,8 @@ class _Over:
         return out
 
     def spread(self, values: np.ndarray, moved: np.ndarray) -> np.ndarray:
-        """Values of the chosen vertices, which count as much as they are `moved` (C,), smooth and for all vertices:
-        shape (R, D). What lies between moved ones is moved as they are.
+        """Values of the chosen vertices, weighted by how much they are `moved` (C,), smooth and for all vertices: shape
+        (R, D). A vertex between moved ones moves as they do.
         """
         near = self.around @ np.column_stack([values * moved[:, None], moved]).astype(np.float32)
         return np.asarray(self.back @ (near[:, :-1] / np.maximum(near[:, -1:], FEW)))

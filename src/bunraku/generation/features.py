@@ -27,7 +27,7 @@ from bunraku.errors import MotionError
 
 __all__ = [
     "decode", "encode", "feature_mask", "FEATURE_SIZE", "feature_weights", "FeatureStatistics", "HANDLE_SIZE",
-    "is_rotation", "mirror", "root_velocities", "ROOT_SIZE", "standing_legs",
+    "mirror", "root_velocities", "ROOT_SIZE", "standing_legs",
 ]  # fmt: skip
 
 ROOT_SIZE, HANDLE_SIZE = 10, 9
@@ -189,14 +189,6 @@ def feature_mask(handles: np.ndarray) -> np.ndarray:
     `features`).
     """
     return np.concatenate([np.repeat(handles[:1], ROOT_SIZE), np.repeat(handles[1:], HANDLE_SIZE)])
-
-
-def is_rotation() -> np.ndarray:
-    """Which features are numbers of a rotation, shape (271,), bool."""
-    mask = np.zeros(FEATURE_SIZE, bool)
-    mask[4:ROOT_SIZE] = True
-    mask[ROOT_SIZE:].reshape(-1, HANDLE_SIZE)[:, 3:] = True
-    return mask
 
 
 def standing_legs() -> tuple[np.ndarray, np.ndarray]:

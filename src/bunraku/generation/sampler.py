@@ -18,8 +18,8 @@ from bunraku.generation.layers import TRAINING_STEPS
 from bunraku.language.encoders import TextBatch
 
 __all__ = [
-    "Known", "Noise", "Predictor", "Sample", "Solver", "Steering", "Window", "alphas_cumprod", "between", "dpm_solver",
-    "guided", "row_noise", "sample", "sample_windows", "sampling_steps", "starting_noise", "token_share",
+    "Noise", "Predictor", "Sample", "Solver", "Steering", "Window", "alphas_cumprod", "between", "dpm_solver",
+    "guided", "row_noise", "sample_windows", "sampling_steps", "token_share",
 ]  # fmt: skip
 
 _BITS = 24
@@ -73,11 +73,6 @@ def generator(seed: int, row: int) -> Noise:
 def row_noise(frames: int, features: int, seed: int, row: int = 0) -> np.ndarray:
     """x_T of one row of a batch, from a generator of (seed, row) of its own, shape (frames, features)."""
     return generator(seed, row).draw(frames, features)
-
-
-def starting_noise(rows: int, frames: int, features: int, seed: int) -> np.ndarray:
-    """x_T, shape (rows, frames, features): one `row_noise` for each row."""
-    return np.stack([row_noise(frames, features, seed, row) for row in range(rows)])
 
 
 FEW, MANY = (4, (-3.5, 2.0)), (20, (-6.0, 4.0))
@@ -167,26 +162,6 @@ ROOT = slice(0, 10)  # its features (`diffusion.features`)
 GROUP = 16  # windows that go through the denoiser at once; more gain nothing on a CPU and take memory
 
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Known:
-    """What the motion must keep.
-
-    Args:
-        values: Clean frames in network units, shape (B, N, D); anything where `share` is 0.
-        share: How far each frame, or each feature of each frame, is held, 1 for fully, shape (N,), (N, D) or (B, N, D).
-    """
-
-    values: np.ndarray
-    share: np.ndarray
-
-    def spread(self) -> tuple[np.ndarray, np.ndarray]:
-        """Values and share on one time line, shapes (B N, D) and (B N, D or 1)."""
-        share = self.share[:, None] if self.share.ndim == 1 else self.share
-        rows, frames, features = self.values.shape
-        spread = np.broadcast_to(share, (rows, frames, share.shape[-1]))
-        return self.values.reshape(-1, features), spread.reshape(rows * frames, -1)
 
 
 @dataclass(frozen=True)
@@ -282,36 +257,6 @@ class Steering:
     guide: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
     refine: Callable[[np.ndarray], np.ndarray] | None = None
     known: tuple[np.ndarray, np.ndarray] | None = None
-
-
-def sample(
-    model: Denoiser, text: TextBatch, frames: int | Sequence[int], solver: Solver = Solver(), *,
-    mesh_features: np.ndarray | None = None, seed: int = 0, known: Known | None = None,
-) -> Sample:  # fmt: skip
-    """Draw one motion for each sentence, all in one batch.
-
-    Args:
-        model: The denoiser.
-        text: B encoded sentences.
-        frames: Length N of the motions, at most the model's `frames`; or that of each, and all are padded with zeros to
-            the longest.
-        solver: How they are denoised.
-        mesh_features: f_phi of each row's character, shape (B, 448); None for no mesh in particular.
-        seed: Of the starting noise.
-        known: What to keep: it overwrites the predicted x0 at each step (section A.3).
-    """
-    rows = len(text.mask)
-    lengths = [frames] * rows if isinstance(frames, int) else list(frames)
-    longest = max(lengths)
-    windows = [
-        Window(np.arange(row * longest, row * longest + length), np.ones(length, np.float32), row)
-        for row, length in enumerate(lengths)
-    ]
-    noise = starting_noise(rows, longest, model.config.features, seed).reshape(rows * longest, -1)
-    steering = Steering(known=None if known is None else known.spread())
-    found = sample_windows(model, text, windows, noise, solver, steering, mesh_features=mesh_features)
-    values, adaptation = (part.reshape(rows, longest, *part.shape[1:]) for part in (found.values, found.adaptation))
-    return Sample(values, adaptation)
 
 
 def sample_windows(

@@ -12,7 +12,7 @@ from bunraku.generation.features import FeatureStatistics, decode, feature_weigh
 
 __all__ = [
     "AROUND", "END", "FEWEST", "Joins", "held", "join_point", "on_one_leg", "played", "rests", "splice",
-    "standing_stretches",
+
 ]  # fmt: skip
 
 END = 4
@@ -196,20 +196,3 @@ def on_one_leg(features: np.ndarray) -> bool:
     """
     points = Track.of(decode(features)).points
     return bool(np.abs(points["left_ankle"][:, 1] - points["right_ankle"][:, 1]).max() > LIFTED)
-
-
-def standing_stretches(values: np.ndarray, statistics: FeatureStatistics) -> list[np.ndarray]:
-    """Stretches in which somebody stands upright on both legs and hardly moves."""
-    if len(values) < FEWEST:
-        return []
-    features = statistics.restore(values)
-    change = (np.diff(values[:, 4:], axis=0, prepend=values[:1, 4:]) ** 2).mean(1)
-    calm = (
-        (change < 0.004) & (np.abs(features[:, :3]).max(1) < 0.25) & (features[:, 3] > -0.1) & (features[:, 8] > 0.95)
-    )
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], calm.astype(np.int8), [0]])))
-    return [
-        values[start:stop]
-        for start, stop in zip(edges[::2], edges[1::2], strict=True)
-        if stop - start >= FEWEST and not on_one_leg(features[start:stop])
-    ]

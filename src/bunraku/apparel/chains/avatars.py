@@ -30,8 +30,8 @@ class VrmValues:
 
 
 def between_frames(turns: np.ndarray, places: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (N, ..., 3, 3) and positions (N, ..., 3) of frames at the times of VRM's steps: positions go straight,
-    rotations are those of the nearest frame. The first is the first frame's, the last the last one's.
+    """Rotations (N, ..., 3, 3) and positions (N, ..., 3) of frames at the times of VRM's steps: positions linear,
+    rotations those of the nearest frame.
     """
     parts = max(1, round(RATE / fps))
     time = np.arange((len(places) - 1) * parts + 1) / parts
@@ -42,13 +42,12 @@ def between_frames(turns: np.ndarray, places: np.ndarray, fps: float) -> tuple[n
 
 
 def vrm_steps(turns: np.ndarray, heads: np.ndarray, bones: np.ndarray, values: VrmValues) -> Iterator[np.ndarray]:
-    """Where the tails of C links are, without colliders, step by step as VRM's specification moves them: `x += (1 -
-    drag) dx + stiffness dt rest + gravity dt down`, and then back to its length. What hangs on a link does not pull at
-    it.
+    """Tails of C links, without colliders, step by step as VRM's specification moves them: `x += (1 - drag) dx +
+    stiffness dt rest + gravity dt down`, and then back to its length. What hangs on a link does not pull at it.
 
     Args:
-        turns: World rotation of what each link hangs on at each step, shape (T, C, 3, 3).
-        heads: Where each link begins [m], shape (T, C, 3).
+        turns: World rotation of the holder of each link at each step, shape (T, C, 3, 3).
+        heads: Beginning of each link [m], shape (T, C, 3).
         bones: From the beginning of each link to its tail at rest [m], shape (C, 3).
         values: S settings of each link.
 
@@ -70,12 +69,8 @@ def vrm_steps(turns: np.ndarray, heads: np.ndarray, bones: np.ndarray, values: V
 
 
 def link_turns(turns: np.ndarray, heads: np.ndarray, bones: np.ndarray, tails: np.ndarray) -> np.ndarray:
-    """World rotations of C links whose tails are known: by the least turn from where what they hang on holds them,
-    shape (T, C, 3, 3).
-
-    Args:
-        turns, heads, bones: As in `vrm_steps`.
-        tails: [m], shape (T, C, 3).
+    """World rotations of C links with known tails [m], shape (T, C, 3): the least rotation from where the holder takes
+    them, shape (T, C, 3, 3); other arguments as of `vrm_steps`.
     """
     aims = np.einsum("tcab,cb->tca", turns, bones)
     aims /= np.maximum(np.linalg.norm(aims, axis=-1, keepdims=True), 1e-9)
@@ -110,7 +105,7 @@ class _Sway:
         seconds: Its length [s].
         turns: How far the body bends, turns and leans [rad].
         aside, up: How far it goes aside and up and down, over its height.
-        pace: How fast it goes forward, heights a second; of the first, to and fro by a quarter of its height.
+        pace: How fast it goes forward, heights a second; 0 for to and fro by a quarter of its height.
         legs: How far legs swing from the hip [rad]; knees bend by twice as much.
     """
 
@@ -148,9 +143,9 @@ class _Path:
     """A motion, where the links of C chains go in our simulation, and where VRM's steps have brought the link above.
 
     Args:
-        turns, heads: Of what the first link of each chain hangs on at each step, shapes (T, C, 3, 3) and (T, C, 3).
+        turns, heads: Of the holder of each chain's first link at each step, shapes (T, C, 3, 3) and (T, C, 3).
         tails: Of each chain in our simulation, shape (N, R, 3).
-        rigid: How far these are in the mean from where they would be without one [m], shape (C,).
+        rigid: Their mean distance from where they would be without one [m], shape (C,).
     """
 
     def __init__(self, turns: np.ndarray, heads: np.ndarray, tails: Sequence[np.ndarray], rigid: np.ndarray):
@@ -169,7 +164,7 @@ class _Path:
         return cls(turns, heads, [places[:, own] for own in bones], np.maximum(rigid, 1e-6))
 
     def errors(self, link: int, rows: list[int], bones: np.ndarray, values: VrmValues) -> np.ndarray:
-        """How far VRM's tails of some chains' links are from ours with each setting, over rigid, shape (C, S)."""
+        """Distance of VRM's tails of the chains' links from ours with each setting, over rigid, shape (C, S)."""
         true = np.stack([self.tails[number][:, link] for number in rows], axis=1)
         every = (len(self.heads) - 1) // (len(true) - 1)
         out = np.zeros((len(rows), values.stiffness.shape[-1]))
@@ -181,14 +176,14 @@ class _Path:
         return np.asarray(out / len(true) / self.rigid[rows][:, None])
 
     def go_on(self, rows: list[int], bones: np.ndarray, values: VrmValues) -> None:
-        """Take the links with the settings that were chosen as what the next ones hang on."""
+        """Take the links with the chosen settings as holders of the next ones."""
         turns, heads = self.turns[:, rows], self.heads[:, rows]
         tails = np.stack(list(vrm_steps(turns, heads, bones, values)))[:, :, 0]
         self.turns[:, rows], self.heads[:, rows] = link_turns(turns, heads, bones, tails), tails
 
 
 def _swaying(made: Chained, sway: _Sway) -> RigAnimation:
-    """A body that bends, turns and goes."""
+    """The animation of a `_Sway`."""
     rig = made.character.rig
     assert rig is not None
     time = np.arange(round(sway.seconds * FPS)) / FPS
@@ -263,7 +258,7 @@ def _radius(chain: Chain, link: int, room: float) -> float:
 
 
 def _room(point: np.ndarray, made: Chained) -> float:
-    """How far a point is from the nearest collider at rest [m]; far where there are none."""
+    """Distance of a point from the nearest collider at rest [m]; infinite without colliders."""
     out = np.inf
     for body in made.colliders:
         along = body.rotation[:, 1]

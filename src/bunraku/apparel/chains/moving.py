@@ -1,4 +1,4 @@
-"""The apparel of an animation: as it is, or simulated by the physics of its character's file or by chains."""
+"""Apparel that moves with an animation by the physics of its character's file, or by chains of its bones."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.character import Character
 from bunraku.errors import CharacterError
 
-__all__ = ["check_apparel", "dialled", "moving_rig", "simulated", "steady_simulation", "with_apparel"]
+__all__ = ["check_apparel", "dialled", "moving_rig", "steady_simulation", "with_apparel"]
 
-TRIES = 3
-"""How often what flies off is simulated again."""
-STIFFER = 4.0
-"""Factor on the stiffness of what flew off, each time; steps are half as long."""
+Progress = Callable[[str, float], None]
+TRIES = 3  # how often bodies that fly off are simulated again
+STIFFER = 4.0  # factor on their stiffness, each time; steps are half as long
+_log = logging.getLogger(__name__)
 
 
 def moving_rig(character: Character, stiffness: float = 1.0, gravity: float = 1.0) -> ApparelRig | None:
@@ -31,8 +31,7 @@ def moving_rig(character: Character, stiffness: float = 1.0, gravity: float = 1.
 
     Args:
         character: With a rig.
-        stiffness: Factor on how stiff it is.
-        gravity: Factor on gravity.
+        stiffness, gravity: Factors.
 
     Raises:
         FormatError: The nodes of its file are broken.
@@ -47,8 +46,8 @@ def moving_rig(character: Character, stiffness: float = 1.0, gravity: float = 1.
 
 
 def dialled(rig: ApparelRig, stiffness: float = 1.0, gravity: float = 1.0) -> ApparelRig:
-    """The same with springs so many times as stiff and limits narrower by the root of that, in the part of them that
-    turns; and gravity so many times as strong.
+    """The same with factors on the springs that act on rotations and on gravity; limits are narrower by the root of the
+    stiffness.
     """
     if stiffness == gravity == 1:
         return rig
@@ -73,14 +72,14 @@ def steady_simulation(
     animation: RigAnimation, rig: ApparelRig, *, settings: PhysicsSettings | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Simulation:  # fmt: skip
-    """`simulate` for chains that nobody has tuned: what flies off is simulated again, stiffer and in shorter steps, and
-    what still does stays with the body.
+    """`simulate` for chains without an artist's tuning: bodies that fly off are simulated again, stiffer and in shorter
+    steps, and those that still do stay with the body.
 
     Args:
         animation: The motion of the rig.
         rig: Its bodies and joints.
-        settings: Of the first try.
-        progress: Called with the share done of each try.
+        settings: Of the first attempt.
+        progress: Called with the share done of each attempt.
     """
     settings = settings or PhysicsSettings()
     for attempt in range(2 * TRIES):
@@ -109,15 +108,11 @@ def _stiffer(rig: ApparelRig, names: set[str]) -> ApparelRig:
     return replace(rig, joints=joints)
 
 
-Progress = Callable[[str, float], None]
-_log = logging.getLogger(__name__)
-
-
 def check_apparel(character: Character) -> None:
-    """Whether there is apparel to simulate.
+    """Check that there is apparel to simulate.
 
     Raises:
-        CharacterError: The file of the character says nothing of physics, and has no bones of hair or clothes.
+        CharacterError: Its file says nothing of physics, and it has no bones of hair or clothes.
         FormatError: The nodes of the file are broken.
     """
     if moving_rig(character) is None:
@@ -130,42 +125,29 @@ def check_apparel(character: Character) -> None:
 def with_apparel(
     animation: Animation | RigAnimation, progress: Progress | None = None, stiffness: float = 1.0, gravity: float = 1.0
 ) -> RigAnimation:
-    """The animation with its apparel simulated.
+    """The animation with its apparel simulated; problems are logged.
 
     Args:
         animation: Of bones.
         progress: Called with a stage's name and the share done.
-        stiffness: Factor on how stiff it is.
-        gravity: Factor on gravity.
+        stiffness, gravity: Factors.
 
     Raises:
         CharacterError: There is no physics in its file and there are no bones to simulate, or it is moved by handles.
     """
-    check_apparel(animation.character)
+    character = animation.character
+    check_apparel(character)
     if not isinstance(animation, RigAnimation):
-        name = animation.character.name
         raise CharacterError(
-            f"{name}: apparel is simulated on the bones of a humanoid's rig, and this one is moved by handles; try "
-            "--onto rig"
+            f"{character.name}: apparel is simulated on the bones of a humanoid's rig, and this one is moved by "
+            "handles; try --onto rig"
         )
-    return simulated(animation, progress, stiffness, gravity)
-
-
-def simulated(
-    animation: RigAnimation, progress: Progress | None = None, stiffness: float = 1.0, gravity: float = 1.0
-) -> RigAnimation:
-    """The animation with its apparel simulated; what went wrong is logged. Arguments are those of `with_apparel`.
-
-    Raises:
-        CharacterError: There is no physics in its file.
-    """
     progress = progress or (lambda stage, done: None)
     progress("apparel", 0.0)
-    tell = partial(progress, "apparel")
-    rig = moving_rig(animation.character, stiffness, gravity)
-    told = apparel_rig(animation.character) is not None or rig is None
-    found = simulate(animation, rig, progress=tell) if told or rig is None else steady_simulation(
-        animation, rig, progress=tell)  # fmt: skip
+    rig = moving_rig(character, stiffness, gravity)
+    assert rig is not None
+    run = simulate if apparel_rig(character) is not None else steady_simulation
+    found = run(animation, rig, progress=partial(progress, "apparel"))
     for problem in found.report.problems():
-        _log.warning("%s: %s", animation.character.name, problem)
+        _log.warning("%s: %s", character.name, problem)
     return found.animation

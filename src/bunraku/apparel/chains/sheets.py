@@ -1,8 +1,6 @@
-"""Pieces of apparel on a mesh: the surface of what hangs together, how far along it each point is from where it is
-held, and what kind of apparel it is.
+"""Connected pieces of apparel: how far along the surface each point is from where it is held, and the kind of apparel.
 
-Hair is held by the skull and all of it is one piece, however many locks it has; a cape and a skirt are held along the
-whole of their upper edge.
+All hair is one piece, held by the skull; a cape and a skirt are held along the whole of their upper edge.
 """
 
 from __future__ import annotations
@@ -16,49 +14,42 @@ from scipy.spatial import cKDTree
 
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.nodes import surface_distances
-from bunraku.core.body.layout import JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.body.layout import JOINT_NAMES, JOINT_PARENTS, sided
 from bunraku.core.geometry.axes import covered, direction_bins
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
 __all__ = ["Piece", "pieces_of"]
 
+# Lengths over the size [m]. All were chosen by eye.
 ROUND = 0.65  # of the directions about the body: a piece that covers so many is a skirt
 BROAD = 0.3  # of them: a piece on the trunk that covers so many is a cape
 BINS = 24
+# Points are joined to so many that are as near: cards of hair and layers of cloth lie on one another without an edge.
 NEAR, CLOSE = 6, 0.02
-"""Points are joined to so many that are as near [m, over the size]: cards of hair and layers of cloth lie on one
-another without an edge between them.
-"""
+# Points of cloth are joined to so many of those on a grid that are nearer than the wall: both walls of a cloth with
+# thickness, and a petticoat and its skirt, reach as far at the same position.
 WALL, GRID, ACROSS = 0.06, 0.02, 16
-"""Of cloth, points are joined to so many of those on a grid of `GRID` that are nearer than `WALL` (over the size [m]):
-both walls of a cloth with thickness, and a petticoat and its skirt, reach as far at the same place.
-"""
-SKULL = 1.3
-"""Hair within so many times the half axes of the skull is held, what lies above its lower quarter."""
-BALD = 0.75
-"""The half axes of a skull are at least so many times half its height, where hair hides it."""
-FAR = 0.04
-"""Over the size [m]: what lies farther from all that is held of a piece is held for itself."""
-UPPER = 0.35
-"""Of the height of a piece of cloth: only what is as high is taken to hold it."""
-EDGE = 0.02
-"""Over the size [m]: cloth is held so far down from its upper edge."""
+SKULL = 1.3  # half axes of the skull within which hair above its lower quarter is held
+BALD = 0.75  # least half axes of a skull that hair hides, over half its height
+FAR = 0.04  # what lies farther from all that is held of a piece is held for itself
+UPPER = 0.35  # of the height of a piece of cloth: only its points above this hold it
+EDGE = 0.02  # cloth is held so far down from its upper edge
 _HEAD = tuple(JOINT_NAMES.index(name) for name in ("head", "neck"))
 _HIPS = tuple(JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "left_hip", "right_hip"))
-_ARMS = tuple(JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")
-              for part in ("shoulder", "elbow", "wrist"))  # fmt: skip
+_CHEST = (JOINT_NAMES.index("spine2"), JOINT_NAMES.index("spine3"), *sided("collar"))
+_ARMS = sided("shoulder", "elbow", "wrist")
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """What hangs together.
+    """A connected piece.
 
     Args:
         kind: One of `chain.KINDS`.
         joint: The joint that carries it.
         rows: Points of the surface (`clean_mesh`), shape (P,).
-        points: Where they are [m], shape (P, 3).
-        along: Distance along the surface from where it is held [m], 0 there, shape (P,).
+        points: Their positions [m], shape (P, 3).
+        along: Distance along the surface from where it is held [m], shape (P,).
         before: The point of `rows` that each is reached from, -1 where it is held, shape (P,).
         graph: Lengths of the edges between points [m], (P, P).
     """
@@ -73,10 +64,8 @@ class Piece:
 
 
 def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:
-    """The pieces of a character's apparel, and the surface's point of each vertex, shape (V,).
-
-    Args:
-        clothed: The character; its parts hang whole on one joint each.
+    """The pieces of a character's apparel, whose parts hang on one joint each, and the surface's point of each vertex,
+    shape (V,).
     """
     clean = clean_mesh(clothed.rest, clothed.faces)
     count = len(clean.vertices)
@@ -146,19 +135,18 @@ def _held(clothed: ClothedCharacter, kind: str, points: np.ndarray, along: np.nd
 
 
 def _upper_edge(clothed: ClothedCharacter, points: np.ndarray) -> np.ndarray:
-    """Points that are as high as a sheet is in their direction, in its upper half, shape (P,), bool."""
+    """Points as high as a sheet is in their direction, in its upper half, shape (P,), bool."""
     middle = clothed.joints[0].astype(float)
-    angle = np.arctan2(points[:, 0] - middle[0], points[:, 2] - middle[2])
-    place = direction_bins(angle, BINS)
+    bins = direction_bins(np.arctan2(points[:, 0] - middle[0], points[:, 2] - middle[2]), BINS)
     top = np.full(BINS, -np.inf)
-    np.maximum.at(top, place, points[:, 1])
+    np.maximum.at(top, bins, points[:, 1])
     low, high = float(points[:, 1].min()), float(points[:, 1].max())
-    return (points[:, 1] > top[place] - EDGE * clothed.scale) & (points[:, 1] > low + 0.5 * (high - low))
+    return (points[:, 1] > top[bins] - EDGE * clothed.scale) & (points[:, 1] > low + 0.5 * (high - low))
 
 
 def _skull(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and half axes of the skull [m], each shape (3,): of what the head holds bare, and never far narrower than
-    high.
+    """Centre and half axes of the skull [m], each shape (3,): of the bare surface that the head holds, and never much
+    narrower than high.
     """
     head = clothed.joints[_HEAD[0]].astype(float)
     held = clothed.weights[:, _HEAD[0]] > 0.5
@@ -183,14 +171,14 @@ def _skull(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _through(points: np.ndarray, size: float) -> np.ndarray:
-    """Pairs of points that lie near each other on whatever layer, shape (E, 2)."""
+    """Pairs of points that lie near each other on any layer, shape (E, 2)."""
     cells = np.floor(points / (GRID * size)).astype(np.int64)
     some = np.sort(np.unique(cells, axis=0, return_index=True)[1])
     return _near(points, some, ACROSS, WALL * size)
 
 
 def _near(points: np.ndarray, among: np.ndarray, count: int, reach: float) -> np.ndarray:
-    """Pairs of each point with those of some, at most so many, that are nearer than `reach` [m], shape (E, 2)."""
+    """Pairs of each point with at most `count` of those in `among` that are nearer than `reach` [m], shape (E, 2)."""
     count = min(count, len(among))
     gap, near = (
         found.reshape(len(points), count)
@@ -202,8 +190,8 @@ def _near(points: np.ndarray, among: np.ndarray, count: int, reach: float) -> np
 
 
 def _apart(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray, along: np.ndarray, far: float) -> np.ndarray:
-    """Where components that lie far from all that is held are held themselves, shape (P,), bool: the lowest band
-    of long hair, whose rest is not apparel.
+    """Where components far from all that is held are held themselves, shape (P,), bool: the lowest band of long hair,
+    whose rest is not apparel.
     """
     label = mesh_parts(pairs, len(points))
     out = np.zeros(len(points), bool)
@@ -217,7 +205,7 @@ def _apart(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray, along: np.n
 
 
 def _bridged(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Pairs with one more from each component that no seed is in to the nearest point of one that has some."""
+    """Pairs with one more from each component without a seed to the nearest point of one that has some."""
     label = mesh_parts(pairs, len(points))
     reached = np.zeros(int(label.max()) + 1, bool)
     reached[label[seeds]] = True
@@ -236,7 +224,7 @@ def _bridged(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray) -> np.nda
 
 
 def _around(clothed: ClothedCharacter, joint: int, points: np.ndarray) -> np.ndarray:
-    """Angle of points about the axis of what carries them, 0 in front."""
+    """Angle of points about the axis of their carrier, 0 in front."""
     start = clothed.joints[joint].astype(float)
     axis = np.array([0.0, 1, 0])
     if joint in _ARMS:
@@ -251,7 +239,7 @@ def _around(clothed: ClothedCharacter, joint: int, points: np.ndarray) -> np.nda
 
 
 def _kind(clothed: ClothedCharacter, joint: int, points: np.ndarray, along: np.ndarray) -> str:
-    """What a part is, by what carries it and how far it goes round that."""
+    """The kind of a part, by its carrier and how far it goes round that."""
     length = float(along.max())
     angle = _around(clothed, joint, points)
     cover = covered(angle, BINS)
@@ -273,13 +261,12 @@ def _kind(clothed: ClothedCharacter, joint: int, points: np.ndarray, along: np.n
         begins = points[along <= np.percentile(along, 20)].mean(axis=0) - clothed.joints[_HIPS[0]]
         behind = begins[2] < 0 and abs(begins[0]) < -begins[2]
         return "tail" if behind and (thin >= 0.35 or width < 0.1) else "ribbon"
-    if joint in (JOINT_NAMES.index("spine2"), JOINT_NAMES.index("spine3"), *(
-            JOINT_NAMES.index(f"{side}_collar") for side in ("left", "right"))):  # fmt: skip
+    if joint in _CHEST:
         return "cape" if cover > BROAD and length > 0.15 * clothed.scale else "ribbon"
     return "ribbon"
 
 
 def _thickness(points: np.ndarray) -> float:
-    """How thick points are over how wide, across their longest axis, from 0 (a sheet) to 1 (a rod)."""
+    """Thickness over width of points, across their longest axis, from 0 (a sheet) to 1 (a rod)."""
     values = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov((points - points.mean(axis=0)).T)), 0))
     return float(values[0] / max(values[1], 1e-9))

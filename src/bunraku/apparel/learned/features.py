@@ -11,22 +11,22 @@ import numpy as np
 from bunraku.apparel.body import BodyPoints, body_points, eq4_transforms, nearest_point
 from bunraku.apparel.clothed import GRAVITY, ClothedCharacter, Swing
 from bunraku.apparel.nodes import ApparelNodes, node_swing
-from bunraku.core.body.layout import JOINT_COUNT, JOINT_MIRROR, JOINT_PARENTS
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, quaternion_from_matrix, quaternion_slerp
 
 __all__ = [
     "BASIS", "FREQUENCIES", "Frame", "GLOBAL", "LAGS", "LEAD_IN", "MotionFeatures", "MotionFilters", "OWN",
-    "OwnPendulum", "PENDULUMS", "Pendulums", "RATE", "STATIC_SCALARS", "STATIC_VECTORS", "VECTORS", "clip_features",
-    "lead_in_transforms", "mirror_global", "rest_transforms", "static_features",
+    "OwnPendulum", "PENDULUMS", "Pendulums", "RATE", "STATIC_SCALARS", "STATIC_VECTORS", "VECTORS",
+    "lead_in_transforms", "rest_transforms", "static_features",
 ]  # fmt: skip
 
 FREQUENCIES = (0.4, 0.7, 1.2, 2.0, 3.4)
-"""Of the oscillators [1/s]: apparel swings at 0.6 on the average, stiff pieces at 4."""
+"""Of the oscillators [1/s]: apparel of the wardrobe swings at 0.6 on average, stiff pieces at 4."""
 DAMPING = 0.3
 LAGS = (0.08, 0.25, 0.8)
-"""Times in which a lagging rotation follows [s]."""
+"""Time constants with which a lagging rotation follows [s]."""
 PENDULUMS = ((0.0, 3.0), (20.0, 3.0), (80.0, 5.0), (200.0, 12.0))
-"""Of each, the stiffness of the spring to where it is carried [1/s^2] and the damping [1/s], for a unit of mass."""
+"""Of each, the stiffness of the spring to its carried position [1/s^2] and the damping [1/s], for a unit of mass."""
 SUBSTEPS = 4
 FILTER_GRAVITY = 9.81
 
@@ -35,8 +35,8 @@ class MotionFilters:
     """The state of the filters, frame by frame.
 
     Args:
-        positions: Of the M carried nodes in the first frame [m], shape (M, 3).
-        turns: Of the J joints, shape (J, 3, 3).
+        positions: Of the M carried nodes in the first frame, over the character's size, shape (M, 3).
+        turns: Rotations of the J joints, shape (J, 3, 3).
         fps: Frames a second [1/s].
     """
 
@@ -50,17 +50,14 @@ class MotionFilters:
         self.follow = (1 - np.exp(-self.step / np.array(LAGS, np.float32)))[:, None, None, None]
 
     def advance(self, positions: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Go on by a frame.
+        """The next frame: velocity and acceleration of the nodes, shape (M, 3) each; `sway` and `late` hold the rest.
 
-        The sway y of each oscillator is where a mass on a spring is, seen from what carries it:
-        `y'' + 2 zeta omega y' + omega^2 y = -p''`, by semi-implicit Euler steps.
+        The sway y of each oscillator is where a mass on a spring is, seen from its carrier: `y'' + 2 zeta omega y' +
+        omega^2 y = -p''`, by semi-implicit Euler steps.
 
         Args:
-            positions: [m], shape (M, 3).
+            positions: Shape (M, 3).
             turns: Shape (J, 3, 3).
-
-        Returns:
-            Velocity [m/s] and acceleration [m/s^2] of the nodes, shape (M, 3) each; `sway` and `late` hold the rest.
         """
         velocity = (positions - self.positions[1]) / self.step
         acceleration = (positions - 2 * self.positions[1] + self.positions[0]) / self.step**2
@@ -73,14 +70,14 @@ class MotionFilters:
 
 
 class Pendulums:
-    """Masses on rods of fixed length, which hang where the parts of the nodes are held, under gravity, damping against
-    what carries them and springs to where that takes them.
+    """Masses on rods of fixed length, which hang where the parts of the nodes are held, under gravity, with damping
+    against their carrier and springs to where it takes them.
 
     Args:
         positions: Of the M carried nodes in the first frame, over the character's size, shape (M, 3).
         held: From where its part is held to each node, over the size, shape (M, 3).
         turns: Frames of the carrying joints, shape (M, 3, 3).
-        size: The clothed's size [m].
+        size: The character's [m].
         fps: Frames a second [1/s].
     """
 
@@ -96,9 +93,8 @@ class Pendulums:
         self.speed = np.zeros_like(self.points)
 
     def advance(self, positions: np.ndarray, turns: np.ndarray) -> np.ndarray:
-        """Go on by a frame: where the masses are, from the carried nodes, in the world over the size, shape (P, M, 3).
-
-        Semi-implicit Euler steps, after each of which the rods have their lengths again.
+        """The next frame: positions of the masses from the carried nodes, in the world over the size, shape (P, M, 3),
+        by semi-implicit Euler steps, after each of which the rods have their lengths again.
 
         Args:
             positions: Shape (M, 3).
@@ -125,12 +121,7 @@ BLEND = 0.6  # share of the way in which the pose changes; in the rest of it app
 
 
 def rest_transforms(joints: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """`[R | t]` of the rest pose, standing where a frame does and looking where it looks, shape (22, 3, 4).
-
-    Args:
-        joints: J [m], shape (22, 3).
-        first: The frame, shape (22, 3, 4).
-    """
+    """`[R | t]` of the rest pose with joints J (22, 3), at the position and heading of a frame, both shape (22, 3, 4)."""
     mean = first[:, :, :3].mean(axis=0)
     yaw = np.asarray(matrix_y(np.array(np.arctan2(mean[0, 2] - mean[2, 0], mean[0, 0] + mean[2, 2]))))
     positions = joints @ yaw.T
@@ -139,12 +130,13 @@ def rest_transforms(joints: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def lead_in_transforms(joints: np.ndarray, first: np.ndarray, frames: int) -> np.ndarray:
-    """Frames from the rest pose to the first frame of a clip, shape (frames, 22, 3, 4), float32.
+    """Frames from the rest pose to the first frame of a clip, shape (frames, 22, 3, 4), float32; the pose changes in
+    the first 60 % of them.
 
     Args:
         joints: J [m], shape (22, 3).
         first: The first frame, shape (22, 3, 4).
-        frames: How many; the pose changes in the first 60 % of them.
+        frames: How many.
     """
     start, end = rest_transforms(joints, first), np.asarray(first, np.float64)
     share = np.clip(np.arange(frames) / max(BLEND * frames, 1), 0, 1)
@@ -178,25 +170,25 @@ def _local(pose: np.ndarray, parents: np.ndarray) -> np.ndarray:
 
 OWN_SUBSTEPS = 4
 LEAST_RATIO = 0.15
-"""Of the critical damping there is at least so much, as in the simulation."""
+"""Least share of the critical damping, as in the simulation."""
 STIFFEST = 900.0  # spring [1/s^2]
 SHORT = 5e-3  # arms count as no shorter [m]
 
 
 class OwnPendulum:
-    """Masses on arms of fixed length that turn about the pivots of M nodes.
+    """Masses on arms of fixed length that rotate about the pivots of M nodes.
 
     Args:
         swing: Of the nodes.
         positions: Of the carried nodes in the first frame [m], shape (M, 3).
         turns: Frames of the carrying joints, shape (M, 3, 3).
         fps: Frames a second [1/s].
-        ease: Factor on the friction against what carries them, shape (M,) or one for all.
+        ease: Factor on the friction against their carriers, shape (M,) or one for all.
         calm: Further such friction [1/s], likewise.
 
     Attributes:
-        bent: How far each turns about its axes [rad], shape (3, M).
-        beyond: How much farther it would turn without limits [rad], shape (M,).
+        bent: Rotation of each about its axes [rad], shape (3, M).
+        beyond: How much farther it would rotate without limits [rad], shape (M,).
     """
 
     def __init__(
@@ -230,7 +222,7 @@ class OwnPendulum:
         return np.ascontiguousarray(frames), np.ascontiguousarray((positions - away).T)
 
     def advance(self, positions: np.ndarray, turns: np.ndarray) -> np.ndarray:
-        """Go on by a frame: how far each node is from where it is carried, in the world [m], shape (M, 3).
+        """The next frame: how far each node is from its carried position, in the world [m], shape (M, 3).
 
         Args:
             positions: Of the carried nodes [m], shape (M, 3).
@@ -270,7 +262,7 @@ def _cross_by_axis(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Rotation vectors of the least turns from unit vectors to the directions of others, shape (3, M)."""
+    """Rotation vectors of the least rotations from unit vectors to the directions of others, shape (3, M)."""
     axis = _cross_by_axis(start, end)
     sine = _length(axis)
     angle = np.arctan2(sine, np.einsum("am,am->m", start, end))
@@ -278,7 +270,7 @@ def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def _rotated_by(turn: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Vectors turned by rotation vectors, shapes (3, M)."""
+    """Vectors rotated by rotation vectors, shapes (3, M)."""
     square = np.einsum("am,am->m", turn, turn)
     angle = np.sqrt(square)
     sine = np.where(angle > 1e-6, np.sin(angle) / np.maximum(angle, 1e-9), 1.0)
@@ -292,16 +284,16 @@ RATE = 30.0
 LEAD_IN = 30
 """Frames from the rest pose into a clip."""
 OWN = ((1.0, 0.0), (0.25, 0.0), (1.0, 6.0))
-"""Factor on the friction of the pendulums of a node's own, and further friction [1/s]: as its chain is if all its
-joints turn alike, as where the first one turns most, and one that does not swing on.
+"""Factor on the friction of a node's own pendulums, and further friction [1/s]: its chain if all joints rotate alike;
+if the first one rotates most; and if it does not swing on.
 """
 BASIS = len(FREQUENCIES) + len(LAGS) + len(PENDULUMS) + 4 + len(OWN)
 """Vectors that a displacement may be made of: sways, lagging rotations, pendulums, the tilt, three pushes out of the
-body, and the pendulums that swing as the node's own chain would.
+body, and the node's own pendulums.
 """
 VECTORS = BASIS + 7
-"""Beside these: up, spin, velocity, acceleration, the body's normals at the node and where it hangs, and how fast its
-own pendulum goes.
+"""Beside these: up, spin, velocity, acceleration, the body's normals at the node and where it hangs, and the velocity
+of its own pendulum.
 """
 SCALARS = 4
 STATIC_VECTORS = 5
@@ -320,7 +312,7 @@ class Frame:
         vectors: In the frames of the carrying joints, shape (M, VECTORS, 3); the first BASIS of them are a basis of
             displacements.
         scalars: Signed distances from the body of the carried node and of where it hangs; how far its own pendulum
-            turns, and how far it presses against its limits; shape (M, SCALARS).
+            rotates, and how far it presses against its limits; shape (M, SCALARS).
         whole: The body's pose seen from the pelvis, shape (GLOBAL,).
         turns: Frames R of the carrying joints, shape (M, 3, 3).
         positions: Carried positions LBS(rest) [m], shape (M, 3).
@@ -336,7 +328,7 @@ class Frame:
 
 
 def static_features(clothed: ClothedCharacter, nodes: ApparelNodes) -> tuple[np.ndarray, np.ndarray]:
-    """What of the nodes never changes: vectors (M, STATIC_VECTORS, 3) and numbers (M, STATIC_SCALARS), float32."""
+    """Features of the nodes that never change: vectors (M, STATIC_VECTORS, 3) and numbers (M, STATIC_SCALARS), float32."""
     size = clothed.scale
     points = body_points(clothed)
     distance, normal = nearest_point(nodes.rest, points.rest, points.normals)
@@ -359,8 +351,8 @@ def static_features(clothed: ClothedCharacter, nodes: ApparelNodes) -> tuple[np.
 
 
 def _swing_features(swing: Swing, held: np.ndarray, told: bool) -> np.ndarray:
-    """How nodes swing, as numbers: how far by limits and by springs, how fast, how damped, how much of them, by what
-    lever beside that of the whole part, and whether a file says so, shape (M, 7).
+    """How nodes swing, as numbers, shape (M, 7): how far by limits and by springs, how fast, how damped, their share,
+    their lever over that of the whole part, and whether a file says so.
     """
     arm = np.maximum(np.linalg.norm(swing.arm, axis=1), SHORT)
     rate = np.sqrt(GRAVITY * swing.weight / arm + swing.spring.mean(axis=1))
@@ -372,13 +364,12 @@ def _swing_features(swing: Swing, held: np.ndarray, told: bool) -> np.ndarray:
 
 
 class MotionFeatures:
-    """The features of a clothed character, frame by frame; `advance` with one pose after the other.
+    """The features of a clothed character, frame by frame; call `advance` with one pose after the other.
 
     Args:
         clothed: The character.
         nodes: Its nodes.
-        first: The first pose, `[R | t]` of the joints (Eq. 1), shape (22, 3, 4); what lies before it is taken to be at
-            rest there.
+        first: The first pose, `[R | t]` of the joints (Eq. 1), shape (22, 3, 4); before it all is at rest there.
         fps: Frames a second [1/s].
     """
 
@@ -409,11 +400,7 @@ class MotionFeatures:
         return _turned(blend[..., :3], self.nodes.rest) + blend[..., 3], affine[self.nodes.joint, :, :3]
 
     def advance(self, transforms: np.ndarray) -> Frame:
-        """The features of the next frame.
-
-        Args:
-            transforms: `[R | t]` of the joints, shape (22, 3, 4).
-        """
+        """The features of the next frame, by `[R | t]` of the joints, shape (22, 3, 4)."""
         nodes, size = self.nodes, self.size
         affine = self._affine(np.asarray(transforms, np.float32))
         positions, turns = self._carried(affine)
@@ -463,7 +450,7 @@ class MotionFeatures:
         )  # fmt: skip
 
     def _spin(self, joints: np.ndarray) -> np.ndarray:
-        """How fast each joint turns [rad/s], shape (22, 3)."""
+        """Angular velocity of each joint [rad/s], shape (22, 3)."""
         change = np.matmul(joints, self.before.transpose(0, 2, 1)) * self.fps
         self.before = joints
         return np.stack(
@@ -478,7 +465,7 @@ def _turned(turns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 
 def _tilted(vectors: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Vectors turned by the least turn that takes +Y to `up`; near to head over heels by less than that."""
+    """Vectors rotated by the least rotation that takes +Y to `up`, by less than that near upside down."""
     axis = np.stack([up[:, 2], np.zeros(len(up)), -up[:, 0]], axis=1)  # +Y x up
     once = _cross(axis, vectors)
     return np.asarray(vectors + once + _cross(axis, once) / np.maximum(1 + up[:, 1], 0.15)[:, None])
@@ -498,27 +485,3 @@ def _whole(transforms: np.ndarray, size: float) -> np.ndarray:
     turns = np.einsum("ba,jbc->jac", root, transforms[:, :, :3])[:, :, :2]
     joints = np.concatenate([positions, turns.transpose(0, 2, 1).reshape(-1, 6)], axis=1)
     return np.append(joints.reshape(-1), root[1]).astype(np.float32)
-
-
-def mirror_global(whole: np.ndarray) -> np.ndarray:
-    """`Frame.whole` of the mirror image in the plane x = 0, shape (..., GLOBAL)."""
-    joints = whole[..., :-3].reshape(*whole.shape[:-1], JOINT_COUNT, 9)[..., list(JOINT_MIRROR), :]
-    sign = np.array([-1, 1, 1, 1, -1, -1, -1, 1, 1], whole.dtype)
-    up = whole[..., -3:] * np.array([-1, 1, 1], whole.dtype)
-    return np.concatenate([(joints * sign).reshape(*whole.shape[:-1], -1), up], axis=-1)
-
-
-def clip_features(clothed: ClothedCharacter, nodes: ApparelNodes, transforms: np.ndarray) -> list[Frame]:
-    """Features of all frames of a clip at 30 frames a second that begins from the rest pose, after `LEAD_IN` frames
-    that lead there.
-
-    Args:
-        clothed: The character.
-        nodes: Its nodes.
-        transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
-    """
-    start = rest_transforms(clothed.joints, transforms[0])
-    state = MotionFeatures(clothed, nodes, start)
-    for pose in lead_in_transforms(clothed.joints, transforms[0], LEAD_IN):
-        state.advance(pose)
-    return [state.advance(pose) for pose in transforms]

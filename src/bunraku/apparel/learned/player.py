@@ -1,4 +1,4 @@
-"""Learned apparel, frame by frame: a pose in, the positions of the apparel's vertices out, and the safety stage that
+"""Learned apparel, frame by frame: from a pose to the positions of the apparel's vertices, and the safety stage that
 bounds them.
 """
 
@@ -29,19 +29,14 @@ __all__ = [
 
 NEAR = 4
 RIGID = 0.03
-"""How much the carrying joint's own rotation counts in that of a node, over the spread of its neighbours."""
+"""Weight of the carrying joint's own rotation in that of a node, over the spread of its neighbours; chosen by eye."""
 
 ROUND = 2e-3
 """Products of sums of a matrix' singular values, two by two, below which no rotation is nearer than others."""
 
 
 class Carrier:
-    """Takes the displacement of nodes to the apparel vertices of a clothed character.
-
-    Args:
-        clothed: The character.
-        nodes: Its nodes; every part has some.
-    """
+    """Takes the displacement of nodes to the apparel vertices of a clothed character; every part has some nodes."""
 
     def __init__(self, clothed: ClothedCharacter, nodes: ApparelNodes):
         self.vertices = np.flatnonzero(clothed.part >= 0)
@@ -67,7 +62,7 @@ class Carrier:
         self.prior = (RIGID * reach).astype(np.float32)
 
     def _mixed(self, clothed: ClothedCharacter, nodes: ApparelNodes) -> None:
-        """What of `displacements` and `places` is the same in all frames, as one matrix each."""
+        """What of `displacements` and `positions` is the same in all frames, as one matrix each."""
         count, rest = len(self.vertices), clothed.rest[self.vertices].astype(np.float32)
         weights = clothed.weights[self.vertices].astype(np.float32)
         whole = np.concatenate([rest, np.ones((count, 1), np.float32)], axis=1)
@@ -84,18 +79,16 @@ class Carrier:
         self.mix = csr_matrix((mixed[kept], (rows[kept], columns[kept])), shape=(count, 4 * len(used)))
 
     def displacements(self, moved: np.ndarray) -> np.ndarray:
-        """Displacement of the apparel vertices in the frames of the joints that carry the nodes [m], shape (A, 3).
-
-        Args:
-            moved: Of the nodes, in the frame of the carrying joint each [m], shape (M, 3).
+        """Displacement of the apparel vertices in the frames of the joints that carry the nodes [m], shape (A, 3), by
+        that of the nodes, (M, 3).
         """
         return np.asarray(self.mix @ self._swung(moved)[self.node].reshape(-1, 3))
 
     def positions(self, moved: np.ndarray, affine: np.ndarray) -> np.ndarray:
-        """Where the apparel vertices are [m], shape (A, 3).
+        """Positions of the apparel vertices [m], shape (A, 3).
 
         Args:
-            moved: As above.
+            moved: Displacement of the nodes, in the frame of the carrying joint each [m], shape (M, 3).
             affine: Affine transforms of the joints (`eq4_transforms`), shape (22, 3, 4).
         """
         turned = affine.transpose(0, 2, 1).astype(np.float32)  # [R | t]', shape (22, 4, 3)
@@ -109,7 +102,7 @@ class Carrier:
 
 
 def node_turns(nodes: ApparelNodes, spokes: np.ndarray, prior: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """How nodes turn against the joint that carries them, as their neighbours say (Procrustes), shape (M, 3, 3)."""
+    """Rotations of nodes against the joint that carries them, by their neighbours (Procrustes), shape (M, 3, 3)."""
     bent = spokes + moved[nodes.neighbours] - moved[:, None]
     product = np.matmul(bent.transpose(0, 2, 1), spokes)
     product[:, [0, 1, 2], [0, 1, 2]] += prior[:, None]
@@ -161,17 +154,16 @@ FEW = 0.25  # share of the apparel around a node that must be pushed for it to m
 
 @dataclass(frozen=True)
 class SafetySettings:
-    """How much is allowed.
+    """Bounds of the safety stage. Lengths are over the character's size [m].
 
     Args:
         shortest, longest: Of an edge of the apparel graph, over its length at rest.
-        clear: How near to the body nodes may come that were farther off at rest, over the character's size [m].
-        slack: How deep vertices may be that were outside at rest, over the same [m].
-        spread: How far around it a push out of the body takes the apparel along, over the same [m].
+        clear: How near to the body nodes may come that were farther off at rest.
+        slack: How deep vertices may be that were outside at rest.
+        spread: How far around it a push out of the body takes the apparel along.
         passes: Over all edges and the body.
-        most: Nodes deeper than this are left where they are: they are on the wrong side of something thin, over the
-            same [m].
-        lift: Nodes that hang from the pelvis are not moved farther to lie over the legs, over the same [m].
+        most: Nodes deeper than this are on the wrong side of something thin and stay.
+        lift: Nodes that hang from the pelvis are moved no farther to lie over the legs.
         stiff: Parts stiffer than the first begin to stay with their joints, those stiffer than the second do.
     """
 
@@ -187,7 +179,7 @@ class SafetySettings:
 
 
 def known_share(stiffness: np.ndarray, settings: SafetySettings | None = None) -> np.ndarray:
-    """How much of a displacement counts in parts of some stiffness: 1 up to what the networks know, 0 beyond."""
+    """How much of a displacement counts in parts of a stiffness: 1 as far as the networks know it, 0 beyond."""
     low, high = (settings or SafetySettings()).stiff
     return np.asarray(np.clip((high - stiffness) / (high - low), 0, 1), np.float32)
 
@@ -200,8 +192,8 @@ class Safety:
         nodes: Its nodes.
         points: The body's points, denser than those of the features.
         carrier: What takes nodes to vertices.
-        settings: What is allowed.
-        depth: How deep points are in its body, where that is known already.
+        settings: The bounds.
+        depth: The depth of its body, where that is known already.
     """
 
     def __init__(
@@ -217,7 +209,7 @@ class Safety:
         self.shortest, self.longest = self.settings.shortest * self.lengths, self.settings.longest * self.lengths
         self.ends = tuple(np.ascontiguousarray(end) for end in self.edges.T)
         known = known_share(clothed.stiffness[nodes.part], self.settings)
-        # where it is told how each vertex swings, the networks know of stiff parts too
+        # where the swing of each vertex is known, the networks know stiff parts too
         self.share = np.where(clothed.swing is None, known, np.float32(1))[:, None]
         # what lies on the body at rest stays there: the root of a part is held
         self.free = np.where(nodes.distance < HELD * scale, 0.0, 1.0)[:, None].astype(np.float32)
@@ -255,11 +247,8 @@ class Safety:
             self.leg_gap = np.minimum(width[hung] - reach, self.settings.clear * scale)
 
     def __call__(self, positions: np.ndarray, affine: np.ndarray) -> tuple[np.ndarray, Unposed | None]:
-        """Nodes made safe [m], shape (M, 3), and their way back to the rest pose.
-
-        Args:
-            positions: Of the nodes [m], shape (M, 3).
-            affine: Affine transforms of the joints (`eq4_transforms`), shape (22, 3, 4).
+        """Nodes made safe [m], shape (M, 3), and their way back to the rest pose; affine transforms as of
+        `Carrier.positions`.
         """
         out = np.array(positions, np.float32)
         if self.depth is None:
@@ -275,7 +264,7 @@ class Safety:
 
     def unposed(self, positions: np.ndarray, affine: np.ndarray) -> Unposed | None:
         """The way back to the rest pose of the body nearest to nodes [m], shape (M, 3), in a pose (22, 3, 4); None
-        where there is no body.
+        without a body.
         """
         if self.depth is None:
             return None
@@ -287,7 +276,7 @@ class Safety:
         return Unposed.of(blend[near], self.points.joint[near])
 
     def outside(self, positions: np.ndarray, unposed: Unposed | None) -> np.ndarray:
-        """Nodes a step out of the body, and what is around them with them, so that pieces move as a whole and are not
+        """Nodes one step out of the body, and their surroundings with them, so that pieces move as a whole and are not
         flattened, shape (M, 3).
         """
         if self.depth is None or unposed is None:
@@ -301,13 +290,13 @@ class Safety:
         return self._spread(positions, push)
 
     def _spread(self, positions: np.ndarray, push: np.ndarray) -> np.ndarray:
-        """Nodes moved by what is around them: a push and 1 for each that is pushed, 0 for others, shape (M, 4)."""
+        """Nodes moved by their surroundings: a push and 1 for each that is pushed, 0 for others, shape (M, 4)."""
         near = self.around @ push
         return np.asarray(positions + self.free * (near[:, :3] / np.maximum(near[:, 3:], FEW)))
 
     def _over_legs(self, positions: np.ndarray, affine: np.ndarray, body: np.ndarray) -> np.ndarray:
-        """Nodes that hang from the pelvis, farther from its axis than what of the legs is between: a lifted knee that
-        has come through a skirt is no longer in it, and no depth says so.
+        """Nodes that hang from the pelvis, farther from its axis than the legs between: a lifted knee that has come
+        through a skirt is no longer in it, so no depth shows it.
         """
         if not len(self.hung):
             return positions
@@ -332,14 +321,10 @@ class Safety:
         return np.asarray(np.where(square < (BESIDE * self.scale) ** 2, along, np.float32(-1)).max(axis=1))
 
     def vertices(self, positions: np.ndarray, unposed: Unposed | None) -> np.ndarray:
-        """Vertices that the carrier took along, out of the body where they are in it all the same [m], shape (A, 3).
+        """Vertices that the carrier took along, out of the body where they are still in it [m], shape (A, 3).
 
-        Those between two nodes that are near to different limbs are asked for both: half of what used to stay inside
-        was in the limb of the second node. A third is asked only for what is deep, since each push strains edges.
-
-        Args:
-            positions: [m], shape (A, 3).
-            unposed: Of the nodes.
+        Those between two nodes that are near to different limbs are tested for both: half of what used to stay inside
+        was in the limb of the second node. A third is tested only for deep vertices, since each push strains edges.
         """
         if self.depth is None or unposed is None:
             return positions
@@ -364,8 +349,8 @@ class Safety:
 
 
 def _rays(outward: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """What takes a point p, 1 and |p|^2 to how far it is along each of H rays, and below that to the square of its
-    distance from where the ray begins, shape (2 H, 5).
+    """What takes a point p, 1 and |p|^2 to its distance along each of H rays, and below that to the square of its
+    distance from the beginning of the ray, shape (2 H, 5).
     """
     begin = np.einsum("ha,ha->h", axis, outward)
     along = np.concatenate([outward, -begin[:, None], np.zeros((len(axis), 1))], axis=1)
@@ -374,7 +359,7 @@ def _rays(outward: np.ndarray, axis: np.ndarray) -> np.ndarray:
 
 
 def _around(nodes: ApparelNodes, spread: float) -> np.ndarray:
-    """How much each node of the same part counts near each, rows sum to 1, shape (M, M)."""
+    """Weight of each node of the same part near each, rows sum to 1, shape (M, M)."""
     square = np.square(nodes.rest[:, None] - nodes.rest[None]).sum(axis=-1)
     share = np.exp(-0.5 * square / spread**2) * (nodes.part[:, None] == nodes.part[None])
     return np.asarray(share / share.sum(axis=1, keepdims=True), np.float32)
@@ -382,7 +367,7 @@ def _around(nodes: ApparelNodes, spread: float) -> np.ndarray:
 
 NODES = 256
 FADE = 0.9
-"""What a frame leaves of a difference from the head that is known, where no recurrent part is."""
+"""Share of a known difference from the head that a frame leaves without a recurrent part."""
 SAFE_POINTS = 1500
 
 
@@ -414,10 +399,8 @@ class ApparelPlayer:
         self.known: np.ndarray | None = None
 
     def start(self, transforms: np.ndarray) -> None:
-        """Begin before a first frame: a second from the rest pose into it.
-
-        Args:
-            transforms: `[R | t]` of the joints (Eq. 1) in the first frame, shape (22, 3, 4).
+        """Begin before a first frame, `[R | t]` of the joints (Eq. 1), shape (22, 3, 4), with a second from the rest
+        pose into it.
         """
         joints = self.clothed.joints
         self.features = MotionFeatures(self.clothed, self.nodes, rest_transforms(joints, transforms))
@@ -428,7 +411,7 @@ class ApparelPlayer:
                 self._moved(frame, pose)
 
     def know(self, states: np.ndarray, transforms: np.ndarray) -> None:
-        """Go through three frames whose apparel is known, and go on from there; `start` comes before it.
+        """Go through three frames with known apparel, and go on from there; `start` comes before it.
 
         Args:
             states: Displacements of the nodes in the frames of their joints, over the size, shape (3, M, 3).
@@ -438,19 +421,14 @@ class ApparelPlayer:
         kept = []
         for state, pose in zip(states, transforms, strict=True):
             frame = self.features.advance(np.asarray(pose, np.float32))
-            kept.append((state.astype(np.float32), self.folded.anchor(*_told(frame)), *self._carried_by(frame, pose)))
+            kept.append((state.astype(np.float32), self.folded.anchor(*_inputs(frame)), *self._carried_by(frame, pose)))
         self.known = kept[-1][0] - kept[-1][1]
         if self.recurrent is not None:
             self.past = past_of_states(self.recurrent, *(np.stack(column) for column in zip(*kept, strict=True)))
 
     def advance(self, transforms: np.ndarray) -> np.ndarray:
-        """The next frame, a thirtieth of a second later.
-
-        Args:
-            transforms: `[R | t]` of the joints (Eq. 1), shape (22, 3, 4).
-
-        Returns:
-            Where the apparel vertices (`carrier.vertices`) are [m], shape (A, 3), float32.
+        """The next frame, a thirtieth of a second later: positions of the apparel vertices (`carrier.vertices`) [m],
+        shape (A, 3), float32, by `[R | t]` of the joints (Eq. 1), shape (22, 3, 4).
         """
         if self.features is None:
             self.start(transforms)
@@ -459,15 +437,11 @@ class ApparelPlayer:
         moved = self._moved(frame, transforms) * np.float32(self.clothed.scale)
         affine = eq4_transforms(np.asarray(transforms, np.float32)[None], self.clothed.joints)[0]
         if self.safety is None:
-            return self._carried(moved, affine)
+            return self.carrier.positions(moved, affine)
         moved = self.safety.share * moved
         safe, unposed = self.safety(frame.positions + np.einsum("mab,mb->ma", frame.turns, moved), affine)
         moved = np.einsum("mba,mb->ma", frame.turns, safe - frame.positions)
-        return self.safety.vertices(self._carried(moved, affine), unposed)
-
-    def _carried(self, moved: np.ndarray, affine: np.ndarray) -> np.ndarray:
-        """The apparel vertices that go with the nodes [m], shape (A, 3), float32."""
-        return self.carrier.positions(moved, affine)
+        return self.safety.vertices(self.carrier.positions(moved, affine), unposed)
 
     def _carried_by(self, frame: Frame, transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Frames of the carrying joints and carried positions as the recurrent part takes them."""
@@ -476,7 +450,7 @@ class ApparelPlayer:
 
     def _moved(self, frame: Frame, transforms: np.ndarray) -> np.ndarray:
         """Displacement of the nodes in the frames of their joints, over the size, shape (M, 3)."""
-        inputs = _told(frame)
+        inputs = _inputs(frame)
         anchor = self.folded.anchor(*inputs)
         if self.recurrent is None:
             if self.known is None:
@@ -494,15 +468,11 @@ class ApparelPlayer:
 
     def clip(self, transforms: np.ndarray) -> np.ndarray:
         """The apparel vertices in all frames of a clip at 30 frames a second that begins from rest [m], shape (N, A,
-        3), float32.
-
-        Args:
-            transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
+        3), float32, by `[R | t]` of the joints, shape (N, 22, 3, 4).
         """
         self.start(np.asarray(transforms[0], np.float32))
         return np.stack([self.advance(pose) for pose in transforms])
 
 
-def _told(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Input of the network for a frame alone."""
+def _inputs(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.ascontiguousarray(frame.vectors), frame.scalars, frame.whole

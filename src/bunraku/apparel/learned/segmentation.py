@@ -7,31 +7,23 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from bunraku.apparel.clothed import SOFTEST, STIFFEST
 from bunraku.apparel.nodes import NEIGHBOURS, EdgeBlock, NodeGraph, part_neighbours
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
-from bunraku.core.geometry.graph import bridge_edges, clean_mesh, mesh_parts, unique_edges
+from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 from bunraku.core.geometry.surface import vertex_normals
 from bunraku.core.nn.checkpoints import config_of, dated_checkpoint, load_network
 from bunraku.core.nn.layers import Weights, gelu, one_thread
 
 __all__ = [
     "FoundApparel", "NEIGHBOURS", "POINTS", "POINT_FEATURES", "SampledMesh", "SegmentationConfig",
-    "SegmentationNetwork", "find_apparel", "joint_distances", "load_segmentation", "point_features", "sampled_mesh",
+    "SegmentationNetwork", "find_apparel", "load_segmentation", "point_features", "sampled_mesh",
 ]  # fmt: skip
 
 POINTS = 1024
 POINT_FEATURES = 3 + 3 + 3 + 1 + JOINT_COUNT - 1 + 4
-TOUCH = 0.03
-"""How near vertices of loose parts are that lie on one another, over the height."""
-REACH = 5.0
-"""How far from a joint it begins to be the surface, over the distance of the nearest vertex."""
-_SIDES = np.array([side for side in np.ndindex(3, 3, 3) if side != (1, 1, 1)], np.float64) - 1
-_SIDES /= np.linalg.norm(_SIDES, axis=1, keepdims=True)
 _BONES = [(parent, joint) for joint, parent in enumerate(JOINT_PARENTS) if parent >= 0]
 
 
@@ -47,8 +39,8 @@ class SampledMesh:
         part: Loose part of the mesh of each, shape (S,).
         neighbours: Nearest points of the same part, shape (S, NEIGHBOURS).
         index: Clean vertex of each vertex of the mesh, shape (V,).
-        nearest: The nearest points of the same part to each vertex, shape (V, 3), and their weights, rows sum to 1.
-        shares: As said.
+        nearest, shares: The nearest points of the same part to each vertex, shape (V, 3), and their weights, rows sum
+            to 1.
     """
 
     clean: np.ndarray
@@ -69,14 +61,13 @@ class SampledMesh:
 def sampled_mesh(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, most: int = POINTS, seed: int = 0
 ) -> SampledMesh:
-    """Sample a mesh: some points of every loose part, more of larger ones.
+    """Points of a mesh: some of every loose part, more of larger ones.
 
     Args:
-        vertices: Rest mesh [m], +Y up, facing +Z, shape (V, 3).
-        faces: Shape (F, 3).
+        vertices, faces: Rest mesh [m], +Y up, facing +Z, shapes (V, 3) and (F, 3).
         joints: J [m], shape (22, 3).
         most: How many points.
-        seed: Of which are taken.
+        seed: Of the choice.
 
     Raises:
         CharacterError: The mesh is broken.
@@ -105,8 +96,7 @@ def point_features(points: np.ndarray, normals: np.ndarray, joints: np.ndarray, 
     part's lowest point.
 
     Args:
-        points: In units of the height, as of `SampledMesh`, shape (S, 3).
-        normals: Shape (S, 3).
+        points, normals: In units of the height, as of `SampledMesh`, shape (S, 3) each.
         joints: J in the same units, shape (22, 3).
         part: Loose part of each point, shape (S,).
     """
@@ -166,73 +156,9 @@ def _near(positions: np.ndarray, part: np.ndarray, chosen: np.ndarray) -> tuple[
     return nearest, shares
 
 
-def joint_distances(
-    vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, clean_vertices: np.ndarray
-) -> np.ndarray:
-    """Geodesic distances G of section 4.2 from points to joints, over the height, shape (S, 22), float32.
-
-    The paper lets each joint stand for the vertex nearest to it. Characters are layers of loose parts, so that this may
-    be one of a belt or a tooth, and the way from there a long one; and even on a closed limb it is near to one side
-    only. Ours begins in the joint itself, goes straight to the nearest vertices on all sides of it, and along the edges
-    from there; loose parts are joined wherever they lie on one another, and at least where they are nearest, so that
-    all distances are finite.
-
-    Args:
-        vertices: Rest mesh [m], shape (V, 3).
-        faces: Shape (F, 3).
-        joints: J [m], shape (22, 3).
-        clean_vertices: The clean vertices that are asked for (`SampledMesh.clean`), shape (S,).
-    """
-    clean = clean_mesh(vertices, faces)
-    count = len(clean.vertices)
-    edges = unique_edges(clean.faces, count)
-    part = mesh_parts(edges, count)
-    height = max(float(np.ptp(clean.vertices[:, 1])), 1e-9)
-    touching = _touching(clean.vertices, part, TOUCH * height)
-    edges = np.unique(np.concatenate([edges, bridge_edges(clean.vertices, part), touching]), axis=0)
-    lengths = np.linalg.norm(clean.vertices[edges[:, 0]] - clean.vertices[edges[:, 1]], axis=1) + 1e-9
-    starts = _starts(clean.vertices, (np.asarray(joints) - clean.center) / clean.scale)
-    rows = np.concatenate([edges[:, 0], edges[:, 1], count + starts[0]])
-    columns = np.concatenate([edges[:, 1], edges[:, 0], starts[1]])
-    ways = np.concatenate([lengths, lengths, starts[2] + 1e-9])  # out of a joint only: no way leads through one
-    graph = coo_matrix((ways, (rows, columns)), shape=(count + JOINT_COUNT,) * 2).tocsr()
-    found = dijkstra(graph, indices=count + np.arange(JOINT_COUNT))[:, clean_vertices].T
-    return np.asarray(found / height, np.float32)
-
-
-def _touching(vertices: np.ndarray, part: np.ndarray, most: float) -> np.ndarray:
-    """Pairs of vertices of different loose parts that lie together, smaller one first, shape (T, 2)."""
-    near = min(10, len(vertices))
-    gap, other = (found.reshape(len(vertices), near) for found in cKDTree(vertices).query(vertices, near))
-    own, rank = np.nonzero((part[other] != part[:, None]) & (gap < most))
-    return np.sort(np.stack([own, other[own, rank]], axis=1), axis=1)
-
-
-def _starts(vertices: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The nearest vertices on all sides of each joint, none much farther off than the nearest of all: numbers of joint
-    and vertex, and the distance.
-    """
-    owners, ends, lengths = [], [], []
-    for joint, index in enumerate(joints):
-        offset = vertices - index
-        gap = np.linalg.norm(offset, axis=1)
-        near = np.flatnonzero(gap < REACH * gap.min() + 0.01)
-        near = near[np.argsort(gap[near], kind="stable")]
-        first = near[np.unique((offset[near] @ _SIDES.T).argmax(axis=1), return_index=True)[1]]
-        owners.append(np.full(len(first), joint))
-        ends.append(first)
-        lengths.append(gap[first])
-    return np.concatenate(owners), np.concatenate(ends), np.concatenate(lengths)
-
-
 @dataclass(frozen=True)
 class SegmentationConfig:
-    """Shape of the network.
-
-    Args:
-        width: Channels.
-        blocks: Edge convolutions within loose parts.
-    """
+    """Shape of the network: channels, and edge convolutions within loose parts."""
 
     width: int = 96
     blocks: int = 2
@@ -241,12 +167,8 @@ class SegmentationConfig:
 class SegmentationNetwork:
     """The network.
 
-    Args:
-        config: Its shape.
-        weights: Of a checkpoint.
-
     Raises:
-        ValueError: The weights have other sizes.
+        ValueError: The weights have other sizes than the config.
     """
 
     def __init__(self, config: SegmentationConfig, weights: Weights):
@@ -260,7 +182,7 @@ class SegmentationNetwork:
 
     def scores(self, mesh: SampledMesh) -> np.ndarray:
         """Before the sigmoid: apparel, stiffness and log10 of what a second of damping leaves, of each point of a mesh,
-        shape (S, 3).
+        (S, 3).
         """
         graph = NodeGraph(mesh.neighbours, mesh.part)
         known = np.clip((mesh.features - self._mean) / self._std, -6, 6)
@@ -292,7 +214,7 @@ intersection over the union (0.739 in place of 0.719 on 44 characters for valida
 
 @dataclass(frozen=True, eq=False)
 class FoundApparel:
-    """What the network says of each vertex of a mesh.
+    """The network's answer for each vertex of a mesh.
 
     Args:
         likely: Probability to be apparel, shape (V,).
@@ -321,10 +243,9 @@ def find_apparel(
     """Which vertices are apparel, and how stiff they are.
 
     Args:
-        vertices: Rest mesh V [m], +Y up and facing +Z, shape (V, 3).
-        faces: Shape (F, 3).
+        vertices, faces: Rest mesh V [m], +Y up and facing +Z, shapes (V, 3) and (F, 3).
         joints: J [m], shape (22, 3).
-        checkpoint: Weights of kind "apparel-mask"; the shipped ones when not given.
+        checkpoint: Weights of kind "apparel-mask" in place of the shipped ones.
 
     Raises:
         CharacterError: The mesh is broken.

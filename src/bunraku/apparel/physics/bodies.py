@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.apparel.mask import APPAREL_SHARE, moved_joints
+from bunraku.apparel.physics.rig import still_body
 from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint
 from bunraku.core.character import Character
 
@@ -58,9 +59,7 @@ def _box(bone: int, name: str, points: np.ndarray) -> MmdBody:
     _, _, rows = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     axes = rows.T * [1.0, 1.0, np.linalg.det(rows)]
     low, high = np.percentile(points @ axes, [OUTER, 100 - OUTER], axis=0)
-    return MmdBody(
-        name, bone, "box", (high - low) / 2, axes @ ((low + high) / 2), axes, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0
-    )
+    return still_body(name, bone, axes @ ((low + high) / 2), "box", (high - low) / 2, axes)
 
 
 THINNEST = 5e-3  # half extents below are taken as this for inertia [m]: thin rods spin faster than any time step

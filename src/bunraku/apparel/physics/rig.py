@@ -13,7 +13,7 @@ from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint, VrmCollider, VrmM
 from bunraku.core.character import Character
 from bunraku.errors import MissingExtraError, OptionError
 
-__all__ = ["ApparelRig", "PhysicsSettings", "VRM_RATE", "apparel_rig", "check_engine", "vrm_rig"]
+__all__ = ["ApparelRig", "PhysicsSettings", "VRM_RATE", "apparel_rig", "check_engine", "still_body", "vrm_rig"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,12 +212,8 @@ class _Chains:
         length = float(np.linalg.norm(end - start))
         size = np.array([collider.radius * scale, length, 0.0])
         shape = "capsule" if length > 1e-6 else "sphere"
-        self.add(
-            _still(
-                f"collider {len(self.bodies)}", self.joint_of(collider.node), shape, size, (start + end) / 2,
-                _along(end - start), group, 1,
-            )
-        )  # fmt: skip
+        bone, middle = self.joint_of(collider.node), (start + end) / 2
+        self.add(still_body(f"collider {len(self.bodies)}", bone, middle, shape, size, _along(end - start), group, 1))
 
     def spring(self, spring: VrmSpring, mask: int) -> None:
         joints = spring.joints if spring.ends_free else spring.joints[:-1]
@@ -268,15 +264,16 @@ class _Chains:
         """A body without size that follows a bone, for chains to hang on."""
         bone = self.joint_of(node)
         if bone not in self.holders:
-            self.holders[bone] = self.add(
-                _still(f"holder {bone}", bone, "sphere", np.zeros(3), position, np.eye(3), 0, 0)
-            )
+            self.holders[bone] = self.add(still_body(f"holder {bone}", bone, position))
         return self.holders[bone]
 
 
-def _still(
-    name: str, bone: int, shape: str, size: np.ndarray, position: np.ndarray, axes: np.ndarray, group: int, mask: int
-) -> MmdBody:
+def still_body(
+    name: str, bone: int, position: np.ndarray, shape: str = "sphere", size: np.ndarray | None = None,
+    axes: np.ndarray | None = None, group: int = 0, mask: int = 0,
+) -> MmdBody:  # fmt: skip
+    """A body that follows a bone; by default one without size that meets no other."""
+    size, axes = np.zeros(3) if size is None else size, np.eye(3) if axes is None else axes
     return MmdBody(name, bone, shape, size, position, axes, 0.0, 0.0, 0.0, 0.0, 0.0, 0, group, mask)
 
 

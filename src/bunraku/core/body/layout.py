@@ -27,6 +27,7 @@ __all__ = [
     "engine_names",
     "handle_names",
     "kept_handles",
+    "sided",
 ]
 
 
@@ -71,6 +72,11 @@ def handle_names(handles: Handles) -> tuple[str, ...]:
             met[role] += 1
             names[handle] = f"{HANDLE_NAMES[role]}_{met[role]}"
     return tuple(names)
+
+
+def sided(*parts: str) -> tuple[int, ...]:
+    """Handles of these parts of the left side, and then of the right one."""
+    return tuple([HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in parts])
 
 
 def _named(*endings: str, side: str = "") -> tuple[int, ...]:

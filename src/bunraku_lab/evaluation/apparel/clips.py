@@ -16,7 +16,6 @@ import numpy as np
 
 from bunraku.apparel.body import BodyVolume, UnifiedBody, body_points, eq4_transforms
 from bunraku.apparel.clothed import ClothedCharacter
-from bunraku.apparel.learned.features import clip_features
 from bunraku.apparel.learned.network import DisplacementNetwork
 from bunraku.apparel.learned.player import SAFE_POINTS, ApparelPlayer, Safety
 from bunraku.apparel.physics.clothed_from_file import clothed_from_file
@@ -30,6 +29,7 @@ from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.build import body_animation, record
 from bunraku_lab.datasets.apparel.checks import PushOut, deep_inside
 from bunraku_lab.datasets.apparel.plan import character_split
+from bunraku_lab.nn.apparel import clip_features
 
 __all__ = [
     "TrueClip",

@@ -16,7 +16,6 @@ import torch
 from bunraku.anatomy.handles.predict import predict_handles
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.fitting import fitted_clothes
-from bunraku.apparel.learned.features import clip_features
 from bunraku.apparel.learned.network import DisplacementNetwork
 from bunraku.apparel.learned.player import ApparelPlayer
 from bunraku.apparel.learned.segmentation import find_apparel
@@ -28,6 +27,7 @@ from bunraku.core.skinning import skin
 from bunraku.errors import WeightsError
 from bunraku_lab.baselines.pose_transfer import ROOM, TransferTarget
 from bunraku_lab.evaluation.apparel.clips import TrueClip, edge_score, point_distance
+from bunraku_lab.nn.apparel import clip_features
 from bunraku_lab.nn.blend_shapes import NbsConfig, NbsNetwork, edge_mesh, load_nbs, local_rotations
 from bunraku_lab.nn.checkpoints import lab_checkpoint
 from bunraku_lab.nn.pose_transfer import TransferConfig, TransferNetwork, load_transfer

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from bunraku.apparel.clothed import ClothedCharacter, Swing
-from bunraku.apparel.learned.features import clip_features, mirror_global, static_features
+from bunraku.apparel.learned.features import static_features
 from bunraku.apparel.learned.network import DisplacementConfig
 from bunraku.apparel.learned.segmentation import find_apparel
 from bunraku.apparel.nodes import apparel_nodes, clothed_with_springs, part_neighbours
@@ -27,7 +27,9 @@ from bunraku_lab.datasets.apparel.shards import ApparelCharacter, ApparelClip
 from bunraku_lab.nn.apparel import (
     DisplacementNetwork,
     Inputs,
+    clip_features,
     load_displacement,
+    mirror_global,
     normalize_inputs,
     past_of_states,
     save_displacement,
