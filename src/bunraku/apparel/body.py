@@ -132,7 +132,7 @@ def _leads(parts: RigParts, joint_of: np.ndarray, moved: np.ndarray) -> np.ndarr
 
 
 def _positions(positions: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Joints with those that are missing half way between the joint above and the next one below, or at the one above."""
+    """Joints with missing ones half way between the joints above and below that are there, or at the one above."""
     out = positions.copy()
     for joint in range(1, JOINT_COUNT):
         if not present[joint]:

@@ -24,7 +24,7 @@ NEAR = 1e-3  # a painted vertex stands for those of the character that are as ne
 
 
 def artist_mask(character: Character) -> np.ndarray | None:
-    """The mask beside a character's file, shape (V,), bool; None where there is none. Errors as of `read_artist_mask`."""
+    """The mask beside a character's file, shape (V,), bool; None for none. Errors as of `read_artist_mask`."""
     path = artist_mask_file(character)
     return None if path is None else read_artist_mask(path, character)
 

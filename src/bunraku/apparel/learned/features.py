@@ -121,7 +121,7 @@ BLEND = 0.6  # share of the way in which the pose changes; in the rest of it app
 
 
 def rest_transforms(joints: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """`[R | t]` of the rest pose with joints J (22, 3), at the position and heading of a frame, both shape (22, 3, 4)."""
+    """`[R | t]` of the rest pose with joints J (22, 3) at a frame's position and heading, both shape (22, 3, 4)."""
     mean = first[:, :, :3].mean(axis=0)
     yaw = np.asarray(matrix_y(np.array(np.arctan2(mean[0, 2] - mean[2, 0], mean[0, 0] + mean[2, 2]))))
     positions = joints @ yaw.T
@@ -328,7 +328,7 @@ class Frame:
 
 
 def static_features(clothed: ClothedCharacter, nodes: ApparelNodes) -> tuple[np.ndarray, np.ndarray]:
-    """Features of the nodes that never change: vectors (M, STATIC_VECTORS, 3) and numbers (M, STATIC_SCALARS), float32."""
+    """What never changes of nodes: vectors (M, STATIC_VECTORS, 3) and numbers (M, STATIC_SCALARS), float32."""
     size = clothed.scale
     points = body_points(clothed)
     distance, normal = nearest_point(nodes.rest, points.rest, points.normals)

@@ -1,5 +1,5 @@
-"""Rigid bodies as MuJoCo takes them: colliders of limbs, shapes and masses, which body hangs on which, and what joints
-allow.
+"""Rigid bodies as MuJoCo takes them: colliders of limbs, shapes and masses, which body hangs on which, and the freedom
+of joints.
 """
 
 from __future__ import annotations
@@ -29,11 +29,8 @@ OUTER = 2.0  # share of the vertices that are outside of a box, on each side [%]
 
 
 def body_limbs(character: Character, moved: np.ndarray | None = None) -> list[MmdBody]:
-    """Boxes that follow the bones of a character's body, at most 40.
-
-    Args:
-        character: With a rig.
-        moved: Joints that physics move, shape (J,), bool; what the file says by default.
+    """Boxes that follow the bones of a character's body, at most 40. `moved` are the joints that physics move, shape
+    (J,), bool; those of its file by default.
     """
     rig = character.rig
     moved = moved_joints(character) if moved is None else moved
@@ -69,9 +66,7 @@ _ABOUT_X = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])  # wxyz; MuJoCo's c
 
 
 def inertia(body: MmdBody) -> np.ndarray:
-    """Moments of inertia about the body's own axes [kg m^2], shape (3,); a capsule's are those of its box, as in
-    Bullet.
-    """
+    """Moments of inertia about the body's own axes [kg m^2], shape (3,); a capsule has those of its box, as in Bullet."""
     if body.shape == "sphere":
         return np.full(3, 0.4 * body.mass * max(float(body.size[0]), THINNEST) ** 2)
     half = body.size if body.shape == "box" else np.array([body.size[0], body.size[0] + body.size[1] / 2, body.size[0]])
@@ -85,17 +80,15 @@ def loss_rate(damping: float, most: float) -> float:
 
 
 def add_shape(owner: Any, body: MmdBody, position: np.ndarray, name: str, settings: dict[str, object]) -> bool:
-    """Add a body's shape to one of MuJoCo's bodies, whose axes are the world's at rest.
+    """Add a body's shape to one of MuJoCo's bodies, whose axes are the world's at rest. True where it has an extent,
+    and so a shape.
 
     Args:
         owner: Of an `MjSpec`.
         body: The body.
-        position: Where `owner` is at rest [m], shape (3,).
+        position: Of `owner` at rest [m], shape (3,).
         name: Of the shape.
         settings: Other attributes of the shape.
-
-    Returns:
-        Whether there is a shape; one without extent is none.
     """
     import mujoco
 
@@ -120,7 +113,7 @@ def add_shape(owner: Any, body: MmdBody, position: np.ndarray, name: str, settin
 def add_rods(owner: Any, body: MmdBody, position: np.ndarray, name: str, settings: dict[str, object]) -> bool:
     """Add a body's shape as capsules only: up to three side by side, along its longest side, fill a box.
 
-    Arguments and result are those of `add_shape`; the shapes are named `name`, an "r" and a number.
+    As `add_shape`; the shapes are named `name`, an "r" and a number.
     """
     if body.shape != "box":
         return add_shape(owner, body, position, f"{name}r0", settings)
@@ -150,10 +143,10 @@ class Link:
 
     Args:
         body: The body.
-        parent: The dynamic body that it hangs on, -1 where that is a bone.
+        parent: The dynamic body that it hangs on, -1 for a bone.
         bone: The bone that it hangs on where `parent` is -1; -1 for the world.
         joint: The joint, None for a free ball joint at its bone.
-        turned: Whether the body is A of the joint, and what it hangs on is B.
+        turned: Whether the body is A of the joint, and its holder B.
         more: Other joints of the same two bodies at the same position, each with whether the body is its A.
     """
 
@@ -167,14 +160,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Loop:
-    """A joint that closes a loop.
-
-    Args:
-        joint: The joint.
-        a: A dynamic body, or -1 for a bone.
-        bone_a: The bone where `a` is -1.
-        b, bone_b: The same of the other end.
-    """
+    """A joint that closes a loop, between two dynamic bodies, or -1 and a bone."""
 
     joint: MmdJoint
     a: int
@@ -204,13 +190,7 @@ Owner = tuple[int, int]  # a dynamic body and -1, or -1 and a bone
 
 
 def apparel_forest(bodies: tuple[MmdBody, ...], joints: tuple[MmdJoint, ...], parents: np.ndarray) -> Forest:
-    """How the bodies of a character hang.
-
-    Args:
-        bodies: The bodies.
-        joints: The joints.
-        parents: Parent of each bone, shape (J,).
-    """
+    """How the bodies of a character hang; `parents` are those of its bones, shape (J,)."""
     forest = Forest()
     movers: dict[int, int] = {}  # the dynamic body that moves a bone
     for index, body in enumerate(bodies):
@@ -263,14 +243,14 @@ def locked_axes(joint: MmdJoint) -> np.ndarray:
 
 
 def free_axes(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Axes without limits: their range is empty, which is how Bullet says it; shape (3,), bool."""
+    """Axes without limits: their range is empty, as Bullet says it; shape (3,), bool."""
     return np.asarray(lower > upper)
 
 
 def _hang(
     forest: Forest, joints: tuple[MmdJoint, ...], edges: dict[Owner, list[tuple[int, Owner, bool]]], starts: list[Owner]
 ) -> set[Owner]:
-    """Hang all bodies that can be reached from some owners; shortest paths first, ties by the file's order."""
+    """Hang all bodies that can be reached from these owners; shortest paths first, ties by the file's order."""
     known = {link.body for link in forest.links}
     done: set[Owner] = set()
     queue: list[tuple[int, int, Owner, Owner, int, bool]] = [(0, -1, start, start, -1, False) for start in starts]
@@ -286,14 +266,13 @@ def _hang(
             forest.links.append(Link(owner[0], above[0], above[1], joints[number], turned))
         for edge, other, reverse in edges.get(owner, ()):
             if other not in done and other[0] >= 0:
-                heapq.heappush(
-                    queue, (cost + (1 if locked_axes(joints[edge]).all() else LOOSE), edge, other, owner, edge, reverse)
-                )
+                farther = cost + (1 if locked_axes(joints[edge]).all() else LOOSE)
+                heapq.heappush(queue, (farther, edge, other, owner, edge, reverse))
     return {owner for owner in done if owner[0] >= 0}
 
 
 def _loops(forest: Forest, joints: tuple[MmdJoint, ...], owners: list[Owner]) -> None:
-    """Joints that nothing hangs on: those of one place with the joint of a link join it, others close loops."""
+    """Joints that nothing hangs on join the joint of a link at the same position, or close loops."""
     indices = {link.body: index for index, link in enumerate(forest.links)}
     used = {id(link.joint) for link in forest.links}
     more: dict[int, list[tuple[MmdJoint, bool]]] = {}
@@ -333,7 +312,7 @@ def _mover(bone: int, parents: np.ndarray, movers: dict[int, int]) -> int:
 
 
 def _depths(parents: np.ndarray) -> list[int]:
-    """How many bones are above each."""
+    """Number of bones above each."""
     out = []
     for bone in range(len(parents)):
         depth, at = 0, int(parents[bone])
@@ -355,7 +334,7 @@ class Freedom:
     Args:
         kind: "slide", "hinge" or "ball".
         axis: In the axes of the world at rest, shape (3,).
-        lower, upper: Limits [m or rad]; both infinite where there are none.
+        lower, upper: Limits [m or rad]; both infinite without limits.
         stiffness: Of its spring [kg/s^2 or N m/rad].
     """
 
@@ -372,7 +351,7 @@ class Freedom:
 
 
 def freedoms(link: Link) -> list[Freedom]:
-    """How a body may move against what it hangs on, the outermost joint first."""
+    """How a body may move against its holder, the outermost joint first."""
     joint = link.joint
     if joint is None:
         return [Freedom("ball", np.array([0.0, 0, 1]), -np.inf, np.inf, 0.0)]
@@ -381,9 +360,8 @@ def freedoms(link: Link) -> list[Freedom]:
     for axis in range(3):
         if high[axis] - low[axis] > TIGHT:
             start, end = (low[axis], high[axis]) if np.isfinite(low[axis]) else (-SLACK, SLACK)
-            out.append(
-                Freedom("slide", joint.rotation[:, axis], float(start), float(end), max(float(joint.spring[axis]), 0.0))
-            )
+            stiff = max(float(joint.spring[axis]), 0.0)
+            out.append(Freedom("slide", joint.rotation[:, axis], float(start), float(end), stiff))
     low, high = _range(joint.angle_lower, joint.angle_upper, link.turned)
     stiffness = np.maximum(joint.angle_spring, 0) * _ANGLE_UNIT
     for other, turned in link.more:
@@ -396,24 +374,17 @@ def freedoms(link: Link) -> list[Freedom]:
     if max(-low[1], high[1]) > GIMBAL and open_axes.all():
         widest = float(max(-low.min(), high.max()))
         widest = widest if widest < np.pi else np.inf
-        return [
-            *out,
-            Freedom(
-                "ball", np.array([0.0, 0, 1]), 0.0 if np.isfinite(widest) else -np.inf, widest, float(stiffness.mean())
-            ),
-        ]
+        low_end = 0.0 if np.isfinite(widest) else -np.inf
+        return [*out, Freedom("ball", np.array([0.0, 0, 1]), low_end, widest, float(stiffness.mean()))]
     for axis in (0, 1, 2) if link.turned else (2, 1, 0):
         if open_axes[axis]:
-            out.append(
-                Freedom("hinge", joint.rotation[:, axis], float(low[axis]), float(high[axis]), float(stiffness[axis]))
-            )
+            ends = float(low[axis]), float(high[axis])
+            out.append(Freedom("hinge", joint.rotation[:, axis], *ends, float(stiffness[axis])))
     return out
 
 
 def _range(lower: np.ndarray, upper: np.ndarray, straight: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Limits in the joint's own sense or turned round; infinite where the file's range is empty, and past half a turn
-    of angles.
-    """
+    """Limits in the joint's own sense or reversed; infinite where the file's range is empty."""
     low, high = (lower, upper) if straight else (-upper, -lower)
     free = lower > upper
     return np.where(free, -np.inf, low), np.where(free, np.inf, high)

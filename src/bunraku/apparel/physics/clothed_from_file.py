@@ -1,6 +1,4 @@
-"""A character with physics in its file as the apparel networks see it: what is apparel, how stiff it is, and how it
-swings.
-"""
+"""A character with physics in its file as the apparel networks see it: its apparel, how stiff it is, and how it swings."""
 
 from __future__ import annotations
 
@@ -29,7 +27,7 @@ NEWTON_METRE = MMD_METRE**2
 
 
 def body_springs(rig: ApparelRig) -> np.ndarray:
-    """Spring against swinging of the joint that holds each body, in the file's numbers, shape (B,)."""
+    """Spring against swinging of the joint that holds each body, in the file's units, shape (B,)."""
     out = np.zeros(len(rig.bodies))
     for joint in rig.joints:
         for held in joint.bodies:  # the joint that holds a body is the stiffest: ties to neighbours have no springs
@@ -38,12 +36,9 @@ def body_springs(rig: ApparelRig) -> np.ndarray:
 
 
 def bending_limits(rig: ApparelRig, parents: np.ndarray) -> np.ndarray:
-    """How far each dynamic body may bend against what it hangs on, by the limits of its joint about the axes across its
-    length [rad], shape (B,); pi where it hangs freely, and of bodies that follow their bones.
-
-    Args:
-        rig: The bodies and joints.
-        parents: Parent of each bone, shape (J,).
+    """How far each dynamic body may bend against its holder, by the limits of its joint about the axes across its
+    length [rad], shape (B,); pi where it hangs freely, and of bodies that follow their bones. `parents` are those of
+    the bones, shape (J,).
     """
     out = np.full(len(rig.bodies), FREE)
     whole = tuple(joint for joint in rig.joints if min(joint.bodies) >= 0 and max(joint.bodies) < len(rig.bodies))
@@ -70,16 +65,16 @@ class _Joint:
     """What a dynamic body hangs on.
 
     Args:
-        place: Where it turns [m], shape (3,).
-        axes: That it turns about, in the world at rest, rows, shape (A, 3).
-        lower, upper: How far about each [rad], shape (A,).
+        pivot: Its centre of rotation [m], shape (3,).
+        axes: Of rotation, in the world at rest, rows, shape (A, 3).
+        lower, upper: Limits about each [rad], shape (A,).
         stiffness: About each [N m / rad], shape (A,).
         sag: How far that gives way to the weight that hangs on it, lying level [rad], shape (A,).
         slides: How far it slides [m].
         frame: Its own axes, columns, shape (3, 3).
     """
 
-    place: np.ndarray
+    pivot: np.ndarray
     axes: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
@@ -90,7 +85,7 @@ class _Joint:
 
     @property
     def turn(self) -> float:
-        """About how far it turns [rad]."""
+        """About how far it rotates [rad]."""
         if not len(self.axes):
             return LEAST
         return max(float(np.minimum(0.5 * (self.upper - self.lower), self.sag).max()), LEAST)
@@ -99,9 +94,9 @@ class _Joint:
 def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
     """What the chains of a rig mean for each vertex; zeros on the body.
 
-    The joints k of a chain, at p_k, are taken to turn by shares c_k of one turn w, by how far their limits and springs
-    let them; they add up to 1. A point x below the first n of them goes by w x sum_k c_k (x - p_k). Mass, springs and
-    friction of the whole are those of its links along such levers.
+    The joints k of a chain, at p_k, are taken to rotate by shares c_k of one rotation w, by how far their limits and
+    springs let them; they add up to 1. A point x below the first n of them goes by w x sum_k c_k (x - p_k). Mass,
+    springs and friction of the whole are those of its links along such levers.
 
     Args:
         character: With a rig.
@@ -147,18 +142,12 @@ def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
 
 
 def _swing(rig: ApparelRig, chain: list[int], line: list[int], joints: dict[int, _Joint], points: np.ndarray) -> Swing:
-    """How points swing that a body holds.
-
-    Args:
-        rig: The bodies.
-        chain: Those that the body hangs on, from the first on, and the body itself.
-        line: These, and those that hang on it in turn.
-        joints: Of the bodies.
-        points: Shape (N, 3).
+    """How points (N, 3) swing that a body holds, by the bodies of its chain from the first on to itself, and by `line`,
+    these and those that hang on it in turn.
     """
     counts = np.array([joints[one].turn for one in line])
     counts /= counts.sum()
-    places = np.array([joints[one].place for one in line])
+    places = np.array([joints[one].pivot for one in line])
     bodies = [rig.bodies[one] for one in line]
     masses = np.array([max(body.mass, 1e-4) for body in bodies])
     middles = np.array([body.position for body in bodies])
@@ -178,7 +167,7 @@ def _swing(rig: ApparelRig, chain: list[int], line: list[int], joints: dict[int,
         ends = np.stack([seen * joint.lower[:, None], seen * joint.upper[:, None]])
         lower, upper = lower + ends.min(axis=0).sum(axis=0), upper + ends.max(axis=0).sum(axis=0)
         spring = spring + counts[number] ** 2 * (np.square(seen) * joint.stiffness[:, None]).sum(axis=0)
-        below = masses[number:] @ (np.square(middles[number:] - joint.place).sum(axis=1) + own[number:])
+        below = masses[number:] @ (np.square(middles[number:] - joint.pivot).sum(axis=1) + own[number:])
         rate = loss_rate(bodies[number].angular_damping, settings.most_rate)
         friction += counts[number] ** 2 * float(below) * max(rate - settings.air, 0)
     reached = len(chain)
@@ -207,7 +196,7 @@ def _own_inertia(body: MmdBody) -> float:
 
 
 def _joints(rig: ApparelRig, forest: Forest, positions: np.ndarray) -> dict[int, _Joint]:
-    """What each dynamic body hangs on, by its number."""
+    """The joint of each dynamic body, by its number."""
     count = len(rig.bodies)
     pull = np.full(count, PhysicsSettings().gravity)
     if rig.gravity is not None:
@@ -220,8 +209,8 @@ def _joints(rig: ApparelRig, forest: Forest, positions: np.ndarray) -> dict[int,
             moment[link.parent] += moment[link.body]
     out = {}
     for link in forest.links:
-        place = _place(rig, link, positions)
-        lever = float(np.linalg.norm(moment[link.body] - weight[link.body] * place))
+        pivot = _pivot(rig, link, positions)
+        lever = float(np.linalg.norm(moment[link.body] - weight[link.body] * pivot))
         axes, lower, upper, stiffness, sag, slides = [], [], [], [], [], 0.0
         for one in freedoms(link):
             if one.kind == "slide":
@@ -236,14 +225,14 @@ def _joints(rig: ApparelRig, forest: Forest, positions: np.ndarray) -> dict[int,
                 sag.append(min(lever / one.stiffness, FREE) if one.stiffness > 0 else FREE)
         frame = np.eye(3) if link.joint is None else np.asarray(link.joint.rotation)
         out[link.body] = _Joint(
-            place, np.array(axes).reshape(-1, 3), np.array(lower), np.array(upper), np.array(stiffness), np.array(sag),
+            pivot, np.array(axes).reshape(-1, 3), np.array(lower), np.array(upper), np.array(stiffness), np.array(sag),
             slides, frame,
         )  # fmt: skip
     return out
 
 
-def _place(rig: ApparelRig, link: Link, positions: np.ndarray) -> np.ndarray:
-    """Where a dynamic body turns [m], shape (3,)."""
+def _pivot(rig: ApparelRig, link: Link, positions: np.ndarray) -> np.ndarray:
+    """Centre of rotation of a dynamic body [m], shape (3,)."""
     body = rig.bodies[link.body]
     if body.mode == 2 and body.bone >= 0:  # held at its bone
         return np.asarray(positions[body.bone])
@@ -287,12 +276,8 @@ class PartSprings:
 
 
 def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> PartSprings:
-    """What the file says of each part; 0 where none of its bones has a body.
-
-    Args:
-        character: With a rig.
-        rig: Its bodies and joints.
-        parts: Number of the part of each vertex, -1 on the body, shape (V,).
+    """What the file says of each part, by the part of each vertex, -1 on the body, shape (V,); 0 where no bone of it
+    has a body.
     """
     own = character.rig
     assert own is not None
@@ -315,7 +300,7 @@ def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> Pa
 
 
 def clothed_from_file(character: Character, body: UnifiedBody | None = None, dial: float = 1.0) -> ClothedCharacter:
-    """A character whose file says what its apparel is and how stiff.
+    """A character with the apparel and the stiffness of its file.
 
     Args:
         character: With a rig of a person.

@@ -1,6 +1,4 @@
-"""What physics move of a character, from an MMD or VRM file, the settings of the simulation, and whether MuJoCo is
-there.
-"""
+"""What physics move of a character, from an MMD or VRM file, and the settings of the simulation."""
 
 from __future__ import annotations
 
@@ -24,8 +22,7 @@ class ApparelRig:
         bodies: The bodies; `MmdBody.bone` is the index of a rig joint, -1 for none.
         joints: The joints, by indices of bodies.
         notes: What of the file was left out or repaired, a sentence each.
-        gravity: Acceleration that each body has of its own, in place of the world's gravity [m/s^2], shape (B, 3); None
-            where it is the world's.
+        gravity: Acceleration of each body in place of the world's gravity [m/s^2], shape (B, 3); None for the world's.
     """
 
     bodies: tuple[MmdBody, ...]
@@ -40,8 +37,8 @@ class ApparelRig:
 
     @property
     def unguarded(self) -> tuple[int, ...]:
-        """Dynamic bodies that may collide but that no body which follows its bone collides with: nothing of the file
-        keeps them out of the person.
+        """Dynamic bodies that may collide but that no body which follows its bone collides with: the file does not keep
+        them out of the person.
         """
         still = {(body.group, body.mask) for body in self.bodies if not body.dynamic}
         return tuple(
@@ -53,13 +50,10 @@ class ApparelRig:
 
 
 def check_engine(purpose: str) -> None:
-    """Whether there is what simulates.
-
-    Args:
-        purpose: What asks for it, as the message begins.
+    """Check that MuJoCo is installed; `purpose` is how the message begins.
 
     Raises:
-        MissingExtraError: It is not installed.
+        MissingExtraError: It is not.
     """
     if find_spec("mujoco") is None:
         raise MissingExtraError("mujoco-core", "physics", purpose)
@@ -72,18 +66,18 @@ class PhysicsSettings:
     Args:
         gravity: Downwards [m/s^2]; MMD's 98 units a second squared by default.
         step: Longest time step [s].
-        air: The largest rate at which bodies lose speed against the air [1/s]. What a file asks for beyond that is
-            friction in the joints.
+        air: The largest rate at which bodies lose speed against the air [1/s]; more in a file is friction in the
+            joints.
         most_rate: The largest rate at which bodies lose speed at all [1/s].
-        least_ratio: Damping of every joint, as a share of the critical one, is at least this.
+        least_ratio: Least damping of every joint, as a share of the critical one.
         fastest: Springs swing at most this fast [rad/s].
         loop_time: Time in which a joint that closes a loop pulls its bodies together [s].
-        limbs: Whether the body's mesh is a collider, bone by bone (`limbs`), for all apparel; None for apparel that no
-            collider of the file meets.
+        limbs: Whether the body's mesh is a collider, bone by bone (`body_limbs`), for all apparel; None for apparel
+            that no collider of the file meets.
         nearby: Apparel collides with those limbs that are nearer than this at rest [m].
         most_speed: A body that moves faster against its anchor has flown away [m/s].
-        most_turn: Joints turn at most this fast [rad/s].
-        patience: A body that would turn faster for longer than this has flown away [s].
+        most_turn: Joints rotate at most this fast [rad/s].
+        patience: A body that would rotate faster for longer than this has flown away [s].
         cut: A bone that is faster than this has jumped, and takes its apparel with it [m/s].
 
     Raises:
@@ -113,7 +107,7 @@ class PhysicsSettings:
 
 
 VRM_RATE = 60.0
-"""Steps a second that VRM's numbers are meant for [1/s]."""
+"""Steps a second that VRM's parameters are meant for [1/s]."""
 LIGHTER = 0.5  # mass of a joint over that of the one above
 END = 0.07  # of a chain whose last node swings as well [m]
 MOST_PAIRS = 1_000_000  # of a group of springs and a collider
@@ -123,12 +117,7 @@ _FREE = (np.ones(3), -np.ones(3))
 
 
 def vrm_rig(character: Character, avatar: VrmModel) -> ApparelRig:
-    """The bodies and joints of a VRM's springs and colliders.
-
-    Args:
-        character: The character that was read from the file, with its rig.
-        avatar: What the file says of springs.
-    """
+    """The bodies and joints of a VRM's springs and colliders, for the character that was read from its file."""
     return _Chains(character).rig(avatar)
 
 
@@ -291,10 +280,8 @@ def _along(direction: np.ndarray) -> np.ndarray:
 
 
 def apparel_rig(character: Character) -> ApparelRig | None:
-    """What physics move of a character; None where its file says nothing of physics, or nothing of it can be used.
-
-    Args:
-        character: An MMD model or a VRM avatar, with its rig.
+    """What physics move of a character with a rig; None where its file says nothing of physics, or nothing of it can be
+    used.
 
     Raises:
         FormatError: The nodes of its file are broken.
