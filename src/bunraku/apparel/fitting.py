@@ -1,4 +1,4 @@
-"""Clothed characters of meshes that say nothing of apparel: the carrier of each part, and the rig in which it holds it."""
+"""Clothed characters of meshes that say nothing of apparel: the carrier of each part, and the rig for it."""
 
 from __future__ import annotations
 

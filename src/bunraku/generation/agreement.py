@@ -1,5 +1,5 @@
-"""Whether a motion does what its sentence plainly says, and what of a motion that is measured on: path, heading,
-heights, feet, hands.
+"""Whether a motion does what its sentence plainly says, and the measures of a motion: path, heading, heights, feet,
+hands.
 """
 
 from __future__ import annotations
@@ -39,8 +39,7 @@ def smooth(values: np.ndarray, seconds: float, fps: float) -> np.ndarray:
 
 
 def runs(mask: np.ndarray, least: float = 1, bridge: float = 0) -> list[tuple[int, int]]:
-    """Stretches (start, stop) where the mask holds for at least `least` frames, gaps of up to `bridge` frames counted
-    in.
+    """Runs (start, stop) in which the mask holds for at least `least` frames, gaps of up to `bridge` frames counted in.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     found: list[tuple[int, int]] = []
@@ -59,9 +58,8 @@ class Phrase:
     Args:
         kind: "go", "turn", "jump", "kick", "arm", "bend" or "still".
         texts: Rewordings of the same, with verbs in braces.
-        start: First frame.
-        stop: Frame after the last.
-        part: Words that are still true where only a part of the frames is there; none where a part is nothing.
+        start, stop: First frame, and the one after the last.
+        part: Words that are still true where only a part of the frames is there; empty where a part is nothing.
         manner: For "go": direction and speed, to follow another verb, such as "backwards", "slowly".
     """
 
@@ -127,7 +125,7 @@ class Track:
         return len(self.position)
 
     def frames(self, seconds: float) -> int:
-        """How many frames a time takes, at least one."""
+        """Number of frames of a time, at least one."""
         return max(1, round(seconds * self.fps))
 
     @property
@@ -157,15 +155,8 @@ _CLEAR = 0.1  # m
 
 
 def agreement(clause: Clause, motion: HandleMotion) -> float | None:
-    """How far what a clause plainly says is true of a motion of the reference body.
-
-    Args:
-        clause: Of one thing that is done.
-        motion: That should do it.
-
-    Returns:
-        That of the claim that holds least, from -1, the contrary, to 1; None where nothing is claimed that could be
-        seen.
+    """How far what a clause of one action plainly says is true of a motion of the reference body: that of the claim
+    that holds least, from -1, the contrary, to 1; None where it claims nothing visible.
     """
     if clause.limbs_meanwhile is not None:
         clause = clause.body
@@ -179,7 +170,7 @@ def agreement(clause: Clause, motion: HandleMotion) -> float | None:
 
 
 def _side(clause: Clause, part: str) -> int:
-    """1 where the left of this place is spoken of, -1 where the right is, 0 for neither or both."""
+    """1 where the left of this part is meant, -1 where the right is, 0 for neither or both."""
     return int(f"left {part}" in clause.cues) - int(f"right {part}" in clause.cues)
 
 
@@ -213,7 +204,7 @@ def _leg(clause: Clause, track: Track) -> float | None:
 
 
 def _turn(clause: Clause, track: Track) -> float | None:
-    """The way round and how far; without a side, how far; and that who goes forward does not turn."""
+    """The direction and angle of a turn, or its angle alone; a clause that goes forward does not turn."""
     angle = float(track.angle[-1] - track.angle[0])
     requested = clause.turn
     if requested is None:
@@ -227,7 +218,8 @@ def _turn(clause: Clause, track: Track) -> float | None:
 
 
 def _way(clause: Clause, track: Track) -> float | None:
-    """Forward, backwards or to a side, seen from the heading at each time; where none is said, anywhere at all."""
+    """Forward, backwards or to a side, seen from the heading at each time; anywhere at all where no direction is said.
+    """
     if "goes" not in clause.traits or "in place" in clause.cues or "to and fro" in clause.traits:
         return None
     ahead, aside = (track.velocity.mean(axis=0) * len(track) / track.fps).tolist()
@@ -243,15 +235,15 @@ def _way(clause: Clause, track: Track) -> float | None:
 
 
 def _stays(track: Track) -> float:
-    """Whether who goes does so for most of the time: twice the speed that he has in all but a part of it, over that of
-    slow walks, less 1.
+    """Whether a person who goes does so for most of the time: twice the speed reached in all but a part of it, over
+    that of slow walks, less 1.
     """
     speed = np.linalg.norm(track.velocity, axis=1)
     return float(min(2 * speed.mean(), 2.5 * np.quantile(speed, _STANDS)) / _PACE - 1)
 
 
 def _posture(clause: Clause, track: Track) -> float | None:
-    """Who sits down stands before and is low after; who gets up is low before and stands after."""
+    """A person who sits down stands before and is low after; a person who gets up is low before and stands after."""
     edge = track.frames(0.3)
     first, last = float(np.median(track.height[:edge])), float(np.median(track.height[-edge:]))
     if "gets up" in clause.traits:

@@ -1,9 +1,9 @@
 """Guidance by a network that knows which motion belongs to which sentence: at every step the predicted x0 goes a little
-way up the gradient of the cosine of their vectors (as classifier guidance, Dhariwal and Nichol 2021, but on x0).
+up the gradient of the cosine of their vectors (as classifier guidance, Dhariwal and Nichol 2021, but on x0).
 
-The gradient is smoothed in time, so that it changes what is done and not the details, in which such a network can be
-deceived; and it is of one size whatever its length, since a prediction of the first steps resembles no motion and is
-far from any sentence. The root keeps its own way: with it walks became slower and nothing better.
+The gradient is smoothed in time, so that it changes the action and not the details, in which such a network can be
+deceived. It has one size whatever its length, since a prediction of the first steps resembles no motion and is far from
+any sentence. The root is not guided: with it walks became slower and nothing better.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ GROUP = 16
 
 @dataclass(frozen=True)
 class Spoken:
-    """A stretch of the time line with the sentence that it should show.
+    """A stretch of the time line with its sentence.
 
     Args:
         frames: Its first frame, and the one after its last.
@@ -48,15 +48,14 @@ class Spoken:
 
 
 class ClassifierGuidance:
-    """What `sample_windows` calls with each predicted x0.
+    """Guides each predicted x0 towards its sentences.
 
     Args:
-        network: Trained with motions and sentences (`inference.extractor`), of people.
-        mean: Of the features, shape (D,).
-        std: Their standard deviation, shape (D,).
+        network: Trained with motions and sentences of people (`extractor`).
+        mean, std: Of the features, shape (D,).
         stretches: What is guided.
         strength: Root mean square of a step.
-        rounds: How many times each prediction is guided.
+        rounds: How often each prediction is guided.
     """
 
     def __init__(
@@ -102,10 +101,10 @@ def smoothed(values: np.ndarray, spread: float = SPREAD) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Critic:
-    """What guides the motions of a batch.
+    """Guides the motions of a batch.
 
     Args:
-        network: Trained with motions and sentences, of people.
+        network: Trained with motions and sentences of people.
         vectors: Of all their sentences, of length 1, shape (E,).
         strength: Root mean square of a step.
     """
@@ -118,14 +117,14 @@ class Critic:
         self, model: Denoiser, scripts: Sequence[Sequence[str]], lengths: Sequence[Sequence[int]], sizes: Sequence[int],
         guide: tuple[np.ndarray, np.ndarray, np.ndarray] | None, steps: int = FEW,
     ) -> ClassifierGuidance:  # fmt: skip
-        """For motions that lie one after the other on the time line.
+        """For motions one after the other on the time line.
 
         Args:
             model: The denoiser.
             scripts: Sentences of each.
             lengths: Frames of each sentence.
             sizes: Frames of each motion on the time line.
-            guide: As for `sample_windows`.
+            guide: As of `Steering`.
             steps: Of the sampler.
         """
         stretches: list[Spoken] = []

@@ -1,4 +1,4 @@
-"""The denoiser of Shape-aware Motion Diffusion as it runs (section 3.2 of TapMo), its checkpoint, and what changes for
+"""The denoiser of Shape-aware Motion Diffusion at inference (section 3.2 of TapMo), its checkpoint, and its changes for
 few steps.
 """
 
@@ -35,8 +35,8 @@ __all__ = [
 ]  # fmt: skip
 
 EXAMPLE_TOKENS = 2
-"""Motion tokens whose frames share one token of an example: examples need less detail, and attention to them is half
-of its price.
+"""Motion tokens whose frames share one token of an example: examples need less detail, and attention to them costs
+half.
 """
 
 
@@ -46,7 +46,7 @@ class RetrievedExamples:
 
     Args:
         values: Network units, zero behind an example's end, shape (B, R, N, D).
-        lengths: Real frames, 0 where there is no example, shape (B, R).
+        lengths: Real frames, 0 without an example, shape (B, R).
         pooled: The vector of each example's own sentence, shape (B, R, P).
     """
 
@@ -55,7 +55,7 @@ class RetrievedExamples:
     pooled: np.ndarray
 
     def rows(self, rows: np.ndarray) -> RetrievedExamples:
-        """Some rows of the batch, in the order that is given."""
+        """These rows of the batch, in their order."""
         return RetrievedExamples(self.values[rows], self.lengths[rows], self.pooled[rows])
 
 
@@ -64,7 +64,7 @@ _MARK = "motion_out.weight"
 
 
 def fingerprint(state: Mapping[str, np.ndarray]) -> str:
-    """Tells weights of a denoiser from others: of its last layer, in half precision."""
+    """Identifies weights of a denoiser, by their last layer in half precision."""
     found = state.get(_MARK)
     return "" if found is None else hashlib.sha256(found.astype(np.float16).tobytes()).hexdigest()[:32]
 
@@ -90,7 +90,7 @@ class FewSteps:
         return self.of == fingerprint(state)
 
     def on(self, state: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-        """The teacher's weights, each changed when it is asked for, so that they are never all there twice.
+        """The teacher's weights, each changed when it is read, so that they are never all in memory twice.
 
         Raises:
             ValueError: A change is of no matrix of theirs.
@@ -121,7 +121,7 @@ class _Changed(Mapping[str, np.ndarray]):
 
 
 def load_few_steps(path: str | Path) -> FewSteps:
-    """Read what `bunraku train few-steps` wrote.
+    """Read the result of `bunraku train few-steps`.
 
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or names no steps.
@@ -153,8 +153,8 @@ class Denoiser:
     Args:
         config: Its sizes.
         weights: Of a checkpoint.
-        notes: What the checkpoint says of its training.
-        visited: The few steps that the weights were distilled for, falling; none of others.
+        notes: The checkpoint's notes on its training.
+        visited: The few steps that the weights were distilled for, falling; empty for others.
 
     Raises:
         ValueError: The weights have other sizes.
@@ -216,7 +216,7 @@ class Denoiser:
             mesh: Mesh features f_phi, shape (B, 448); None for no mesh in particular.
             keep_text: False where the sentence is dropped for classifier-free guidance, shape (B,).
             keep_mesh: False where the mesh feature is unknown, shape (B,).
-            examples: Captured examples of the sentences; they are dropped with them. None for none.
+            examples: Captured examples of the sentences, dropped with them; None for none.
         """
         batch, width = len(keep_text), self.config.width
         token = self._mesh_token(mesh, keep_mesh)
@@ -274,7 +274,7 @@ class Denoiser:
         )
 
     def _example_rotary(self, tokens: int) -> Rotary:
-        """Rotary positions of the examples' tokens, each example from its own start; the null example stands there."""
+        """Rotary positions of the examples' tokens, each example from its own start; the null example is there, too."""
         own = EXAMPLE_TOKENS * np.arange((tokens - 1) // self.config.examples)
         places = np.concatenate([[0], np.tile(own, self.config.examples)])[:tokens]
         return rotary_positions(places, self.config.width // self.config.heads)
@@ -282,17 +282,14 @@ class Denoiser:
     def __call__(
         self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition, adapts: bool = True
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Clean motion and adaptation.
+        """Clean motion x0 (B, N, D) in network units and the adaptation of local translations (B, N, K, 3) [m].
 
         Args:
             x: Noisy motion in network units, shape (B, N, D).
             step: Diffusion step in 0..999.
             lengths: Frames that are real in each row, shape (B,).
-            condition: What `condition` returned.
+            condition: Result of `condition`.
             adapts: Whether the adaptation is wanted.
-
-        Returns:
-            x0 (B, N, D) in network units and the adaptation of local translations (B, N, K, 3) [m].
         """
         batch, frames, features = x.shape
         h = self.hidden(x, step, lengths, condition)
@@ -308,8 +305,8 @@ class Denoiser:
         return motion, said
 
     def _tokens(self, x: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """What enters for each token, zero behind a motion's end, shape (B, T, d); and which tokens are real, shape
-        (B, T), None where all are.
+        """The input of each token, zero behind a motion's end, shape (B, T, d); and which tokens are real, shape (B,
+        T), None where all are.
         """
         batch, frames, features = x.shape
         patch = self.config.frames_per_token
@@ -328,7 +325,7 @@ class Denoiser:
         return self.step_in[1](silu(self.step_in[0](waves(np.array([step], np.float32), self.config.width))))
 
     def hidden(self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition) -> np.ndarray:
-        """The last hidden states, which both heads read, shape (B, T, d) for T tokens; arguments as in `__call__`."""
+        """The last hidden states, which both heads read, shape (B, T, d) for T tokens; arguments as of `__call__`."""
         h, real = self._tokens(x, lengths)
         vector = silu(self._step(step) + condition.sentence)
         width = self.config.width
@@ -346,7 +343,7 @@ def joint_offsets(moves: np.ndarray, features: np.ndarray) -> np.ndarray:
     """The adaptation that moves joints: delta_k = delta_p + (R_p - R_k) d_k for a handle k and its parent p, shape (B,
     N, K, 3).
 
-    It is what `attach_joints` does to the translations when the joint of k is held d_k farther off. It turns with the
+    It is what `attach_joints` does to the translations when the joint of k is held d_k farther off. It rotates with the
     body and fades where nothing bends, so one d_k serves all poses.
 
     Args:
@@ -374,14 +371,8 @@ def load_denoiser(path: str | Path) -> Denoiser:
 
 
 def load_denoiser_of_few_steps(path: str | Path, few: str | Path) -> Denoiser | None:
-    """Read a denoiser as `bunraku train few-steps` changed it; None where the changes are another denoiser's.
-
-    Args:
-        path: The checkpoint.
-        few: The changes.
-
-    Raises:
-        WeightsError: A file is missing, damaged, of another kind, or its config and weights disagree.
+    """Read a denoiser with the changes of `bunraku train few-steps`; None where the changes are another denoiser's.
+    Errors as of `load_denoiser`.
     """
     changes = load_few_steps(few)
     state, config = load_checkpoint(path, KIND, half=True)
@@ -411,9 +402,5 @@ def _built(
 
 
 def text_encoder_name(path: str | Path) -> str:
-    """Of the text encoder that a denoiser was trained with.
-
-    Raises:
-        WeightsError: The file is missing, damaged or of another kind.
-    """
+    """Name of the text encoder that a denoiser was trained with. Errors as of `load_denoiser`."""
     return str(read_config(Path(path), KIND).get("text_encoder", DenoiserConfig.text_encoder))

@@ -1,5 +1,4 @@
-"""Motions and sentences in one space: the network behind the ranker, the critic and the judge, and its
-configuration.
+"""Motions and sentences in one space: the network behind the ranker, the critic and the judge, and its configuration.
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ __all__ = [
 ]  # fmt: skip
 
 KIND, RANKER = "extractor", "ranker"
-"""Kinds of checkpoints: who judges, and who chooses."""
+"""Kinds of checkpoints: the judge, and the ranker."""
 LONGEST = 196
-"""Frames that the ranker looks at at once; longer parts are looked at in pieces."""
+"""Frames that the ranker sees at once; longer parts are cut into pieces."""
 SHORTEST = 8
-"""Frames under which a part says nothing."""
+"""Parts of fewer frames are not judged."""
 RADIUS = 10.0
 """Length of all vectors."""
 FARTHEST = 8.0
@@ -49,8 +48,7 @@ class ExtractorConfig:
         frames_per_token: Frames that share a token.
         features: Numbers a frame, D.
         text_encoder: Name of the text encoder.
-        text_size: Size of its tokens.
-        pooled_size: Size of its sentence vector.
+        text_size, pooled_size: Sizes of its tokens and of its sentence vector.
         dropout: Share of units left out while training.
     """
 
@@ -68,7 +66,7 @@ class ExtractorConfig:
 
 
 Back = Callable[[np.ndarray], np.ndarray]
-"""The gradient of what a function made -> that of what it was given."""
+"""The gradient by a function's output -> that by its input."""
 _NEVER = np.float32(-1e4)
 
 
@@ -78,7 +76,7 @@ class Extractor:
     Args:
         config: Its sizes.
         weights: Of a checkpoint.
-        notes: What the checkpoint says of its training.
+        notes: The checkpoint's notes on its training.
 
     Raises:
         ValueError: The weights have other sizes.
@@ -108,32 +106,22 @@ class Extractor:
         weights.array("log_scale")  # of the loss
 
     def motion(self, features: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-        """Vectors of motions.
+        """Vectors of motions, shape (B, E), of length `RADIUS`.
 
         Args:
             features: In the data's units, anything behind a motion's end, shape (B, N, D).
             lengths: Real frames, shape (B,).
-
-        Returns:
-            Shape (B, E), of length `RADIUS`.
         """
         return np.float32(RADIUS) * self._directions(features, lengths)[0]
 
     def cosine_gradient(self, features: np.ndarray, lengths: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        """The gradient, by each feature, of the cosine of each motion's vector with a goal of length 1.
-
-        Args:
-            features: As for `motion`.
-            lengths: As for `motion`.
-            goals: Shape (B, E).
-
-        Returns:
-            Shape (B, N, D).
+        """The gradient, by each feature, of the cosine of each motion's vector with a goal of length 1 (B, E), shape
+        (B, N, D); other arguments as of `motion`.
         """
         return self._directions(features, lengths)[1](goals.astype(np.float32))
 
     def _directions(self, features: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, Back]:
-        """Unit vectors of motions, shape (B, E)."""
+        """Unit vectors of motions, shape (B, E), and the way back."""
         batch, frames, size = features.shape
         patch = self.config.frames_per_token
         tokens = -(-frames // patch)
@@ -268,15 +256,8 @@ def _mean(x: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def embed_motions(extractor: Extractor, motions: Sequence[np.ndarray], batch: int = 64) -> np.ndarray:
-    """Vectors of motions, in their order.
-
-    Args:
-        extractor: The network.
-        motions: Features in the data's units, each of shape (N, 271).
-        batch: Motions in one pass; it does not change the vectors.
-
-    Returns:
-        Shape (B, E), float64.
+    """Vectors of motions (N, 271) in the data's units, in their order, shape (B, E), float64; `batch` of them in one
+    pass.
     """
     order = sorted(range(len(motions)), key=lambda index: len(motions[index]))
     out = np.zeros((len(motions), extractor.config.embedding))
@@ -306,7 +287,7 @@ def embed_sentences(extractor: Extractor, encoder: TextEncoder, sentences: Seque
 
 
 def load_extractor(path: str | Path, kind: str = KIND) -> Extractor:
-    """Read an extractor, or a ranker, ready for use.
+    """Read an extractor, or a ranker.
 
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
@@ -327,10 +308,7 @@ def load_extractor(path: str | Path, kind: str = KIND) -> Extractor:
 
 
 def load_ranker(path: str | Path | None = None) -> Extractor:
-    """The ranker, kept between calls as long as the file does not change.
-
-    Args:
-        path: Weights in place of the shipped ones.
+    """The shipped ranker, or another one, kept between calls as long as the file does not change.
 
     Raises:
         WeightsError: The weights are missing or broken.
@@ -339,8 +317,8 @@ def load_ranker(path: str | Path | None = None) -> Extractor:
 
 
 def load_critic() -> Extractor | None:
-    """The critic, which guides motions (`sampling.classifier_guidance`) and, trained apart from the
-    ranker, chooses none; None where the file was taken away.
+    """The critic, which guides motions (`classifier_guidance`) and, trained apart from the ranker, chooses none; None
+    where the file was taken away.
 
     Raises:
         WeightsError: The weights are broken.

@@ -38,13 +38,13 @@ def generate_motion(prompt: str, seconds: float, *, seed: int = 0, **sampling: A
     """A handle motion of the reference body from a sentence (Eq. 2 of TapMo), at the model's 20 frames a second.
 
     Args:
-        prompt: What the character does, in English, at most 1,000 characters, of which some 30 words are read.
+        prompt: What the character does, at most 1,000 characters, of which about 30 words are read.
         seconds: Length [s].
         seed: The same seed and version give the same motion.
         sampling: See `SamplingSettings`.
 
     Raises:
-        OptionError: The prompt or a setting is outside what can be done.
+        OptionError: The prompt or a setting is outside its range.
         WeightsError: The weights are missing or broken.
     """
     return generate_motions([clauses_of([(prompt, seconds)])], seeds=seed, **sampling)[0]
@@ -60,12 +60,12 @@ def generate_motions(
         scripts: For each motion its clauses.
         seeds: One for each motion; a single number gives each motion noise of its own, the first as when it is alone.
         loop: Make loops: each motion's last frame is its first again, at another position where it travels.
-        path: What the root follows, in metres of the reference body; each motion then starts where the path does. Who
-            goes backwards in the first clause looks back along it.
+        path: Path of the root, in metres of the reference body; each motion then starts where the path does, and faces
+            back along it where its first clause goes backwards.
         sampling: See `SamplingSettings`.
 
     Raises:
-        OptionError: A length or a setting is outside what can be done.
+        OptionError: A length or a setting is outside its range.
         WeightsError: The weights are missing or broken.
     """
     how = SamplingSettings(**sampling)
@@ -151,7 +151,7 @@ def generate_motions(
 
 
 def _left_out(known: GuidanceExamples, clause: Clause) -> str:
-    """What of a clause no motion shows, or no gesture does, in a line; "" for nothing."""
+    """A line on what of a clause no motion, or no gesture, shows; "" for nothing."""
     word, action = known.unseen(clause)
     if word:
         return f"no motion of '{word}' is known; this is one of '{action}'"
@@ -162,11 +162,8 @@ def _left_out(known: GuidanceExamples, clause: Clause) -> str:
 
 
 def adapt(motion: HandleMotion, adaptation: np.ndarray) -> HandleMotion:
-    """The motion with the adaptation added to its local translations (section 3.2 of TapMo).
-
-    Args:
-        motion: N frames of K handles.
-        adaptation: Offsets [m], shape (N, K, 3); the root's is left out.
+    """The motion with the adaptation [m], shape (N, K, 3), added to its local translations but the root's (section 3.2
+    of TapMo).
     """
     if not adaptation.any():
         return motion
@@ -220,23 +217,20 @@ def edit_motion(
     motion: HandleMotion, clause: Clause, *, keep: str | Sequence[str] = (), span: tuple[float, float] | None = None,
     poses: Sequence[float] = (), seed: int = 0, **sampling: Any,
 ) -> HandleMotion:  # fmt: skip
-    """The motion with all but what is kept generated anew from a clause.
+    """The motion with all but what is kept generated anew from a clause. Frames outside the span, those of `poses`, and
+    kept handles hold the arrays of `motion` bit for bit.
 
     Args:
         motion: Motion of the reference body at the model's 20 frames a second.
-        clause: What it does instead.
+        clause: The new action.
         keep: Parts or handles that stay as they are.
-        span: Seconds from and to which is generated; all of the motion by default. The frames outside stay as they are.
-        poses: Seconds of single frames in it that stay too: what is between them is generated.
+        span: Seconds between which frames are generated; the whole motion by default.
+        poses: Seconds of single frames in it that stay too.
         seed: The same seed and version give the same motion.
         sampling: See `SamplingSettings`.
 
-    Returns:
-        As many frames; those outside the span, those of `poses`, and the handles that are kept, hold the arrays of
-        `motion` bit for bit.
-
     Raises:
-        OptionError: Nothing is kept, or everything; or a setting is outside what can be done.
+        OptionError: Nothing is kept, or everything; or a setting is outside its range.
         MotionError: The motion has another number of handles or frames a second than the model.
         WeightsError: The weights are missing or broken.
     """
@@ -267,19 +261,16 @@ def edit_motion(
 
 
 def continue_motion(motion: HandleMotion, script: Sequence[Clause], *, seed: int = 0, **sampling: Any) -> HandleMotion:
-    """A motion that starts in the last pose of another, at its position and speed.
+    """A new motion that starts in the last pose of another, bit for bit, at its position and speed.
 
     Args:
         motion: Motion of the reference body at the model's 20 frames a second.
-        script: What is done, clause by clause.
+        script: The actions, clause by clause.
         seed: The same seed and version give the same motion.
         sampling: See `SamplingSettings`.
 
-    Returns:
-        The new motion alone; its first frame is the last one of `motion`, bit for bit.
-
     Raises:
-        OptionError: A setting is outside what can be done.
+        OptionError: A setting is outside its range.
         MotionError: The motion has another number of handles or frames a second than the model.
         WeightsError: The weights are missing or broken.
     """
@@ -314,8 +305,8 @@ def _generate(
     original: HandleMotion, runs: Sequence[tuple[int, int]], handles: np.ndarray, texts: list[str], lengths: list[int],
     seed: int, how: SamplingSettings,
 ) -> HandleMotion:  # fmt: skip
-    """All frames of the original with some runs of frames made anew, but for the kept handles; the root's path from x
-    = z = 0 facing +Z.
+    """All frames of the original with runs of frames generated anew, but for the kept handles; the root's path from x =
+    z = 0 facing +Z.
     """
     from bunraku.core.nn.layers import one_thread
     from bunraku.generation.sampler import Steering
@@ -373,13 +364,13 @@ def _generate(
 
 
 def _reach(first: int, after: int, frames: int) -> list[tuple[int, np.ndarray]]:
-    """The kept frames that a run meets, each with the frames of the run that are led to it, nearest first."""
+    """The kept frames that a run meets, each with the frames of the run that blend into it, nearest first."""
     edges = [(first - 1, 1)] * (first > 0) + [(after, -1)] * (after < frames)
     return [(edge, edge + way * np.arange(1, min(FADE, after - first) + 1)) for edge, way in edges]
 
 
 def _goal(features: np.ndarray, first: int, after: int, fps: float) -> tuple[float, tuple[float, float]]:
-    """Turn [rad] and way [m] of the original over the frames of a span, seen from the heading before it."""
+    """Rotation [rad] and way [m] of the original over the frames of a span, seen from the heading before it."""
     path = decode(np.concatenate([features[first - 1 : first], features[first:after]]), fps)
     return float(features[first:after, 0].sum() / fps), (
         float(path.root_translation[-1, 0]),

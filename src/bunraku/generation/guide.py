@@ -31,31 +31,31 @@ __all__ = [
 ]  # fmt: skip
 
 HURRY = 1.35
-"""Factor by which an example that is done once is sped up at the most to fit in."""
+"""Largest factor by which an example that is done once is sped up to fit in."""
 FILLED = 0.6
-"""Share of the time that an example goes on for at least; shorter ones are taken where there are no others."""
+"""Least share of the time that an example fills; shorter ones are taken where there are no others."""
 UPRIGHT = 0.9
-"""Of the root's axis, in who stands."""
+"""Of the root's axis, in a person who stands."""
 _LEAD = 30
-"""Frames that somebody stands before what is done once, at the most."""
+"""Most frames of standing before an action that is done once."""
 CROUCH = 0.12
-"""Height [m] by which somebody who stands is lower at the most."""
+"""Height [m] by which a person who stands is lower at most."""
 NEAR = 1.0
-"""Difference of two poses, in network units, up to which what rests is joined to standing; what stands in mid-motion is
-joined whatever it is. The sampler repairs what is between.
+"""Difference of two poses, in network units, up to which rest is joined to standing; a motion that stands in its midst
+is joined whatever it is. The sampler repairs what is between.
 """
 AIRBORNE = 0.1
-"""Height of the root over standing [m] from which on nobody stays."""
+"""Height of the root over standing [m] from which on a body cannot stay."""
 GOES = 1.0
-"""Speed [m/s] of who goes on."""
+"""Speed [m/s] of a person who walks on."""
 EASE = 0.6
 """Share of a pose's change that is left from frame to frame where a motion comes to rest."""
 SHORTEST_LOOP = 12
-"""Frames under which what is played on is a part of a movement, half a punch."""
+"""Shorter loops are a part of a movement, half a punch [frames]."""
 WEIGHTS = feature_weights()[3:]
-"""Of what a pose is: all but the root's velocities."""
+"""Of a pose: all features but the root's velocities."""
 _FADE = 10
-"""Frames over which the sampler is left to itself where one sentence goes over into the next."""
+"""Frames over which the sampler is free where one sentence blends into the next."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Guide:
     Args:
         values: Network units, shape (N, 271).
         share: How far each frame is the example's, shape (N,).
-        made: Whether that is a gesture made by code or a clip of one's own, shape (N,).
+        made: Whether that is a gesture made by code or a user's own clip, shape (N,).
     """
 
     values: np.ndarray
@@ -87,26 +87,26 @@ def laid(
     pack: ExamplePack, found: Found, frames: int, statistics: FeatureStatistics, random: np.random.Generator,
     manner: Manner = AS_USUAL,
 ) -> Guide:  # fmt: skip
-    """An example made as long as is wanted: what goes on is played on or cut, what is done once is joined to standing,
-    or done faster. Where it neither rests nor can be joined, the frames before and after it are the sampler's own. A
+    """An example at the wanted length: a loop is repeated or cut, an action that is done once is joined to standing, or
+    done faster. Where it neither rests nor can be joined, the frames before and after it are the sampler's own. A
     gesture is performed anew, for so long.
 
     Args:
-        pack: That it is of.
-        found: Which one.
+        pack: Of the example.
+        found: The example.
         frames: Wanted.
         statistics: Units of the network.
-        random: Draws when it begins, and all that differs in a gesture.
-        manner: How it is done. In a loop what goes on is done a whole number of times, and what is done once is no
-            example.
+        random: Draws when it begins, and all that varies in a gesture.
+        manner: How it is done. In a closed loop a cycle is done a whole number of times, and an action that is done
+            once is no example.
     """
     closed = manner.closed
     gesture = pack.gesture(found.number)
-    if gesture is not None and found.told is not None:
-        gesture = limb_gesture(found.told) if isinstance(found.told, Posing) else interaction_gesture(found.told)
+    if gesture is not None and found.described is not None:
+        gesture = limb_gesture(found.described) if isinstance(found.described, Posing) else interaction_gesture(found.described)
     elif gesture is not None and found.part:
         gesture = at_part(gesture, found.part)
-    if gesture is not None and manner.stance is not None and not isinstance(found.told, Posing):
+    if gesture is not None and manner.stance is not None and not isinstance(found.described, Posing):
         gesture = in_stance(gesture, manner.stance)
     if gesture is not None and not (closed and gesture.cycle is None):
         features = _performed(pack, gesture, frames, random, manner)
@@ -165,7 +165,7 @@ def laid(
 def _performed(
     pack: ExamplePack, gesture: Gesture, frames: int, random: np.random.Generator, manner: Manner
 ) -> np.ndarray:
-    """What the denoiser sees of a gesture that is done by one of the people who stand, shape (N, 271)."""
+    """Features of a gesture by one of the people who stand, shape (N, 271)."""
     from bunraku.anatomy.anatomy import body_handle_motion
     from bunraku.gestures.perform import performed
 
@@ -175,9 +175,9 @@ def _performed(
 def _end(
     features: np.ndarray, values: np.ndarray, other: float, statistics: FeatureStatistics, made: bool = False
 ) -> str:
-    """What may be done where a motion ends, of its last frames, shape (M, D), in both units, and the height of the root
+    """What may follow the end of a motion, by its last frames, shape (M, D), in both units, and the height of the root
     at its other end [m]: it "stays"; it "moves" but stands, and can be joined to standing; or it is "free", left to the
-    sampler, as in the air, in a crouch and in a run. A gesture that is `made` by code rests where it says so.
+    sampler, as in the air, in a crouch and in a run. A gesture `made` by code rests where it says so.
     """
     if made and rests(values, statistics):
         return "stays"
@@ -191,7 +191,7 @@ def _end(
 
 
 def goes_on(pack: ExamplePack, found: Found) -> bool:
-    """Whether an example can be played on."""
+    """Whether an example can be repeated."""
     loop = pack.examples[found.number].loop
     if loop is not None and loop[0] - loop[1] >= SHORTEST_LOOP:
         return True  # without a look at its frames, which takes 10 ms
@@ -199,8 +199,8 @@ def goes_on(pack: ExamplePack, found: Found) -> bool:
 
 
 def _loop(pack: ExamplePack, found: Found) -> tuple[int, int] | None:
-    """Frames (i, j) such that playing on from j after i goes on with what is done: the whole example, where that is at
-    least as smooth as the frames that were found for it; None where it is done once, or they span half a movement.
+    """Frames (i, j) such that frame j after frame i continues the action: the whole example, where that is at least as
+    smooth as its stored loop; None where it is done once, or they span half a movement.
     """
     loop = pack.examples[found.number].loop
     if loop is None or pack.examples[found.number].made:
@@ -214,13 +214,13 @@ def _loop(pack: ExamplePack, found: Found) -> tuple[int, int] | None:
 
 
 def pose_distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """How far poses are from others, squared, shapes (..., 268) -> (...): features but for the root's velocities."""
+    """Squared distance of poses, shapes (..., 268) -> (...): features but for the root's velocities."""
     return np.asarray((WEIGHTS * (one - other) ** 2).sum(axis=-1))
 
 
 def _crouches(here: float, there: float) -> bool:
-    """Whether nobody stays at this height of the root over standing [m], whose motion has this one at its other end:
-    the crouch before a jump, and not the seat that somebody gets up from, nor the floor on which somebody lies on.
+    """Whether a body cannot stay at this height of the root over standing [m] in a motion with the other height at its
+    other end: the crouch before a jump, and not a seat to get up from, nor the floor to lie on.
     """
     return here < -CROUCH and there < here + CROUCH and max(here, there) > -3 * CROUCH
 
@@ -263,12 +263,8 @@ def hurried(features: np.ndarray, frames: int) -> np.ndarray:
 
 
 def circled(features: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
-    """A cycle done as often as fits best into so many frames, a little faster or slower, shape (frames, D).
-
-    Args:
-        features: Motion that has it, shape (N, D).
-        loop: Frames (i, j) such that frame j may follow where frame i would be.
-        frames: Wanted.
+    """The cycle of a loop (i, j) of a motion (N, D), done as often as fits best into so many frames, a little faster or
+    slower, shape (frames, D).
     """
     cycle = features[loop[1] : loop[0]]
     times = max(round(frames / len(cycle)), 1)
@@ -288,7 +284,7 @@ def laid_script(
     """The examples of sentences in a row; frames of a sentence without one are the sampler's own.
 
     Args:
-        pack: That they are of.
+        pack: Of the examples.
         parts: For each sentence its example and its frames.
         frames: On the time line, at least those of the parts.
         statistics: Units of the network.
@@ -317,7 +313,7 @@ class GuidanceExample:
     """The examples that one candidate starts from.
 
     Args:
-        pack: That they are of.
+        pack: Of the examples.
         found: One for each sentence of the script, None where none fits.
         seed: Of when each begins.
         manners: How each is done.
@@ -329,8 +325,8 @@ class GuidanceExample:
     manners: tuple[Manner, ...] = ()
 
     def on(self, lengths: Sequence[int], frames: int, statistics: FeatureStatistics, closed: bool = False) -> Guide:
-        """The guide of a time line of so many frames, of which the sentences have these; of a loop, which has one
-        sentence, where it is `closed`.
+        """The guide of a time line of so many frames, of which the sentences have these; `closed` for a loop, which has
+        one sentence.
         """
         random = np.random.default_rng(self.seed)
         if closed and self.found[0] is not None:
@@ -342,16 +338,16 @@ class GuidanceExample:
 
 NEAREST = 3
 ALIKE = 1.0
-"""Distance of poses by which others of these may begin less so than the nearest."""
+"""Further distance of poses from the nearest up to which others may begin, too."""
 TRIED = 3
-"""Examples that are looked at for one."""
+"""Examples that are considered for one."""
 LEFT = 0.35
-"""Share of gestures that are done with the left hand where nobody says with which."""
+"""Share of gestures that are done with the left hand where no side is said."""
 SIDES = ("left", "right")
 PACES = {"slow": 0.72, "fast": 1.35}
-"""Tempo of a gesture by what is said of it."""
+"""Tempo of a gesture by its adverb."""
 ODD = 4.9
-"""Distance of a pose from those of people who stand with which nobody begins; that of a kick at its height is 4.8."""
+"""Distance of a pose from those of people who stand at which no motion begins; that of a kick at its height is 4.8."""
 
 
 class GuidanceExamples:
@@ -385,9 +381,7 @@ class GuidanceExamples:
         return self._lacking.get(clause.text, ())
 
     def unseen(self, clause: Clause) -> tuple[str, str]:
-        """A word that says a clause's only action while no caption and no example has it, and that action; "" and ""
-        for none.
-        """
+        """A word for a clause's only action that no caption and no example has, and that action; "" and "" for none."""
         found = self._found.get(clause.text, [])
         if len(clause.actions) != 1 or any(self.pack.examples[one.number].made for one in found):
             return "", ""
@@ -397,8 +391,8 @@ class GuidanceExamples:
         return word, clause.actions[0]
 
     def unranked(self, script: Sequence[tuple[Clause, int]]) -> bool:
-        """Whether a clause requests what the ranker has never seen, a gesture that is made by code or a clip of one's
-        own: the network may not have learned it either.
+        """Whether a clause requests what the ranker has never seen, a gesture made by code or a user's own clip: the
+        network may not have learned it either.
         """
         return any(
             self.pack.examples[found.number].unranked
@@ -407,7 +401,7 @@ class GuidanceExamples:
         )
 
     def of(self, script: Sequence[tuple[Clause, int]], noise: tuple[int, int], number: int) -> GuidanceExample | None:
-        """What a candidate starts from; None where no clause has an example.
+        """The examples that a candidate starts from; None where no clause has one.
 
         Args:
             script: Clauses with the frames that each lasts.
@@ -441,14 +435,14 @@ class GuidanceExamples:
         return found._replace(mirrored=bool(random.random() < LEFT))
 
     def _following(self, last: Found, fitting: list[Found]) -> list[Found]:
-        """The few that begin most as another ends: who sits on a chair does not get up from the floor."""
+        """The few that begin most as another ends: a person on a chair does not get up from the floor."""
         end = self._pose(last, -1)
         away = np.sqrt([float(pose_distance(self._pose(one, 0), end)) for one in fitting])
         order = np.argsort(away, kind="stable")[:NEAREST]
         return [fitting[index] for index in order[away[order] <= away.min(initial=np.inf) + ALIKE].tolist()]
 
     def _begins_oddly(self, found: Found) -> bool:
-        """Whether who stands as an example begins does so bent, as between two exercises, or with a leg far up."""
+        """Whether a person who stands as an example begins is bent, as between two exercises, or has a leg far up."""
         first = self.pack.features(found.number)[0]
         if first[3] < -CROUCH or not self.pack.standing:
             return False
@@ -465,7 +459,7 @@ class GuidanceExamples:
 
 
 def _manner(clause: Clause) -> Manner:
-    """How a clause says that something is done."""
+    """How a clause says that an action is done."""
     said = [pace for cue, pace in PACES.items() if cue in clause.cues]
     goes = "goes" in clause.traits or goes_ahead(clause.actions)
     lasts = goes and all(map(is_cyclic, clause.actions)) and clause.count is None and "halts" not in clause.traits

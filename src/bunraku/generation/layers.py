@@ -1,4 +1,4 @@
-"""What a denoiser is built of: its configuration, the presets, and its layers as they run in numpy."""
+"""Layers of the denoiser in numpy, its configuration and the presets."""
 
 from __future__ import annotations
 
@@ -40,11 +40,10 @@ class DenoiserConfig:
         handles: Mesh handles, K.
         mesh_features: Size of f_phi.
         text_encoder: Name of the text encoder that it was trained with.
-        text_size: Size of its tokens.
-        pooled_size: Size of its sentence vector.
+        text_size, pooled_size: Sizes of its tokens and of its sentence vector.
         fps: Frames a second [1/s].
         adaptation_mesh: Whether the adaptation's linear layer sees the mesh token beside the hidden state.
-        adaptation_frame: What that layer says: "root", offsets in the root's frame as in the paper; or "joints", how
+        adaptation_frame: Output of that layer: "root", offsets in the root's frame as in the paper; or "joints", how
             far the joint between each handle and its parent should be moved, which gives `joint_offsets`.
         examples: Captured examples, retrieved for the sentence, that motion tokens attend to; 0 for none.
     """
@@ -68,10 +67,10 @@ class DenoiserConfig:
 
 
 def denoiser_config(data: Mapping[str, object]) -> DenoiserConfig:
-    """The config that a checkpoint carries, also one with fields that are no longer in use.
+    """The config of a checkpoint, also one with fields that are no longer in use.
 
     Raises:
-        OptionError: As `config_of`.
+        OptionError: As of `config_of`.
     """
     return config_of(DenoiserConfig, {name: value for name, value in data.items() if name not in _RETIRED})
 
@@ -88,10 +87,10 @@ class Condition:
 
     Args:
         memories: Of sentence and mesh, in each layer.
-        hidden: Of them, as `hidden_by` gives it.
+        hidden: Of them, as of `hidden_by`.
         sentence: Shape (B, d).
         mesh: The mesh token, shape (B, d).
-        examples: Of examples, in each layer; None in one that does not look at them.
+        examples: Of examples, in each layer; None in one that does not attend to them.
         hidden_examples: Of these.
     """
 
@@ -103,7 +102,7 @@ class Condition:
     hidden_examples: np.ndarray | None
 
     def rows(self, rows: slice) -> Condition:
-        """Of some rows of the batch."""
+        """Of these rows of the batch."""
         return Condition(
             [Memory(one.keys[rows], one.values[rows]) for one in self.memories],
             None if self.hidden is None else self.hidden[rows], self.sentence[rows], self.mesh[rows],
@@ -113,8 +112,8 @@ class Condition:
 
 
 def rotary_positions(tokens: np.ndarray, size: int) -> Rotary:
-    """Cosines and sines of rotary positions (Su et al. 2021) of tokens at these places in time, shape (T,), each of
-    shape (T, size / 2).
+    """Cosines and sines of rotary positions (Su et al. 2021) of tokens at these times, shape (T,), each of shape (T,
+    size / 2).
     """
     rates = np.float32(1000.0) ** (-np.arange(0, size, 2, dtype=np.float32) / np.float32(size))
     angle = tokens[:, None].astype(np.float32) * rates
@@ -130,12 +129,8 @@ def waves(angle: np.ndarray, width: int) -> np.ndarray:
 
 
 class DecoderLayer:
-    """Self-attention, cross-attention, feed-forward; each behind an adaptive norm and a gate.
-
-    Args:
-        config: Sizes.
-        weights: Of the layer.
-        examples: Whether this layer attends to examples.
+    """Self-attention, cross-attention, feed-forward; each behind an adaptive norm and a gate. `examples` tells whether
+    this layer attends to examples.
     """
 
     def __init__(self, config: DenoiserConfig, weights: Weights, examples: bool):
@@ -162,7 +157,7 @@ class DecoderLayer:
         return split_heads(self.cross_memory(tokens), self.heads, 2)
 
     def example_memory(self, keys: np.ndarray, values: np.ndarray, rotary: Rotary) -> Memory | None:
-        """Keys and values of examples' tokens (B, M, d); None in a layer that does not look at them."""
+        """Keys and values of examples' tokens (B, M, d); None in a layer that does not attend to them."""
         if self.examples is None:
             return None
         (key,) = split_heads(self.example_key(keys), self.heads)
@@ -176,11 +171,11 @@ class DecoderLayer:
         """The next hidden states, shape (B, T, d).
 
         Args:
-            x: Hidden states, shape (B, T, d), which it takes to write on.
+            x: Hidden states, shape (B, T, d), which it writes on.
             steer: Scale, shift and gate of each block, shape (B, 9, or 12 with examples, d).
             rotary: Of the tokens.
             real: Which tokens are real, shape (B, T); None where all are.
-            condition: What they read.
+            condition: As of `Condition`.
             index: Of the layer.
         """
         parts = (steer + self.offset)[:, :, None].swapaxes(0, 1)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Clip", "Source", "all_clips", "clip", "features_of", "motion_of", "search"]
 
 _NAME, _TAG, _SENTENCE, _ACTION = 3.0, 2.0, 1.0, 2.0
-"""What a word counts for that stands in the name, in a tag or in the sentence of a clip, and an action in common."""
+"""Weight of a word in the name, in a tag or in the sentence of a clip, and of a common action."""
 _BEGUN = 0.5
 """Share of that for a word of which the beginning is typed."""
 _LETTERS = 2
@@ -32,13 +32,7 @@ _LETTERS = 2
 
 @dataclass(frozen=True)
 class Source:
-    """Where clips are from.
-
-    Args:
-        begins: How the names of their stretches begin.
-        credit: Who is to be named.
-        terms: What may be done with them.
-    """
+    """Source of clips: how the names of their stretches begin, the credit that is due, and the terms of use."""
 
     begins: tuple[str, ...]
     credit: str
@@ -52,10 +46,10 @@ class Clip:
     Args:
         name: Its name.
         sentence: What is done in it.
-        seconds: How long it lasts [s].
-        loops: Whether it can be played on without an end.
-        tags: What it is found by: a kind first, then the actions of the lexicon that are done.
-        source: Who it is from, on which terms.
+        seconds: Its length [s].
+        loops: Whether it can be repeated without an end.
+        tags: Words to find it by: a kind first, then the actions of the lexicon that are done.
+        source: Its source and terms.
         stretch: The stretch of the examples that it is.
     """
 
@@ -71,10 +65,10 @@ class Clip:
         """Its motion, of the reference body, 20 frames a second; `bunraku.transfer` puts it on a character.
 
         Args:
-            seconds: How long it is to last [s]: one that loops is played on, others are held at their end, and what is
-                longer is cut. None for as long as it lasts.
-            loop: Of one that loops, as many whole rounds as come nearest to that, so that its last frame goes on with
-                its first; others are as without.
+            seconds: Wanted length [s]: a loop is repeated, other clips are held at their end, and what is longer is
+                cut. None for the clip's own.
+            loop: Of a loop, as many whole rounds as come nearest to that, so that its first frame follows its last;
+                others are as without.
 
         Raises:
             OptionError: It cannot last so long.
@@ -101,7 +95,7 @@ def clip(name: str) -> Clip:
     """The clip of a name.
 
     Raises:
-        OptionError: There is none; the sentence names some like it.
+        OptionError: There is none; the sentence names similar ones.
     """
     found = next((one for one in all_clips() if one.name == name), None)
     if found is None:
@@ -120,7 +114,7 @@ class _Words:
     actions: frozenset[str]
 
     def worth(self, word: str) -> float:
-        """What a typed word counts for."""
+        """Weight of a typed word."""
         best = 0.0
         for words, worth in ((self.name, _NAME), (self.tags, _TAG), (self.sentence, _SENTENCE)):
             if word in words:
@@ -139,7 +133,7 @@ def _stems(text: str) -> frozenset[str]:
 
 @functools.cache
 def _index() -> tuple[tuple[_Words, ...], Counter[str], Counter[str]]:
-    """The words of each clip, and in how many each stem and each action is."""
+    """The words of each clip, and the number of clips with each stem and each action."""
     from bunraku.language.lexicon import actions_of
 
     rows = tuple(
@@ -161,7 +155,7 @@ def search(text: str = "", tags: Sequence[str] = ()) -> list[Clip]:
     (`language.lexicon`).
 
     Args:
-        text: What is looked for; empty for all.
+        text: Wanted; empty for all.
         tags: Tags that each must have.
     """
     from bunraku.language.lexicon import actions_of, words_of
@@ -209,11 +203,8 @@ def motion_of(stretch: str, seconds: float | None = None, loop: bool = False) ->
 
 
 def features_of(stretch: str, seconds: float | None = None, loop: bool = False) -> np.ndarray:
-    """What the denoiser sees of a stretch (see `diffusion.features`), shape (N, 271), as long as it is to last.
-
-    Args:
-        stretch: A name of the examples (`Clip.stretch`).
-        seconds, loop: As of `Clip.motion`.
+    """Features of a stretch by a name of the examples (`Clip.stretch`), shape (N, 271); other arguments as of
+    `Clip.motion`.
 
     Raises:
         OptionError: It cannot last so long.
@@ -242,7 +233,7 @@ def features_of(stretch: str, seconds: float | None = None, loop: bool = False) 
 
 
 def _rounds(values: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
-    """As many whole rounds of a loop as come nearest to so many frames: all that are played on are alike."""
+    """As many whole rounds of a loop as come nearest to so many frames: all that are repeated are alike."""
     from bunraku.generation.splicing import played
 
     start, length = loop[0], loop[0] - loop[1]
@@ -252,5 +243,5 @@ def _rounds(values: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarra
 
 @functools.lru_cache(maxsize=2)
 def _numbers(pack: ExamplePack) -> dict[str, int]:
-    """Which example each stretch is."""
+    """The index of each stretch."""
     return {one.name: number for number, one in enumerate(pack.examples)}

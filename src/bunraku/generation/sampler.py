@@ -24,25 +24,17 @@ __all__ = [
 
 _BITS = 24
 _LANES = 16
-"""Numbers that are made together: the first half are lengths, the second angles (Box & Muller 1958)."""
+"""Numbers that are drawn together: the first half are lengths, the second angles (Box & Muller 1958)."""
 
 
 class Noise:
-    """Normal numbers from a Mersenne twister (Matsumoto & Nishimura 1998).
-
-    Args:
-        seed: Any number; its lowest 32 bits count.
-    """
+    """Normal numbers from a Mersenne twister (Matsumoto & Nishimura 1998); the lowest 32 bits of the seed count."""
 
     def __init__(self, seed: int):
         self._twister = np.random.RandomState(seed & 0xFFFFFFFF)
 
     def draw(self, *shape: int) -> np.ndarray:
-        """The next numbers, float32: at least 16 at a time.
-
-        Args:
-            shape: Of what is drawn.
-        """
+        """The next numbers of this shape, float32: at least 16 at a time."""
         count = int(np.prod(shape))
         uniform = self._uniform(count)
         whole = count // _LANES * _LANES
@@ -66,7 +58,7 @@ def _normal(uniform: np.ndarray) -> np.ndarray:
 
 
 def generator(seed: int, row: int) -> Noise:
-    """What draws the noise of one row of a batch, so that a row is the same in any batch."""
+    """The noise of one row of a batch, so that a row is the same in any batch."""
     return Noise((seed + row * 0x9E3779B97F4A7C15) % 2**63)
 
 
@@ -169,10 +161,9 @@ class Window:
     """A stretch of the time line that the denoiser sees at once.
 
     Args:
-        frames: Which frames of the time line, shape (L,); a loop's run on from its end to its start, and may come
-            twice.
-        share: What the window's prediction of each frame counts among those of all windows, shape (L,).
-        row: The sentence, and mesh feature, that it is given.
+        frames: Frames of the time line, shape (L,); a loop's run on from its end to its start, and may come twice.
+        share: Weight of the window's prediction of each frame among those of all windows, shape (L,).
+        row: Its sentence, and mesh feature.
     """
 
     frames: np.ndarray
@@ -182,11 +173,8 @@ class Window:
 
 @dataclass(frozen=True)
 class Sample:
-    """What a sampler gives.
-
-    Args:
-        values: Motions in network units, shape (B, N, D).
-        adaptation: Offsets on the local translations [m], shape (B, N, K, 3).
+    """Motions of a sampler in network units, shape (..., N, D), and offsets on the local translations [m], shape (...,
+    N, K, 3).
     """
 
     values: np.ndarray
@@ -194,7 +182,7 @@ class Sample:
 
 
 def between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """The first, and the second by its share; where that is 0 or 1, bit for bit what is meant."""
+    """The first, and the second by its share; exact where that is 0 or 1."""
     way = second - first
     return np.where(share < 0.5, first + share * way, second - way * (1 - share))
 
@@ -229,7 +217,7 @@ class Solver:
     """How motions are denoised.
 
     Args:
-        steps: Predictions of x0 that are made, one after the other.
+        steps: Predictions of x0, one after the other.
         guidance: Scale of classifier-free guidance; 1 is the conditional model alone and takes half the time.
         rescale: Share of guidance rescaling, 0 to 1.
         progress: Called with (done, total) steps.
@@ -246,9 +234,9 @@ class Steering:
     """What acts on the predicted x0 of a time line at each step, in this order.
 
     Args:
-        classifier_guidance: Changes what the network predicts (F, D) at the step that it is told.
-        guide: What is predicted while the noise is strong, how far, and down to which step, at most `LED_UNTIL`, shapes
-            (F, D), (F, 1) and (F, 1): where the motion starts from.
+        classifier_guidance: Changes the network's prediction (F, D) at a step.
+        guide: The start of the motion, which replaces predictions while the noise is strong, how far, and down to which
+            step, at most `LED_UNTIL`, shapes (F, D), (F, 1) and (F, 1).
         refine: Changes the predicted x0 (F, D).
         known: Values to keep and how far, shapes (F, D) and (F, D) or (F, 1).
     """
@@ -263,8 +251,8 @@ def sample_windows(
     model: Denoiser, text: TextBatch, windows: Sequence[Window], noise: np.ndarray, solver: Solver = Solver(),
     steering: Steering = Steering(), *, mesh_features: np.ndarray | None = None,
 ) -> Sample:  # fmt: skip
-    """Denoise a time line through windows, all of them at each step: where they overlap, x0 is the mean of what they
-    predict.
+    """Denoise a time line through windows, all of them at each step: where they overlap, x0 is the mean of their
+    predictions. Values (F, D) and adaptation (F, K, 3) are zero in frames that no window counts in.
 
     Neighbours thus agree while the motion takes shape, and not only afterwards (as in DiffCollage, Zhang et al. 2023,
     and the first take of DoubleTake, Shafir et al. 2023). Motions of a batch lie one after the other on the time line,
@@ -278,9 +266,6 @@ def sample_windows(
         solver: How it is denoised.
         steering: What acts on the predictions.
         mesh_features: f_phi of each sentence's character, shape (B, 448).
-
-    Returns:
-        Values (F, D) and adaptation (F, K, 3); zero in frames that no window counts in.
     """
     predictor = Predictor(model, text, windows, len(noise), solver, steering, mesh_features)
     values = dpm_solver(predictor, noise, predictor.visited, solver.progress, 1 if model.visited else 2)
@@ -288,19 +273,11 @@ def sample_windows(
 
 
 class Predictor:
-    """What a solver asks for: x0 of a time line at a step, as all windows and all that steers say.
-
-    Args:
-        model: The denoiser; one that learned few steps visits those and takes its guidance from its weights.
-        text: Encoded sentences, which the windows name by their rows.
-        windows: What the denoiser sees at once.
-        frames: Of the time line, F.
-        solver: How it is denoised.
-        steering: What acts on the predictions.
-        mesh_features: f_phi of each sentence's character, shape (B, 448).
+    """x0 of a time line at a step, by all windows and all that steers; a model that learned few steps visits those and
+    takes its guidance from its weights. `frames` are those of the time line, other arguments as of `sample_windows`.
 
     Attributes:
-        visited: The steps, falling; the last one tells the adaptation.
+        visited: The steps, falling; the last one gives the adaptation.
         adaptation: Of the last step, shape (F, K, 3).
     """
 
@@ -356,8 +333,8 @@ class Predictor:
 
 
 class _Group:
-    """Windows that go through the denoiser together, with what does not depend on the step. All of a group are led by
-    a guide in all of their frames, or none is.
+    """Windows that go through the denoiser together, with what does not depend on the step. A guide leads all of a
+    group in all of their frames, or none.
     """
 
     def __init__(
@@ -389,12 +366,12 @@ class _Group:
         )  # fmt: skip
 
     def laid(self, values: np.ndarray) -> np.ndarray:
-        """What the windows say (G, L, C) on the time line, each by its share of all that see a frame, shape (F, C)."""
+        """The windows' values (G, L, C) on the time line, each by its share of all that see a frame, shape (F, C)."""
         return np.asarray(self._laid @ values.reshape(-1, values.shape[-1]))
 
     def predict(self, model: Denoiser, x: np.ndarray, step: int, final: bool) -> tuple[np.ndarray, np.ndarray | None]:
-        """x0 (G, L, D) of each window, from x_t on the time line (F, D), and at the final step the adaptation (G, L,
-        K, 3).
+        """x0 (G, L, D) of each window, from x_t on the time line (F, D), and at the final step the adaptation (G, L, K,
+        3).
         """
         seen, patch = x[self.frames], model.config.frames_per_token
         x0, adaptation = self._run(model, seen, step, self.lengths, final)

@@ -28,7 +28,7 @@ class Plan:
 
     Args:
         frames: Frames on the time line; more than wanted where the motion is very short, and the rest is cut off.
-        windows: What the denoiser sees, frames counted from the motion's first and rows from its first sentence.
+        windows: Frames counted from the motion's first and rows from its first sentence.
         seams: Frames where one window hands over to the next, falling between this one and the one before.
     """
 
@@ -43,7 +43,7 @@ def plan_windows(lengths: Sequence[int], longest: int, *, loop: bool = False, ov
     Args:
         lengths: Frames of each sentence, in a row.
         longest: Frames that the denoiser sees at most.
-        loop: Whether the last frame runs on into the first.
+        loop: Whether the first frame follows the last.
         overlap: Frames that neighbouring windows share, where both are as long.
     """
     overlap = min(overlap, longest // 3)
@@ -98,7 +98,7 @@ def sample_plans(
     model: Denoiser, text: TextBatch, plans: Sequence[Plan], solver: Solver, steering: Steering | None = None, *,
     seeds: int | Sequence[int] | Sequence[tuple[int, int]] = 0, mesh_features: np.ndarray | None = None,
 ) -> list[Sample]:  # fmt: skip
-    """Make several motions in one batch.
+    """Make several motions in one batch: one sample for each plan, values (N, D) and adaptation (N, K, 3).
 
     Args:
         model: The denoiser.
@@ -109,9 +109,6 @@ def sample_plans(
         seeds: Of the starting noise; one number gives each motion noise of its own, the first as when it is alone. See
             `drawn_noise`.
         mesh_features: f_phi for each sentence, shape (B, 448).
-
-    Returns:
-        One sample for each plan, values (N, D) and adaptation (N, K, 3).
     """
     windows: list[Window] = []
     frame = row = 0

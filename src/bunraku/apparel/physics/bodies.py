@@ -66,7 +66,7 @@ _ABOUT_X = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])  # wxyz; MuJoCo's c
 
 
 def inertia(body: MmdBody) -> np.ndarray:
-    """Moments of inertia about the body's own axes [kg m^2], shape (3,); a capsule has those of its box, as in Bullet."""
+    """Moments of inertia about a body's own axes [kg m^2], (3,); a capsule has those of its box, as in Bullet."""
     if body.shape == "sphere":
         return np.full(3, 0.4 * body.mass * max(float(body.size[0]), THINNEST) ** 2)
     half = body.size if body.shape == "box" else np.array([body.size[0], body.size[0] + body.size[1] / 2, body.size[0]])

@@ -1,4 +1,4 @@
-"""A character with physics in its file as the apparel networks see it: its apparel, how stiff it is, and how it swings."""
+"""A character with physics in its file as the apparel networks see it: its apparel, its stiffness and its swing."""
 
 from __future__ import annotations
 

@@ -174,7 +174,7 @@ def posed(
 
 
 def stretched(animation: RigAnimation, rig: ApparelRig, bodies: np.ndarray) -> float:
-    """The largest change of the distance between a bone that a body moves and its parent, over that distance at rest."""
+    """The largest change of the distance of a bone that a body moves from its parent, over that at rest."""
     skeleton = animation.character.rig
     assert skeleton is not None
     bones = np.array(
@@ -313,7 +313,7 @@ def simulate(
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without MuJoCo's own warnings, which it writes to a file in the current folder; `_Run` checks for their causes."""
+    """Without the warnings that MuJoCo writes to a file in the current folder; `_Run` checks for their causes."""
     import mujoco
 
     before = mujoco.get_mju_user_warning()
