@@ -41,8 +41,7 @@ _HIPS, _KNEES, _ANKLES, _SHOULDERS, _ELBOWS = (
 )
 _ARMS = sided("shoulder", "elbow", "wrist")
 """A loose piece that they carry is a sleeve: on one joint of them it would stay behind."""
-_ENDS = sided("wrist", "knee", "ankle", "foot")
-"""What they carry is a glove, a sock or a shoe."""
+_ENDS = sided("wrist", "knee", "ankle", "foot")  # what they carry is a glove, a sock or a shoe
 
 
 def hanging_mask(

@@ -20,16 +20,11 @@ from bunraku.generation.sampler import ROOT
 
 __all__ = ["Critic", "ClassifierGuidance", "Spoken", "smoothed"]
 
-STRENGTH = 0.2
-"""Root mean square of a step, in standard deviations of the features."""
-LAST = 100
-"""Step of the sampler below which nothing is guided: what is left there are details."""
-SPREAD = 2.0
-"""Standard deviation of the smoothing [frames]."""
-FEW = 10
-"""Where fewer steps than this predict a motion, each prediction is guided twice."""
-GROUP = 16
-"""Stretches that go through the network at once."""
+STRENGTH = 0.2  # root mean square of a step, in standard deviations of the features
+LAST = 100  # step of the sampler below which nothing is guided: what is left there are details
+SPREAD = 2.0  # standard deviation of the smoothing [frames]
+FEW = 10  # where fewer steps than this predict a motion, each prediction is guided twice
+GROUP = 16  # stretches that go through the network at once
 
 
 @dataclass(frozen=True)

@@ -23,12 +23,9 @@ __all__ = ["PartTrack", "clause_spans", "overlaid", "steadied", "straightened", 
 _SAVITZKY_GOLAY = np.array([-3, 12, 17, 12, -3]) / 35
 """Least-squares parabolas through five frames (Savitzky & Golay 1964): nothing changes below 3 Hz, half goes at 6."""
 STRENGTH = 0.6
-MOST = 1.6
-"""Largest factor by which a turn is made faster or slower."""
-INSIDE = np.radians(10)
-"""How far within the requested bounds it then ends."""
-SWAY = 1.0
-"""Standard deviation of the mean that counts as the course [s]; a stride sways within."""
+MOST = 1.6  # largest factor by which a turn is made faster or slower
+INSIDE = np.radians(10)  # how far within the requested bounds it then ends
+SWAY = 1.0  # standard deviation of the mean that counts as the course [s]; a stride sways within
 
 
 def steadied(features: np.ndarray, loop: bool = False) -> np.ndarray:

@@ -23,16 +23,11 @@ __all__ = [
     "embed_sentences", "load_critic", "load_extractor", "load_ranker", "sentence_vectors",
 ]  # fmt: skip
 
-KIND, RANKER = "extractor", "ranker"
-"""Kinds of checkpoints: the judge, and the ranker."""
-LONGEST = 196
-"""Frames that the ranker sees at once; longer parts are cut into pieces."""
-SHORTEST = 8
-"""Parts of fewer frames are not judged."""
-RADIUS = 10.0
-"""Length of all vectors."""
-FARTHEST = 8.0
-"""Standard deviations up to which a feature counts, as in training of the denoiser."""
+KIND, RANKER = "extractor", "ranker"  # kinds of checkpoints: the judge, and the ranker
+LONGEST = 196  # frames that the ranker sees at once; longer parts are cut into pieces
+SHORTEST = 8  # parts of fewer frames are not judged
+RADIUS = 10.0  # length of all vectors
+FARTHEST = 8.0  # standard deviations up to which a feature counts, as in training of the denoiser
 
 
 @dataclass(frozen=True)
@@ -65,8 +60,7 @@ class ExtractorConfig:
     dropout: float = 0.1
 
 
-Back = Callable[[np.ndarray], np.ndarray]
-"""The gradient by a function's output -> that by its input."""
+Back = Callable[[np.ndarray], np.ndarray]  # the gradient by a function's output -> that by its input
 _NEVER = np.float32(-1e4)
 
 

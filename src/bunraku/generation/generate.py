@@ -30,8 +30,7 @@ __all__ = [
     "generate_motions", "generated_runs", "pose_frames", "span_frames",
 ]  # fmt: skip
 
-_APART = 1_000_003
-"""Between the noise of a motion's candidates, so that none is that of another motion of the batch."""
+_APART = 1_000_003  # between the noise of a motion's candidates, so that none is that of another motion of the batch
 
 
 def generate_motion(prompt: str, seconds: float, *, seed: int = 0, **sampling: Any) -> HandleMotion:

@@ -30,32 +30,21 @@ __all__ = [
     "laid", "laid_script", "liveliest", "pose_distance",
 ]  # fmt: skip
 
-HURRY = 1.35
-"""Largest factor by which an example that is done once is sped up to fit in."""
-FILLED = 0.6
-"""Least share of the time that an example fills; shorter ones are taken where there are no others."""
-UPRIGHT = 0.9
-"""Of the root's axis, in a person who stands."""
-_LEAD = 30
-"""Most frames of standing before an action that is done once."""
-CROUCH = 0.12
-"""Height [m] by which a person who stands is lower at most."""
+HURRY = 1.35  # largest factor by which an example that is done once is sped up to fit in
+FILLED = 0.6  # least share of the time that an example fills; shorter ones are taken where there are no others
+UPRIGHT = 0.9  # of the root's axis, in a person who stands
+_LEAD = 30  # most frames of standing before an action that is done once
+CROUCH = 0.12  # height [m] by which a person who stands is lower at most
 NEAR = 1.0
 """Difference of two poses, in network units, up to which rest is joined to standing; a motion that stands in its midst
 is joined whatever it is. The sampler repairs what is between.
 """
-AIRBORNE = 0.1
-"""Height of the root over standing [m] from which on a body cannot stay."""
-GOES = 1.0
-"""Speed [m/s] of a person who walks on."""
-EASE = 0.6
-"""Share of a pose's change that is left from frame to frame where a motion comes to rest."""
-SHORTEST_LOOP = 12
-"""Shorter loops are a part of a movement, half a punch [frames]."""
-WEIGHTS = feature_weights()[3:]
-"""Of a pose: all features but the root's velocities."""
-_FADE = 10
-"""Frames over which the sampler is free where one sentence blends into the next."""
+AIRBORNE = 0.1  # height of the root over standing [m] from which on a body cannot stay
+GOES = 1.0  # speed [m/s] of a person who walks on
+EASE = 0.6  # share of a pose's change that is left from frame to frame where a motion comes to rest
+SHORTEST_LOOP = 12  # shorter loops are a part of a movement, half a punch [frames]
+WEIGHTS = feature_weights()[3:]  # of a pose: all features but the root's velocities
+_FADE = 10  # frames over which the sampler is free where one sentence blends into the next
 
 
 @dataclass(frozen=True)
@@ -337,15 +326,11 @@ class GuidanceExample:
 
 
 NEAREST = 3
-ALIKE = 1.0
-"""Further distance of poses from the nearest up to which others may begin, too."""
-TRIED = 3
-"""Examples that are considered for one."""
-LEFT = 0.35
-"""Share of gestures that are done with the left hand where no side is said."""
+ALIKE = 1.0  # further distance of poses from the nearest up to which others may begin, too
+TRIED = 3  # examples that are considered for one
+LEFT = 0.35  # share of gestures that are done with the left hand where no side is said
 SIDES = ("left", "right")
-PACES = {"slow": 0.72, "fast": 1.35}
-"""Tempo of a gesture by its adverb."""
+PACES = {"slow": 0.72, "fast": 1.35}  # tempo of a gesture by its adverb
 ODD = 4.9
 """Distance of a pose from those of people who stand at which no motion begins; that of a kick at its height is 4.8."""
 

@@ -18,8 +18,7 @@ __all__ = [
     "waves",
 ]  # fmt: skip
 
-TRAINING_STEPS = 1000
-"""Of noise, from the clean motion on; a sampler visits some of them."""
+TRAINING_STEPS = 1000  # of noise, from the clean motion on; a sampler visits some of them
 
 _RETIRED = ("architecture", "convolution")
 """Fields of older checkpoints; what they switched on had weights of its own, by which it is refused."""

@@ -24,10 +24,8 @@ __all__ = ["Clip", "Source", "all_clips", "clip", "features_of", "motion_of", "s
 
 _NAME, _TAG, _SENTENCE, _ACTION = 3.0, 2.0, 1.0, 2.0
 """Weight of a word in the name, in a tag or in the sentence of a clip, and of a common action."""
-_BEGUN = 0.5
-"""Share of that for a word of which the beginning is typed."""
-_LETTERS = 2
-"""Fewest letters that begin a word."""
+_BEGUN = 0.5  # share of that for a word of which the beginning is typed
+_LETTERS = 2  # fewest letters that begin a word
 
 
 @dataclass(frozen=True)
@@ -191,8 +189,7 @@ def _found(text: str, some: Sequence[tuple[Clip, _Words]]) -> list[tuple[float, 
     return found
 
 
-_EASE = 0.3
-"""Share of a pose's change that is left from frame to frame where a clip is held at its end."""
+_EASE = 0.3  # share of a pose's change that is left from frame to frame where a clip is held at its end
 
 
 def motion_of(stretch: str, seconds: float | None = None, loop: bool = False) -> HandleMotion:

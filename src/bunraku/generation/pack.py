@@ -37,18 +37,15 @@ __all__ = [
 
 KIND = "examples"
 FPS = 20.0
-MADE = "gesture_"
-"""Beginning of the names of examples made by code."""
-OWN = "own_"
-"""Beginning of the names of examples that a user has added."""
+MADE = "gesture_"  # beginning of the names of examples made by code
+OWN = "own_"  # beginning of the names of examples that a user has added
 IDLE = "#idle"
 """End of the names of stretches of people who stand; gestures are made by these."""
 BUSY = "#busy"
 """The same of people who use their hands; gestures take all but these from them."""
 _AND = ", "
 _OTHER_SIDE = {"left": "right", "right": "left"}
-MOST_FRAMES = 2_000
-"""Of one stretch; more in a file is damage."""
+MOST_FRAMES = 2_000  # of one stretch; more in a file is damage
 _METRES, _RADIANS = 5e-4, 1e-3
 _NUMBERS = 3 + 3 * JOINT_COUNT
 _FILTERS = lzma_filters(9 | lzma.PRESET_EXTREME, 1 << 16)

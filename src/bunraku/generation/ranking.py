@@ -22,12 +22,9 @@ __all__ = ["Candidate", "choose", "script_agreement", "script_scores"]
 
 WEIGHT = 0.5
 """Of the agreement beside a cosine; candidates' cosines differ by a tenth. Chosen by eye, as are the next two."""
-CAPTURED = 0.1
-"""For a candidate that starts from a captured example: the ranker hardly sees that a motion is too small."""
-ENOUGH = 0.75
-"""Agreement below which a motion is drawn again."""
-ATTEMPTS = 4
-"""Most draws of candidates."""
+CAPTURED = 0.1  # for a candidate that starts from a captured example: the ranker hardly sees that a motion is too small
+ENOUGH = 0.75  # agreement below which a motion is drawn again
+ATTEMPTS = 4  # most draws of candidates
 
 
 @dataclass(frozen=True)

@@ -21,28 +21,22 @@ from bunraku.language.sentence import Clause
 
 __all__ = ["Found", "Retrieved", "retrieve"]
 
-MOST = 16
-"""Examples that are offered for a sentence."""
+MOST = 16  # examples that are offered for a sentence
 NEAR = 0.12
 """Mean cosine by which an example may be farther than the nearest one. Chosen by eye, as are the next ones."""
-SOME = 4
-"""Examples to choose from that are enough to do without those that show other actions, too."""
-NEAR_MADE = 0.05
-"""The same where the nearest is made by code, since captured ones show its action less plainly."""
-LEAST = 0.6
-"""Least mean cosine of an example."""
+SOME = 4  # examples to choose from that are enough to do without those that show other actions, too
+NEAR_MADE = 0.05  # the same where the nearest is made by code, since captured ones show its action less plainly
+LEAST = 0.6  # least mean cosine of an example
 LEAST_MADE = 0.4
 """The same for a gesture, which does the very action and leaves nothing out: a number in the sentence, and the ranker
 is far from words that it has hardly seen.
 """
-WALKING = 0.8
-"""The same for plain walks and runs, which the network does well by itself."""
+WALKING = 0.8  # the same for plain walks and runs, which the network does well by itself
 SAME = 0.9
 """Cosine of two sentences that mean the same, whatever words the lexicon finds in them. Not for a gesture made by code:
 the ranker has never seen it, and takes sit-ups for sitting down.
 """
-_PACE = {"slow", "fast"}
-"""An example must not say these where they were not requested."""
+_PACE = {"slow", "fast"}  # an example must not say these where they were not requested
 _NOTHING = said_by([]).actions
 _TURNS = {"turn", "turn around", "spin", "circle"}
 _SIDED = frozenset(f"{side} {limb}" for side in ("left", "right") for limb in ("arm", "leg", "turn", "go")) | {
@@ -59,14 +53,12 @@ _SIDED = frozenset(f"{side} {limb}" for side in ("left", "right") for limb in ("
 _COUNTS = frozenset(("twice", "thrice", "often"))
 """Captured examples must say these, too; a gesture is done as often as requested."""
 _WAYS = frozenset(("left go", "right go"))
-MOST_TIMES = 4
-"""Most repetitions of a captured example in a row."""
+MOST_TIMES = 4  # most repetitions of a captured example in a row
 _ADDED_WAYS = frozenset(("backwards", "forward", "sideways", "left go", "right go"))
 _ADDED = frozenset(("high", "low")) | _ADDED_WAYS
 _ADDED_TRAITS = frozenset(("on a leg", "backward", "stairs"))
 """Cues and traits of a clause that a gesture does not do where its own words do not say them."""
-_SAYS = {"left go": "to the left", "right go": "to the right"}
-"""Cues in words."""
+_SAYS = {"left go": "to the left", "right go": "to the right"}  # cues in words
 
 
 class Found(NamedTuple):

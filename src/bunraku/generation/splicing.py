@@ -15,8 +15,7 @@ __all__ = [
 
 ]  # fmt: skip
 
-END = 4
-"""Frames that tell whether a motion rests."""
+END = 4  # frames that tell whether a motion rests
 _BLEND = 6
 
 
@@ -87,18 +86,13 @@ def rests(values: np.ndarray, statistics: FeatureStatistics) -> bool:
     return bool(speed < 0.5 and (np.diff(values, axis=0)[:, 4:] ** 2).mean() < 0.02)
 
 
-FEWEST = 24
-"""Fewest frames of a stretch of standing."""
+FEWEST = 24  # fewest frames of a stretch of standing
 TRIED = 20
-NEAR = 0.5
-"""Largest difference of two poses that are joined, where no sampler follows."""
-BLEND = 10
-"""Frames over which one blends into the other."""
-LIFTED = 0.15
-"""Height of an ankle over the other [m] with which a foot is up."""
+NEAR = 0.5  # largest difference of two poses that are joined, where no sampler follows
+BLEND = 10  # frames over which one blends into the other
+LIFTED = 0.15  # height of an ankle over the other [m] with which a foot is up
 _LOST = 3
-AROUND = BLEND + _LOST
-"""Frames at an end that joining may change."""
+AROUND = BLEND + _LOST  # frames at an end that joining may change
 
 
 class Joins:

@@ -24,8 +24,7 @@ __all__ = [
     "parameters_of_laid", "with_parameters", "write_parameters",
 ]  # fmt: skip
 
-KINDS = (*APPAREL_KINDS, "strand")
-"""Kinds of chains; nothing is known of a strand."""
+KINDS = (*APPAREL_KINDS, "strand")  # kinds of chains; nothing is known of a strand
 
 
 @dataclass(frozen=True)

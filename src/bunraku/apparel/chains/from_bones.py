@@ -26,8 +26,7 @@ __all__ = ["apparel_bones", "bone_chains"]
 
 _SPARE = tuple(HANDLE_NAMES.index(name) for name in ("head_top", "tail", "tail_tip", "left_wing", "right_wing", "face"))
 """Handles of what many characters have beside a body; on a person they are apparel where names say so."""
-_ENDS = sided("wrist", "fingers", "ankle", "foot")
-"""Parts whose own bones hang on them like strands: fingers and toes."""
+_ENDS = sided("wrist", "fingers", "ankle", "foot")  # parts whose own bones hang on them like strands: fingers and toes
 _HEAD = HANDLE_NAMES.index("head")
 _BODY = ("wrist", "elbow", "shoulder", "collar", "leg", "foot", "hips", "spine", "neck", "head", "arm_leg")
 """Kinds of bones of the body; bones with such a name hang on it and do not swing."""

@@ -23,8 +23,7 @@ __all__ = [
 FREQUENCIES = (0.4, 0.7, 1.2, 2.0, 3.4)
 """Of the oscillators [1/s]: apparel of the wardrobe swings at 0.6 on average, stiff pieces at 4."""
 DAMPING = 0.3
-LAGS = (0.08, 0.25, 0.8)
-"""Time constants with which a lagging rotation follows [s]."""
+LAGS = (0.08, 0.25, 0.8)  # time constants with which a lagging rotation follows [s]
 PENDULUMS = ((0.0, 3.0), (20.0, 3.0), (80.0, 5.0), (200.0, 12.0))
 """Of each, the stiffness of the spring to its carried position [1/s^2] and the damping [1/s], for a unit of mass."""
 SUBSTEPS = 4
@@ -169,8 +168,7 @@ def _local(pose: np.ndarray, parents: np.ndarray) -> np.ndarray:
 
 
 OWN_SUBSTEPS = 4
-LEAST_RATIO = 0.15
-"""Least share of the critical damping, as in the simulation."""
+LEAST_RATIO = 0.15  # least share of the critical damping, as in the simulation
 STIFFEST = 900.0  # spring [1/s^2]
 SHORT = 5e-3  # arms count as no shorter [m]
 
@@ -279,10 +277,8 @@ def _rotated_by(turn: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return np.asarray(vectors + sine * once + cosine * _cross_by_axis(turn, once))
 
 
-RATE = 30.0
-"""Frames a second that the networks know [1/s]."""
-LEAD_IN = 30
-"""Frames from the rest pose into a clip."""
+RATE = 30.0  # frames a second that the networks know [1/s]
+LEAD_IN = 30  # frames from the rest pose into a clip
 OWN = ((1.0, 0.0), (0.25, 0.0), (1.0, 6.0))
 """Factor on the friction of a node's own pendulums, and further friction [1/s]: its chain if all joints rotate alike;
 if the first one rotates most; and if it does not swing on.

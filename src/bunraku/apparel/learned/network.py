@@ -20,22 +20,15 @@ __all__ = [
     "past_of_states",
 ]  # fmt: skip
 
-STILL = 3 * STATIC_VECTORS + STATIC_SCALARS
-"""Features of a node that never change."""
-NODE_INPUT = STILL + 3 * VECTORS + SCALARS
-"""Features of a node in a frame."""
-MOTION_HIDDEN, MOTION = 64, 24
-"""Channels of the MLP of the encoded motion f_t(T), and of its output."""
-SHARE = 1.5
-"""Largest weight of a basis vector in the head."""
-KEEP = 0.97
-"""Largest share of the difference from the head that a frame leaves."""
-CHANGE = 0.04
-"""Largest change of that difference in a frame, over the character's size."""
+STILL = 3 * STATIC_VECTORS + STATIC_SCALARS  # features of a node that never change
+NODE_INPUT = STILL + 3 * VECTORS + SCALARS  # features of a node in a frame
+MOTION_HIDDEN, MOTION = 64, 24  # channels of the MLP of the encoded motion f_t(T), and of its output
+SHARE = 1.5  # largest weight of a basis vector in the head
+KEEP = 0.97  # largest share of the difference from the head that a frame leaves
+CHANGE = 0.04  # largest change of that difference in a frame, over the character's size
 OWN_STATE, WORLD_STATE = 7 * 3 + 1, 9
 """Features of a node's past for the recurrent part, in the frame of its joint, and in the paper's form."""
-SET = 7
-"""Outputs of the recurrent part for a node."""
+SET = 7  # outputs of the recurrent part for a node
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,7 @@ NEAR = 4
 RIGID = 0.03
 """Weight of the carrying joint's own rotation in that of a node, over the spread of its neighbours; chosen by eye."""
 
-ROUND = 2e-3
-"""Products of sums of a matrix' singular values, two by two, below which no rotation is nearer than others."""
+ROUND = 2e-3  # products of sums of a matrix' singular values, two by two, below which no rotation is nearer than others
 
 
 class Carrier:
@@ -366,8 +365,7 @@ def _around(nodes: ApparelNodes, spread: float) -> np.ndarray:
 
 
 NODES = 256
-FADE = 0.9
-"""Share of a known difference from the head that a frame leaves without a recurrent part."""
+FADE = 0.9  # share of a known difference from the head that a frame leaves without a recurrent part
 SAFE_POINTS = 1500
 
 

@@ -204,8 +204,7 @@ def load_segmentation(path: str | Path) -> SegmentationNetwork:
     )
 
 
-VIEWS = 3
-"""Samples of the mesh whose answers are averaged."""
+VIEWS = 3  # samples of the mesh whose answers are averaged
 LIKELY = 1 / 3
 """Probability from which on a vertex is apparel: where edges are in doubt, less than a half makes the most of the
 intersection over the union (0.739 in place of 0.719 on 44 characters for validation).

@@ -106,8 +106,7 @@ class PhysicsSettings:
             raise OptionError(f"the time step of physics must be from 0.0001 to 0.02 s, not {self.step:g}")
 
 
-VRM_RATE = 60.0
-"""Steps a second that VRM's parameters are meant for [1/s]."""
+VRM_RATE = 60.0  # steps a second that VRM's parameters are meant for [1/s]
 LIGHTER = 0.5  # mass of a joint over that of the one above
 END = 0.07  # of a chain whose last node swings as well [m]
 MOST_PAIRS = 1_000_000  # of a group of springs and a collider
