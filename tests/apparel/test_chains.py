@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from bunraku import load_character, save_character, transfer, with_skeleton
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.apparel.chains.avatars import (
-    VrmValues,
     between_frames,
     fitted_springs,
     link_turns,
@@ -476,7 +475,7 @@ def swung(turns: np.ndarray, heads: np.ndarray, rest: np.ndarray, values: np.nda
     turns, heads = between_frames(turns[:, None], heads[:, None], fps)
     out = []
     for bone, one in zip(rest[:, None], values, strict=True):
-        tails = np.stack(list(vrm_steps(turns, heads, bone, VrmValues(*one[:, None, None]))))[:, :, 0]
+        tails = np.stack(list(vrm_steps(turns, heads, bone, tuple(one[:, None, None]))))[:, :, 0]
         turns, heads = link_turns(turns, heads, bone, tails), tails
         out.append(tails[:: round(60 / fps), 0])
     return np.stack(out, axis=1)

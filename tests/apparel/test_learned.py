@@ -44,6 +44,7 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import line_up
 from bunraku.errors import CharacterError, WeightsError
+from bunraku_lab.evaluation.apparel.clips import KnownPlayer
 from bunraku_lab.nn.apparel import (
     AnchorHead,
     DisplacementNetwork,
@@ -582,7 +583,7 @@ def test_a_known_difference_fades():
     clothed = curtain()
     network = DisplacementNetwork(DisplacementConfig(16, 1, recurrent=0)).eval()
     poses = still(clothed, 8)
-    plain, told = (ApparelPlayer(clothed, running_displacement(network), nodes=16, safe=False) for _ in range(2))
+    plain, told = (KnownPlayer(clothed, running_displacement(network), nodes=16, safe=False) for _ in range(2))
     rest = plain.clip(poses)
     told.start(poses[0])
     states = np.zeros((3, len(told.nodes), 3), np.float32)

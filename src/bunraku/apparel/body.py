@@ -35,23 +35,16 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class UnifiedBody:
-    """A character's rig as SMPL's 22 joints.
+    """A character's rig as SMPL's 22 joints."""
 
-    Args:
-        parts: The rig's bones as parts of the reference body.
-        joints: Positions in the rest pose [m], shape (22, 3); joints that the rig lacks lie between their neighbours.
-        weights: Skinning weights of the vertices for the joints, shape (V, 22), float32, rows sum to 1.
-        bones: The bone that each joint is, shape (22,); of a joint that the rig lacks, that of the joint above it.
-        joint_of: The joint that each bone goes along with, shape (J,).
-        moved: Bones that physics move and those below them, shape (J,), bool.
-    """
-
-    parts: RigParts
+    parts: RigParts  # the rig's bones as parts of the reference body
+    # positions in the rest pose [m], shape (22, 3); joints that the rig lacks lie between their neighbours
     joints: np.ndarray
-    weights: np.ndarray
+    weights: np.ndarray  # skinning weights of the vertices for the joints, shape (V, 22), float32, rows sum to 1
+    # the bone that each joint is, shape (22,); of a joint that the rig lacks, that of the joint above it
     bones: np.ndarray
-    joint_of: np.ndarray
-    moved: np.ndarray
+    joint_of: np.ndarray  # the joint that each bone goes along with, shape (J,)
+    moved: np.ndarray  # bones that physics move and those below them, shape (J,), bool
 
     @classmethod
     def of(cls, character: Character) -> UnifiedBody:
@@ -159,17 +152,11 @@ _MOST_FACES = 12_000
 
 @dataclass(frozen=True, eq=False)
 class BodyVolume:
-    """The surface of a character without what physics move, with fewer faces.
+    """The surface of a character without what physics move, with fewer faces."""
 
-    Args:
-        rest: Vertices in the rest pose [m], shape (B, 3).
-        faces: Shape (F, 3), int64.
-        weights: For the 22 joints, shape (B, 22).
-    """
-
-    rest: np.ndarray
-    faces: np.ndarray
-    weights: np.ndarray
+    rest: np.ndarray  # vertices in the rest pose [m], shape (B, 3)
+    faces: np.ndarray  # shape (F, 3), int64
+    weights: np.ndarray  # for the 22 joints, shape (B, 22)
 
     @classmethod
     def of(cls, body: UnifiedBody, apparel: np.ndarray, most_faces: int = _MOST_FACES) -> BodyVolume:
@@ -239,17 +226,11 @@ _KEPT = 3  # grids of the last bodies; one takes up to 8 MB
 
 @dataclass(frozen=True, eq=False)
 class Unposed:
-    """The way back to the rest pose for M points of a frame: `back @ (x - shift)`.
+    """The way back to the rest pose for M points of a frame: `back @ (x - shift)`."""
 
-    Args:
-        back: Shape (M, 3, 3).
-        shift: [m], shape (M, 3).
-        joint: The joint that holds the body there, shape (M,).
-    """
-
-    back: np.ndarray
-    shift: np.ndarray
-    joint: np.ndarray
+    back: np.ndarray  # shape (M, 3, 3)
+    shift: np.ndarray  # [m], shape (M, 3)
+    joint: np.ndarray  # the joint that holds the body there, shape (M,)
 
     @classmethod
     def of(cls, blend: np.ndarray, joint: np.ndarray) -> Unposed:
@@ -274,17 +255,11 @@ class Unposed:
 
 @dataclass(frozen=True, eq=False)
 class BodyDepth:
-    """The signed distance from a body in its rest pose, above 0 outside.
+    """The signed distance from a body in its rest pose, above 0 outside."""
 
-    Args:
-        low: Where the grid begins [m], shape (3,).
-        cell: Width of a cell [m].
-        values: Distances at its corners [m], shape (X, Y, Z), float32.
-    """
-
-    low: np.ndarray
-    cell: float
-    values: np.ndarray
+    low: np.ndarray  # where the grid begins [m], shape (3,)
+    cell: float  # width of a cell [m]
+    values: np.ndarray  # distances at its corners [m], shape (X, Y, Z), float32
 
     @cached_property
     def _least(self) -> np.ndarray:
@@ -457,19 +432,12 @@ _ROWS = 64  # rows of distances at a time: they stay in the cache
 
 @dataclass(frozen=True, eq=False)
 class BodyPoints:
-    """Points spread over the body.
+    """Points spread over the body."""
 
-    Args:
-        rest: Positions in the rest pose [m], shape (B, 3).
-        normals: Outward, shape (B, 3).
-        weights: Skinning weights for the 22 joints, shape (B, 22).
-        joint: The joint that holds each most, shape (B,).
-    """
-
-    rest: np.ndarray
-    normals: np.ndarray
-    weights: np.ndarray
-    joint: np.ndarray
+    rest: np.ndarray  # positions in the rest pose [m], shape (B, 3)
+    normals: np.ndarray  # outward, shape (B, 3)
+    weights: np.ndarray  # skinning weights for the 22 joints, shape (B, 22)
+    joint: np.ndarray  # the joint that holds each most, shape (B,)
 
     def posed(self, affine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions and normals in a frame, shape (B, 3) each, by transforms of the joints as `eq4_transforms` gives

@@ -115,31 +115,21 @@ SOLID = 2 / 3  # of a rod: as long is the pendulum that swings like it
 
 @dataclass(frozen=True, eq=False)
 class Swing:
-    """How N vertices or nodes swing, in the rest pose.
+    """How N vertices or nodes swing, in the rest pose."""
 
-    Args:
-        lever: A small rotation w of its chain takes it by w x lever [m], shape (N, 3).
-        away: From the pivot of its chain to it [m], shape (N, 3).
-        arm: From there to the mass of a pendulum that swings as its chain does [m], shape (N, 3).
-        axes: Axes of rotation, columns, shape (N, 3, 3).
-        lower, upper: Limits about each [rad], shape (N, 3).
-        spring: About each, over the inertia [1/s^2], shape (N, 3).
-        friction, drag: Rates at which it loses speed against its carrier, and against the air [1/s], shape (N,).
-        weight: Its gravity over that of MMD's files, shape (N,).
-        share: How much of it swings; the rest stays where it is carried, shape (N,).
-    """
-
-    lever: np.ndarray
-    away: np.ndarray
-    arm: np.ndarray
-    axes: np.ndarray
+    lever: np.ndarray  # A small rotation w of its chain takes it by w x lever [m], shape (N, 3)
+    away: np.ndarray  # from the pivot of its chain to it [m], shape (N, 3)
+    arm: np.ndarray  # from there to the mass of a pendulum that swings as its chain does [m], shape (N, 3)
+    axes: np.ndarray  # axes of rotation, columns, shape (N, 3, 3)
+    # lower, upper: limits about each [rad], shape (N, 3)
     lower: np.ndarray
     upper: np.ndarray
-    spring: np.ndarray
+    spring: np.ndarray  # about each, over the inertia [1/s^2], shape (N, 3)
+    # friction, drag: rates at which it loses speed against its carrier, and against the air [1/s], shape (N,)
     friction: np.ndarray
     drag: np.ndarray
-    weight: np.ndarray
-    share: np.ndarray
+    weight: np.ndarray  # its gravity over that of MMD's files, shape (N,)
+    share: np.ndarray  # how much of it swings; the rest stays where it is carried, shape (N,)
 
     @classmethod
     def of_rows(cls, rows: np.ndarray) -> Swing:

@@ -76,29 +76,18 @@ HELD = 0.08  # of a part's extent: vertices as near to what holds it are held
 
 @dataclass(frozen=True, eq=False)
 class ApparelNodes:
-    """M nodes of a clothed character's apparel.
+    """M nodes of a clothed character's apparel."""
 
-    Args:
-        vertex: Vertex that each is, shape (M,).
-        rest: Position in the rest pose [m], shape (M, 3).
-        joint: Joint that carries each, shape (M,).
-        weights: Skinning weights of each, shape (M, 22).
-        part: Part of each, shape (M,).
-        neighbours: Nearest nodes of the same part, the node itself where there are too few, shape (M, NEIGHBOURS).
-        held: From where its part is held to the node [m], shape (M, 3).
-        distance: Along the surface from where the part is held [m], shape (M,).
-        length: The largest such distance in its part [m], shape (M,).
-    """
-
-    vertex: np.ndarray
-    rest: np.ndarray
-    joint: np.ndarray
-    weights: np.ndarray
-    part: np.ndarray
+    vertex: np.ndarray  # vertex that each is, shape (M,)
+    rest: np.ndarray  # position in the rest pose [m], shape (M, 3)
+    joint: np.ndarray  # joint that carries each, shape (M,)
+    weights: np.ndarray  # skinning weights of each, shape (M, 22)
+    part: np.ndarray  # part of each, shape (M,)
+    # nearest nodes of the same part, the node itself where there are too few, shape (M, NEIGHBOURS)
     neighbours: np.ndarray
-    held: np.ndarray
-    distance: np.ndarray
-    length: np.ndarray
+    held: np.ndarray  # from where its part is held to the node [m], shape (M, 3)
+    distance: np.ndarray  # along the surface from where the part is held [m], shape (M,)
+    length: np.ndarray  # the largest such distance in its part [m], shape (M,)
 
     def __len__(self) -> int:
         return len(self.vertex)

@@ -39,8 +39,7 @@ def smooth(values: np.ndarray, seconds: float, fps: float) -> np.ndarray:
 
 
 def runs(mask: np.ndarray, least: float = 1, bridge: float = 0) -> list[tuple[int, int]]:
-    """Runs (start, stop) in which the mask holds for at least `least` frames, gaps of up to `bridge` frames counted in.
-    """
+    """Runs (start, stop) in which the mask holds for `least` frames or more, gaps of up to `bridge` frames included."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     found: list[tuple[int, int]] = []
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
@@ -53,49 +52,31 @@ def runs(mask: np.ndarray, least: float = 1, bridge: float = 0) -> list[tuple[in
 
 @dataclass(frozen=True)
 class Phrase:
-    """Something that a motion does in some of its frames.
+    """Something that a motion does in some of its frames."""
 
-    Args:
-        kind: "go", "turn", "jump", "kick", "arm", "bend" or "still".
-        texts: Rewordings of the same, with verbs in braces.
-        start, stop: First frame, and the one after the last.
-        part: Words that are still true where only a part of the frames is there; empty where a part is nothing.
-        manner: For "go": direction and speed, to follow another verb, such as "backwards", "slowly".
-    """
-
-    kind: str
-    texts: tuple[str, ...]
+    kind: str  # "go", "turn", "jump", "kick", "arm", "bend" or "still"
+    texts: tuple[str, ...]  # rewordings of the same, with verbs in braces
+    # start, stop: first frame, and the one after the last
     start: int
     stop: int
+    # words that are still true where only a part of the frames is there; empty where a part is nothing
     part: tuple[str, ...] = ()
-    manner: tuple[str, ...] = ()
+    manner: tuple[str, ...] = ()  # for "go": direction and speed, to follow another verb, such as "backwards", "slowly"
 
 
 @dataclass(frozen=True)
 class Track:
-    """Measures of a motion of the reference body; +left is the body's own left.
+    """Measures of a motion of the reference body; +left is the body's own left."""
 
-    Args:
-        fps: Frames a second [1/s].
-        position: Path of the root on the ground (x, z) [m], shape (N, 2).
-        height: Root over its rest height, over the ground near it in time [m], shape (N,).
-        up: Cosine of the root's tilt, 1 upright, shape (N,).
-        angle: Heading [rad], positive to the left, smooth, shape (N,).
-        velocity: Forward and to the left, smooth [m/s], shape (N, 2).
-        course: Direction of the path itself [rad], unwrapped, shape (N,).
-        points: World position of each named handle [m], shape (N, 3) each.
-        feet: Lowest handle of each foot over the ground [m], shape (N, 2), left first.
-    """
-
-    fps: float
-    position: np.ndarray
-    height: np.ndarray
-    up: np.ndarray
-    angle: np.ndarray
-    velocity: np.ndarray
-    course: np.ndarray
-    points: dict[str, np.ndarray]
-    feet: np.ndarray
+    fps: float  # frames a second [1/s]
+    position: np.ndarray  # path of the root on the ground (x, z) [m], shape (N, 2)
+    height: np.ndarray  # root over its rest height, over the ground near it in time [m], shape (N,)
+    up: np.ndarray  # cosine of the root's tilt, 1 upright, shape (N,)
+    angle: np.ndarray  # heading [rad], positive to the left, smooth, shape (N,)
+    velocity: np.ndarray  # forward and to the left, smooth [m/s], shape (N, 2)
+    course: np.ndarray  # direction of the path itself [rad], unwrapped, shape (N,)
+    points: dict[str, np.ndarray]  # world position of each named handle [m], shape (N, 3) each
+    feet: np.ndarray  # lowest handle of each foot over the ground [m], shape (N, 2), left first
 
     @classmethod
     def of(cls, motion: HandleMotion) -> Track:
@@ -218,8 +199,7 @@ def _turn(clause: Clause, track: Track) -> float | None:
 
 
 def _way(clause: Clause, track: Track) -> float | None:
-    """Forward, backwards or to a side, seen from the heading at each time; anywhere at all where no direction is said.
-    """
+    """Forward, backwards or to a side, seen from the heading at each time; anywhere where no direction is said."""
     if "goes" not in clause.traits or "in place" in clause.cues or "to and fro" in clause.traits:
         return None
     ahead, aside = (track.velocity.mean(axis=0) * len(track) / track.fps).tolist()

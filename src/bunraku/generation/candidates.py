@@ -181,8 +181,9 @@ def draw_candidates(
     model = how.denoiser
     lengths = [frames_of([clause.seconds for clause in script], model.config.fps) for script in scripts]
     plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
-    told = [second is not None for _, second in examples]  # limbs are then laid over the motion
-    tracks = [track for row, script in enumerate(scripts) if (track := PartTrack.of(row, script, not told[row]))]
+    tracks = [  # limbs with an example are laid over the motion
+        track for row, script in enumerate(scripts) if (track := PartTrack.of(row, script, examples[row][1] is None))
+    ]
     sentences = [clause.body.text for script in scripts for clause in script]
     text = texts.batch(sentences + [sentence for track in tracks for sentence in track.sentences])
     statistics = FeatureStatistics(model.mean, model.std)
@@ -213,10 +214,8 @@ def draw_candidates(
             parts[own] = track.follow(parts[track.motion], parts[own])
         return np.concatenate([closed(part, model) for part in parts] if loop else parts)
 
-    steering, mesh = (
-        Steering(classifier_guidance, guide, refine if loop or tracks else None, held),
-        how.mesh_features(model, len(text.mask)),
-    )
+    steering = Steering(classifier_guidance, guide, refine if loop or tracks else None, held)
+    mesh = how.mesh_features(model, len(text.mask))
     with one_thread():
         found = sample_plans(model, text, plans, how.solver, steering, seeds=noise, mesh_features=mesh)
     for track, own in zip(tracks, found[len(scripts) :], strict=True):

@@ -29,16 +29,11 @@ GROUP = 16  # stretches that go through the network at once
 
 @dataclass(frozen=True)
 class Spoken:
-    """A stretch of the time line with its sentence.
+    """A stretch of the time line with its sentence."""
 
-    Args:
-        frames: Its first frame, and the one after its last.
-        vector: Of the sentence, of length 1, shape (E,).
-        until: Step of the sampler down to which it is not guided, because it is given; 1,000 where it never is.
-    """
-
-    frames: tuple[int, int]
-    vector: np.ndarray
+    frames: tuple[int, int]  # its first frame, and the one after its last
+    vector: np.ndarray  # of the sentence, of length 1, shape (E,)
+    # step of the sampler down to which it is not guided, because it is given; 1,000 where it never is
     until: int = 1000
 
 
@@ -96,17 +91,11 @@ def smoothed(values: np.ndarray, spread: float = SPREAD) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Critic:
-    """Guides the motions of a batch.
+    """Guides the motions of a batch."""
 
-    Args:
-        network: Trained with motions and sentences of people.
-        vectors: Of all their sentences, of length 1, shape (E,).
-        strength: Root mean square of a step.
-    """
-
-    network: Extractor
-    vectors: Mapping[str, np.ndarray]
-    strength: float = STRENGTH
+    network: Extractor  # trained with motions and sentences of people
+    vectors: Mapping[str, np.ndarray]  # of all their sentences, of length 1, shape (E,)
+    strength: float = STRENGTH  # root mean square of a step
 
     def guidance(
         self, model: Denoiser, scripts: Sequence[Sequence[str]], lengths: Sequence[Sequence[int]], sizes: Sequence[int],

@@ -61,8 +61,7 @@ def turned_as_asked(features: np.ndarray, script: Sequence[tuple[Clause, int]], 
 
 
 def straightened(features: np.ndarray, script: Sequence[tuple[Clause, int]], fps: float) -> np.ndarray:
-    """A motion that keeps its course wherever a clause says "forward" and no turn; arguments as of `turned_as_asked`.
-    """
+    """A motion on its course where a clause says "forward" and no turn; arguments as of `turned_as_asked`."""
     out = features.copy()
     for clause, part in clause_spans(script):
         if clause.straight and len(out[part]):
@@ -84,16 +83,11 @@ class PartTrack:
     the first one otherwise.
 
     The first does not see the second: a walk with waving arms would soon stand still, as people do while they wave.
-
-    Args:
-        motion: Number of the motion of the batch that it belongs to.
-        sentences: Its conditions, a sentence for each of the motion's.
-        handles: The handles that are its own, shape (K,), bool.
     """
 
-    motion: int
-    sentences: tuple[str, ...]
-    handles: np.ndarray
+    motion: int  # number of the motion of the batch that it belongs to
+    sentences: tuple[str, ...]  # its conditions, a sentence for each of the motion's
+    handles: np.ndarray  # the handles that are its own, shape (K,), bool
 
     @classmethod
     def of(cls, motion: int, script: Sequence[Clause], limbs: bool = True) -> PartTrack | None:

@@ -15,7 +15,7 @@ import numpy as np
 from bunraku.core.body.layout import HANDLE_PARENTS
 from bunraku.core.body.reference import capped
 from bunraku.core.geometry.rotations import matrix_from_6d
-from bunraku.core.nn.checkpoints import load_checkpoint, read_config
+from bunraku.core.nn.checkpoints import fitting_config, load_checkpoint, read_config
 from bunraku.core.nn.layers import Memory, Norm, Rotary, Weights, hidden_by, normed, silu
 from bunraku.errors import WeightsError
 from bunraku.generation.features import ROOT_SIZE
@@ -42,17 +42,11 @@ half.
 
 @dataclass(frozen=True, eq=False)
 class RetrievedExamples:
-    """Captured motions that show what each sentence of a batch says.
+    """Captured motions that show what each sentence of a batch says."""
 
-    Args:
-        values: Network units, zero behind an example's end, shape (B, R, N, D).
-        lengths: Real frames, 0 without an example, shape (B, R).
-        pooled: The vector of each example's own sentence, shape (B, R, P).
-    """
-
-    values: np.ndarray
-    lengths: np.ndarray
-    pooled: np.ndarray
+    values: np.ndarray  # network units, zero behind an example's end, shape (B, R, N, D)
+    lengths: np.ndarray  # real frames, 0 without an example, shape (B, R)
+    pooled: np.ndarray  # the vector of each example's own sentence, shape (B, R, P)
 
     def rows(self, rows: np.ndarray) -> RetrievedExamples:
         """These rows of the batch, in their order."""
@@ -71,19 +65,12 @@ def fingerprint(state: Mapping[str, np.ndarray]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class FewSteps:
-    """Changes to a denoiser's weights, and the steps that they are for.
+    """Changes to a denoiser's weights, and the steps that they are for."""
 
-    Args:
-        of: `fingerprint` of the teacher.
-        visited: Diffusion steps, falling.
-        guidance: Scale of the teacher's guidance by sentences, which the changes hold.
-        changes: Up (O, R) and down (R, I) by the name of the matrix (O, I).
-    """
-
-    of: str
-    visited: tuple[int, ...]
-    guidance: float
-    changes: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    of: str  # `fingerprint` of the teacher
+    visited: tuple[int, ...]  # diffusion steps, falling
+    guidance: float  # scale of the teacher's guidance by sentences, which the changes hold
+    changes: Mapping[str, tuple[np.ndarray, np.ndarray]]  # up (O, R) and down (R, I) by the name of the matrix (O, I)
 
     def fits(self, state: Mapping[str, np.ndarray]) -> bool:
         """Whether these are the teacher's weights."""
@@ -365,7 +352,7 @@ def load_denoiser(path: str | Path) -> Denoiser:
     """Read a denoiser, ready for sampling.
 
     Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
     return _built(path, *load_checkpoint(path, KIND, half=True))
 
@@ -389,15 +376,10 @@ def _built(
     path: str | Path, state: Mapping[str, np.ndarray], config: dict[str, Any], visited: tuple[int, ...] = ()
 ) -> Denoiser:
     notes = config.pop("notes", None)
-    try:
+    with fitting_config(path):
         weights = Weights(state)
         model = Denoiser(denoiser_config(config), weights, dict(notes or {}), visited)
         weights.done()
-    except Exception as error:
-        raise WeightsError(
-            f"{path}: the config and the weights of this denoiser disagree ({str(error).splitlines()[0]}); train it "
-            "again"
-        ) from error
     return model
 
 

@@ -1,5 +1,4 @@
-"""Motions and sentences in one space: the network behind the ranker, the critic and the judge, and its configuration.
-"""
+"""Motions and sentences in one space: the network of the ranker, the critic and the judge, and its configuration."""
 
 from __future__ import annotations
 
@@ -12,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.files import weights_file
-from bunraku.core.nn.checkpoints import config_of, dated_checkpoint, load_checkpoint
+from bunraku.core.nn.checkpoints import config_of, dated_checkpoint, fitting_config, load_checkpoint
 from bunraku.core.nn.layers import Linear, Norm, Weights, gelu, gelu_slope, softmax, split_heads
-from bunraku.errors import WeightsError
 from bunraku.generation.features import FEATURE_SIZE
 from bunraku.language.encoders import TextBatch, TextEncoder
 
@@ -284,20 +282,14 @@ def load_extractor(path: str | Path, kind: str = KIND) -> Extractor:
     """Read an extractor, or a ranker.
 
     Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
     state, config = load_checkpoint(path, kind, half=True)
     notes = config.pop("notes", None)
-    try:
+    with fitting_config(path):
         weights = Weights(state)
-        shape = config_of(ExtractorConfig, config)
-        model = Extractor(shape, weights, dict(notes or {}))
+        model = Extractor(config_of(ExtractorConfig, config), weights, dict(notes or {}))
         weights.done()
-    except Exception as error:
-        raise WeightsError(
-            f"{path}: the config and the weights of this extractor disagree ({str(error).splitlines()[0]}); train it "
-            "again"
-        ) from error
     return model
 
 

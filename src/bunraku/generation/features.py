@@ -174,8 +174,7 @@ class FeatureStatistics:
 
 
 def feature_mask(handles: np.ndarray) -> np.ndarray:
-    """Which features the handles decide, shape (271,), bool: ten numbers for the root and nine for each other handle.
-    """
+    """Which features these handles decide, shape (271,), bool: ten numbers for the root, nine for each other."""
     return np.concatenate([np.repeat(handles[:1], ROOT_SIZE), np.repeat(handles[1:], HANDLE_SIZE)])
 
 

@@ -96,14 +96,11 @@ def generate_motions(
     if known is not None and not loop:
         scripts = [[part for clause in script for part in known.parted(clause)] for script in scripts]
     if known is not None and how.note:
-        for told in dict.fromkeys(_left_out(known, clause) for script in scripts for clause in script):
-            if told:
-                how.note(told)
-    guides = (
-        None
-        if critic is None
-        else Critic(critic, {text: vector.astype(np.float32) for text, vector in texts.guided.items()})
-    )
+        for note in dict.fromkeys(_left_out(known, clause) for script in scripts for clause in script):
+            if note:
+                how.note(note)
+    guided = {text: vector.astype(np.float32) for text, vector in texts.guided.items()}
+    guides = None if critic is None else Critic(critic, guided)
 
     def example(row: int, index: int) -> tuple[GuidanceExample | None, GuidanceExample | None]:
         """What a candidate starts from, and what the gestures do that are made at the same time."""
@@ -252,9 +249,7 @@ def edit_motion(
     kept = np.setdiff1d(np.arange(low, high), np.concatenate([np.arange(*run) for run in runs]))
     anchor = int(kept[0]) - low if len(kept) else 0  # a kept frame where there is one
     made = placed_at(made, anchor, part, anchor)
-    whole = made.take(
-        np.clip(np.arange(len(motion)) - low, 0, len(made) - 1)
-    )  # what is kept beyond the part comes next
+    whole = made.take(np.clip(np.arange(len(motion)) - low, 0, len(made) - 1))  # beyond the part all is kept
     own = {name: getattr(motion, name) for name in ("own_kind", "own_height", "soft")}
     return replace(put_back_runs(whole, motion, handles, runs, fade=0), **own)
 
@@ -371,7 +366,5 @@ def _reach(first: int, after: int, frames: int) -> list[tuple[int, np.ndarray]]:
 def _goal(features: np.ndarray, first: int, after: int, fps: float) -> tuple[float, tuple[float, float]]:
     """Rotation [rad] and way [m] of the original over the frames of a span, seen from the heading before it."""
     path = decode(np.concatenate([features[first - 1 : first], features[first:after]]), fps)
-    return float(features[first:after, 0].sum() / fps), (
-        float(path.root_translation[-1, 0]),
-        float(path.root_translation[-1, 2]),
-    )
+    x, _, z = path.root_translation[-1].tolist()
+    return float(features[first:after, 0].sum() / fps), (x, z)

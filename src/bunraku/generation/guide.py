@@ -49,17 +49,11 @@ _FADE = 10  # frames over which the sampler is free where one sentence blends in
 
 @dataclass(frozen=True)
 class Guide:
-    """What the sampler starts from.
+    """What the sampler starts from."""
 
-    Args:
-        values: Network units, shape (N, 271).
-        share: How far each frame is the example's, shape (N,).
-        made: Whether that is a gesture made by code or a user's own clip, shape (N,).
-    """
-
-    values: np.ndarray
-    share: np.ndarray
-    made: np.ndarray
+    values: np.ndarray  # network units, shape (N, 271)
+    share: np.ndarray  # how far each frame is the example's, shape (N,)
+    made: np.ndarray  # whether that is a gesture made by code or a user's own clip, shape (N,)
 
 
 def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
@@ -92,7 +86,11 @@ def laid(
     closed = manner.closed
     gesture = pack.gesture(found.number)
     if gesture is not None and found.described is not None:
-        gesture = limb_gesture(found.described) if isinstance(found.described, Posing) else interaction_gesture(found.described)
+        gesture = (
+            limb_gesture(found.described)
+            if isinstance(found.described, Posing)
+            else interaction_gesture(found.described)
+        )
     elif gesture is not None and found.part:
         gesture = at_part(gesture, found.part)
     if gesture is not None and manner.stance is not None and not isinstance(found.described, Posing):
@@ -299,19 +297,12 @@ def laid_script(
 
 @dataclass(frozen=True)
 class GuidanceExample:
-    """The examples that one candidate starts from.
+    """The examples that one candidate starts from."""
 
-    Args:
-        pack: Of the examples.
-        found: One for each sentence of the script, None where none fits.
-        seed: Of when each begins.
-        manners: How each is done.
-    """
-
-    pack: ExamplePack
-    found: tuple[Found | None, ...]
-    seed: tuple[int, ...]
-    manners: tuple[Manner, ...] = ()
+    pack: ExamplePack  # of the examples
+    found: tuple[Found | None, ...]  # one for each sentence of the script, None where none fits
+    seed: tuple[int, ...]  # of when each begins
+    manners: tuple[Manner, ...] = ()  # how each is done
 
     def on(self, lengths: Sequence[int], frames: int, statistics: FeatureStatistics, closed: bool = False) -> Guide:
         """The guide of a time line of so many frames, of which the sentences have these; `closed` for a loop, which has

@@ -82,23 +82,14 @@ PRESETS: dict[str, DenoiserConfig] = {
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """What the layers read beside the motion.
+    """What the layers read beside the motion."""
 
-    Args:
-        memories: Of sentence and mesh, in each layer.
-        hidden: Of them, as of `hidden_by`.
-        sentence: Shape (B, d).
-        mesh: The mesh token, shape (B, d).
-        examples: Of examples, in each layer; None in one that does not attend to them.
-        hidden_examples: Of these.
-    """
-
-    memories: Sequence[Memory]
-    hidden: np.ndarray | None
-    sentence: np.ndarray
-    mesh: np.ndarray
-    examples: Sequence[Memory | None]
-    hidden_examples: np.ndarray | None
+    memories: Sequence[Memory]  # of sentence and mesh, in each layer
+    hidden: np.ndarray | None  # of them, as of `hidden_by`
+    sentence: np.ndarray  # shape (B, d)
+    mesh: np.ndarray  # the mesh token, shape (B, d)
+    examples: Sequence[Memory | None]  # of examples, in each layer; None in one that does not attend to them
+    hidden_examples: np.ndarray | None  # of these
 
     def rows(self, rows: slice) -> Condition:
         """Of these rows of the batch."""

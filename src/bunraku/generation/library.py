@@ -20,7 +20,7 @@ from bunraku.errors import OptionError, WeightsError
 if TYPE_CHECKING:
     from bunraku.generation.pack import ExamplePack
 
-__all__ = ["Clip", "Source", "all_clips", "clip", "features_of", "motion_of", "search"]
+__all__ = ["Clip", "Source", "all_clips", "clip", "features_of", "search"]
 
 _NAME, _TAG, _SENTENCE, _ACTION = 3.0, 2.0, 1.0, 2.0
 """Weight of a word in the name, in a tag or in the sentence of a clip, and of a common action."""
@@ -72,8 +72,9 @@ class Clip:
             OptionError: It cannot last so long.
             WeightsError: The examples are missing or broken.
         """
+        from bunraku.generation.features import decode
 
-        return motion_of(self.stretch, seconds, loop)
+        return decode(features_of(self.stretch, seconds, loop))
 
 
 @functools.cache
@@ -190,13 +191,6 @@ def _found(text: str, some: Sequence[tuple[Clip, _Words]]) -> list[tuple[float, 
 
 
 _EASE = 0.3  # share of a pose's change that is left from frame to frame where a clip is held at its end
-
-
-def motion_of(stretch: str, seconds: float | None = None, loop: bool = False) -> HandleMotion:
-    """The motion of a stretch on the reference body, for `Clip.motion`."""
-    from bunraku.generation.features import decode
-
-    return decode(features_of(stretch, seconds, loop))
 
 
 def features_of(stretch: str, seconds: float | None = None, loop: bool = False) -> np.ndarray:

@@ -118,21 +118,14 @@ def _load_few(path: Path, changed: int, few: Path, few_changed: int) -> Denoiser
 
 @dataclass(frozen=True, eq=False)
 class Texts:
-    """The texts of scripts as the networks read them.
+    """The texts of scripts as the networks read them."""
 
-    Args:
-        rows: The row of `tokens` of each text.
-        tokens: The denoiser's encoded texts of clauses and of the gestures made meanwhile.
-        ranked: The ranker's vectors of the texts of clauses, shape (E,) each.
-        shown: The ranker's unit vector of each clause as said of a person, by its text; empty without examples.
-        guided: The critic's, of what all of the body but a gesture does.
-    """
-
-    rows: dict[str, int]
-    tokens: TextBatch
-    ranked: dict[str, np.ndarray]
+    rows: dict[str, int]  # the row of `tokens` of each text
+    tokens: TextBatch  # the denoiser's encoded texts of clauses and of the gestures made meanwhile
+    ranked: dict[str, np.ndarray]  # the ranker's vectors of the texts of clauses, shape (E,) each
+    # the ranker's unit vector of each clause as said of a person, by its text; empty without examples
     shown: dict[str, tuple[Clause, np.ndarray]]
-    guided: dict[str, np.ndarray]
+    guided: dict[str, np.ndarray]  # the critic's, of what all of the body but a gesture does
 
     @classmethod
     def of(

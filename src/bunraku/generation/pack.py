@@ -95,18 +95,13 @@ class Example:
 
 
 class Said(NamedTuple):
-    """What the sentences of an example say, by the lexicon.
+    """What the sentences of an example say, by the lexicon."""
 
-    Args:
-        actions: What they agree on (`main_actions`).
-        cues, traits: Of all of them.
-        besides: Actions of the fullest beyond those.
-    """
-
-    actions: frozenset[str]
+    actions: frozenset[str]  # what they agree on (`main_actions`)
+    # cues, traits: of all of them
     cues: frozenset[str]
     traits: frozenset[str]
-    besides: frozenset[str] = frozenset()
+    besides: frozenset[str] = frozenset()  # actions of the fullest beyond those
 
     @property
     def mirrored_cues(self) -> frozenset[str]:
@@ -131,27 +126,17 @@ _said_by = functools.lru_cache(maxsize=4096)(said_by)
 
 @dataclass(frozen=True, eq=False)
 class ExamplePack:
-    """Examples with their vectors, each as it is and in the mirror.
+    """Examples with their vectors, each as it is and in the mirror."""
 
-    Args:
-        examples: E of them.
-        data: Packed stretches.
-        owners: The example of each sentence, shape (T,).
-        texts: Unit vectors of the sentences and of the mirrored ones, shape (2, T, V).
-        motions: Unit vectors of the stretches and of their mirror images, shape (2, E, V).
-        ranker: Fingerprint of the ranker's weights that made the vectors.
-        stored: `Said` of each example, each field parted by commas; empty where it is not stored.
-        stored_standing: Result of `stand_well`; None where it is not stored.
-    """
-
-    examples: tuple[Example, ...]
-    data: tuple[bytes, ...]
-    owners: np.ndarray
-    texts: np.ndarray
-    motions: np.ndarray
-    ranker: str
+    examples: tuple[Example, ...]  # E of them
+    data: tuple[bytes, ...]  # packed stretches
+    owners: np.ndarray  # the example of each sentence, shape (T,)
+    texts: np.ndarray  # unit vectors of the sentences and of the mirrored ones, shape (2, T, V)
+    motions: np.ndarray  # unit vectors of the stretches and of their mirror images, shape (2, E, V)
+    ranker: str  # fingerprint of the ranker's weights that made the vectors
+    # `Said` of each example, each field parted by commas; empty where it is not stored
     stored: Sequence[Sequence[str]] = ()
-    stored_standing: Sequence[int] | None = None
+    stored_standing: Sequence[int] | None = None  # result of `stand_well`; None where it is not stored
 
     @functools.cached_property
     def made(self) -> np.ndarray:

@@ -29,21 +29,13 @@ ATTEMPTS = 4  # most draws of candidates
 
 @dataclass(frozen=True)
 class Candidate:
-    """One candidate.
+    """One candidate."""
 
-    Args:
-        motion: Features of each frame, shape (N, 271).
-        adaptation: Offsets of local translations [m], shape (N, K, 3).
-        script: Its clauses with the frames that each lasts.
-        agreement: How far it does what they plainly say; None where they make no claim.
-        captured: It starts from a captured example.
-    """
-
-    motion: np.ndarray
-    adaptation: np.ndarray
-    script: Sequence[tuple[Clause, int]]
-    agreement: float | None = None
-    captured: bool = False
+    motion: np.ndarray  # features of each frame, shape (N, 271)
+    adaptation: np.ndarray  # offsets of local translations [m], shape (N, K, 3)
+    script: Sequence[tuple[Clause, int]]  # its clauses with the frames that each lasts
+    agreement: float | None = None  # how far it does what they plainly say; None where they make no claim
+    captured: bool = False  # it starts from a captured example
 
 
 def script_scores(

@@ -40,16 +40,8 @@ _PACE = {"slow", "fast"}  # an example must not say these where they were not re
 _NOTHING = said_by([]).actions
 _TURNS = {"turn", "turn around", "spin", "circle"}
 _SIDED = frozenset(f"{side} {limb}" for side in ("left", "right") for limb in ("arm", "leg", "turn", "go")) | {
-    "forward",
-    "backwards",
-    "sideways",
-    "half",
-    "full",
-    "gets up",
-    "lies",
-    "sits",
-    "in place",
-}
+    "forward", "backwards", "sideways", "half", "full", "gets up", "lies", "sits", "in place",
+}  # fmt: skip
 _COUNTS = frozenset(("twice", "thrice", "often"))
 """Captured examples must say these, too; a gesture is done as often as requested."""
 _WAYS = frozenset(("left go", "right go"))
@@ -62,22 +54,14 @@ _SAYS = {"left go": "to the left", "right go": "to the right"}  # cues in words
 
 
 class Found(NamedTuple):
-    """An example that fits a sentence.
+    """An example that fits a sentence."""
 
-    Args:
-        number: Its index in the pack.
-        mirrored: Its mirror image is meant.
-        score: Mean of the cosine of the sentence with its nearest sentence, and of that with its motion.
-        part: The part of the body at which a gesture is done in place of its own; "" for its own.
-        times: Repetitions of a captured one that shows a counted action once.
-        described: What is done with a thing, follows from one, or is done by limbs, as a gesture of its own.
-    """
-
-    number: int
-    mirrored: bool
-    score: float
-    part: str = ""
-    times: int = 1
+    number: int  # its index in the pack
+    mirrored: bool  # its mirror image is meant
+    score: float  # mean of the cosine of the sentence with its nearest sentence, and of that with its motion
+    part: str = ""  # the part of the body at which a gesture is done in place of its own; "" for its own
+    times: int = 1  # repetitions of a captured one that shows a counted action once
+    # what is done with a thing, follows from one, or is done by limbs, as a gesture of its own
     described: Interaction | Posing | None = None
 
 
@@ -104,16 +88,16 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
         clause: Of one action.
         vector: The ranker's unit vector of it, shape (V,).
     """
-    told = [] if clause.told is None else [Found(one, False, 1.0, "", 1, clause.told) for one in pack.handled]
-    if told and isinstance(clause.told, Posing):
-        return Retrieved(_described(pack, clause, clause.told) or told)
+    described = [] if clause.told is None else [Found(one, False, 1.0, "", 1, clause.told) for one in pack.handled]
+    if described and isinstance(clause.told, Posing):
+        return Retrieved(_described(pack, clause, clause.told) or described)
     if clause.limbs_meanwhile is not None:
         return Retrieved([])  # what else is done is shown apart
-    if told and not isinstance(clause.told, Posing) and says_more(clause.told):
-        return Retrieved(told)
+    if described and not isinstance(clause.told, Posing) and says_more(clause.told):
+        return Retrieved(described)
     found = _retrieved(pack, clause, vector, frozenset())
-    if told and not found.found:
-        return Retrieved(told)
+    if described and not found.found:
+        return Retrieved(described)
     limbed = any(f"{side} {limb}" in clause.cues for side in ("left", "right") for limb in ("arm", "leg"))
     let_go = _WAYS if limbed and "goes" not in clause.traits else frozenset[str]()
     let_go |= _COUNTS if clause.count and 1 < clause.count <= MOST_TIMES else frozenset[str]()
@@ -226,21 +210,17 @@ def _fits(said: Said, mirrored: bool, query: Said, wanted: frozenset[str], near:
         return False
     shown, cues = said.traits, said.mirrored_cues if mirrored else said.cues
     for pair in lexicon().contrary:
-        asked, told = (pair & (names.cues | names.traits) for names in (query, said._replace(cues=cues)))
-        if asked and told and not asked & told:
+        wanted_one, said_one = (pair & (names.cues | names.traits) for names in (query, said._replace(cues=cues)))
+        if wanted_one and said_one and not wanted_one & said_one:
             return False
-    if query.actions == {"hop"} and "one foot" in query.traits and "one foot" not in shown:
-        return False
-    if query.actions == {"run"} and "sets off" in shown and "sets off" not in query.traits:
-        return False
-    if "gets up" in said.cues and "gets up" not in query.cues and any(map(stays_down, query.actions)):
-        return False
-    if "stairs" in query.traits and "stairs" not in shown:
-        return False
-    if "climb" in query.actions and "down" in shown and "down" not in query.traits:
-        return False
-    if query.actions == {"raise arm"} and ("both" in shown) != ("both" in query.traits):
-        return False
-    if query.actions <= {"walk", "run"} and "halts" in shown and "halts" not in query.traits:
-        return False
-    return wanted <= cues and cues & _PACE <= query.cues
+    lacking, added = query.traits - shown, shown - query.traits
+    contradicts = (
+        query.actions == {"hop"} and "one foot" in lacking,
+        query.actions == {"run"} and "sets off" in added,
+        "gets up" in said.cues and "gets up" not in query.cues and any(map(stays_down, query.actions)),
+        "stairs" in lacking,
+        "climb" in query.actions and "down" in added,
+        query.actions == {"raise arm"} and "both" in lacking | added,
+        query.actions <= {"walk", "run"} and "halts" in added,
+    )
+    return not any(contradicts) and wanted <= cues and cues & _PACE <= query.cues

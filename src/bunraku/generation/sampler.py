@@ -103,7 +103,7 @@ def sampling_steps(count: int) -> list[int]:
 
 
 Predict = Callable[[np.ndarray, int], np.ndarray]
-StepProgress = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 
 def _moments(step: int, curve: np.ndarray) -> tuple[float, float, float]:
@@ -114,7 +114,7 @@ def _moments(step: int, curve: np.ndarray) -> tuple[float, float, float]:
 
 
 def dpm_solver(
-    predict: Predict, noise: np.ndarray, steps: list[int], progress: StepProgress | None = None, order: int = 2
+    predict: Predict, noise: np.ndarray, steps: list[int], progress: Progress | None = None, order: int = 2
 ) -> np.ndarray:
     """DPM-Solver++ (2M): from x_T to x_0 with one prediction of x0 a step.
 
@@ -153,22 +153,15 @@ LED_UNTIL = 600
 ROOT = slice(0, 10)  # its features (`diffusion.features`)
 GROUP = 16  # windows that go through the denoiser at once; more gain nothing on a CPU and take memory
 
-Progress = Callable[[int, int], None]
-
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of the time line that the denoiser sees at once.
+    """A stretch of the time line that the denoiser sees at once."""
 
-    Args:
-        frames: Frames of the time line, shape (L,); a loop's run on from its end to its start, and may come twice.
-        share: Weight of the window's prediction of each frame among those of all windows, shape (L,).
-        row: Its sentence, and mesh feature.
-    """
-
+    # frames of the time line, shape (L,); a loop's run on from its end to its start, and may come twice
     frames: np.ndarray
-    share: np.ndarray
-    row: int
+    share: np.ndarray  # weight of the window's prediction of each frame among those of all windows, shape (L,)
+    row: int  # its sentence, and mesh feature
 
 
 @dataclass(frozen=True)
@@ -214,19 +207,12 @@ def token_share(frames: int, patch: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Solver:
-    """How motions are denoised.
+    """How motions are denoised."""
 
-    Args:
-        steps: Predictions of x0, one after the other.
-        guidance: Scale of classifier-free guidance; 1 is the conditional model alone and takes half the time.
-        rescale: Share of guidance rescaling, 0 to 1.
-        progress: Called with (done, total) steps.
-    """
-
-    steps: int = 8
-    guidance: float = 3.0
-    rescale: float = 0.0
-    progress: Progress | None = None
+    steps: int = 8  # predictions of x0, one after the other
+    guidance: float = 3.0  # scale of classifier-free guidance; 1 is the conditional model alone and takes half the time
+    rescale: float = 0.0  # share of guidance rescaling, 0 to 1
+    progress: Progress | None = None  # called with (done, total) steps
 
 
 @dataclass(frozen=True)
@@ -400,12 +386,10 @@ class _Group:
             motion, adaptation = run(slice(1))
         else:  # in halves on every processor, whether or not they run at once, so that all give the same
             half = (len(seen) + 1) // 2
-            whole = len(seen)
-            first, second = side_by_side(lambda: run(slice(half)), lambda: run(slice(half, whole)))
+            first, second = side_by_side(lambda: run(slice(half)), lambda: run(slice(half, len(seen))))
             motion = np.concatenate([first[0], second[0]])
-            adaptation = None
-            if first[1] is not None and second[1] is not None:
-                adaptation = np.concatenate([first[1], second[1]])
+            both = first[1] is not None and second[1] is not None
+            adaptation = np.concatenate([first[1], second[1]]) if both else None  # type: ignore[list-item]
         if twice == 2:
             real = np.arange(x.shape[1]) < lengths[:count, None]
             motion = guided(motion[:count], motion[count:], self.guidance, self.rescale, real)

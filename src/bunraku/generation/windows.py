@@ -24,16 +24,11 @@ SHORTEST = 40  # frames; training saw hardly anything shorter
 
 @dataclass(frozen=True)
 class Plan:
-    """How one motion is made.
+    """How one motion is made."""
 
-    Args:
-        frames: Frames on the time line; more than wanted where the motion is very short, and the rest is cut off.
-        windows: Frames counted from the motion's first and rows from its first sentence.
-        seams: Frames where one window hands over to the next, falling between this one and the one before.
-    """
-
-    frames: int
-    windows: tuple[Window, ...]
+    frames: int  # frames on the time line; more than wanted where the motion is very short, and the rest is cut off
+    windows: tuple[Window, ...]  # frames counted from the motion's first and rows from its first sentence
+    # frames where one window hands over to the next, falling between this one and the one before
     seams: tuple[int, ...]
 
 

@@ -20,13 +20,8 @@ __all__ = ["VrmValues", "between_frames", "fitted_springs", "link_turns", "mmd_a
 RATE = 60  # steps a second
 
 
-@dataclass(frozen=True, eq=False)
-class VrmValues:
-    """Settings of a link: stiffness, drag and gravity power, each of shape (C, S) or one that fits."""
-
-    stiffness: np.ndarray
-    drag: np.ndarray
-    gravity: np.ndarray
+VrmValues = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Stiffness, drag and gravity power of links, each of shape (C, S) or one that fits."""
 
 
 def between_frames(turns: np.ndarray, places: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
@@ -54,7 +49,7 @@ def vrm_steps(turns: np.ndarray, heads: np.ndarray, bones: np.ndarray, values: V
     Yields:
         T times positions [m], shape (C, S, 3).
     """
-    stiffness, drag, gravity = np.broadcast_arrays(values.stiffness, values.drag, values.gravity)
+    stiffness, drag, gravity = np.broadcast_arrays(*values)
     length = np.linalg.norm(bones, axis=1)[:, None, None]
     aims = np.einsum("tcab,cb->tca", turns, bones / np.maximum(length[:, 0], 1e-9))[:, :, None]
     keep, back = (1 - drag)[..., None], (stiffness / RATE)[..., None]
@@ -99,22 +94,15 @@ _GRID = np.array([(stiffness, drag, stiffness * sag) for stiffness, drag, sag in
 
 @dataclass(frozen=True)
 class _Sway:
-    """A motion made of sines.
+    """A motion made of sines."""
 
-    Args:
-        seconds: Its length [s].
-        turns: How far the body bends, turns and leans [rad].
-        aside, up: How far it goes aside and up and down, over its height.
-        pace: How fast it goes forward, heights a second; 0 for to and fro by a quarter of its height.
-        legs: How far legs swing from the hip [rad]; knees bend by twice as much.
-    """
-
-    seconds: float
-    turns: tuple[float, float, float]
+    seconds: float  # its length [s]
+    turns: tuple[float, float, float]  # how far the body bends, turns and leans [rad]
+    # aside, up: how far it goes aside and up and down, over its height
     aside: float
     up: float
-    pace: float
-    legs: float
+    pace: float  # how fast it goes forward, heights a second; 0 for to and fro by a quarter of its height
+    legs: float  # how far legs swing from the hip [rad]; knees bend by twice as much
 
 
 _STANDING = _Sway(5.0, (0.25, 0.6, 0.2), 0.1, 0.02, 0.0, 0.4)
@@ -125,7 +113,7 @@ STEP = 0.9  # steps of each leg a second [1/s]
 
 def fitted_springs(made: Chained) -> list[np.ndarray]:
     """Stiffness, drag and gravity power of each link of each chain, each of shape (R, 3)."""
-    values = VrmValues(*_GRID.T)
+    values = (_GRID[:, 0], _GRID[:, 1], _GRID[:, 2])
     paths = [_Path.of(made, sway) for sway in (_STANDING, *_GOING)]
     out: list[np.ndarray] = [np.zeros((len(chain), 3)) for chain in made.chains]
     for link in range(max(map(len, made.chains), default=0)):
@@ -135,7 +123,7 @@ def fitted_springs(made: Chained) -> list[np.ndarray]:
         for number, chosen in zip(rows, _GRID[best], strict=True):
             out[number][link] = chosen
         for path in paths:
-            path.go_on(rows, bones, VrmValues(*_GRID[best].T[:, :, None]))
+            path.go_on(rows, bones, (*_GRID[best].T[:, :, None],))
     return out
 
 
@@ -167,9 +155,10 @@ class _Path:
         """Distance of VRM's tails of the chains' links from ours with each setting, over rigid, shape (C, S)."""
         true = np.stack([self.tails[number][:, link] for number in rows], axis=1)
         every = (len(self.heads) - 1) // (len(true) - 1)
-        out = np.zeros((len(rows), values.stiffness.shape[-1]))
-        own = VrmValues(*(np.broadcast_to(one, out.shape) for one in (values.stiffness, values.drag, values.gravity)))
-        for step, tails in enumerate(vrm_steps(self.turns[:, rows], self.heads[:, rows], bones, own)):
+        out = np.zeros((len(rows), values[0].shape[-1]))
+        stiffness, drag, gravity = (np.broadcast_to(value, out.shape) for value in values)
+        settings = (stiffness, drag, gravity)
+        for step, tails in enumerate(vrm_steps(self.turns[:, rows], self.heads[:, rows], bones, settings)):
             if step % every == 0:
                 away = tails - true[step // every][:, None]
                 out += np.sqrt(np.einsum("csa,csa->cs", away, away))

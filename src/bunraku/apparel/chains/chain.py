@@ -104,27 +104,16 @@ def parameters_of(kind: str) -> ChainParameters:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """R links in a row.
+    """R links in a row."""
 
-    Args:
-        name: Of its first bone.
-        kind: One of `KINDS`.
-        bones: Bone of the rig that each link is, shape (R,).
-        points: Beginnings of the links, and the end of the last one [m], shape (R + 1, 3).
-        holder: The bone that it hangs on; a link of another chain where it branches off.
-        width: Half the width of what each link holds [m], shape (R,).
-        thick: Half its thickness [m].
-        parameters: How it swings.
-    """
-
-    name: str
-    kind: str
-    bones: np.ndarray
-    points: np.ndarray
-    holder: int
-    width: np.ndarray
-    thick: float
-    parameters: ChainParameters
+    name: str  # of its first bone
+    kind: str  # one of `KINDS`
+    bones: np.ndarray  # bone of the rig that each link is, shape (R,)
+    points: np.ndarray  # beginnings of the links, and the end of the last one [m], shape (R + 1, 3)
+    holder: int  # the bone that it hangs on; a link of another chain where it branches off
+    width: np.ndarray  # half the width of what each link holds [m], shape (R,)
+    thick: float  # half its thickness [m]
+    parameters: ChainParameters  # how it swings
 
     @property
     def length(self) -> float:

@@ -199,21 +199,15 @@ def _ties(one: Chain, other: Chain, bodies: list[int], others: list[int]) -> lis
 
 @dataclass(frozen=True, eq=False)
 class LaidChains:
-    """Chains over a mesh, numbered apart from any rig: bone j < 22 is a joint of the body, bone 22 + l a link.
+    """Chains over a mesh, numbered apart from any rig: bone j < 22 is a joint of the body, bone 22 + l a link."""
 
-    Args:
-        chains: Each after the one that it hangs on.
-        ties: Pairs of chains that are neighbours of one sheet.
-        vertices: Vertices that links hold, shape (A,).
-        links, shares: The links that hold each, and by how much, shape (A, L); the rest of 1 is the body's.
-        near: Pairs of chains of one piece whose skin blends into each other, and how much of it they share.
-    """
-
-    chains: tuple[Chain, ...]
-    ties: tuple[tuple[int, int], ...]
-    vertices: np.ndarray
+    chains: tuple[Chain, ...]  # each after the one that it hangs on
+    ties: tuple[tuple[int, int], ...]  # pairs of chains that are neighbours of one sheet
+    vertices: np.ndarray  # vertices that links hold, shape (A,)
+    # links, shares: the links that hold each, and by how much, shape (A, L); the rest of 1 is the body's
     links: np.ndarray
     shares: np.ndarray
+    # pairs of chains of one piece whose skin blends into each other, and how much of it they share
     near: tuple[tuple[int, int, float], ...] = ()
 
     @property
@@ -240,21 +234,14 @@ class LaidChains:
 
 @dataclass(frozen=True, eq=False)
 class Chained:
-    """A character whose rig has bones for its apparel.
+    """A character whose rig has bones for its apparel."""
 
-    Args:
-        character: Its rig has a bone for each link after its own bones, and one for the end of each chain.
-        chains: By the bones of that rig.
-        ties, near: As of `LaidChains`.
-        ends: Bone of the end of each chain.
-        colliders: Capsules of the legs.
-    """
-
-    character: Character
-    chains: tuple[Chain, ...]
+    character: Character  # its rig has a bone for each link after its own bones, and one for the end of each chain
+    chains: tuple[Chain, ...]  # by the bones of that rig
+    # ties, near: as of `LaidChains`
     ties: tuple[tuple[int, int], ...]
-    ends: tuple[int, ...]
-    colliders: tuple[MmdBody, ...]
+    ends: tuple[int, ...]  # bone of the end of each chain
+    colliders: tuple[MmdBody, ...]  # capsules of the legs
     near: tuple[tuple[int, int, float], ...] = ()
 
     def rig(self, tied: bool = True) -> ApparelRig:

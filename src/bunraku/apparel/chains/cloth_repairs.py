@@ -26,19 +26,12 @@ Frames = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class DressedChains:
-    """Chains on a clothed character.
+    """Chains on a clothed character."""
 
-    Args:
-        chained: The character whose rig has bones for its chains.
-        clothed: The same mesh.
-        bones: The bone of the rig that each of the 22 joints is, shape (22,).
-        bare: The rig without the chains; its skin goes with the body.
-    """
-
-    chained: Chained
-    clothed: ClothedCharacter
-    bones: np.ndarray
-    bare: Rig
+    chained: Chained  # the character whose rig has bones for its chains
+    clothed: ClothedCharacter  # the same mesh
+    bones: np.ndarray  # the bone of the rig that each of the 22 joints is, shape (22,)
+    bare: Rig  # the rig without the chains; its skin goes with the body
 
     @property
     def chains(self) -> tuple[Chain, ...]:

@@ -50,20 +50,13 @@ SHORTEST = 5e-3  # of a link, over the height
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """What each bone holds.
+    """What each bone holds."""
 
-    Args:
-        bone: The bone that holds most of each vertex, shape (V,).
-        free: The share of each vertex that no bone of the body holds, shape (V,).
-        mass: Sum of the weights of each bone, shape (J,).
-        rim: Vertices at an open edge of the surface, shape (V,), bool.
-        edges: Between points of the surface, shape (E, 2), and the point of each vertex, shape (V,).
-    """
-
-    bone: np.ndarray
-    free: np.ndarray
-    mass: np.ndarray
-    rim: np.ndarray
+    bone: np.ndarray  # the bone that holds most of each vertex, shape (V,)
+    free: np.ndarray  # the share of each vertex that no bone of the body holds, shape (V,)
+    mass: np.ndarray  # sum of the weights of each bone, shape (J,)
+    rim: np.ndarray  # vertices at an open edge of the surface, shape (V,), bool
+    # between points of the surface, shape (E, 2), and the point of each vertex, shape (V,)
     edges: tuple[np.ndarray, np.ndarray]
 
     @classmethod

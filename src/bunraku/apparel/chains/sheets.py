@@ -42,25 +42,15 @@ _ARMS = sided("shoulder", "elbow", "wrist")
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A connected piece.
+    """A connected piece."""
 
-    Args:
-        kind: One of `chain.KINDS`.
-        joint: The joint that carries it.
-        rows: Points of the surface (`clean_mesh`), shape (P,).
-        points: Their positions [m], shape (P, 3).
-        along: Distance along the surface from where it is held [m], shape (P,).
-        before: The point of `rows` that each is reached from, -1 where it is held, shape (P,).
-        graph: Lengths of the edges between points [m], (P, P).
-    """
-
-    kind: str
-    joint: int
-    rows: np.ndarray
-    points: np.ndarray
-    along: np.ndarray
-    before: np.ndarray
-    graph: csr_matrix
+    kind: str  # one of `chain.KINDS`
+    joint: int  # the joint that carries it
+    rows: np.ndarray  # points of the surface (`clean_mesh`), shape (P,)
+    points: np.ndarray  # their positions [m], shape (P, 3)
+    along: np.ndarray  # distance along the surface from where it is held [m], shape (P,)
+    before: np.ndarray  # the point of `rows` that each is reached from, -1 where it is held, shape (P,)
+    graph: csr_matrix  # lengths of the edges between points [m], (P, P)
 
 
 def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:

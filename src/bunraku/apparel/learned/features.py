@@ -302,25 +302,17 @@ CLEAR = 0.01  # how near to the body apparel may come that was farther off at re
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame of a clothed character.
+    """One frame of a clothed character."""
 
-    Args:
-        vectors: In the frames of the carrying joints, shape (M, VECTORS, 3); the first BASIS of them are a basis of
-            displacements.
-        scalars: Signed distances from the body of the carried node and of where it hangs; how far its own pendulum
-            rotates, and how far it presses against its limits; shape (M, SCALARS).
-        whole: The body's pose seen from the pelvis, shape (GLOBAL,).
-        turns: Frames R of the carrying joints, shape (M, 3, 3).
-        positions: Carried positions LBS(rest) [m], shape (M, 3).
-        body: Positions and normals of the body's points [m], shape (B, 3) each.
-    """
-
+    # in the frames of the carrying joints, shape (M, VECTORS, 3); the first BASIS of them are a basis of displacements
     vectors: np.ndarray
+    # signed distances from the body of the carried node and of where it hangs; how far its own pendulum rotates, and
+    # how far it presses against its limits; shape (M, SCALARS)
     scalars: np.ndarray
-    whole: np.ndarray
-    turns: np.ndarray
-    positions: np.ndarray
-    body: tuple[np.ndarray, np.ndarray]
+    whole: np.ndarray  # the body's pose seen from the pelvis, shape (GLOBAL,)
+    turns: np.ndarray  # frames R of the carrying joints, shape (M, 3, 3)
+    positions: np.ndarray  # carried positions LBS(rest) [m], shape (M, 3)
+    body: tuple[np.ndarray, np.ndarray]  # positions and normals of the body's points [m], shape (B, 3) each
 
 
 def static_features(clothed: ClothedCharacter, nodes: ApparelNodes) -> tuple[np.ndarray, np.ndarray]:

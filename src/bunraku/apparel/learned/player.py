@@ -24,7 +24,8 @@ from bunraku.apparel.learned.network import DisplacementNetwork, FoldedNetwork, 
 from bunraku.apparel.nodes import ApparelNodes, NodeGraph, apparel_nodes
 
 __all__ = [
-    "ApparelPlayer", "Carrier", "NODES", "Safety", "SafetySettings", "known_share", "node_turns", "polar_rotation",
+    "ApparelPlayer", "Carrier", "NODES", "Safety", "SafetySettings", "known_share", "network_inputs", "node_turns",
+    "polar_rotation",
 ]  # fmt: skip
 
 NEAR = 4
@@ -365,7 +366,6 @@ def _around(nodes: ApparelNodes, spread: float) -> np.ndarray:
 
 
 NODES = 256
-FADE = 0.9  # share of a known difference from the head that a frame leaves without a recurrent part
 SAFE_POINTS = 1500
 
 
@@ -394,7 +394,6 @@ class ApparelPlayer:
         self.recurrent = network.recurrent if recurrent else None
         self.features: MotionFeatures | None = None
         self.past: FoldedPast | None = None
-        self.known: np.ndarray | None = None
 
     def start(self, transforms: np.ndarray) -> None:
         """Begin before a first frame, `[R | t]` of the joints (Eq. 1), shape (22, 3, 4), with a second from the rest
@@ -402,27 +401,11 @@ class ApparelPlayer:
         """
         joints = self.clothed.joints
         self.features = MotionFeatures(self.clothed, self.nodes, rest_transforms(joints, transforms))
-        self.past = self.known = None
+        self.past = None
         for pose in lead_in_transforms(joints, transforms, LEAD_IN):
             frame = self.features.advance(pose)
             if self.recurrent is not None:
                 self._moved(frame, pose)
-
-    def know(self, states: np.ndarray, transforms: np.ndarray) -> None:
-        """Go through three frames with known apparel, and go on from there; `start` comes before it.
-
-        Args:
-            states: Displacements of the nodes in the frames of their joints, over the size, shape (3, M, 3).
-            transforms: `[R | t]` of the joints in these frames, shape (3, 22, 3, 4).
-        """
-        assert self.features is not None
-        kept = []
-        for state, pose in zip(states, transforms, strict=True):
-            frame = self.features.advance(np.asarray(pose, np.float32))
-            kept.append((state.astype(np.float32), self.folded.anchor(*_inputs(frame)), *self._carried_by(frame, pose)))
-        self.known = kept[-1][0] - kept[-1][1]
-        if self.recurrent is not None:
-            self.past = past_of_states(self.recurrent, *(np.stack(column) for column in zip(*kept, strict=True)))
 
     def advance(self, transforms: np.ndarray) -> np.ndarray:
         """The next frame, a thirtieth of a second later: positions of the apparel vertices (`carrier.vertices`) [m],
@@ -448,13 +431,10 @@ class ApparelPlayer:
 
     def _moved(self, frame: Frame, transforms: np.ndarray) -> np.ndarray:
         """Displacement of the nodes in the frames of their joints, over the size, shape (M, 3)."""
-        inputs = _inputs(frame)
+        inputs = network_inputs(frame)
         anchor = self.folded.anchor(*inputs)
         if self.recurrent is None:
-            if self.known is None:
-                return anchor
-            self.known = FADE * self.known
-            return np.asarray(anchor + self.known)
+            return anchor
         turns, positions = self._carried_by(frame, transforms)
         if self.past is None:  # at rest, as far as is known
             first = np.zeros_like(anchor) if self.recurrent.world else anchor
@@ -472,5 +452,5 @@ class ApparelPlayer:
         return np.stack([self.advance(pose) for pose in transforms])
 
 
-def _inputs(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def network_inputs(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.ascontiguousarray(frame.vectors), frame.scalars, frame.whole

@@ -29,27 +29,17 @@ _BONES = [(parent, joint) for joint, parent in enumerate(JOINT_PARENTS) if paren
 
 @dataclass(frozen=True, eq=False)
 class SampledMesh:
-    """S points of a mesh.
+    """S points of a mesh."""
 
-    Args:
-        clean: Clean vertex (`geometry.graph.clean_mesh`) that each is, shape (S,).
-        points: In units of the height, feet at 0, x and z from the pelvis, shape (S, 3), float32.
-        joints: J in the same units, shape (22, 3).
-        features: Input of the segmentation network, shape (S, POINT_FEATURES), float32.
-        part: Loose part of the mesh of each, shape (S,).
-        neighbours: Nearest points of the same part, shape (S, NEIGHBOURS).
-        index: Clean vertex of each vertex of the mesh, shape (V,).
-        nearest, shares: The nearest points of the same part to each vertex, shape (V, 3), and their weights, rows sum
-            to 1.
-    """
-
-    clean: np.ndarray
-    points: np.ndarray
-    joints: np.ndarray
-    features: np.ndarray
-    part: np.ndarray
-    neighbours: np.ndarray
-    index: np.ndarray
+    clean: np.ndarray  # clean vertex (`geometry.graph.clean_mesh`) that each is, shape (S,)
+    points: np.ndarray  # in units of the height, feet at 0, x and z from the pelvis, shape (S, 3), float32
+    joints: np.ndarray  # J in the same units, shape (22, 3)
+    features: np.ndarray  # input of the segmentation network, shape (S, POINT_FEATURES), float32
+    part: np.ndarray  # loose part of the mesh of each, shape (S,)
+    neighbours: np.ndarray  # nearest points of the same part, shape (S, NEIGHBOURS)
+    index: np.ndarray  # clean vertex of each vertex of the mesh, shape (V,)
+    # nearest, shares: the nearest points of the same part to each vertex, shape (V, 3), and their weights, rows sum to
+    # 1
     nearest: np.ndarray
     shares: np.ndarray
 
@@ -213,17 +203,11 @@ intersection over the union (0.739 in place of 0.719 on 44 characters for valida
 
 @dataclass(frozen=True, eq=False)
 class FoundApparel:
-    """The network's answer for each vertex of a mesh.
+    """The network's answer for each vertex of a mesh."""
 
-    Args:
-        likely: Probability to be apparel, shape (V,).
-        stiffness: As of `ClothedCharacter`, shape (V,).
-        damping: Share of the velocity that is lost in a second, shape (V,).
-    """
-
-    likely: np.ndarray
-    stiffness: np.ndarray
-    damping: np.ndarray
+    likely: np.ndarray  # probability to be apparel, shape (V,)
+    stiffness: np.ndarray  # as of `ClothedCharacter`, shape (V,)
+    damping: np.ndarray  # share of the velocity that is lost in a second, shape (V,)
 
     @property
     def mask(self) -> np.ndarray:

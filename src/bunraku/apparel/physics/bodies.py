@@ -139,22 +139,14 @@ SAME_PLACE = 2e-3  # joints nearer than this are at one position [m]
 
 @dataclass(frozen=True)
 class Link:
-    """How a dynamic body hangs.
+    """How a dynamic body hangs."""
 
-    Args:
-        body: The body.
-        parent: The dynamic body that it hangs on, -1 for a bone.
-        bone: The bone that it hangs on where `parent` is -1; -1 for the world.
-        joint: The joint, None for a free ball joint at its bone.
-        turned: Whether the body is A of the joint, and its holder B.
-        more: Other joints of the same two bodies at the same position, each with whether the body is its A.
-    """
-
-    body: int
-    parent: int
-    bone: int
-    joint: MmdJoint | None
-    turned: bool = False
+    body: int  # the body
+    parent: int  # the dynamic body that it hangs on, -1 for a bone
+    bone: int  # the bone that it hangs on where `parent` is -1; -1 for the world
+    joint: MmdJoint | None  # the joint, None for a free ball joint at its bone
+    turned: bool = False  # whether the body is A of the joint, and its holder B
+    # other joints of the same two bodies at the same position, each with whether the body is its A
     more: tuple[tuple[MmdJoint, bool], ...] = ()
 
 
@@ -171,19 +163,13 @@ class Loop:
 
 @dataclass
 class Forest:
-    """How all bodies hang.
+    """How all bodies hang."""
 
-    Args:
-        links: Of the dynamic bodies, each after the one that it hangs on.
-        loops: Joints that close loops.
-        carried: Dynamic body that carries a body which follows a bone below it, by the index of the latter.
-        notes: What was repaired.
-    """
-
-    links: list[Link] = field(default_factory=list)
-    loops: list[Loop] = field(default_factory=list)
+    links: list[Link] = field(default_factory=list)  # of the dynamic bodies, each after the one that it hangs on
+    loops: list[Loop] = field(default_factory=list)  # joints that close loops
+    # dynamic body that carries a body which follows a bone below it, by the index of the latter
     carried: dict[int, int] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # what was repaired
 
 
 Owner = tuple[int, int]  # a dynamic body and -1, or -1 and a bone
@@ -329,20 +315,14 @@ _ANGLE_UNIT = MMD_METRE**2  # torques of MMD are mass times its unit squared ove
 
 @dataclass(frozen=True)
 class Freedom:
-    """One joint of MuJoCo.
+    """One joint of MuJoCo."""
 
-    Args:
-        kind: "slide", "hinge" or "ball".
-        axis: In the axes of the world at rest, shape (3,).
-        lower, upper: Limits [m or rad]; both infinite without limits.
-        stiffness: Of its spring [kg/s^2 or N m/rad].
-    """
-
-    kind: str
-    axis: np.ndarray
+    kind: str  # "slide", "hinge" or "ball"
+    axis: np.ndarray  # in the axes of the world at rest, shape (3,)
+    # lower, upper: limits [m or rad]; both infinite without limits
     lower: float
     upper: float
-    stiffness: float
+    stiffness: float  # of its spring [kg/s^2 or N m/rad]
 
     @property
     def limited(self) -> bool:

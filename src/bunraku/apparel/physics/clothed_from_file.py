@@ -62,26 +62,17 @@ SLIDE = 0.1  # as far an axis slides that is free altogether (`world`) [m]
 
 @dataclass(frozen=True, eq=False)
 class _Joint:
-    """What a dynamic body hangs on.
+    """What a dynamic body hangs on."""
 
-    Args:
-        pivot: Its centre of rotation [m], shape (3,).
-        axes: Of rotation, in the world at rest, rows, shape (A, 3).
-        lower, upper: Limits about each [rad], shape (A,).
-        stiffness: About each [N m / rad], shape (A,).
-        sag: How far that gives way to the weight that hangs on it, lying level [rad], shape (A,).
-        slides: How far it slides [m].
-        frame: Its own axes, columns, shape (3, 3).
-    """
-
-    pivot: np.ndarray
-    axes: np.ndarray
+    pivot: np.ndarray  # its centre of rotation [m], shape (3,)
+    axes: np.ndarray  # of rotation, in the world at rest, rows, shape (A, 3)
+    # lower, upper: limits about each [rad], shape (A,)
     lower: np.ndarray
     upper: np.ndarray
-    stiffness: np.ndarray
-    sag: np.ndarray
-    slides: float
-    frame: np.ndarray
+    stiffness: np.ndarray  # about each [N m / rad], shape (A,)
+    sag: np.ndarray  # how far that gives way to the weight that hangs on it, lying level [rad], shape (A,)
+    slides: float  # how far it slides [m]
+    frame: np.ndarray  # its own axes, columns, shape (3, 3)
 
     @property
     def turn(self) -> float:
@@ -260,19 +251,12 @@ def _moved_bones(rig: ApparelRig, parents: np.ndarray) -> dict[int, int]:
 
 @dataclass(frozen=True, eq=False)
 class PartSprings:
-    """Means over the bodies that hold the vertices of each of P parts.
+    """Means over the bodies that hold the vertices of each of P parts."""
 
-    Args:
-        spring: Stiffness of a joint against swinging [N m / rad], shape (P,), float32.
-        mass: Of a body, as in the file, shape (P,).
-        damping: Share of the velocity that a body loses in a second, shape (P,).
-        limit: How far a joint may bend [rad], shape (P,).
-    """
-
-    spring: np.ndarray
-    mass: np.ndarray
-    damping: np.ndarray
-    limit: np.ndarray
+    spring: np.ndarray  # stiffness of a joint against swinging [N m / rad], shape (P,), float32
+    mass: np.ndarray  # of a body, as in the file, shape (P,)
+    damping: np.ndarray  # share of the velocity that a body loses in a second, shape (P,)
+    limit: np.ndarray  # how far a joint may bend [rad], shape (P,)
 
 
 def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> PartSprings:

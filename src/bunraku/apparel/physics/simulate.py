@@ -69,16 +69,11 @@ class Drive:
     Between frames positions go along cubic curves (Catmull and Rom's) and so do quaternions, which are normalised: at
     30 frames a second that is a slerp whose speed does not jump. Where a bone jumps, faster than `cut`, nothing lies
     between.
-
-    Args:
-        positions: Of the bones [m], shape (F, R, 3).
-        quaternions: wxyz, shape (F, R, 4), without jumps of sign.
-        jumps: Whether the way from a frame to the next one is a jump, shape (F - 1,).
     """
 
-    positions: np.ndarray
-    quaternions: np.ndarray
-    jumps: np.ndarray
+    positions: np.ndarray  # of the bones [m], shape (F, R, 3)
+    quaternions: np.ndarray  # wxyz, shape (F, R, 4), without jumps of sign
+    jumps: np.ndarray  # whether the way from a frame to the next one is a jump, shape (F - 1,)
 
     @classmethod
     def of(cls, rotations: np.ndarray, positions: np.ndarray, fps: float, cut: float) -> Drive:

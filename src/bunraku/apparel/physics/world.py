@@ -124,38 +124,27 @@ LIGHT = 0.05  # mass of a slider over that of the lighter body
 
 @dataclass
 class World:
-    """What is simulated.
+    """What is simulated."""
 
-    Args:
-        model, data: MuJoCo's.
-        step: Time step [s].
-        bones: Bones that drive it, shape (R,).
-        root_qpos, root_qvel: Beginnings of their states, shape (R,).
-        weight: Mass of a driven bone [kg], and its moment of inertia [kg m^2].
-        bodies: Indices of the dynamic bodies, in the order of the forest, shape (D,).
-        ids, anchors: MuJoCo's body of each, and of its holder, shape (D,).
-        drags: Rate at which each loses speed against the air [1/s], shape (D, 1), of displacement and of rotation.
-        pulls: Acceleration of each in place of gravity [m/s^2], shape (D, 3).
-        states: Indices of the qpos and qvel of each.
-        below: Indices in this list of each body and of all that hang on it.
-        notes: What was left out or repaired.
-    """
-
+    # model, data: muJoCo's
     model: Any
     data: Any
-    step: float
-    bones: np.ndarray
+    step: float  # time step [s]
+    bones: np.ndarray  # bones that drive it, shape (R,)
+    # root_qpos, root_qvel: beginnings of their states, shape (R,)
     root_qpos: np.ndarray
     root_qvel: np.ndarray
-    weight: float
-    bodies: np.ndarray
+    weight: float  # mass of a driven bone [kg], and its moment of inertia [kg m^2]
+    bodies: np.ndarray  # indices of the dynamic bodies, in the order of the forest, shape (D,)
+    # ids, anchors: muJoCo's body of each, and of its holder, shape (D,)
     ids: np.ndarray
     anchors: np.ndarray
+    # rate at which each loses speed against the air [1/s], shape (D, 1), of displacement and of rotation
     drags: tuple[np.ndarray, np.ndarray]
-    pulls: np.ndarray
-    states: list[tuple[np.ndarray, np.ndarray]]
-    below: list[list[int]]
-    notes: tuple[str, ...]
+    pulls: np.ndarray  # acceleration of each in place of gravity [m/s^2], shape (D, 3)
+    states: list[tuple[np.ndarray, np.ndarray]]  # indices of the qpos and qvel of each
+    below: list[list[int]]  # indices in this list of each body and of all that hang on it
+    notes: tuple[str, ...]  # what was left out or repaired
 
 
 def build_world(
