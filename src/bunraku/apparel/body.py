@@ -160,7 +160,7 @@ class BodyVolume:
 
     @classmethod
     def of(cls, body: UnifiedBody, apparel: np.ndarray, most_faces: int = _MOST_FACES) -> BodyVolume:
-        """The volume of a body and its mask (V,), bool; arguments and errors as of `of_mesh`."""
+        """The volume of a body and its mask (V,), bool; otherwise as `of_mesh`."""
         character = body.parts.character
         return cls.of_mesh(character.vertices, character.faces, body.weights, apparel, character.name, most_faces)
 
@@ -169,14 +169,8 @@ class BodyVolume:
         cls, vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel: np.ndarray, name: str,
         most_faces: int = _MOST_FACES,
     ) -> BodyVolume:  # fmt: skip
-        """The volume of a mesh.
-
-        Args:
-            vertices, faces: Rest mesh [m], shapes (V, 3) and (F, 3).
-            weights: For the 22 joints, shape (V, 22).
-            apparel: Its mask, shape (V,), bool.
-            name: Of the character.
-            most_faces: A body with more is simplified to about so many, which moves its surface by a millimetre or two.
+        """The volume of a rest mesh [m] with weights for the 22 joints (V, 22) and its mask (V,), bool. A body with
+        more faces than `most_faces` is simplified to about so many, which moves its surface by a millimetre or two.
 
         Raises:
             CharacterError: All of the character is apparel.
@@ -348,14 +342,9 @@ _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 def body_depth(
     vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel: np.ndarray, scale: float = 1.0
 ) -> BodyDepth | None:
-    """The grid of a character's body; None where all of it is apparel. Those of the last bodies are kept, because
-    apparel is often made again for the same body.
-
-    Args:
-        vertices, faces: Rest mesh [m], shapes (V, 3) and (F, 3).
-        weights: For the 22 joints, shape (V, 22).
-        apparel: Its mask, shape (V,), bool.
-        scale: As of `ClothedCharacter`.
+    """The grid of a body by its rest mesh [m], weights for the 22 joints (V, 22) and mask (V,), and the scale as of
+    `ClothedCharacter`; None where all of it is apparel. Those of the last bodies are kept, because apparel is often
+    made again for the same body.
     """
     if not len(faces[~apparel[faces].any(axis=1)]):
         return None
@@ -470,12 +459,8 @@ def body_points(clothed: ClothedCharacter, most: int = 512) -> BodyPoints:
 
 
 def nearest_point(points: np.ndarray, positions: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The plane of the nearest body point: signed distance of each point from it, shape (M,), and its normal (M, 3);
-    far away where there is no body.
-
-    Args:
-        points: [m], shape (M, 3).
-        positions, normals: Of the posed body, shape (B, 3).
+    """The plane of the nearest of the posed body's points (B, 3): signed distance of each point (M, 3) from it [m],
+    shape (M,), and its normal (M, 3); far away where there is no body.
     """
     if not len(positions):
         return np.full(len(points), 10.0, np.float32), np.zeros_like(points)

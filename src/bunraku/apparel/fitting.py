@@ -47,13 +47,8 @@ def joints_of_handles(
     vertices: np.ndarray, weights: np.ndarray, areas: np.ndarray, positions: np.ndarray
 ) -> np.ndarray:
     """Joints that the handles rotate about [m], shape (22, 3): in the middle of the skin that a handle shares with the
-    one above it; the pelvis is its handle.
-
-    Args:
-        vertices: Rest mesh [m], shape (V, 3).
-        weights: Of the 22 joints, shape (V, 22).
-        areas: Of the vertices, shape (V,).
-        positions: Of the handles [m], taken where two share nothing, shape (22 or more, 3).
+    one above it, by weights of the joints (V, 22) and areas (V,), or at the handle where two share nothing; the pelvis
+    is its handle.
     """
     out = np.array(positions[:JOINT_COUNT], np.float64)
     for joint in range(1, JOINT_COUNT):
@@ -67,13 +62,8 @@ def fitted_clothes(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray,
     stiffness: np.ndarray, damping: np.ndarray,
 ) -> ClothedCharacter:  # fmt: skip
-    """A clothed character whose apparel goes as a whole with the joint that its parts hang on, whatever its skin says.
-
-    Args:
-        vertices, faces, joints: As of `ClothedCharacter`.
-        weights: Of the body for the 22 joints, shape (V, 22).
-        apparel: The mask, shape (V,), bool.
-        stiffness, damping: Of each vertex, shape (V,).
+    """A clothed character whose apparel goes as a whole with the joint that its parts hang on, whatever its skin says,
+    by the weights of the body (V, 22), the mask, and the stiffness and damping of each vertex, shape (V,).
     """
     apparel = _without_specks(vertices, faces, apparel, SPECK * float(np.ptp(vertices[:, 1])))
     part = apparel_parts(vertices, faces, apparel)
@@ -111,13 +101,8 @@ def fitted_clothes(
 def without_worn(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray
 ) -> np.ndarray:
-    """A mask without what limbs wear. What a limb holds and goes round it, on a part that goes on beyond it, is a
+    """A mask (V,) without what limbs wear. What a limb holds and goes round it, on a part that goes on beyond it, is a
     sleeve or a leg of trousers: on the joint that carries the rest it would stay behind.
-
-    Args:
-        vertices, faces, joints: As of `ClothedCharacter`.
-        weights: Of the body for the 22 joints, shape (V, 22).
-        apparel: The mask, shape (V,), bool.
     """
     out = np.array(apparel)
     part = apparel_parts(vertices, faces, apparel)
@@ -207,13 +192,9 @@ def _without_specks(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray
 
 
 def fitted_rig(character: Character, clothed: ClothedCharacter, bones: np.ndarray) -> Character:
-    """The character with apparel on the bone of the joint that carries it: hair that lies on an arm goes with the head.
-    Where apparel begins within a sheet, its skin blends into that bone, so that nothing is torn.
-
-    Args:
-        character: With a rig.
-        clothed: The same mesh, its parts on one joint each.
-        bones: The bone of the rig that each of the 22 joints is, shape (22,).
+    """The character with apparel on the bone of the joint that carries it, by the bone of each of the 22 joints: hair
+    that lies on an arm goes with the head. Where apparel begins within a sheet, its skin blends into that bone, so that
+    nothing is torn.
     """
     rig = character.rig
     assert rig is not None

@@ -53,10 +53,8 @@ def hanging_mask(
 
     Args:
         vertices, faces: Rest mesh [m], +Y up and facing +Z, shapes (V, 3) and (F, 3).
-        joints: J [m], shape (22, 3).
-        weights: Of the vertices for them, shape (V, 22).
-        areas: Of the vertices, shape (V,).
-        likely: Probability to be apparel, shape (V,).
+        joints, weights: J [m], shape (22, 3), and the weights of the vertices for them, shape (V, 22).
+        areas, likely: Areas of the vertices, and their probability to be apparel, shape (V,).
         mask: The apparel of a network, shape (V,), bool.
 
     Raises:

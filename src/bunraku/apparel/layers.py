@@ -36,19 +36,13 @@ MOST = 0.2  # farther than this nothing is laid over another, over the same [m]
 
 
 class _How(NamedTuple):
-    """How something lies over something else. Lengths are over the character's size [m]; all were chosen by eye.
+    """How something lies over something else. Lengths are over the character's size [m]; all were chosen by eye."""
 
-    Args:
-        near: Points at rest under a vertex that it must stay over.
-        clear: How far over them it stays where it was farther off at rest.
-        beside: Distances from the way out of a point at which it begins not to count, and counts no more.
-        reach: How near they must be at rest.
-    """
-
-    near: int
-    clear: float
+    near: int  # points at rest under a vertex that it must stay over
+    clear: float  # how far over them it stays where it was farther off at rest
+    # distances from the way out of a point at which it begins not to count, and counts no more
     beside: tuple[float, float]
-    reach: float
+    reach: float  # how near they must be at rest
 
 
 OVER_LEGS = _How(32, 0.015, (0.06, 0.14), np.inf)
@@ -56,11 +50,7 @@ OVER_PARTS = _How(12, 0.006, (0.06, 0.14), 0.08)
 
 
 class Layers:
-    """The stage for one clothed character.
-
-    Args:
-        clothed: The character; its body has weights of its own.
-        vertices: The apparel vertices that are moved, in order, shape (A,).
+    """The stage for one clothed character and its apparel vertices, in order, shape (A,).
 
     Attributes:
         seen: Vertices of the mesh that `clip` needs as their skin moves them, shape (S,).
@@ -144,15 +134,8 @@ class Layers:
 
 
 class _Over:
-    """Apparel vertices, and what each lies over at rest.
-
-    Args:
-        clothed: The character.
-        part: Number of the sheet of each vertex, -1 on the body, shape (V,).
-        vertices: All apparel vertices that are moved, shape (A,).
-        rows: Rows of those that may lie over something, shape (R,).
-        under: The vertices that they may lie over, for each part, or for all (None).
-        how: The distances.
+    """Apparel vertices (A,), those in `rows` of which may lie over something, and what each lies over at rest: `under`
+    for each part of the sheets (V,), or for all (None).
     """
 
     def __init__(
@@ -222,11 +205,8 @@ class _Over:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Where a chosen vertex is not as far over one of its points as it must be: the row of the vertex, shape (L,),
         by how much [m], its weight, from 0, far beside the way out of the point, to 1, and these ways, shape (3, L).
-
-        Args:
-            positions: Of all apparel vertices [m], shape (A, 3).
-            points: Of the `used` ones [m], shape (U, 3).
-            most: Vertices that lack as much are passed over [m].
+        Positions are those of all apparel vertices (A, 3), points those that are `used` (U, 3); vertices that lack
+        `most` are passed over.
         """
         ways = vertex_normals(points, self.corners).astype(np.float32).T.take(self.under, axis=1)
         away = positions[self.mine].T.take(self.row, axis=1)

@@ -156,12 +156,8 @@ def _spread(points: np.ndarray, parts: np.ndarray, most: int) -> np.ndarray:
 
 
 def part_neighbours(points: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """The nearest other points of the same part, nearest first; the point itself where there are too few, shape (M,
-    NEIGHBOURS).
-
-    Args:
-        points: [m], shape (M, 3).
-        parts: Part of each, shape (M,).
+    """The nearest other points [m] (M, 3) of the same part (M,), nearest first; the point itself where there are too
+    few, shape (M, NEIGHBOURS).
     """
     out = np.repeat(np.arange(len(points))[:, None], NEIGHBOURS, axis=1)
     for part in np.unique(parts):
@@ -222,15 +218,9 @@ def clothed_with_springs(
     clothed: ClothedCharacter, spring: np.ndarray, mass: np.ndarray, limit: np.ndarray, dial: float = 1.0,
     swing: Swing | None = None,
 ) -> ClothedCharacter:  # fmt: skip
-    """A clothed character whose parts are as stiff as a file says.
-
-    Args:
-        clothed: The character, of any stiffness.
-        spring: Of a joint of each part [N m / rad], shape (P,).
-        mass: Of a body of each [kg], shape (P,).
-        limit: How far a joint of each may rotate [rad], shape (P,).
-        dial: Factor on the stiffness; limits are narrower by its root.
-        swing: Of its vertices, where it is known.
+    """A clothed character whose parts are as stiff as a file says: by the spring of a joint [N m / rad], the mass of a
+    body [kg] and the limit of a joint [rad] of each part, shape (P,), and the swing of its vertices, where it is known.
+    `dial` is a factor on the stiffness; limits are narrower by its root.
     """
     limit = np.clip(limit, NARROW, FREE).astype(np.float32)
     stiffness = part_stiffness(spring, mass, part_lengths(clothed), dial, limit)

@@ -31,15 +31,9 @@ def take_of(name: str) -> str:
 
 
 class ExampleBank:
-    """Examples in a network's units with the vectors of their sentences, computed when needed.
-
-    Args:
-        pack: Its captured examples are used; gestures made by code are not.
-        ranker: The network that placed them.
-        encoder: The denoiser's text encoder, whose tokens the ranker reads too.
-        statistics: Units of the network.
-        count: Examples of a sentence, R.
-        frames: Longest example; longer ones are cut.
+    """`count` examples of each sentence in a network's units (`statistics`), with the vectors of their sentences,
+    computed when needed. The captured ones of the pack are used, not gestures made by code; those longer than `frames`
+    are cut.
     """
 
     def __init__(

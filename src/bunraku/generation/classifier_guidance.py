@@ -38,14 +38,8 @@ class Spoken:
 
 
 class ClassifierGuidance:
-    """Guides each predicted x0 towards its sentences.
-
-    Args:
-        network: Trained with motions and sentences of people (`extractor`).
-        mean, std: Of the features, shape (D,).
-        stretches: What is guided.
-        strength: Root mean square of a step.
-        rounds: How often each prediction is guided.
+    """Guides each predicted x0 towards the sentences of its stretches, `rounds` times by steps with a root mean square
+    of `strength`; mean and deviation are those of the features, shape (D,).
     """
 
     def __init__(
@@ -101,15 +95,8 @@ class Critic:
         self, model: Denoiser, scripts: Sequence[Sequence[str]], lengths: Sequence[Sequence[int]], sizes: Sequence[int],
         guide: tuple[np.ndarray, np.ndarray, np.ndarray] | None, steps: int = FEW,
     ) -> ClassifierGuidance:  # fmt: skip
-        """For motions one after the other on the time line.
-
-        Args:
-            model: The denoiser.
-            scripts: Sentences of each.
-            lengths: Frames of each sentence.
-            sizes: Frames of each motion on the time line.
-            guide: As of `Steering`.
-            steps: Of the sampler.
+        """For motions one after the other on the time line: sentences of each, frames of each sentence, frames of each
+        motion, the guide as of `Steering`, and the steps of the sampler.
         """
         stretches: list[Spoken] = []
         begin = 0

@@ -132,12 +132,8 @@ class _Affine(NamedTuple):
 
 
 def with_limbs(features: np.ndarray, gesture: np.ndarray, script: Sequence[tuple[Clause, int]]) -> np.ndarray:
-    """A motion with the limbs of a gesture wherever its clauses say so.
-
-    Args:
-        features: Of each frame (`features`), shape (N, D).
-        gesture: The same of a person who does nothing else.
-        script: The motion's clauses with the frames that each lasts.
+    """A motion with the limbs of a gesture, of a person who does nothing else, wherever its clauses say so; both as
+    features (N, D).
     """
     out = features.copy()
     for clause, span in clause_spans(script):

@@ -135,16 +135,11 @@ KIND = "diffusion"
 class Denoiser:
     """Predicts x0 and the adaptation from a noisy motion, the step, a sentence and a mesh feature.
 
-    Motion enters and leaves in network units (see `FeatureStatistics`); the statistics travel with the weights.
-
-    Args:
-        config: Its sizes.
-        weights: Of a checkpoint.
-        notes: The checkpoint's notes on its training.
-        visited: The few steps that the weights were distilled for, falling; empty for others.
+    Motion enters and leaves in network units (see `FeatureStatistics`); the statistics travel with the weights, as do
+    notes on the training. `visited` are the few steps that the weights were distilled for, falling; empty for others.
 
     Raises:
-        ValueError: The weights have other sizes.
+        ValueError: The weights have other sizes than the config.
     """
 
     def __init__(

@@ -65,13 +65,8 @@ _NEVER = np.float32(-1e4)
 class Extractor:
     """Motion encoder and text encoder. The statistics of the training features travel with the weights.
 
-    Args:
-        config: Its sizes.
-        weights: Of a checkpoint.
-        notes: The checkpoint's notes on its training.
-
     Raises:
-        ValueError: The weights have other sizes.
+        ValueError: The weights have other sizes than the config.
     """
 
     def __init__(self, config: ExtractorConfig, weights: Weights, notes: dict[str, Any] | None = None):

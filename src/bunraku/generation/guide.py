@@ -268,15 +268,8 @@ def laid_script(
     pack: ExamplePack, parts: Sequence[tuple[Found | None, int]], frames: int, statistics: FeatureStatistics,
     random: np.random.Generator, manners: Sequence[Manner] = (),
 ) -> Guide:  # fmt: skip
-    """The examples of sentences in a row; frames of a sentence without one are the sampler's own.
-
-    Args:
-        pack: Of the examples.
-        parts: For each sentence its example and its frames.
-        frames: On the time line, at least those of the parts.
-        statistics: Units of the network.
-        random: Draws when each begins.
-        manners: How each is done; as usual where there are none.
+    """The examples of sentences in a row, each with its frames and its manner, on a time line of at least as many
+    frames; frames of a sentence without one are the sampler's own.
     """
     values, share = np.zeros((frames, FEATURE_SIZE), np.float32), np.zeros(frames, np.float32)
     made = np.zeros(frames, bool)
@@ -377,12 +370,8 @@ class GuidanceExamples:
         )
 
     def of(self, script: Sequence[tuple[Clause, int]], noise: tuple[int, int], number: int) -> GuidanceExample | None:
-        """The examples that a candidate starts from; None where no clause has one.
-
-        Args:
-            script: Clauses with the frames that each lasts.
-            noise: Seed and row of the motion's own noise: it orders the examples.
-            number: Of the candidate among those that start from examples.
+        """The examples that a candidate starts from, by its number among those that do; None where no clause has one.
+        Seed and row of the motion's noise order the examples.
         """
         seed = (noise[0] % 2**63, noise[1] % 2**63)
         random = np.random.default_rng(seed)

@@ -26,43 +26,27 @@ _RETIRED = ("architecture", "convolution")
 
 @dataclass(frozen=True)
 class DenoiserConfig:
-    """All that builds a denoiser; a checkpoint carries it.
+    """All that builds a denoiser; a checkpoint carries it."""
 
-    Args:
-        width: Size of a token, d.
-        layers: Decoder layers.
-        heads: Attention heads.
-        feedforward: Inner size of the feed-forward blocks.
-        frames: Longest motion in one pass.
-        frames_per_token: Frames that share a token.
-        features: Numbers a frame, D.
-        handles: Mesh handles, K.
-        mesh_features: Size of f_phi.
-        text_encoder: Name of the text encoder that it was trained with.
-        text_size, pooled_size: Sizes of its tokens and of its sentence vector.
-        fps: Frames a second [1/s].
-        adaptation_mesh: Whether the adaptation's linear layer sees the mesh token beside the hidden state.
-        adaptation_frame: Output of that layer: "root", offsets in the root's frame as in the paper; or "joints", how
-            far the joint between each handle and its parent should be moved, which gives `joint_offsets`.
-        examples: Captured examples, retrieved for the sentence, that motion tokens attend to; 0 for none.
-    """
-
-    width: int = 256
-    layers: int = 8
-    heads: int = 4
-    feedforward: int = 1024
-    frames: int = 196
-    frames_per_token: int = 4
-    features: int = FEATURE_SIZE
-    handles: int = HANDLE_COUNT
-    mesh_features: int = 448
-    text_encoder: str = "all-MiniLM-L6-v2"
+    width: int = 256  # size of a token, d
+    layers: int = 8  # decoder layers
+    heads: int = 4  # attention heads
+    feedforward: int = 1024  # inner size of the feed-forward blocks
+    frames: int = 196  # longest motion in one pass
+    frames_per_token: int = 4  # frames that share a token
+    features: int = FEATURE_SIZE  # numbers a frame, D
+    handles: int = HANDLE_COUNT  # mesh handles, K
+    mesh_features: int = 448  # size of f_phi
+    text_encoder: str = "all-MiniLM-L6-v2"  # name of the text encoder that it was trained with
+    # text_size, pooled_size: sizes of its tokens and of its sentence vector
     text_size: int = 384
     pooled_size: int = 384
-    fps: float = 20.0
-    adaptation_mesh: bool = False
+    fps: float = 20.0  # frames a second [1/s]
+    adaptation_mesh: bool = False  # whether the adaptation's linear layer sees the mesh token beside the hidden state
+    # output of that layer: "root", offsets in the root's frame as in the paper; or "joints", how far the joint between
+    # each handle and its parent should be moved, which gives `joint_offsets`
     adaptation_frame: str = "root"
-    examples: int = 0
+    examples: int = 0  # captured examples, retrieved for the sentence, that motion tokens attend to; 0 for none
 
 
 def denoiser_config(data: Mapping[str, object]) -> DenoiserConfig:

@@ -42,13 +42,8 @@ def script_scores(
     ranker: Extractor, text: Mapping[str, np.ndarray], motions: Sequence[np.ndarray],
     scripts: Sequence[Sequence[tuple[Clause, int]]],
 ) -> np.ndarray:  # fmt: skip
-    """How well each motion does what its script says, the mean cosine over its sentences, shape (M,).
-
-    Args:
-        ranker: From `load_ranker`.
-        text: Its vectors of the sentences.
-        motions: Features of each motion, shape (N, 271).
-        scripts: For each motion its clauses with the frames that each lasts.
+    """How well each motion (N, 271) does what its script says, shape (M,): the mean cosine of the ranker's vectors over
+    its sentences.
     """
     pieces: list[np.ndarray] = []
     owners: list[tuple[int, str, int]] = []

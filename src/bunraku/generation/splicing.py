@@ -62,13 +62,8 @@ def played(values: np.ndarray, loop: tuple[int, int], target: int) -> np.ndarray
 
 
 def held(values: np.ndarray, frames: int, still: np.ndarray, ease: float = 0.0) -> np.ndarray:
-    """A motion with its last pose held for so many more frames, its root coming to rest.
-
-    Args:
-        values: Frames, shape (N, D).
-        frames: To add.
-        still: Velocities of a resting root, shape (3,).
-        ease: Share of the pose's change that is left from frame to frame; 0 stops it at once.
+    """A motion (N, D) with its last pose held for so many more frames, its root coming to the velocities of a resting
+    one (3,). `ease` is the share of the pose's change that is left from frame to frame; 0 stops it at once.
     """
     hold = np.repeat(values[-1:], frames, axis=0)
     count = np.arange(1, len(hold) + 1, dtype=np.float32)[:, None]
@@ -96,12 +91,8 @@ AROUND = BLEND + _LOST  # frames at an end that joining may change
 
 
 class Joins:
-    """Banks of standing and of walking, and how a motion is joined to them.
-
-    Args:
-        standing: Stretches of people who stand and hardly move, shape (N, D) each, network units.
-        walking: Walks and runs, with the frames of their loops (see `played`).
-        near: Mean squared difference in network units up to which two poses are joined.
+    """Banks of standing and of walking in network units, walks with the frames of their loops (see `played`), and how a
+    motion is joined to them: two poses up to `near` apart, in mean squared difference.
     """
 
     def __init__(
@@ -112,14 +103,8 @@ class Joins:
         self.standing, self.walking = list(standing), list(walking)
 
     def around(self, values: np.ndarray, target: int, goes: bool, random: np.random.Generator) -> np.ndarray:
-        """The motion with standing before and after it, or walking on after it, as far as poses agree, at most `target`
-        frames; the very array where nothing fits.
-
-        Args:
-            values: Its frames, shape (N, D).
-            target: Frames wanted.
-            goes: It is a walk or run, and may go on.
-            random: Draws the pieces.
+        """The motion (N, D) with standing before and after it, or walking on after it where it `goes`, as far as poses
+        agree, at most `target` frames; the very array where nothing fits.
         """
         room = target - len(values)
         before = int(random.integers(6, 50)) if random.random() < 0.6 else 0

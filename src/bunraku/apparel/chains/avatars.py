@@ -128,12 +128,9 @@ def fitted_springs(made: Chained) -> list[np.ndarray]:
 
 
 class _Path:
-    """A motion, where the links of C chains go in our simulation, and where VRM's steps have brought the link above.
-
-    Args:
-        turns, heads: Of the holder of each chain's first link at each step, shapes (T, C, 3, 3) and (T, C, 3).
-        tails: Of each chain in our simulation, shape (N, R, 3).
-        rigid: Their mean distance from where they would be without one [m], shape (C,).
+    """A motion, where the links of C chains go in our simulation, and where VRM's steps have brought the link above:
+    rotations (T, C, 3, 3) and positions (T, C, 3) of the holder of each chain's first link, the tails of each chain (N,
+    R, 3), and their mean distance from where they would be without a simulation [m], (C,).
     """
 
     def __init__(self, turns: np.ndarray, heads: np.ndarray, tails: Sequence[np.ndarray], rigid: np.ndarray):

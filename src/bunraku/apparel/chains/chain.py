@@ -29,25 +29,15 @@ KINDS = (*APPAREL_KINDS, "strand")  # kinds of chains; nothing is known of a str
 
 @dataclass(frozen=True)
 class ChainParameters:
-    """How a chain swings.
+    """How a chain swings."""
 
-    Args:
-        limit: How far a link rotates against the one above it [rad].
-        inward: Share of the limit towards the body.
-        stiffness: Spring of a link, over the moment of the weight that hangs on it; 0 for none.
-        damping: Share of the velocity that is lost in a second.
-        mass: Of the first link [kg]; links below are lighter, the last has half.
-        gravity: Factor on gravity.
-        root: Share of the limits that the first link has; it rises to 1 at the last.
-    """
-
-    limit: float
-    inward: float
-    stiffness: float
-    damping: float
-    mass: float = 0.5
-    gravity: float = 1.0
-    root: float = 1.0
+    limit: float  # how far a link rotates against the one above it [rad]
+    inward: float  # share of the limit towards the body
+    stiffness: float  # spring of a link, over the moment of the weight that hangs on it; 0 for none
+    damping: float  # share of the velocity that is lost in a second
+    mass: float = 0.5  # of the first link [kg]; links below are lighter, the last has half
+    gravity: float = 1.0  # factor on gravity
+    root: float = 1.0  # share of the limits that the first link has; it rises to 1 at the last
 
     def turned(self, stiffness: float = 1.0, gravity: float = 1.0) -> ChainParameters:
         """With a user's factors on springs and gravity; limits are narrower by the root of the stiffness."""

@@ -267,12 +267,8 @@ class Chained:
 
 
 def with_chains(character: Character, laid: LaidChains, bones: np.ndarray) -> Chained:
-    """A character's rig with a bone for each link of the chains that were laid over its mesh.
-
-    Args:
-        character: With a rig.
-        laid: Over the same vertices.
-        bones: The bone of the rig that each of the 22 joints is, shape (22,).
+    """A character's rig, in which each of the 22 joints is a bone (22,), with a bone for each link of the chains that
+    were laid over its mesh.
     """
     rig = character.rig
     assert rig is not None

@@ -168,13 +168,8 @@ class MendTears:
         return animation, torn
 
     def torn_parts(self, clothed: ClothedCharacter, shown: Frames, carried: Frames, count: int) -> set[int]:
-        """The parts that are torn.
-
-        Args:
-            clothed: The character.
-            shown: Its vertices with apparel moved.
-            carried: Its vertices with all going with the body.
-            count: How many frames there are.
+        """The parts that are torn, by vertices with apparel moved, and with all going with the body, in some of `count`
+        frames.
         """
         return {part for part, share in self.torn_shares(clothed, shown, carried, count).items() if share > self.most}
 

@@ -247,14 +247,10 @@ def _most(held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def with_parts_from_file(clothed: ClothedCharacter, tables: Mapping[str, Mapping[str, float]]) -> ClothedCharacter:
-    """A clothed character whose apparel swings as a file says; the rest stays.
+    """A clothed character whose apparel swings as the tables of a file say (`parameters_beside`); the rest stays.
 
     A part gets the mean of the parameters of the chains over it, by how much they hold. Where each vertex has a
     `swing`, those that a chain holds swing as far in all as its links together. Masses do not count here.
-
-    Args:
-        clothed: The character.
-        tables: Parameters by kinds and names of chains (`parameters_beside`).
 
     Raises:
         CharacterError: The mesh is broken.

@@ -26,12 +26,8 @@ _log = logging.getLogger(__name__)
 
 
 def moving_rig(character: Character, stiffness: float = 1.0, gravity: float = 1.0) -> ApparelRig | None:
-    """What physics move of a character: what its file says, or else the bones of its hair and clothes; None where it
-    has neither.
-
-    Args:
-        character: With a rig.
-        stiffness, gravity: Factors.
+    """What physics move of a character: what its file says, or else the bones of its hair and clothes; None for
+    neither.
 
     Raises:
         FormatError: The nodes of its file are broken.
@@ -73,13 +69,7 @@ def steady_simulation(
     progress: Callable[[float], None] | None = None,
 ) -> Simulation:  # fmt: skip
     """`simulate` for chains without an artist's tuning: bodies that fly off are simulated again, stiffer and in shorter
-    steps, and those that still do stay with the body.
-
-    Args:
-        animation: The motion of the rig.
-        rig: Its bodies and joints.
-        settings: Of the first attempt.
-        progress: Called with the share done of each attempt.
+    steps than in `settings`, and those that still do stay with the body.
     """
     settings = settings or PhysicsSettings()
     for attempt in range(2 * TRIES):
@@ -125,12 +115,7 @@ def check_apparel(character: Character) -> None:
 def with_apparel(
     animation: Animation | RigAnimation, progress: Progress | None = None, stiffness: float = 1.0, gravity: float = 1.0
 ) -> RigAnimation:
-    """The animation with its apparel simulated; problems are logged.
-
-    Args:
-        animation: Of bones.
-        progress: Called with a stage's name and the share done.
-        stiffness, gravity: Factors.
+    """The animation of bones with its apparel simulated, with factors on stiffness and gravity; problems are logged.
 
     Raises:
         CharacterError: There is no physics in its file and there are no bones to simulate, or it is moved by handles.

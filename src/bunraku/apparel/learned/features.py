@@ -31,12 +31,8 @@ FILTER_GRAVITY = 9.81
 
 
 class MotionFilters:
-    """The state of the filters, frame by frame.
-
-    Args:
-        positions: Of the M carried nodes in the first frame, over the character's size, shape (M, 3).
-        turns: Rotations of the J joints, shape (J, 3, 3).
-        fps: Frames a second [1/s].
+    """The state of the filters, frame by frame, for M carried nodes (M, 3), over the character's size, and the
+    rotations of J joints (J, 3, 3).
     """
 
     def __init__(self, positions: np.ndarray, turns: np.ndarray, fps: float = 30.0):
@@ -50,13 +46,8 @@ class MotionFilters:
 
     def advance(self, positions: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The next frame: velocity and acceleration of the nodes, shape (M, 3) each; `sway` and `late` hold the rest.
-
         The sway y of each oscillator is where a mass on a spring is, seen from its carrier: `y'' + 2 zeta omega y' +
         omega^2 y = -p''`, by semi-implicit Euler steps.
-
-        Args:
-            positions: Shape (M, 3).
-            turns: Shape (J, 3, 3).
         """
         velocity = (positions - self.positions[1]) / self.step
         acceleration = (positions - 2 * self.positions[1] + self.positions[0]) / self.step**2
@@ -76,8 +67,6 @@ class Pendulums:
         positions: Of the M carried nodes in the first frame, over the character's size, shape (M, 3).
         held: From where its part is held to each node, over the size, shape (M, 3).
         turns: Frames of the carrying joints, shape (M, 3, 3).
-        size: The character's [m].
-        fps: Frames a second [1/s].
     """
 
     def __init__(self, positions: np.ndarray, held: np.ndarray, turns: np.ndarray, size: float, fps: float = 30.0):
@@ -94,10 +83,6 @@ class Pendulums:
     def advance(self, positions: np.ndarray, turns: np.ndarray) -> np.ndarray:
         """The next frame: positions of the masses from the carried nodes, in the world over the size, shape (P, M, 3),
         by semi-implicit Euler steps, after each of which the rods have their lengths again.
-
-        Args:
-            positions: Shape (M, 3).
-            turns: Shape (M, 3, 3).
         """
         positions = np.asarray(positions, np.float32)
         rods = np.matmul(turns, self.held[..., None])[..., 0].astype(np.float32)
@@ -129,13 +114,8 @@ def rest_transforms(joints: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def lead_in_transforms(joints: np.ndarray, first: np.ndarray, frames: int) -> np.ndarray:
-    """Frames from the rest pose to the first frame of a clip, shape (frames, 22, 3, 4), float32; the pose changes in
-    the first 60 % of them.
-
-    Args:
-        joints: J [m], shape (22, 3).
-        first: The first frame, shape (22, 3, 4).
-        frames: How many.
+    """Frames from the rest pose with joints J (22, 3) to the first frame of a clip, (22, 3, 4), shape (frames, 22, 3,
+    4), float32; the pose changes in the first 60 % of them.
     """
     start, end = rest_transforms(joints, first), np.asarray(first, np.float64)
     share = np.clip(np.arange(frames) / max(BLEND * frames, 1), 0, 1)
@@ -174,15 +154,9 @@ SHORT = 5e-3  # arms count as no shorter [m]
 
 
 class OwnPendulum:
-    """Masses on arms of fixed length that rotate about the pivots of M nodes.
-
-    Args:
-        swing: Of the nodes.
-        positions: Of the carried nodes in the first frame [m], shape (M, 3).
-        turns: Frames of the carrying joints, shape (M, 3, 3).
-        fps: Frames a second [1/s].
-        ease: Factor on the friction against their carriers, shape (M,) or one for all.
-        calm: Further such friction [1/s], likewise.
+    """Masses on arms of fixed length that rotate about the pivots of M nodes, which are carried as for `Pendulums`.
+    `ease` is a factor on the friction against their carriers, `calm` further such friction [1/s], each of shape (M,) or
+    one for all.
 
     Attributes:
         bent: Rotation of each about its axes [rad], shape (3, M).
@@ -220,12 +194,7 @@ class OwnPendulum:
         return np.ascontiguousarray(frames), np.ascontiguousarray((positions - away).T)
 
     def advance(self, positions: np.ndarray, turns: np.ndarray) -> np.ndarray:
-        """The next frame: how far each node is from its carried position, in the world [m], shape (M, 3).
-
-        Args:
-            positions: Of the carried nodes [m], shape (M, 3).
-            turns: Frames of the carrying joints, shape (M, 3, 3).
-        """
+        """The next frame: how far each node is from its carried position, in the world [m], shape (M, 3)."""
         frames, pivots = self._hung(positions, turns)
         frame_change, pivot_change = (frames - self.frames) / OWN_SUBSTEPS, (pivots - self.pivots) / OWN_SUBSTEPS
         held = (pivot_change + _out(frame_change, self.arm * self.length)) / self.step
@@ -352,13 +321,8 @@ def _swing_features(swing: Swing, held: np.ndarray, told: bool) -> np.ndarray:
 
 
 class MotionFeatures:
-    """The features of a clothed character, frame by frame; call `advance` with one pose after the other.
-
-    Args:
-        clothed: The character.
-        nodes: Its nodes.
-        first: The first pose, `[R | t]` of the joints (Eq. 1), shape (22, 3, 4); before it all is at rest there.
-        fps: Frames a second [1/s].
+    """The features of a clothed character, frame by frame; call `advance` with one pose after the other. Before the
+    first pose, `[R | t]` of the joints (Eq. 1), shape (22, 3, 4), all is at rest there.
     """
 
     def __init__(self, clothed: ClothedCharacter, nodes: ApparelNodes, first: np.ndarray, fps: float = RATE):

@@ -50,15 +50,8 @@ class DisplacementConfig:
 
 
 class DisplacementPart:
-    """Encoder and decoder of the head or of the recurrent part.
-
-    Args:
-        extra: Features of a node beside `NODE_INPUT`.
-        width: Channels.
-        blocks: Edge convolutions.
-        outputs: Numbers that it gives for a node.
-        weights: Of a checkpoint.
-        world: Whether it is the paper's form of the recurrent part.
+    """Encoder and decoder of the head or of the recurrent part, `world` in the paper's form. `extra` are features of a
+    node beside `NODE_INPUT`, `outputs` its numbers for a node.
     """
 
     def __init__(self, extra: int, width: int, blocks: int, outputs: int, weights: Weights, world: bool = False):

@@ -154,27 +154,18 @@ FEW = 0.25  # share of the apparel around a node that must be pushed for it to m
 
 @dataclass(frozen=True)
 class SafetySettings:
-    """Bounds of the safety stage. Lengths are over the character's size [m].
+    """Bounds of the safety stage. Lengths are over the character's size [m]."""
 
-    Args:
-        shortest, longest: Of an edge of the apparel graph, over its length at rest.
-        clear: How near to the body nodes may come that were farther off at rest.
-        slack: How deep vertices may be that were outside at rest.
-        spread: How far around it a push out of the body takes the apparel along.
-        passes: Over all edges and the body.
-        most: Nodes deeper than this are on the wrong side of something thin and stay.
-        lift: Nodes that hang from the pelvis are moved no farther to lie over the legs.
-        stiff: Parts stiffer than the first begin to stay with their joints, those stiffer than the second do.
-    """
-
+    # shortest, longest: of an edge of the apparel graph, over its length at rest
     shortest: float = 0.85
     longest: float = 1.15
-    clear: float = 0.003
-    slack: float = 0.005
-    spread: float = 0.04
-    passes: int = 3
-    most: float = 0.1
-    lift: float = 0.25
+    clear: float = 0.003  # how near to the body nodes may come that were farther off at rest
+    slack: float = 0.005  # how deep vertices may be that were outside at rest
+    spread: float = 0.04  # how far around it a push out of the body takes the apparel along
+    passes: int = 3  # over all edges and the body
+    most: float = 0.1  # nodes deeper than this are on the wrong side of something thin and stay
+    lift: float = 0.25  # nodes that hang from the pelvis are moved no farther to lie over the legs
+    # parts stiffer than the first begin to stay with their joints, those stiffer than the second do
     stiff: tuple[float, float] = (1.5, 1.75)
 
 
@@ -185,15 +176,8 @@ def known_share(stiffness: np.ndarray, settings: SafetySettings | None = None) -
 
 
 class Safety:
-    """The stage for one clothed character.
-
-    Args:
-        clothed: The character.
-        nodes: Its nodes.
-        points: The body's points, denser than those of the features.
-        carrier: What takes nodes to vertices.
-        settings: The bounds.
-        depth: The depth of its body, where that is known already.
+    """The stage for one clothed character and its nodes, by body points denser than those of the features; `depth` is
+    that of its body, where it is known already.
     """
 
     def __init__(
@@ -370,14 +354,8 @@ SAFE_POINTS = 1500
 
 
 class ApparelPlayer:
-    """A clothed character whose apparel the network moves.
-
-    Args:
-        clothed: The character.
-        network: The network.
-        nodes: Most nodes.
-        safe: Whether the safety stage runs.
-        recurrent: Whether the recurrent part runs, where the network has one.
+    """A clothed character whose apparel the network moves, with at most so many nodes, with or without the safety stage
+    and the recurrent part.
     """
 
     def __init__(

@@ -51,13 +51,8 @@ class SampledMesh:
 def sampled_mesh(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, most: int = POINTS, seed: int = 0
 ) -> SampledMesh:
-    """Points of a mesh: some of every loose part, more of larger ones.
-
-    Args:
-        vertices, faces: Rest mesh [m], +Y up, facing +Z, shapes (V, 3) and (F, 3).
-        joints: J [m], shape (22, 3).
-        most: How many points.
-        seed: Of the choice.
+    """At most so many points of a rest mesh [m], +Y up, facing +Z, with joints J (22, 3): some of every loose part,
+    more of larger ones. `seed` decides the choice.
 
     Raises:
         CharacterError: The mesh is broken.
@@ -81,14 +76,9 @@ def sampled_mesh(
 
 
 def point_features(points: np.ndarray, normals: np.ndarray, joints: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Input of the segmentation network for points, shape (S, POINT_FEATURES), float32: position, normal, the vector
-    from the nearest bone and its length, how near each bone is, the extent of the point's part, its height above the
-    part's lowest point.
-
-    Args:
-        points, normals: In units of the height, as of `SampledMesh`, shape (S, 3) each.
-        joints: J in the same units, shape (22, 3).
-        part: Loose part of each point, shape (S,).
+    """Input of the segmentation network for points and normals as of `SampledMesh`, shape (S, POINT_FEATURES), float32:
+    position, normal, the vector from the nearest bone and its length, how near each bone is, the extent of the point's
+    loose part, its height above the part's lowest point.
     """
     numbers, own = np.unique(part, return_inverse=True)
     sides = np.array([(points[own == number].min(axis=0), points[own == number].max(axis=0))

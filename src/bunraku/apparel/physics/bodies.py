@@ -80,15 +80,8 @@ def loss_rate(damping: float, most: float) -> float:
 
 
 def add_shape(owner: Any, body: MmdBody, position: np.ndarray, name: str, settings: dict[str, object]) -> bool:
-    """Add a body's shape to one of MuJoCo's bodies, whose axes are the world's at rest. True where it has an extent,
-    and so a shape.
-
-    Args:
-        owner: Of an `MjSpec`.
-        body: The body.
-        position: Of `owner` at rest [m], shape (3,).
-        name: Of the shape.
-        settings: Other attributes of the shape.
+    """Add a body's shape to an owner of an `MjSpec`, whose axes are the world's at rest and which is at a position [m],
+    (3,). True where it has an extent, and so a shape. `settings` are other attributes of the shape.
     """
     import mujoco
 

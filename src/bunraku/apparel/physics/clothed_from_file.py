@@ -88,10 +88,6 @@ def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
     The joints k of a chain, at p_k, are taken to rotate by shares c_k of one rotation w, by how far their limits and
     springs let them; they add up to 1. A point x below the first n of them goes by w x sum_k c_k (x - p_k). Mass,
     springs and friction of the whole are those of its links along such levers.
-
-    Args:
-        character: With a rig.
-        rig: Its bodies and joints.
     """
     own = character.rig
     assert own is not None
@@ -284,12 +280,8 @@ def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> Pa
 
 
 def clothed_from_file(character: Character, body: UnifiedBody | None = None, dial: float = 1.0) -> ClothedCharacter:
-    """A character with the apparel and the stiffness of its file.
-
-    Args:
-        character: With a rig of a person.
-        body: Its joints, where they are known already.
-        dial: Factor on the stiffness.
+    """A person with the apparel of its file, and a factor on its stiffness; `body` are its joints, where they are
+    known.
 
     Raises:
         CharacterError: The rig is not that of a person, or the file says nothing of physics.

@@ -128,17 +128,9 @@ def joints_moved(parents: np.ndarray, rig: ApparelRig) -> np.ndarray:
 def posed(
     animation: RigAnimation, rig: ApparelRig, bodies: np.ndarray, body_rotations: np.ndarray, positions: np.ndarray
 ) -> RigAnimation:
-    """The animation with the bones of dynamic bodies where these are; bones below follow as they are keyed.
-
-    A bone takes the rotation of the first of its bodies. It goes where a body of mode 1 goes; one of mode 2 is held at
-    its parent.
-
-    Args:
-        animation: Of N frames.
-        rig: The bodies.
-        bodies: Indices of the dynamic ones, shape (D,).
-        body_rotations: World rotations of these from rest, shape (N, D, 3, 3).
-        positions: Their centres [m], shape (N, D, 3).
+    """The animation with the bones of D dynamic bodies at their world rotations from rest (N, D, 3, 3) and centres [m]
+    (N, D, 3); bones below follow as they are keyed. A bone takes the rotation of the first of its bodies. It goes where
+    a body of mode 1 goes; one of mode 2 is held at its parent.
     """
     skeleton = animation.character.rig
     assert skeleton is not None

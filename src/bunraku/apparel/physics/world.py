@@ -63,14 +63,8 @@ DEEP = 0.8  # a body that is deeper in a limb at rest, as a share of its radius,
 
 
 def fit_contacts(spec: Any, model: Any, settings: PhysicsSettings, step: float) -> None:
-    """Add the contacts that are exceptions to a world.
-
-    Args:
-        spec: The world's `MjSpec`; shapes named "limb ..." are limbs of the body, and "rod ..." those of apparel that
-            collide with them.
-        model: What it compiles to, at rest.
-        settings: Says which limbs are near.
-        step: Time step [s].
+    """Add the contacts that are exceptions to a world (`MjSpec`) and the model that it compiles to, at rest; shapes
+    named "limb ..." are limbs of the body, and "rod ..." those of apparel that collide with them.
     """
     import mujoco
 
@@ -151,16 +145,8 @@ def build_world(
     rig: ApparelRig, positions: np.ndarray, parents: np.ndarray, step: float, settings: PhysicsSettings,
     limbs: Sequence[MmdBody] = (), reach: float = np.inf,
 ) -> World:  # fmt: skip
-    """The world of a character at rest.
-
-    Args:
-        rig: Its bodies and joints.
-        positions: Of the bones at rest [m], shape (J, 3).
-        parents: Their parents, shape (J,).
-        step: Time step [s].
-        settings: What no file holds.
-        limbs: Boxes that follow bones of the body, as `body_limbs` gives them.
-        reach: A body that is farther from its joint than this weighs at its joint [m].
+    """The world of a character at rest, with bones at positions [m] (J, 3) and their parents (J,), and boxes of limbs
+    that follow its bones (`body_limbs`). A body that is farther from its joint than `reach` weighs at its joint [m].
 
     Raises:
         CharacterError: There are too many dynamic bodies, or MuJoCo cannot make a world of them.
