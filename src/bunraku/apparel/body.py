@@ -81,13 +81,6 @@ class UnifiedBody:
         affine[..., 3] += np.einsum("njab,jb->nja", affine[..., :3], self.joints)
         return affine.astype(np.float32)
 
-    def deviations(self, animation: RigAnimation) -> np.ndarray:
-        """What each bone does beside its joint, as affine transforms whose zeros mean nothing, shape (N, J, 3, 4),
-        float32.
-        """
-        affine = animation.transforms()
-        return affine - affine[:, self.bones[self.joint_of]]
-
 
 def _joints_of_bones(parts: RigParts, moved: np.ndarray) -> np.ndarray:
     assert parts.character.rig is not None
@@ -139,9 +132,7 @@ def _positions(positions: np.ndarray, present: np.ndarray) -> np.ndarray:
 
 
 def eq4_transforms(transforms: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Affine transforms for `skin` from `[R | t]` of [MMDMC 4], both shape (N, J, 3, 4), and the rest positions [m] (J,
-    3).
-    """
+    """Affine transforms for `skin` from `[R | t]` of [MMDMC 4], both (N, J, 3, 4), and rest positions [m] (J, 3)."""
     out = np.array(transforms, np.float32)
     out[..., 3] -= np.einsum("njab,jb->nja", out[..., :3], np.asarray(joints, np.float32))
     return out
@@ -266,9 +257,7 @@ class BodyDepth:
 
     @cached_property
     def _steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Distance in the flat grid of neighbours along each axis and of the eight corners of a cell; and the last
-        position in the grid [cells].
-        """
+        """Steps in the flat grid along each axis and to the eight corners of a cell; its last position [cells]."""
         shape = np.array(self.values.shape)
         steps = np.array([shape[1] * shape[2], shape[2], 1])
         return steps, _CORNERS @ steps, (shape - 1.001).astype(np.float32)[:, None]
@@ -278,9 +267,7 @@ class BodyDepth:
         return self._linear(*self._cells(points.T))
 
     def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The first corner of the cells with the points (3, M), shape (M,), and the position in them, from 0 to 1,
-        shape (3, M).
-        """
+        """First corners of the cells with points (3, M), shape (M,), and positions in them, from 0 to 1, (3, M)."""
         position = (points - self.low[:, None]).astype(np.float32, copy=False)
         position /= np.float32(self.cell)
         np.maximum(position, 0, out=position)
@@ -429,9 +416,7 @@ class BodyPoints:
     joint: np.ndarray  # the joint that holds each most, shape (B,)
 
     def posed(self, affine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and normals in a frame, shape (B, 3) each, by transforms of the joints as `eq4_transforms` gives
-        them.
-        """
+        """Positions and normals in a frame, (B, 3) each, by transforms of the joints as of `eq4_transforms`."""
         return self.placed(self.blends(affine)), np.einsum("bac,bc->ba", affine[self.joint, :, :3], self.normals)
 
     def blends(self, affine: np.ndarray) -> np.ndarray:

@@ -153,9 +153,7 @@ class Swing:
         return replace(self, lower=self.lower / narrow, upper=self.upper / narrow, spring=self.spring * dial)
 
     def with_parameters(self, numbers: Mapping[str, float], links: int) -> Swing:
-        """With the parameters of a chain of `links` links from a file (`chains.chain`); what the file does not say
-        stays.
-        """
+        """With the parameters of a chain of `links` links from a file; what the file does not say stays."""
         out = self
         length = np.maximum(np.linalg.norm(self.arm, axis=1), 1e-3)
         if "limit" in numbers:
@@ -171,9 +169,7 @@ class Swing:
         return out
 
     def turns(self) -> np.ndarray:
-        """Rotation across its lever by limits, and by springs that give way to its weight, lying level [rad], shape (N,
-        2).
-        """
+        """Rotation across its lever by limits, and by springs that give way to its weight, level [rad], (N, 2)."""
         length = np.maximum(np.linalg.norm(self.lever, axis=1), 1e-6)
         across = np.linalg.norm(np.cross(self.axes.transpose(0, 2, 1), self.lever[:, None]), axis=-1) / length[:, None]
         fall = GRAVITY / np.maximum(np.linalg.norm(self.arm, axis=1), 1e-3)[:, None]

@@ -169,9 +169,7 @@ def eased_border(clothed: ClothedCharacter) -> np.ndarray:
 
 
 def _carrying(share: np.ndarray) -> int:
-    """The carrier of a part by the shares of the joints: the pelvis for what both legs hold, the chest for both
-    collars.
-    """
+    """The carrier of a part by the joints' shares: the pelvis for both legs, the chest for both collars."""
     joint = int(share.argmax())
     for pair, above in ((_HIPS, 0), (_COLLARS, JOINT_NAMES.index("spine3"))):
         if joint in pair and share[list(pair)].min() > 0.25 * share[list(pair)].max():

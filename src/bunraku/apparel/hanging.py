@@ -138,9 +138,7 @@ def _face(points: np.ndarray, joints: np.ndarray, top: float, front: float) -> b
 def _below_the_hips(
     points: np.ndarray, edges: np.ndarray, piece: np.ndarray, area: np.ndarray, joints: np.ndarray, height: float
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Points of skirts and of legs of trousers, shape (P,) each, bool: what goes round both legs together, or round
-    one.
-    """
+    """Points of skirts and of legs of trousers, (P,) each: what goes round both legs together, or round one."""
     crotch = _crotch(joints, height)
     skirt, trousers = np.zeros(len(points), bool), np.zeros(len(points), bool)
     middle = joints[_HIPS].mean(axis=0)

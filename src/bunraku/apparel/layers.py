@@ -220,9 +220,7 @@ class _Over:
         return self.row[short], lack[short], beside, ways[:, short]
 
     def largest(self, row: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """The largest of values (L,) of each chosen vertex, by their rows in order (L,); 0 where it has none, shape
-        (C,), float32.
-        """
+        """The largest of values (L,) of each chosen vertex, by their rows in order (L,); 0 for none, shape (C,)."""
         out = np.zeros(len(self), np.float32)
         if len(row):
             begins = np.flatnonzero(np.diff(row, prepend=-1))

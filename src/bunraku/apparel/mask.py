@@ -64,25 +64,19 @@ def read_artist_mask(path: str | Path, character: Character) -> np.ndarray:
     if suffix == ".npy":
         values = read_npy(path, data)
         if values.shape != (count,):
-            raise FormatError(
-                path,
-                f"the mask has shape {values.shape}, but the character has {count:,} vertices; make it for this mesh",
-            )
+            problem = f"the mask has shape {values.shape}, but the character has {count:,} vertices"
+            raise FormatError(path, f"{problem}; make it for this mesh")
         return np.asarray(values > 0.5)
     if suffix != ".txt":
-        raise FormatError(
-            path, "a mask of apparel is an .npy, a .txt, or a painted .ply or .glb; save it as one of these"
-        )
+        raise FormatError(path, "a mask of apparel is an .npy, a .txt, or a painted .ply or .glb; save one of these")
     try:
         numbers = np.array([int(line) for line in data.decode("utf-8-sig").split()], np.int64)
     except (UnicodeDecodeError, ValueError, OverflowError):
-        raise FormatError(
-            path, "this is not a list of vertex numbers; write the number of one apparel vertex in each line"
-        ) from None
+        problem = "this is not a list of vertex numbers; write the number of one apparel vertex in each line"
+        raise FormatError(path, problem) from None
     if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
-        raise FormatError(
-            path, f"it names a vertex that the character does not have (0 to {count - 1:,}); make it for this mesh"
-        )
+        problem = f"it names a vertex that the character does not have (0 to {count - 1:,})"
+        raise FormatError(path, f"{problem}; make it for this mesh")
     out = np.zeros(count, bool)
     out[numbers] = True
     return out
@@ -127,9 +121,7 @@ def apparel_mask(character: Character, model: MmdModel | VrmModel | None = None)
 
 
 def moved_joints(character: Character, model: MmdModel | VrmModel | None = None) -> np.ndarray | None:
-    """Joints of the rig with dynamic rigid bodies or on springs, and all joints below them, shape (J,), bool; None
-    where the file says nothing of physics.
-    """
+    """Joints with dynamic bodies or on springs, and all below, (J,), bool; None where the file has no physics."""
     rig = character.rig
     model = model or mmd_model(character) or vrm_model(character)
     if model is None or rig is None:

@@ -94,9 +94,7 @@ class ApparelNodes:
 
 
 def apparel_nodes(clothed: ClothedCharacter, most: int = 256) -> ApparelNodes:
-    """At most so many nodes of a character: at least three of every part, the rest where the gaps are widest (farthest
-    points).
-    """
+    """At most so many nodes: at least three of every part, the rest where the gaps are widest (farthest points)."""
     cloth = np.flatnonzero(clothed.part >= 0)
     points, parts = clothed.rest[cloth].astype(np.float64), clothed.part[cloth]
     held, distance, length = _attachment(clothed)
@@ -156,9 +154,7 @@ def _spread(points: np.ndarray, parts: np.ndarray, most: int) -> np.ndarray:
 
 
 def part_neighbours(points: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """The nearest other points [m] (M, 3) of the same part (M,), nearest first; the point itself where there are too
-    few, shape (M, NEIGHBOURS).
-    """
+    """The nearest other points [m] (M, 3) of the same part, or the point itself, shape (M, NEIGHBOURS)."""
     out = np.repeat(np.arange(len(points))[:, None], NEIGHBOURS, axis=1)
     for part in np.unique(parts):
         rows = np.flatnonzero(parts == part)
@@ -266,9 +262,7 @@ class NodeGraph:
         return best
 
     def largest_of_part(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The largest of each channel in each part that has points, shape (P, C), and the row of each point's part,
-        shape (M,).
-        """
+        """The largest of each channel in each part with points, (P, C), and the row of each point's part, (M,)."""
         order, starts, number = self._runs
         return np.maximum(np.maximum.reduceat(values[order], starts, axis=0), LEAST_VALUE), number
 

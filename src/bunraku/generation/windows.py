@@ -59,14 +59,9 @@ def plan_windows(lengths: Sequence[int], longest: int, *, loop: bool = False, ov
         pieces += [(first, after, row) for first, after in zip(bounds, bounds[1:], strict=False)]
         start += length
     count = len(pieces)
-    fades = [  # half of what piece i shares with the next one
-        min(
-            overlap // 2,
-            (pieces[i][1] - pieces[i][0]) // 2,
-            (pieces[(i + 1) % count][1] - pieces[(i + 1) % count][0]) // 2,
-        )
-        for i in range(count)
-    ]
+    halves = [(after - first) // 2 for first, after, _ in pieces]
+    # half of what piece i shares with the next one
+    fades = [min(overlap // 2, halves[i], halves[(i + 1) % count]) for i in range(count)]
     if not loop:
         fades[-1] = 0
     windows = []

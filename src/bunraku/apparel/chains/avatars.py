@@ -8,7 +8,6 @@ from itertools import product
 
 import numpy as np
 
-from bunraku.apparel.chains.chain import Chain
 from bunraku.apparel.chains.chain_rig import Chained
 from bunraku.apparel.chains.moving import steady_simulation
 from bunraku.core.animation import RigAnimation
@@ -226,21 +225,16 @@ def vrm_avatar(made: Chained) -> VrmModel:
     springs = []
     for chain, end, values in zip(made.chains, made.ends, fitted_springs(made), strict=True):
         rooms = [_room(point, made) for point in chain.points[1:]]
-        joints = [
-            VrmSpringJoint(int(bone), float(stiffness), float(gravity), _DOWN, float(drag), _radius(chain, link, room))
-            for link, (bone, room, (stiffness, drag, gravity)) in enumerate(
-                zip(chain.bones, rooms, values, strict=True)
-            )
-        ]
+        joints = []
+        for bone, width, room, setting in zip(chain.bones, chain.width, rooms, values, strict=True):
+            stiffness, drag, gravity = setting.tolist()
+            radius = float(np.clip(min(0.6 * width, room), 0.0, 0.04))
+            joints.append(VrmSpringJoint(int(bone), stiffness, gravity, _DOWN, drag, radius))
         joints.append(VrmSpringJoint(end, 1.0, 0.0, _DOWN, float(values[-1, 1]), 0.0))
         # what lies within a collider at rest would be thrown out of it
         springs.append(VrmSpring(chain.name, tuple(joints), (0,) if colliders and min(rooms) > 0 else ()))
     groups = (tuple(range(len(colliders))),) if colliders else ()
     return VrmModel("1.0", made.character.name, {}, tuple(springs), tuple(colliders), groups)
-
-
-def _radius(chain: Chain, link: int, room: float) -> float:
-    return float(np.clip(min(0.6 * chain.width[link], room), 0.0, 0.04))
 
 
 def _room(point: np.ndarray, made: Chained) -> float:

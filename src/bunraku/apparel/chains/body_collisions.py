@@ -51,9 +51,7 @@ class LegBalls:
     def __call__(
         self, affine: np.ndarray, clothed: ClothedCharacter, bones: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Centres of the balls [m], posed by the transforms of all bones (N, P, 3) and at rest (P, 3), and their radii
-        (P,).
-        """
+        """Centres of the balls [m], posed by transforms of all bones (N, P, 3) and at rest (P, 3); radii (P,)."""
         posed, rests, radii = [], [], []
         share = (np.arange(self.samples) + 0.5)[:, None] / self.samples
         for leg in _LEGS:

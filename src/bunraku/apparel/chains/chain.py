@@ -141,9 +141,7 @@ def with_parameters(chains: Sequence[Chain], tables: Mapping[str, Mapping[str, f
 
 
 def parameters_from_file(kind: str, name: str, tables: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-    """Parameters of a chain of a kind and name, in the units of the file, from tables by kinds and by beginnings of
-    names.
-    """
+    """Parameters of a chain in the units of the file, from tables by kinds and by beginnings of names."""
     own: dict[str, float] = dict(tables.get(kind, {}))
     for begin in sorted(tables, key=len):
         if begin not in KINDS and name.startswith(begin):

@@ -103,9 +103,7 @@ def chain_rig(
 
 
 def neighbours_of(chains: Sequence[Chain]) -> list[tuple[int, int]]:
-    """Pairs of chains of cloth that lie next to each other: those that begin about as high on the same bone, in their
-    order around it.
-    """
+    """Pairs of chains of cloth side by side, in their order around one bone, begun about as high."""
     groups: dict[tuple[str, int], list[int]] = {}
     for number, chain in enumerate(chains):
         if chain.kind in CLOTH:
@@ -186,14 +184,9 @@ def _ties(one: Chain, other: Chain, bodies: list[int], others: list[int]) -> lis
         down = corners[1] + corners[3] - corners[0] - corners[2]
         frame = _frame(down, np.cross(down, corners[3] - corners[1]))
         give = np.full(3, GIVE * float(np.linalg.norm(corners[3] - corners[1])))
-        turn = np.full(3, TIE)
-        none = np.zeros(3)
-        out.append(
-            MmdJoint(
-                f"{one.name} tie {row + 1}", (bodies[row], others[row]), corners.mean(axis=0), frame, -give, give,
-                -turn, turn, none, none,
-            )
-        )  # fmt: skip
+        turn, none, pair = np.full(3, TIE), np.zeros(3), (bodies[row], others[row])
+        name, middle = f"{one.name} tie {row + 1}", corners.mean(axis=0)
+        out.append(MmdJoint(name, pair, middle, frame, -give, give, -turn, turn, none, none))
     return out
 
 
@@ -267,9 +260,7 @@ class Chained:
 
 
 def with_chains(character: Character, laid: LaidChains, bones: np.ndarray) -> Chained:
-    """A character's rig, in which each of the 22 joints is a bone (22,), with a bone for each link of the chains that
-    were laid over its mesh.
-    """
+    """A character's rig, by the bone of each of the 22 joints, with a bone for each link of laid chains."""
     rig = character.rig
     assert rig is not None
     first = len(rig.names)

@@ -168,9 +168,7 @@ class MendTears:
         return animation, torn
 
     def torn_parts(self, clothed: ClothedCharacter, shown: Frames, carried: Frames, count: int) -> set[int]:
-        """The parts that are torn, by vertices with apparel moved, and with all going with the body, in some of `count`
-        frames.
-        """
+        """The parts that are torn, by vertices with apparel moved and all carried, in some of `count` frames."""
         return {part for part, share in self.torn_shares(clothed, shown, carried, count).items() if share > self.most}
 
     def torn_shares(self, clothed: ClothedCharacter, shown: Frames, carried: Frames, count: int) -> dict[int, float]:
@@ -226,9 +224,7 @@ class MendTears:
 
 
 def on_skin(animation: RigAnimation, bare: Rig, free: np.ndarray) -> RigAnimation:
-    """An animation whose vertices move freely by a share (V,), and for the rest as the skin of a rig says that has the
-    first bones of the animation's.
-    """
+    """An animation whose vertices move freely by a share (V,), and for the rest with the skin of its bare rig."""
     grown = animation.character.rig
     assert grown is not None
     share = free[:, None]

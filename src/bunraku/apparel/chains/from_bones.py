@@ -83,9 +83,7 @@ class _Held:
 
 
 def apparel_bones(character: Character, parts: RigParts | None = None) -> dict[int, str]:
-    """The bones of a person's rig that hold apparel, each with its kind; none where the rig is not a person's. `parts`
-    says what its bones are, where that is known.
-    """
+    """The bones of a person's rig that hold apparel, each with its kind; none where the rig is not a person's."""
     rig = character.rig
     parts = parts or understood_rig(character)
     if rig is None or parts is None or not parts.humanoid:

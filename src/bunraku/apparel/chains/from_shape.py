@@ -88,13 +88,11 @@ def shape_chains(clothed: ClothedCharacter) -> LaidChains:
             bones = JOINT_COUNT + total + np.arange(column.links)
             total += column.links
             width = _half_width(piece, column, wide, size)
-            chains.append(
-                Chain(
-                    f"{piece.kind}_{number}_{place}", piece.kind, bones, column.points, piece.joint,
-                    np.full(column.links, width), float(np.clip(0.25 * width, 0.004 * size, 0.015 * size)),
-                    parameters_of_laid(piece.kind, column.end / size),
-                )
-            )  # fmt: skip
+            thick = float(np.clip(0.25 * width, 0.004 * size, 0.015 * size))
+            chains.append(Chain(
+                f"{piece.kind}_{number}_{place}", piece.kind, bones, column.points, piece.joint,
+                np.full(column.links, width), thick, parameters_of_laid(piece.kind, column.end / size),
+            ))  # fmt: skip
         for one, other in zip(*np.nonzero(np.triu(common > SHARED, 1)), strict=True):
             near.append((base + int(one), base + int(other), float(common[one, other])))
         if piece.kind in TIED:

@@ -42,26 +42,21 @@ def moving_rig(character: Character, stiffness: float = 1.0, gravity: float = 1.
 
 
 def dialled(rig: ApparelRig, stiffness: float = 1.0, gravity: float = 1.0) -> ApparelRig:
-    """The same with factors on the springs that act on rotations and on gravity; limits are narrower by the root of the
-    stiffness.
-    """
+    """The same with factors on gravity and on springs of rotations; limits are narrower by the root of that."""
     if stiffness == gravity == 1:
         return rig
     narrow = float(np.clip(stiffness, 0.01, 1000.0) ** -0.5)
-    joints = tuple(
-        replace(
-            joint, angle_spring=joint.angle_spring * stiffness,
-            angle_lower=np.where(joint.angle_lower <= joint.angle_upper, joint.angle_lower * narrow, joint.angle_lower),
-            angle_upper=np.where(joint.angle_lower <= joint.angle_upper, joint.angle_upper * narrow, joint.angle_upper),
-        )
-        for joint in rig.joints
-    )  # fmt: skip
+    joints = []
+    for joint in rig.joints:
+        low, high = joint.angle_lower, joint.angle_upper
+        lower, upper = (np.where(low <= high, limit * narrow, limit) for limit in (low, high))
+        spring = joint.angle_spring * stiffness
+        joints.append(replace(joint, angle_spring=spring, angle_lower=lower, angle_upper=upper))
     pulls = rig.gravity
     if gravity != 1:
-        if pulls is None:
-            pulls = np.tile([0.0, -PhysicsSettings().gravity, 0.0], (len(rig.bodies), 1))
-        pulls = pulls * gravity
-    return replace(rig, joints=joints, gravity=pulls)
+        world = np.tile([0.0, -PhysicsSettings().gravity, 0.0], (len(rig.bodies), 1))
+        pulls = (world if pulls is None else pulls) * gravity
+    return replace(rig, joints=tuple(joints), gravity=pulls)
 
 
 def steady_simulation(

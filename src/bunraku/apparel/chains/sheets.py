@@ -54,9 +54,7 @@ class Piece:
 
 
 def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:
-    """The pieces of a character's apparel, whose parts hang on one joint each, and the surface's point of each vertex,
-    shape (V,).
-    """
+    """The pieces of a character's apparel, and the surface's point of each vertex, shape (V,)."""
     clean = clean_mesh(clothed.rest, clothed.faces)
     count = len(clean.vertices)
     points = clean.vertices * clean.scale + clean.center
@@ -68,8 +66,7 @@ def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:
     joint[clean.index[cloth]] = clothed.weights[cloth].argmax(axis=1)
     edges = unique_edges(clean.faces, count)
     edges = edges[(part[edges] >= 0).all(axis=1)]
-    groups: list[tuple[str, int, np.ndarray]] = []
-    hair: list[np.ndarray] = []
+    groups, hair = list[tuple[str, int, np.ndarray]](), list[np.ndarray]()
     for number in range(int(part.max(initial=-1)) + 1):
         rows = np.flatnonzero(part == number)
         if len(rows) < 4:
@@ -135,9 +132,7 @@ def _upper_edge(clothed: ClothedCharacter, points: np.ndarray) -> np.ndarray:
 
 
 def _skull(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and half axes of the skull [m], each shape (3,): of the bare surface that the head holds, and never much
-    narrower than high.
-    """
+    """Centre and half axes of the skull [m], (3,) each, by the bare surface of the head; never very narrow."""
     head = clothed.joints[_HEAD[0]].astype(float)
     held = clothed.weights[:, _HEAD[0]] > 0.5
     held &= clothed.rest[:, 1] > head[1]
@@ -180,9 +175,7 @@ def _near(points: np.ndarray, among: np.ndarray, count: int, reach: float) -> np
 
 
 def _apart(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray, along: np.ndarray, far: float) -> np.ndarray:
-    """Where components far from all that is held are held themselves, shape (P,), bool: the lowest band of long hair,
-    whose rest is not apparel.
-    """
+    """Points that hold components far from all that is held, (P,), bool: the lowest band of long hair."""
     label = mesh_parts(pairs, len(points))
     out = np.zeros(len(points), bool)
     loose = ~np.isin(label, label[seeds])

@@ -31,9 +31,7 @@ FILTER_GRAVITY = 9.81
 
 
 class MotionFilters:
-    """The state of the filters, frame by frame, for M carried nodes (M, 3), over the character's size, and the
-    rotations of J joints (J, 3, 3).
-    """
+    """The filters' state for M carried nodes (M, 3), over the character's size, and J joints' rotations (J, 3, 3)."""
 
     def __init__(self, positions: np.ndarray, turns: np.ndarray, fps: float = 30.0):
         self.step = 1 / fps
@@ -369,13 +367,10 @@ class MotionFeatures:
         swung = self.pendulums.advance(positions / size, turns)
         own = self.own.advance(positions[self.repeated], turns[self.repeated]).reshape(len(OWN), -1, 3) / size
         own_velocity, self.swung = (own[0] - self.swung) * self.fps, own[0]
-        world = np.stack(
-            [
-                *self.filters.sway, *late, *swung, normal, normal_hang, spun * 0.2, velocity * 0.3, acceleration * 0.05,
-                *own, own_velocity * 0.3,
-            ],
-            axis=2,
-        )  # fmt: skip
+        world = np.stack([
+            *self.filters.sway, *late, *swung, normal, normal_hang, spun * 0.2, velocity * 0.3, acceleration * 0.05,
+            *own, own_velocity * 0.3,
+        ], axis=2)  # fmt: skip
         inside = np.matmul(turns.transpose(0, 2, 1), world).transpose(0, 2, 1)
         sways, count = len(FREQUENCIES), len(FREQUENCIES) + len(LAGS) + len(PENDULUMS)
         late_inside = inside[:, sways : sways + len(LAGS)] - held[:, None]
@@ -383,14 +378,11 @@ class MotionFeatures:
         gaps = np.stack([near, near_hang], axis=1)
         push = normals * (np.clip(self.gap[:, None] - gaps, 0, 0.4 * size) / size)[..., None]
         self.push = self.push + self.follow * (push[:, 0] - self.push)
-        vectors = np.concatenate(
-            [
-                inside[:, :sways], late_inside, inside[:, sways + len(LAGS) : count], tilt[:, None], push,
-                self.push[:, None], inside[:, count + 5 : count + 5 + len(OWN)], up[:, None],
-                inside[:, count + 2 : count + 5], normals, inside[:, count + 5 + len(OWN) :],
-            ],
-            axis=1,
-        )  # fmt: skip
+        vectors = np.concatenate([
+            inside[:, :sways], late_inside, inside[:, sways + len(LAGS) : count], tilt[:, None], push,
+            self.push[:, None], inside[:, count + 5 : count + 5 + len(OWN)], up[:, None],
+            inside[:, count + 2 : count + 5], normals, inside[:, count + 5 + len(OWN) :],
+        ], axis=1)  # fmt: skip
         bent = self.own.bent[:, : len(nodes)]
         scalars = np.column_stack([
             np.clip(gaps / size, -0.3, 0.3) * 5, np.sqrt((bent**2).sum(axis=0)),
@@ -405,10 +397,8 @@ class MotionFeatures:
         """Angular velocity of each joint [rad/s], shape (22, 3)."""
         change = np.matmul(joints, self.before.transpose(0, 2, 1)) * self.fps
         self.before = joints
-        return np.stack(
-            [change[:, 2, 1] - change[:, 1, 2], change[:, 0, 2] - change[:, 2, 0], change[:, 1, 0] - change[:, 0, 1]],
-            axis=1,
-        ) / 2  # fmt: skip
+        skew = change - change.transpose(0, 2, 1)
+        return np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1) / 2
 
 
 def _turned(turns: np.ndarray, vectors: np.ndarray) -> np.ndarray:

@@ -120,9 +120,7 @@ def past_of_states(
 
 
 class FoldedNetwork:
-    """The network folded for one character, by its static features (`static_features`) and the graph of its nodes;
-    weights that change later do not count.
-    """
+    """The network folded for one character, by its `static_features` and the graph of its nodes."""
 
     def __init__(
         self, network: DisplacementNetwork, static_vectors: np.ndarray, static_scalars: np.ndarray, graph: NodeGraph
@@ -133,9 +131,7 @@ class FoldedNetwork:
         self._recurrent = None if network.recurrent is None else _FoldedPart(network.recurrent, still, graph)
 
     def anchor(self, vectors: np.ndarray, scalars: np.ndarray, whole: np.ndarray) -> np.ndarray:
-        """Output of the head, shape (M, 3), from vectors (M, VECTORS, 3), scalars (M, SCALARS) and the whole pose
-        (GLOBAL,).
-        """
+        """Output of the head, (M, 3), from vectors (M, VECTORS, 3), scalars (M, SCALARS) and the pose (GLOBAL,)."""
         out = self._anchor(_moving(vectors, scalars), whole)
         share = SHARE * np.tanh(out[:, :BASIS])
         return np.asarray(np.matmul(share[:, None], vectors[:, :BASIS])[:, 0] + out[:, BASIS:])
@@ -188,9 +184,7 @@ class _FoldedPart:
         self.norm, self.blocks, self.decoder, self.graph = part.norm, part.blocks, part.decoder, graph
 
     def __call__(self, moving: np.ndarray, whole: np.ndarray) -> np.ndarray:
-        """Output of the decoder for features that change from frame to frame, shapes (M, MOVING), which it writes on,
-        and (GLOBAL,) -> (M, C).
-        """
+        """Output of the decoder for changing features (M, MOVING), which it writes on, and (GLOBAL,) -> (M, C)."""
         moving -= self.mean
         moving /= self.std
         np.maximum(moving, -6, out=moving)

@@ -62,7 +62,7 @@ class Carrier:
         self.prior = (RIGID * reach).astype(np.float32)
 
     def _mixed(self, clothed: ClothedCharacter, nodes: ApparelNodes) -> None:
-        """What of `displacements` and `positions` is the same in all frames, as one matrix each."""
+        """What of `positions` is the same in all frames, as one matrix each."""
         count, rest = len(self.vertices), clothed.rest[self.vertices].astype(np.float32)
         weights = clothed.weights[self.vertices].astype(np.float32)
         whole = np.concatenate([rest, np.ones((count, 1), np.float32)], axis=1)
@@ -77,12 +77,6 @@ class Carrier:
         rows = np.broadcast_to(np.arange(count)[:, None, None], columns.shape)
         kept = mixed != 0
         self.mix = csr_matrix((mixed[kept], (rows[kept], columns[kept])), shape=(count, 4 * len(used)))
-
-    def displacements(self, moved: np.ndarray) -> np.ndarray:
-        """Displacement of the apparel vertices in the frames of the joints that carry the nodes [m], shape (A, 3), by
-        that of the nodes, (M, 3).
-        """
-        return np.asarray(self.mix @ self._swung(moved)[self.node].reshape(-1, 3))
 
     def positions(self, moved: np.ndarray, affine: np.ndarray) -> np.ndarray:
         """Positions of the apparel vertices [m], shape (A, 3).
@@ -176,9 +170,7 @@ def known_share(stiffness: np.ndarray, settings: SafetySettings | None = None) -
 
 
 class Safety:
-    """The stage for one clothed character and its nodes, by body points denser than those of the features; `depth` is
-    that of its body, where it is known already.
-    """
+    """The stage for one clothed character and its nodes, by body points denser than those of the features."""
 
     def __init__(
         self, clothed: ClothedCharacter, nodes: ApparelNodes, points: BodyPoints, carrier: Carrier,
@@ -231,9 +223,7 @@ class Safety:
             self.leg_gap = np.minimum(width[hung] - reach, self.settings.clear * scale)
 
     def __call__(self, positions: np.ndarray, affine: np.ndarray) -> tuple[np.ndarray, Unposed | None]:
-        """Nodes made safe [m], shape (M, 3), and their way back to the rest pose; affine transforms as of
-        `Carrier.positions`.
-        """
+        """Nodes made safe [m], (M, 3), and their way back to the rest pose; `affine` as of `Carrier.positions`."""
         out = np.array(positions, np.float32)
         if self.depth is None:
             unposed = None
@@ -247,9 +237,7 @@ class Safety:
         return out, unposed
 
     def unposed(self, positions: np.ndarray, affine: np.ndarray) -> Unposed | None:
-        """The way back to the rest pose of the body nearest to nodes [m], shape (M, 3), in a pose (22, 3, 4); None
-        without a body.
-        """
+        """The way back to rest of the body nearest to nodes [m], (M, 3), in a pose (22, 3, 4); None without a body."""
         if self.depth is None:
             return None
         blend = self.points.blends(affine)
@@ -260,9 +248,7 @@ class Safety:
         return Unposed.of(blend[near], self.points.joint[near])
 
     def outside(self, positions: np.ndarray, unposed: Unposed | None) -> np.ndarray:
-        """Nodes one step out of the body, and their surroundings with them, so that pieces move as a whole and are not
-        flattened, shape (M, 3).
-        """
+        """Nodes one step out of the body with their surroundings, so that pieces are not flattened, (M, 3)."""
         if self.depth is None or unposed is None:
             return positions
         rows, step = self.depth.push(positions, unposed, self.gap, self.most)
@@ -295,9 +281,7 @@ class Safety:
         return self._spread(positions, push)
 
     def _reach(self, legs: np.ndarray) -> np.ndarray:
-        """How far the legs, in the frame of the pelvis, reach along the way out through each hanging node [m], shape
-        (H,).
-        """
+        """How far the legs, in the pelvis' frame, reach along the way out through each hanging node [m], (H,)."""
         seen = np.empty((5, len(legs)), np.float32)
         seen[:3], seen[3], seen[4] = legs.T, 1, np.einsum("la,la->l", legs, legs)
         along, square = np.split(self.rays @ seen, 2)  # and the square of the distance from the axis
@@ -354,9 +338,7 @@ SAFE_POINTS = 1500
 
 
 class ApparelPlayer:
-    """A clothed character whose apparel the network moves, with at most so many nodes, with or without the safety stage
-    and the recurrent part.
-    """
+    """A clothed character whose apparel the network moves, with or without safety and the recurrent part."""
 
     def __init__(
         self, clothed: ClothedCharacter, network: DisplacementNetwork, *, nodes: int = NODES, safe: bool = True,
@@ -374,9 +356,7 @@ class ApparelPlayer:
         self.past: FoldedPast | None = None
 
     def start(self, transforms: np.ndarray) -> None:
-        """Begin before a first frame, `[R | t]` of the joints (Eq. 1), shape (22, 3, 4), with a second from the rest
-        pose into it.
-        """
+        """Begin a second before a first frame, `[R | t]` of the joints (Eq. 1), (22, 3, 4), from the rest pose."""
         joints = self.clothed.joints
         self.features = MotionFeatures(self.clothed, self.nodes, rest_transforms(joints, transforms))
         self.past = None

@@ -85,13 +85,10 @@ def point_features(points: np.ndarray, normals: np.ndarray, joints: np.ndarray, 
                       for number in range(len(numbers))])  # fmt: skip
     low, high = sides[own, 0], sides[own, 1]
     offset, gaps = _bone_ways(points, joints)
-    found = np.concatenate(
-        [
-            points, normals, offset, gaps.min(axis=1, keepdims=True), np.exp(-8 * gaps), high - low,
-            (points[:, 1] - low[:, 1])[:, None],
-        ],
-        axis=1,
-    )  # fmt: skip
+    found = np.concatenate([
+        points, normals, offset, gaps.min(axis=1, keepdims=True), np.exp(-8 * gaps), high - low,
+        (points[:, 1] - low[:, 1])[:, None],
+    ], axis=1)  # fmt: skip
     return np.asarray(found, np.float32)
 
 
@@ -161,9 +158,7 @@ class SegmentationNetwork:
         self._decoder = weights.linear("decoder.0", 2 * width, width), weights.linear("decoder.2", width, 3)
 
     def scores(self, mesh: SampledMesh) -> np.ndarray:
-        """Before the sigmoid: apparel, stiffness and log10 of what a second of damping leaves, of each point of a mesh,
-        (S, 3).
-        """
+        """Before the sigmoid: apparel, stiffness, log10 of what a second of damping leaves, of each point, (S, 3)."""
         graph = NodeGraph(mesh.neighbours, mesh.part)
         known = np.clip((mesh.features - self._mean) / self._std, -6, 6)
         x = self._enter[1](gelu(self._enter[0](known)))

@@ -29,9 +29,7 @@ OUTER = 2.0  # share of the vertices that are outside of a box, on each side [%]
 
 
 def body_limbs(character: Character, moved: np.ndarray | None = None) -> list[MmdBody]:
-    """Boxes that follow the bones of a character's body, at most 40. `moved` are the joints that physics move, shape
-    (J,), bool; those of its file by default.
-    """
+    """Boxes that follow the bones of a character's body, at most 40. `moved` are joints that physics move, (J,)."""
     rig = character.rig
     moved = moved_joints(character) if moved is None else moved
     if rig is None or moved is None:

@@ -256,9 +256,7 @@ class PartSprings:
 
 
 def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> PartSprings:
-    """What the file says of each part, by the part of each vertex, -1 on the body, shape (V,); 0 where no bone of it
-    has a body.
-    """
+    """What the file says of each part, by the part of each vertex (V,); 0 where no bone of it has a body."""
     own = character.rig
     assert own is not None
     count = int(parts.max(initial=-1)) + 1

@@ -37,16 +37,13 @@ class ApparelRig:
 
     @property
     def unguarded(self) -> tuple[int, ...]:
-        """Dynamic bodies that may collide but that no body which follows its bone collides with: the file does not keep
-        them out of the person.
-        """
+        """Dynamic bodies that may collide but that no body which follows its bone keeps out of the person."""
         still = {(body.group, body.mask) for body in self.bodies if not body.dynamic}
-        return tuple(
-            index
-            for index in self.dynamic
-            if (body := self.bodies[index]).mask
-            and not any(body.mask >> group & 1 and mask >> body.group & 1 for group, mask in still)
-        )
+
+        def kept_out(body: MmdBody) -> bool:
+            return any(body.mask >> group & 1 and mask >> body.group & 1 for group, mask in still)
+
+        return tuple(i for i in self.dynamic if self.bodies[i].mask and not kept_out(self.bodies[i]))
 
 
 def check_engine(purpose: str) -> None:
@@ -209,13 +206,9 @@ class _Chains:
         starts = np.array([self.world[node][:3, 3] for node in nodes])
         tails = list(starts[1:])
         if spring.ends_free:
-            direction = starts[-1] - (
-                starts[-2]
-                if len(starts) > 1
-                else self.world[self.parents[nodes[0]]][:3, 3]
-                if self.parents[nodes[0]] >= 0
-                else 0
-            )
+            root = int(self.parents[nodes[0]])
+            before = starts[-2] if len(starts) > 1 else self.world[root][:3, 3] if root >= 0 else 0
+            direction = starts[-1] - before
             direction = direction if np.linalg.norm(direction) > 1e-6 else np.array([0.0, -1, 0])
             tails.append(starts[-1] + END * direction / np.linalg.norm(direction))
         masses, ends = LIGHTER ** np.arange(len(joints)), np.array(tails[: len(joints)])

@@ -407,9 +407,7 @@ class _Run:
         return float(np.linalg.norm(self.velocity()[1], axis=1).mean())
 
     def hold(self) -> None:
-        """Hold joints to the largest speed; put back bodies that would be faster for too long, or have no finite
-        position.
-        """
+        """Hold joints to the largest speed; put back bodies that are too fast for too long, or nowhere."""
         world, data, most = self.world, self.world.data, self.settings.most_turn
         if np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all():
             self.hot = np.where(np.abs(data.qvel) >= most, self.hot + 1, 0)
@@ -430,9 +428,7 @@ class _Run:
             self.gone |= found
 
     def lost(self) -> list[int]:
-        """Bodies that were put back since the last frame, or that are put back now because they are too fast for their
-        anchors.
-        """
+        """Bodies that were put back since the last frame, or now, as too fast for their anchors."""
         _, moving = self.velocity()
         of_anchor = np.where(self.above[:, None] >= 0, moving[self.above], self.world.data.cvel[self.world.anchors, 3:])
         fast = np.linalg.norm(moving - of_anchor, axis=1) > self.settings.most_speed

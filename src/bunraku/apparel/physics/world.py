@@ -92,9 +92,7 @@ def fit_contacts(spec: Any, model: Any, settings: PhysicsSettings, step: float) 
 
 
 def _near_limbs(model: Any, data: Any, near: float) -> list[tuple[str, str, float]]:
-    """Rods and limbs that are near each other, and their distance; a rod that is deep in a limb would be pushed to any
-    side.
-    """
+    """Rods and limbs near each other, and their distance; a rod deep in a limb would be pushed to any side."""
     import mujoco
 
     names = [model.geom(geom).name for geom in range(model.ngeom)]
@@ -120,7 +118,7 @@ LIGHT = 0.05  # mass of a slider over that of the lighter body
 class World:
     """What is simulated."""
 
-    # model, data: muJoCo's
+    # model, data: MuJoCo's
     model: Any
     data: Any
     step: float  # time step [s]
@@ -169,9 +167,8 @@ class _Builder:
         self.mj = mujoco
         self.settings, self.step, self.limbs, self.reach = settings, step, limbs, reach
         # A body whose mask is empty is meant to collide with nothing.
-        self.kept_out = (
-            {index for index in rig.dynamic if rig.bodies[index].mask} if settings.limbs else set(rig.unguarded)
-        )
+        masked = (index for index in rig.dynamic if rig.bodies[index].mask)
+        self.kept_out = set(masked if settings.limbs else rig.unguarded)
         self.notes: list[str] = list(rig.notes)
         self.bodies = [self.repaired(body, len(positions)) for body in rig.bodies]
         self.gravity = rig.gravity
@@ -349,9 +346,7 @@ class _Builder:
         equality.data = data
 
     def springs(self, model: Any) -> None:
-        """Springs that the time step can follow, and the damping of joints; both need the inertia that hangs on each
-        joint.
-        """
+        """Springs that the time step can follow, and damping; both need the inertia that hangs on each joint."""
         settings = self.settings
         for link in self.forest.links:
             body = self.bodies[link.body]
