@@ -203,11 +203,6 @@ class LaidChains:
     # pairs of chains of one piece whose skin blends into each other, and how much of it they share
     near: tuple[tuple[int, int, float], ...] = ()
 
-    @property
-    def count(self) -> int:
-        """Number of links."""
-        return sum(len(chain) for chain in self.chains)
-
     def moved(self, transforms: np.ndarray) -> LaidChains:
         """With each chain taken along by its carrier, by the transforms of the 22 joints, shape (22, 4, 4)."""
         roots: dict[int, int] = {}
@@ -264,7 +259,7 @@ def with_chains(character: Character, laid: LaidChains, bones: np.ndarray) -> Ch
     rig = character.rig
     assert rig is not None
     first = len(rig.names)
-    number = np.concatenate([np.asarray(bones, np.int64), first + np.arange(laid.count)])
+    number = np.concatenate([np.asarray(bones, np.int64), first + np.arange(sum(map(len, laid.chains)))])
     names, parents, places = list(rig.names), list(rig.parents), list(rig.positions)
     taken, chains = set(names), []
     ends: list[tuple[str, int, np.ndarray]] = []

@@ -300,7 +300,7 @@ def part_kinds(clothed: ClothedCharacter, laid: LaidChains) -> list[str]:
 
 def _held(laid: LaidChains) -> np.ndarray:
     """Share of each vertex that each chain holds, shape (A, C)."""
-    owner = np.zeros(laid.count, np.int64)
+    owner = np.zeros(sum(map(len, laid.chains)), np.int64)
     for number, chain in enumerate(laid.chains):
         owner[chain.bones - JOINT_COUNT] = number
     out = np.zeros((len(laid.vertices), len(laid.chains)))
