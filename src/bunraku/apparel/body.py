@@ -59,8 +59,8 @@ class UnifiedBody:
                 f"{character.name}: its rig has no pelvis, arms and legs that are known; apparel data need a person's"
             )
         rig = character.rig
-        known = moved_joints(character)
-        moved = np.zeros(len(rig.names), bool) if known is None else known
+        by_physics = moved_joints(character)
+        moved = np.zeros(len(rig.names), bool) if by_physics is None else by_physics
         joint_of = _joints_of_bones(parts, moved)
         weights = np.zeros((len(character.vertices), JOINT_COUNT), np.float32)
         np.add.at(weights, (np.arange(len(weights))[:, None], joint_of[rig.indices]), rig.weights)
@@ -361,13 +361,13 @@ def _grid(vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel:
     bare[tuple(np.clip(middle, 0, np.array(shape) - 1).T)] = False
     # what lies farther than this from the cells of all middles is farther than `OUTSIDE` from all faces
     about = distance_transform_edt(bare).reshape(-1)
-    some = about <= OUTSIDE + _ROUGH
+    near_surface = about <= OUTSIDE + _ROUGH
     gap = np.where(about * cell <= band, about * cell, np.inf)
-    gap[some] = surface_distances(points[some], rest, triangles, cell, np.inf)
+    gap[near_surface] = surface_distances(points[near_surface], rest, triangles, cell, np.inf)
     inside = _inside(points, gap, cell, shape, volume)
     # far outside it does not matter how far
-    some = inside & ~some & np.isfinite(gap)
-    gap[some] = surface_distances(points[some], rest, triangles, cell, np.inf)
+    near_surface = inside & ~near_surface & np.isfinite(gap)
+    gap[near_surface] = surface_distances(points[near_surface], rest, triangles, cell, np.inf)
     near = np.isfinite(gap)
     out = np.full(len(points), band, np.float32)
     out[near] = np.minimum(gap[near], band) * np.where(inside[near], -1, 1)
@@ -389,15 +389,15 @@ def _inside(points: np.ndarray, gap: np.ndarray, cell: float, shape: tuple[int, 
     near, close = np.isfinite(gap).reshape(shape), (gap < CLOSE * cell).reshape(shape)
     every = np.zeros(shape, bool)
     every[::2, ::2, ::2] = True
-    known = near & (close | every)
+    tested = near & (close | every)
     inside = np.zeros(shape, bool)
-    inside[known] = np.abs(winding_numbers(points[known.reshape(-1)], volume.rest, volume.faces)) > 0.5
-    asked = known & every
+    inside[tested] = np.abs(winding_numbers(points[tested.reshape(-1)], volume.rest, volume.faces)) > 0.5
+    asked = tested & every
     most, least = (filter(np.where(asked, inside, blank), size=3)
                    for filter, blank in ((maximum_filter, False), (minimum_filter, True)))  # fmt: skip
     alike = (most == least) & maximum_filter(asked, size=3)
-    inside = np.where(known, inside, most & alike)
-    rest = near & ~known & ~alike
+    inside = np.where(tested, inside, most & alike)
+    rest = near & ~tested & ~alike
     if rest.any():
         inside[rest] = np.abs(winding_numbers(points[rest.reshape(-1)], volume.rest, volume.faces)) > 0.5
     return np.asarray(inside.reshape(-1))
@@ -464,6 +464,6 @@ def nearest_index(points: np.ndarray, positions: np.ndarray) -> np.ndarray:
     near = np.empty(len(points), np.int64)
     gaps = np.empty((min(_ROWS, len(points)), len(positions)), np.float32)
     for first in range(0, len(points), _ROWS):
-        some = ours[first : first + _ROWS]
-        np.matmul(some, table, out=gaps[: len(some)]).argmin(axis=1, out=near[first : first + _ROWS])
+        block = ours[first : first + _ROWS]
+        np.matmul(block, table, out=gaps[: len(block)]).argmin(axis=1, out=near[first : first + _ROWS])
     return near

@@ -194,8 +194,18 @@ def guessed_swing(held: np.ndarray, stiffness: np.ndarray, damping: np.ndarray) 
     length = np.maximum(SOLID * np.linalg.norm(held, axis=1), 1e-3)
     spring = (10.0 ** stiffness.astype(np.float64) * GRAVITY / length)[:, None] * np.ones(3)
     loss = -np.log1p(-np.minimum(damping.astype(np.float64), 0.999))
-    one = np.ones(count)
+    ones = np.ones(count)
     axes = np.broadcast_to(np.eye(3), (count, 3, 3))
     return Swing(
-        held, held, SOLID * held, axes, -turn, turn, spring, np.maximum(loss - AIR, 0), np.minimum(loss, AIR), one, one
+        held,
+        held,
+        SOLID * held,
+        axes,
+        -turn,
+        turn,
+        spring,
+        np.maximum(loss - AIR, 0),
+        np.minimum(loss, AIR),
+        ones,
+        ones,
     )

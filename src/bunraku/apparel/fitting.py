@@ -77,14 +77,14 @@ def fitted_clothes(
     inner, outer = _joined(bare)
     for number in range(count):
         rows = np.flatnonzero(part == number)
-        own = held[part[held] == number]
+        roots = held[part[held] == number]
         sewn = outer[part[inner] == number]
         if len(sewn):  # it goes on as the body on the same surface: hair beside an arm as the hair above it
             share = weights[sewn].mean(axis=0)
-        elif tree is None or not len(own):
+        elif tree is None or not len(roots):
             share = weights[rows].mean(axis=0)
         else:
-            near = body[tree.query(vertices[own], min(_NEAR, len(body)))[1].reshape(-1)]
+            near = body[tree.query(vertices[roots], min(_NEAR, len(body)))[1].reshape(-1)]
             share = weights[near].mean(axis=0)
             if weights[rows][:, _ARMS].sum(axis=1).mean() < BESIDE:  # a knot at the hip lies beside a hand
                 share[_ARMS] = 0
@@ -138,16 +138,16 @@ def _layers_as_one(clothed: ClothedCharacter, weights: np.ndarray) -> np.ndarray
     rows = [np.flatnonzero(part == number) for number in range(count)]
     hung = [number for number in range(count) if weights[rows[number][0]].argmax() == 0]
     trees = {number: cKDTree(clothed.rest[rows[number]]) for number in hung}
-    one = np.arange(count)
+    merged = np.arange(count)
     for number in sorted(hung, key=lambda number: len(rows[number])):
         points = clothed.rest[rows[number]]
         for other in hung:
-            if one[other] != one[number]:
+            if merged[other] != merged[number]:
                 gap = trees[other].query(points, distance_upper_bound=near)[0]
                 if np.isfinite(gap).mean() > MOSTLY:
-                    one[one == one[number]] = one[other]
+                    merged[merged == merged[number]] = merged[other]
     cloth = part >= 0
-    part[cloth] = np.unique(one[part[cloth]], return_inverse=True)[1]
+    part[cloth] = np.unique(merged[part[cloth]], return_inverse=True)[1]
     return part
 
 

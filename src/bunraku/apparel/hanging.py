@@ -73,8 +73,8 @@ def hanging_mask(
     small = size < LARGE * size.sum()
     out[(small & (mean > LIKELY))[piece]] = True
     out[(small & (mean < UNLIKELY))[piece]] = False
-    own = weights[first]
-    skull = points[own[:, _HEAD] > 0.5]
+    shares = weights[first]
+    skull = points[shares[:, _HEAD] > 0.5]
     top, front = (float(skull[:, axis].max()) if len(skull) else np.inf for axis in (1, 2))
     hair = np.zeros(count, bool)
     near_skull = np.zeros(len(points), bool)
@@ -90,13 +90,13 @@ def hanging_mask(
         if comes_down and _hair(part, joints, top, height) and not (short and _face(part, joints, top, front)):
             hair |= rows
     ahead = points[:, 2] > joints[_HEAD, 2] + EARS * (front - joints[_HEAD, 2])
-    out &= ~(~small[piece] & (own[:, _HEAD] > 0.5) & ahead)  # a face that is one surface with the body
+    out &= ~(~small[piece] & (shares[:, _HEAD] > 0.5) & ahead)  # a face that is one surface with the body
     skirt |= _fused_skirt(points, clean.faces, ~small[piece], likely[first], joints, height)
     for number in np.unique(piece[skirt]):
         skirt |= (piece == number) & _to_the_waist(points, piece == number, joints, height)
     out = (out & ~trousers) | skirt
-    carried = own[:, _ENDS].sum(axis=1) > 0.5
-    sleeve = small & (np.bincount(piece, area * own[:, _ARMS].sum(axis=1)) > 0.5 * size)
+    carried = shares[:, _ENDS].sum(axis=1) > 0.5
+    sleeve = small & (np.bincount(piece, area * shares[:, _ARMS].sum(axis=1)) > 0.5 * size)
     carried |= sleeve[piece]
     out = (out & (~carried | (points[:, 1] > joints[_HEAD, 1]))) | skirt | hair
     out &= ~_stays(points, edges, out, skirt | hair, joints, height)
@@ -147,10 +147,10 @@ def _below_the_hips(
     sizes = np.bincount(part[below], area[below], len(points))
     for number in np.flatnonzero(sizes > LEAST * area.sum()):
         rows = below & (part == number)
-        own = points[rows]
+        members = points[rows]
         if _legs(points, edges, area, rows, crotch, joints):
             trousers |= rows
-        elif covered(np.arctan2(own[:, 0] - middle[0], own[:, 2] - middle[2])) >= AROUND:
+        elif covered(np.arctan2(members[:, 0] - middle[0], members[:, 2] - middle[2])) >= AROUND:
             skirt |= rows
     return skirt, trousers
 
@@ -186,10 +186,10 @@ def _fused_skirt(
         places = points[lines[:, 0]] * (1 - share) + points[lines[:, 1]] * share
         chosen = np.zeros(len(lines), bool)
         for number in np.flatnonzero(np.bincount(part) >= 8):
-            own = places[part == number]
+            ring = places[part == number]
             legs = [_leg_at(joints, side, level) for side in (0, 1)]
-            around = all(covered(np.arctan2(*(own - centre)[:, [0, 2]].T)) >= AROUND for centre in (middle, *legs))
-            if around and _bulges(own[:, [0, 2]]):
+            around = all(covered(np.arctan2(*(ring - centre)[:, [0, 2]].T)) >= AROUND for centre in (middle, *legs))
+            if around and _bulges(ring[:, [0, 2]]):
                 chosen |= part == number
         if not chosen.any():
             break
@@ -245,16 +245,16 @@ def _stays(
     crotch = _crotch(joints, height)
     for number in np.unique(part[mask & ~hangs]):
         rows = mask & (part == number)
-        own = points[rows]
+        members = points[rows]
         if hangs[rows].any():
             continue
-        low, high = own.min(axis=0), own.max(axis=0)
+        low, high = members.min(axis=0), members.max(axis=0)
         centre = 0.5 * (low + high)
-        round_it = covered(np.arctan2(own[:, 0] - pelvis[0], own[:, 2] - pelvis[2])) >= SHIRT
+        round_it = covered(np.arctan2(members[:, 0] - pelvis[0], members[:, 2] - pelvis[2])) >= SHIRT
         if round_it and crotch - HEM * height < low[1] < waist and high[1] < joints[_HEAD, 1]:
             out |= rows
         short = float(np.linalg.norm(high - low)) < STIFF * height
-        behind = own[:, 2].max() < pelvis[2] and abs(centre[0] - pelvis[0]) < 0.05 * height
+        behind = members[:, 2].max() < pelvis[2] and abs(centre[0] - pelvis[0]) < 0.05 * height
         if short and knees < centre[1] < waist and not behind:
             out |= rows
     return out
@@ -272,14 +272,14 @@ def _legs(
         sizes = np.bincount(part[below], area[below], len(points))
         round_one = 0.0
         for number in np.flatnonzero(sizes > 0.1 * sizes.sum()):
-            own = points[below & (part == number)]
-            left = float((own[:, 0] > middle[0]).mean())
+            members = points[below & (part == number)]
+            left = float((members[:, 0] > middle[0]).mean())
             if max(left, 1 - left) < SIDE:
                 continue
-            side = int(np.abs(joints[_KNEES, 0] - own[:, 0].mean()).argmin())
+            side = int(np.abs(joints[_KNEES, 0] - members[:, 0].mean()).argmin())
             lines = inner[part[inner[:, 0]] == number]  # rings of few points are drawn out along their edges
             between = [points[lines[:, 0]] * (1 - share) + points[lines[:, 1]] * share for share in (0.25, 0.5, 0.75)]
-            ring = np.concatenate([own, *between])
+            ring = np.concatenate([members, *between])
             if goes_round(directions_about(ring, joints[_HIPS[side]], joints[_KNEES[side]])):
                 round_one += float(sizes[number])
         if round_one > 0.5 * sizes.sum():

@@ -92,8 +92,8 @@ class Layers:
         if not len(self.skirt):
             return positions
         change = np.zeros(positions.shape, np.float32)
-        for frame, (own, whole) in enumerate(zip(positions, skinned, strict=True)):
-            change[frame] = self(own, whole) - own
+        for frame, (moved, skin) in enumerate(zip(positions, skinned, strict=True)):
+            change[frame] = self(moved, skin) - moved
             if progress and frame % 16 == 0:
                 progress(frame / len(positions))
         rows = np.flatnonzero(change.any(axis=(0, 2)))

@@ -41,9 +41,9 @@ def whole_pieces(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -
     piece = mesh_parts(edges, count)
     sizes = np.bincount(piece)
     share = np.bincount(piece, cloth) / np.maximum(sizes, 1)
-    whole = (share >= MOSTLY) & (sizes < LARGE * count)
-    own = piece[index]
-    return np.asarray(np.where(whole[own], own, -1))
+    mostly = (share >= MOSTLY) & (sizes < LARGE * count)
+    number = piece[index]
+    return np.asarray(np.where(mostly[number], number, -1))
 
 
 def apparel_parts(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> np.ndarray:
@@ -52,9 +52,9 @@ def apparel_parts(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) 
     `whole_pieces`.
     """
     index, edges, cloth = _welded(vertices, faces, apparel)
-    own = mesh_parts(edges[cloth[edges].all(axis=1)], len(cloth))[index]
+    part = mesh_parts(edges[cloth[edges].all(axis=1)], len(cloth))[index]
     out = np.full(len(vertices), -1, np.int32)
-    _, first, number = np.unique(own[apparel], return_index=True, return_inverse=True)
+    _, first, number = np.unique(part[apparel], return_index=True, return_inverse=True)
     out[apparel] = np.argsort(np.argsort(first))[number.reshape(-1)]
     return out
 
@@ -159,10 +159,10 @@ def part_neighbours(points: np.ndarray, parts: np.ndarray) -> np.ndarray:
     for part in np.unique(parts):
         rows = np.flatnonzero(parts == part)
         near = min(NEIGHBOURS + 1, len(rows))
-        own = rows[cKDTree(points[rows]).query(points[rows], near)[1].reshape(len(rows), near)]
-        itself = own == rows[:, None]
+        nearest = rows[cKDTree(points[rows]).query(points[rows], near)[1].reshape(len(rows), near)]
+        itself = nearest == rows[:, None]
         itself[~itself.any(axis=1), -1] = True  # of points at one position, a few may not find themselves
-        out[rows, : near - 1] = own[~itself].reshape(len(rows), near - 1)
+        out[rows, : near - 1] = nearest[~itself].reshape(len(rows), near - 1)
     return out
 
 
@@ -245,9 +245,9 @@ class NodeGraph:
     def _runs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points in the order of their parts, where each part begins in it, and the index of each point's part."""
         order = np.argsort(self.part, kind="stable")
-        _, starts, own = np.unique(self.part[order], return_index=True, return_inverse=True)
+        _, starts, index = np.unique(self.part[order], return_index=True, return_inverse=True)
         number = np.empty(len(order), np.int64)
-        number[order] = own
+        number[order] = index
         return order, starts, number
 
     @cached_property

@@ -41,13 +41,13 @@ def smooth(values: np.ndarray, seconds: float, fps: float) -> np.ndarray:
 def runs(mask: np.ndarray, least: float = 1, bridge: float = 0) -> list[tuple[int, int]]:
     """Runs (start, stop) in which the mask holds for `least` frames or more, gaps of up to `bridge` frames included."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    found: list[tuple[int, int]] = []
+    merged: list[tuple[int, int]] = []
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if found and start - found[-1][1] <= bridge:
-            found[-1] = (found[-1][0], stop)
+        if merged and start - merged[-1][1] <= bridge:
+            merged[-1] = (merged[-1][0], stop)
         else:
-            found.append((start, stop))
-    return [(start, stop) for start, stop in found if stop - start >= least]
+            merged.append((start, stop))
+    return [(start, stop) for start, stop in merged if stop - start >= least]
 
 
 @dataclass(frozen=True)
@@ -97,10 +97,12 @@ class Track:
         step = np.gradient(position, axis=0) * fps if len(position) > 1 else np.zeros_like(position)
         drift = smooth(step, 0.25, fps)
         back = matrix_y(-angle)
-        own = np.einsum("nij,nj->ni", back, np.stack([drift[:, 0], 0 * drift[:, 0], drift[:, 1]], 1))
+        local_drift = np.einsum("nij,nj->ni", back, np.stack([drift[:, 0], 0 * drift[:, 0], drift[:, 1]], 1))
         course = np.unwrap(np.arctan2(drift[:, 0], drift[:, 1]))
         height = motion.root_translation[:, 1].astype(float) - ground
-        return cls(fps, position, height, turn[:, 1, 1], angle, own[:, [2, 0]], course, points, feet - ground[:, None])
+        return cls(
+            fps, position, height, turn[:, 1, 1], angle, local_drift[:, [2, 0]], course, points, feet - ground[:, None]
+        )
 
     def __len__(self) -> int:
         return len(self.position)
@@ -146,8 +148,8 @@ def agreement(clause: Clause, motion: HandleMotion) -> float | None:
     if "then" in clause.cues and len(clause.actions) != 1:
         return None  # of several things that follow each other, no one holds throughout
     track = Track.of(motion)
-    found = [score for claim in _CLAIMS if (score := claim(clause, track)) is not None]
-    return float(np.clip(min(found), -1, 1)) if found else None
+    scores = [score for claim in _CLAIMS if (score := claim(clause, track)) is not None]
+    return float(np.clip(min(scores), -1, 1)) if scores else None
 
 
 def _side(clause: Clause, part: str) -> int:
@@ -168,8 +170,8 @@ def _arm(clause: Clause, track: Track) -> float | None:
     return float(own - other) / _RISES if "arm out" in clause.traits else None
 
 
-def _over(track: Track, one: str, other: str) -> np.ndarray:
-    return track.points[one][:, 1] - track.points[other][:, 1]
+def _over(track: Track, upper: str, lower: str) -> np.ndarray:
+    return track.points[upper][:, 1] - track.points[lower][:, 1]
 
 
 def _leg(clause: Clause, track: Track) -> float | None:

@@ -42,8 +42,8 @@ class ExampleBank:
     ):  # fmt: skip
         self.pack, self.ranker, self.encoder, self.statistics = pack, ranker, encoder, statistics
         self.count, self.frames = count, frames
-        self._takes = [take_of(one.name) for one in pack.examples]
-        self._usable = ~pack.made & np.array([bool(one.texts) for one in pack.examples], bool)
+        self._takes = [take_of(example.name) for example in pack.examples]
+        self._usable = ~pack.made & np.array([bool(example.texts) for example in pack.examples], bool)
         self._known: dict[tuple[int, bool], tuple[np.ndarray, np.ndarray]] = {}
 
     def nearest(self, vector: np.ndarray, without: Collection[str] = ()) -> list[tuple[int, bool]]:
@@ -99,8 +99,8 @@ class ExampleBank:
             features, text = self.pack.features(index)[: self.frames], self.pack.examples[index].texts[0]
             if mirrored:
                 features, text = mirror(features), mirror_words(text)
-            own = self.encoder.encode([text]).pooled[0]
-            self._known[key] = (self.statistics.normalise(features).astype(np.float16), own)
+            vector = self.encoder.encode([text]).pooled[0]
+            self._known[key] = (self.statistics.normalise(features).astype(np.float16), vector)
         return self._known[key]
 
 

@@ -217,11 +217,11 @@ def draw_candidates(
     steering = Steering(classifier_guidance, guide, refine if loop or tracks else None, held)
     mesh = how.mesh_features(model, len(text.mask))
     with one_thread():
-        found = sample_plans(model, text, plans, how.solver, steering, seeds=noise, mesh_features=mesh)
-    for track, own in zip(tracks, found[len(scripts) :], strict=True):
-        found[track.motion] = replace(own, adaptation=track.adapt(found[track.motion].adaptation, own.adaptation))
+        samples = sample_plans(model, text, plans, how.solver, steering, seeds=noise, mesh_features=mesh)
+    for track, own in zip(tracks, samples[len(scripts) :], strict=True):
+        samples[track.motion] = replace(own, adaptation=track.adapt(samples[track.motion].adaptation, own.adaptation))
     drawn = []
-    for row, (part, script, own_lengths, example) in enumerate(zip(found, scripts, lengths, starts, strict=False)):
+    for row, (part, script, own_lengths, example) in enumerate(zip(samples, scripts, lengths, starts, strict=False)):
         frames = np.arange(sum(own_lengths) + loop) % len(part.values)
         timed = list(zip(script, own_lengths, strict=True))
         features = steadied(statistics.restore(part.values), loop)
@@ -264,8 +264,8 @@ def _held(
             values[first, legs] = pose[legs]
             share[first, legs] = hold[:size, None]
         start += size
-    known = np.where(share > 0, statistics.normalise(values), 0).astype(np.float32)
-    return known, share
+    normalised = np.where(share > 0, statistics.normalise(values), 0).astype(np.float32)
+    return normalised, share
 
 
 def _guided(

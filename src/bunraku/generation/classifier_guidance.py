@@ -51,26 +51,26 @@ class ClassifierGuidance:
 
     def __call__(self, x0: np.ndarray, step: int) -> np.ndarray:
         """x0 (F, D) in network units, nearer to the sentences."""
-        guided = [one for one in self.stretches if LAST <= step < one.until]
+        guided = [stretch for stretch in self.stretches if LAST <= step < stretch.until]
         if not guided:
             return x0
         out = x0.copy()
         for start in range(0, len(guided), GROUP):
-            some = guided[start : start + GROUP]
+            group = guided[start : start + GROUP]
             for _ in range(self.rounds):
-                for one, way in zip(some, self.gradients(out, some), strict=True):
+                for stretch, way in zip(group, self.gradients(out, group), strict=True):
                     size = max(float(np.sqrt((way * way).mean())), 1e-9)
-                    out[slice(*one.frames)] += np.float32(self.strength / size) * way
+                    out[slice(*stretch.frames)] += np.float32(self.strength / size) * way
         return out
 
     def gradients(self, x0: np.ndarray, stretches: Sequence[Spoken]) -> list[np.ndarray]:
         """The smoothed gradient of the cosine of each stretch with its sentence, without the root's, shape (N, D)."""
-        parts = [x0[slice(*one.frames)] for one in stretches]
+        parts = [x0[slice(*stretch.frames)] for stretch in stretches]
         lengths = np.array([len(part) for part in parts])
         values = np.zeros((len(parts), int(lengths.max()), x0.shape[1]), np.float32)
         for row, part in zip(values, parts, strict=True):
             row[: len(part)] = part
-        goals = np.stack([one.vector for one in stretches])
+        goals = np.stack([stretch.vector for stretch in stretches])
         gradient = self.network.cosine_gradient(values * self.std + self.mean, lengths, goals) * self.std
         gradient[..., ROOT] = 0
         if (lengths == lengths[0]).all():  # as the candidates of one sentence are
@@ -100,9 +100,9 @@ class Critic:
         """
         stretches: list[Spoken] = []
         begin = 0
-        for script, own, size in zip(scripts, lengths, sizes, strict=True):
+        for script, frames, size in zip(scripts, lengths, sizes, strict=True):
             first, end = begin, begin + size
-            for sentence, length in zip(script, own, strict=True):
+            for sentence, length in zip(script, frames, strict=True):
                 pieces = -(-length // LONGEST)
                 bounds = [first + round(length * piece / pieces) for piece in range(pieces + 1)]
                 for low, high in zip(bounds, bounds[1:], strict=False):

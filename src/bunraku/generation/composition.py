@@ -95,10 +95,12 @@ class PartTrack:
         described limbs are laid over the motion instead (`with_limbs`).
         """
         voices = [clause.meanwhile for clause in script]
-        voices = [one if one is not None and (limbs or not isinstance(one.told, Posing)) else None for one in voices]
-        own = [kept_handles(made.part.split(" and ")) for made in voices if made is not None]
-        texts = tuple((made or clause.body).text for made, clause in zip(voices, script, strict=True))
-        return cls(motion, texts, np.any(own, axis=0)) if own else None
+        voices = [
+            voice if voice is not None and (limbs or not isinstance(voice.told, Posing)) else None for voice in voices
+        ]
+        kept = [kept_handles(voice.part.split(" and ")) for voice in voices if voice is not None]
+        texts = tuple((voice or clause.body).text for voice, clause in zip(voices, script, strict=True))
+        return cls(motion, texts, np.any(kept, axis=0)) if kept else None
 
     def follow(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """The second time line's features, shape (N, 271), with all that is not its own as in the first."""
@@ -146,27 +148,27 @@ def overlaid(features: np.ndarray, gesture: np.ndarray, parts: Collection[str]) 
     """A motion with parts of the body as in a gesture, both shape (N, D): "upper body" of a trunk that leans, "head",
     "arms", "left arm", "right arm", "lower body".
     """
-    own, made = _transforms(features), _transforms(gesture)
-    turn, shift = own.turn.copy(), own.shift.copy()
+    base, added = _transforms(features), _transforms(gesture)
+    turn, shift = base.turn.copy(), base.shift.copy()
 
     def put(handle: int, value: _Affine) -> None:
         turn[:, handle], shift[:, handle] = value
 
-    chest = own.at(_CHEST)
+    chest = base.at(_CHEST)
     if "upper body" in parts:
         for handle in PARTS["torso"]:
-            put(handle, made.at(handle).after(own.at(handle)))
-        chest = made.at(_CHEST).after(chest)
-    from_own, from_made = own.at(_CHEST).inverse(), made.at(_CHEST).inverse()
+            put(handle, added.at(handle).after(base.at(handle)))
+        chest = added.at(_CHEST).after(chest)
+    from_own, from_made = base.at(_CHEST).inverse(), added.at(_CHEST).inverse()
     replaced = {handle for part in parts if part.endswith(("arm", "arms")) for handle in PARTS[part]}
     for handle in PARTS["upper body"]:
         if handle in PARTS["torso"]:
             continue
-        local = from_own.after(own.at(handle))
+        local = from_own.after(base.at(handle))
         if handle in replaced:
-            local = from_made.after(made.at(handle))
+            local = from_made.after(added.at(handle))
         elif handle in _HEAD and ("head" in parts or "upper body" in parts):
-            local = from_made.after(made.at(handle)).after(local)
+            local = from_made.after(added.at(handle)).after(local)
         put(handle, chest.after(local))
     out = _features(features, _Affine(turn, shift))
     if "lower body" in parts:

@@ -59,8 +59,8 @@ _MARK = "motion_out.weight"
 
 def fingerprint(state: Mapping[str, np.ndarray]) -> str:
     """Identifies weights of a denoiser, by their last layer in half precision."""
-    found = state.get(_MARK)
-    return "" if found is None else hashlib.sha256(found.astype(np.float16).tobytes()).hexdigest()[:32]
+    last_layer = state.get(_MARK)
+    return "" if last_layer is None else hashlib.sha256(last_layer.astype(np.float16).tobytes()).hexdigest()[:32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +116,8 @@ def load_few_steps(path: str | Path) -> FewSteps:
     state, config = load_checkpoint(path, FEW_STEPS_KIND, half=True)
     visited: Any = config.get("visited")
     steps = visited if isinstance(visited, list) else []
-    whole = all(isinstance(one, int) and 0 <= one < TRAINING_STEPS for one in steps)
-    if not steps or not whole or any(a <= b for a, b in zip(steps, steps[1:], strict=False)):
+    valid = all(isinstance(step, int) and 0 <= step < TRAINING_STEPS for step in steps)
+    if not steps or not valid or any(a <= b for a, b in zip(steps, steps[1:], strict=False)):
         raise WeightsError(f"{path}: it names no falling diffusion steps; distil the denoiser again")
     names = sorted({name.rpartition(".")[0] for name in state})
     try:
@@ -209,15 +209,20 @@ class Denoiser:
             mask.append(text_mask & keep_text[:, None])
         tokens = np.concatenate(memory, axis=1)
         memories = [Memory(*layer.memory(tokens)) for layer in self.layers]
-        found: list[Memory | None] = [None] * len(self.layers)
+        example_memories: list[Memory | None] = [None] * len(self.layers)
         hidden = None
         if self.config.examples:
             keys, values, real = self._example_tokens(examples, keep_text)
             hidden = hidden_by(real)
             rotary = self._example_rotary(keys.shape[1])
-            found = [layer.example_memory(keys, values, rotary) for layer in self.layers]
+            example_memories = [layer.example_memory(keys, values, rotary) for layer in self.layers]
         return Condition(
-            memories, hidden_by(np.concatenate(mask, axis=1)), self._sentence(pooled, keep_text), token, found, hidden
+            memories,
+            hidden_by(np.concatenate(mask, axis=1)),
+            self._sentence(pooled, keep_text),
+            token,
+            example_memories,
+            hidden,
         )
 
     def _mesh_token(self, mesh: np.ndarray | None, keep: np.ndarray) -> np.ndarray:
@@ -257,8 +262,8 @@ class Denoiser:
 
     def _example_rotary(self, tokens: int) -> Rotary:
         """Rotary positions of the examples' tokens, each example from its own start; the null example is there, too."""
-        own = EXAMPLE_TOKENS * np.arange((tokens - 1) // self.config.examples)
-        places = np.concatenate([[0], np.tile(own, self.config.examples)])[:tokens]
+        times = EXAMPLE_TOKENS * np.arange((tokens - 1) // self.config.examples)
+        places = np.concatenate([[0], np.tile(times, self.config.examples)])[:tokens]
         return rotary_positions(places, self.config.width // self.config.heads)
 
     def __call__(
@@ -295,12 +300,12 @@ class Denoiser:
         tokens = -(-frames // patch)
         padded = np.zeros((batch, tokens * patch, features), np.float32)
         padded[:, :frames] = x
-        whole = bool((lengths >= frames).all())
+        full = bool((lengths >= frames).all())
         real = np.arange(tokens * patch) < lengths[:, None]
-        if not whole:
+        if not full:
             padded *= real[..., None]
         entered = self.motion_in(padded.reshape(batch, tokens, patch * features))
-        return entered, None if whole else np.asarray(real.reshape(batch, tokens, patch).any(-1))
+        return entered, None if full else np.asarray(real.reshape(batch, tokens, patch).any(-1))
 
     def _step(self, step: int) -> np.ndarray:
         """The diffusion step as the layers see it, shape (1, d)."""
@@ -336,10 +341,10 @@ def joint_offsets(moves: np.ndarray, features: np.ndarray) -> np.ndarray:
     still = np.broadcast_to(np.eye(3, dtype=features.dtype), (*features.shape[:2], 1, 3, 3))
     rotations = np.concatenate([still, matrix_from_6d(local[..., 3:])], axis=2)
     parents = list(HANDLE_PARENTS[1:])
-    own = ((rotations[:, :, parents] - rotations[:, :, 1:]) @ moves[:, :, 1:, :, None])[..., 0]
-    offsets = [np.zeros_like(own[:, :, 0])]
+    shifts = ((rotations[:, :, parents] - rotations[:, :, 1:]) @ moves[:, :, 1:, :, None])[..., 0]
+    offsets = [np.zeros_like(shifts[:, :, 0])]
     for handle, parent in enumerate(parents, start=1):
-        offsets.append(offsets[parent] + own[:, :, handle - 1])
+        offsets.append(offsets[parent] + shifts[:, :, handle - 1])
     return np.stack(offsets, axis=2)
 
 

@@ -124,13 +124,13 @@ class Extractor:
         h += np.float32(0.5) * np.concatenate([np.cos(angle), np.sin(angle)], axis=-1)
         backs = []
         for layer in self._motion_layers:
-            h, one = layer(h, mask)
-            backs.append(one)
+            h, layer_back = layer(h, mask)
+            backs.append(layer_back)
         masked = np.where(mask[..., None], h, _NEVER)
         most = masked.argmax(1)  # a short event in a long motion survives in the maximum
         count = np.maximum(mask.sum(1), 1).astype(np.float32)[:, None]
         pooled = np.concatenate([_mean(h, mask), np.take_along_axis(masked, most[:, None], axis=1)[:, 0]], axis=-1)
-        found, end = _ended(pooled, self._motion_norm, self._motion_out)
+        unit, end = _ended(pooled, self._motion_norm, self._motion_out)
 
         def back(gradient: np.ndarray) -> np.ndarray:
             mean, largest = np.split(end(gradient), 2, axis=-1)
@@ -143,7 +143,7 @@ class Extractor:
             out *= real[..., None]
             return np.asarray(out[:, :frames] * within * (self._weights / self.std))
 
-        return found, back
+        return unit, back
 
     def text(self, text: TextBatch) -> np.ndarray:
         """Vectors of sentences, shape (B, E), of length `RADIUS`."""
@@ -206,16 +206,16 @@ def _through(gradient: np.ndarray, layer: Linear) -> np.ndarray:
 
 def _normed(x: np.ndarray, norm: Norm) -> tuple[np.ndarray, Back]:
     """A layer norm."""
-    own = x - x.mean(-1, keepdims=True)
-    inverse = 1 / np.sqrt((own * own).mean(-1, keepdims=True) + np.float32(norm.epsilon))
-    own *= inverse
+    centred = x - x.mean(-1, keepdims=True)
+    inverse = 1 / np.sqrt((centred * centred).mean(-1, keepdims=True) + np.float32(norm.epsilon))
+    centred *= inverse
 
     def back(gradient: np.ndarray) -> np.ndarray:
         scaled = gradient * norm.scale
-        mean, along = scaled.mean(-1, keepdims=True), (scaled * own).mean(-1, keepdims=True)
-        return np.asarray((scaled - mean - own * along) * inverse)
+        mean, along = scaled.mean(-1, keepdims=True), (scaled * centred).mean(-1, keepdims=True)
+        return np.asarray((scaled - mean - centred * along) * inverse)
 
-    return own * norm.scale + norm.shift, back
+    return centred * norm.scale + norm.shift, back
 
 
 def _ends(weights: Weights, config: ExtractorConfig) -> tuple[Linear, Linear]:
@@ -224,17 +224,17 @@ def _ends(weights: Weights, config: ExtractorConfig) -> tuple[Linear, Linear]:
 
 def _ended(x: np.ndarray, norm: Norm, ends: tuple[Linear, Linear]) -> tuple[np.ndarray, Back]:
     """Unit vectors of what was pooled, shape (B, 2 d) -> (B, E)."""
-    known, back_norm = _normed(x, norm)
-    wide = ends[0](known)
+    normed, back_norm = _normed(x, norm)
+    wide = ends[0](normed)
     said = ends[1](gelu(wide.copy()))
     length = np.maximum(np.sqrt((said * said).sum(-1, keepdims=True)), np.float32(1e-12))
-    found = said / length
+    unit = said / length
 
     def back(gradient: np.ndarray) -> np.ndarray:
-        across = (gradient - found * (gradient * found).sum(-1, keepdims=True)) / length
+        across = (gradient - unit * (gradient * unit).sum(-1, keepdims=True)) / length
         return back_norm(_through(_through(across, ends[1]) * gelu_slope(wide), ends[0]))
 
-    return np.asarray(found), back
+    return np.asarray(unit), back
 
 
 def _mean(x: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -266,11 +266,11 @@ def sentence_vectors(extractor: Extractor, batch: TextBatch) -> np.ndarray:
 def embed_sentences(extractor: Extractor, encoder: TextEncoder, sentences: Sequence[str]) -> dict[str, np.ndarray]:
     """The vector of each sentence, float64, shape (E,): one for all rows of a table."""
     distinct = sorted(set(sentences))
-    found: dict[str, np.ndarray] = {}
+    vectors: dict[str, np.ndarray] = {}
     for start in range(0, len(distinct), 256):
         part = distinct[start : start + 256]
-        found.update(zip(part, sentence_vectors(extractor, encoder.encode(part)), strict=True))
-    return found
+        vectors.update(zip(part, sentence_vectors(extractor, encoder.encode(part)), strict=True))
+    return vectors
 
 
 def load_extractor(path: str | Path, kind: str = KIND) -> Extractor:

@@ -92,11 +92,11 @@ def generate_motions(
     pack = networks.examples if how.candidates > plain and how.examples else None
     critic = networks.critic if how.classifier_guidance else None
     texts = Texts.of(networks, scripts, how.candidates > 1, pack is not None, critic)
-    known = None if pack is None else GuidanceExamples(pack, texts.shown)
-    if known is not None and not loop:
-        scripts = [[part for clause in script for part in known.parted(clause)] for script in scripts]
-    if known is not None and how.note:
-        for note in dict.fromkeys(_left_out(known, clause) for script in scripts for clause in script):
+    guidance = None if pack is None else GuidanceExamples(pack, texts.shown)
+    if guidance is not None and not loop:
+        scripts = [[part for clause in script for part in guidance.parted(clause)] for script in scripts]
+    if guidance is not None and how.note:
+        for note in dict.fromkeys(_left_out(guidance, clause) for script in scripts for clause in script):
             if note:
                 how.note(note)
     guided = {text: vector.astype(np.float32) for text, vector in texts.guided.items()}
@@ -105,23 +105,23 @@ def generate_motions(
     def example(row: int, index: int) -> tuple[GuidanceExample | None, GuidanceExample | None]:
         """What a candidate starts from, and what the gestures do that are made at the same time."""
         attempt, number = divmod(index, how.candidates)
-        if known is None or (loop and len(scripts[row]) > 1):
+        if guidance is None or (loop and len(scripts[row]) > 1):
             return None, None
         lengths = frames_of([clause.seconds for clause in scripts[row]], model.config.fps)
-        whole = [clause if known.shows(clause) else clause.body for clause in scripts[row]]
+        shown = [clause if guidance.shows(clause) else clause.body for clause in scripts[row]]
         second = [clause.meanwhile or clause for clause in scripts[row]]
-        script, gestures = (list(zip(clauses, lengths, strict=True)) for clauses in (whole, second))
-        if number < plain and not known.unranked(script) and not known.unranked(gestures):
+        script, gestures = (list(zip(clauses, lengths, strict=True)) for clauses in (shown, second))
+        if number < plain and not guidance.unranked(script) and not guidance.unranked(gestures):
             return None, None
         turn = attempt * (how.candidates - plain) + max(number - plain, 0)
-        return known.of(script, noise[row], turn), known.of(gestures, noise[row], turn)
+        return guidance.of(script, noise[row], turn), guidance.of(gestures, noise[row], turn)
 
     def draw(rows: list[int], indices: list[int]) -> list[Candidate]:
         pairs = [(noise[row][0], noise[row][1] + _APART * index) for row, index in zip(rows, indices, strict=True)]
         again = how if not any(index >= how.candidates for index in indices) else replace(how, progress=None)
         examples = [example(row, index) for row, index in zip(rows, indices, strict=True)]
-        some = [scripts[row] for row in rows]
-        return draw_candidates(texts, some, pairs, again, loop, path, examples, guides)
+        chosen_scripts = [scripts[row] for row in rows]
+        return draw_candidates(texts, chosen_scripts, pairs, again, loop, path, examples, guides)
 
     rows = list(range(len(scripts)))
     if how.candidates > 1:
@@ -129,29 +129,29 @@ def generate_motions(
 
         def score(drawn: Sequence[Candidate]) -> np.ndarray:
             with one_thread():
-                motions = [one.motion for one in drawn]
-                return script_scores(networks.ranker, texts.ranked, motions, [one.script for one in drawn])
+                motions = [candidate.motion for candidate in drawn]
+                return script_scores(networks.ranker, texts.ranked, motions, [candidate.script for candidate in drawn])
 
-        found = choose(draw, len(scripts), how.candidates, score)
+        chosen = choose(draw, len(scripts), how.candidates, score)
     else:
-        found = draw(rows, [0] * len(rows))
-    own = how.of_body(model)
+        chosen = draw(rows, [0] * len(rows))
+    of_body = how.of_body(model)
     motions = []
-    for one, script in zip(found, scripts, strict=True):
-        made = decode(one.motion, model.config.fps).of_own_body(own)
+    for candidate, script in zip(chosen, scripts, strict=True):
+        motion = decode(candidate.motion, model.config.fps).of_own_body(of_body)
         if path is not None:
-            x, z, heading = way_of(path, len(made), model.config.fps, script)[0]
-            made = moved(made, heading, np.array([x, 0, z]))
-        motions.append(adapt(made, one.adaptation))
+            x, z, heading = way_of(path, len(motion), model.config.fps, script)[0]
+            motion = moved(motion, heading, np.array([x, 0, z]))
+        motions.append(adapt(motion, candidate.adaptation))
     return motions
 
 
-def _left_out(known: GuidanceExamples, clause: Clause) -> str:
+def _left_out(guidance: GuidanceExamples, clause: Clause) -> str:
     """A line on what of a clause no motion, or no gesture, shows; "" for nothing."""
-    word, action = known.unseen(clause)
+    word, action = guidance.unseen(clause)
     if word:
         return f"no motion of '{word}' is known; this is one of '{action}'"
-    lacking = ", ".join(f"'{word}'" for word in known.lacking(clause))
+    lacking = ", ".join(f"'{word}'" for word in guidance.lacking(clause))
     if not lacking:
         return ""
     return f"no gesture of '{clause.text}' has {lacking}; the network makes the motion, and may leave that out"
@@ -243,15 +243,16 @@ def edit_motion(
     _check(motion, model)
     low, high = max(first - AROUND, 0), min(after + AROUND, len(motion))
     part = motion.take(slice(low, high))
-    made = _generate(
+    generated = _generate(
         part, [(start - low, stop - low) for start, stop in runs], handles, [clause.text], [high - low], seed, how
     )
     kept = np.setdiff1d(np.arange(low, high), np.concatenate([np.arange(*run) for run in runs]))
     anchor = int(kept[0]) - low if len(kept) else 0  # a kept frame where there is one
-    made = placed_at(made, anchor, part, anchor)
-    whole = made.take(np.clip(np.arange(len(motion)) - low, 0, len(made) - 1))  # beyond the part all is kept
-    own = {name: getattr(motion, name) for name in ("own_kind", "own_height", "soft")}
-    return replace(put_back_runs(whole, motion, handles, runs, fade=0), **own)
+    generated = placed_at(generated, anchor, part, anchor)
+    # beyond the part all is kept
+    extended = generated.take(np.clip(np.arange(len(motion)) - low, 0, len(generated) - 1))
+    of_motion = {name: getattr(motion, name) for name in ("own_kind", "own_height", "soft")}
+    return replace(put_back_runs(extended, motion, handles, runs, fade=0), **of_motion)
 
 
 def continue_motion(motion: HandleMotion, script: Sequence[Clause], *, seed: int = 0, **sampling: Any) -> HandleMotion:
@@ -277,12 +278,13 @@ def continue_motion(motion: HandleMotion, script: Sequence[Clause], *, seed: int
     frames = np.minimum(np.arange(past - 1 + sum(lengths)), past - 1)
     still = history.take(frames)
     lengths[0] += past - 1
-    made = _generate(
+    generated = _generate(
         still, [(past, len(frames))], np.zeros(HANDLE_COUNT, bool), [clause.text for clause in script], lengths, seed,
         how,
     )  # fmt: skip
-    made = placed_at(made, past - 1, history, past - 1).take(slice(past - 1, len(made)))
-    return put_back(made, still.take(slice(past - 1, len(still))), np.zeros(HANDLE_COUNT, bool), 1, len(made), fade=0)
+    generated = placed_at(generated, past - 1, history, past - 1).take(slice(past - 1, len(generated)))
+    still = still.take(slice(past - 1, len(still)))
+    return put_back(generated, still, np.zeros(HANDLE_COUNT, bool), 1, len(generated), fade=0)
 
 
 def _check(motion: HandleMotion, model: Denoiser) -> None:
@@ -343,10 +345,10 @@ def _generate(
     with one_thread():
         mesh = how.mesh_features(model, len(text.mask))
         steering = Steering(refine=refine, known=(held, share))
-        (found,) = sample_plans(model, text, [plan], how.solver, steering, seeds=seed, mesh_features=mesh)
-    made = statistics.restore(found.values[:frames])
+        (sample,) = sample_plans(model, text, [plan], how.solver, steering, seeds=seed, mesh_features=mesh)
+    made = statistics.restore(sample.values[:frames])
     made[mask[:frames]] = features[mask[:frames]]
-    adaptation = found.adaptation[:frames].copy()
+    adaptation = sample.adaptation[:frames].copy()
     made_anew = np.zeros(frames, bool)
     for (first, after), reach in zip(runs, reaches, strict=True):
         made_anew[first:after] = True

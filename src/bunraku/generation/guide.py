@@ -128,8 +128,8 @@ def laid(
     still = statistics.normalise(np.zeros(FEATURE_SIZE, np.float32))[:3]
     led = longer = values
     if len(values) < frames and (first, last) != ("free", "free") and pack.standing:
-        own = [index for index in pack.standing if pack.examples[index].made == example.made] or pack.standing
-        standing = [statistics.normalise(pack.features(index)).astype(np.float32) for index in own]
+        similar = [index for index in pack.standing if pack.examples[index].made == example.made] or pack.standing
+        standing = [statistics.normalise(pack.features(index)).astype(np.float32) for index in similar]
         before, after = (Joins(standing, near=NEAR if end == "stays" else np.inf) for end in (first, last))
         if first != "free" and lead > AROUND:  # nothing of the motion itself is cross-faded
             eased = held(values[::-1], AROUND, still, EASE)[::-1]
@@ -193,16 +193,16 @@ def _loop(pack: ExamplePack, found: Found) -> tuple[int, int] | None:
     if loop is None or pack.examples[found.number].made:
         return loop  # a gesture's cycle is between two rests
     features = pack.features(found.number)
-    whole = len(features) - 1, 0
+    all_frames = len(features) - 1, 0
     poses = features[:, 3:]
-    if pose_distance(*poses[[*whole]]) <= pose_distance(*poses[[*loop]]):
-        return whole
+    if pose_distance(*poses[[*all_frames]]) <= pose_distance(*poses[[*loop]]):
+        return all_frames
     return loop if loop[0] - loop[1] >= SHORTEST_LOOP else None
 
 
-def pose_distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def pose_distance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Squared distance of poses, shapes (..., 268) -> (...): features but for the root's velocities."""
-    return np.asarray((WEIGHTS * (one - other) ** 2).sum(axis=-1))
+    return np.asarray((WEIGHTS * (first - second) ** 2).sum(axis=-1))
 
 
 def _crouches(here: float, there: float) -> bool:
@@ -275,16 +275,16 @@ def laid_script(
     made = np.zeros(frames, bool)
     start = 0
     for number, (found, length) in enumerate(parts):
-        own = frames - start if number == len(parts) - 1 else length  # frames that make up for a short motion
+        wanted = frames - start if number == len(parts) - 1 else length  # frames that make up for a short motion
         if found is not None:
-            one = laid(pack, found, own, statistics, random, manners[number] if manners else AS_USUAL)
-            values[start : start + own] = one.values
-            before = np.arange(own) + 1 if number else np.full(own, _FADE)
-            after = np.arange(own)[::-1] + 1 if number < len(parts) - 1 else np.full(own, _FADE)
+            guide = laid(pack, found, wanted, statistics, random, manners[number] if manners else AS_USUAL)
+            values[start : start + wanted] = guide.values
+            before = np.arange(wanted) + 1 if number else np.full(wanted, _FADE)
+            after = np.arange(wanted)[::-1] + 1 if number < len(parts) - 1 else np.full(wanted, _FADE)
             edge = smooth_step(np.minimum(np.minimum(before, after) / _FADE, 1.0))
-            share[start : start + own] = one.share * edge
-            made[start : start + own] = one.made
-        start += own
+            share[start : start + wanted] = guide.share * edge
+            made[start : start + wanted] = guide.made
+        start += wanted
     return Guide(values, share, made)
 
 
@@ -329,9 +329,9 @@ class GuidanceExamples:
 
     def __init__(self, pack: ExamplePack, clauses: Mapping[str, tuple[Clause, np.ndarray]]):
         self.pack = pack
-        retrieved = {text: retrieve(pack, *one) for text, one in clauses.items()}
-        self._found = {text: one.found for text, one in retrieved.items()}
-        self._lacking = {text: one.lacking for text, one in retrieved.items()}
+        retrieved = {text: retrieve(pack, *result) for text, result in clauses.items()}
+        self._found = {text: result.found for text, result in retrieved.items()}
+        self._lacking = {text: result.lacking for text, result in retrieved.items()}
 
     def shows(self, clause: Clause) -> bool:
         """Whether there is an example for a clause."""
@@ -402,7 +402,7 @@ class GuidanceExamples:
     def _following(self, last: Found, fitting: list[Found]) -> list[Found]:
         """The few that begin most as another ends: a person on a chair does not get up from the floor."""
         end = self._pose(last, -1)
-        away = np.sqrt([float(pose_distance(self._pose(one, 0), end)) for one in fitting])
+        away = np.sqrt([float(pose_distance(self._pose(candidate, 0), end)) for candidate in fitting])
         order = np.argsort(away, kind="stable")[:NEAREST]
         return [fitting[index] for index in order[away[order] <= away.min(initial=np.inf) + ALIKE].tolist()]
 

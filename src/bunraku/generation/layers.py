@@ -78,9 +78,9 @@ class Condition:
     def rows(self, rows: slice) -> Condition:
         """Of these rows of the batch."""
         return Condition(
-            [Memory(one.keys[rows], one.values[rows]) for one in self.memories],
+            [Memory(memory.keys[rows], memory.values[rows]) for memory in self.memories],
             None if self.hidden is None else self.hidden[rows], self.sentence[rows], self.mesh[rows],
-            [None if one is None else Memory(one.keys[rows], one.values[rows]) for one in self.examples],
+            [None if memory is None else Memory(memory.keys[rows], memory.values[rows]) for memory in self.examples],
             None if self.hidden_examples is None else self.hidden_examples[rows],
         )  # fmt: skip
 

@@ -82,12 +82,12 @@ def all_clips() -> tuple[Clip, ...]:
     """All clips, by kind and name."""
     table = tomllib.loads(resources.files("bunraku.generation").joinpath("library.toml").read_text(encoding="utf-8"))
     sources = [Source(tuple(row["begins"]), row["credit"], row["terms"]) for row in table["source"]]
-    found = []
+    clips = []
     for name, row in table["clips"].items():
-        source = next(one for one in sources if row["of"].startswith(one.begins))
+        source = next(candidate for candidate in sources if row["of"].startswith(candidate.begins))
         tags = tuple(row["tags"])
-        found.append(Clip(name, row["says"], float(row["seconds"]), row["loops"], tags, source, row["of"]))
-    return tuple(found)
+        clips.append(Clip(name, row["says"], float(row["seconds"]), row["loops"], tags, source, row["of"]))
+    return tuple(clips)
 
 
 def clip(name: str) -> Clip:
@@ -96,11 +96,13 @@ def clip(name: str) -> Clip:
     Raises:
         OptionError: There is none; the sentence names similar ones.
     """
-    found = next((one for one in all_clips() if one.name == name), None)
-    if found is None:
+    match = next((entry for entry in all_clips() if entry.name == name), None)
+    if match is None:
         like = search(name.replace("-", " "))[:3] or all_clips()[:3]
-        raise OptionError(f"there is no clip '{name[:40]}'; there are {', '.join(one.name for one in like)} and more")
-    return found
+        raise OptionError(
+            f"there is no clip '{name[:40]}'; there are {', '.join(entry.name for entry in like)} and more"
+        )
+    return match
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,7 @@ class _Words:
         for words, worth in ((self.name, _NAME), (self.tags, _TAG), (self.sentence, _SENTENCE)):
             if word in words:
                 best = max(best, worth)
-            elif len(word) >= _LETTERS and any(one.startswith(word) for one in words):
+            elif len(word) >= _LETTERS and any(longer.startswith(word) for longer in words):
                 best = max(best, worth * _BEGUN)
         return best
 
@@ -137,10 +139,10 @@ def _index() -> tuple[tuple[_Words, ...], Counter[str], Counter[str]]:
 
     rows = tuple(
         _Words(
-            _stems(one.name.replace("-", " ")), frozenset[str]().union(*map(_stems, one.tags)), _stems(one.sentence),
-            frozenset((*actions_of(one.sentence), *one.tags[1:])),
+            _stems(entry.name.replace("-", " ")), frozenset[str]().union(*map(_stems, entry.tags)),
+            _stems(entry.sentence), frozenset((*actions_of(entry.sentence), *entry.tags[1:])),
         )
-        for one in all_clips()
+        for entry in all_clips()
     )  # fmt: skip
     stems = Counter(word for row in rows for word in row.name | row.tags | row.sentence)
     return rows, stems, Counter(action for row in rows for action in row.actions)
@@ -162,32 +164,32 @@ def search(text: str = "", tags: Sequence[str] = ()) -> list[Clip]:
     from bunraku.language.vocabulary import FUNCTION_WORDS
 
     text = " ".join(text.replace("-", " ").split())
-    some = [(one, row) for one, row in zip(all_clips(), _index()[0], strict=True) if set(tags) <= set(one.tags)]
+    tagged = [(entry, row) for entry, row in zip(all_clips(), _index()[0], strict=True) if set(tags) <= set(entry.tags)]
     if not text:
-        return [one for one, _ in some]
-    found = _found(text, some)
+        return [entry for entry, _ in tagged]
+    found = _found(text, tagged)
     if not found and any(word not in FUNCTION_WORDS for word in words_of(text)[0]):
         english = understood(text[:1000]).english
-        found = [] if english == text else _found(english, some)
+        found = [] if english == text else _found(english, tagged)
     if not found:
         wanted = set(actions_of(text))
-        found = [(1.0, one) for one, row in some if wanted & row.actions]
+        found = [(1.0, entry) for entry, row in tagged if wanted & row.actions]
     name = text.lower().replace(" ", "-")
-    return [one for _, one in sorted(found, key=lambda pair: (pair[1].name != name, -pair[0], pair[1].name))]
+    return [entry for _, entry in sorted(found, key=lambda pair: (pair[1].name != name, -pair[0], pair[1].name))]
 
 
-def _found(text: str, some: Sequence[tuple[Clip, _Words]]) -> list[tuple[float, Clip]]:
+def _found(text: str, entries: Sequence[tuple[Clip, _Words]]) -> list[tuple[float, Clip]]:
     from bunraku.language.lexicon import actions_of
 
     rows, stems, actions = _index()
     typed, wanted = _stems(text), frozenset(actions_of(text)) - {"other"}
-    found = []
-    for one, row in some:
+    scored = []
+    for entry, row in entries:
         score = sum(row.worth(word) * math.log(1 + len(rows) / (1 + stems[word])) for word in typed)
         score += sum(_ACTION * math.log(1 + len(rows) / (1 + actions[action])) for action in wanted & row.actions)
         if score > 0:
-            found.append((score, one))
-    return found
+            scored.append((score, entry))
+    return scored
 
 
 _EASE = 0.3  # share of a pose's change that is left from frame to frame where a clip is held at its end
@@ -235,4 +237,4 @@ def _rounds(values: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarra
 @functools.lru_cache(maxsize=2)
 def _numbers(pack: ExamplePack) -> dict[str, int]:
     """The index of each stretch."""
-    return {one.name: number for number, one in enumerate(pack.examples)}
+    return {example.name: number for number, example in enumerate(pack.examples)}

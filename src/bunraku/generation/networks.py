@@ -90,8 +90,8 @@ def load_generator(checkpoint: str | Path | None = None) -> tuple[Denoiser, Text
     Raises:
         WeightsError: The weights are missing or broken.
     """
-    found = dated_checkpoint("diffusion", checkpoint)
-    return _denoiser(*found), _encoder(*found)
+    dated_path = dated_checkpoint("diffusion", checkpoint)
+    return _denoiser(*dated_path), _encoder(*dated_path)
 
 
 @functools.lru_cache(maxsize=2)
@@ -136,7 +136,7 @@ class Texts:
 
         clauses = [clause for script in scripts for clause in script]
         clauses += [part for clause in clauses for part in clause.parts] if shows else []
-        voices = [one for clause in clauses for one in (clause, *clause.voices)] if shows else []
+        voices = [voice for clause in clauses for voice in (clause, *clause.voices)] if shows else []
         bodies = [clause.body for clause in clauses] if critic is not None else []
         plain = {text: None for clause in clauses for text in (clause.body.text, (clause.meanwhile or clause).text)}
         ranker = networks.ranker if ranks or shows else None
@@ -148,17 +148,19 @@ class Texts:
             for network in networks_of
         ]
         with one_thread():
-            batches = [own.encode(texts) if texts else None for own, texts in zip(encoders[:2], wanted, strict=False)]
+            batches = [
+                encoder.encode(texts) if texts else None for encoder, texts in zip(encoders[:2], wanted, strict=False)
+            ]
         tokens = networks.encoder.encode(list(plain))
         with one_thread():
             batches.append(encoders[2].encode(wanted[2]) if ranks else None)
-            found: list[dict[str, np.ndarray]] = []
+            by_text: list[dict[str, np.ndarray]] = []
             for network, texts, batch in zip(networks_of, wanted, batches, strict=True):
                 vectors = () if network is None or batch is None else sentence_vectors(network, batch)
-                found.append(dict(zip(texts, vectors, strict=True)))
-        shown = {clause.text: (clause, found[0][clause.person] / RADIUS) for clause in voices}
-        guided = {clause.text: found[1][clause.person] / RADIUS for clause in bodies}
-        return cls({text: row for row, text in enumerate(plain)}, tokens, found[2], shown, guided)
+                by_text.append(dict(zip(texts, vectors, strict=True)))
+        shown = {clause.text: (clause, by_text[0][clause.person] / RADIUS) for clause in voices}
+        guided = {clause.text: by_text[1][clause.person] / RADIUS for clause in bodies}
+        return cls({text: row for row, text in enumerate(plain)}, tokens, by_text[2], shown, guided)
 
     def batch(self, texts: Sequence[str]) -> TextBatch:
         """The tokens of these texts, in their order."""

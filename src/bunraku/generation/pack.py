@@ -106,11 +106,11 @@ class Said(NamedTuple):
     @property
     def mirrored_cues(self) -> frozenset[str]:
         """The cues of the sentences with left and right exchanged."""
-        found = set()
+        cues = set()
         for cue in self.cues:
             side, _, part = cue.partition(" ")
-            found.add(f"{_OTHER_SIDE[side]} {part}" if side in _OTHER_SIDE else cue)
-        return frozenset(found)
+            cues.add(f"{_OTHER_SIDE[side]} {part}" if side in _OTHER_SIDE else cue)
+        return frozenset(cues)
 
 
 def said_by(texts: Sequence[str]) -> Said:
@@ -141,7 +141,7 @@ class ExamplePack:
     @functools.cached_property
     def made(self) -> np.ndarray:
         """Which ones are gestures made by code, shape (E,), bool."""
-        return np.array([one.name.startswith(MADE) for one in self.examples], bool)
+        return np.array([example.name.startswith(MADE) for example in self.examples], bool)
 
     @functools.cached_property
     def handled(self) -> tuple[int, ...]:
@@ -190,8 +190,8 @@ class ExamplePack:
         """The gesture that an example is; None where it is captured, or no gesture of this version."""
         from bunraku.gestures.catalogue import gesture_of
 
-        one = self.examples[index]
-        return gesture_of(one.texts) if one.made and one.texts else None
+        example = self.examples[index]
+        return gesture_of(example.texts) if example.made and example.texts else None
 
     def features(self, index: int) -> np.ndarray:
         """Features of an example, shape (N, 271)."""
@@ -205,7 +205,7 @@ def stand_well(pack: ExamplePack) -> list[int]:
     from bunraku.generation.splicing import on_one_leg
     from bunraku.gestures.standing import stands_well
 
-    wordless = [index for index, one in enumerate(pack.examples) if not one.texts]
+    wordless = [index for index, example in enumerate(pack.examples) if not example.texts]
     others = [index for index in wordless if not pack.examples[index].stands]
     lifted = {
         index for index, features in zip(others, _encoded_at_once(pack, others), strict=True) if on_one_leg(features)
@@ -289,7 +289,7 @@ def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object])
     """Write examples with notes on their sources and choice; and beside them (`said_path`) what their sentences say."""
     from bunraku.core.nn.checkpoints import save_checkpoint
 
-    table = [[one.name, list(one.texts), one.frames, list(one.loop or ())] for one in pack.examples]
+    table = [[example.name, list(example.texts), example.frames, list(example.loop or ())] for example in pack.examples]
     tensors: dict[str, np.ndarray] = {
         "data": np.frombuffer(b"".join(pack.data), np.uint8),
         "sizes": np.array([len(part) for part in pack.data], np.int32),
@@ -310,7 +310,7 @@ def write_said(path: str | Path, pack: ExamplePack) -> None:
     """Write beside a pack what its sentences say and in which stretches a person stands well."""
     from bunraku.core.files import atomic_write
 
-    rows = [json.dumps([_AND.join(sorted(names)) for names in said_by(one.texts)]) for one in pack.examples]
+    rows = [json.dumps([_AND.join(sorted(names)) for names in said_by(example.texts)]) for example in pack.examples]
     head = f'{{"of": "{_contents(pack)}", "stand": {stand_well(pack)}, "rows": [\n'
     with atomic_write(said_path(path)) as file:
         file.write((head + ",\n".join(rows) + "\n]}\n").encode())
@@ -318,12 +318,12 @@ def write_said(path: str | Path, pack: ExamplePack) -> None:
 
 def _contents(pack: ExamplePack) -> str:
     """Fingerprint of the sentences of a pack, of the lexicon that reads them, and of its stretches of standing."""
-    found = hashlib.sha256(resources.files("bunraku.language").joinpath("lexicon.json").read_bytes())
-    found.update(json.dumps([one.texts for one in pack.examples]).encode())
-    for one, data in zip(pack.examples, pack.data, strict=False):  # a pack that is damaged has fewer
-        if not one.texts:
-            found.update(data)
-    return found.hexdigest()[:16]
+    digest = hashlib.sha256(resources.files("bunraku.language").joinpath("lexicon.json").read_bytes())
+    digest.update(json.dumps([example.texts for example in pack.examples]).encode())
+    for example, data in zip(pack.examples, pack.data, strict=False):  # a pack that is damaged has fewer
+        if not example.texts:
+            digest.update(data)
+    return digest.hexdigest()[:16]
 
 
 def _with_stored(pack: ExamplePack, path: str | Path) -> ExamplePack:
@@ -370,14 +370,14 @@ def read_pack(path: str | Path) -> ExamplePack:
             for name, texts, frames, loop in config["examples"]
         ]
         owners = state["owners"]
-        found = ExamplePack(
+        pack = ExamplePack(
             tuple(examples), tuple([data[start:stop] for start, stop in zip(ends, ends[1:], strict=False)]), owners,
             state["texts"], state["motions"], str(config["ranker"]),
         )  # fmt: skip
-        fits = found.texts.shape[:2] == (2, len(owners)) and found.motions.shape[:2] == (2, len(examples))
+        fits = pack.texts.shape[:2] == (2, len(owners)) and pack.motions.shape[:2] == (2, len(examples))
         if not fits or len(sizes) != len(examples) or not ((owners >= 0) & (owners < len(examples))).all():
             raise ValueError("its tables have different lengths")
-    return _with_stored(found, path)
+    return _with_stored(pack, path)
 
 
 def load_examples() -> ExamplePack | None:
@@ -398,13 +398,13 @@ def load_examples() -> ExamplePack | None:
 
 @functools.lru_cache(maxsize=2)
 def _load(path: Path, changed: int, ranker: Path, ranker_changed: int) -> ExamplePack:
-    found = read_pack(path)
-    if found.ranker != fingerprint(ranker):
+    pack = read_pack(path)
+    if pack.ranker != fingerprint(ranker):
         raise WeightsError(
             f"{path}: the examples were made with another ranker than {ranker.name} beside them; build them again with "
             "'bunraku data examples', or take them away"
         )
-    return found
+    return pack
 
 
 def fingerprint(path: Path) -> str:

@@ -67,15 +67,15 @@ def script_agreement(motion: np.ndarray, script: Sequence[tuple[Clause, int]], l
     """How far a motion (N, 271) does what its sentences plainly say: the `agreement` of the one that holds least. `led`
     motions start from examples, so that limbs go where the sentence says.
     """
-    found = []
+    scores = []
     for clause, span in clause_spans(script):
         if led and isinstance(clause.told, Posing):
             continue
         part = motion[span]
         score = agreement(clause, decode(part)) if len(part) >= SHORTEST else None
         if score is not None:
-            found.append(score)
-    return min(found, default=None)
+            scores.append(score)
+    return min(scores, default=None)
 
 
 def choose(
@@ -97,10 +97,10 @@ def choose(
         rows = [motion for motion in wanted for _ in range(candidates)]
         indices = [attempt * candidates + index for _ in wanted for index in range(candidates)]
         drawn = draw(rows, indices)
-        for motion, one, cosine in zip(rows, drawn, score(drawn).tolist(), strict=True):
-            total = cosine + WEIGHT * (one.agreement or 0.0) + CAPTURED * one.captured
+        for motion, candidate, cosine in zip(rows, drawn, score(drawn).tolist(), strict=True):
+            total = cosine + WEIGHT * (candidate.agreement or 0.0) + CAPTURED * candidate.captured
             if motion not in best or total > best[motion][0]:
-                best[motion] = (total, one)
+                best[motion] = (total, candidate)
         wanted = [motion for motion in wanted if (said := best[motion][1].agreement) is not None and said < ENOUGH]
         if not wanted:
             break

@@ -108,17 +108,17 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
 
 def _described(pack: ExamplePack, clause: Clause, posing: Posing) -> list[Found]:
     """The gestures with a sentence that says the very same of limbs as a clause does."""
-    found = []
+    matches = []
     for index in np.flatnonzero(pack.made).tolist():
         if pack.said(index).actions != frozenset(clause.actions):
             continue
-        own = [limbs_described(text) for text in pack.examples[index].texts]
-        same = [one.bare for one in own if one is not None and not one.rest]
+        described = [limbs_described(text) for text in pack.examples[index].texts]
+        same = [other.bare for other in described if other is not None and not other.rest]
         for mirrored, wanted in ((False, posing.bare), (True, posing.mirrored.bare)):
             if wanted in same:
-                found.append(Found(index, mirrored, 1.0))
+                matches.append(Found(index, mirrored, 1.0))
                 break
-    return found
+    return matches
 
 
 def _retrieved(pack: ExamplePack, clause: Clause, vector: np.ndarray, let_go: frozenset[str]) -> Retrieved:
@@ -155,16 +155,18 @@ def _retrieved(pack: ExamplePack, clause: Clause, vector: np.ndarray, let_go: fr
                 lacking.update(dict.fromkeys(lacks))
             else:
                 found.append(Found(index, mirrored, float(score[index]), part, times))
-    found.sort(key=lambda one: -one.score)
+    found.sort(key=lambda example: -example.score)
     best_made = bool(found) and bool(pack.made[found[0].number])
     best_made = best_made and query.actions != {"stand up"}  # that depends on how somebody sits, kneels or lies
     away = NEAR_MADE if best_made else NEAR
-    kept = [one for one in found if one.score >= found[0].score - away]
-    besides = [_besides(pack, one, query) for one in kept]
+    kept = [example for example in found if example.score >= found[0].score - away]
+    besides = [_besides(pack, example, query) for example in kept]
     most = sorted(besides)[:SOME][-1] if besides else 0
-    kept = [one for one, more in zip(kept, besides, strict=True) if more <= most]
-    whole = [one for one in kept if one.part or tells_all(clause.added, pack.examples[one.number].texts)]
-    return Retrieved((whole or kept)[:MOST], () if whole else tuple(lacking))
+    kept = [example for example, more in zip(kept, besides, strict=True) if more <= most]
+    complete = [
+        example for example in kept if example.part or tells_all(clause.added, pack.examples[example.number].texts)
+    ]
+    return Retrieved((complete or kept)[:MOST], () if complete else tuple(lacking))
 
 
 def _besides(pack: ExamplePack, found: Found, query: Said) -> int:
@@ -174,7 +176,7 @@ def _besides(pack: ExamplePack, found: Found, query: Said) -> int:
     said = pack.said(found.number)
     ways = (said.mirrored_cues if found.mirrored else said.cues) & _ADDED_WAYS - query.cues
     rows = lexicon().actions
-    others = [one for one in said.besides - query.actions if one not in rows or not rows[one].passing]
+    others = [action for action in said.besides - query.actions if action not in rows or not rows[action].passing]
     return len(others) + (len(ways) if pack.made[found.number] else 0)
 
 

@@ -37,10 +37,10 @@ class Noise:
         """The next numbers of this shape, float32: at least 16 at a time."""
         count = int(np.prod(shape))
         uniform = self._uniform(count)
-        whole = count // _LANES * _LANES
+        full = count // _LANES * _LANES
         out = np.empty(count, np.float32)
-        out[:whole] = _normal(uniform[:whole])
-        if whole < count:  # the last 16 are drawn anew
+        out[:full] = _normal(uniform[:full])
+        if full < count:  # the last 16 are drawn anew
             out[count - _LANES :] = _normal(self._uniform(_LANES))
         return out.reshape(shape)
 

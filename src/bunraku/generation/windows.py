@@ -51,8 +51,8 @@ def plan_windows(lengths: Sequence[int], longest: int, *, loop: bool = False, ov
     start = 0
     for row, length in enumerate(lengths):
         ends = 2 if loop else (row > 0) + (row < len(lengths) - 1)  # where it meets another sentence
-        whole = length + ends * (overlap // 2) <= longest
-        count = 1 if whole else -(-length // (longest - overlap))
+        fits = length + ends * (overlap // 2) <= longest
+        count = 1 if fits else -(-length // (longest - overlap))
         if loop and len(lengths) == 1:
             count = max(count, 2)  # the seam of one window is in the middle of the other
         bounds = [start + round(length * part / count) for part in range(count + 1)]
@@ -108,11 +108,11 @@ def sample_plans(
     lengths, size = [plan.frames for plan in plans], model.config.features
     drawn = drawn_noise(seeds, len(plans))
     noise = [row_noise(length, size, *pair) for length, pair in zip(lengths, drawn, strict=True)]
-    found = sample_windows(
+    sample = sample_windows(
         model, text, windows, np.concatenate(noise), solver, steering or Steering(), mesh_features=mesh_features
     )
     ends = np.cumsum(lengths)[:-1]
-    parts = np.split(found.values, ends), np.split(found.adaptation, ends)
+    parts = np.split(sample.values, ends), np.split(sample.adaptation, ends)
     return [Sample(*part) for part in zip(*parts, strict=True)]
 
 

@@ -110,14 +110,15 @@ _GOING = tuple(_Sway(6.0, (0.12 * much, 0.3 * much, 0.08 * much), 0.04, 0.015, p
 STEP = 0.9  # steps of each leg a second [1/s]
 
 
-def fitted_springs(made: Chained) -> list[np.ndarray]:
+def fitted_springs(chained: Chained) -> list[np.ndarray]:
     """Stiffness, drag and gravity power of each link of each chain, each of shape (R, 3)."""
     values = (_GRID[:, 0], _GRID[:, 1], _GRID[:, 2])
-    paths = [_Path.of(made, sway) for sway in (_STANDING, *_GOING)]
-    out: list[np.ndarray] = [np.zeros((len(chain), 3)) for chain in made.chains]
-    for link in range(max(map(len, made.chains), default=0)):
-        rows = [number for number, chain in enumerate(made.chains) if len(chain) > link]
-        bones = np.stack([made.chains[number].points[link + 1] - made.chains[number].points[link] for number in rows])
+    paths = [_Path.of(chained, sway) for sway in (_STANDING, *_GOING)]
+    out: list[np.ndarray] = [np.zeros((len(chain), 3)) for chain in chained.chains]
+    for link in range(max(map(len, chained.chains), default=0)):
+        rows = [number for number, chain in enumerate(chained.chains) if len(chain) > link]
+        lines = [chained.chains[number].points for number in rows]
+        bones = np.stack([line[link + 1] - line[link] for line in lines])
         best = sum(path.errors(link, rows, bones, values) for path in paths).argmin(axis=1)  # type: ignore[union-attr]
         for number, chosen in zip(rows, _GRID[best], strict=True):
             out[number][link] = chosen
@@ -136,16 +137,16 @@ class _Path:
         self.turns, self.heads, self.tails, self.rigid = turns, heads, tails, rigid
 
     @classmethod
-    def of(cls, made: Chained, sway: _Sway) -> _Path:
-        moved = _swaying(made, sway)
-        rotations, places = steady_simulation(moved, made.rig()).animation.world()
+    def of(cls, chained: Chained, sway: _Sway) -> _Path:
+        moved = _swaying(chained, sway)
+        rotations, places = steady_simulation(moved, chained.rig()).animation.world()
         still = moved.world()[1]
-        bones = [[*chain.bones[1:], end] for chain, end in zip(made.chains, made.ends, strict=True)]
+        bones = [[*chain.bones[1:], end] for chain, end in zip(chained.chains, chained.ends, strict=True)]
         holders, firsts = ([int(bone) for bone in row] for row in zip(
-            *((chain.holder, chain.bones[0]) for chain in made.chains), strict=True))  # fmt: skip
+            *((chain.holder, chain.bones[0]) for chain in chained.chains), strict=True))  # fmt: skip
         turns, heads = between_frames(rotations[:, holders], places[:, firsts], FPS)
-        rigid = [np.linalg.norm(places[:, own] - still[:, own], axis=-1).mean() for own in bones]
-        return cls(turns, heads, [places[:, own] for own in bones], np.maximum(rigid, 1e-6))
+        rigid = [np.linalg.norm(places[:, tails] - still[:, tails], axis=-1).mean() for tails in bones]
+        return cls(turns, heads, [places[:, tails] for tails in bones], np.maximum(rigid, 1e-6))
 
     def errors(self, link: int, rows: list[int], bones: np.ndarray, values: VrmValues) -> np.ndarray:
         """Distance of VRM's tails of the chains' links from ours with each setting, over rigid, shape (C, S)."""
@@ -167,24 +168,24 @@ class _Path:
         self.turns[:, rows], self.heads[:, rows] = link_turns(turns, heads, bones, tails), tails
 
 
-def _swaying(made: Chained, sway: _Sway) -> RigAnimation:
+def _swaying(chained: Chained, sway: _Sway) -> RigAnimation:
     """The animation of a `_Sway`."""
-    rig = made.character.rig
+    rig = chained.character.rig
     assert rig is not None
     time = np.arange(round(sway.seconds * FPS)) / FPS
     count = len(rig.names)
     rotations = np.tile(np.eye(3), (len(time), count, 1, 1))
     translations = np.zeros((len(time), count, 3))
     top = int(np.flatnonzero(rig.parents < 0)[0])
-    holders = {int(chain.holder) for chain in made.chains}
-    links = {int(bone) for chain in made.chains for bone in chain.bones}
+    holders = {int(chain.holder) for chain in chained.chains}
+    links = {int(bone) for chain in chained.chains for bone in chain.bones}
     angles = np.stack(
         [much * np.sin(2 * np.pi * rate * time) for much, rate in zip(sway.turns, (STEP, 0.4, 0.6), strict=True)],
         axis=1,
     )
     for bone in sorted(({top} | holders) - links):
         rotations[:, bone] = matrix_from_axis_angle((1.0 if bone == top else 0.7) * angles)
-    limbs = {body.bone for body in made.colliders}
+    limbs = {body.bone for body in chained.colliders}
     for bone in sorted(limbs - links):
         phase = 2 * np.pi * STEP * time + (np.pi if rig.positions[bone, 0] > 0 else 0.0)
         swing = -sway.legs * np.sin(phase)
@@ -196,35 +197,35 @@ def _swaying(made: Chained, sway: _Sway) -> RigAnimation:
     if not sway.pace:
         forward = 0.25 * np.sin(2 * np.pi * 0.3 * time)
     aside, up = sway.aside * np.sin(2 * np.pi * 0.5 * time), sway.up * np.sin(2 * np.pi * 1.9 * time)
-    translations[:, top] = made.character.height * np.stack([aside, up, forward], axis=1)
-    return RigAnimation(made.character, rotations, translations, FPS)
+    translations[:, top] = chained.character.height * np.stack([aside, up, forward], axis=1)
+    return RigAnimation(chained.character, rotations, translations, FPS)
 
 
 _DOWN = np.array([0.0, -1, 0])
 
 
-def mmd_avatar(made: Chained) -> MmdModel:
+def mmd_avatar(chained: Chained) -> MmdModel:
     """The rigid bodies and joints of a character's chains, by the bones of its rig; the writer makes the rest."""
-    rig = made.rig()
+    rig = chained.rig()
     none = np.zeros((0, 3))
     return MmdModel(
-        made.character.name, "", "PMX 2.0", (), (), rig.bodies, rig.joints, np.zeros(0, np.uint8),
+        chained.character.name, "", "PMX 2.0", (), (), rig.bodies, rig.joints, np.zeros(0, np.uint8),
         MmdSdef(np.zeros(0, np.int64), none, none, none),
     )  # fmt: skip
 
 
-def vrm_avatar(made: Chained) -> VrmModel:
+def vrm_avatar(chained: Chained) -> VrmModel:
     """The springs and colliders of a character's chains, by the bones of its rig."""
-    rig = made.character.rig
+    rig = chained.character.rig
     assert rig is not None
     colliders = []
-    for body in made.colliders:
+    for body in chained.colliders:
         half = 0.5 * body.size[1] * body.rotation[:, 1]
         middle = body.position - rig.positions[body.bone]
         colliders.append(VrmCollider(body.bone, "capsule", middle - half, float(body.size[0]), middle + half))
     springs = []
-    for chain, end, values in zip(made.chains, made.ends, fitted_springs(made), strict=True):
-        rooms = [_room(point, made) for point in chain.points[1:]]
+    for chain, end, values in zip(chained.chains, chained.ends, fitted_springs(chained), strict=True):
+        rooms = [_room(point, chained) for point in chain.points[1:]]
         joints = []
         for bone, width, room, setting in zip(chain.bones, chain.width, rooms, values, strict=True):
             stiffness, drag, gravity = setting.tolist()
@@ -234,13 +235,13 @@ def vrm_avatar(made: Chained) -> VrmModel:
         # what lies within a collider at rest would be thrown out of it
         springs.append(VrmSpring(chain.name, tuple(joints), (0,) if colliders and min(rooms) > 0 else ()))
     groups = (tuple(range(len(colliders))),) if colliders else ()
-    return VrmModel("1.0", made.character.name, {}, tuple(springs), tuple(colliders), groups)
+    return VrmModel("1.0", chained.character.name, {}, tuple(springs), tuple(colliders), groups)
 
 
-def _room(point: np.ndarray, made: Chained) -> float:
+def _room(point: np.ndarray, chained: Chained) -> float:
     """Distance of a point from the nearest collider at rest [m]; infinite without colliders."""
     out = np.inf
-    for body in made.colliders:
+    for body in chained.colliders:
         along = body.rotation[:, 1]
         half = 0.5 * body.size[1]
         at = np.clip((point - body.position) @ along, -half, half)

@@ -133,20 +133,20 @@ def with_parameters(chains: Sequence[Chain], tables: Mapping[str, Mapping[str, f
     """Chains with parameters from a file: by kind, and then by the longest beginning of their names."""
     out = []
     for chain in chains:
-        own = parameters_from_file(chain.kind, chain.name, tables)
-        if "limit" in own:
-            own["limit"] = float(np.radians(own["limit"]))
-        out.append(replace(chain, parameters=replace(chain.parameters, **own)) if own else chain)
+        changes = parameters_from_file(chain.kind, chain.name, tables)
+        if "limit" in changes:
+            changes["limit"] = float(np.radians(changes["limit"]))
+        out.append(replace(chain, parameters=replace(chain.parameters, **changes)) if changes else chain)
     return tuple(out)
 
 
 def parameters_from_file(kind: str, name: str, tables: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
     """Parameters of a chain in the units of the file, from tables by kinds and by beginnings of names."""
-    own: dict[str, float] = dict(tables.get(kind, {}))
+    changes: dict[str, float] = dict(tables.get(kind, {}))
     for begin in sorted(tables, key=len):
         if begin not in KINDS and name.startswith(begin):
-            own |= tables[begin]
-    return own
+            changes |= tables[begin]
+    return changes
 
 
 def write_parameters(chains: Sequence[Mapping[str, Any]], path: Path) -> None:

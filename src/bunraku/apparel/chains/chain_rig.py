@@ -65,7 +65,7 @@ def chain_rig(
     joints: list[MmdJoint] = []
     gravity: list[float] = []
     by_bone: dict[int, int] = {}
-    own: list[list[int]] = []
+    linked: list[list[int]] = []
     centre = np.mean(positions, axis=0) if len(positions) else np.zeros(3)
     for chain in chains:
         above = by_bone.get(chain.holder)
@@ -91,9 +91,9 @@ def chain_rig(
             by_bone.setdefault(int(chain.bones[link]), number)
             numbers.append(number)
             above = number
-        own.append(numbers)
+        linked.append(numbers)
     for first, second in neighbours_of(chains) if ties is None else ties:
-        joints += _ties(chains[first], chains[second], own[first], own[second])
+        joints += _ties(chains[first], chains[second], linked[first], linked[second])
     for collider in colliders:
         bodies.append(replace(collider, group=EMPTY_GROUP, mask=1 << GROUP))
         gravity.append(1.0)
@@ -174,18 +174,18 @@ def _joint(
     return MmdJoint(chain.name, bodies, start, frame, none, none, low, high, none, spring * np.array([1.0, 1.5, 1.0]))
 
 
-def _ties(one: Chain, other: Chain, bodies: list[int], others: list[int]) -> list[MmdJoint]:
+def _ties(first: Chain, second: Chain, bodies: list[int], others: list[int]) -> list[MmdJoint]:
     """Ties between links of the same row, in every second row from the last up."""
     out = []
-    for row in range(min(len(one), len(other)) - 1, -1, -2):
+    for row in range(min(len(first), len(second)) - 1, -1, -2):
         if row == 0 and len(bodies) > 1:
             continue
-        corners = np.stack([one.points[row], one.points[row + 1], other.points[row], other.points[row + 1]])
+        corners = np.stack([first.points[row], first.points[row + 1], second.points[row], second.points[row + 1]])
         down = corners[1] + corners[3] - corners[0] - corners[2]
         frame = _frame(down, np.cross(down, corners[3] - corners[1]))
         give = np.full(3, GIVE * float(np.linalg.norm(corners[3] - corners[1])))
         turn, none, pair = np.full(3, TIE), np.zeros(3), (bodies[row], others[row])
-        name, middle = f"{one.name} tie {row + 1}", corners.mean(axis=0)
+        name, middle = f"{first.name} tie {row + 1}", corners.mean(axis=0)
         out.append(MmdJoint(name, pair, middle, frame, -give, give, -turn, turn, none, none))
     return out
 
@@ -267,15 +267,15 @@ def with_chains(character: Character, laid: LaidChains, bones: np.ndarray) -> Ch
         label = chain.name
         while f"{label}_1" in taken:
             label += "_"
-        own, holder = number[chain.bones], int(number[chain.holder])
-        for link, bone in enumerate(own):
+        links, holder = number[chain.bones], int(number[chain.holder])
+        for link, bone in enumerate(links):
             names.append(f"{label}_{link + 1}")
             taken.add(names[-1])
-            parents.append(holder if link == 0 else int(own[link - 1]))
+            parents.append(holder if link == 0 else int(links[link - 1]))
             places.append(chain.points[link])
             assert len(names) == bone + 1
-        ends.append((f"{label}_end", int(own[-1]), chain.points[-1]))
-        chains.append(replace(chain, name=label, bones=own, holder=holder))
+        ends.append((f"{label}_end", int(links[-1]), chain.points[-1]))
+        chains.append(replace(chain, name=label, bones=links, holder=holder))
     last = len(names)
     for label, parent, place in ends:
         names.append(label)

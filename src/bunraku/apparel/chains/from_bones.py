@@ -150,8 +150,8 @@ def _body_bones(parts: RigParts) -> np.ndarray:
     leads = set(parts.leads.tolist())
     for bone, name in enumerate(without_prefix(rig.names)):
         # what a map takes along with the head, without a word for it, may be hair
-        known = bone in leads or part_of_name(name)[0] not in ("", "root")
-        out[bone] &= known and not apparel_of_name(name)
+        named = bone in leads or part_of_name(name)[0] not in ("", "root")
+        out[bone] &= named and not apparel_of_name(name)
     for bone in reversed(bone_order(rig.parents)):
         if out[bone] and rig.parents[bone] >= 0:
             out[rig.parents[bone]] = True
@@ -232,7 +232,7 @@ def _surrounds(parts: RigParts, above: int, carried: int, points: np.ndarray) ->
     """Whether points lie on all sides of the limb or trunk that carries them, as helpers for twists do."""
     rig = parts.character.rig
     assert rig is not None
-    after = [int(parts.leads[child]) for child, own in enumerate(HANDLE_PARENTS) if own == carried]
+    after = [int(parts.leads[child]) for child, parent in enumerate(HANDLE_PARENTS) if parent == carried]
     ends = [rig.positions[lead] for lead in after if lead >= 0]
     if above < 0 or not ends:
         return False

@@ -233,14 +233,14 @@ def _most(held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The links that hold most of each point, and how much, faded so that the next one falls away to 0."""
     count = min(HOLDERS, held.shape[1])
     order = np.argsort(-held, axis=1, kind="stable")[:, :count]
-    some = np.take_along_axis(held, order, axis=1)
+    held_most = np.take_along_axis(held, order, axis=1)
     total = held.sum(axis=1, keepdims=True)
     if held.shape[1] > count:
         next_one = -np.partition(-held, count, axis=1)[:, count : count + 1]
-        some = some - next_one
-    some = some * total / np.maximum(some.sum(axis=1, keepdims=True), 1e-12)
+        held_most = held_most - next_one
+    held_most = held_most * total / np.maximum(held_most.sum(axis=1, keepdims=True), 1e-12)
     links, shares = np.zeros((len(held), HOLDERS), np.int64), np.zeros((len(held), HOLDERS))
-    links[:, :count], shares[:, :count] = order, np.where(total > 1e-4, some, 0.0)
+    links[:, :count], shares[:, :count] = order, np.where(total > 1e-4, held_most, 0.0)
     return links, shares
 
 
@@ -256,15 +256,15 @@ def with_parts_from_file(clothed: ClothedCharacter, tables: Mapping[str, Mapping
     if not tables:
         return clothed
     laid = shape_chains(clothed)
-    own = [parameters_from_file(chain.kind, chain.name, tables) for chain in laid.chains]
-    if not any(own):
+    changes = [parameters_from_file(chain.kind, chain.name, tables) for chain in laid.chains]
+    if not any(changes):
         return clothed
     held = _held(laid)
     counts = _counts(clothed, laid, held)
     total = np.maximum(counts.sum(axis=1), 1e-9)
     stiffness, damping = np.array(clothed.stiffness, np.float64), np.array(clothed.damping, np.float64)
     limit = np.array(clothed.limit, np.float64)
-    new = [_numbers(one) for one in own]
+    new = [_numbers(change) for change in changes]
     for number, (ratio, lost, turn) in enumerate(new):
         share = counts[:, number] / total
         if ratio is not None:
@@ -278,8 +278,8 @@ def with_parts_from_file(clothed: ClothedCharacter, tables: Mapping[str, Mapping
         swing = np.array(swing)
         for number, chain in enumerate(laid.chains):
             rows = laid.vertices[(held[:, number] > 0.5 * held.sum(axis=1)) & (held[:, number] > 0)]
-            if own[number] and len(rows):
-                swing[rows] = Swing.of_rows(swing[rows]).with_parameters(own[number], len(chain)).rows()
+            if changes[number] and len(rows):
+                swing[rows] = Swing.of_rows(swing[rows]).with_parameters(changes[number], len(chain)).rows()
     return replace(
         clothed, stiffness=np.clip(stiffness, SOFTEST, STIFFEST).astype(np.float32),
         damping=damping.astype(np.float32), limit=limit.astype(np.float32), swing=swing,

@@ -34,9 +34,9 @@ def moving_rig(character: Character, stiffness: float = 1.0, gravity: float = 1.
     """
     if character.rig is None:
         return None
-    found = apparel_rig(character)
-    if found is not None:
-        return dialled(found, stiffness, gravity)
+    rig = apparel_rig(character)
+    if rig is not None:
+        return dialled(rig, stiffness, gravity)
     chains = bone_chains(character, stiffness, gravity)
     return chain_rig(chains, character.rig.positions) if chains else None
 
@@ -68,10 +68,10 @@ def steady_simulation(
     """
     settings = settings or PhysicsSettings()
     for attempt in range(2 * TRIES):
-        found = simulate(animation, rig, settings=settings, progress=progress)
-        lost = {one.body for one in found.report.recoveries if one.frame >= 0}
+        result = simulate(animation, rig, settings=settings, progress=progress)
+        lost = {recovery.body for recovery in result.report.recoveries if recovery.frame >= 0}
         if not lost:
-            return found
+            return result
         if attempt < TRIES:
             rig = _stiffer(rig, lost)
             settings = replace(settings, step=settings.step / 2)
@@ -80,15 +80,16 @@ def steady_simulation(
         rig = replace(rig, bodies=bodies)
         if not rig.dynamic:
             break
-    return Simulation(animation, replace(found.report, recoveries=()))
+    return Simulation(animation, replace(result.report, recoveries=()))
 
 
 def _stiffer(rig: ApparelRig, names: set[str]) -> ApparelRig:
     """The joints of some bodies, and of those tied to them, stiffer and narrower."""
     chosen = {number for number, body in enumerate(rig.bodies) if body.name in names}
-    whole = dialled(rig, STIFFER)
+    stiffened = dialled(rig, STIFFER)
     joints = tuple(
-        stiff if set(joint.bodies) & chosen else joint for joint, stiff in zip(rig.joints, whole.joints, strict=True)
+        stiff if set(joint.bodies) & chosen else joint
+        for joint, stiff in zip(rig.joints, stiffened.joints, strict=True)
     )
     return replace(rig, joints=joints)
 
@@ -127,7 +128,7 @@ def with_apparel(
     rig = moving_rig(character, stiffness, gravity)
     assert rig is not None
     run = simulate if apparel_rig(character) is not None else steady_simulation
-    found = run(animation, rig, progress=partial(progress, "apparel"))
-    for problem in found.report.problems():
+    result = run(animation, rig, progress=partial(progress, "apparel"))
+    for problem in result.report.problems():
         _log.warning("%s: %s", character.name, problem)
-    return found.animation
+    return result.animation

@@ -86,23 +86,23 @@ def _piece(
     clothed: ClothedCharacter, kind: str, joint: int, rows: np.ndarray, points: np.ndarray, along: np.ndarray,
     edges: np.ndarray,
 ) -> Piece:  # fmt: skip
-    own, count = points[rows], len(rows)
+    positions, count = points[rows], len(rows)
     place = np.full(len(points), -1)
     place[rows] = np.arange(count)
     pairs = place[edges]
     pairs = pairs[(pairs >= 0).all(axis=1)]
-    pairs = np.concatenate([pairs, _near(own, np.arange(count), NEAR + 1, CLOSE * clothed.scale)])
+    pairs = np.concatenate([pairs, _near(positions, np.arange(count), NEAR + 1, CLOSE * clothed.scale)])
     if kind in ("skirt", "cape"):
-        pairs = np.concatenate([pairs, _through(own, clothed.scale)])
-    seeds = _held(clothed, kind, own, along[rows])
-    seeds |= _apart(own, pairs, seeds, along[rows], FAR * clothed.scale)
-    pairs = _bridged(own, pairs, seeds)
+        pairs = np.concatenate([pairs, _through(positions, clothed.scale)])
+    seeds = _held(clothed, kind, positions, along[rows])
+    seeds |= _apart(positions, pairs, seeds, along[rows], FAR * clothed.scale)
+    pairs = _bridged(positions, pairs, seeds)
     pairs = np.unique(np.sort(pairs, axis=1), axis=0)
-    lengths = np.linalg.norm(own[pairs[:, 0]] - own[pairs[:, 1]], axis=1) + 1e-9
+    lengths = np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=1) + 1e-9
     graph = coo_matrix((lengths, (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
     graph = graph + graph.T
     far, before, _ = dijkstra(graph, indices=np.flatnonzero(seeds), min_only=True, return_predecessors=True)
-    return Piece(kind, joint, rows, own, far, np.where(before < 0, -1, before), graph)
+    return Piece(kind, joint, rows, positions, far, np.where(before < 0, -1, before), graph)
 
 
 def _held(clothed: ClothedCharacter, kind: str, points: np.ndarray, along: np.ndarray) -> np.ndarray:
@@ -158,8 +158,8 @@ def _skull(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
 def _through(points: np.ndarray, size: float) -> np.ndarray:
     """Pairs of points that lie near each other on any layer, shape (E, 2)."""
     cells = np.floor(points / (GRID * size)).astype(np.int64)
-    some = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-    return _near(points, some, ACROSS, WALL * size)
+    chosen = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    return _near(points, chosen, ACROSS, WALL * size)
 
 
 def _near(points: np.ndarray, among: np.ndarray, count: int, reach: float) -> np.ndarray:
@@ -169,9 +169,9 @@ def _near(points: np.ndarray, among: np.ndarray, count: int, reach: float) -> np
         found.reshape(len(points), count)
         for found in cKDTree(points[among]).query(points, count, distance_upper_bound=reach)
     )
-    one, column = np.nonzero(np.isfinite(gap))
-    other = among[near[one, column]]
-    return np.stack([one, other], axis=1)[one != other]
+    row, column = np.nonzero(np.isfinite(gap))
+    other = among[near[row, column]]
+    return np.stack([row, other], axis=1)[row != other]
 
 
 def _apart(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray, along: np.ndarray, far: float) -> np.ndarray:
@@ -194,14 +194,14 @@ def _bridged(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray) -> np.nda
     reached[label[seeds]] = True
     more = [pairs]
     while not reached.all():
-        known, rest = np.flatnonzero(reached[label]), np.flatnonzero(~reached[label])
-        gap, nearest = cKDTree(points[known]).query(points[rest])
+        inside, rest = np.flatnonzero(reached[label]), np.flatnonzero(~reached[label])
+        gap, nearest = cKDTree(points[inside]).query(points[rest])
         order = np.argsort(gap, kind="stable")
         _, first = np.unique(label[rest[order]], return_index=True)
         # the nearest half at once: those behind them are nearer to these than to what is held
         first = first[np.argsort(gap[order[first]], kind="stable")][: max(1, (len(first) + 1) // 2)]
         chosen = order[first]
-        more.append(np.stack([rest[chosen], known[nearest[chosen]]], axis=1))
+        more.append(np.stack([rest[chosen], inside[nearest[chosen]]], axis=1))
         reached[label[rest[chosen]]] = True
     return np.concatenate(more)
 

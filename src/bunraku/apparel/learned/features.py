@@ -365,11 +365,11 @@ class MotionFeatures:
         late = [_turned(late[nodes.joint], held) for late in self.filters.late]
         spun = _cross(self._spin(joints)[nodes.joint], _turned(turns, held))
         swung = self.pendulums.advance(positions / size, turns)
-        own = self.own.advance(positions[self.repeated], turns[self.repeated]).reshape(len(OWN), -1, 3) / size
-        own_velocity, self.swung = (own[0] - self.swung) * self.fps, own[0]
+        swings = self.own.advance(positions[self.repeated], turns[self.repeated]).reshape(len(OWN), -1, 3) / size
+        own_velocity, self.swung = (swings[0] - self.swung) * self.fps, swings[0]
         world = np.stack([
             *self.filters.sway, *late, *swung, normal, normal_hang, spun * 0.2, velocity * 0.3, acceleration * 0.05,
-            *own, own_velocity * 0.3,
+            *swings, own_velocity * 0.3,
         ], axis=2)  # fmt: skip
         inside = np.matmul(turns.transpose(0, 2, 1), world).transpose(0, 2, 1)
         sways, count = len(FREQUENCIES), len(FREQUENCIES) + len(LAGS) + len(PENDULUMS)

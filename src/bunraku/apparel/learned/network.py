@@ -155,8 +155,8 @@ class FoldedNetwork:
         late, own_change = given[0] - anchor, given[0] - given[1]
         head_change = rest[0] - late
         speed = np.sqrt(np.einsum("ma,ma->m", own_change, own_change))[:, None]
-        own = [*state, inertia, late, own_change, head_change, speed]
-        out = self._recurrent(_moving(vectors, scalars, *own), whole)
+        inputs = [*state, inertia, late, own_change, head_change, speed]
+        out = self._recurrent(_moving(vectors, scalars, *inputs), whole)
         most = np.maximum(np.maximum(out[:, 1:2], out[:, 2:3]), 0)
         swing, gate = np.exp(out[:, 1:2] - most), np.exp(out[:, 2:3] - most)
         shared = (swing * change + gate * inertia) / (swing + gate + np.exp(-most))
@@ -171,8 +171,8 @@ class _FoldedPart:
     def __init__(self, part: DisplacementPart, still: np.ndarray, graph: NodeGraph):
         first, self.second = part.enter
         own = len(part.mean)
-        known = np.clip((still - part.mean[:STILL]) / part.std[:STILL], -6, 6)
-        still = known @ first.matrix[:STILL] + first.bias
+        scaled = np.clip((still - part.mean[:STILL]) / part.std[:STILL], -6, 6)
+        still = scaled @ first.matrix[:STILL] + first.bias
         self.mean, self.std = part.mean[STILL:], part.std[STILL:]
         self.moving = first.matrix[STILL:own]
         # the second map of the motion's MLP and that of its result are one

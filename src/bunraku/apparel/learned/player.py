@@ -65,8 +65,8 @@ class Carrier:
         """What of `positions` is the same in all frames, as one matrix each."""
         count, rest = len(self.vertices), clothed.rest[self.vertices].astype(np.float32)
         weights = clothed.weights[self.vertices].astype(np.float32)
-        whole = np.concatenate([rest, np.ones((count, 1), np.float32)], axis=1)
-        self.skin = (weights[:, :, None] * whole[:, None]).reshape(count, -1)
+        homogeneous = np.concatenate([rest, np.ones((count, 1), np.float32)], axis=1)
+        self.skin = (weights[:, :, None] * homogeneous[:, None]).reshape(count, -1)
         # a vertex near node i goes to rest_i + moved_i + turn_i (rest - rest_i), and then with its own joint
         pairs = weights.argmax(axis=1)[:, None] * len(nodes) + self.index
         used, number = np.unique(pairs, return_inverse=True)
@@ -130,9 +130,9 @@ def polar_rotation(matrices: np.ndarray, rounds: int = 10) -> np.ndarray:
     rows = b.reshape(3, 3, -1)
     gram = (rows[:, None] * rows).sum(axis=2)  # B B'
     cubed = (gram[:, :, None] * rows).sum(axis=1).reshape(9, -1)
-    found = ((half + 1) * b + root * cofactors - cubed) / np.where(below > ROUND, below, 1.0)
-    found = np.where(below > ROUND, found, np.eye(3).reshape(9, 1))
-    return np.ascontiguousarray(found.T, np.float32).reshape(shape)
+    rotation = ((half + 1) * b + root * cofactors - cubed) / np.where(below > ROUND, below, 1.0)
+    rotation = np.where(below > ROUND, rotation, np.eye(3).reshape(9, 1))
+    return np.ascontiguousarray(rotation.T, np.float32).reshape(shape)
 
 
 _MINORS = np.array([
@@ -300,7 +300,7 @@ class Safety:
         joints = [unposed.joint[self.node]]
         for node, gap in ((self.second, self.vertex_gap), (self.third, self.deep_gap)):
             joint = unposed.joint[node]
-            between = np.flatnonzero(np.logical_and.reduce([joint != one for one in joints]))
+            between = np.flatnonzero(np.logical_and.reduce([joint != before for before in joints]))
             if len(between):
                 other = unposed.take(node[between])
                 out[between] = self.depth.pushed(out[between], other, gap[between], self.most)

@@ -80,16 +80,16 @@ def point_features(points: np.ndarray, normals: np.ndarray, joints: np.ndarray, 
     position, normal, the vector from the nearest bone and its length, how near each bone is, the extent of the point's
     loose part, its height above the part's lowest point.
     """
-    numbers, own = np.unique(part, return_inverse=True)
-    sides = np.array([(points[own == number].min(axis=0), points[own == number].max(axis=0))
+    numbers, index = np.unique(part, return_inverse=True)
+    sides = np.array([(points[index == number].min(axis=0), points[index == number].max(axis=0))
                       for number in range(len(numbers))])  # fmt: skip
-    low, high = sides[own, 0], sides[own, 1]
+    low, high = sides[index, 0], sides[index, 1]
     offset, gaps = _bone_ways(points, joints)
-    found = np.concatenate([
+    features = np.concatenate([
         points, normals, offset, gaps.min(axis=1, keepdims=True), np.exp(-8 * gaps), high - low,
         (points[:, 1] - low[:, 1])[:, None],
     ], axis=1)  # fmt: skip
-    return np.asarray(found, np.float32)
+    return np.asarray(features, np.float32)
 
 
 def _chosen(part: np.ndarray, most: int, rng: np.random.Generator) -> np.ndarray:
@@ -160,12 +160,12 @@ class SegmentationNetwork:
     def scores(self, mesh: SampledMesh) -> np.ndarray:
         """Before the sigmoid: apparel, stiffness, log10 of what a second of damping leaves, of each point, (S, 3)."""
         graph = NodeGraph(mesh.neighbours, mesh.part)
-        known = np.clip((mesh.features - self._mean) / self._std, -6, 6)
-        x = self._enter[1](gelu(self._enter[0](known)))
+        scaled = np.clip((mesh.features - self._mean) / self._std, -6, 6)
+        x = self._enter[1](gelu(self._enter[0](scaled)))
         for block in self._blocks:
             x = block(x, graph)
-        whole = np.broadcast_to(self._pooled(x.max(axis=0, keepdims=True)), x.shape)
-        return self._decoder[1](gelu(self._decoder[0](np.concatenate([x, whole], axis=1))))
+        summary = np.broadcast_to(self._pooled(x.max(axis=0, keepdims=True)), x.shape)
+        return self._decoder[1](gelu(self._decoder[0](np.concatenate([x, summary], axis=1))))
 
 
 def load_segmentation(path: str | Path) -> SegmentationNetwork:

@@ -37,16 +37,16 @@ def body_limbs(character: Character, moved: np.ndarray | None = None) -> list[Mm
     holder = np.take_along_axis(rig.indices, rig.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
     body = (rig.weights * moved[rig.indices]).sum(axis=1) <= APPAREL_SHARE
     height = float(np.ptp(character.vertices[:, 1]))
-    found = []
+    boxes = []
     for bone in np.unique(holder[body & ~moved[holder]]):
         chosen = np.flatnonzero((holder == bone) & body)
         if len(chosen) < LEAST:
             continue
         box = _box(int(bone), rig.names[bone], character.vertices[chosen[:: len(chosen) // TAKEN + 1]].astype(float))
         if np.linalg.norm(box.size) > SMALL * height:
-            found.append(box)
-    found.sort(key=lambda box: (-float(np.linalg.norm(box.size)), box.bone))
-    return sorted(found[:MOST], key=lambda box: box.bone)
+            boxes.append(box)
+    boxes.sort(key=lambda box: (-float(np.linalg.norm(box.size)), box.bone))
+    return sorted(boxes[:MOST], key=lambda box: box.bone)
 
 
 def _box(bone: int, name: str, points: np.ndarray) -> MmdBody:
@@ -228,13 +228,13 @@ def _hang(
     forest: Forest, joints: tuple[MmdJoint, ...], edges: dict[Owner, list[tuple[int, Owner, bool]]], starts: list[Owner]
 ) -> set[Owner]:
     """Hang all bodies that can be reached from these owners; shortest paths first, ties by the file's order."""
-    known = {link.body for link in forest.links}
+    hung = {link.body for link in forest.links}
     done: set[Owner] = set()
     queue: list[tuple[int, int, Owner, Owner, int, bool]] = [(0, -1, start, start, -1, False) for start in starts]
     heapq.heapify(queue)
     while queue:
         cost, _, owner, above, number, turned = heapq.heappop(queue)
-        if owner in done or (owner[0] in known and number >= 0):
+        if owner in done or (owner[0] in hung and number >= 0):
             continue
         done.add(owner)
         if number >= 0:
@@ -265,9 +265,9 @@ def _loops(forest: Forest, joints: tuple[MmdJoint, ...], owners: list[Owner]) ->
         else:
             if not free_axes(joint.lower, joint.upper).all():
                 forest.loops.append(Loop(joint, *a, *b))
-    for body, found in more.items():
+    for body, alike in more.items():
         link = forest.links[indices[body]]
-        forest.links[indices[body]] = Link(link.body, link.parent, link.bone, link.joint, link.turned, tuple(found))
+        forest.links[indices[body]] = Link(link.body, link.parent, link.bone, link.joint, link.turned, tuple(alike))
 
 
 def _alike(first: MmdJoint | None, second: MmdJoint) -> bool:

@@ -41,8 +41,8 @@ def bending_limits(rig: ApparelRig, parents: np.ndarray) -> np.ndarray:
     the bones, shape (J,).
     """
     out = np.full(len(rig.bodies), FREE)
-    whole = tuple(joint for joint in rig.joints if min(joint.bodies) >= 0 and max(joint.bodies) < len(rig.bodies))
-    for link in apparel_forest(rig.bodies, whole, parents).links:
+    joints = tuple(joint for joint in rig.joints if min(joint.bodies) >= 0 and max(joint.bodies) < len(rig.bodies))
+    for link in apparel_forest(rig.bodies, joints, parents).links:
         joint = link.joint
         if joint is None:
             continue
@@ -89,11 +89,11 @@ def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
     springs let them; they add up to 1. A point x below the first n of them goes by w x sum_k c_k (x - p_k). Mass,
     springs and friction of the whole are those of its links along such levers.
     """
-    own = character.rig
-    assert own is not None
+    skeleton = character.rig
+    assert skeleton is not None
     whole = tuple(joint for joint in rig.joints if min(joint.bodies) >= 0 and max(joint.bodies) < len(rig.bodies))
-    forest = apparel_forest(rig.bodies, whole, own.parents)
-    joints = _joints(rig, forest, own.positions)
+    forest = apparel_forest(rig.bodies, whole, skeleton.parents)
+    joints = _joints(rig, forest, skeleton.positions)
     above = {link.body: link.parent for link in forest.links}
     weights, heaviest = {body: max(rig.bodies[body].mass, 1e-4) for body in above}, dict[int, int]()
     for link in reversed(forest.links):  # a link comes after the one that it hangs on
@@ -104,13 +104,15 @@ def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
     count = len(character.vertices)
     out, most, total = np.zeros((count, SWING_NUMBERS)), np.zeros(count), np.zeros(count)
     axes = np.broadcast_to(np.eye(3), (count, 3, 3)).copy()
-    whose = np.repeat(np.arange(count), own.indices.shape[1])
-    skin = coo_matrix((own.weights.reshape(-1), (whose, own.indices.reshape(-1))), (count, len(own.names))).tocsc()
+    whose = np.repeat(np.arange(count), skeleton.indices.shape[1])
+    skin = coo_matrix(
+        (skeleton.weights.reshape(-1), (whose, skeleton.indices.reshape(-1))), (count, len(skeleton.names))
+    ).tocsc()
     skin.sum_duplicates()
-    for bone, body in _moved_bones(rig, own.parents).items():
+    for bone, body in _moved_bones(rig, skeleton.parents).items():
         column = slice(skin.indptr[bone], skin.indptr[bone + 1])
-        some = skin.data[column] > 1e-4
-        rows, held = skin.indices[column][some], skin.data[column][some]
+        heavy = skin.data[column] > 1e-4
+        rows, held = skin.indices[column][heavy], skin.data[column][heavy]
         if not len(rows) or body not in joints:
             continue
         chain = [body]
@@ -124,8 +126,8 @@ def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
         total[rows] += held
         first = held > most[rows]
         axes[rows[first]], most[rows] = own_swing.axes[first], np.maximum(most[rows], held)
-    found = Swing.of_rows((out / np.maximum(total, 1e-9)[:, None]).astype(np.float32))
-    return replace(found, axes=axes.astype(np.float32), share=total.astype(np.float32))
+    swing = Swing.of_rows((out / np.maximum(total, 1e-9)[:, None]).astype(np.float32))
+    return replace(swing, axes=axes.astype(np.float32), share=total.astype(np.float32))
 
 
 def _swing(rig: ApparelRig, chain: list[int], line: list[int], joints: dict[int, _Joint], points: np.ndarray) -> Swing:
@@ -141,8 +143,8 @@ def _swing(rig: ApparelRig, chain: list[int], line: list[int], joints: dict[int,
     # how far each body goes by a turn of the chain, and how much it turns itself
     turned = np.cumsum(counts)
     levers = turned[:, None] * middles - np.cumsum(counts[:, None] * places, axis=0)
-    own = np.array([_own_inertia(body) for body in bodies])
-    inertia = max(float(masses @ (np.square(levers).sum(axis=1) + own * turned**2)), 1e-9)
+    inertias = np.array([_own_inertia(body) for body in bodies])
+    inertia = max(float(masses @ (np.square(levers).sum(axis=1) + inertias * turned**2)), 1e-9)
     moment = masses @ levers
     arm = moment * inertia / max(float(moment @ moment), 1e-9)
     frame = joints[line[0]].frame
@@ -154,7 +156,7 @@ def _swing(rig: ApparelRig, chain: list[int], line: list[int], joints: dict[int,
         ends = np.stack([seen * joint.lower[:, None], seen * joint.upper[:, None]])
         lower, upper = lower + ends.min(axis=0).sum(axis=0), upper + ends.max(axis=0).sum(axis=0)
         spring = spring + counts[number] ** 2 * (np.square(seen) * joint.stiffness[:, None]).sum(axis=0)
-        below = masses[number:] @ (np.square(middles[number:] - joint.pivot).sum(axis=1) + own[number:])
+        below = masses[number:] @ (np.square(middles[number:] - joint.pivot).sum(axis=1) + inertias[number:])
         rate = loss_rate(bodies[number].angular_damping, settings.most_rate)
         friction += counts[number] ** 2 * float(below) * max(rate - settings.air, 0)
     reached = len(chain)
@@ -199,17 +201,18 @@ def _joints(rig: ApparelRig, forest: Forest, positions: np.ndarray) -> dict[int,
         pivot = _pivot(rig, link, positions)
         lever = float(np.linalg.norm(moment[link.body] - weight[link.body] * pivot))
         axes, lower, upper, stiffness, sag, slides = [], [], [], [], [], 0.0
-        for one in freedoms(link):
-            if one.kind == "slide":
-                slides += min(max(abs(one.lower), abs(one.upper)), SLIDE)
+        for freedom in freedoms(link):
+            if freedom.kind == "slide":
+                slides += min(max(abs(freedom.lower), abs(freedom.upper)), SLIDE)
                 continue
-            low, high = (-one.upper, one.upper) if one.kind == "ball" and one.limited else (one.lower, one.upper)
-            for axis in np.eye(3) if one.kind == "ball" else (one.axis,):
+            ball = freedom.kind == "ball" and freedom.limited
+            low, high = -freedom.upper if ball else freedom.lower, freedom.upper
+            for axis in np.eye(3) if freedom.kind == "ball" else (freedom.axis,):
                 axes.append(axis)
                 lower.append(max(low, -FREE))
                 upper.append(min(high, FREE))
-                stiffness.append(one.stiffness)
-                sag.append(min(lever / one.stiffness, FREE) if one.stiffness > 0 else FREE)
+                stiffness.append(freedom.stiffness)
+                sag.append(min(lever / freedom.stiffness, FREE) if freedom.stiffness > 0 else FREE)
         frame = np.eye(3) if link.joint is None else np.asarray(link.joint.rotation)
         out[link.body] = _Joint(
             pivot, np.array(axes).reshape(-1, 3), np.array(lower), np.array(upper), np.array(stiffness), np.array(sag),
@@ -257,21 +260,21 @@ class PartSprings:
 
 def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> PartSprings:
     """What the file says of each part, by the part of each vertex (V,); 0 where no bone of it has a body."""
-    own = character.rig
-    assert own is not None
+    skeleton = character.rig
+    assert skeleton is not None
     count = int(parts.max(initial=-1)) + 1
-    values = np.zeros((len(own.names), 5))
+    values = np.zeros((len(skeleton.names), 5))
     for spring, limit, body in zip(
-        body_springs(rig) * NEWTON_METRE, bending_limits(rig, own.parents), rig.bodies, strict=True
+        body_springs(rig) * NEWTON_METRE, bending_limits(rig, skeleton.parents), rig.bodies, strict=True
     ):
         if body.dynamic and body.bone >= 0:
             values[body.bone] += [spring, body.mass, body.linear_damping, limit, 1.0]
     sums = np.zeros((count, 5))
     cloth = parts >= 0
-    for bone, share in zip(own.indices[cloth].T, own.weights[cloth].T, strict=True):
-        known = values[bone, 4] > 0
+    for bone, share in zip(skeleton.indices[cloth].T, skeleton.weights[cloth].T, strict=True):
+        has_body = values[bone, 4] > 0
         mean = values[bone] / np.maximum(values[bone, 4:], 1.0)
-        np.add.at(sums, parts[cloth], mean * (share * known)[:, None])
+        np.add.at(sums, parts[cloth], mean * (share * has_body)[:, None])
     means = sums[:, :4] / np.maximum(sums[:, 4:], 1e-9)
     means[sums[:, 4] <= 0, 3] = FREE
     return PartSprings(*means.astype(np.float32).T)

@@ -162,17 +162,17 @@ class _Chains:
 
     def kept_out_of(self, avatar: VrmModel) -> list[frozenset[int]]:
         """The colliders that each spring is kept out of."""
-        known: dict[tuple[int, ...], frozenset[int]] = {}
+        colliders: dict[tuple[int, ...], frozenset[int]] = {}
         left = MOST_PAIRS
         for spring in avatar.springs:
-            if spring.groups not in known:
+            if spring.groups not in colliders:
                 left -= sum(len(avatar.groups[group]) for group in spring.groups)
                 if left < 0:
                     self.note("springs name more colliders than can be worked with; the last springs pass through all")
-                    known[spring.groups] = frozenset()
+                    colliders[spring.groups] = frozenset()
                 else:
-                    known[spring.groups] = frozenset(n for group in spring.groups for n in avatar.groups[group])
-        return [known[spring.groups] for spring in avatar.springs]
+                    colliders[spring.groups] = frozenset(n for group in spring.groups for n in avatar.groups[group])
+        return [colliders[spring.groups] for spring in avatar.springs]
 
     def note(self, sentence: str) -> None:
         if sentence not in self.notes:
@@ -282,11 +282,11 @@ def apparel_rig(character: Character) -> ApparelRig | None:
         return None
     model = mmd_model(character)
     if model is not None:
-        found = ApparelRig(model.bodies, model.joints)
+        rig = ApparelRig(model.bodies, model.joints)
     else:
         avatar = vrm_model(character)
         if avatar is None:
             return None
 
-        found = vrm_rig(character, avatar)
-    return found if found.dynamic else None
+        rig = vrm_rig(character, avatar)
+    return rig if rig.dynamic else None

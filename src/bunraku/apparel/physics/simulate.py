@@ -414,27 +414,27 @@ class _Run:
             np.clip(data.qvel, -most, most, out=data.qvel)
             data.qvel[self.qvel] = self.speed  # driven bones are as fast as they are
             long = self.hot * world.step > self.settings.patience
-            found = {n for n, (_, qvel) in enumerate(world.states) if long[qvel].any()}
-            self.rest(found)
+            lost = {n for n, (_, qvel) in enumerate(world.states) if long[qvel].any()}
+            self.rest(lost)
         else:
             broken = [
                 not np.isfinite(np.concatenate([data.qpos[qpos], data.qvel[qvel]])).all() for qpos, qvel in world.states
             ]
-            found = set(np.flatnonzero(broken).tolist()) or set(range(len(world.ids)))
+            lost = set(np.flatnonzero(broken).tolist()) or set(range(len(world.ids)))
             self.mj.mj_resetData(world.model, data)
             data.qpos[self.qpos], data.qvel[self.qvel] = self.state, self.speed
-        if found:
+        if lost:
             self.hot[:] = 0
-            self.gone |= found
+            self.gone |= lost
 
     def lost(self) -> list[int]:
         """Bodies that were put back since the last frame, or now, as too fast for their anchors."""
         _, moving = self.velocity()
         of_anchor = np.where(self.above[:, None] >= 0, moving[self.above], self.world.data.cvel[self.world.anchors, 3:])
         fast = np.linalg.norm(moving - of_anchor, axis=1) > self.settings.most_speed
-        found = set(np.flatnonzero(fast).tolist())
-        self.rest(found)
-        out, self.gone = sorted(found | self.gone), set()
+        too_fast = set(np.flatnonzero(fast).tolist())
+        self.rest(too_fast)
+        out, self.gone = sorted(too_fast | self.gone), set()
         return out
 
     def rest(self, bodies: set[int]) -> None:

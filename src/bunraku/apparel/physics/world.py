@@ -276,10 +276,10 @@ class _Builder:
         anchor = self.anchor(link)
         if link.parent >= 0:
             self.spec.add_exclude(bodyname1=f"b{link.parent}", bodyname2=f"b{link.body}")
-        own = self.gravity is not None
+        weighted = self.gravity is not None
         node = above.add_body(
             name=f"b{link.body}", pos=body.position - origin, mass=body.mass, ipos=np.zeros(3), inertia=inertia(body),
-            gravcomp=float(own),
+            gravcomp=float(weighted),
         )  # fmt: skip
         node.explicitinertial = True
         if np.linalg.norm(body.position - anchor) > self.reach:
@@ -298,14 +298,14 @@ class _Builder:
                 add_rods(node, body, body.position, f"rod {link.body} ", _NO_CONTACT)
         types = self.mj.mjtJoint
         kinds = {"slide": types.mjJNT_SLIDE, "hinge": types.mjJNT_HINGE, "ball": types.mjJNT_BALL}
-        made = []
+        joints = []
         for freedom in freedoms(link):
             joint = node.add_joint(type=kinds[freedom.kind], axis=freedom.axis, pos=anchor - body.position)
             if freedom.limited:
                 joint.limited, joint.range = self.mj.mjtLimited.mjLIMITED_TRUE, [freedom.lower, freedom.upper]
                 joint.solref_limit = [max(0.02, 2.5 * self.step), 1.0]
-            made.append((joint, freedom))
-        self.nodes[link.body], self.joints[link.body] = node, made
+            joints.append((joint, freedom))
+        self.nodes[link.body], self.joints[link.body] = node, joints
 
     def anchor(self, link: Link) -> np.ndarray:
         """Position at which a body hangs: its joint, or, where physics only rotate it, its bone."""
