@@ -111,7 +111,7 @@ def test_neighbours_are_the_nearest_of_the_same_part():
     points = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0], [0.1, 0, 0]])
     near = part_neighbours(points, np.array([0, 0, 0, 1]))
     assert near[0, :2].tolist() == [1, 2] and near[2, :2].tolist() == [1, 0]
-    assert (near[3] == 3).all()  # nobody else is of its part
+    assert (near[3] == 3).all()  # no other node is of its part
 
 
 def test_an_oscillator_by_hand():

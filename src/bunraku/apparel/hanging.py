@@ -183,10 +183,10 @@ def _fused_skirt(
             break
         part = mesh_parts(ends, len(lines))
         share = ((points[lines[:, 0], 1] - level) / (points[lines[:, 0], 1] - points[lines[:, 1], 1]))[:, None]
-        places = points[lines[:, 0]] * (1 - share) + points[lines[:, 1]] * share
+        crossings = points[lines[:, 0]] * (1 - share) + points[lines[:, 1]] * share
         chosen = np.zeros(len(lines), bool)
         for number in np.flatnonzero(np.bincount(part) >= 8):
-            ring = places[part == number]
+            ring = crossings[part == number]
             legs = [_leg_at(joints, side, level) for side in (0, 1)]
             around = all(covered(np.arctan2(*(ring - centre)[:, [0, 2]].T)) >= AROUND for centre in (middle, *legs))
             if around and _bulges(ring[:, [0, 2]]):
@@ -196,7 +196,7 @@ def _fused_skirt(
         band = np.flatnonzero(large & (np.abs(points[:, 1] - level) <= 0.5 * LEVELS * height))
         out[lines[chosen].reshape(-1)] = True
         if len(band):
-            out[band] = chosen[cKDTree(places).query(points[band])[1]]
+            out[band] = chosen[cKDTree(crossings).query(points[band])[1]]
         levels += 1
     if levels * LEVELS < DEEP or likely[out].mean() < FUSED:
         return np.zeros(len(points), bool)
@@ -209,8 +209,8 @@ def _cut(points: np.ndarray, faces: np.ndarray, level: float) -> tuple[np.ndarra
     crossed = faces[(above[faces].any(axis=1)) & ~above[faces].all(axis=1)]
     sides = np.sort(np.stack([crossed, np.roll(crossed, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
     over = above[sides[:, 0]] != above[sides[:, 1]]  # two of the three of each face
-    lines, place = np.unique(sides[over], axis=0, return_inverse=True)
-    return lines, place.reshape(-1, 2)
+    lines, index = np.unique(sides[over], axis=0, return_inverse=True)
+    return lines, index.reshape(-1, 2)
 
 
 def _bulges(line: np.ndarray) -> bool:

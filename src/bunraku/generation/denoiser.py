@@ -263,8 +263,8 @@ class Denoiser:
     def _example_rotary(self, tokens: int) -> Rotary:
         """Rotary positions of the examples' tokens, each example from its own start; the null example is there, too."""
         times = EXAMPLE_TOKENS * np.arange((tokens - 1) // self.config.examples)
-        places = np.concatenate([[0], np.tile(times, self.config.examples)])[:tokens]
-        return rotary_positions(places, self.config.width // self.config.heads)
+        positions = np.concatenate([[0], np.tile(times, self.config.examples)])[:tokens]
+        return rotary_positions(positions, self.config.width // self.config.heads)
 
     def __call__(
         self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition, adapts: bool = True

@@ -121,7 +121,7 @@ def laid(
         start = int(random.integers(len(values) - frames + 1))
         return Guide(values[start : start + frames], np.ones(frames, np.float32), made)
     lead = min(int((frames - len(values)) * random.uniform(0.15, 0.5)), _LEAD)
-    first = last = "free"  # who goes on does not stand still before or after; the sampler goes on with it
+    first = last = "free"  # walks do not stand still before or after; the sampler goes on with them
     if not manner.lasts:
         first = _end(features[:END], values[:END], features[-1, 3], statistics, example.made)
         last = _end(features[-END:], values[-END:], features[0, 3], statistics, example.made)

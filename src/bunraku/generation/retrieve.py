@@ -157,7 +157,7 @@ def _retrieved(pack: ExamplePack, clause: Clause, vector: np.ndarray, let_go: fr
                 found.append(Found(index, mirrored, float(score[index]), part, times))
     found.sort(key=lambda example: -example.score)
     best_made = bool(found) and bool(pack.made[found[0].number])
-    best_made = best_made and query.actions != {"stand up"}  # that depends on how somebody sits, kneels or lies
+    best_made = best_made and query.actions != {"stand up"}  # that depends on how the person sits, kneels or lies
     away = NEAR_MADE if best_made else NEAR
     kept = [example for example in found if example.score >= found[0].score - away]
     besides = [_besides(pack, example, query) for example in kept]

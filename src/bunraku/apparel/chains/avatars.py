@@ -23,16 +23,18 @@ VrmValues = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Stiffness, drag and gravity power of links, each of shape (C, S) or one that fits."""
 
 
-def between_frames(turns: np.ndarray, places: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+def between_frames(turns: np.ndarray, positions: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
     """Rotations (N, ..., 3, 3) and positions (N, ..., 3) of frames at the times of VRM's steps: positions linear,
     rotations those of the nearest frame.
     """
     parts = max(1, round(RATE / fps))
-    time = np.arange((len(places) - 1) * parts + 1) / parts
-    before = np.minimum(time.astype(np.int64), len(places) - 1)
-    after = np.minimum(before + 1, len(places) - 1)
-    share = (time - before).reshape(-1, *[1] * (places.ndim - 1))
-    return turns[np.where(time - before > 0.5, after, before)], (1 - share) * places[before] + share * places[after]
+    time = np.arange((len(positions) - 1) * parts + 1) / parts
+    before = np.minimum(time.astype(np.int64), len(positions) - 1)
+    after = np.minimum(before + 1, len(positions) - 1)
+    share = (time - before).reshape(-1, *[1] * (positions.ndim - 1))
+    return turns[np.where(time - before > 0.5, after, before)], (1 - share) * positions[before] + share * positions[
+        after
+    ]
 
 
 def vrm_steps(turns: np.ndarray, heads: np.ndarray, bones: np.ndarray, values: VrmValues) -> Iterator[np.ndarray]:
@@ -139,14 +141,14 @@ class _Path:
     @classmethod
     def of(cls, chained: Chained, sway: _Sway) -> _Path:
         moved = _swaying(chained, sway)
-        rotations, places = steady_simulation(moved, chained.rig()).animation.world()
+        rotations, positions = steady_simulation(moved, chained.rig()).animation.world()
         still = moved.world()[1]
         bones = [[*chain.bones[1:], end] for chain, end in zip(chained.chains, chained.ends, strict=True)]
         holders, firsts = ([int(bone) for bone in row] for row in zip(
             *((chain.holder, chain.bones[0]) for chain in chained.chains), strict=True))  # fmt: skip
-        turns, heads = between_frames(rotations[:, holders], places[:, firsts], FPS)
-        rigid = [np.linalg.norm(places[:, tails] - still[:, tails], axis=-1).mean() for tails in bones]
-        return cls(turns, heads, [places[:, tails] for tails in bones], np.maximum(rigid, 1e-6))
+        turns, heads = between_frames(rotations[:, holders], positions[:, firsts], FPS)
+        rigid = [np.linalg.norm(positions[:, tails] - still[:, tails], axis=-1).mean() for tails in bones]
+        return cls(turns, heads, [positions[:, tails] for tails in bones], np.maximum(rigid, 1e-6))
 
     def errors(self, link: int, rows: list[int], bones: np.ndarray, values: VrmValues) -> np.ndarray:
         """Distance of VRM's tails of the chains' links from ours with each setting, over rigid, shape (C, S)."""

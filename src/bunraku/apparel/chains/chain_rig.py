@@ -260,7 +260,7 @@ def with_chains(character: Character, laid: LaidChains, bones: np.ndarray) -> Ch
     assert rig is not None
     first = len(rig.names)
     number = np.concatenate([np.asarray(bones, np.int64), first + np.arange(sum(map(len, laid.chains)))])
-    names, parents, places = list(rig.names), list(rig.parents), list(rig.positions)
+    names, parents, positions = list(rig.names), list(rig.parents), list(rig.positions)
     taken, chains = set(names), []
     ends: list[tuple[str, int, np.ndarray]] = []
     for chain in laid.chains:
@@ -272,18 +272,18 @@ def with_chains(character: Character, laid: LaidChains, bones: np.ndarray) -> Ch
             names.append(f"{label}_{link + 1}")
             taken.add(names[-1])
             parents.append(holder if link == 0 else int(links[link - 1]))
-            places.append(chain.points[link])
+            positions.append(chain.points[link])
             assert len(names) == bone + 1
         ends.append((f"{label}_end", int(links[-1]), chain.points[-1]))
         chains.append(replace(chain, name=label, bones=links, holder=holder))
     last = len(names)
-    for label, parent, place in ends:
+    for label, parent, position in ends:
         names.append(label)
         parents.append(parent)
-        places.append(place)
+        positions.append(position)
     transforms = np.tile(np.eye(4), (len(names), 1, 1))
     transforms[:first] = rig.transforms
-    transforms[first:, :3, 3] = np.array(places[first:]).reshape(-1, 3)
+    transforms[first:, :3, 3] = np.array(positions[first:]).reshape(-1, 3)
     indices, weights = _skin(rig, laid, number)
     grown = Rig(tuple(names), np.array(parents, np.int64), transforms, indices, weights)
     grown_character = replace(character, rig=grown)

@@ -199,7 +199,7 @@ def _silent(
         return False
     if carried != _HEAD and _surrounds(parts, above, carried, points):
         return False
-    # a strand ends in the air: what it holds has an edge of its own, or touches the body in few places
+    # a strand ends in the air: what it holds has an edge of its own, or touches the body at few points
     if links > 1 or bool(held.rim[mine].any()) or held.touches(mine) < TOUCHES:
         return True
     beside = (rig.parents == rig.parents[bone]) & ~body & (held.mass > LIGHTEST)

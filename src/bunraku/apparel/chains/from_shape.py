@@ -58,8 +58,8 @@ class _Column:
         """Distance of points from the position of the column as far along [m]."""
         at = self.at(along)
         row = np.minimum(at.astype(np.int64), self.links - 1)
-        place = self.points[row] + (at - row)[:, None] * (self.points[row + 1] - self.points[row])
-        return np.asarray(np.linalg.norm(points - place, axis=1))
+        position = self.points[row] + (at - row)[:, None] * (self.points[row + 1] - self.points[row])
+        return np.asarray(np.linalg.norm(points - position, axis=1))
 
 
 def shape_chains(clothed: ClothedCharacter) -> LaidChains:
@@ -84,13 +84,13 @@ def shape_chains(clothed: ClothedCharacter) -> LaidChains:
         held, common = _hold(piece, columns, wide)
         links[piece.rows], shares[piece.rows] = held[0] + total, held[1]
         base = len(chains)
-        for place, column in enumerate(columns):
+        for order, column in enumerate(columns):
             bones = JOINT_COUNT + total + np.arange(column.links)
             total += column.links
             width = _half_width(piece, column, wide, size)
             thick = float(np.clip(0.25 * width, 0.004 * size, 0.015 * size))
             chains.append(Chain(
-                f"{piece.kind}_{number}_{place}", piece.kind, bones, column.points, piece.joint,
+                f"{piece.kind}_{number}_{order}", piece.kind, bones, column.points, piece.joint,
                 np.full(column.links, width), thick, parameters_of_laid(piece.kind, column.end / size),
             ))  # fmt: skip
         for one, other in zip(*np.nonzero(np.triu(common > SHARED, 1)), strict=True):
@@ -162,9 +162,9 @@ def _spine(piece: Piece, end: int, rows: int, wide: float) -> np.ndarray:
     guide = np.stack([np.interp(stops, piece.along[way], piece.points[way][:, axis]) for axis in range(3)], axis=1)
     half = 0.35 * stops[1]
     out = []
-    for stop, place in zip(stops, guide, strict=True):
+    for stop, position in zip(stops, guide, strict=True):
         level = np.square(np.clip((piece.along - stop) / half, -8, 8))
-        across = np.square(np.linalg.norm(piece.points - place, axis=1) / (0.35 * wide))
+        across = np.square(np.linalg.norm(piece.points - position, axis=1) / (0.35 * wide))
         share = np.exp(-0.5 * np.minimum(level + across, 1000)) + 1e-300
         out.append(share @ piece.points / share.sum())
     return np.array(out)
@@ -201,9 +201,9 @@ def _hold(piece: Piece, columns: list[_Column], wide: float) -> tuple[tuple[np.n
     common = (share.T @ share) / np.maximum(np.outer(size, size), 1e-12)
     held = np.zeros((len(piece.rows), sum(column.links for column in columns)))
     first = 0
-    for place, column in enumerate(columns):
+    for number, column in enumerate(columns):
         at = column.at(piece.along)
-        free = smooth_step(at / HOLDS, 0.0, 1.0) * share[:, place]
+        free = smooth_step(at / HOLDS, 0.0, 1.0) * share[:, number]
         lower = np.clip(np.floor(at - 0.5), 0, column.links - 1).astype(np.int64)
         upper = np.minimum(lower + 1, column.links - 1)
         more = np.clip(at - 0.5 - lower, 0, 1)

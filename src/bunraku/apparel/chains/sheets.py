@@ -87,9 +87,9 @@ def _piece(
     edges: np.ndarray,
 ) -> Piece:  # fmt: skip
     positions, count = points[rows], len(rows)
-    place = np.full(len(points), -1)
-    place[rows] = np.arange(count)
-    pairs = place[edges]
+    index = np.full(len(points), -1)
+    index[rows] = np.arange(count)
+    pairs = index[edges]
     pairs = pairs[(pairs >= 0).all(axis=1)]
     pairs = np.concatenate([pairs, _near(positions, np.arange(count), NEAR + 1, CLOSE * clothed.scale)])
     if kind in ("skirt", "cape"):

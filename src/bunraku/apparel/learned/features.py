@@ -305,7 +305,7 @@ def static_features(clothed: ClothedCharacter, nodes: ApparelNodes) -> tuple[np.
     return vectors.astype(np.float32), scalars.astype(np.float32)
 
 
-def _swing_features(swing: Swing, held: np.ndarray, told: bool) -> np.ndarray:
+def _swing_features(swing: Swing, held: np.ndarray, from_file: bool) -> np.ndarray:
     """How nodes swing, as numbers, shape (M, 7): how far by limits and by springs, how fast, how damped, their share,
     their lever over that of the whole part, and whether a file says so.
     """
@@ -314,7 +314,7 @@ def _swing_features(swing: Swing, held: np.ndarray, told: bool) -> np.ndarray:
     lever = np.linalg.norm(swing.lever, axis=1) / np.maximum(held, SHORT)
     return np.column_stack([
         np.log10(swing.turns() + 1e-3), np.log10(np.maximum(rate, 0.1)),
-        np.log10(swing.friction + swing.drag + 0.01), swing.share, np.minimum(lever, 3.0), np.full(len(arm), told),
+        np.log10(swing.friction + swing.drag + 0.01), swing.share, np.minimum(lever, 3.0), np.full(len(arm), from_file),
     ])  # fmt: skip
 
 

@@ -123,8 +123,8 @@ def add_rods(owner: Any, body: MmdBody, position: np.ndarray, name: str, setting
 
 
 LOOSE = 100  # joints in a row that hold are better than one that lets go
-TIGHT = 1e-3  # a range of places below is none [m]
-STIFF = 1e-3  # a range of angles below is none [rad]
+TIGHT = 1e-3  # a smaller range of positions is none [m]
+STIFF = 1e-3  # a smaller range of angles is none [rad]
 SAME_PLACE = 2e-3  # joints nearer than this are at one position [m]
 
 

@@ -134,15 +134,15 @@ def _swing(rig: ApparelRig, chain: list[int], line: list[int], joints: dict[int,
     """How points (N, 3) swing that a body holds, by the bodies of its chain from the first on to itself, and by `line`,
     these and those that hang on it in turn.
     """
-    counts = np.array([joints[one].turn for one in line])
+    counts = np.array([joints[index].turn for index in line])
     counts /= counts.sum()
-    places = np.array([joints[one].pivot for one in line])
-    bodies = [rig.bodies[one] for one in line]
+    pivots = np.array([joints[index].pivot for index in line])
+    bodies = [rig.bodies[index] for index in line]
     masses = np.array([max(body.mass, 1e-4) for body in bodies])
     middles = np.array([body.position for body in bodies])
     # how far each body goes by a turn of the chain, and how much it turns itself
     turned = np.cumsum(counts)
-    levers = turned[:, None] * middles - np.cumsum(counts[:, None] * places, axis=0)
+    levers = turned[:, None] * middles - np.cumsum(counts[:, None] * pivots, axis=0)
     inertias = np.array([_own_inertia(body) for body in bodies])
     inertia = max(float(masses @ (np.square(levers).sum(axis=1) + inertias * turned**2)), 1e-9)
     moment = masses @ levers
@@ -150,8 +150,8 @@ def _swing(rig: ApparelRig, chain: list[int], line: list[int], joints: dict[int,
     frame = joints[line[0]].frame
     lower, upper, spring, friction = np.zeros(3), np.zeros(3), np.zeros(3), 0.0
     settings = PhysicsSettings()
-    for number, one in enumerate(line):
-        joint = joints[one]
+    for number, index in enumerate(line):
+        joint = joints[index]
         seen = joint.axes @ frame
         ends = np.stack([seen * joint.lower[:, None], seen * joint.upper[:, None]])
         lower, upper = lower + ends.min(axis=0).sum(axis=0), upper + ends.max(axis=0).sum(axis=0)
@@ -160,9 +160,9 @@ def _swing(rig: ApparelRig, chain: list[int], line: list[int], joints: dict[int,
         rate = loss_rate(bodies[number].angular_damping, settings.most_rate)
         friction += counts[number] ** 2 * float(below) * max(rate - settings.air, 0)
     reached = len(chain)
-    lever = turned[reached - 1] * points - counts[:reached] @ places[:reached]
-    away = points - counts[:reached] @ places[:reached] / turned[reached - 1]
-    slid = sum(joints[one].slides for one in chain) / np.maximum(np.linalg.norm(lever, axis=1), SHORT)[:, None]
+    lever = turned[reached - 1] * points - counts[:reached] @ pivots[:reached]
+    away = points - counts[:reached] @ pivots[:reached] / turned[reached - 1]
+    slid = sum(joints[index].slides for index in chain) / np.maximum(np.linalg.norm(lever, axis=1), SHORT)[:, None]
     gravity = 1.0
     if rig.gravity is not None:
         gravity = float(np.linalg.norm(rig.gravity[line], axis=1).mean() / settings.gravity)

@@ -147,7 +147,7 @@ class _Chains:
                 continue
             if signature not in signatures and len(signatures) == GROUPS:
                 self.note(
-                    "more groups of colliders than can be told apart; the last ones keep out what any of them keeps out"
+                    "more groups of colliders than there are bits; the last ones keep out what any of them keeps out"
                 )
                 signature = list(signatures)[-1]
             groups[number] = signatures.setdefault(signature, len(signatures) + 1)

@@ -216,10 +216,8 @@ class _Builder:
         moving = [body.dynamic or index in self.forest.carried for index, body in enumerate(self.bodies)]
         bits, lost = collision_bits(self.bodies, moving)
         if lost:
-            self.notes.append(
-                f"{lost} rigid bodies collide with nothing: more than {MOST_CLASSES} kinds of groups and masks cannot "
-                "be told apart"
-            )
+            kinds = f"there are more than {MOST_CLASSES} kinds of groups and masks"
+            self.notes.append(f"{lost} rigid bodies collide with nothing: {kinds}")
         self.bits = bits
         for index, body in enumerate(self.bodies):
             if not moving[index] and bits[index][1]:
