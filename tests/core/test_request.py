@@ -83,8 +83,6 @@ LIMITS = [name for name in request.__all__ if isinstance(getattr(request, name),
 
 
 @pytest.mark.parametrize("name", LIMITS)
-    "name", [name for name in request.__all__ if isinstance(getattr(request, name), request.Limit)]
-)
 def test_a_limit_holds_at_both_ends_and_for_what_is_no_number(name):
     limit = getattr(request, name)
     for value in (limit.low, limit.high, None):
