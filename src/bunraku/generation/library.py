@@ -210,11 +210,12 @@ def motion_of(stretch: str, seconds: float | None = None, loop: bool = False) ->
 
 
 def features_of(stretch: str, seconds: float | None = None, loop: bool = False) -> np.ndarray:
-    """What the denoiser sees of a stretch (see `diffusion.features`), shape (N, 271), as long as it is to last.
+    """What the denoiser sees of a stretch (see `generation.features`), shape (N, 271), as long as it is to last.
 
     Args:
         stretch: A name of the examples (`Clip.stretch`).
-        seconds, loop: As of `Clip.motion`.
+        seconds: As of `Clip.motion`.
+        loop: As of `Clip.motion`.
 
     Raises:
         OptionError: It cannot last so long.
