@@ -139,8 +139,7 @@ class SkeletalMotion:
         return rotations, positions
 
     def save(self, path: str | Path, **options: object) -> Path:
-        """Write the motion in the format that the file's suffix names, .bvh or .vrma, and return the path (see
-        `bunraku.files.save_motion`).
+        """Write the motion in the format that the file's suffix names, .bvh or .vrma, and return the path.
         """
         return save(self, path, **options)
 
@@ -241,7 +240,7 @@ class HandleMotion:
     def save(self, path: str | Path, **options: object) -> Path:
         """Write a motion of the reference body in the format that the file's suffix names, and return the path.
 
-        .npz holds it as it is; .bvh and .vrma hold what the body's 22 joints do (see `bunraku.files.save_motion`).
+        .npz holds it as it is; .bvh and .vrma hold what the body's 22 joints do.
         """
         return save(self, path, **options)
 

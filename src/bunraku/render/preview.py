@@ -203,11 +203,11 @@ def orientation_views(character: Character, count: int = 4) -> np.ndarray:
         MissingExtraError: Pillow is not installed.
     """
     from bunraku.anatomy.handles.orientation import guess_orientation
-    from bunraku.files import turned
+    from bunraku.files import rotated
 
     guess = guess_orientation(character)
     likely = np.argsort(-guess.probabilities)[:count]
-    pictures = [render_still(turned(character, *ORIENTATIONS[n]), size=VIEW_SIZE, yaw=0.2) for n in likely]
+    pictures = [render_still(rotated(character, *ORIENTATIONS[n]), size=VIEW_SIZE, yaw=0.2) for n in likely]
     labels = [
         f"--up {ORIENTATIONS[n][0]} --front {ORIENTATIONS[n][1]} ({100 * min(guess.probabilities[n], 0.99):.0f} %)"
         for n in likely
