@@ -23,7 +23,7 @@ from bunraku.errors import CharacterError, FormatError, MotionError, OptionError
 from bunraku.files import load_character, save, save_character
 from bunraku.files.clips import load_animation
 from bunraku.files.gltf.open import open_document
-from bunraku.files.gltf.read import turned
+from bunraku.files.gltf.read import rotated
 from bunraku.files.gltf.write import joint_attributes
 from bunraku.files.gltf.write_points import key_shapes, mixed_shapes
 from bunraku.files.presets import save_clips

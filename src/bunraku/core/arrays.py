@@ -16,16 +16,9 @@ import numpy as np
 from bunraku.errors import FormatError
 
 __all__ = [
-    "MAX_ARRAY_BYTES",
-    "lzma_filters",
-    "npz_names",
-    "open_npz",
-    "pack_steps",
-    "read_member",
-    "read_npy",
-    "refuse_objects",
-    "unpack_steps",
-]
+    "MAX_ARRAY_BYTES", "lzma_filters", "npz_names", "open_npz", "pack_steps", "read_member", "read_npy",
+    "refuse_objects", "unpack_steps",
+]  # fmt: skip
 
 
 MAX_ARRAY_BYTES = 1 << 30

@@ -10,26 +10,10 @@ from typing import Any
 import numpy as np
 
 __all__ = [
-    "MMD_METRE",
-    "MmdAppend",
-    "MmdBody",
-    "MmdBone",
-    "MmdIk",
-    "MmdIkLink",
-    "MmdJoint",
-    "MmdModel",
-    "MmdMorph",
-    "MmdSdef",
-    "VrmCollider",
-    "VrmModel",
-    "VrmSpring",
-    "VrmSpringJoint",
-    "mmd_angles",
-    "mmd_model",
-    "mmd_points",
-    "mmd_turn",
+    "MMD_METRE", "MmdAppend", "MmdBody", "MmdBone", "MmdIk", "MmdIkLink", "MmdJoint", "MmdModel", "MmdMorph", "MmdSdef",
+    "VrmCollider", "VrmModel", "VrmSpring", "VrmSpringJoint", "mmd_angles", "mmd_model", "mmd_points", "mmd_turn",
     "vrm_model",
-]
+]  # fmt: skip
 
 
 MMD_METRE = 0.08

@@ -16,17 +16,9 @@ from bunraku.core.skinning import handle_offsets
 from bunraku.errors import MotionError, OptionError
 
 __all__ = [
-    "HandleMotion",
-    "MeshMotion",
-    "SkeletalMotion",
-    "Skeleton",
-    "checked_fps",
-    "cut_motion",
-    "line_up",
-    "local_rotations",
-    "resample",
-    "resample_motion",
-]
+    "HandleMotion", "MeshMotion", "SkeletalMotion", "Skeleton", "checked_fps", "cut_motion", "line_up",
+    "local_rotations", "resample", "resample_motion",
+]  # fmt: skip
 
 
 def _array(value: Any, shape: tuple[int | None, ...], what: str, dtype: Any = np.float32) -> np.ndarray:
@@ -139,8 +131,7 @@ class SkeletalMotion:
         return rotations, positions
 
     def save(self, path: str | Path, **options: object) -> Path:
-        """Write the motion in the format that the file's suffix names, .bvh or .vrma, and return the path.
-        """
+        """Write the motion in the format that the file's suffix names, .bvh or .vrma, and return the path."""
         return save(self, path, **options)
 
 

@@ -15,23 +15,9 @@ import numpy as np
 from bunraku.errors import OptionError
 
 __all__ = [
-    "CANDIDATES",
-    "Constraint",
-    "FPS",
-    "GRAVITY",
-    "GUIDANCE",
-    "Limit",
-    "SECONDS",
-    "SEED",
-    "STEPS",
-    "STIFFNESS",
-    "TAKES",
-    "WHOLE",
-    "from_json",
-    "option",
-    "read_json",
-    "to_json",
-]
+    "CANDIDATES", "Constraint", "FPS", "GRAVITY", "GUIDANCE", "Limit", "SECONDS", "SEED", "STEPS", "STIFFNESS", "TAKES",
+    "WHOLE", "from_json", "option", "read_json", "to_json",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

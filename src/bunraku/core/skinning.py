@@ -11,18 +11,9 @@ from typing import Any
 import numpy as np
 
 __all__ = [
-    "EMPTY",
-    "PULL",
-    "RigidBones",
-    "decomposed",
-    "handle_offsets",
-    "part_means",
-    "posed_points",
-    "register",
-    "register_reference",
-    "skin",
-    "skin_reference",
-]
+    "EMPTY", "PULL", "RigidBones", "decomposed", "handle_offsets", "part_means", "posed_points", "register",
+    "register_reference", "skin", "skin_reference",
+]  # fmt: skip
 
 
 Array = Any  # numpy.ndarray, or a tensor

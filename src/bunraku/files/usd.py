@@ -34,16 +34,8 @@ if TYPE_CHECKING:
     from bunraku.core.motion import HandleMotion
 
 __all__ = [
-    "Look",
-    "Piece",
-    "add_mesh",
-    "check_available",
-    "pieces",
-    "prim_name",
-    "write_points",
-    "write_rig",
-    "write_usd",
-]
+    "Look", "Piece", "add_mesh", "check_available", "pieces", "prim_name", "write_points", "write_rig", "write_usd",
+]  # fmt: skip
 
 
 _WRAP = {33071: "clamp", 33648: "mirror", 10497: "repeat"}

@@ -12,22 +12,9 @@ from bunraku.core.character import Handles
 from bunraku.errors import OptionError
 
 __all__ = [
-    "HANDLE_COUNT",
-    "HANDLE_MIRROR",
-    "HANDLE_NAMES",
-    "HANDLE_PARENTS",
-    "JOINT_COUNT",
-    "JOINT_MIRROR",
-    "JOINT_NAMES",
-    "JOINT_PARENTS",
-    "PARTS",
-    "REQUIRED",
-    "ROOTS",
-    "SKELETONS",
-    "engine_names",
-    "handle_names",
-    "kept_handles",
-]
+    "HANDLE_COUNT", "HANDLE_MIRROR", "HANDLE_NAMES", "HANDLE_PARENTS", "JOINT_COUNT", "JOINT_MIRROR", "JOINT_NAMES",
+    "JOINT_PARENTS", "PARTS", "REQUIRED", "ROOTS", "SKELETONS", "engine_names", "handle_names", "kept_handles",
+]  # fmt: skip
 
 
 JOINT_NAMES: tuple[str, ...] = (

@@ -16,16 +16,9 @@ from bunraku.core.skinning import skin
 from bunraku.errors import MotionError
 
 __all__ = [
-    "LIMB_CHILD",
-    "LOOSE",
-    "LOOSE_ON_PEOPLE",
-    "ReferenceBody",
-    "capped",
-    "reference_body",
-    "reference_shapes",
-    "smpl_offsets",
-    "smpl_rotations",
-]
+    "LIMB_CHILD", "LOOSE", "LOOSE_ON_PEOPLE", "ReferenceBody", "capped", "reference_body", "reference_shapes",
+    "smpl_offsets", "smpl_rotations",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -10,23 +10,10 @@ import numpy as np
 from bunraku.errors import OptionError
 
 __all__ = [
-    "AXES",
-    "BARE",
-    "FileFrame",
-    "ORIENTATIONS",
-    "ROUND",
-    "UNITS",
-    "axis_name",
-    "axis_vector",
-    "covered",
-    "default_orientation",
-    "direction_bins",
-    "directions_about",
-    "goes_round",
-    "likely_unit",
-    "right_angle_rotations",
+    "AXES", "BARE", "FileFrame", "ORIENTATIONS", "ROUND", "UNITS", "axis_name", "axis_vector", "covered",
+    "default_orientation", "direction_bins", "directions_about", "goes_round", "likely_unit", "right_angle_rotations",
     "upright_rotation",
-]
+]  # fmt: skip
 
 
 BINS, ROUND = 12, 0.75

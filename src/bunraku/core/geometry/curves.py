@@ -9,16 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 
 __all__ = [
-    "MonotoneCurve",
-    "correlated",
-    "gaussian",
-    "running_least",
-    "running_mean",
-    "running_most",
-    "smooth_step",
-    "solve_banded",
-    "tallest_steady",
-]
+    "MonotoneCurve", "correlated", "gaussian", "running_least", "running_mean", "running_most", "smooth_step",
+    "solve_banded", "tallest_steady",
+]  # fmt: skip
 
 
 EDGES = ("nearest", "mirror", "wrap")

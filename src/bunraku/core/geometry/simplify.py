@@ -27,15 +27,8 @@ from bunraku.core.geometry.surface import split_estimate, split_long_edges, vert
 from bunraku.errors import CharacterError
 
 __all__ = [
-    "FineMesh",
-    "NetworkMesh",
-    "Patches",
-    "find_patches",
-    "network_mesh",
-    "network_views",
-    "refine",
-    "soft_means",
-]
+    "FineMesh", "NetworkMesh", "Patches", "find_patches", "network_mesh", "network_views", "refine", "soft_means",
+]  # fmt: skip
 
 
 _MOST_SPLITS = 150_000

@@ -7,16 +7,9 @@ from functools import lru_cache
 import numpy as np
 
 __all__ = [
-    "extreme_points",
-    "face_normals",
-    "part_extremes",
-    "split_estimate",
-    "split_long_edges",
-    "surface_points",
-    "vertex_areas",
-    "vertex_normals",
-    "winding_numbers",
-]
+    "extreme_points", "face_normals", "part_extremes", "split_estimate", "split_long_edges", "surface_points",
+    "vertex_areas", "vertex_normals", "winding_numbers",
+]  # fmt: skip
 
 
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -19,30 +19,10 @@ if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
 __all__ = [
-    "Attention",
-    "FeedForward",
-    "Linear",
-    "Memory",
-    "Norm",
-    "PostNorm",
-    "PreNorm",
-    "Rotary",
-    "Weights",
-    "attended",
-    "gelu",
-    "gelu_slope",
-    "hidden_by",
-    "normed",
-    "one_thread",
-    "side_by_side",
-    "sigmoid",
-    "silu",
-    "softmax",
-    "split_heads",
-    "turned",
-    "unit",
-    "usable_threads",
-]
+    "Attention", "FeedForward", "Linear", "Memory", "Norm", "PostNorm", "PreNorm", "Rotary", "Weights", "attended",
+    "gelu", "gelu_slope", "hidden_by", "normed", "one_thread", "side_by_side", "sigmoid", "silu", "softmax",
+    "split_heads", "turned", "unit", "usable_threads",
+]  # fmt: skip
 
 
 _NEVER = np.float32(-1e30)

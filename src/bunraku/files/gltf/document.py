@@ -15,20 +15,9 @@ import numpy as np
 from bunraku.errors import FormatError
 
 __all__ = [
-    "ARRAY_BUFFER",
-    "BASE",
-    "COMPONENT_TYPES",
-    "Document",
-    "ELEMENT_ARRAY_BUFFER",
-    "ELEMENT_SIZES",
-    "GltfBuilder",
-    "MAX_ELEMENTS",
-    "PER_BYTE",
-    "free_memory",
-    "mesh_document",
-    "room",
-    "scaled_mesh_document",
-]
+    "ARRAY_BUFFER", "BASE", "COMPONENT_TYPES", "Document", "ELEMENT_ARRAY_BUFFER", "ELEMENT_SIZES", "GltfBuilder",
+    "MAX_ELEMENTS", "PER_BYTE", "free_memory", "mesh_document", "room", "scaled_mesh_document",
+]  # fmt: skip
 
 
 PER_BYTE = 4

@@ -12,17 +12,9 @@ from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.nodes import NodeTree, SkinJoints
 
 __all__ = [
-    "MeshPart",
-    "PrimitiveData",
-    "borrow_weights",
-    "check_size",
-    "primitive_groups",
-    "primitive_triangles",
-    "read_part",
-    "rigid_joints",
-    "skin_matrices",
-    "strongest",
-]
+    "MeshPart", "PrimitiveData", "borrow_weights", "check_size", "primitive_groups", "primitive_triangles", "read_part",
+    "rigid_joints", "skin_matrices", "strongest",
+]  # fmt: skip
 
 
 def strongest(

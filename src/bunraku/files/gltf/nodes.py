@@ -11,17 +11,9 @@ from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, qu
 from bunraku.files.gltf.document import Document
 
 __all__ = [
-    "Curves",
-    "MAX_SECONDS",
-    "NodeTree",
-    "SkinJoints",
-    "bind_pose",
-    "clip_curves",
-    "node_worlds",
-    "posed_skins",
-    "read_nodes",
-    "read_skins",
-]
+    "Curves", "MAX_SECONDS", "NodeTree", "SkinJoints", "bind_pose", "clip_curves", "node_worlds", "posed_skins",
+    "read_nodes", "read_skins",
+]  # fmt: skip
 
 
 MAX_NODES = 100_000

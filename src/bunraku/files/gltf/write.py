@@ -28,22 +28,10 @@ if TYPE_CHECKING:
     from bunraku.core.animation import Animation
 
 __all__ = [
-    "add_clip",
-    "add_joints",
-    "add_motion",
-    "build_document",
-    "clip_handles",
-    "document_of",
-    "drop_clip",
-    "finish_document",
-    "joint_attributes",
-    "joint_tracks",
-    "keeps_positions",
-    "packed_motion",
-    "read_motion",
-    "write_animation",
-    "write_clips",
-]
+    "add_clip", "add_joints", "add_motion", "build_document", "clip_handles", "document_of", "drop_clip",
+    "finish_document", "joint_attributes", "joint_tracks", "keeps_positions", "packed_motion", "read_motion",
+    "write_animation", "write_clips",
+]  # fmt: skip
 
 
 KEY = "bunraku_motion"

@@ -22,23 +22,10 @@ if TYPE_CHECKING:
     from bunraku.core.character import Handles
 
 __all__ = [
-    "AMASS_ARRAYS",
-    "HUMANML3D_FPS",
-    "REFERENCE",
-    "TimedCaption",
-    "motion_arrays",
-    "pack_animation",
-    "pack_motion",
-    "positions_of_vectors",
-    "read_amass",
-    "read_any_motion",
-    "read_humanml3d",
-    "read_npz_motion",
-    "read_positions",
-    "read_reference",
-    "read_texts",
-    "write_animation",
-]
+    "AMASS_ARRAYS", "HUMANML3D_FPS", "REFERENCE", "TimedCaption", "motion_arrays", "pack_animation", "pack_motion",
+    "positions_of_vectors", "read_amass", "read_any_motion", "read_humanml3d", "read_npz_motion", "read_positions",
+    "read_reference", "read_texts", "write_animation",
+]  # fmt: skip
 
 
 AMASS_ARRAYS = frozenset({"poses", "trans", "root_orient", "pose_body"})
