@@ -510,7 +510,7 @@ def test_several_clips_go_into_one_file(textured, tmp_path):
 
 @pytest.mark.parametrize("kind", ["own", "turned", "plain"])
 def test_a_player_sees_the_same_vertices(textured, tmp_path, kind):
-    character = {"own": textured, "turned": turned(textured, "+z", "-y"), "plain": reference_body().character()}[kind]
+    character = {"own": textured, "turned": rotated(textured, "+z", "-y"), "plain": reference_body().character()}[kind]
     animation = swinging(character)
     played = load_animation(animation.save(tmp_path / "out.glb"), 0, 20.0)
     assert len(played.motion) == 5

@@ -15,9 +15,9 @@ from pathlib import Path
 
 from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.files import remove_leftovers
-from bunraku.core.motion import HandleMotion, SkeletalMotion, cut_motion, resample_motion
+from bunraku.core.motion import HandleMotion, SkeletalMotion, resample_motion
 from bunraku.core.parallel import Pool
-from bunraku.errors import BunrakuError, FormatError
+from bunraku.errors import BunrakuError, FormatError, MotionError
 from bunraku.files import HUMANML3D_FPS, TimedCaption, read_texts
 from bunraku.generation.pack import OWN
 from bunraku.retarget.to_reference import handle_motion_of_body
@@ -81,7 +81,7 @@ def take_motion(take: Take) -> HandleMotion:
         if motion.skeleton.names != JOINT_NAMES:
             motion = to_smpl(motion, map_skeleton(motion.skeleton))
         end = len(motion) / motion.fps if take.end is None else take.end
-        motion = resample_motion(cut_motion(motion, take.start, min(end, take.start + LONGEST)), FPS)
+        motion = resample_motion(_cut(motion, take.start, min(end, take.start + LONGEST)), FPS)
         _check_length(take, len(motion))
         return handle_motion_of_body(motion)
     whole = reference_motion(motion, fps=FPS)
@@ -89,6 +89,16 @@ def take_motion(take: Take) -> HandleMotion:
     part = whole.take(slice(round(take.start * FPS), round(min(end, take.start + LONGEST) * FPS)))
     _check_length(take, len(part))
     return part
+
+
+def _cut(motion: SkeletalMotion, start: float, end: float) -> SkeletalMotion:
+    """The frames from one time to another [s]; what lies outside the motion is left out."""
+    first, stop = max(round(start * motion.fps), 0), min(round(end * motion.fps), len(motion))
+    if stop <= first:
+        seconds = len(motion) / motion.fps
+        raise MotionError(f"no frame lies between {start:g} s and {end:g} s of a motion of {seconds:.2f} s")
+    rotations, root = motion.rotations[first:stop], motion.root_translation[first:stop]
+    return SkeletalMotion(motion.skeleton, rotations, root, motion.fps)
 
 
 def _check_length(take: Take, frames: int) -> None:

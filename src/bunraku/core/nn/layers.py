@@ -319,9 +319,7 @@ def attended(query: np.ndarray, key: np.ndarray, value: np.ndarray, hidden: np.n
     scores *= np.float32(query.shape[-1] ** -0.5)
     if hidden is not None:
         scores += hidden
-    scores -= scores.max(-1, keepdims=True)
-    np.exp(scores, out=scores)
-    scores /= scores.sum(-1, keepdims=True)
+    softmax(scores)
     batch, heads, length, size = query.shape
     out = np.empty((batch, length, heads, size), np.float32)
     np.matmul(scores, value, out=out.transpose(0, 2, 1, 3))

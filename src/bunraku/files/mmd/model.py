@@ -23,7 +23,7 @@ from bunraku.core.avatars import (
     MmdSdef,
     mmd_angles,
     mmd_points,
-    mmd_turn,
+    mmd_rotation,
 )
 from bunraku.core.character import Character
 from bunraku.errors import FormatError
@@ -150,7 +150,7 @@ def read_body(reader: MmdReader, name: str, bone: int, origin: np.ndarray) -> Mm
     mass, linear, angular, restitution, friction, mode = reader.values("5fB")
     return MmdBody(
         name, bone, BODY_SHAPES[shape] if shape < len(BODY_SHAPES) else "", size * MMD_METRE,
-        origin + mmd_points(position), mmd_turn(angles),
+        origin + mmd_points(position), mmd_rotation(angles),
         mass, linear, angular, restitution, friction, mode, group, mask,
     )  # fmt: skip
 
@@ -161,7 +161,7 @@ def read_joint(reader: MmdReader, name: str, bodies: tuple[int, int]) -> MmdJoin
     low, high = mmd_points([lower, upper])
     low[2], high[2] = high[2], low[2]  # z is turned round
     turned = mmd_angles(angle_lower, angle_upper)
-    return MmdJoint(name, bodies, mmd_points(position), mmd_turn(angles), low, high, *turned, spring, angle_spring)
+    return MmdJoint(name, bodies, mmd_points(position), mmd_rotation(angles), low, high, *turned, spring, angle_spring)
 
 
 def check_physics(

@@ -199,7 +199,7 @@ def _frame(out: _Writer, name: str, english: str, special: int, bones: range) ->
 
 
 def _angles(turn: np.ndarray) -> np.ndarray:
-    """MMD's angles about x, y, z [rad] of a rotation in our frame: the inverse of `mmd_turn`."""
+    """MMD's angles about x, y, z [rad] of a rotation in our frame: the inverse of `mmd_rotation`."""
     own = _MIRROR[:, None] * turn * _MIRROR
     x = np.arctan2(-own[1, 2], np.hypot(own[1, 0], own[1, 1]))
     if abs(own[1, 2]) > 1 - 1e-12:  # straight up or down: only the sum of the other two is known
