@@ -1,4 +1,4 @@
-"""NumPy arrays from untrusted files, read within bounds and without pickle; and integer columns packed into few bytes."""
+"""NumPy arrays from untrusted files, read within bounds and without pickle; integer columns packed into few bytes."""
 
 from __future__ import annotations
 

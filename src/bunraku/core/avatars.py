@@ -1,4 +1,4 @@
-"""What avatar files hold besides their meshes: the model of MikuMikuDance (MMD), and the humanoid and springs of VRM."""
+"""What avatar files hold besides their meshes: the model of MikuMikuDance (MMD), the humanoid and springs of VRM."""
 
 from __future__ import annotations
 
@@ -267,7 +267,7 @@ def mmd_points(values: Any) -> np.ndarray:
 
 
 def mmd_rotation(angles: Any) -> np.ndarray:
-    """The rotation of MMD's angles about x, y, z [rad] (applied about z, then x, then y), in our frame, shape (3, 3)."""
+    """The rotation of MMD's angles about x, y, z [rad] (applied about z, then x, then y) in our frame, shape (3, 3)."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
     x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])

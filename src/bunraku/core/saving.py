@@ -1,6 +1,4 @@
-"""Functions of rooms above that rooms below call by name, `.save()` of all types, and how animations appear in a
-notebook.
-"""
+"""Functions of rooms above that rooms below call by name, `.save()` of all types, and animations in a notebook."""
 
 from __future__ import annotations
 
@@ -53,7 +51,7 @@ LARGEST_VIEW = 8 << 20
 
 
 class Shown(Saved):
-    """What appears in a notebook as a view that can be rotated, or, where that would be large, as a picture."""
+    """What appears in a notebook: as a view that can be rotated, or, where that would be large, as a picture."""
 
     def sheet(self, frames: int = 8, columns: int | None = None) -> bytes:
         """A contact sheet as a PNG: `frames` pictures (1 to 400) from the first frame to the last, `columns` in a row."""

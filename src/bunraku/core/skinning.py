@@ -1,4 +1,4 @@
-"""Linear blend skinning (Eq. 3 of TapMo) and its inverses: rigid registration, and a few bones for a moving point set."""
+"""Linear blend skinning (Eq. 3 of TapMo) and its inverses: rigid registration, a few bones for a moving point set."""
 
 from __future__ import annotations
 
