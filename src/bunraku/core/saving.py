@@ -54,7 +54,7 @@ class Shown(Saved):
     """What appears in a notebook: as a view that can be rotated, or, where that would be large, as a picture."""
 
     def sheet(self, frames: int = 8, columns: int | None = None) -> bytes:
-        """A contact sheet as a PNG: `frames` pictures (1 to 400) from the first frame to the last, `columns` in a row."""
+        """A contact sheet as a PNG: `frames` pictures (1 to 400) from first to last frame, `columns` in a row."""
         options = {} if columns is None else {"columns": columns}
         with tempfile.TemporaryDirectory() as folder:
             return self.save(Path(folder, "sheet.png"), frames=frames, **options).read_bytes()

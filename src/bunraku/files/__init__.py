@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from bunraku.files.mmd.vmd import MmdClip, VMD_FPS, VmdMotion, load_vmd, write_vmd
     from bunraku.files.mmd.write import pmx_bytes
     from bunraku.files.motions.arrays import (
-        HUMANML3D_FPS, REFERENCE, TimedCaption, motion_arrays, pack_animation, pack_motion, read_npz_motion,
-        read_positions, read_reference, read_texts,
+        HUMANML3D_FPS, REFERENCE, motion_arrays, pack_animation, pack_motion, read_npz_motion,
+        read_positions, read_reference,
     )  # fmt: skip
     from bunraku.files.motions.bvh import write_bvh
     from bunraku.files.presets import Preset, preset_named, preset_rows, save_clips, save_for
@@ -66,8 +66,8 @@ _NAMES = {
     "mmd.vmd": "MmdClip VMD_FPS VmdMotion load_vmd write_vmd",
     "mmd.write": "pmx_bytes",
     "motions.arrays":
-        "HUMANML3D_FPS REFERENCE TimedCaption motion_arrays pack_animation pack_motion read_npz_motion "
-        "read_positions read_reference read_texts",
+        "HUMANML3D_FPS REFERENCE motion_arrays pack_animation pack_motion read_npz_motion "
+        "read_positions read_reference",
     "motions.bvh": "write_bvh",
     "presets": "Preset preset_named preset_rows save_clips save_for",
     "registry":

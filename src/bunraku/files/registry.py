@@ -39,8 +39,8 @@ READERS: dict[str, dict[str, str]] = {
         ".obj": f"{_FILES}.meshes.obj:read_obj",
         ".stl": f"{_FILES}.meshes.ply:read_stl",
         ".fbx": f"{_FILES}.fbx.read:read_fbx",
-        ".pmx": f"{_FILES}.mmd.read:read_pmx",
-        ".pmd": f"{_FILES}.mmd.read:read_pmd",
+        ".pmx": f"{_FILES}.mmd.read:read_model",
+        ".pmd": f"{_FILES}.mmd.read:read_model",
     },
     "motion": {
         ".glb": f"{_FILES}.gltf.vrma:read_glb_motion",
@@ -73,7 +73,7 @@ WRITERS: dict[str, dict[str, str]] = {
     },
     "rig animation": {
         ".glb": f"{_FILES}.gltf.write_rig:save_rig_animation",
-        **dict.fromkeys(_USD, f"{_FILES}.usd:write_rig"),
+        **dict.fromkeys(_USD, f"{_FILES}.usd:write_usd"),
         ".fbx": f"{_FILES}.fbx.export:write_fbx",
         ".vmd": "write_character_vmd",
         ".html": "write_html",

@@ -17,7 +17,6 @@ from bunraku.core.animation import Animation, PointAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import atomic_write
 from bunraku.core.geometry.axes import ORIENTATIONS
-from bunraku.core.saving import save
 from bunraku.errors import FormatError, OptionError
 from bunraku.render.frames import SIZE, moments, render_animation, render_still
 from bunraku.render.pictures import assemble, check_target, page, write_moving, write_png
@@ -165,7 +164,7 @@ def write_html(
     title = str(name) if name else path.stem
     rate: dict[str, Any] = {} if fps is None else {"fps": fps}
     with tempfile.TemporaryDirectory() as folder:
-        model = save(animation, Path(folder, "model.glb"), name=title, **rate).read_bytes()
+        model = animation.save(Path(folder, "model.glb"), name=title, **rate).read_bytes()
     if len(model) > most:
         raise FormatError(
             path,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 __all__ = [
-    "Resampling", "adjugates", "axis_angle_from_matrix", "heading", "inverses", "matrix_from_6d",
+    "Resampling", "adjugates", "axis_angle_from_matrix", "continuous", "heading", "inverses", "matrix_from_6d",
     "matrix_from_axis_angle", "matrix_from_quaternion", "matrix_to_6d", "matrix_y", "nearest_rotation",
     "quaternion_from_matrix", "quaternion_slerp", "rotation_between",
 ]  # fmt: skip
@@ -139,6 +139,14 @@ def quaternion_slerp(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> n
     a = np.where(near, 1 - share, np.sin((1 - share) * angle) / safe)
     b = np.where(near, share, np.sin(share * angle) / safe)
     return _unit(np, a * start + b * end)
+
+
+def continuous(quaternions: np.ndarray) -> np.ndarray:
+    """Quaternions of N frames, shape (N, ..., 4), with signs that never jump, so that they can be interpolated."""
+    flips = np.where((quaternions[1:] * quaternions[:-1]).sum(-1) < 0, -1.0, 1.0)
+    out = quaternions.copy()
+    out[1:] *= np.cumprod(flips, axis=0)[..., None]
+    return out
 
 
 def adjugates(matrices: np.ndarray) -> np.ndarray:

@@ -29,6 +29,7 @@ from bunraku.core.character import Character
 from bunraku.errors import FormatError
 from bunraku.files.gltf.read import character_from_document
 from bunraku.files.mmd.document import MmdMaterial, model_document
+from bunraku.files.mmd.vmd import fixed_text
 
 __all__ = [
     "MAX_BODIES", "MAX_BONES", "MAX_JOINTS", "MmdFile", "MmdMaterial", "MmdReader", "check_physics", "mmd_character",
@@ -126,11 +127,6 @@ class MmdReader:
     def field(self, size: int) -> str:
         """A text in a field of fixed size that ends with a zero byte."""
         return fixed_text(self.take(size))
-
-
-def fixed_text(raw: bytes) -> str:
-    """Shift JIS up to the first zero byte; the half of a letter that was cut off is dropped."""
-    return raw.split(b"\0")[0].decode("cp932", "ignore")
 
 
 Note = Callable[[str, str], None]
