@@ -315,11 +315,11 @@ def _body(character: Character, up: str, front: str) -> dict[str, Any]:
     """What handles make of it: what it stands on, which parts are found and how clearly, and what it cannot do."""
     from bunraku.anatomy.anatomy import Anatomy
     from bunraku.anatomy.handles.predict import predict_handles
-    from bunraku.files import turned
+    from bunraku.files import rotated
     from bunraku.pipelines.bodies import body_facts
 
     try:
-        standing = turned(character, up, front)
+        standing = rotated(character, up, front)
         anatomy = Anatomy.of(standing, predict_handles(standing))
         found = body_facts(anatomy)
     except (WeightsError, CharacterError) as error:

@@ -165,12 +165,12 @@ def animation_of(
     Raises:
         BunrakuError: A file cannot be read, the two do not go together, or there is nothing to simulate.
     """
-    from bunraku.files import check_writes
+    from bunraku.files import check_writer
     from bunraku.pipelines.animator import Animator
     from bunraku.pipelines.transfer import transferred
 
     character, handles = character_of(pair.character, settings)
-    check_writes(pair.output, character)
+    check_writer(pair.output, character)
     request = replace(settings.request(handles), stages=stages_of(settings))
     return transferred(Animator.shipped(progress), character, source_of(pair.motion, settings), request)
 
@@ -559,9 +559,9 @@ def _label(pair: Pair, reason: str) -> str:
 
 
 def _outputs() -> tuple[str, ...]:
-    from bunraku.files import FORMATS
+    from bunraku.files import WRITERS
 
-    return tuple(suffix for found in FORMATS if found.animation for suffix in found.suffixes)
+    return tuple(WRITERS["animation"])
 
 
 def _suffix(text: str) -> str:

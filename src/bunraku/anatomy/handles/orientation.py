@@ -13,7 +13,7 @@ from bunraku.anatomy.handles.orientation_evidence import evidence, has_rule, kin
 from bunraku.core.character import Character
 from bunraku.core.geometry.axes import AXES, ORIENTATIONS, axis_name, default_orientation, upright_rotation
 from bunraku.core.geometry.surface import surface_points
-from bunraku.files import turned
+from bunraku.files import rotated
 
 if TYPE_CHECKING:
     from bunraku.anatomy.handles.networks import OrientationPredictor
@@ -249,4 +249,4 @@ def upright(character: Character, up: str = "auto", front: str = "auto") -> Char
         WeightsError: The weights are missing or broken, and something is to be guessed.
     """
     resolved = resolve_axes(character, up, front)
-    return turned(character, resolved.up, resolved.front)
+    return rotated(character, resolved.up, resolved.front)

@@ -107,10 +107,10 @@ class Source:
 
 def facing_character(path: Path, name: str) -> Character:
     """A character facing +Z, by what is known of the archive's rigs."""
-    from bunraku.files import load_character, turned
+    from bunraku.files import load_character, rotated
 
     character = load_character(path)
-    return turned(character, "+y", named_front(character, name))
+    return rotated(character, "+y", named_front(character, name))
 
 
 def named_front(character: Character, name: str) -> str:
