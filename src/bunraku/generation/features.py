@@ -26,19 +26,9 @@ from bunraku.core.motion import HandleMotion
 from bunraku.errors import MotionError
 
 __all__ = [
-    "decode",
-    "encode",
-    "feature_mask",
-    "FEATURE_SIZE",
-    "feature_weights",
-    "FeatureStatistics",
-    "HANDLE_SIZE",
-    "is_rotation",
-    "mirror",
-    "root_velocities",
-    "ROOT_SIZE",
-    "standing_legs",
-]
+    "decode", "encode", "feature_mask", "FEATURE_SIZE", "feature_weights", "FeatureStatistics", "HANDLE_SIZE",
+    "is_rotation", "mirror", "root_velocities", "ROOT_SIZE", "standing_legs",
+]  # fmt: skip
 
 ROOT_SIZE, HANDLE_SIZE = 10, 9
 FEATURE_SIZE = ROOT_SIZE + HANDLE_SIZE * (HANDLE_COUNT - 1)

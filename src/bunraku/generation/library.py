@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Clip", "Source", "all_clips", "clip", "features_of", "motion_of", "search"]
 
-
 _NAME, _TAG, _SENTENCE, _ACTION = 3.0, 2.0, 1.0, 2.0
 """What a word counts for that stands in the name, in a tag or in the sentence of a clip, and an action in common."""
 _BEGUN = 0.5
