@@ -5,7 +5,7 @@ import pytest
 from palms import palms as both_palms
 
 from bunraku.anatomy.anatomy import body_handle_motion
-from bunraku.anatomy.plan import lowest
+from bunraku.anatomy.plan import reference_reach
 from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.errors import FormatError
@@ -165,7 +165,7 @@ def test_both_hands_hold_the_club():
 def lowest_of(motion):
     """Height of what is nearest to the ground in each frame, shape (N,) [m]."""
     body = reference_body()
-    return lowest(body.vertices, body.handle_weights, body_handle_motion(motion), body.handles.positions)
+    return reference_reach().lowest(body_handle_motion(motion).transforms(body.handles.positions))
 
 
 @pytest.mark.parametrize("name", ["march in place", "zombie", "push-up", "sit-up", "crawl", "box", "throw", "tennis"])

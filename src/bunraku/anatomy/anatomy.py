@@ -320,18 +320,18 @@ def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:
     rotations[:, 1:JOINT_COUNT] = np.swapaxes(root, -1, -2)[:, None] @ world[:, 1:]
     for handle in range(JOINT_COUNT, HANDLE_COUNT):
         rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
-    rotations, translations = attach_joints(rotations, body.handles, joints)
+    rotations, translations = attach_joints(rotations, body.handles.positions, joints)
     scale = leg_length(body.joints) / max(leg_length(motion.skeleton.positions), 1e-9)
     pelvis, position = body.joints[0].astype(np.float64), body.handles.positions[0].astype(np.float64)
     path = motion.root_translation * scale + np.einsum("nij,j->ni", root, position - pelvis) - position
     out = HandleMotion(translations, rotations, path, root, motion.fps)
-    path[:, 1] -= np.quantile(reference_reach().lowest(out, body.handles.positions), STANDS)
+    path[:, 1] -= np.quantile(reference_reach().lowest(out.transforms(body.handles.positions)), STANDS)
     return replace(out, root_translation=path)
 
 
 def stiff(motion: HandleMotion) -> HandleMotion:
     """A motion of the reference body with all joints held, as bones hold them."""
     rotations, translations = attach_joints(
-        motion.rotations.astype(np.float64), reference_body().handles, reference_joints()
+        motion.rotations.astype(np.float64), reference_body().handles.positions, reference_joints()
     )
     return replace(motion, rotations=rotations, translations=translations)

@@ -18,11 +18,10 @@ from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.surface import part_extremes
-from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError
 
-__all__ = ["BodyPlan", "Reach", "check_plans", "lowest", "plan_of", "reference_reach", "standing", "stride_scale"]
+__all__ = ["BodyPlan", "Reach", "check_plans", "plan_of", "reference_reach", "standing", "stride_scale"]
 
 
 CHUNK = 500  # frames posed at once to find the lowest point: bounds memory
@@ -79,23 +78,10 @@ class Reach(NamedTuple):
         pick = part_extremes(vertices, weights)
         return cls(vertices[pick], weights[pick])
 
-    def lowest(self, motion: HandleMotion, positions: np.ndarray) -> np.ndarray:
-        """Height of the lowest point in each frame [m], shape (N,); handles are at `positions` [m], shape (K, 3)."""
-        transforms = motion.transforms(positions)
+    def lowest(self, transforms: np.ndarray) -> np.ndarray:
+        """Height of the lowest point in each frame [m], shape (N,), by the transforms of the handles (N, K, 3, 4)."""
         parts = [transforms[start : start + CHUNK] for start in range(0, len(transforms), CHUNK)]
         return np.concatenate([skin(self.vertices, self.weights, part)[..., 1].min(axis=1) for part in parts])
-
-
-def lowest(vertices: np.ndarray, weights: np.ndarray, motion: HandleMotion, positions: np.ndarray) -> np.ndarray:
-    """Height of the lowest vertex in each frame [m], shape (N,), from the extreme points of every part.
-
-    Args:
-        vertices: Rest positions [m], shape (V, 3).
-        weights: Of the handles, shape (V, K).
-        motion: Of the handles.
-        positions: Of the handles [m], shape (K, 3).
-    """
-    return Reach.of(vertices, weights).lowest(motion, positions)
 
 
 @lru_cache(maxsize=2)

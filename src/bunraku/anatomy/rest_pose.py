@@ -241,7 +241,7 @@ def stance_of(
         joints: Where they meet.
         to_reference: Rotation of each handle, the identity for the root, shape (K, 3, 3).
     """
-    rotations, translations = attach_joints(to_reference[None].astype(np.float64), handles, joints)
+    rotations, translations = attach_joints(to_reference[None].astype(np.float64), handles.positions, joints)
     still = np.zeros((1, 3)), np.eye(3)[None]
     motion = HandleMotion(translations, rotations, *still)
     vertices = skin(character.vertices, handles.weights, motion.transforms(handles.positions))[0]

@@ -14,7 +14,7 @@ from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.anatomy.joints import attach_joints, downwards, reference_joints
 from bunraku.anatomy.names.bone_names import NO_HANDLE, handle_of_joints
-from bunraku.anatomy.plan import BodyPlan, check_plans, lowest
+from bunraku.anatomy.plan import BodyPlan, Reach, check_plans
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
 from bunraku.core.body.reference import reference_body
@@ -391,9 +391,10 @@ def _creature(motion: HandleMotion, anatomy: Anatomy) -> CreatureMotion | None:
         if not own[handle]:
             rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
     body = reference_body()
-    rotations, translations = attach_joints(rotations, body.handles, reference_joints())
+    rotations, translations = attach_joints(rotations, body.handles.positions, reference_joints())
     seen = character.vertices[character.surface]
-    ground = lowest(seen, handles.weights[character.surface], motion, handles.positions)
+    reach = Reach.of(seen, handles.weights[character.surface])
+    ground = reach.lowest(motion.transforms(handles.positions))
     floor = float(seen[:, 1].min())
     path = motion.root_translation.astype(np.float64)
     rise = float(np.quantile(ground, STANDS))

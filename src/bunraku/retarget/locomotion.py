@@ -281,7 +281,7 @@ def _flat_tail(anatomy: Anatomy) -> bool:
 
 def _attached(motion: HandleMotion, rotations: np.ndarray, path: np.ndarray) -> HandleMotion:
     """The motion with other rotations and another path; parts stay as far from their joints as they were."""
-    body, joints = reference_body().handles, reference_joints()
+    body, joints = reference_body().handles.positions, reference_joints()
     before = attach_joints(motion.rotations.astype(np.float64), body, joints)[1]
     after = attach_joints(rotations, body, joints)[1]  # its rotations let a tail, which people lack, go with the hips
     moved = motion.translations.astype(np.float64) - before + after

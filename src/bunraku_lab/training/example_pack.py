@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bunraku.anatomy.anatomy import body_handle_motion
-from bunraku.anatomy.plan import lowest
+from bunraku.anatomy.plan import reference_reach
 from bunraku.core.body.joint_rotations import skeleton_from_handles
 from bunraku.core.body.reference import reference_body
 from bunraku.core.motion import SkeletalMotion
@@ -354,7 +354,7 @@ def _events(rows: ClipSet, seed: int) -> Iterator[_Stretch]:
 def _hovers(features: np.ndarray) -> bool:
     """Whether nothing of the body is near the ground in a quarter of the frames: a floor that was found too low."""
     body = reference_body()
-    heights = lowest(body.vertices, body.handle_weights, decode(features), body.handles.positions)
+    heights = reference_reach().lowest(decode(features).transforms(body.handles.positions))
     return bool((heights > HOVERS).mean() > 0.25)
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, has_extra_legs, limb_handles
 from bunraku.anatomy.joints import attach_joints, further_limbs
-from bunraku.anatomy.legs import Leg, foot_points, move_feet
-from bunraku.anatomy.plan import lowest
+from bunraku.anatomy.legs import Leg
+from bunraku.anatomy.plan import Reach
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian, running_least, smooth_step
@@ -28,7 +28,7 @@ from bunraku.core.geometry.rotations import (
     quaternion_slerp,
 )
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.stages.stage import Fitting, Stage
+from bunraku.retarget.stages.stage import Fitting, Stage, sole_points, with_feet_moved
 
 __all__ = ["Front", "Gait", "Support", "Swings", "pairs_of"]
 
@@ -332,16 +332,16 @@ class Support(Stage):
             motion: Of the character.
             anatomy: Of the character.
         """
-        character, handles, legs, floor = anatomy.mesh, anatomy.mesh_handles, anatomy.legs, anatomy.floor
-        world = motion.transforms(handles.positions)
-        ends = _ends(handles, legs)
+        legs, floor = anatomy.legs, anatomy.floor
+        world = motion.transforms(anatomy.handles.positions)
+        ends = _ends(anatomy.handles, legs)
         out = np.zeros((len(motion), 2), bool)
         if not ends[0]:
             return out
         high, tops, rest = [], [], []
         for end in ends:
             heights = [
-                (foot_points(legs[number], character, handles, world)[..., 1].min(axis=1) - floor) / legs[number].length
+                (sole_points(legs[number], anatomy, world)[..., 1].min(axis=1) - floor) / legs[number].length
                 for number in end
             ]
             high.append(np.min(heights, axis=0) > self.lifted)
@@ -381,7 +381,7 @@ class Support(Stage):
                 shifts[:, number] = amount * (goal - ankle)
                 level = axis_angle_from_matrix(ahead @ np.swapaxes(world[:, leg.end, :, :3], -1, -2))
                 slopes[:, number] = matrix_from_axis_angle(amount * np.asarray(level))
-        return move_feet(motion, handles, anatomy.joints, legs, shifts, slopes)
+        return with_feet_moved(motion, anatomy, legs, shifts, slopes)
 
     def _lasting(self, held: np.ndarray, fps: float) -> np.ndarray:
         """Runs of frames that last longer than `long`, shape (N,), bool."""
@@ -445,6 +445,7 @@ class Front(Stage):
             return motion, rotations
         character, handles, joints = anatomy.mesh, anatomy.mesh_handles, anatomy.joints
         floor = float(character.vertices[character.surface, 1].min()) - self.sink * character.height
+        reach = Reach.of(character.vertices[held], handles.weights[held])
         tilt, facing = _tilt(motion)
         bends = np.asarray(axis_angle_from_matrix(rotations[:, _TRUNK].astype(np.float64)))
 
@@ -454,10 +455,10 @@ class Front(Stage):
             return replace(motion, root_rotation=facing @ matrix_from_axis_angle(share[:, None] * tilt)), some
 
         def sinks(moved: HandleMotion, some: np.ndarray) -> np.ndarray:
-            turned, translations = attach_joints(some.astype(np.float64), handles, joints)
+            turned, translations = attach_joints(some.astype(np.float64), handles.positions, joints)
             still = np.zeros_like(motion.root_translation)
             posed = replace(moved, rotations=turned, translations=translations, root_translation=still)
-            return lowest(character.vertices[held], handles.weights[held], posed, handles.positions) < floor
+            return reach.lowest(posed.transforms(handles.positions)) < floor
 
         low = sinks(motion, rotations)
         if not low.any():
@@ -466,8 +467,7 @@ class Front(Stage):
         for step in self.steps:
             clear = ~sinks(*bent(np.full(len(motion), step)))
             share = np.where(low & clear, np.maximum(share, step), share)
-        reach = max(round(2 * self.soft * motion.fps), 1)
-        share = running_least(share, 2 * reach + 1)
+        share = running_least(share, 2 * max(round(2 * self.soft * motion.fps), 1) + 1)
         return bent(gaussian(share, self.soft * motion.fps))
 
 

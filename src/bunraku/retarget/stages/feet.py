@@ -8,10 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
-from bunraku.anatomy.legs import foot_points, move_feet
 from bunraku.core.geometry.curves import smooth_step, solve_banded
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.stages.stage import Contacts, Fitting, Stage
+from bunraku.retarget.stages.stage import Contacts, Fitting, Stage, sole_points, with_feet_moved
 
 __all__ = ["Feet", "add_bending", "foot_motion", "is_treadmill"]
 
@@ -106,11 +105,11 @@ class Feet(Stage):
             Contacts with steps that are still without the correction, and the correction along x and z of each step
             [m], shape (N - 1, 2).
         """
-        character, handles, legs, floor = anatomy.mesh, anatomy.mesh_handles, anatomy.legs, anatomy.floor
-        world = motion.transforms(handles.positions)
+        legs, floor = anatomy.legs, anatomy.floor
+        world = motion.transforms(anatomy.handles.positions)
         steps, heights, raised = [], [], []
         for leg in legs:
-            step, height = foot_motion(foot_points(leg, character, handles, world), floor, self.roll * leg.length)
+            step, height = foot_motion(sole_points(leg, anatomy, world), floor, self.roll * leg.length)
             steps.append(step)
             heights.append(height)
             up = np.ones(len(step), bool)
@@ -238,7 +237,7 @@ class Feet(Stage):
             )
             away = np.linalg.norm(offsets, axis=1, keepdims=True) / most
             shifts[:, number][:, [0, 2]] = offsets * np.tanh(away) / np.maximum(away, 1e-9)
-        return move_feet(motion, anatomy.handles, anatomy.joints, legs, shifts), contacts
+        return with_feet_moved(motion, anatomy, legs, shifts), contacts
 
 
 def add_bending(band: np.ndarray) -> None:

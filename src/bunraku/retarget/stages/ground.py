@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.legs import Leg, carry, foot_points, local_motion, move_feet
-from bunraku.anatomy.plan import lowest, reference_reach
+from bunraku.anatomy.legs import Leg, carry
+from bunraku.anatomy.plan import Reach, reference_reach
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character
@@ -24,9 +24,8 @@ from bunraku.core.geometry.curves import (
 )
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, heading, matrix_from_axis_angle, matrix_y
 from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import skin
 from bunraku.retarget.stages.feet import add_bending
-from bunraku.retarget.stages.stage import Contacts, Fitting, Stage
+from bunraku.retarget.stages.stage import Contacts, Fitting, Stage, sole_points, with_feet_moved
 
 __all__ = ["Floor", "Ground", "Soles", "enough"]
 
@@ -88,14 +87,13 @@ class Ground(Stage):
         below = self._standing_of(motion) if heights is None else None
         want = self._ground_of(motion, below) if below is not None else np.asarray(heights)
         drift = self._local_ground(want, motion.fps)
-        have = anatomy.reach.lowest(fitted, handles.positions)
+        have = anatomy.reach.lowest(fitted.transforms(handles.positions))
         seen = character.surface
         if below is not None and stands.sum() < seen.sum():
             hands_down = below > want + 0.01
             if hands_down.any():
-                have = np.where(
-                    hands_down, lowest(character.vertices[seen], handles.weights[seen], fitted, handles.positions), have
-                )
+                all_of_it = Reach.of(character.vertices[seen], handles.weights[seen])
+                have = np.where(hands_down, all_of_it.lowest(fitted.transforms(handles.positions)), have)
         lift = running_mean(anatomy.floor + (want - drift) * anatomy.scale - have, 5)
         moved = fitted.root_translation.copy()
         moved[:, 1] += lift
@@ -103,7 +101,7 @@ class Ground(Stage):
 
     def _standing_of(self, motion: HandleMotion) -> np.ndarray:
         """Height of the lowest point of all that the reference body may stand on [m], shape (N,): not of its arms."""
-        return reference_reach(arms=False).lowest(motion, reference_body().handles.positions)
+        return reference_reach(arms=False).lowest(motion.transforms(reference_body().handles.positions))
 
     def _ground_of(self, motion: HandleMotion, stands: np.ndarray) -> np.ndarray:
         """Height of the lowest point of the reference body [m], shape (N,), but for hands that have sunk in.
@@ -115,7 +113,7 @@ class Ground(Stage):
             motion: Of the reference body.
             stands: Height of the lowest point of what it may stand on [m], shape (N,).
         """
-        whole = reference_reach().lowest(motion, reference_body().handles.positions)
+        whole = reference_reach().lowest(motion.transforms(reference_body().handles.positions))
         carried = running_least(stands - whole, self._window(motion.fps)) > self.held
         ground = np.where(carried, whole, self._local_ground(stands, motion.fps))
         return np.asarray(np.minimum(stands, np.maximum(whole, ground)))
@@ -159,7 +157,7 @@ class Ground(Stage):
             anatomy: Of the character.
             air: Half of the time that the body is in the air at the most [s]; None for the 0.75 s.
         """
-        have = anatomy.reach.lowest(fitted, anatomy.mesh_handles.positions) - anatomy.floor
+        have = anatomy.reach.lowest(fitted.transforms(anatomy.handles.positions)) - anatomy.floor
         if air is None:
             hovers = self._local_ground(have, fitted.fps)
         else:
@@ -228,8 +226,8 @@ class Floor(Stage):
             source: Of the reference body.
             anatomy: Of the character.
         """
-        have = anatomy.reach.lowest(motion, anatomy.mesh_handles.positions) - anatomy.floor
-        want = reference_reach().lowest(source, reference_body().handles.positions)
+        have = anatomy.reach.lowest(motion.transforms(anatomy.handles.positions)) - anatomy.floor
+        want = reference_reach().lowest(source.transforms(reference_body().handles.positions))
         air = want - running_least(want, 2 * round(self.air * source.fps) + 1)
         up = air * anatomy.scale - have
         return _lifted(motion, np.where(up < 0, up * (1 - smooth_step(-up / anatomy.mesh.height, *self.flies)), up))
@@ -297,9 +295,8 @@ class Floor(Stage):
         def need(some: np.ndarray) -> np.ndarray:
             if not some.any():
                 return np.zeros(len(motion))
-            return np.maximum(
-                floor - depth - lowest(character.vertices[some], handles.weights[some], motion, handles.positions), 0
-            )
+            reach_of = Reach.of(character.vertices[some], handles.weights[some])
+            return np.maximum(floor - depth - reach_of.lowest(motion.transforms(handles.positions)), 0)
 
         ends = np.zeros(len(character.vertices), bool)
         for limb in limbs:
@@ -308,13 +305,13 @@ class Floor(Stage):
         if limbs and len(motion) > 2:
             shifts, transforms = np.zeros((len(motion), len(limbs), 3)), motion.transforms(handles.positions)
             for number, limb in enumerate(limbs):
-                heights = foot_points(limb, character, handles, transforms)[..., 1].min(axis=1) - floor
+                heights = sole_points(limb, anatomy, transforms)[..., 1].min(axis=1) - floor
                 trust = np.zeros(len(motion))
                 if contacts is not None and number < len(legs):
                     held = contacts.stands[:, number]
                     trust[0], trust[-1], trust[1:-1] = held[0], held[-1], np.maximum(held[1:], held[:-1])
                 shifts[:, number, 1] = self._foot_lifts(heights, trust, self.lowered * limb.length, depth, reach)
-            motion = move_feet(motion, handles, anatomy.joints, limbs, shifts)
+            motion = with_feet_moved(motion, anatomy, limbs, shifts)
         return _lifted(motion, enough(need(solid), reach))
 
 
@@ -369,7 +366,7 @@ class Soles(Stage):
             for handle in leg.foot:
                 carry(world, handle, anatomy.joints, ankle, ankle, back)
             changed = True
-        return local_motion(world, motion, anatomy.handles) if changed else motion
+        return motion.with_transforms(world, anatomy.handles.positions) if changed else motion
 
     def _back(self, less: np.ndarray, slope: np.ndarray, facing: np.ndarray, turned: np.ndarray) -> np.ndarray:
         """What takes a foot from its slope to one that is less by a share, shape (N, 3, 3)."""
@@ -380,7 +377,6 @@ class Soles(Stage):
         self, leg: Leg, anatomy: Anatomy, world: np.ndarray, ankle: np.ndarray, back: np.ndarray | None = None
     ) -> np.ndarray:
         """How far the lowest point of a sole is under its ankle, shape (N,) [m], turned by `back` (N, 3, 3)."""
-        mesh, handles = anatomy.mesh, anatomy.mesh_handles
-        away = skin(mesh.vertices[leg.sole], handles.weights[leg.sole], world).astype(np.float64) - ankle[:, None]
+        away = sole_points(leg, anatomy, world) - ankle[:, None]
         heights = away[..., 1] if back is None else np.einsum("nj,nmj->nm", back[:, 1], away)
         return np.asarray(-heights.min(axis=1))

@@ -10,13 +10,13 @@ from scipy.spatial import cKDTree
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import Joints, attach_joints
-from bunraku.anatomy.legs import Leg, move_feet
+from bunraku.anatomy.legs import Leg
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian, running_most, smooth_step
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.stages.stage import Fitting, Stage
+from bunraku.retarget.stages.stage import Fitting, Stage, with_feet_moved
 
 __all__ = ["BodySurface", "Hands", "HandsClear"]
 
@@ -136,7 +136,7 @@ class Hands(Stage):
             smooth = gaussian(shifts[:, number], self.blend * fitted.fps)
             far = np.linalg.norm(smooth, axis=1, keepdims=True) / (self.most * arm.length)
             shifts[:, number] = smooth * np.tanh(far) / np.maximum(far, 1e-9)
-        return move_feet(fitted, handles, joints, arms, shifts)
+        return with_feet_moved(fitted, anatomy, arms, shifts)
 
     def _joined(
         self,
@@ -185,7 +185,7 @@ def _placed(local: np.ndarray, part: _Box, there: _Box, scale: float) -> np.ndar
 
 def _stance(handles: Handles, joints: Joints, to_reference: np.ndarray) -> np.ndarray:
     """Transforms of the handles from the rest pose into the stance, shape (K, 3, 4)."""
-    rotations, translations = attach_joints(to_reference[None].astype(np.float64), handles, joints)
+    rotations, translations = attach_joints(to_reference[None].astype(np.float64), handles.positions, joints)
     still = HandleMotion(translations, rotations, np.zeros((1, 3)), np.eye(3)[None])
     return still.transforms(handles.positions)[0].astype(np.float64)
 
@@ -338,7 +338,7 @@ class HandsClear(Stage):
         for arm in anatomy.arms:
             shift = np.zeros((len(motion), 3))
             for _ in range(self.rounds):
-                moved = move_feet(first, anatomy.handles, anatomy.joints, [arm], shift[:, None])
+                moved = with_feet_moved(first, anatomy, [arm], shift[:, None])
                 depth, out = surface.depths(moved, self.hand(moved, arm, anatomy), self.near * arm.length)
                 deepest = depth.argmax(axis=1)
                 rows = np.arange(len(depth))
@@ -351,7 +351,7 @@ class HandsClear(Stage):
                 far = np.linalg.norm(shift, axis=1, keepdims=True) / (self.most * arm.length)
                 shift = shift * np.tanh(far) / np.maximum(far, 1e-9)
             if shift.any():
-                first = move_feet(first, anatomy.handles, anatomy.joints, [arm], shift[:, None])
+                first = with_feet_moved(first, anatomy, [arm], shift[:, None])
         return first
 
     def hand(self, motion: HandleMotion, arm: Leg, anatomy: Anatomy) -> np.ndarray:

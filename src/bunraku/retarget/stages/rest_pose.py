@@ -82,10 +82,11 @@ class Attach(Stage):
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         source, handles, joints = fitting.source, anatomy.handles, anatomy.joints
-        rotations, translations = attach_joints(fitting.rotations, handles, joints)
+        rotations, translations = attach_joints(fitting.rotations, handles.positions, joints)
         if handles.rigid:
             return replace(fitting, rotations=rotations, translations=translations)
-        stiff = attach_joints(source.rotations.astype(np.float64), reference_body().handles, reference_joints())[1]
+        reference = reference_body().handles.positions
+        stiff = attach_joints(source.rotations.astype(np.float64), reference, reference_joints())[1]
         residual = capped(source.translations - stiff, source.soft)
         translations += residual[:, handles.played] * anatomy.scale * joints.present[:, None]
         return replace(fitting, rotations=rotations, translations=translations)

@@ -9,7 +9,7 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import Joints
-from bunraku.anatomy.legs import carry, local_motion
+from bunraku.anatomy.legs import carry
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian
@@ -97,7 +97,7 @@ class Lag(Stage):
                 turn = self._turns(stiff, self.followed(pivot + stiff, frequency, motion.fps) - pivot)
                 for each in part[number:]:
                     carry(world, each, joints, pivot, pivot, turn)
-        return local_motion(world, motion, handles)
+        return motion.with_transforms(world, handles.positions)
 
     def _reach(self, anatomy: Anatomy, handle: int) -> float:
         """How far a part goes on from its joint, over the way to its middle."""
@@ -265,4 +265,4 @@ class TailClear(Stage):
         for part in (_TAIL, _TIP) if base == _TAIL else (_TIP,):
             if there[part]:
                 carry(world, part, joints, pivot, pivot, turn)
-        return local_motion(world, motion, handles)
+        return motion.with_transforms(world, handles.positions)
