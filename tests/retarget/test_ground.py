@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from bunraku.anatomy.anatomy import Anatomy, decimated, reference_anatomy
 from bunraku.anatomy.joints import attach_joints, find_joints, reference_joints
 from bunraku.anatomy.legs import find_arms, find_legs
+from bunraku.anatomy.rest_pose import upright
 from bunraku.core.animation import Animation
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.core.body.reference import handle_positions, reference_body
@@ -39,7 +40,7 @@ LEFT, RIGHT = HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")
 def person():
     body = reference_body()
     character, joints = body.character(), reference_joints()
-    return character, body.handles, joints, find_legs(character, body.handles, joints)
+    return character, body.handles, joints, find_legs(character, body.handles, joints, True)
 
 
 def still(frames=30):
@@ -107,7 +108,7 @@ def table():
 
 def test_who_lies_along_its_spine_stands_on_all_that_reaches_the_ground():
     character, handles = table()
-    legs = find_legs(character, handles, find_joints(character, handles))
+    legs = find_legs(character, handles, find_joints(character, handles), upright(handles))
     assert [HANDLE_NAMES[leg.upper] for leg in legs] == ["left_hip", "right_hip", "left_shoulder", "right_shoulder"]
     for leg in legs:
         np.testing.assert_allclose(leg.joints[:, 1], [0.9, 0.6, 0.3], atol=0.01)
@@ -120,7 +121,7 @@ def test_who_lies_along_its_spine_stands_on_all_that_reaches_the_ground():
         character.faces,
     )
     assert (
-        len(find_legs(short, handles, find_joints(short, handles))) == 2
+        len(find_legs(short, handles, find_joints(short, handles), upright(handles))) == 2
     )  # front legs that do not reach the ground are arms
 
 
@@ -131,7 +132,7 @@ def test_who_has_no_legs_is_lifted_and_otherwise_left_alone():
     weights[:, 0] += weights[:, legs].sum(axis=1)
     weights[:, legs] = 0
     ghost, handles = body.character(), Handles(body.handles.positions, weights)
-    assert find_legs(ghost, handles, Anatomy.of(ghost, handles).joints) == []
+    assert Anatomy.of(ghost, handles).legs == []
     motion = replace(still(20), root_translation=np.linspace(0, 1, 20)[:, None] * [0.3, 0, 0])
     with_stage, without = (fit_motion(motion, Anatomy.of(ghost, handles), Stages(feet=feet)) for feet in (True, False))
     np.testing.assert_array_equal(with_stage.root_translation, without.root_translation)

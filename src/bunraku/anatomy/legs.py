@@ -8,12 +8,11 @@ import numpy as np
 
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.anatomy.joints import Joints
-from bunraku.anatomy.rest_pose import upright
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.geometry.surface import extreme_points
 
-__all__ = ["Leg", "NEAR", "carry", "find_arms", "find_legs", "find_stumps", "move_feet"]
+__all__ = ["Leg", "NEAR", "carry", "find_arms", "find_legs", "move_feet"]
 
 
 NEAR = 0.15  # a limb of a lying body is a leg if it ends so near to the lowest point, over the height
@@ -58,23 +57,25 @@ class Leg:
         return self.foot[0] if self.foot else self.lower
 
 
-def find_legs(character: Character, handles: Handles, joints: Joints) -> list[Leg]:
-    """The limbs that a character stands on: two legs of who is upright; of others every limb, and that may be an arm of
-    the reference body, that reaches the ground in the rest pose. None of who has no legs.
+def find_legs(character: Character, handles: Handles, joints: Joints, stands: bool) -> list[Leg]:
+    """The limbs that a character stands on, none where it has fewer than two.
+
+    An upright body stands on its two legs, any other on every limb that reaches the ground in the rest pose, those with
+    the handles of arms included.
 
     Args:
         character: In its rest pose.
         handles: Its handles.
         joints: Where they meet.
+        stands: Whether it is upright.
     """
     out = []
-    played, stands = handles.played, upright(handles)
     seen, heights = character.surface, character.vertices[:, 1]
     floor, height = float(heights[seen].min()), character.height
     for number, parts in enumerate(_PARTS):
         if stands and number >= _LEGS:
             continue
-        for chain in _chains(parts, played, joints):
+        for chain in _chains(parts, handles.played, joints):
             leg = _leg(character, handles, joints, chain)
             if leg is None or leg.length < SHORTEST * height:
                 continue
@@ -84,20 +85,9 @@ def find_legs(character: Character, handles: Handles, joints: Joints) -> list[Le
 
 
 def find_arms(character: Character, handles: Handles, joints: Joints, legs: list[Leg]) -> list[Leg]:
-    """The arms of a character that are not among its legs, in the words for legs: a shoulder, an elbow and a wrist with
-    a hand.
+    """The arms of a character that are not among its legs, in the words for legs: a shoulder, an elbow and a wrist. The
+    hand is the foot; arms of one rigid block may have none.
     """
-    return [arm for arm in _arms(character, handles, joints, legs) if arm.foot]
-
-
-def find_stumps(character: Character, handles: Handles, joints: Joints, legs: list[Leg]) -> list[Leg]:
-    """The arms of a character that are not among its legs and have no hand of their own, such as those of one rigid
-    block: they end in what may be a fist.
-    """
-    return [arm for arm in _arms(character, handles, joints, legs) if not arm.foot]
-
-
-def _arms(character: Character, handles: Handles, joints: Joints, legs: list[Leg]) -> list[Leg]:
     known = {leg.upper for leg in legs}
     limbs = (
         _leg(character, handles, joints, chain)

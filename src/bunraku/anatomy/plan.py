@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +20,7 @@ from bunraku.core.geometry.surface import part_extremes
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError
 
-__all__ = ["BodyPlan", "Reach", "check_plans", "plan_of", "reference_reach", "standing", "stride_scale"]
+__all__ = ["BodyPlan", "Reach", "check_plans", "plan_of", "standing", "stride_scale"]
 
 
 CHUNK = 500  # frames posed at once to find the lowest point: bounds memory
@@ -82,14 +81,6 @@ class Reach(NamedTuple):
         """Height of the lowest point in each frame [m], shape (N,), by the transforms of the handles (N, K, 3, 4)."""
         parts = [transforms[start : start + CHUNK] for start in range(0, len(transforms), CHUNK)]
         return np.concatenate([skin(self.vertices, self.weights, part)[..., 1].min(axis=1) for part in parts])
-
-
-@lru_cache(maxsize=2)
-def reference_reach(arms: bool = True) -> Reach:
-    """That of the reference body, or of all that it may stand on, which is not its arms."""
-    body = reference_body()
-    some = slice(None) if arms else standing(body.character(), body.handles)
-    return Reach.of(body.vertices[some], body.handle_weights[some])
 
 
 _HIND = [handle for side in SIDES for handle in limb_handles(side, FAMILIES[0])]
@@ -171,7 +162,12 @@ class BodyPlan:
 
 
 def plan_of(
-    character: Character, handles: Handles, joints: Joints, legs: list[Leg], further: list[list[int]]
+    character: Character,
+    handles: Handles,
+    joints: Joints,
+    legs: list[Leg],
+    further: list[list[int]],
+    stands: bool,
 ) -> BodyPlan:
     """The plan of a body in the pose that it stands in.
 
@@ -181,6 +177,7 @@ def plan_of(
         joints: Where they meet.
         legs: The limbs that it stands on.
         further: The handles of each limb beyond those of a person.
+        stands: Whether it is upright.
     """
     found = {leg.upper for leg in legs}
     stiff = [
@@ -192,7 +189,7 @@ def plan_of(
     there = {name: bool(own[parts].all()) for name, parts in (("arms", arms), ("wings", _WINGS))}
     away = np.linalg.norm(handles.positions[_WINGS] - handles.positions[_CHEST], axis=1)
     there["wings"] &= bool((away > SPREAD * character.height).all())
-    extent, stands = np.ptp(character.vertices[character.surface], axis=0), upright(handles)
+    extent = np.ptp(character.vertices[character.surface], axis=0)
     return BodyPlan(
         hind=hind, front=len(legs) - hind, upright=stands, tail=bool(own[_TAIL].any()),
         arms=there["arms"], wings=there["wings"], long=bool(extent[2] > LONG[stands] * extent[1]), further=len(stiff),

@@ -10,13 +10,12 @@ import numpy as np
 
 from bunraku.anatomy.handles.blocks import away_from, joint_parents
 from bunraku.anatomy.handles.limbs import has_extra_legs
-from bunraku.anatomy.joints import Joints, attach_joints, estimated_reference_joints, reference_joints, refined_joints
+from bunraku.anatomy.joints import Joints, estimated_reference_joints, reference_joints, refined_joints
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle, rotation_between
 from bunraku.core.geometry.surface import surface_points, vertex_areas
-from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 
 __all__ = [
@@ -230,23 +229,19 @@ def rest_of_limbs(character: Character, handles: Handles, found: Joints) -> tupl
 
 
 def stance_of(
-    character: Character, handles: Handles, joints: Joints, to_reference: np.ndarray
+    character: Character, handles: Handles, transforms: np.ndarray, translations: np.ndarray
 ) -> tuple[Character, Handles]:
-    """The character with every handle turned, every joint held and its root where it was, and its handles as they are
-    there.
+    """The character in another pose, and its handles as they are there.
 
     Args:
         character: In its rest pose.
         handles: Its handles.
-        joints: Where they meet.
-        to_reference: Rotation of each handle, the identity for the root, shape (K, 3, 3).
+        transforms: From the rest pose into the other, shape (K, 3, 4).
+        translations: How far each handle is moved [m], shape (K, 3).
     """
-    rotations, translations = attach_joints(to_reference[None].astype(np.float64), handles.positions, joints)
-    still = np.zeros((1, 3)), np.eye(3)[None]
-    motion = HandleMotion(translations, rotations, *still)
-    vertices = skin(character.vertices, handles.weights, motion.transforms(handles.positions))[0]
+    vertices = skin(character.vertices, handles.weights, transforms[None])[0]
     if handles.rigid:
-        positions = (handles.positions + translations[0]).astype(np.float32)
+        positions = (handles.positions + translations).astype(np.float32)
     else:
         positions = handle_positions(vertices, handles.weights, vertex_areas(vertices, character.faces))
     return replace(character, vertices=vertices, rig=None, source=None, avatar=None), Handles(

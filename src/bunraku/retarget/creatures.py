@@ -10,14 +10,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
-from bunraku.anatomy.joints import attach_joints, downwards, reference_joints
+from bunraku.anatomy.joints import downwards
 from bunraku.anatomy.names.bone_names import NO_HANDLE, handle_of_joints
 from bunraku.anatomy.plan import BodyPlan, Reach, check_plans
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
-from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Rig
 from bunraku.core.geometry.curves import tallest_steady
 from bunraku.core.geometry.rotations import Resampling, matrix_y, nearest_rotation, rotation_between
@@ -381,17 +380,16 @@ def _creature(motion: HandleMotion, anatomy: Anatomy) -> CreatureMotion | None:
     """A motion of a character's handles in the words of `CreatureMotion`; None of one with wings that goes on its legs
     as people do.
     """
-    character, handles, joints, plan = anatomy.character, anatomy.handles, anatomy.joints, anatomy.plan
+    character, handles, plan = anatomy.character, anatomy.handles, anatomy.plan
     flies = plan.wings and wing_swing(motion) > BEATS
     if _as_people(plan) and not flies:
         return None
-    own = joints.present & (handles.played == np.arange(len(handles.positions)))
     rotations = motion.rotations.astype(np.float64).copy()
     for handle in downwards(HANDLE_PARENTS)[1:]:
-        if not own[handle]:
+        if not anatomy.own[handle]:
             rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
-    body = reference_body()
-    rotations, translations = attach_joints(rotations, body.handles.positions, reference_joints())
+    body = reference_anatomy()
+    rotations, translations = body.attached(rotations)
     seen = character.vertices[character.surface]
     reach = Reach.of(seen, handles.weights[character.surface])
     ground = reach.lowest(motion.transforms(handles.positions))

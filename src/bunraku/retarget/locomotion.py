@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.joints import attach_joints, reference_joints
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.curves import gaussian, smooth_step
@@ -173,9 +172,8 @@ def _grounded(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy
 
 def _tail_lowered(motion: HandleMotion, share: np.ndarray, anatomy: Anatomy) -> HandleMotion:
     handles, joints = anatomy.handles, anatomy.joints
-    own = joints.present & (handles.played == np.arange(len(handles.positions)))
     before = motion.rotations.astype(np.float64)
-    after = Tail().lowered(before, handles, replace(joints, present=own), motion.fps, motion.root_rotation)
+    after = Tail().lowered(before, handles, replace(joints, present=anatomy.own), motion.fps, motion.root_rotation)
     if after is before:
         return motion
     turn = axis_angle_from_matrix(after @ before.transpose(0, 1, 3, 2))
@@ -281,9 +279,9 @@ def _flat_tail(anatomy: Anatomy) -> bool:
 
 def _attached(motion: HandleMotion, rotations: np.ndarray, path: np.ndarray) -> HandleMotion:
     """The motion with other rotations and another path; parts stay as far from their joints as they were."""
-    body, joints = reference_body().handles.positions, reference_joints()
-    before = attach_joints(motion.rotations.astype(np.float64), body, joints)[1]
-    after = attach_joints(rotations, body, joints)[1]  # its rotations let a tail, which people lack, go with the hips
+    body = reference_anatomy()
+    before = body.attached(motion.rotations.astype(np.float64))[1]
+    after = body.attached(rotations)[1]  # its rotations let a tail, which people lack, go with the hips
     moved = motion.translations.astype(np.float64) - before + after
     moved[:, 0] = 0
     return replace(motion, rotations=rotations, translations=moved, root_translation=path)

@@ -10,10 +10,8 @@ from typing import ClassVar
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, has_extra_legs, limb_handles
-from bunraku.anatomy.joints import attach_joints, further_limbs
+from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.anatomy.legs import Leg
-from bunraku.anatomy.plan import Reach
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian, running_least, smooth_step
@@ -65,10 +63,12 @@ class Gait(Stage):
     plain: float = 0.15
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        return has_extra_legs(anatomy.handles)
+        return anatomy.has_extra_legs
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        return replace(fitting, rotations=self.stepping(fitting.source, anatomy.handles))
+        return replace(
+            fitting, rotations=self.stepping(fitting.source, anatomy.handles, anatomy.extra_limbs)
+        )
 
     def cycle(self, motion: HandleMotion) -> float:
         """Length of the cycle in which left and right legs take turns [s]; 0 where they do not.
@@ -90,7 +90,7 @@ class Gait(Stage):
         peaks = peaks[alike[peaks] > self.alike]
         return float(peaks[0] / motion.fps) if len(peaks) else 0.0
 
-    def phases(self, handles: Handles, cycle: float) -> dict[int, float]:
+    def phases(self, handles: Handles, further: list[list[int]], cycle: float) -> dict[int, float]:
         """How far each handle of a further leg is behind the leg whose part it plays, in cycles.
 
         Legs of a side take turns from the hindmost forwards: each half a cycle after the one behind it, so that six
@@ -99,6 +99,7 @@ class Gait(Stage):
 
         Args:
             handles: With `roles`.
+            further: The handles of each further limb.
             cycle: Length of the cycle [s].
         """
         out: dict[int, float] = {}
@@ -107,7 +108,7 @@ class Gait(Stage):
             own = [limb_handles(side, family) for family in FAMILIES]
             for family in own:
                 plain = [handle for handle in family if played[handle] == handle and handles.weights[:, handle].any()]
-                limbs = [limb for limb in further_limbs(handles) if int(played[limb[0]]) in family]
+                limbs = [limb for limb in further if int(played[limb[0]]) in family]
                 group = sorted(
                     ([plain] if plain else []) + limbs, key=lambda limb: float(handles.positions[limb, 2].mean())
                 )
@@ -117,21 +118,22 @@ class Gait(Stage):
                     out |= {handle: ((number - base) * step) % 1.0 for handle in limb if limb is not plain}
         return out
 
-    def stepping(self, motion: HandleMotion, handles: Handles) -> np.ndarray:
+    def stepping(self, motion: HandleMotion, handles: Handles, further: list[list[int]]) -> np.ndarray:
         """Rotations of a character's handles from those of the parts that they play, shape (N, K, 3, 3): further legs
         step in turn.
 
         Args:
             motion: Of the reference body.
             handles: The character's.
+            further: The handles of each further limb.
         """
         rotations = motion.rotations[:, handles.played].astype(np.float64)
-        cycle = self.cycle(motion) if has_extra_legs(handles) else 0.0
+        cycle = self.cycle(motion) if further else 0.0
         if not cycle:
             return rotations
         count, frames = len(motion), np.arange(len(motion))
         amount = self._amount(_swings(motion), cycle * motion.fps)
-        for handle, phase in self.phases(handles, cycle).items():
+        for handle, phase in self.phases(handles, further, cycle).items():
             shift = phase * cycle * motion.fps
             if shift:
                 at = frames - shift
@@ -209,7 +211,7 @@ class Swings(Stage):
     rounds: int = 4
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        return fitting.source.own_kind and bool(anatomy.plan.front) and not has_extra_legs(anatomy.handles)
+        return fitting.source.own_kind and bool(anatomy.plan.front) and not anatomy.has_extra_legs
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         rotations, fps = fitting.rotations.copy(), fitting.source.fps
@@ -428,7 +430,7 @@ class Front(Stage):
         source, rotations = self.raised(fitting.source, fitting.rotations, anatomy)
         return replace(
             fitting, source=source, rotations=rotations, root_rotation=source.root_rotation,
-            root_translation=anatomy.path(source),
+            root_translation=anatomy.path(source.root_translation, source.root_rotation),
         )  # fmt: skip
 
     def raised(self, motion: HandleMotion, rotations: np.ndarray, anatomy: Anatomy) -> tuple[HandleMotion, np.ndarray]:
@@ -443,9 +445,9 @@ class Front(Stage):
         held = anatomy.front
         if not len(held):
             return motion, rotations
-        character, handles, joints = anatomy.mesh, anatomy.mesh_handles, anatomy.joints
+        character = anatomy.mesh
         floor = float(character.vertices[character.surface, 1].min()) - self.sink * character.height
-        reach = Reach.of(character.vertices[held], handles.weights[held])
+        reach = anatomy.reach_of(held)
         tilt, facing = _tilt(motion)
         bends = np.asarray(axis_angle_from_matrix(rotations[:, _TRUNK].astype(np.float64)))
 
@@ -455,10 +457,10 @@ class Front(Stage):
             return replace(motion, root_rotation=facing @ matrix_from_axis_angle(share[:, None] * tilt)), some
 
         def sinks(moved: HandleMotion, some: np.ndarray) -> np.ndarray:
-            turned, translations = attach_joints(some.astype(np.float64), handles.positions, joints)
+            turned, translations = anatomy.attached(some.astype(np.float64))
             still = np.zeros_like(motion.root_translation)
             posed = replace(moved, rotations=turned, translations=translations, root_translation=still)
-            return reach.lowest(posed.transforms(handles.positions)) < floor
+            return reach.lowest(posed.transforms(anatomy.handles.positions)) < floor
 
         low = sinks(motion, rotations)
         if not low.any():

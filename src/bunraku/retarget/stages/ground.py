@@ -7,11 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.legs import Leg, carry
-from bunraku.anatomy.plan import Reach, reference_reach
 from bunraku.core.body.layout import HANDLE_NAMES
-from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character
 from bunraku.core.geometry.curves import (
     correlated,
@@ -83,39 +81,36 @@ class Ground(Stage):
             heights: Of the lowest point of another body than the reference body, in the reference body's scale [m],
                 shape (N,).
         """
-        character, handles, stands = anatomy.mesh, anatomy.mesh_handles, anatomy.stands
-        below = self._standing_of(motion) if heights is None else None
-        want = self._ground_of(motion, below) if below is not None else np.asarray(heights)
-        drift = self._local_ground(want, motion.fps)
-        have = anatomy.reach.lowest(fitted.transforms(handles.positions))
-        seen = character.surface
-        if below is not None and stands.sum() < seen.sum():
+        body, world = reference_anatomy(), fitted.transforms(anatomy.handles.positions)
+        have = anatomy.reach.lowest(world)
+        if heights is None:
+            source = motion.transforms(body.handles.positions)
+            below = body.reach.lowest(source)
+            want = self._ground_of(below, body.surface_reach.lowest(source), motion.fps)
             hands_down = below > want + 0.01
-            if hands_down.any():
-                all_of_it = Reach.of(character.vertices[seen], handles.weights[seen])
-                have = np.where(hands_down, all_of_it.lowest(fitted.transforms(handles.positions)), have)
+            if hands_down.any() and anatomy.stands.sum() < anatomy.mesh.surface.sum():
+                have = np.where(hands_down, anatomy.surface_reach.lowest(world), have)
+        else:
+            want = np.asarray(heights)
+        drift = self._local_ground(want, motion.fps)
         lift = running_mean(anatomy.floor + (want - drift) * anatomy.scale - have, 5)
         moved = fitted.root_translation.copy()
         moved[:, 1] += lift
         return replace(fitted, root_translation=moved)
 
-    def _standing_of(self, motion: HandleMotion) -> np.ndarray:
-        """Height of the lowest point of all that the reference body may stand on [m], shape (N,): not of its arms."""
-        return reference_reach(arms=False).lowest(motion.transforms(reference_body().handles.positions))
-
-    def _ground_of(self, motion: HandleMotion, stands: np.ndarray) -> np.ndarray:
+    def _ground_of(self, stands: np.ndarray, whole: np.ndarray, fps: float) -> np.ndarray:
         """Height of the lowest point of the reference body [m], shape (N,), but for hands that have sunk in.
 
         The ground is where feet, seat or back are, which come down to it again and again. Hands below it have sunk in,
         and must not lift the feet. Hands carry the body where they are far below all else for longer than a jump lasts.
 
         Args:
-            motion: Of the reference body.
-            stands: Height of the lowest point of what it may stand on [m], shape (N,).
+            stands: Height of the lowest point of what it may stand on, which its arms are not [m], shape (N,).
+            whole: Height of the lowest point of all of it [m], shape (N,).
+            fps: Frames a second [1/s].
         """
-        whole = reference_reach().lowest(motion.transforms(reference_body().handles.positions))
-        carried = running_least(stands - whole, self._window(motion.fps)) > self.held
-        ground = np.where(carried, whole, self._local_ground(stands, motion.fps))
+        carried = running_least(stands - whole, self._window(fps)) > self.held
+        ground = np.where(carried, whole, self._local_ground(stands, fps))
         return np.asarray(np.minimum(stands, np.maximum(whole, ground)))
 
     def _local_ground(self, heights: np.ndarray, fps: float) -> np.ndarray:
@@ -227,7 +222,8 @@ class Floor(Stage):
             anatomy: Of the character.
         """
         have = anatomy.reach.lowest(motion.transforms(anatomy.handles.positions)) - anatomy.floor
-        want = reference_reach().lowest(source.transforms(reference_body().handles.positions))
+        body = reference_anatomy()
+        want = body.surface_reach.lowest(source.transforms(body.handles.positions))
         air = want - running_least(want, 2 * round(self.air * source.fps) + 1)
         up = air * anatomy.scale - have
         return _lifted(motion, np.where(up < 0, up * (1 - smooth_step(-up / anatomy.mesh.height, *self.flies)), up))
@@ -281,7 +277,7 @@ class Floor(Stage):
                 may.
             contacts: Of its feet; None where they are not known.
         """
-        character, handles, legs, arms = anatomy.mesh, anatomy.mesh_handles, anatomy.legs, anatomy.arms
+        character, handles, legs, arms = anatomy.mesh, anatomy.handles, anatomy.legs, anatomy.arms
         floor = anatomy.floor
         depth, reach = self.depth * character.height, max(1, round(self.spread * motion.fps))
         solid = self._solid(anatomy)
@@ -295,8 +291,8 @@ class Floor(Stage):
         def need(some: np.ndarray) -> np.ndarray:
             if not some.any():
                 return np.zeros(len(motion))
-            reach_of = Reach.of(character.vertices[some], handles.weights[some])
-            return np.maximum(floor - depth - reach_of.lowest(motion.transforms(handles.positions)), 0)
+            heights = anatomy.reach_of(some).lowest(motion.transforms(handles.positions))
+            return np.maximum(floor - depth - heights, 0)
 
         ends = np.zeros(len(character.vertices), bool)
         for limb in limbs:

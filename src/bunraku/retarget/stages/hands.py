@@ -9,11 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.joints import Joints, attach_joints
 from bunraku.anatomy.legs import Leg
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
-from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian, running_most, smooth_step
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages.stage import Fitting, Stage, with_feet_moved
@@ -85,13 +83,13 @@ class Hands(Stage):
             fitted: Of the character.
             anatomy: Of the character.
         """
-        character, handles, joints, scale = anatomy.mesh, anatomy.mesh_handles, anatomy.joints, anatomy.scale
+        character, handles, scale = anatomy.mesh, anatomy.mesh_handles, anatomy.scale
         arms = [arm for arm in anatomy.arms if int(handles.played[arm.foot[0]]) in _WRISTS]
         if not arms:
             return fitted
         body = reference_body()
         known = self._parts(body.vertices, body.handle_weights, np.arange(len(HANDLE_NAMES)))
-        stance = _stance(handles, joints, anatomy.rotations)
+        stance = anatomy.stance_transforms.astype(np.float64)
         world, theirs = (
             fitted.transforms(handles.positions).astype(np.float64),
             motion.transforms(body.handles.positions).astype(np.float64),
@@ -181,13 +179,6 @@ def _placed(local: np.ndarray, part: _Box, there: _Box, scale: float) -> np.ndar
     away = local - part.middle
     inside = np.clip(away, -part.half, part.half)
     return np.asarray(there.middle + inside * (there.half / np.maximum(part.half, 1e-6)) + (away - inside) * scale)
-
-
-def _stance(handles: Handles, joints: Joints, to_reference: np.ndarray) -> np.ndarray:
-    """Transforms of the handles from the rest pose into the stance, shape (K, 3, 4)."""
-    rotations, translations = attach_joints(to_reference[None].astype(np.float64), handles.positions, joints)
-    still = HandleMotion(translations, rotations, np.zeros((1, 3)), np.eye(3)[None])
-    return still.transforms(handles.positions)[0].astype(np.float64)
 
 
 def _palm(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -87,7 +87,7 @@ class Fitting:
             source.rotations[:, played].astype(np.float64),
             source.translations[:, played] * anatomy.scale,
             source.root_rotation,
-            anatomy.path(source),
+            anatomy.path(source.root_translation, source.root_rotation),
             heights,
         )
 
