@@ -304,7 +304,7 @@ class Anatomy:
 
     @cached_property
     def rise(self) -> float:
-        """How much higher the floor is in the rest pose than in the stance [m]: who sits in the rest pose stands up."""
+        """How much higher the floor is in the rest pose than in the stance [m]: a body that sits at rest stands up."""
         return self.floor - float(self.stance[0].vertices[self.stands, 1].min())
 
     @cached_property
@@ -316,12 +316,12 @@ class Anatomy:
 
     @cached_property
     def front(self) -> np.ndarray:
-        """Extreme vertices of the neck and the head, shape (n,); none of who has hardly any."""
+        """Extreme vertices of the neck and the head, shape (n,); none where there are hardly any."""
         return self._extremes(_FRONT)
 
     @cached_property
     def tail(self) -> np.ndarray:
-        """Extreme vertices of the tail, shape (n,); none of who has hardly any."""
+        """Extreme vertices of the tail, shape (n,); none where there are hardly any."""
         return self._extremes(_TAIL)
 
     def _extremes(self, names: tuple[str, ...]) -> np.ndarray:

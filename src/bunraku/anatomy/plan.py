@@ -33,12 +33,12 @@ _HANGING = [
 
 
 def standing(character: Character, handles: Handles) -> np.ndarray:
-    """Vertices that may stand on the ground, shape (V,), bool: the surface, but of who stands on legs not what may hang
-    lower than the feet, such as a weapon in a hand, long arms or a tail.
+    """Vertices that may stand on the ground, shape (V,), bool: the surface, but of an upright body on legs not what may
+    hang lower than the feet, such as a weapon in a hand, long arms or a tail.
 
     Args:
-        character: In the reference body's stance (`stance_of`): who sits has its legs below it all the same.
-        handles: Its handles.
+        character: In the reference body's stance (`stance_of`), so that one that sits has its legs below it.
+        handles: Its handles there.
     """
     seen, heights = character.surface, character.vertices[:, 1]
     legs = seen & (handles.weights[:, np.isin(handles.played, _LEGS)].sum(axis=1) > 0.5)
@@ -87,7 +87,7 @@ _HIND = [handle for side in SIDES for handle in limb_handles(side, FAMILIES[0])]
 _ARMS = [HANDLE_NAMES.index(f"{side}_{part}") for side in SIDES for part in ("shoulder", "elbow")]
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in SIDES]
 _CHEST = HANDLE_NAMES.index("spine3")
-LONG = (3.5, 1.0)  # who is so many times as long as high, lying or with the head up, is a snake and no fish
+LONG = (3.5, 1.0)  # length over height, lying and with the head up, from which on a body is a snake and no fish
 SPREAD = 0.15  # wings lie so far from the chest, over the height; a person's are the halves of the upper back
 _TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 
@@ -133,7 +133,7 @@ class BodyPlan:
 
     @property
     def _tailed(self) -> bool:
-        """Whether it has a tail and neither legs nor wings; who is upright and has arms wears a gown."""
+        """Whether it has a tail and neither legs nor wings; an upright body with arms wears a gown."""
         return self.tail and not self.legs and not self.wings and not (self.upright and self.arms)
 
     @property

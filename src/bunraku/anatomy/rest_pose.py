@@ -141,8 +141,8 @@ def _as_one(limb: _Limb, arm: _Limb, bent: float) -> _Limb:
 
 
 def upright(handles: Handles) -> bool:
-    """Whether the head is over the hips rather than before them; never of who has further limbs, and so many legs to
-    stand on, nor of who carries the head high on a level trunk over four legs, as a llama does.
+    """Whether the head is over the hips rather than before them: never of a body with further limbs, nor of one that
+    carries the head high on a level trunk over four legs, as a llama does.
     """
     if has_extra_legs(handles):
         return False
@@ -165,11 +165,10 @@ def _leg_rotations(thigh: _Limb | None, shin: _Limb | None, leg: _Limb | None, a
     """Rotations of a thigh and a shin, shape (2, 3, 3), from where each and the whole leg point and where the reference
     body's do.
 
-    Standing wide is style and stays: legs turn about the axis from left to right. Who has arms stands on straight
-    thighs, so bent ones idle, sit or crouch and are straightened, with their shins. Legs without a body that has arms
-    may be built bent, as those of birds and walking machines are, so a thigh or a shin that is bent by more than an
-    idle pose and less than sitting stays. A leg whose knee is hardly bent turns as one, because estimates of single
-    joints are not exact enough to bend a knee by.
+    Standing wide is style and stays: legs turn about the axis from left to right. A body with arms stands on straight
+    thighs, so bent ones idle, sit or crouch and are straightened, with their shins. Without arms legs may be built
+    bent, as those of birds are, so what is bent by more than an idle pose and less than sitting stays. A leg whose knee
+    is hardly bent turns as one, because estimates of single joints are not exact enough to bend a knee by.
     """
     out = np.tile(np.eye(3), (2, 1, 1))
     for number, limb in enumerate((thigh, shin)):
@@ -250,11 +249,8 @@ def stance_of(
 
 
 def flat_feet(character: Character, handles: Handles, rotations: np.ndarray) -> np.ndarray:
-    """The turns with feet that go along with their shins where that, and not their rest pose, makes them stand flat,
-    shape (K, 3, 3).
-
-    Who crouches on the toes has feet that belong to the shins; who sits, or crouches on flat feet, has them on the
-    ground already.
+    """The rotations with feet that go along with their shins where that, and not their rest pose, makes them stand
+    flat, shape (K, 3, 3): so they do where a body crouches on its toes, but not where it sits.
     """
     out = rotations.copy()
     areas = character.areas
@@ -308,8 +304,8 @@ def pieces(limb: tuple[int, ...], joints: Joints) -> list[tuple[int, int]]:
 def block_rest(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
     """How the rest pose of rigid blocks differs from the reference body's.
 
-    Arms, and the front legs of animals, are turned wholly, as those of bodies that bend are; the legs of who stands
-    upright where they do not stand.
+    Arms, and the front legs of animals, are turned wholly, as those of bodies that bend are; the legs of an upright
+    body where they do not stand.
 
     Args:
         character: In its rest pose.

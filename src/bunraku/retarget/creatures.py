@@ -95,7 +95,7 @@ def _octahedron(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
 
 LEVEL = 40.0  # a trunk whose slope is less is level [degrees]
 DOWN = 0.55  # a leg stands whose end is so far below its top, over its length along the bones
-CLEAR = 0.12  # who stands on the feet has the knees so far above them, over the height of the hips; who crawls has not
+CLEAR = 0.12  # height of the knees over the feet, over that of the hips, from which on an animal stands and does not crawl
 NEAR = 0.35  # the ends of front legs are so near to those of the hind legs in height, over the height of the hips
 LEAST = 0.15  # share of the frames in which an animal stands on four legs, at the least
 MIRROR = np.array([-1.0, 1.0, 1.0])
@@ -347,7 +347,7 @@ def _parts(motion: SkeletalMotion, names: Mapping[str, str] | None) -> np.ndarra
 
 
 def motion_of_rig(rig: RigParts, turns: np.ndarray, positions: np.ndarray, fps: float) -> CreatureMotion | None:
-    """The motion of a rig that stands in its rest pose; None of a person and of whoever else goes upright on two legs.
+    """The motion of a rig that stands in its rest pose; None of a person and of any other body that walks upright on two legs.
 
     Args:
         rig: Facing +Z.
@@ -362,7 +362,7 @@ def motion_of_rig(rig: RigParts, turns: np.ndarray, positions: np.ndarray, fps: 
 
 
 def motion_of_handles(motion: HandleMotion, anatomy: Anatomy) -> CreatureMotion | None:
-    """A motion of a character's handles; None of a person and of whoever else goes upright on two legs.
+    """A motion of a character's handles; None of a person and of any other body that walks upright.
 
     Args:
         motion: Of its handles.

@@ -176,7 +176,7 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
         reach |= np.abs(step).max(axis=1) > 0
         motion = replace(motion, root_translation=motion.root_translation + step)
         stay = np.zeros_like(shifts)
-        for number in feet:  # the root moved, and feet that nobody asked for stay where they were
+        for number in feet:  # the root moved, and feet without a pin stay where they were
             free = 1 - spread(pinned[:, number], np.ones((len(motion), 1)), LEAD * motion.fps)
             stay[:, number] = free * (planted - end_positions(motion, handles, ends))[:, number]
         motion = with_feet_moved(motion, anatomy, limbs, stay)

@@ -440,7 +440,7 @@ def kind_weights(suffix: str, moved: bool = False) -> np.ndarray:
 
     Args:
         suffix: The format, such as ".stl"; "" where there is no file.
-        moved: Whether the file has a skin or a clip, so that somebody has animated it.
+        moved: Whether the file has a skin or a clip, so that it stood well for an animator.
     """
     if suffix in (".stl", ".ply"):
         return _PRINTED

@@ -49,8 +49,8 @@ class Gait(Stage):
         longest: Longest one [s].
         alike: Correlation of a swing with itself a cycle later, from which on it is one.
         slow: Cycles longer than this are those of a wave, in which one leg after the other lifts [s].
-        faint: Swing of left against right in which nobody steps [rad].
-        plain: Swing in which one does [rad].
+        faint: Swing of left against right up to which a body takes no steps [rad].
+        plain: Swing from which on it does [rad].
     """
 
     name: ClassVar[str] = "gait"
@@ -71,11 +71,7 @@ class Gait(Stage):
         )
 
     def cycle(self, motion: HandleMotion) -> float:
-        """Length of the cycle in which left and right legs take turns [s]; 0 where they do not.
-
-        Args:
-            motion: Of the reference body.
-        """
+        """Length of the cycle in which left and right legs take turns [s]; 0 where they do not."""
         swings = _swings(motion)
         swings = swings - swings.mean()
         first, last = round(self.shortest * motion.fps), min(round(self.longest * motion.fps), (2 * len(swings)) // 3)
@@ -191,7 +187,7 @@ class Swings(Stage):
         turns: Correlation of both legs, negative, from which on they take turns, whatever their pace.
         crossings: How often one then passes the other at the least: once is a step, and no walk.
         least: Angle through which both legs swing at the least [rad].
-        unlike: Factor between both beyond which they do different things, as who strikes with a paw.
+        unlike: Factor between both beyond which they do different things, as in a blow with a paw.
         percent: Share of the frames beyond the swing's ends, on each side.
         most: Factor by which a swing is made larger or smaller at the most.
         rounds: The factors are found in turns, since a leg's angle is no linear function of its parts'.
@@ -329,10 +325,6 @@ class Support(Stage):
     def unsupported(self, motion: HandleMotion, anatomy: Anatomy) -> np.ndarray:
         """In which frames the rear and the front of a trunk have nothing under them, though the other end stands, shape
         (N, 2), bool.
-
-        Args:
-            motion: Of the character.
-            anatomy: Of the character.
         """
         legs, floor = anatomy.legs, anatomy.floor
         world = motion.transforms(anatomy.handles.positions)
@@ -355,12 +347,8 @@ class Support(Stage):
         return out
 
     def kept(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
-        """The motion with legs put down below the end of the trunk that has nothing under it; as it is, of who does not
-        stand on four.
-
-        Args:
-            motion: Of the character, on the ground.
-            anatomy: Of the character.
+        """The motion with legs put down below the end of the trunk that has nothing under it; unchanged where the body
+        does not stand on four.
         """
         handles, legs = anatomy.handles, anatomy.legs
         wanting = self.unsupported(motion, anatomy)

@@ -46,15 +46,15 @@ class Feet(Stage):
         roll: Points of a sole so much higher than its lowest, over the leg's length, count half for where it is.
         parts: Two feet near the ground whose distance changes so slowly may both stand, and where it changes so fast
             they do not, in leg lengths a second. Where one of them makes nearly all of the change, the other stands.
-        makes: Shares of the change that the slower one makes, between which it no longer stands; who jumps apart makes
-            half of it with each foot.
+        makes: Shares of the change that the slower one makes, between which it no longer stands; in a jump that spreads
+            the legs each foot makes half of it.
         short: Shorter contacts are none, and shorter gaps between them are closed [pairs of frames].
         apart: A foot that is so much faster than the slowest that stands counts half for the path.
         hurry: Likewise one that is so fast itself, in leg lengths a second.
         rounds: The path's correction and the contacts, which need one another, are found in turns; contacts from the
             middle on.
-        sits: Who has a hip lower than this share of the leg from there on does not stand on it.
-        kneels: Likewise a knee.
+        sits: A body with a hip lower than this share of the leg from there on does not stand on it.
+        kneels: Likewise with a knee.
         most: How far a foot is moved at the most, over the leg's length; what slides farther means to.
         free: Weight of the size of the path's correction, over a foot's slide.
         root_smooth: Weight of its change from step to step.
@@ -94,8 +94,7 @@ class Feet(Stage):
         """The contacts of a motion, and the root's steps that are missing for standing feet to stay where they are in
         the mean.
 
-        A foot on which nobody can stand, because its knee or hip is near the ground as in crawling, kneeling and
-        sitting, has no contacts.
+        A foot whose knee or hip is near the ground, as in crawling, kneeling and sitting, has no contacts.
 
         Args:
             motion: Of the character.
@@ -147,12 +146,6 @@ class Feet(Stage):
     def _parting(self, step: np.ndarray, speed: np.ndarray, near: np.ndarray, unit: np.ndarray) -> np.ndarray:
         """How far each foot is known not to stand because its distance from another one near the ground changes, shape
         (N - 1, L): two feet that stand stay as far from one another as they are.
-
-        Args:
-            step: Of each foot [m], shape (N - 1, L, 2).
-            speed: Of each foot along the ground, in leg lengths a second, shape (N - 1, L).
-            near: Whether it is near the ground, shape (N - 1, L).
-            unit: Leg lengths a second of a metre a frame, shape (L,).
         """
         out = np.zeros(speed.shape)
         for foot in range(speed.shape[1]):
@@ -193,11 +186,8 @@ class Feet(Stage):
         return solve_banded(band, -np.einsum("nl,nli->ni", trust, steps))
 
     def _offsets(self, steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
-        """Offsets of one foot that cancel its steps where it stands, smooth and small elsewhere, shape (N, 2).
-
-        Args:
-            steps: Shape (N - 1, 2).
-            trust: How much it stands, shape (N - 1,).
+        """Offsets of one foot that cancel its steps (N - 1, 2) where it stands (N - 1,), smooth and small elsewhere,
+        shape (N, 2).
         """
         count = len(steps) + 1
         band = np.zeros((3, count))
@@ -216,7 +206,7 @@ class Feet(Stage):
         return solve_banded(band, right)
 
     def locked(self, motion: HandleMotion, anatomy: Anatomy) -> tuple[HandleMotion, Contacts | None]:
-        """The motion with standing feet held in place, and its contacts; None of who has no legs.
+        """The motion with standing feet held in place, and its contacts; None where it has no legs.
 
         Args:
             motion: Of the character, on the ground.
@@ -252,10 +242,10 @@ def add_bending(band: np.ndarray) -> None:
     band[0, 2:] += 1
 
 
-# mean speed of standing feet from which on they slide on purpose [m/s]; captured clips drift by less than a third of
-# this
 SLIDES = 0.25
-TRAVELS = 0.5  # who goes this share of what its feet slide does not stay on the spot
+"""Mean speed of standing feet from which on they slide on purpose [m/s]; captured clips drift by less than a third."""
+TRAVELS = 0.5
+"""A body that moves by this share of what its feet slide does not stay on the spot; chosen by eye."""
 
 
 def is_treadmill(motion: HandleMotion) -> bool:

@@ -41,9 +41,9 @@ class Ground(Stage):
 
     Args:
         flies: Heights over the ground, as shares of the body's, between which what hovers becomes what flies.
-        jump: Nobody stays in the air for twice as long [s].
+        jump: Half of the longest time that a body stays in the air [s].
         soft: How softly the ground of a hovering body is found [s].
-        held: How far below feet, seat and back the hands are of who stands on them [m].
+        held: How far below feet, seat and back the hands of a body are that stands on them [m].
     """
 
     name: ClassVar[str] = "ground"
@@ -58,21 +58,14 @@ class Ground(Stage):
         if not fitting.source.own_height or fitting.heights is not None:
             return fitting.moved(self.followed(fitting.source, motion, anatomy, fitting.heights))
         wings = bool(anatomy.own[_WINGS].all())
-        flies = not anatomy.legs or anatomy.upright or wings  # who is upright may climb or hang
+        flies = not anatomy.legs or anatomy.upright or wings  # an upright body may climb or hang
         return fitting.moved(self.grounded(motion, anatomy, flies))
 
     def followed(
-        self,
-        motion: HandleMotion,
-        fitted: HandleMotion,
-        anatomy: Anatomy,
-        heights: np.ndarray | None = None,
+        self, motion: HandleMotion, fitted: HandleMotion, anatomy: Anatomy, heights: np.ndarray | None = None
     ) -> HandleMotion:
         """The fitted motion with its lowest point as high over the floor, that of its rest pose, as the reference
-        body's is over y = 0.
-
-        The reference body's own drift off the ground is taken out first. Nobody stays in the air for a second, so the
-        lowest height within 0.75 s of a frame is where the ground is for that frame.
+        body's is over y = 0. The reference body's own drift off the ground is taken out first.
 
         Args:
             motion: Of the reference body.
@@ -114,7 +107,7 @@ class Ground(Stage):
         return np.asarray(np.minimum(stands, np.maximum(whole, ground)))
 
     def _local_ground(self, heights: np.ndarray, fps: float) -> np.ndarray:
-        """Where the ground is in each frame [m], shape (N,): nobody stays in the air for twice as long as `jump`."""
+        """Where the ground is in each frame [m], shape (N,): the lowest height within `jump` seconds."""
         low = running_least(heights, self._window(fps))
         return np.asarray(gaussian(low, self.soft * fps))
 
@@ -123,10 +116,8 @@ class Ground(Stage):
         return 2 * round((self.jump if air is None else air) * fps) + 1
 
     def grounded(self, fitted: HandleMotion, anatomy: Anatomy, flies: bool = True) -> HandleMotion:
-        """A motion that was generated for this very body, set down where it hovers: it brings its own height over the
-        floor, and generators are a few centimetres off.
-
-        Jumps keep their height (`hovering`), and what can fly and is farther up than `flies` means to be there.
+        """A motion that was generated for this very body, set down where it hovers: generators are a few centimetres
+        off. Jumps keep their height (`hovering`).
 
         Args:
             fitted: Motion of the character.
@@ -143,14 +134,13 @@ class Ground(Stage):
     def hovering(self, fitted: HandleMotion, anatomy: Anatomy, air: float | None = None) -> np.ndarray:
         """How far a body is off the ground in each frame but for its jumps [m], shape (N,).
 
-        Nobody stays in the air for a second, so the lowest height within 0.75 s of a frame is where the body thinks the
-        ground is; it goes up and down softly. Who walks or runs is in the air for a shorter time, if at all, and is on
-        the ground otherwise.
+        No jump lasts two seconds, so the lowest height within `jump` of a frame is where the ground is; it goes up and
+        down softly. A body that walks or runs is in the air for a shorter time, and on the ground otherwise.
 
         Args:
             fitted: Motion of the character.
             anatomy: Of the character.
-            air: Half of the time that the body is in the air at the most [s]; None for the 0.75 s.
+            air: Half of the longest time that the body is in the air [s]; None for `jump`.
         """
         have = anatomy.reach.lowest(fitted.transforms(anatomy.handles.positions)) - anatomy.floor
         if air is None:
@@ -190,8 +180,8 @@ class Floor(Stage):
         lowered: How far a standing foot that floats is put down at the most, over the leg's length.
         hold: Weight of the heights of standing feet, over the acceleration of their correction.
         pull: Weight of the heights of other feet.
-        air: On legs that do not bend nobody stays in the air for twice as long [s].
-        flies: Who is farther up than between these shares of the height climbs or flies on such legs.
+        air: Half of the longest time that a body on legs that do not bend stays in the air [s].
+        flies: A body on such legs that is farther up than between these shares of the height climbs or flies.
     """
 
     name: ClassVar[str] = "floor"
@@ -215,11 +205,6 @@ class Floor(Stage):
     def vaulted(self, motion: HandleMotion, source: HandleMotion, anatomy: Anatomy) -> HandleMotion:
         """A motion on legs that do not bend, as high in each frame as the reference body over the ground: no knee makes
         up for a body that goes up and down otherwise than its legs do.
-
-        Args:
-            motion: Of the character.
-            source: Of the reference body.
-            anatomy: Of the character.
         """
         have = anatomy.reach.lowest(motion.transforms(anatomy.handles.positions)) - anatomy.floor
         body = reference_anatomy()
@@ -229,15 +214,8 @@ class Floor(Stage):
         return _lifted(motion, np.where(up < 0, up * (1 - smooth_step(-up / anatomy.mesh.height, *self.flies)), up))
 
     def _foot_lifts(self, heights: np.ndarray, trust: np.ndarray, most: float, depth: float, reach: int) -> np.ndarray:
-        """How far a foot is moved up in each frame [m], shape (N,): to the ground where it stands, out of it where it
-        does not.
-
-        Args:
-            heights: Of its lowest point over the ground [m], shape (N,).
-            trust: How much it stands, shape (N,).
-            most: How far it is put down at the most [m].
-            depth: What may sink [m].
-            reach: How many frames before and after it is needed a lift begins and ends.
+        """How far a foot is moved up in each frame [m], shape (N,): to the ground where it stands (`trust`, shape (N,)),
+        but down by `most` [m] at the most, and out of it where it does not.
         """
         goal = np.maximum(-heights, -most)
         band = np.zeros((3, len(heights)))
@@ -263,12 +241,7 @@ class Floor(Stage):
         away = np.linalg.norm(character.vertices[arm.foot_area] - arm.joints[2], axis=1)
         return np.asarray(arm.foot_area[(away < self.hand * arm.length) == near])
 
-    def grounded(
-        self,
-        motion: HandleMotion,
-        anatomy: Anatomy,
-        contacts: Contacts | None,
-    ) -> HandleMotion:
+    def grounded(self, motion: HandleMotion, anatomy: Anatomy, contacts: Contacts | None) -> HandleMotion:
         """The motion with nothing below the ground, and standing feet on it.
 
         Args:
@@ -335,12 +308,7 @@ class Soles(Stage):
         return fitting.moved(self.flatter(fitting.motion, anatomy))
 
     def flatter(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
-        """The motion with feet turned about their ankles towards the level, as far as their soles would sink.
-
-        Args:
-            motion: Of the character.
-            anatomy: Of the character.
-        """
+        """The motion with feet turned about their ankles towards the level, as far as their soles would sink."""
         world, changed = motion.transforms(anatomy.handles.positions).astype(np.float64), False
         for leg in anatomy.legs:
             if not leg.foot:

@@ -76,13 +76,7 @@ class Hands(Stage):
         fitted: HandleMotion,
         anatomy: Anatomy,
     ) -> HandleMotion:
-        """The fitted motion with hands where the reference body's hands touch it.
-
-        Args:
-            motion: Of the reference body.
-            fitted: Of the character.
-            anatomy: Of the character.
-        """
+        """The fitted motion with hands where the reference body's hands touch it."""
         character, handles, scale = anatomy.mesh, anatomy.mesh_handles, anatomy.scale
         arms = [arm for arm in anatomy.arms if int(handles.played[arm.foot[0]]) in _WRISTS]
         if not arms:
@@ -318,12 +312,7 @@ class HandsClear(Stage):
         return fitting.moved(self.cleared(fitting.motion, anatomy))
 
     def cleared(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
-        """The motion with hands outside of the body.
-
-        Args:
-            motion: Of the character.
-            anatomy: Of the character.
-        """
+        """The motion with hands outside of the body."""
         surface = BodySurface(anatomy)
         scale, first = anatomy.scale, motion
         for arm in anatomy.arms:

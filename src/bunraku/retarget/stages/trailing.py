@@ -60,12 +60,7 @@ class Lag(Stage):
         return fitting.moved(self.lagging(fitting.motion, anatomy, self.parts(fitting.source, anatomy)))
 
     def parts(self, source: HandleMotion, anatomy: Anatomy) -> list[list[int]]:
-        """The handles of each part that nothing moves, from its root outwards.
-
-        Args:
-            source: Of the reference body.
-            anatomy: Of the character.
-        """
+        """The handles of each part that nothing moves, from its root outwards."""
         out = [[handle] for handle in anatomy.appendages if anatomy.joints.present[handle]]
         tail = [handle for handle in _TAIL_HANDLES if anatomy.own[handle]]
         pelvis = source.rotations[:, :1].astype(np.float64).transpose(0, 1, 3, 2)
@@ -235,12 +230,7 @@ class TailClear(Stage):
         return fitting.moved(self.raised(fitting.motion, anatomy))
 
     def raised(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
-        """The motion with a tail turned up, about where it is joined, as far as it would sink into the ground.
-
-        Args:
-            motion: Of the character.
-            anatomy: Of the character.
-        """
+        """The motion with a tail turned up, about where it is joined, as far as it would sink into the ground."""
         character, handles, joints, there = anatomy.mesh, anatomy.mesh_handles, anatomy.joints, anatomy.own
         held, floor = anatomy.tail, anatomy.floor
         base = _TAIL if there[_TAIL] else _TIP
