@@ -132,7 +132,7 @@ class Anatomy:
 
     def measured(self) -> Anatomy:
         """The same, with all worked out that the stages of fitting ask of every body."""
-        _ = self.plan, self.arms, self.scale, self.floor, self.reach
+        _ = self.plan, self.arms, self.scale, self.floor, self.reach, self.has_extra_legs
         return self
 
     @cached_property
@@ -343,5 +343,5 @@ class Anatomy:
 def reference_anatomy() -> Anatomy:
     """The anatomy of the reference body, whose true joints are known and whose rest pose is its stance."""
     body = reference_body()
-    still = np.tile(np.eye(3), (len(body.handles.positions), 1, 1))
-    return Anatomy.of(body.character(), body.handles, (still, reference_joints()))
+    character, still = body.character(), np.tile(np.eye(3), (len(body.handles.positions), 1, 1))
+    return Anatomy(character, body.handles, character, body.handles, (still, reference_joints()))

@@ -162,12 +162,7 @@ class BodyPlan:
 
 
 def plan_of(
-    character: Character,
-    handles: Handles,
-    joints: Joints,
-    legs: list[Leg],
-    further: list[list[int]],
-    stands: bool,
+    character: Character, handles: Handles, joints: Joints, legs: list[Leg], further: list[list[int]], stands: bool
 ) -> BodyPlan:
     """The plan of a body in the pose that it stands in.
 

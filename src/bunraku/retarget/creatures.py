@@ -95,7 +95,7 @@ def _octahedron(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
 
 LEVEL = 40.0  # a trunk whose slope is less is level [degrees]
 DOWN = 0.55  # a leg stands whose end is so far below its top, over its length along the bones
-CLEAR = 0.12  # height of the knees over the feet, over that of the hips, from which on an animal stands and does not crawl
+CLEAR = 0.12  # height of the knees over the feet, over that of the hips, from which on an animal does not crawl
 NEAR = 0.35  # the ends of front legs are so near to those of the hind legs in height, over the height of the hips
 LEAST = 0.15  # share of the frames in which an animal stands on four legs, at the least
 MIRROR = np.array([-1.0, 1.0, 1.0])

@@ -66,9 +66,7 @@ class Gait(Stage):
         return anatomy.has_extra_legs
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        return replace(
-            fitting, rotations=self.stepping(fitting.source, anatomy.handles, anatomy.extra_limbs)
-        )
+        return replace(fitting, rotations=self.stepping(fitting.source, anatomy.handles, anatomy.extra_limbs))
 
     def cycle(self, motion: HandleMotion) -> float:
         """Length of the cycle in which left and right legs take turns [s]; 0 where they do not."""

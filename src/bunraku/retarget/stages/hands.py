@@ -70,12 +70,7 @@ class Hands(Stage):
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         return fitting.moved(self.kept(fitting.source, fitting.motion, anatomy))
 
-    def kept(
-        self,
-        motion: HandleMotion,
-        fitted: HandleMotion,
-        anatomy: Anatomy,
-    ) -> HandleMotion:
+    def kept(self, motion: HandleMotion, fitted: HandleMotion, anatomy: Anatomy) -> HandleMotion:
         """The fitted motion with hands where the reference body's hands touch it."""
         character, handles, scale = anatomy.mesh, anatomy.mesh_handles, anatomy.scale
         arms = [arm for arm in anatomy.arms if int(handles.played[arm.foot[0]]) in _WRISTS]
