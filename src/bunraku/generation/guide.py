@@ -166,7 +166,7 @@ def _performed(
     pack: ExamplePack, gesture: Gesture, frames: int, random: np.random.Generator, manner: Manner
 ) -> np.ndarray:
     """What the denoiser sees of a gesture that is done by one of the people who stand, shape (N, 271)."""
-    from bunraku.anatomy.anatomy import body_handle_motion
+    from bunraku.generation.features import body_handle_motion
     from bunraku.gestures.perform import performed
 
     return encode(body_handle_motion(performed(gesture, frames, pack.idles, random, manner, busy=pack.busy)))

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.limbs import has_extra_legs
 from bunraku.anatomy.handles.predict import Predictor
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character, Handles
@@ -111,8 +110,7 @@ class Body:
         """Whether a skeleton of an engine can be made for it: a person by 30 handles, which its own bones do not
         move.
         """
-        anatomy = self.anatomy
-        return self.parts is None and anatomy.plan.kind == "person" and not has_extra_legs(anatomy.handles)
+        return self.parts is None and self.anatomy.is_person
 
 
 def _silent(*messages: object) -> None:
