@@ -5,14 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 __all__ = [
-    "BunrakuError",
-    "CharacterError",
-    "FormatError",
-    "MissingExtraError",
-    "MotionError",
-    "OptionError",
+    "BunrakuError", "CharacterError", "FormatError", "MissingExtraError", "MotionError", "OptionError",
     "WeightsError",
-]
+]  # fmt: skip
 
 
 class BunrakuError(Exception):

@@ -38,27 +38,11 @@ VERBS: Verbs = {
         "Render",
         "make a video or a picture of an animated file, a character or a motion",
     ),
-    ("studio",): (
-        "bunraku.cli.studio",
-        "Studio",
-        "open a page: drop a character, type a sentence, watch it move",
-    ),
+    ("studio",): ("bunraku.cli.studio", "Studio", "open a page: drop a character, type a sentence, watch it move"),
     ("serve",): ("bunraku.cli.serving", "Serve", "let other programs call these tools, by MCP"),
-    ("comfyui-nodes",): (
-        "bunraku.cli.studio",
-        "ComfyuiNodes",
-        "write the nodes for ComfyUI, which ask the studio",
-    ),
-    ("godot-addon",): (
-        "bunraku.cli.studio",
-        "GodotAddon",
-        "write the add-on for Godot 4, which asks the studio",
-    ),
-    ("blender-addon",): (
-        "bunraku.cli.studio",
-        "BlenderAddon",
-        "write the add-on for Blender, which asks the studio",
-    ),
+    ("comfyui-nodes",): ("bunraku.cli.studio", "ComfyuiNodes", "write the nodes for ComfyUI, which ask the studio"),
+    ("godot-addon",): ("bunraku.cli.studio", "GodotAddon", "write the add-on for Godot 4, which asks the studio"),
+    ("blender-addon",): ("bunraku.cli.studio", "BlenderAddon", "write the add-on for Blender, which asks the studio"),
     ("clips",): ("bunraku.cli.clips", "Clips", "list and search the clip library, or put a clip on a character"),
     ("samples",): ("bunraku.cli.clips", "Samples", "write the sample characters"),
     ("doctor",): (

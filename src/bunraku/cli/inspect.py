@@ -23,16 +23,9 @@ if TYPE_CHECKING:
     from bunraku.files import Document
 
 __all__ = [
-    "Inspect",
-    "apparel_facts",
-    "describe",
-    "mmd_facts",
-    "say_chain",
-    "say_part",
-    "shape_facts",
-    "vmd_facts",
+    "Inspect", "apparel_facts", "describe", "mmd_facts", "say_chain", "say_part", "shape_facts", "vmd_facts",
     "vrm_facts",
-]
+]  # fmt: skip
 
 
 def mmd_facts(character: Character) -> dict[str, Any]:

@@ -23,24 +23,10 @@ if TYPE_CHECKING:
     from bunraku.retarget.pins import Pin
 
 __all__ = [
-    "ApparelOptions",
-    "AxisOption",
-    "DirectingOptions",
-    "EditSamplingOptions",
-    "GeneratingOptions",
-    "PinOption",
-    "ProgramOption",
-    "SamplingOptions",
-    "SkeletonOption",
-    "UnitOption",
-    "check_axes",
-    "parse_path",
-    "parse_pin",
-    "resolve_file",
-    "said_axes",
-    "stand_up",
-    "stands_line",
-]
+    "ApparelOptions", "AxisOption", "DirectingOptions", "EditSamplingOptions", "GeneratingOptions", "PinOption",
+    "ProgramOption", "SamplingOptions", "SkeletonOption", "UnitOption", "check_axes", "parse_path", "parse_pin",
+    "resolve_file", "said_axes", "stand_up", "stands_line",
+]  # fmt: skip
 
 
 SkeletonOption = Annotated[Literal["mixamo", "vrm", "unreal"] | None, tyro.conf.arg(help_behavior_hint="")]

@@ -30,33 +30,11 @@ if TYPE_CHECKING:
     from bunraku.language.sentence import Sentence
 
 __all__ = [
-    "OutputOption",
-    "PREVIEWS",
-    "PreviewOption",
-    "Report",
-    "WithoutOption",
-    "check_different",
-    "check_folder",
-    "check_input",
-    "check_mask",
-    "check_output",
-    "check_outputs",
-    "check_range",
-    "check_seconds",
-    "check_sequence",
-    "check_source",
-    "check_stages",
-    "check_written",
-    "fitting_stages",
-    "make_folder",
-    "save_all",
-    "save_clips_to",
-    "size_text",
-    "slug",
-    "stages",
-    "written_path",
-    "wrote",
-]
+    "OutputOption", "PREVIEWS", "PreviewOption", "Report", "WithoutOption", "check_different", "check_folder",
+    "check_input", "check_mask", "check_output", "check_outputs", "check_range", "check_seconds", "check_sequence",
+    "check_source", "check_stages", "check_written", "fitting_stages", "make_folder", "save_all", "save_clips_to",
+    "size_text", "slug", "stages", "written_path", "wrote",
+]  # fmt: skip
 
 
 Report = Callable[[str, float], None]

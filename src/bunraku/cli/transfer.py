@@ -45,18 +45,9 @@ if TYPE_CHECKING:
     from bunraku.retarget.fit import Stages
 
 __all__ = [
-    "Pair",
-    "Settings",
-    "Transfer",
-    "animation_of",
-    "clips_for",
-    "holds_character",
-    "marks_of",
-    "names_of",
-    "pairs_of",
-    "run_pairs",
-    "transfer_pair",
-]
+    "Pair", "Settings", "Transfer", "animation_of", "clips_for", "holds_character", "marks_of", "names_of",
+    "pairs_of", "run_pairs", "transfer_pair",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -27,21 +27,9 @@ if TYPE_CHECKING:
     from bunraku.apparel.chains.chain_rig import Chained
 
 __all__ = [
-    "WORN",
-    "apparel_mask_of",
-    "chain_facts",
-    "chains_of",
-    "check_fits",
-    "clean_mask",
-    "dress_take",
-    "found_mask",
-    "has_apparel",
-    "paint",
-    "painted_file",
-    "redress_take",
-    "save_worn",
-    "shown_mask",
-]
+    "WORN", "apparel_mask_of", "chain_facts", "chains_of", "check_fits", "clean_mask", "dress_take", "found_mask",
+    "has_apparel", "paint", "painted_file", "redress_take", "save_worn", "shown_mask",
+]  # fmt: skip
 
 
 WORN = "worn.bin"

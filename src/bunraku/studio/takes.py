@@ -30,23 +30,9 @@ from bunraku.studio.wire import Take, body_of, packed_clip
 from bunraku.studio.workspace import PREVIEWS, Workspace
 
 __all__ = [
-    "Animate",
-    "Bend",
-    "DRAFT_STAGES",
-    "Dress",
-    "Edit",
-    "Known",
-    "Mirror",
-    "Partly",
-    "Play",
-    "Preview",
-    "Report",
-    "Task",
-    "Transfer",
-    "Trim",
-    "finish_take",
-    "handle_animation_of",
-]
+    "Animate", "Bend", "DRAFT_STAGES", "Dress", "Edit", "Known", "Mirror", "Partly", "Play", "Preview", "Report",
+    "Task", "Transfer", "Trim", "finish_take", "handle_animation_of",
+]  # fmt: skip
 
 
 Report = Callable[[str, float], None]
