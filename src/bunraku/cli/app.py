@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import errno
 import importlib
 import inspect
 import io
@@ -15,7 +14,7 @@ from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from typing import Any, get_type_hints
 
-from bunraku.errors import BunrakuError, MissingExtraError, OptionError
+from bunraku.errors import OptionError, is_fault, sentence_of
 
 __all__ = ["VERBS", "Verbs", "all_verbs", "main"]
 
@@ -54,7 +53,6 @@ VERBS: Verbs = {
 
 _GROUP = "bunraku.verbs"
 """Entry points by which other packages, the laboratory among them, add verbs."""
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def all_verbs() -> Verbs:
@@ -97,9 +95,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             traceback.print_exc()
-        status, sentence = _explain(error)
-        print(f"bunraku: error: {' '.join(sentence.split())}", file=sys.stderr)
-        return status
+        print(f"bunraku: error: {' '.join(sentence_of(error).split())}", file=sys.stderr)
+        return 1 if is_fault(error) else 2
 
 
 def _repair_streams() -> None:
@@ -218,33 +215,3 @@ def _print_help(verbs: Verbs, group: str = "") -> None:
             "--preview dragon-wave.mp4"
         )
     print(f"\n`{prefix} COMMAND --help` tells the options of a command.")
-
-
-def _explain(error: Exception) -> tuple[int, str]:
-    """Exit status and sentence for an exception."""
-    if isinstance(error, BunrakuError):
-        return 2, str(error)
-    if isinstance(error, ModuleNotFoundError) and error.name == "torch":
-        return 2, str(MissingExtraError("PyTorch", "lab", "what trains, measures and builds data"))
-    if isinstance(error, MemoryError) or _is_allocation_failure(error):
-        return 2, "the memory is not enough for this; close other programs, or give a smaller mesh or fewer seconds"
-    if isinstance(error, OSError):
-        where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
-        if error.errno in _FULL:
-            return 2, f"{where}the disk is full; free some space or write to another folder"
-        if isinstance(error, PermissionError):
-            return 2, f"{where}permission denied; choose a file or folder that you may use"
-        return 2, f"{where}{error.strerror or error}"
-    return (
-        1,
-        f"this is a fault of Bunraku, not yours: {type(error).__name__}: {error}; run again with --debug and report "
-        "what it prints",
-    )
-
-
-def _is_allocation_failure(error: Exception) -> bool:
-    """Whether torch, which raises RuntimeError for it, ran out of memory on the CPU or on a GPU."""
-    text = str(error)
-    return isinstance(error, RuntimeError) and (
-        "not enough memory" in text or "can't allocate memory" in text or "out of memory" in text
-    )
