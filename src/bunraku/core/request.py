@@ -6,7 +6,7 @@ import json
 import math
 import re
 import types
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, ClassVar, Literal, NoReturn, Self, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
@@ -21,6 +21,7 @@ __all__ = [
     "GRAVITY",
     "GUIDANCE",
     "Limit",
+    "Progress",
     "SECONDS",
     "SEED",
     "STEPS",
@@ -32,6 +33,9 @@ __all__ = [
     "read_json",
     "to_json",
 ]
+
+Progress = Callable[[str, float], None]
+"""Called with the name of a stage and the share of it that is done, 0 to 1."""
 
 
 @dataclass(frozen=True)
