@@ -27,7 +27,8 @@ from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import MotionError
 
 __all__ = [
-    "body_handle_motion", "decode", "encode", "feature_mask", "FEATURE_SIZE", "feature_weights", "FeatureStatistics", "HANDLE_SIZE",
+    "body_handle_motion", "decode", "encode", "feature_mask", "FEATURE_SIZE", "feature_weights", "FeatureStatistics",
+    "HANDLE_SIZE",
     "is_rotation", "mirror", "root_velocities", "ROOT_SIZE", "standing_legs",
 ]  # fmt: skip
 

@@ -197,6 +197,19 @@ class ResolvedAxes:
     front: str
     guess: Orientation | None = None
 
+    @property
+    def sure(self) -> float:
+        """How likely these axes are by the guess, 0 to 1; 1 where nothing was guessed."""
+        return 1.0 if self.guess is None else self.guess.probability(self.up, self.front)
+
+    @property
+    def other(self) -> tuple[str, str] | None:
+        """The likeliest other axes; None where nothing was guessed."""
+        if self.guess is None:
+            return None
+        likeliest, taken = (self.guess.up, self.guess.front), (self.up, self.front)
+        return likeliest if taken != likeliest else self.guess.next_best(*taken)
+
 
 def resolve_axes(
     character: Character, up: str = "auto", front: str = "auto", *, suffix: str | None = None
