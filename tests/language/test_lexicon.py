@@ -195,7 +195,7 @@ def test_several_hundred_things_stand_where_people_of_that_height_meet_them():
 
 def test_the_longest_noun_counts():
     words = ["a", "steering", "wheel", "of", "a", "car"]
-    found = [(one.start, one.stop, one.means.name) for one in named_in(things().kinds, words, 0, len(words))]
+    found = [(one.start, one.stop, one.means.name) for one in named_in(things().kinds, words, range(len(words)))]
     assert found == [(1, 3, "wheel"), (5, 6, "vehicle")]
 
 
