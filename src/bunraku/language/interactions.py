@@ -479,7 +479,7 @@ def _place(words: Sequence[str], at: int) -> Place:
     kind = things().kinds.get(word)
     if kind is not None and kind.place:
         return Place(_level(kind.height))
-    return Place("", "aside") if word in table.aside else Place()
+    return Place("", "aside") if word in table.grammar["aside"] else Place()
 
 
 def _says_where(step: HandlingStep) -> bool:
