@@ -17,8 +17,9 @@ import numpy as np
 from bunraku.core.files import atomic_write, weights_file
 from bunraku.errors import FormatError, OptionError
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, mirror
-from bunraku.language.captions import caption_group, caption_variants, mirror_words, normalise_label
+from bunraku.language.captions import mirror_words
 from bunraku_lab.datasets.takes import Take, take_motion
+from bunraku_lab.description.captions import caption_group, caption_variants, normalise_label
 from bunraku_lab.evaluation.report import write_requests
 from bunraku_lab.training.rows.clips import ClipEntry
 
