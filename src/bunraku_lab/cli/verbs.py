@@ -9,21 +9,9 @@ __all__ = ["VERBS"]
 
 # Words -> module, its attribute that is the verb, one line of help.
 VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
-    ("data", "motions"): (
-        "bunraku_lab.cli.data",
-        "Motions",
-        "turn a motion archive into handle motions to train on",
-    ),
-    ("data", "characters"): (
-        "bunraku_lab.cli.data",
-        "Characters",
-        "turn rigged characters into samples to train on",
-    ),
-    ("data", "mesh-bank"): (
-        "bunraku_lab.cli.data",
-        "MeshBank",
-        "write the mesh features of characters to train with",
-    ),
+    ("data", "motions"): ("bunraku_lab.cli.data", "Motions", "turn a motion archive into handle motions to train on"),
+    ("data", "characters"): ("bunraku_lab.cli.data", "Characters", "turn rigged characters into samples to train on"),
+    ("data", "mesh-bank"): ("bunraku_lab.cli.data", "MeshBank", "write the mesh features of characters to train with"),
     ("data", "character-bank"): (
         "bunraku_lab.cli.data",
         "CharacterBank",

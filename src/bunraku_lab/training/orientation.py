@@ -79,10 +79,7 @@ def _corrupted(
 
 @torch.no_grad()
 def validate_orientation(
-    model: OrientationPredictor,
-    characters: Sequence[TrainingCharacter],
-    variants: int = 2,
-    seed: int = 0,
+    model: OrientationPredictor, characters: Sequence[TrainingCharacter], variants: int = 2, seed: int = 0
 ) -> np.ndarray:
     """Log-probabilities of all orientations for characters that are upright, as they are and varied.
 

@@ -261,12 +261,7 @@ def test_the_command_prints_the_table_and_json(folder, tmp_path, capsys):
         "--steps",
         "2",
     ]
-    words += [
-        "--extractor",
-        str(folder / "extractor.safetensors"),
-        "--work",
-        str(tmp_path),
-    ]
+    words += ["--extractor", str(folder / "extractor.safetensors"), "--work", str(tmp_path)]
     words += ["--pool", "40", "--clips", "32", "--quick", "--only", "table", "--candidates", "4"]
     assert main([*words, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)

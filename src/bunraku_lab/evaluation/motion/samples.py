@@ -372,11 +372,7 @@ def _batches(requests: Sequence[Request]) -> list[list[int]]:
 
 
 def _key(
-    digest: str,
-    requests: Sequence[Request],
-    sampling: SamplerSettings,
-    mesh: np.ndarray | None,
-    adapt: bool,
+    digest: str, requests: Sequence[Request], sampling: SamplerSettings, mesh: np.ndarray | None, adapt: bool
 ) -> str:
     wanted = [[request.sentence, request.frames] for request in requests]
     how: list[object] = [sampling.steps, sampling.guidance, sampling.seed, adapt, BATCH]

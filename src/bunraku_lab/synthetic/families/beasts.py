@@ -27,15 +27,7 @@ _KINDS: dict[str, tuple[tuple[float, float], ...]] = {
 }  # fmt: skip
 
 
-def tail(
-    m: Model,
-    root: np.ndarray,
-    length: float,
-    radius: float,
-    lift: float,
-    curl: float,
-    count: int,
-) -> None:
+def tail(m: Model, root: np.ndarray, length: float, radius: float, lift: float, curl: float, count: int) -> None:
     """A tail backwards from a place, with a bone for each of its pieces."""
     points = [np.asarray(root, float)]
     angle = lift

@@ -23,15 +23,7 @@ class _LegShape:
     radius: float
 
 
-def _leg(
-    m: Model,
-    side: str,
-    word: str,
-    root: np.ndarray,
-    yaw: float,
-    shape: _LegShape,
-    parent: str = "Hips",
-) -> None:
+def _leg(m: Model, side: str, word: str, root: np.ndarray, yaw: float, shape: _LegShape, parent: str = "Hips") -> None:
     """A leg of three segments: out and up, out and down, and to the ground; the word in its bones' names says which leg
     it is.
     """

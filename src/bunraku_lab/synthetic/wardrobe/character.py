@@ -349,13 +349,7 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
 
 
 def _bows(
-    costume: Costume,
-    figure: Figure,
-    scalp: Scalp,
-    plan: _Plan,
-    hair: str,
-    rng: np.random.Generator,
-    waist: float,
+    costume: Costume, figure: Figure, scalp: Scalp, plan: _Plan, hair: str, rng: np.random.Generator, waist: float
 ) -> None:
     """Bows at the collar, at the back of the waist, in the hair."""
     u, chance, h = rng.uniform, rng.random, figure.height

@@ -275,13 +275,7 @@ def _sheet(
 
 
 def add_coat(
-    costume: Costume,
-    figure: Figure,
-    rng: np.random.Generator,
-    *,
-    waist: float,
-    colors: tuple[str, str],
-    thick: float,
+    costume: Costume, figure: Figure, rng: np.random.Generator, *, waist: float, colors: tuple[str, str], thick: float
 ) -> np.ndarray:
     """A long coat: a jacket with sleeves, its skirts open in front below the waist; returns its points but those of the
     sleeves.

@@ -205,13 +205,7 @@ def add_ears(costume: Costume, scalp: Scalp, rng: np.random.Generator, *, kind: 
 
 
 def add_tail(
-    costume: Costume,
-    figure: Figure,
-    rng: np.random.Generator,
-    *,
-    kind: str,
-    colors: tuple[str, str],
-    lift: float,
+    costume: Costume, figure: Figure, rng: np.random.Generator, *, kind: str, colors: tuple[str, str], lift: float
 ) -> None:
     """A tail from the end of the spine: "cat", "fox" or "wolf".
 

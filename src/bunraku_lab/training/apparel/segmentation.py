@@ -129,10 +129,7 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
     kind = "apparel-mask"
 
     def __init__(
-        self,
-        config: SegmentationTrainConfig,
-        characters: Sequence[MeshSample],
-        held_out: Sequence[MeshSample] = (),
+        self, config: SegmentationTrainConfig, characters: Sequence[MeshSample], held_out: Sequence[MeshSample] = ()
     ):
         if not characters:
             raise OptionError("there are no characters to train on; ask for more with --characters")

@@ -273,10 +273,7 @@ def train_diffusion(
             "pooled_size": encoder.pooled_size,
         }
         network = replace(
-            PRESETS[config.preset],
-            **sizes,
-            adaptation_mesh=config.adaptation_mesh,
-            examples=config.examples,
+            PRESETS[config.preset], **sizes, adaptation_mesh=config.adaptation_mesh, examples=config.examples
         )
     mesh_bank = config.mesh_bank
     if mesh_bank is None and config.data.is_file() and read_bundle(config.data).meshes is not None:
@@ -356,12 +353,7 @@ class _Run(TrainingRun):
     flush = True
 
     def __init__(
-        self,
-        trainer: Trainer,
-        network: DenoiserConfig,
-        source: BatchSource,
-        examples: list[Example],
-        console: Any,
+        self, trainer: Trainer, network: DenoiserConfig, source: BatchSource, examples: list[Example], console: Any
     ):
         self.trainer, self.network, self.source, self.console = trainer, network, source, console
         self.config, self.out, self.stop, self.held_out = trainer.config, trainer.config.out, Stop(), examples
