@@ -56,8 +56,7 @@ def orientation() -> Verb:
 def diffusion() -> Verb:
     """Train the Shape-aware Motion Diffusion (section 3.2 of TapMo).
 
-    The same command goes on where a run stopped. The preset "small" trains on a processor in hours. Several GPUs or
-    processes train together under `accelerate launch -m bunraku train diffusion ...`.
+    The same command goes on where a run stopped. The preset "small" trains on a processor in hours.
 
     Example: bunraku train diffusion --data data/motions --out runs/diffusion --minutes 240
     """
