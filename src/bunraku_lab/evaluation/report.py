@@ -27,7 +27,6 @@ __all__ = [
     "measured_in",
     "percent",
     "reached_bars",
-    "write_requests",
 ]
 
 
@@ -206,16 +205,3 @@ class KeptParts:
         return json.loads(text)
 
 
-def write_requests(path: str | Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
-    """Write a CSV, whole or not at all.
-
-    Raises:
-        FormatError: The file cannot be written.
-    """
-    out = io.StringIO()
-    table = csv.writer(out)
-    table.writerow(columns)
-    table.writerows(rows)
-    with atomic_write(Path(path)) as file:
-        file.write(out.getvalue().encode())
-    return Path(path)

@@ -294,19 +294,3 @@ def test_bad_options_are_one_sentence(tmp_path, capsys):
     assert "--runs" in capsys.readouterr().err
 
 
-def test_the_motions_of_others_get_a_row_on_the_same_windows(folder, tmp_path):
-    config = settings(folder, tmp_path / "work")
-    clips, windows = table_windows(config)
-    rows = list(csv.DictReader(write_prompts(tmp_path / "prompts.csv", windows).open()))
-    assert [row["text"] for row in rows] == [window.sentence for window in windows]
-    theirs = tmp_path / "theirs"
-    theirs.mkdir()
-    for row, window in zip(rows, windows, strict=True):
-        assert float(row["seconds"]) == pytest.approx(window.frames / 20)
-        decode(window_features(clips, window)).save(theirs / f"{row['file']}.npz")
-    found = evaluate_motion(replace(config, motions=theirs))["rows"]
-    assert found["others"]["fid"]["mean"] == pytest.approx(found["real"]["fid"]["mean"], rel=0.02)  # they are the same
-    assert found["others"]["r_precision_3"]["mean"] == pytest.approx(found["real"]["r_precision_3"]["mean"], abs=0.05)
-    (theirs / "0003.npz").unlink()
-    with pytest.raises(FormatError, match="1 of 24 motions are missing, first 0003"):
-        evaluate_motion(replace(config, motions=theirs))

@@ -48,7 +48,6 @@ __all__ = [
     "pick_motions",
     "sole_gaps",
     "times",
-    "write_transfer_pairs",
 ]
 
 
@@ -433,19 +432,6 @@ def evaluate_transfer(
     }
 
 
-def write_transfer_pairs(
-    path: str | Path, characters: str | Path, motions: str | Path, limit: int | None = None
-) -> Path:
-    """Write which pairs of character and motion another method is to make, and how each result is to be named.
-
-    Args:
-        path: The CSV.
-        characters, motions, limit: As `evaluate_transfer` takes them.
-
-    Raises:
-        FormatError: There is no character, a motion of some kind is missing, or the file cannot be written.
-    """
-    return write_pairs(path, pairs_of(_names(Path(characters), limit), pick_motions(motions)))
 
 
 def _names(folder: Path, limit: int | None) -> dict[Path, str]:
