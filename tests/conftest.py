@@ -27,7 +27,7 @@ from bunraku.generation.layers import DenoiserConfig
 from bunraku.language.encoders import TextBatch
 
 # Characters are read-only, so tests share the samples; tests/lab/synthetic/samples makes its own.
-bunraku.samples.sample_character = functools.cache(bunraku.samples.sample_character)
+bunraku.files.samples.sample_character = functools.cache(bunraku.files.samples.sample_character)
 bunraku_lab.synthetic.samples.make_sample = functools.cache(bunraku_lab.synthetic.samples.make_sample)
 
 

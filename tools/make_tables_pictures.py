@@ -1,7 +1,7 @@
 """Make the pictures of docs/tables.md: the same sentence and character, or the same character and motion, a row for
 each method.
 
-    python tools/make_tables_pictures.py --character FILE --baselines benchmarks/weights
+    python tools/make_tables_pictures.py --character FILE --baselines runs/baselines
 """
 
 from __future__ import annotations

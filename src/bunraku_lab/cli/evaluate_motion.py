@@ -212,7 +212,7 @@ class EvaluateTables(Printed):
     kept in --work by what they depend on, so a second run, or one that was stopped, does only what is new.
 
     Example: bunraku evaluate tables --paper tapmo --table 2 --characters archive
-    --baselines benchmarks/weights
+    --baselines runs/baselines
     """
 
     paper: Literal["tapmo", "mmdmc"] = "tapmo"
@@ -228,8 +228,8 @@ class EvaluateTables(Printed):
     bodies: tuple[Path, ...] = ()
     """Body networks of MMDMC's table 4. Default: the shipped one, and those of --baselines."""
     baselines: Path | None = None
-    """Folder of the other methods' weights (benchmarks/weights of the repository); without it their rows are left
-    out. Their trainings are named beside them."""
+    """Folder of the other methods' weights, which the commands in `benchmarks/baselines.md` make; without it their
+    rows are left empty."""
     work: Path = Path("runs/tables")
     """Folder that keeps what was measured."""
     quick: bool = False
