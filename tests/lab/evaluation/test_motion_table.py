@@ -1,4 +1,3 @@
-import csv
 import json
 import shutil
 from dataclasses import replace
@@ -12,11 +11,11 @@ from bunraku.cli import main
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_y
 from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint
-from bunraku.errors import FormatError, OptionError
+from bunraku.errors import OptionError
 from bunraku.generation import networks
 from bunraku.generation.denoiser import fingerprint
 from bunraku.generation.extractor import ExtractorConfig
-from bunraku.generation.features import decode, encode
+from bunraku.generation.features import encode
 from bunraku.generation.layers import DenoiserConfig
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion import samples as motion_samples
@@ -27,10 +26,8 @@ from bunraku_lab.evaluation.motion.samples import (
     SamplerSettings,
     Window,
     make_motions,
-    window_features,
-    write_prompts,
 )
-from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows, table_windows
+from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows
 from bunraku_lab.evaluation.motion.viewer_prompts import VIEWER_BARS
 from bunraku_lab.evaluation.report import KeptParts
 from bunraku_lab.evaluation.tables.tapmo import DistortionConfig, measure_handles
@@ -292,5 +289,3 @@ def test_bad_options_are_one_sentence(tmp_path, capsys):
     assert "no such folder" in capsys.readouterr().err
     assert main(["evaluate", "motion", "--data", str(tmp_path), "--runs", "0"]) == 2
     assert "--runs" in capsys.readouterr().err
-
-

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 from pathlib import Path
@@ -33,7 +32,6 @@ from bunraku_lab.evaluation.transfer.table import (
     leg_reach,
     measure_soles,
     pick_motions,
-    write_transfer_pairs,
 )
 from bunraku_lab.synthetic.samples import make_sample
 
@@ -90,12 +88,6 @@ def test_the_table(tmp_path):
     assert (
         evaluate_transfer(tmp_path / "characters", tmp_path, work=tmp_path / "work", speed=False)["angle_rig"] < 5
     )  # another walk
-
-
-
-
-
-
 
 
 def test_processes_give_the_same_table_of_transfer(tmp_path):

@@ -1,5 +1,5 @@
-"""The motions that the table compares: windows of captioned clips, motions made and kept in a folder so that a stopped
-evaluation can go on, and motions of any other method.
+"""The motions that the table compares: windows of captioned clips, and motions made and kept in a folder so that a
+stopped evaluation can go on.
 """
 
 from __future__ import annotations
@@ -15,11 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bunraku.core.files import atomic_write, weights_file
-from bunraku.errors import FormatError, OptionError
+from bunraku.errors import OptionError
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, mirror
 from bunraku.language.captions import caption_group, caption_variants, mirror_words, normalise_label
-from bunraku_lab.datasets.takes import Take, take_motion
-from bunraku_lab.evaluation.report import write_requests
 from bunraku_lab.training.rows.clips import ClipEntry
 
 if TYPE_CHECKING:
@@ -389,9 +387,3 @@ def _stored(path: Path, shape: tuple[int, int, int]) -> np.ndarray | None:
     except Exception:  # a cache is made again, whatever is wrong with it
         return None
     return values if values.shape == shape and bool(np.isfinite(values).all()) else None
-
-
-
-
-
-

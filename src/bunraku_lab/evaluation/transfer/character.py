@@ -1,10 +1,10 @@
 """One character of the table of motion transfer: what is measured of it with every motion, how far it stands off the
-ground, and the same for another method's results.
+ground.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Required, TypedDict
@@ -22,7 +22,6 @@ from bunraku.core.skinning import posed_points
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts
-from bunraku_lab.evaluation.report import write_requests
 
 __all__ = [
     "SUFFIXES",
@@ -261,15 +260,3 @@ def carried_heads(parts: RigParts, animation: Animation | RigAnimation, frames: 
 
 
 SUFFIXES = (".glb", ".gltf", ".vrm", ".fbx")
-
-
-
-
-
-
-
-
-
-
-
-
