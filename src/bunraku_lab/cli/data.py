@@ -165,10 +165,10 @@ class MeshBank:
         check_folder(self.output.parent)
         from bunraku.core.nn.checkpoints import shipped_checkpoint
         from bunraku_lab.datasets.characters.build import HELD_OUT, load_characters, reference_characters
-        from bunraku_lab.nn.handles import load_predictor
+        from bunraku_lab.nn.handles import HandlePredictor
         from bunraku_lab.training.handles import write_mesh_bank
 
-        model = load_predictor(self.checkpoint or shipped_checkpoint("handles"))
+        model = HandlePredictor.load(self.checkpoint or shipped_checkpoint("handles"))
         train, held = load_characters(self.cache)
         characters = [*train, *held, *reference_characters()]
         with stages() as report:
