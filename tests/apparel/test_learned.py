@@ -46,7 +46,15 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import line_up
 from bunraku.errors import CharacterError, WeightsError
-from bunraku_lab.nn.apparel import (AnchorHead, DisplacementNetwork, Inputs, Past, RecurrentPart, node_state, past_of_states)
+from bunraku_lab.nn.apparel import (
+    AnchorHead,
+    DisplacementNetwork,
+    Inputs,
+    Past,
+    RecurrentPart,
+    node_state,
+    past_of_states,
+)
 from bunraku_lab.nn.graph import EdgeBlock, node_graph
 from bunraku_lab.nn.running import running_displacement
 

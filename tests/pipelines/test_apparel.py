@@ -23,7 +23,7 @@ from bunraku.pipelines.apparel import dressed, learned
 from bunraku.pipelines.clothes import MOST, apparel_of, excess_apparel_note
 from bunraku.pipelines.requests import Apparel, Constraints, Loop, Request
 from bunraku.pipelines.transfer import transfer
-from bunraku_lab.nn.apparel import (DisplacementNetwork, SegmentationNetwork)
+from bunraku_lab.nn.apparel import DisplacementNetwork, SegmentationNetwork
 from bunraku_lab.synthetic.stock_motions import stock_motion
 
 MOTION = stock_motion("walk", 1.0, 20.0)
