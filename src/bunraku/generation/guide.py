@@ -153,7 +153,7 @@ def _performed(
     pack: ExamplePack, gesture: Gesture, frames: int, random: np.random.Generator, manner: Manner
 ) -> np.ndarray:
     """Features of a gesture by one of the people who stand, shape (N, 271)."""
-    from bunraku.anatomy.anatomy import body_handle_motion
+    from bunraku.generation.features import body_handle_motion
     from bunraku.gestures.perform import performed
 
     return encode(body_handle_motion(performed(gesture, frames, pack.idles, random, manner, busy=pack.busy)))

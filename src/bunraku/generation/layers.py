@@ -10,7 +10,7 @@ import numpy as np
 
 from bunraku.core.body.layout import HANDLE_COUNT
 from bunraku.core.nn.checkpoints import config_of
-from bunraku.core.nn.layers import Attention, Memory, Norm, Rotary, Weights, hidden_by, split_heads, turned
+from bunraku.core.nn.layers import Attention, Memory, Norm, Rotary, Weights, apply_rotary, hidden_by, split_heads
 from bunraku.generation.features import FEATURE_SIZE
 
 __all__ = [
@@ -136,7 +136,7 @@ class DecoderLayer:
             return None
         (key,) = split_heads(self.example_key(keys), self.heads)
         (value,) = split_heads(self.example_value(values), self.heads)
-        return Memory(turned(key, rotary), value)
+        return Memory(apply_rotary(key, rotary), value)
 
     def __call__(
         self, x: np.ndarray, steer: np.ndarray, rotary: Rotary, real: np.ndarray | None, condition: Condition,

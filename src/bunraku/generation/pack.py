@@ -242,10 +242,9 @@ def _features(data: bytes, frames: int) -> np.ndarray:
 
 def _encoded(root: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     """Features of a stretch (see `diffusion.features`), shape (N, 271)."""
-    from bunraku.anatomy.anatomy import body_handle_motion
     from bunraku.core.body.reference import reference_body
     from bunraku.core.motion import SkeletalMotion
-    from bunraku.generation.features import encode
+    from bunraku.generation.features import body_handle_motion, encode
 
     return encode(body_handle_motion(SkeletalMotion(reference_body().skeleton, rotations, root, FPS)))
 

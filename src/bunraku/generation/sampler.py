@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from bunraku.core.nn.layers import side_by_side
+from bunraku.core.nn.layers import parallel
 from bunraku.generation.denoiser import Denoiser, RetrievedExamples
 from bunraku.generation.features import FeatureStatistics
 from bunraku.generation.layers import TRAINING_STEPS
@@ -386,7 +386,7 @@ class _Group:
             motion, adaptation = run(slice(1))
         else:  # in halves on every processor, whether or not they run at once, so that all give the same
             half = (len(seen) + 1) // 2
-            first, second = side_by_side(lambda: run(slice(half)), lambda: run(slice(half, len(seen))))
+            first, second = parallel(lambda: run(slice(half)), lambda: run(slice(half, len(seen))))
             motion = np.concatenate([first[0], second[0]])
             both = first[1] is not None and second[1] is not None
             adaptation = np.concatenate([first[1], second[1]]) if both else None  # type: ignore[list-item]
