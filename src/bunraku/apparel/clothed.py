@@ -197,15 +197,6 @@ def guessed_swing(held: np.ndarray, stiffness: np.ndarray, damping: np.ndarray) 
     ones = np.ones(count)
     axes = np.broadcast_to(np.eye(3), (count, 3, 3))
     return Swing(
-        held,
-        held,
-        SOLID * held,
-        axes,
-        -turn,
-        turn,
-        spring,
-        np.maximum(loss - AIR, 0),
-        np.minimum(loss, AIR),
+        held, held, SOLID * held, axes, -turn, turn, spring, np.maximum(loss - AIR, 0), np.minimum(loss, AIR), ones,
         ones,
-        ones,
-    )
+    )  # fmt: skip

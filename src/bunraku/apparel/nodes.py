@@ -60,9 +60,7 @@ def apparel_parts(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) 
 
 
 def _welded(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The point of each vertex (V,), where vertices at one position are one; the edges between points (E, 2); and the
-    points that are apparel, shape (P,), bool.
-    """
+    """Point of each vertex (V,), one for each position; edges of points (E, 2); and the points of apparel (P,)."""
     clean = clean_mesh(vertices, faces)
     cloth = np.zeros(len(clean.vertices), bool)
     cloth[clean.index[apparel]] = True

@@ -217,9 +217,7 @@ def _way(clause: Clause, track: Track) -> float | None:
 
 
 def _stays(track: Track) -> float:
-    """Whether a person who goes does so for most of the time: twice the speed reached in all but a part of it, over
-    that of slow walks, less 1.
-    """
+    """Twice the speed that a person exceeds most of the time, over that of slow walks, less 1."""
     speed = np.linalg.norm(track.velocity, axis=1)
     return float(min(2 * speed.mean(), 2.5 * np.quantile(speed, _STANDS)) / _PACE - 1)
 

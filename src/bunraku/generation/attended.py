@@ -84,9 +84,7 @@ class ExampleBank:
         return RetrievedExamples(values, lengths, pooled)
 
     def vectors(self, text: TextBatch) -> np.ndarray:
-        """The ranker's unit vectors of encoded sentences, of whose own vectors it reads as much as it knows, shape (B,
-        V).
-        """
+        """The ranker's unit vectors of encoded sentences, (B, V); it reads as much of their own vectors as it knows."""
         size = self.ranker.config.pooled_size
         return sentence_vectors(self.ranker, TextBatch(text.tokens, text.mask, text.pooled[:, :size])) / RADIUS
 

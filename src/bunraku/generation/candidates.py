@@ -291,16 +291,14 @@ def _guided(
 
 
 def frames_of(seconds: Sequence[float], fps: float) -> list[int]:
-    """Frames of each part, at least one, so that the parts end at the sums of their seconds, whatever the rounding."""
+    """Frames of each part, at least one, so that the parts end at the rounded sums of their seconds."""
     ends = [round(float(end) * fps) for end in np.cumsum(seconds)]
     out = [max(1, after - before) for before, after in zip([0, *ends], ends, strict=False)]
     return out
 
 
 def closed(values: np.ndarray, model: Denoiser) -> np.ndarray:
-    """Values of a loop, shape (N, D) in network units, whose root ends with its first heading, and at its first
-    position if it hardly travels.
-    """
+    """Values of a loop, (N, D) in network units, that end with its first heading, and position if it hardly travels."""
 
     mean, std = model.mean[:3], model.std[:3]
     root = arrive(values[:, :3] * std + mean, model.config.fps, None, None)

@@ -91,8 +91,8 @@ class PartTrack:
 
     @classmethod
     def of(cls, motion: int, script: Sequence[Clause], limbs: bool = True) -> PartTrack | None:
-        """The second time line of a motion with these clauses; None without simultaneous actions. Without `limbs`,
-        described limbs are laid over the motion instead (`with_limbs`).
+        """The second time line of a motion; None without simultaneous actions. Without `limbs`, described limbs are
+        left out.
         """
         voices = [clause.meanwhile for clause in script]
         voices = [
@@ -134,9 +134,7 @@ class _Affine(NamedTuple):
 
 
 def with_limbs(features: np.ndarray, gesture: np.ndarray, script: Sequence[tuple[Clause, int]]) -> np.ndarray:
-    """A motion with the limbs of a gesture, of a person who does nothing else, wherever its clauses say so; both as
-    features (N, D).
-    """
+    """A motion (N, D) with the limbs of a gesture wherever its clauses say so."""
     out = features.copy()
     for clause, span in clause_spans(script):
         if clause.limbs_meanwhile is not None:
@@ -145,9 +143,7 @@ def with_limbs(features: np.ndarray, gesture: np.ndarray, script: Sequence[tuple
 
 
 def overlaid(features: np.ndarray, gesture: np.ndarray, parts: Collection[str]) -> np.ndarray:
-    """A motion with parts of the body as in a gesture, both shape (N, D): "upper body" of a trunk that leans, "head",
-    "arms", "left arm", "right arm", "lower body".
-    """
+    """A motion with named parts of the body ("head", "left arm", "lower body" ...) as in a gesture, both (N, D)."""
     base, added = _transforms(features), _transforms(gesture)
     turn, shift = base.turn.copy(), base.shift.copy()
 

@@ -217,13 +217,9 @@ class Denoiser:
             rotary = self._example_rotary(keys.shape[1])
             example_memories = [layer.example_memory(keys, values, rotary) for layer in self.layers]
         return Condition(
-            memories,
-            hidden_by(np.concatenate(mask, axis=1)),
-            self._sentence(pooled, keep_text),
-            token,
-            example_memories,
-            hidden,
-        )
+            memories, hidden_by(np.concatenate(mask, axis=1)), self._sentence(pooled, keep_text), token,
+            example_memories, hidden,
+        )  # fmt: skip
 
     def _mesh_token(self, mesh: np.ndarray | None, keep: np.ndarray) -> np.ndarray:
         null = np.broadcast_to(self.null_mesh, (len(keep), len(self.null_mesh)))

@@ -243,9 +243,7 @@ def _mean(x: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def embed_motions(extractor: Extractor, motions: Sequence[np.ndarray], batch: int = 64) -> np.ndarray:
-    """Vectors of motions (N, 271) in the data's units, in their order, shape (B, E), float64; `batch` of them in one
-    pass.
-    """
+    """Vectors of motions (N, 271) in the data's units, in order, (B, E), float64; `batch` of them in one pass."""
     order = sorted(range(len(motions)), key=lambda index: len(motions[index]))
     out = np.zeros((len(motions), extractor.config.embedding))
     for start in range(0, len(order), batch):

@@ -35,16 +35,12 @@ ROOT_SIZE, HANDLE_SIZE = 10, 9
 FEATURE_SIZE = ROOT_SIZE + HANDLE_SIZE * (HANDLE_COUNT - 1)
 _SIX_SIGNS = np.array([1, -1, -1, -1, 1, 1], np.float32)
 
-
 STANDS = 0.05
 """Share of the frames of `body_handle_motion` whose lowest point may be under the ground."""
 
 
 def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:
-    """Handle motion of the reference body, which stands on y = 0.
-
-    Args:
-        motion: Of SMPL's 22 joints, relative to the reference body's T-pose (`anatomy.names.to_smpl`).
+    """Handle motion of the reference body, which stands on y = 0, of SMPL's 22 joints relative to its T-pose.
 
     Raises:
         MotionError: It has other joints.

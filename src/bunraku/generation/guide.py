@@ -206,8 +206,8 @@ def pose_distance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def _crouches(here: float, there: float) -> bool:
-    """Whether a body cannot stay at this height of the root over standing [m] in a motion with the other height at its
-    other end: the crouch before a jump, and not a seat to get up from, nor the floor to lie on.
+    """Whether a body cannot stay at one height of the root over standing [m] in a motion with another one at its other
+    end: the crouch before a jump, and not a seat to get up from, nor the floor.
     """
     return here < -CROUCH and there < here + CROUCH and max(here, there) > -3 * CROUCH
 
@@ -250,9 +250,7 @@ def hurried(features: np.ndarray, frames: int) -> np.ndarray:
 
 
 def circled(features: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
-    """The cycle of a loop (i, j) of a motion (N, D), done as often as fits best into so many frames, a little faster or
-    slower, shape (frames, D).
-    """
+    """The cycle of a loop (i, j) of a motion (N, D), repeated as fits best into so many frames, shape (frames, D)."""
     cycle = features[loop[1] : loop[0]]
     times = max(round(frames / len(cycle)), 1)
     pace = times * len(cycle) / frames
@@ -338,9 +336,7 @@ class GuidanceExamples:
         return bool(self._found.get(clause.text))
 
     def parted(self, clause: Clause) -> tuple[Clause, ...]:
-        """A clause in the parts that are done one after the other, where no example shows it whole and one shows a
-        part; else the clause.
-        """
+        """A clause in the parts that are done in a row, where no example shows it whole and one shows a part."""
         if clause.parts and not self.shows(clause) and any(map(self.shows, clause.parts)):
             return clause.parts
         return (clause,)

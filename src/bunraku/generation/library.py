@@ -196,8 +196,7 @@ _EASE = 0.3  # share of a pose's change that is left from frame to frame where a
 
 
 def features_of(stretch: str, seconds: float | None = None, loop: bool = False) -> np.ndarray:
-    """Features of a stretch by a name of the examples (`Clip.stretch`), shape (N, 271); other arguments as of
-    `Clip.motion`.
+    """Features of a stretch of the examples, shape (N, 271); other arguments as of `Clip.motion`.
 
     Raises:
         OptionError: It cannot last so long.

@@ -150,9 +150,7 @@ class ExamplePack:
 
     @functools.cached_property
     def standing_poses(self) -> dict[int, np.ndarray]:
-        """Stretches for others to be joined to, of a person who stands on both legs: their mean poses, as the denoiser
-        sees them but for the root's velocities, shape (268,).
-        """
+        """Mean poses (268,) of stretches for others to be joined to, of people who stand on both legs."""
         chosen = [index for index in self._standing_well if not self.examples[index].stands]
         if not chosen:
             return {}
@@ -285,7 +283,7 @@ def _stretch_values(data: bytes, frames: int) -> np.ndarray:
 
 
 def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object]) -> Path:
-    """Write examples with notes on their sources and choice; and beside them (`said_path`) what their sentences say."""
+    """Write examples with notes on their sources and choice; and beside them what their sentences say (`said_path`)."""
     from bunraku.core.nn.checkpoints import save_checkpoint
 
     table = [[example.name, list(example.texts), example.frames, list(example.loop or ())] for example in pack.examples]

@@ -42,9 +42,7 @@ def script_scores(
     ranker: Extractor, text: Mapping[str, np.ndarray], motions: Sequence[np.ndarray],
     scripts: Sequence[Sequence[tuple[Clause, int]]],
 ) -> np.ndarray:  # fmt: skip
-    """How well each motion (N, 271) does what its script says, shape (M,): the mean cosine of the ranker's vectors over
-    its sentences.
-    """
+    """How well each motion (N, 271) does what its script says, (M,): the ranker's mean cosine over its sentences."""
     pieces: list[np.ndarray] = []
     owners: list[tuple[int, str, int]] = []
     for index, (features, script) in enumerate(zip(motions, scripts, strict=True)):

@@ -74,9 +74,7 @@ def held(values: np.ndarray, frames: int, still: np.ndarray, ease: float = 0.0) 
 
 
 def rests(values: np.ndarray, statistics: FeatureStatistics) -> bool:
-    """Whether a body that moves like this could stay so: the root is slow and the pose hardly changes. `values` are
-    frames at an end of a motion, in network units (`statistics`), shape (N, D).
-    """
+    """Whether a body that moves like this could stay so, by frames at an end of a motion in network units, (N, D)."""
     speed = np.abs(statistics.restore(values)[:, :3]).max()
     return bool(speed < 0.5 and (np.diff(values, axis=0)[:, 4:] ** 2).mean() < 0.02)
 
@@ -128,9 +126,7 @@ class Joins:
         return splice(piece[max(0, i - frames) :], values, min(i, frames), j, BLEND)
 
     def followed(self, values: np.ndarray, target: int, goes: bool, random: np.random.Generator) -> np.ndarray:
-        """The motion with standing, or walking on where it `goes`, after it, of about `target` frames; the very array
-        where no pose agrees.
-        """
+        """The motion with standing, or walking on where it `goes`, after it; the very array where no pose agrees."""
         best: tuple[float, int, int, np.ndarray] | None = None
         bank = len(self.standing) + (len(self.walking) if goes else 0)
         if bank == 0:

@@ -1,3 +1,1 @@
-"""Physics for characters whose files have none: chains of bones, how each kind of them swings, and the rigid bodies and
-joints that they become.
-"""
+"""Chains of links that swing: hair, skirts, capes, sleeves, tails, ears and ribbons."""

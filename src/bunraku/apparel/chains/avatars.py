@@ -18,15 +18,12 @@ __all__ = ["VrmValues", "between_frames", "fitted_springs", "link_turns", "mmd_a
 
 RATE = 60  # steps a second
 
-
 VrmValues = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Stiffness, drag and gravity power of links, each of shape (C, S) or one that fits."""
 
 
 def between_frames(turns: np.ndarray, positions: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (N, ..., 3, 3) and positions (N, ..., 3) of frames at the times of VRM's steps: positions linear,
-    rotations those of the nearest frame.
-    """
+    """Rotations, of the nearest frames, and positions, linear, of frames (N, ...) at the times of VRM's steps."""
     parts = max(1, round(RATE / fps))
     time = np.arange((len(positions) - 1) * parts + 1) / parts
     before = np.minimum(time.astype(np.int64), len(positions) - 1)

@@ -342,9 +342,7 @@ class _LegsBehind:
 def _beyond(
     points: np.ndarray, balls: np.ndarray, out: np.ndarray, radii: np.ndarray, about: np.ndarray
 ) -> np.ndarray:  # fmt: skip
-    """How far balls (N, P, 3) with radii (P,) reach beyond points (N, M, 3) in their directions, shape (N, M); a point
-    stands for what lies so far about it (M,).
-    """
+    """How far balls (N, P, 3) reach beyond points (N, M, 3), which stand for what is near (M,), along `out`, (N, M)."""
     farthest = np.zeros(points.shape[:2])
     for centre, radius in zip(np.swapaxes(balls, 0, 1), radii, strict=True):
         away = centre[:, None] - points

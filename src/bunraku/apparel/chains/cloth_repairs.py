@@ -203,9 +203,7 @@ class MendTears:
     def _bad_edges(
         self, clothed: ClothedCharacter, shown: Frames, carried: Frames, count: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Edges of apparel, shape (E, 2), the part of each, and in how much more of the frames it is stretched or
-        folded than where all goes with the body.
-        """
+        """Edges of apparel (E, 2), their parts, and in how much more frames they are bad than where all is carried."""
         clean = clean_mesh(clothed.rest, clothed.faces)
         first = np.unique(clean.index, return_index=True)[1]
         edges = first[unique_edges(clean.faces, len(clean.vertices))]

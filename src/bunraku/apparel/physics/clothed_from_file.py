@@ -131,9 +131,7 @@ def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
 
 
 def _swing(rig: ApparelRig, chain: list[int], line: list[int], joints: dict[int, _Joint], points: np.ndarray) -> Swing:
-    """How points (N, 3) swing that a body holds, by the bodies of its chain from the first on to itself, and by `line`,
-    these and those that hang on it in turn.
-    """
+    """How points (N, 3) of the last body of a chain swing, by it and by `line`, it and what hangs on it in turn."""
     counts = np.array([joints[index].turn for index in line])
     counts /= counts.sum()
     pivots = np.array([joints[index].pivot for index in line])
