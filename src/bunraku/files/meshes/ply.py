@@ -36,11 +36,7 @@ class _Element:
 
 
 def read_ply(path: Path, data: bytes) -> Character:
-    """Read a PLY file; polygons become fans of triangles.
-
-    Args:
-        path: The file; a texture that it names is looked for in its folder only.
-        data: Its bytes.
+    """Read a PLY file; polygons become fans of triangles. A texture that it names is looked for in its folder only.
 
     Raises:
         FormatError: The file is truncated or broken.
@@ -290,13 +286,8 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribut
 
 
 def read_stl(path: Path, data: bytes) -> Character:
-    """Read an STL file; vertices are numbered as they come first, triangles keep their order.
-
-    Triangles with two corners at one position have no surface and are dropped.
-
-    Args:
-        path: The file.
-        data: Its bytes.
+    """Read an STL file: vertices in the order of their first use, triangles in that of the file. Triangles with two
+    corners at one position are dropped.
 
     Raises:
         FormatError: The file is truncated or broken.
@@ -340,7 +331,7 @@ def _text(path: Path, data: bytes) -> np.ndarray:
 
 
 def _welded(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corners without repetitions, and the triangles that have three different ones, shapes (V, 3) and (F, 3)."""
+    """Corners without repetitions (V, 3), and the triangles that have three different ones (F, 3)."""
     corners = np.ascontiguousarray(corners, np.float32) + np.float32(0)  # no -0.0: the bits are compared
     keys = corners.view(np.dtype((np.void, 12))).ravel()
     _, first, vertex = np.unique(keys, return_index=True, return_inverse=True)

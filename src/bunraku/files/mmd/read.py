@@ -345,7 +345,7 @@ def _pmd_bone(reader: MmdReader, out: MmdFile, index: int) -> tuple[MmdBone, int
 
 
 def _twisting(bone: MmdBone, tail: int, kind: int, bones: list[tuple[MmdBone, int]]) -> MmdBone:
-    """The bone; one that twists turns only about the line to its tail."""
+    """The bone; one that twists rotates only about the line to its tail."""
     if kind != _TWIST or not 0 <= tail < len(bones):
         return bone
     line = bones[tail][0].position - bone.position
@@ -371,7 +371,7 @@ def _link(bone: int, out: MmdFile) -> MmdIkLink:
 
 
 def _display(reader: MmdReader) -> int:
-    """Pass over what editors show, and tell how many groups of bones there are."""
+    """Pass over what editors show, and return how many groups of bones there are."""
     reader.skip(2 * reader.count("shown morphs", 2, "B"))
     groups = reader.count("groups of bones", 50, "B")
     reader.skip(50 * groups)

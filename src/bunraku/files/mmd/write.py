@@ -57,10 +57,7 @@ def _signed(count: int) -> int:
 
 
 def pmx_bytes(file: MmdFile) -> bytes:
-    """The bytes of a PMX file; `read_pmx_file` reads them back.
-
-    Args:
-        file: What it shall say; the pictures of its textures are files of their own.
+    """The bytes of a PMX file, which `read_pmx_file` reads back; the pictures of its textures are files of their own.
 
     Raises:
         FormatError: It has more bones, rigid bodies or joints than are read.
@@ -230,12 +227,8 @@ def _joint(out: _Writer, joint: MmdJoint) -> None:
 
 
 def save_pmx(character: Character, path: str | Path, avatar: MmdModel | None = None) -> Path:
-    """Write a character as PMX, and its pictures into a folder beside it; nothing half-written is left behind.
-
-    Args:
-        character: With a rig.
-        path: The file.
-        avatar: Rigid bodies and joints of its bones; those of its model by default.
+    """Write a character with a rig as PMX, and its pictures into a folder beside it, with the rigid bodies and joints
+    of an avatar, by default those of its own model.
 
     Raises:
         CharacterError: It has no rig.
@@ -267,7 +260,7 @@ def save_pmx(character: Character, path: str | Path, avatar: MmdModel | None = N
 def write_character(
     character: Character, handles: Handles | None, path: Path, *, rig: bool = False, avatar: MmdModel | None = None
 ) -> Path:
-    """Write a character to PMX with its rig, and with the rigid bodies and joints of an avatar by its bones.
+    """`save_pmx` in the form that the registry calls.
 
     Raises:
         CharacterError: There is no rig to write.
@@ -281,8 +274,8 @@ def write_character(
 
 
 def pmx_file(character: Character) -> MmdFile:
-    """What a PMX of a character says, in MMD's frame and unit where `MmdFile` wants it. The texture of a material is
-    the number of its image, in words.
+    """The PMX of a character, in MMD's frame and unit where `MmdFile` wants it. The texture of a material is the number
+    of its image, as text.
 
     Raises:
         CharacterError: It has no rig.
@@ -325,7 +318,7 @@ def pmx_file(character: Character) -> MmdFile:
 
 
 def _mesh(out: MmdFile, character: Character, source: Source) -> np.ndarray:
-    """Put the document's vertices and triangles into a file; gives the character's vertex of each."""
+    """Put the document's vertices and triangles into a file; returns the character's vertex of each."""
     document, start, base = source.document, 0, 0
     smooth = vertex_normals(character.vertices.astype(np.float64), character.faces)
     chosen, uvs, normals, triangles = [], [], [], []
@@ -361,7 +354,7 @@ def _mesh(out: MmdFile, character: Character, source: Source) -> np.ndarray:
 
 
 def _material(document: Document, entry: dict[str, Any], corners: int) -> MmdMaterial:
-    """A material of MMD that is seen in the colour of one of glTF."""
+    """A material of MMD that shows the colour of one of glTF."""
     shader = entry.get("pbrMetallicRoughness", {})
     factor = np.array(shader.get("baseColorFactor", [1.0, 1, 1, 1]), float)
     seen = srgb_from_linear(factor[:3])
@@ -408,7 +401,7 @@ def _bones(character: Character) -> list[MmdBone]:
 
 
 def _layers(parents: np.ndarray) -> list[int]:
-    """The layer of each bone: MMD moves bones in the order of the file, so one whose parent comes later is in a higher
+    """The layer of each bone: MMD moves bones in the order of the file, so one whose parent comes later needs a higher
     layer than that.
     """
     out = [0] * len(parents)
@@ -429,7 +422,7 @@ def _tails(parents: np.ndarray) -> dict[int, int]:
 
 
 def _units(positions: np.ndarray) -> np.ndarray:
-    """Positions [m] as a file holds them, such that reading gives the same 32-bit numbers wherever there are such."""
+    """Positions [m] in MMD's unit, such that reading gives the same 32-bit numbers wherever possible."""
     wanted = positions.astype(np.float32)
     best = (positions / MMD_METRE).astype(np.float32)
     for way in (-np.inf, np.inf):
