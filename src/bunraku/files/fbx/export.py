@@ -1,4 +1,4 @@
-"""Write FBX: meshes, materials with their textures, joints, skin, shapes and clips, by a writer of our own.
+"""Write FBX: meshes, materials with their textures, joints, skin, shapes and clips.
 
 The file is binary FBX 7.4, which Blender, Unity, Unreal, Maya, 3ds Max, Godot and three.js read.
 """
@@ -37,18 +37,15 @@ def write_fbx(
     up: str = "+y",
     unit: str = "cm",
 ) -> Path:
-    """Write an animation as FBX.
+    """Write an animation of handles or of the bones of the character's own rig as FBX.
 
     Args:
-        animation: The animation, of handles or of the bones of the character's own rig.
+        animation: The animation.
         path: The file.
         fps: Frames a second [1/s]; those of the motion by default.
         name: The clip's name; the file's by default.
         up: The axis that is up in the file, "+y" or "+z".
         unit: The unit of its lengths, one of `bunraku.core.geometry.axes.UNITS`; most FBX files are in "cm".
-
-    Returns:
-        The file that was written.
 
     Raises:
         FormatError: The file cannot be written.
@@ -66,17 +63,7 @@ def write_clips(
     unit: str = "cm",
 ) -> Path:
     """Write several animations of one character, by the same handles or the same bones, each as a clip of its name.
-
-    Args:
-        clips: At least one.
-        path: The file.
-        fps: Frames a second of all [1/s]; those of each motion by default.
-        up: The axis that is up in the file, "+y" or "+z".
-        unit: The unit of its lengths.
-
-    Raises:
-        FormatError: The file cannot be written.
-        OptionError: An option makes no sense.
+    Further arguments and errors are those of `write_fbx`.
     """
     first = next(iter(clips.values()))
     moved = {name: clip.at(checked_fps(fps, clip.fps)) for name, clip in clips.items()}
@@ -105,12 +92,9 @@ def write_points(
     Args:
         animation: The animation.
         path: The file.
-        fps: Frames a second [1/s]; those of the motion by default.
-        name: The clip's name; the file's by default.
-        up: The axis that is up in the file, "+y" or "+z".
-        unit: The unit of its lengths.
-        tolerance: How far a vertex may be off [m]; 0.05 % of the height by default.
-        shapes: "bones", "mixed", "keys" or "auto", as `formats.gltf.write_points.fitted_points` has them.
+        fps, name, up, unit: As in `write_fbx`.
+        tolerance: Largest error of a vertex [m]; 0.05 % of the height by default.
+        shapes: "bones", "mixed", "keys" or "auto", as in `files.gltf.write_points.fitted_points`.
 
     Raises:
         FormatError: The file cannot be written.
@@ -174,12 +158,10 @@ def _write(
     Args:
         character: The character.
         bones: What moves it.
-        tracks: What these do in each clip.
-        path: The file.
-        up: The axis that is up.
-        unit: The unit of lengths.
-        shapes: How far shapes take each vertex [m], shape (T, V, 3), and
-        keys: the frames and amounts of these in the one clip.
+        tracks: What the bones do in each clip.
+        path, up, unit: The file, its up axis and its unit of lengths.
+        shapes: Displacement of each vertex by each shape [m], shape (T, V, 3).
+        keys: Frames and amounts of the shapes in the one clip.
     """
     if path.suffix.lower() != ".fbx":
         raise OptionError(f"FBX is written to a file that ends in .fbx, not in {path.suffix or 'nothing'}")

@@ -22,13 +22,13 @@ MAX_SLOTS = 300_000  # joints of all skins: many skins may name the same ones, a
 
 @dataclass(frozen=True)
 class NodeTree:
-    """The nodes of a document in a pose: the default one as `read_nodes` gives it.
+    """The nodes of a document in a pose, the default one from `read_nodes`.
 
     Args:
         parents: Parent of each node, shape (M,); -1 for a root.
         world: World transform of each node in this pose [m], shape (M, 4, 4).
         scene: Nodes of the default scene, ascending.
-        local: Transform of each node in its parent as the file says, whatever the pose, shape (M, 4, 4).
+        local: Transform of each node in its parent as in the file, whatever the pose, shape (M, 4, 4).
     """
 
     parents: np.ndarray
@@ -48,7 +48,9 @@ class NodeTree:
         return order
 
     def nearest(self, chosen: dict[int, int]) -> np.ndarray:
-        """What is chosen for the nearest of the chosen nodes at or above each node, -1 for none, shape (M,)."""
+        """The value that is chosen for the nearest of the chosen nodes at or above each node, -1 for none,
+        shape (M,).
+        """
         parents = self.parents.tolist()
         found = [-1] * len(parents)
         for node in self.order:
@@ -72,7 +74,7 @@ class SkinJoints:
         nodes: Node of each joint, length J.
         slots: For each skin, the joint of each of its slots.
         inverse: For each skin, the inverse bind matrix of each slot, shape (slots, 4, 4).
-        bind: For each skin, what takes a raw mesh to the pose of the tree through each slot, shape (slots, 4, 4).
+        bind: For each skin, the transform of a raw mesh to the pose of the tree through each slot, shape (slots, 4, 4).
         mirrored: Whether each skin turns its meshes inside out.
     """
 
@@ -92,9 +94,8 @@ def posed_skins(skins: SkinJoints, tree: NodeTree) -> SkinJoints:
 
 
 def read_nodes(document: Document) -> NodeTree:
-    """World transforms and the default scene of a document.
-
-    A VRM 0.x avatar looks along -Z; it is turned to look along +Z as glTF asks for and as VRM 1.0 does.
+    """World transforms and the default scene of a document. A VRM 0.x avatar looks along -Z; it is turned to look along
+    +Z, as glTF and VRM 1.0 do.
 
     Raises:
         FormatError: The tree has a cycle or a node with two parents, a transform is not finite, or there are too many
@@ -199,13 +200,7 @@ GROWTH = 3.0  # a bind pose whose joints reach this much farther, or less far, t
 
 
 def bind_pose(document: Document, tree: NodeTree, skins: SkinJoints) -> NodeTree:
-    """The tree with its joints in the bind pose, or the same tree where the file has none that makes sense.
-
-    Args:
-        document: The document.
-        tree: Its nodes in their default pose.
-        skins: Its joints.
-    """
+    """The tree with its joints in the bind pose, or the same tree where the file has none that makes sense."""
     fixed: dict[int, np.ndarray] = {}
     visited = 0
     for skin, meshes in _used_skins(document, tree, skins):
@@ -277,9 +272,9 @@ def _placement(
     """The transform G from the space of the inverse bind matrices to the world, shape (4, 4), None where nothing fits.
 
     Exporters differ in that space: it is that of the node above the skeleton, that of the mesh, or the world. Of those
-    that give the bones the length that they have in the file, the one that brings the joints closest to the default
-    pose is right, turned by a quarter or a half about +Y where only the clip turned the skeleton to the front. Where
-    none does, the skeleton's root is put where it is by default.
+    that give the bones their length in the file, the one that brings the joints closest to the default pose is right,
+    rotated by a quarter or a half circle about +Y where only the clip turned the skeleton to the front. Where none
+    does, the skeleton's root is put where it is by default.
     """
     joints: dict[int, int] = {}
     for i, node in enumerate(nodes):
@@ -311,11 +306,9 @@ def _placement(
 
 
 def _facing(placement: np.ndarray, placed: np.ndarray, target: np.ndarray, root: int) -> np.ndarray:
-    """The placement turned by quarters about the vertical through its root joint, to face where the default pose does,
-    shape (4, 4).
-
-    The mean turn of all joints tells: clips turn single limbs any way, but all joints one way only where they turn the
-    whole.
+    """The placement rotated by quarter circles about the vertical through its root joint, to face where the default
+    pose does, shape (4, 4). The mean rotation of all joints decides: clips rotate single limbs any way, but all joints
+    one way only with the whole body.
     """
     own, want = (
         some[:, :3, :3] / np.cbrt(np.abs(np.linalg.det(some[:, :3, :3])) + 1e-30)[:, None, None]
@@ -331,8 +324,8 @@ def _facing(placement: np.ndarray, placed: np.ndarray, target: np.ndarray, root:
 
 
 def _size_ratio(placed: np.ndarray, target: np.ndarray, pairs: list[tuple[int, int]]) -> float:
-    """How much longer the bones are than they should be, the median; of single joints how much larger their axes
-    are.
+    """How much longer the bones are than they should be, the median; for single joints how much larger their
+    axes are.
     """
     child, parent = np.array([i for i, _ in pairs], int), np.array([j for _, j in pairs], int)
     own = np.linalg.norm(placed[child, :3, 3] - placed[parent, :3, 3], axis=1)
@@ -437,7 +430,7 @@ def node_worlds(
 
 
 def _front(document: Document) -> np.ndarray:
-    """What turns a VRM 0.x avatar, which looks along -Z, as reading its character does."""
+    """The rotation that `read_nodes` gives a VRM 0.x avatar, else the identity."""
     extensions = document.tree.get("extensions")
     return np.diag([-1.0, 1, -1, 1]) if isinstance(extensions, dict) and "VRM" in extensions else np.eye(4)
 

@@ -31,10 +31,8 @@ SECONDS = 120
 
 
 def unpack_primitives(document: Document) -> None:
-    """Give the compressed primitives of a document plain accessors, in place.
-
-    Primitives whose accessors have data of their own, as those of files for viewers without Draco do, are read from
-    there.
+    """Give the compressed primitives of a document plain accessors, in place. Primitives whose accessors have data of
+    their own, as in files for viewers without Draco, are read from there.
 
     Raises:
         FormatError: A primitive is broken, or takes more memory than the file may.
@@ -79,7 +77,7 @@ def _draco_plain(document: Document, primitive: dict[str, object]) -> bool:
 
 
 def _declared(document: Document, packed: dict[int, list[tuple[dict[str, object], dict[str, object]]]]) -> int:
-    """About how many bytes the accessors of the packed primitives say that they take."""
+    """About how many bytes the accessors of the packed primitives declare."""
     total = 0
     for users in packed.values():
         for primitive, _ in users:
@@ -88,7 +86,7 @@ def _declared(document: Document, packed: dict[int, list[tuple[dict[str, object]
 
 
 def _draco_unpacked(document: Document, meshes: list[bytes]) -> dict[str, np.ndarray]:
-    """What `draco_process` makes of packed meshes."""
+    """Packed meshes as `draco_process` unpacks them."""
     from zipfile import BadZipFile
 
     own = document.size or sum(map(len, meshes))
@@ -163,9 +161,8 @@ _FILTERS: dict[str, tuple[str, tuple[int, ...]]] = {
 
 
 def unpack_views(document: Document) -> None:
-    """Replace the compressed buffer views of a document by plain ones, in place.
-
-    A view that also lies uncompressed in its buffer is read from there.
+    """Replace the compressed buffer views of a document by plain ones, in place. A view that also lies uncompressed in
+    its buffer is read from there.
 
     Raises:
         FormatError: A view is broken, or takes more memory than the file may.
@@ -203,14 +200,14 @@ def unpack_views(document: Document) -> None:
 
 
 def _plain(document: Document, view: dict[str, object]) -> bool:
-    """Whether the bytes that a view stands for are there uncompressed too."""
+    """Whether the bytes of a view are there uncompressed too."""
     buffer = document.integer(view, "buffer")
     end = document.integer(view, "byteOffset", 0) + document.integer(view, "byteLength")
     return buffer < len(document.buffers) and end <= len(document.buffers[buffer])
 
 
 def _forget(document: Document) -> None:
-    """Take the extensions out of the lists of what the document needs."""
+    """Remove the extensions from the lists of what the document needs."""
     for key in ("extensionsUsed", "extensionsRequired"):
         names = document.tree.get(key)
         if isinstance(names, list):
@@ -270,14 +267,8 @@ _UNDERSTOOD = (
 
 
 def open_document(path: Path, data: bytes) -> Document:
-    """Parse a GLB or glTF file.
-
-    Args:
-        path: The file; buffers and images are looked for in its folder only.
-        data: Its bytes.
-
-    Returns:
-        The document, with what is compressed in it unpacked.
+    """Parse a GLB or glTF file and unpack what is compressed in it. Buffers and images are looked for in its folder
+    only.
 
     Raises:
         FormatError: The file is truncated or broken, needs an extension that is not understood, or points outside its
@@ -384,7 +375,7 @@ def _buffer(files: _Files, buffer: dict[str, object], chunk: memoryview | None) 
 
 
 class _Files:
-    """What the URIs of a document stand for; a file that many name is read once."""
+    """The bytes behind the URIs of a document; a file with several references is read once."""
 
     def __init__(self, document: Document):
         self.document = document

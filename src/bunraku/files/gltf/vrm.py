@@ -1,4 +1,4 @@
-"""The extensions of VRM in a glTF document: humanoid bones, spring bones and colliders, read and written."""
+"""The extensions of VRM in a glTF document: humanoid bones, spring bones and colliders."""
 
 from __future__ import annotations
 
@@ -24,9 +24,8 @@ _log = logging.getLogger(__name__)
 
 
 def read_vrm(document: Document) -> VrmModel | None:
-    """What a document with VRM's extensions holds, None where it has none.
-
-    Broken springs and colliders are left out with a warning.
+    """What a document with VRM's extensions holds, None where it has none. Broken springs and colliders are left out
+    with a warning.
 
     Raises:
         FormatError: The nodes of the document are broken.
@@ -42,7 +41,7 @@ def read_vrm(document: Document) -> VrmModel | None:
 
 
 class _Reader:
-    """Takes the extensions apart; what makes no sense is noted, and left out."""
+    """Reads the extensions; what makes no sense is noted and left out."""
 
     def __init__(self, document: Document, tree: NodeTree):
         self.nodes = document.items("nodes")
@@ -56,7 +55,7 @@ class _Reader:
         self.swinging = 0
 
     def _visits(self) -> tuple[list[int], list[int]]:
-        """When a walk down the tree comes to each node, and to the last one below it."""
+        """The times at which a walk down the tree reaches each node, and the last one below it."""
         entered = [0] * len(self.nodes)
         order: list[int] = []
         stack = [node for node, parent in enumerate(self.tree.parents) if parent < 0]
@@ -244,7 +243,7 @@ class _Reader:
         return self.entered[other] < self.entered[node] <= self.last[other]
 
     def chains(self, root: int, taken: set[int]) -> list[list[int]]:
-        """All nodes at and below one as chains, a branch as one of its own; a node swings once only."""
+        """All nodes at and below one as chains, with a chain of its own for each branch; a node swings only once."""
         out: list[list[int]] = []
         starts = [root]
         while starts:
@@ -310,7 +309,7 @@ _META = {
     "avatarPermission": "onlyAuthor", "commercialUsage": "personalNonProfit", "creditNotation": "required",
     "modification": "prohibited",
 }  # fmt: skip
-"""What the format asks to be told of an avatar's rights, of which nothing is known here: the strictest of each."""
+"""The rights that the format asks for, of which nothing is known here: the strictest of each."""
 
 
 def add_humanoid(tree: dict[str, Any], rig: Rig, nodes: Sequence[int], title: str) -> None:
@@ -318,8 +317,8 @@ def add_humanoid(tree: dict[str, Any], rig: Rig, nodes: Sequence[int], title: st
 
     Args:
         tree: The document; what it has of the extension stays.
-        rig: A rig whose joints are not turned at rest.
-        nodes: Node of each of its joints.
+        rig: Its bones.
+        nodes: Node of each bone.
         title: Name of the avatar.
     """
     place = {name: number for number, name in enumerate(rig.names)}
@@ -344,21 +343,13 @@ SPRINGS = "VRMC_springBone"
 
 
 def add_springs(tree: dict[str, Any], avatar: VrmModel, nodes: Sequence[int]) -> None:
-    """Add an avatar's springs as `VRMC_springBone`.
-
-    Args:
-        tree: The document.
-        avatar: Its springs and colliders, by bones.
-        nodes: Node of each bone.
-    """
+    """Add an avatar's springs and colliders as `VRMC_springBone`, with the node of each bone."""
     if avatar.springs:
         tree.setdefault("extensions", {})[SPRINGS] = {"specVersion": "1.0", **_springs(avatar, nodes)}
 
 
 def add_spring_extras(tree: dict[str, Any], avatar: VrmModel, nodes: Sequence[int]) -> None:
-    """Add an avatar's springs to the document's extras, as `springs`, in the form of `VRMC_springBone`. Arguments are
-    those of `add_springs`.
-    """
+    """Add an avatar's springs to the document's extras, as `springs`, in the form of `VRMC_springBone`."""
     if avatar.springs:
         extras = tree.get("extras")
         tree["extras"] = {**(extras if isinstance(extras, dict) else {}), "springs": _springs(avatar, nodes)}

@@ -22,7 +22,7 @@ from bunraku.core.motion import checked_fps
 from bunraku.errors import FormatError
 from bunraku.files.gltf.carry import image_type
 from bunraku.files.gltf.colors import MAX_PIXELS, linear_from_srgb
-from bunraku.files.gltf.document import mesh_document
+from bunraku.files.gltf.document import matte_material, mesh_document
 from bunraku.files.gltf.read import character_from_document
 
 if TYPE_CHECKING:
@@ -112,20 +112,13 @@ def read_materials(
 def _material(
     path: Path, name: str, lines: dict[str, str], images: list[tuple[bytes, str]], textures: dict[Path, int | None]
 ) -> dict[str, Any]:
-    shader: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 0.9}
-    material: dict[str, Any] = {"name": name, "pbrMetallicRoughness": shader}
     color = linear_from_srgb(np.clip(_floats(lines.get("kd", ""), 3, 1.0 if "map_kd" in lines else 0.8), 0, 1))
     alpha = 1 - _floats(lines["tr"], 1, 0.0)[0] if "tr" in lines else _floats(lines.get("d", ""), 1, 1.0)[0]
     alpha = float(np.clip(alpha, 0, 1))
     texture = _texture(path, lines["map_kd"], images, textures) if "map_kd" in lines else None
-    if texture is not None:
-        shader["baseColorTexture"] = {"index": texture}
-        if not color.any():
-            color = np.ones(3)  # exporters that leave Kd black beside a texture mean the texture
-    shader["baseColorFactor"] = [*color.tolist(), alpha]
-    if alpha < 1:
-        material["alphaMode"] = "BLEND"
-    return material
+    if texture is not None and not color.any():
+        color = np.ones(3)  # exporters that leave Kd black beside a texture mean the texture
+    return matte_material(name, [*color, alpha], texture)
 
 
 def _floats(text: str, count: int, default: float) -> np.ndarray:

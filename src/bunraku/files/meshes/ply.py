@@ -13,7 +13,7 @@ from bunraku.core.character import Character
 from bunraku.core.files import check_text, path_inside
 from bunraku.errors import FormatError
 from bunraku.files.gltf.colors import linear_from_srgb
-from bunraku.files.gltf.document import Document, mesh_document
+from bunraku.files.gltf.document import Document, matte_material, mesh_document
 from bunraku.files.gltf.read import character_from_document
 from bunraku.files.meshes.obj import BROKEN, embeddable, fans, parse_numbers
 
@@ -93,12 +93,9 @@ def _document(path: Path, vertices: dict[str, np.ndarray], triangles: np.ndarray
         )
     if uvs is not None:
         uvs = np.nan_to_num(np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1))
-    shader: dict = {"metallicFactor": 0, "roughnessFactor": 0.9}
     target = path_inside(path.parent, texture) if texture and uvs is not None else None
     image = embeddable(target) if target is not None and os.path.isfile(target) else None
-    if image is not None:
-        shader["baseColorTexture"] = {"index": 0}
-    materials: list[dict[str, object]] = [{"name": path.stem, "pbrMetallicRoughness": shader}]
+    materials = [matte_material(path.stem, texture=None if image is None else 0)]
     images = [image] if image else None
     return mesh_document(
         path, positions, [(triangles, 0)], normals=normals, uvs=uvs, colors=colors, materials=materials, images=images
@@ -303,11 +300,8 @@ def read_stl(path: Path, data: bytes) -> Character:
         check_text(path, data)
     corners = _text(path, data) if text else _binary(path, data, count)
     vertices, triangles = _welded(corners)
-    material: dict[str, object] = {
-        "name": path.stem,
-        "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9, "baseColorFactor": [0.6, 0.6, 0.6, 1]},
-    }
-    document = mesh_document(path, vertices, [(triangles, 0)], materials=[material])
+    grey = matte_material(path.stem, (0.6, 0.6, 0.6, 1))
+    document = mesh_document(path, vertices, [(triangles, 0)], materials=[grey])
     return character_from_document(document, path.stem, suffix=".stl")
 
 

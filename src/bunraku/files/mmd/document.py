@@ -15,7 +15,7 @@ import numpy as np
 from bunraku.core.avatars import MmdBone
 from bunraku.core.files import path_inside
 from bunraku.files.gltf.colors import linear_from_srgb
-from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Document, GltfBuilder
+from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Document, GltfBuilder, matte_material
 from bunraku.files.meshes.obj import embeddable
 
 __all__ = ["MmdMaterial", "model_document"]
@@ -65,7 +65,7 @@ def model_document(
         bones: Without loops.
         note: Called with a problem and the name of its subject.
     """
-    builder = GltfBuilder({"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"nodes": [0]}]})
+    builder = GltfBuilder()
     positions, normals, uvs, triangles = mesh
     names = name or path.stem
     builder.tree["materials"] = _materials(path, materials, builder, note)
@@ -137,13 +137,10 @@ def _materials(
     out = []
     for material in materials:
         colors = np.clip(np.nan_to_num([*material.diffuse[:3] * LIGHT + material.ambient, material.diffuse[3]]), 0, 1)
-        shader: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 0.9}
-        shader["baseColorFactor"] = [*linear_from_srgb(colors[:3]).tolist(), float(colors[3])]
-        entry: dict[str, Any] = {"name": material.name, "pbrMetallicRoughness": shader}
         found = _texture(path, material.texture, images, builder, note) if material.texture else None
-        if found is not None:
-            shader["baseColorTexture"] = {"index": found[0]}
-        if colors[3] < 1 or (found is not None and found[1]):
+        texture, clear = (None, False) if found is None else found
+        entry = matte_material(material.name, [*linear_from_srgb(colors[:3]), colors[3]], texture)
+        if clear:
             entry["alphaMode"] = "BLEND"
         if material.double_sided:
             entry["doubleSided"] = True

@@ -319,15 +319,13 @@ def pmx_file(character: Character) -> MmdFile:
 
 def _mesh(out: MmdFile, character: Character, source: Source) -> np.ndarray:
     """Put the document's vertices and triangles into a file; returns the character's vertex of each."""
-    document, start, base = source.document, 0, 0
+    document, base = source.document, 0
     smooth = vertex_normals(character.vertices.astype(np.float64), character.faces)
     chosen, uvs, normals, triangles = [], [], [], []
     materials = document.items("materials")
-    for part in source.parts:
+    for part, rows in source.placed():
         primitives = document.objects(document.item("meshes", part.mesh), "primitives")
-        for group in part.groups:
-            own = source.index[start : start + len(group.vertices)]
-            start += len(own)
+        for group, own in part.split(rows):
             attributes = primitives[group.primitives[0]].get("attributes", {})
             known = attributes.get("TEXCOORD_0")
             uv = np.zeros((len(own), 2)) if known is None else document.accessor(known, ("VEC2",)).astype(np.float64)
