@@ -9,7 +9,7 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
@@ -19,6 +19,7 @@ import tyro
 
 from bunraku.cli.manifest import check_free, note_written
 from bunraku.core.request import WHOLE, Limit
+from bunraku.core.request import Progress as Report
 from bunraku.errors import FormatError, OptionError
 from bunraku.language.prompts import check_prompt, split_name
 from bunraku.pipelines.requests import Apparel
@@ -59,8 +60,6 @@ __all__ = [
 ]
 
 
-Report = Callable[[str, float], None]
-"""Called with the name of a stage and the share of it that is done, 0 to 1."""
 SHORT = 0.5
 """Stages that are over in less [s] are not worth a line."""
 

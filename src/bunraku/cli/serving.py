@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import tyro
 
 from bunraku.core.files import path_inside
-from bunraku.core.request import from_json
+from bunraku.core.request import Progress, from_json
 from bunraku.errors import BunrakuError, FormatError, MissingExtraError, OptionError
 from bunraku.pipelines.requests import Apparel, Constraints, Request, Sampling, TransferRequest
 
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Answer", "Serve", "Tools", "mcp_server"]
 
-
-Progress = Callable[[str, float], None]
 
 PICTURE_FRAMES = 6
 """Moments that the picture of an animation shows."""

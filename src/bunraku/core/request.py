@@ -6,7 +6,7 @@ import json
 import math
 import re
 import types
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, ClassVar, Literal, NoReturn, Self, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
@@ -15,8 +15,8 @@ import numpy as np
 from bunraku.errors import OptionError
 
 __all__ = [
-    "CANDIDATES", "Constraint", "FPS", "GRAVITY", "GUIDANCE", "Limit", "SECONDS", "SEED", "STEPS", "STIFFNESS", "TAKES",
-    "WHOLE", "from_json", "option", "read_json", "to_json",
+    "CANDIDATES", "Constraint", "FPS", "GRAVITY", "GUIDANCE", "Limit", "Progress", "SECONDS", "SEED", "STEPS",
+    "STIFFNESS", "TAKES", "WHOLE", "from_json", "option", "read_json", "to_json",
 ]  # fmt: skip
 
 
@@ -57,6 +57,8 @@ GRAVITY = Limit("gravity", 0, 10)
 """Factor on the gravity of simulated apparel."""
 
 
+Progress = Callable[[str, float], None]
+"""Called with the name of a stage and the share of it that is done, 0 to 1."""
 Kind = TypeVar("Kind")
 MOST_ENTRIES = 1000
 """Entries of a list."""

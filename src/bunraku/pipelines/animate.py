@@ -14,6 +14,7 @@ from bunraku.core.animation import AnimatedCharacter, Animation
 from bunraku.core.body.layout import kept_handles
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
+from bunraku.core.request import Progress
 from bunraku.core.travel import GroundPath
 from bunraku.errors import MotionError, OptionError
 from bunraku.generation.candidates import SamplingSettings
@@ -25,9 +26,6 @@ from bunraku.retarget.fit import Stages
 from bunraku.retarget.pins import Pin, meet_pins
 
 __all__ = ["animate", "edit", "edited", "generate", "rig", "with_skeleton"]
-
-
-Progress = Callable[[str, float], None]
 
 
 def rig(

@@ -19,7 +19,7 @@ from bunraku.anatomy.handles.predict import Predictor
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, resample
-from bunraku.core.request import SECONDS
+from bunraku.core.request import SECONDS, Progress
 from bunraku.core.travel import GroundPath
 from bunraku.errors import CharacterError, FormatError, OptionError
 from bunraku.generation.candidates import SamplingSettings
@@ -78,7 +78,6 @@ class _Bars:
             self.handle.update(picture)
 
 
-Progress = Callable[[str, float], None]
 AT_ONCE = 8
 """Sentences in one pass of the network."""
 STRETCH = 40.0

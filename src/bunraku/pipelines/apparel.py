@@ -8,7 +8,6 @@ with the body; a mask says which vertices are apparel.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
@@ -34,6 +33,7 @@ from bunraku.core.animation import Animation, PointAnimation, RigAnimation
 from bunraku.core.body.layout import JOINT_COUNT
 from bunraku.core.character import Character
 from bunraku.core.nn.checkpoints import dated_checkpoint
+from bunraku.core.request import Progress
 from bunraku.errors import CharacterError
 from bunraku.pipelines.clothes import (
     body_of_handles,
@@ -46,7 +46,6 @@ from bunraku.pipelines.requests import Apparel
 
 __all__ = ["animated_clothed", "chained", "dressed", "learned", "shipped_displacement"]
 
-Progress = Callable[[str, float], None]
 LEAST = 0.004
 """Share of the surface under which `auto` takes a mesh to have no apparel."""
 RATE = 30.0

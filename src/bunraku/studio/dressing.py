@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import struct
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +15,7 @@ from bunraku.core.arrays import read_npy
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import atomic_write, read_bounded
 from bunraku.core.motion import HandleMotion
+from bunraku.core.request import Progress as Report
 from bunraku.errors import CharacterError, FormatError, OptionError
 from bunraku.files import document_of
 from bunraku.pipelines.requests import Apparel
@@ -172,7 +172,6 @@ def paint(mask: np.ndarray, path: Path) -> None:
         file.write(packed.getvalue())
 
 
-Report = Callable[[str, float], None]
 MOST_PLACES = 30_000_000
 """Vertices times frames of apparel that moves on its own, which takes 24 bytes for each."""
 LEAST = 0.01

@@ -14,6 +14,7 @@ from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import atomic_write
 from bunraku.core.motion import HandleMotion, resample
+from bunraku.core.request import Progress as Report
 from bunraku.errors import OptionError
 from bunraku.generation.features import decode, encode
 from bunraku.generation.library import clip as find_clip
@@ -49,7 +50,6 @@ __all__ = [
 ]
 
 
-Report = Callable[[str, float], None]
 Partly = Callable[[dict[str, Any]], None]
 
 
