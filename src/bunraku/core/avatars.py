@@ -13,7 +13,6 @@ __all__ = [
     "vrm_model",
 ]  # fmt: skip
 
-
 MMD_METRE = 0.08
 """Length of one MMD unit [m]; MMD defines none, and this makes its stock characters as tall as people."""
 BODY_SHAPES = ("sphere", "box", "capsule")

@@ -56,7 +56,6 @@ STIFFNESS = Limit("stiffness", 0.001, 1000)
 GRAVITY = Limit("gravity", 0, 10)
 """Factor on the gravity of simulated apparel."""
 
-
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and the share of it that is done, 0 to 1."""
 Kind = TypeVar("Kind")

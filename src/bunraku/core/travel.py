@@ -20,7 +20,6 @@ __all__ = [
     "put_back_runs", "repeated",
 ]  # fmt: skip
 
-
 MOST = 200
 """Points of a path."""
 DENSE = 64

@@ -27,28 +27,27 @@ __all__ = [
     "load_character", "load_with_clips", "read_motion", "resolve_unit", "save", "save_character",
 ]  # fmt: skip
 
-_FILES = "bunraku.files"
 _USD = (".usd", ".usda", ".usdc", ".usdz")
 
 READERS: dict[str, dict[str, str]] = {
     "character": {
-        ".glb": f"{_FILES}.gltf.read:read_gltf",
-        ".vrm": f"{_FILES}.gltf.read:read_gltf",
-        ".gltf": f"{_FILES}.gltf.read:read_gltf",
-        ".ply": f"{_FILES}.meshes.ply:read_ply",
-        ".obj": f"{_FILES}.meshes.obj:read_obj",
-        ".stl": f"{_FILES}.meshes.ply:read_stl",
-        ".fbx": f"{_FILES}.fbx.read:read_fbx",
-        ".pmx": f"{_FILES}.mmd.read:read_model",
-        ".pmd": f"{_FILES}.mmd.read:read_model",
+        ".glb": "bunraku.files.gltf.read:read_gltf",
+        ".vrm": "bunraku.files.gltf.read:read_gltf",
+        ".gltf": "bunraku.files.gltf.read:read_gltf",
+        ".ply": "bunraku.files.meshes.ply:read_ply",
+        ".obj": "bunraku.files.meshes.obj:read_obj",
+        ".stl": "bunraku.files.meshes.ply:read_stl",
+        ".fbx": "bunraku.files.fbx.read:read_fbx",
+        ".pmx": "bunraku.files.mmd.read:read_model",
+        ".pmd": "bunraku.files.mmd.read:read_model",
     },
     "motion": {
-        ".glb": f"{_FILES}.gltf.vrma:read_glb_motion",
-        ".npz": f"{_FILES}.motions.arrays:read_any_motion",
-        ".npy": f"{_FILES}.motions.arrays:read_humanml3d",
-        ".bvh": f"{_FILES}.motions.bvh:read_bvh",
-        ".vrma": f"{_FILES}.gltf.vrma:read_vrma",
-        ".fbx": f"{_FILES}.fbx.clips:read_motion",
+        ".glb": "bunraku.files.gltf.vrma:read_glb_motion",
+        ".npz": "bunraku.files.motions.arrays:read_any_motion",
+        ".npy": "bunraku.files.motions.arrays:read_humanml3d",
+        ".bvh": "bunraku.files.motions.bvh:read_bvh",
+        ".vrma": "bunraku.files.gltf.vrma:read_vrma",
+        ".fbx": "bunraku.files.fbx.clips:read_motion",
     },
 }
 """What makes a character or a motion of a path and its bytes, by the suffix.
@@ -59,40 +58,40 @@ function of a room above, such as a renderer, which `core.saving.provide` makes 
 
 WRITERS: dict[str, dict[str, str]] = {
     "animation": {
-        ".glb": f"{_FILES}.gltf.write:write_animation",
-        ".ply": f"{_FILES}.meshes.obj:write_ply_sequence",
-        ".obj": f"{_FILES}.meshes.obj:write_obj_sequence",
-        **dict.fromkeys(_USD, f"{_FILES}.usd:write_usd"),
-        ".npz": f"{_FILES}.motions.arrays:write_animation",
+        ".glb": "bunraku.files.gltf.write:write_animation",
+        ".ply": "bunraku.files.meshes.obj:write_ply_sequence",
+        ".obj": "bunraku.files.meshes.obj:write_obj_sequence",
+        **dict.fromkeys(_USD, "bunraku.files.usd:write_usd"),
+        ".npz": "bunraku.files.motions.arrays:write_animation",
         ".bvh": "write_humanoid_bvh",
         ".vrma": "write_humanoid_vrma",
-        ".fbx": f"{_FILES}.fbx.export:write_fbx",
+        ".fbx": "bunraku.files.fbx.export:write_fbx",
         ".vmd": "write_character_vmd",
         ".html": "write_html",
         **dict.fromkeys((".mp4", ".webp", ".gif", ".png"), "save_preview"),
     },
     "rig animation": {
-        ".glb": f"{_FILES}.gltf.write_rig:save_rig_animation",
-        **dict.fromkeys(_USD, f"{_FILES}.usd:write_usd"),
-        ".fbx": f"{_FILES}.fbx.export:write_fbx",
+        ".glb": "bunraku.files.gltf.write_rig:save_rig_animation",
+        **dict.fromkeys(_USD, "bunraku.files.usd:write_usd"),
+        ".fbx": "bunraku.files.fbx.export:write_fbx",
         ".vmd": "write_character_vmd",
         ".html": "write_html",
     },
     "points": {
-        ".glb": f"{_FILES}.gltf.write_points:write_point_animation",
-        ".ply": f"{_FILES}.meshes.obj:write_ply_sequence",
-        ".obj": f"{_FILES}.meshes.obj:write_obj_sequence",
-        **dict.fromkeys(_USD, f"{_FILES}.usd:write_points"),
-        ".fbx": f"{_FILES}.fbx.export:write_points",
+        ".glb": "bunraku.files.gltf.write_points:write_point_animation",
+        ".ply": "bunraku.files.meshes.obj:write_ply_sequence",
+        ".obj": "bunraku.files.meshes.obj:write_obj_sequence",
+        **dict.fromkeys(_USD, "bunraku.files.usd:write_points"),
+        ".fbx": "bunraku.files.fbx.export:write_points",
         ".html": "write_html",
         **dict.fromkeys((".mp4", ".webp", ".gif", ".png"), "save_preview"),
     },
     "motion": {".npz": "write_motion_npz", ".bvh": "write_motion_bvh", ".vrma": "write_motion_vrma"},
     "character": {
-        ".glb": f"{_FILES}.gltf.write_rig:write_character",
-        ".vrm": f"{_FILES}.gltf.vrma:write_avatar",
-        ".fbx": f"{_FILES}.fbx.export:write_character",
-        ".pmx": f"{_FILES}.mmd.write:write_character",
+        ".glb": "bunraku.files.gltf.write_rig:write_character",
+        ".vrm": "bunraku.files.gltf.vrma:write_avatar",
+        ".fbx": "bunraku.files.fbx.export:write_character",
+        ".pmx": "bunraku.files.mmd.write:write_character",
     },
 }
 """What writes an animation of handles, one of a character's own rig, one whose vertices also move on their own, a
@@ -404,7 +403,7 @@ def check_writer(path: str | Path, character: Character | None = None, *, points
     """
     suffix = _suffix_of(Path(path), "points" if points else "animation")
     if suffix in _USD:
-        _resolve(f"{_FILES}.usd:check_available")()
+        _resolve("bunraku.files.usd:check_available")()
     if suffix == ".vmd" and character is not None:
         provided("check_mmd_character")(character, Path(path))
 

@@ -16,7 +16,6 @@ from bunraku.errors import FormatError, MissingExtraError, OptionError
 
 __all__ = ["assemble", "check_target", "contact_sheet", "page", "write_moving", "write_png"]
 
-
 MOVING = (".mp4", ".webp", ".gif")
 SUFFIXES = (*MOVING, ".png")
 

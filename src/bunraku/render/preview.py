@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["MOST_BYTES", "orientation_views", "save_preview", "save_still", "write_html"]
 
-
 CELL = (240, 280)
 Progress = Callable[[int, int], None]
 

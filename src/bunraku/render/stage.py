@@ -16,7 +16,6 @@ __all__ = [
     "compress_highlights", "linear_from_srgb", "parse_background", "set_stage", "srgb_from_linear", "view_axes",
 ]  # fmt: skip
 
-
 FIELD_OF_VIEW = np.deg2rad(26.0)
 YAW = np.deg2rad(32.0)
 ELEVATION = np.deg2rad(13.0)

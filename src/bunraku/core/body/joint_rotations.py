@@ -23,7 +23,6 @@ from bunraku.errors import MotionError
 
 __all__ = ["joint_errors", "motion_from_positions", "skeleton_from_handles"]
 
-
 ROUNDS = 12
 CHUNK = 1000  # frames at once
 _PARENTS = np.array(JOINT_PARENTS)

@@ -15,7 +15,6 @@ __all__ = [
     "SKELETONS", "engine_names", "handle_names", "kept_handles",
 ]  # fmt: skip
 
-
 JOINT_NAMES: tuple[str, ...] = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
     "spine3",

@@ -29,7 +29,6 @@ __all__ = [
     "sample_clip",
 ]  # fmt: skip
 
-
 CONSTANT, CUBIC, NEXT, WEIGHTED_RIGHT, WEIGHTED_LEFT = 0x2, 0x8, 0x100, 0x0100_0000, 0x0200_0000
 AUTO, TCB, USER, FLAT_AT_EQUAL, OVER_TIME, PROGRESSIVE = (
     0x100,

@@ -22,7 +22,6 @@ __all__ = [
     "read_skin",
 ]  # fmt: skip
 
-
 INFLUENCES = 8
 """Most joints that are kept for a vertex."""
 

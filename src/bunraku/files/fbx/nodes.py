@@ -17,13 +17,11 @@ from bunraku.errors import FormatError
 
 __all__ = ["Allowance", "FbxArray", "FbxNode", "FbxTree", "read_text_tree", "read_tree"]
 
-
 MAX_DEPTH, MAX_NODES, MAX_VALUES = 64, 1_500_000, 6_000_000
 
 
 MAX_UNPACKED = 1 << 30
 """Most bytes of the unpacked arrays of a file."""
-
 
 BROKEN = "the file is broken, export it again"
 

@@ -15,7 +15,6 @@ __all__ = [
     "read_scene", "world_matrices",
 ]  # fmt: skip
 
-
 MAX_MODELS = 50_000
 TICKS = 46_186_158_000
 """Units of an FBX time in a second."""

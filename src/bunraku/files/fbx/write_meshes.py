@@ -23,7 +23,6 @@ from bunraku.files.meshes.obj import embeddable
 
 __all__ = ["Layer", "Look", "Mesh", "Shape", "add_mesh", "file_matrices", "meshes_of", "uv_name"]
 
-
 MOST_UVS = 8
 
 

@@ -18,7 +18,6 @@ __all__ = [
     "write_elements",
 ]  # fmt: skip
 
-
 VERSION = 7400
 FILE_ID = bytes.fromhex("28b32aebb624ccc2bfc8b02aa92bfcf1")
 CREATION_TIME = "1970-01-01 10:00:00:000"

@@ -16,7 +16,6 @@ from bunraku.files.gltf.read import Source
 
 __all__ = ["IMAGE_SUFFIXES", "MeshCarrier", "carry_clips", "carry_images", "carry_tree", "free_name", "used_extensions"]
 
-
 _WHITE_PNG = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGP4//8/AAX+Av4N70a4AAAAAElFTkSuQmCC"
 )

@@ -25,7 +25,6 @@ from bunraku.files.gltf.write_rig import RigDocument, bone_tracks, placed
 
 __all__ = ["SAME_BONES", "Tracks", "merge_documents", "whole_document", "write_stretches"]
 
-
 SAME_BONES = 1e-3
 """Bones that rest this near are the same, as a share of the skeleton's extent: rounding in files stays far below it."""
 

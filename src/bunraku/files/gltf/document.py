@@ -19,7 +19,6 @@ __all__ = [
     "MAX_ELEMENTS", "PER_BYTE", "free_memory", "matte_material", "mesh_document", "room", "scaled_mesh_document",
 ]  # fmt: skip
 
-
 PER_BYTE = 4
 """Bytes of memory for each byte of a file."""
 

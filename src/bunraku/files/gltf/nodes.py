@@ -15,7 +15,6 @@ __all__ = [
     "read_nodes", "read_skins",
 ]  # fmt: skip
 
-
 MAX_NODES = 100_000
 MAX_SLOTS = 300_000  # joints of all skins: many skins may name the same ones, and each takes two matrices
 

@@ -24,7 +24,6 @@ from bunraku.files.gltf.document import COMPONENT_TYPES, ELEMENT_SIZES, MAX_ELEM
 
 __all__ = ["DRACO", "MESHOPT", "open_document", "unpack_primitives", "unpack_views"]
 
-
 DRACO = "KHR_draco_mesh_compression"
 SECONDS = 120
 """Longest time that unpacking may take [s]."""

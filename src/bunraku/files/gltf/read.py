@@ -20,7 +20,6 @@ from bunraku.files.gltf.vrm import read_vrm
 
 __all__ = ["Source", "character_from_document", "read_gltf", "scaled", "rotated"]
 
-
 MAX_COORDINATE = 1e12
 """Coordinates beyond this [m] are damage, and overflow what is computed from them."""
 

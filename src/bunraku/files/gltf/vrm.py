@@ -17,7 +17,6 @@ from bunraku.files.gltf.nodes import NodeTree, read_nodes
 
 __all__ = ["SPRINGS", "add_humanoid", "add_spring_extras", "add_springs", "read_vrm"]
 
-
 MOST = 10_000  # joints of springs, and colliders: more are no avatar's
 LONGEST = 300  # joints of one spring: what simulates them takes memory by the square of it
 _log = logging.getLogger(__name__)

@@ -34,7 +34,6 @@ __all__ = [
     "write_animation", "write_clips",
 ]  # fmt: skip
 
-
 KEY = "bunraku_motion"
 RIGID = "bunraku_rigid"
 """Mark of the root joint of a figure whose blocks do not bend."""

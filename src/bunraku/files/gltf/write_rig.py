@@ -30,7 +30,6 @@ __all__ = [
     "write_character",
 ]  # fmt: skip
 
-
 SMALL = 1e-6  # what changes less, over the size of the rig or as a quaternion, stands still
 
 

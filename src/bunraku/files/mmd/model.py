@@ -36,7 +36,6 @@ __all__ = [
     "read_body", "read_joint",
 ]  # fmt: skip
 
-
 _AGAIN = "save the model again"
 
 

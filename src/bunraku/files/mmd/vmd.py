@@ -16,7 +16,6 @@ from bunraku.errors import FormatError
 
 __all__ = ["MmdClip", "VMD_FPS", "VmdMotion", "VmdTrack", "load_vmd", "pack_vmd", "read_vmd", "write_vmd"]
 
-
 VMD_FPS = 30.0
 
 LONGEST = 4 * 3600 * 30  # frames

@@ -25,7 +25,6 @@ from bunraku.files.mmd.model import MAX_BODIES, MAX_BONES, MAX_JOINTS, MmdFile, 
 
 __all__ = ["pmx_bytes", "pmx_file", "save_pmx", "write_character"]
 
-
 _MIRROR = np.array([1.0, 1, -1])
 
 

@@ -25,7 +25,6 @@ __all__ = [
     "read_reference", "write_animation",
 ]  # fmt: skip
 
-
 AMASS_ARRAYS = frozenset({"poses", "trans", "root_orient", "pose_body"})
 """Arrays that mark an .npz as one of AMASS."""
 

@@ -16,7 +16,6 @@ from bunraku.errors import FormatError, OptionError
 
 __all__ = ["BVH_UNITS", "BvhJoint", "parse_hierarchy", "read_bvh", "write_bvh"]
 
-
 MOST_JOINTS = 4096
 MOST_CHANNELS = 9
 _WORDS = re.compile(
