@@ -29,7 +29,7 @@ from bunraku.files.registry import load_character, load_with_clips
 
 __all__ = ["Clip", "bones_of", "clip_names", "load_animation", "load_clip", "load_clip_animation", "merge"]
 
-SAME = 1e-3  # of a character's largest extent: handles this near are the same ones
+SAME = 1e-3
 """Handles this near are the same, as a share of the character's largest extent: rounding in files stays far
 below it.
 """

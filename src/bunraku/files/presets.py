@@ -157,10 +157,8 @@ def save_clips(
     return save_rig_clips(bones, path, fps=fps) if bones else write_clips(handles, path, fps=fps)
 
 
-def _same_handles(one: Handles, other: Handles) -> bool:
-    return one is other or (
-        np.array_equal(one.positions, other.positions) and np.array_equal(one.weights, other.weights)
-    )
+def _same_handles(first: Handles, other: Handles) -> bool:
+    return np.array_equal(first.positions, other.positions) and np.array_equal(first.weights, other.weights)
 
 
 def _added(animations: Mapping[str, AnimatedCharacter], path: Path, fps: float | None) -> Path:
@@ -268,11 +266,6 @@ def save_for(
     placed = {"travel": lambda one: one, "bone": on_root_bone, "none": on_the_spot}[row.root]
     clips = {name: placed(one) for name, one in animations.items()}
     rate = row.fps if fps is None else fps
-    out = []
-    for file, names in row.files(path, clips).items():
-        some = {name: clips[name] for name in names}
-        if row.suffix == ".fbx":
-            out.append(save_clips(some, file, fps=rate, up=row.up, unit=row.unit))
-        else:
-            out.append(save_clips(some, file, fps=rate))
-    return out
+    options = {"up": row.up, "unit": row.unit} if row.suffix == ".fbx" else {}
+    files = row.files(path, clips).items()
+    return [save_clips({name: clips[name] for name in names}, file, fps=rate, **options) for file, names in files]

@@ -433,13 +433,7 @@ def _add_skinned(
     indices, weights = skin.indices, skin.weights
     for piece in pieces(character):
         mesh = add_mesh(
-            usd,
-            stage,
-            f"{root}/{piece.name}",
-            piece,
-            character,
-            np.ascontiguousarray(rest[piece.index]),
-            look,
+            usd, stage, f"{root}/{piece.name}", piece, character, np.ascontiguousarray(rest[piece.index]), look
         )
         binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
         binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])

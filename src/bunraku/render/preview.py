@@ -158,8 +158,7 @@ def write_html(
         model = animation.save(Path(folder, "model.glb"), name=title, **rate).read_bytes()
     if len(model) > most:
         raise FormatError(
-            path,
-            f"the model is larger than the {most >> 20} MiB that a page holds; simplify the mesh, or write a GLB",
+            path, f"the model is larger than the {most >> 20} MiB that a page holds; simplify the mesh, or write a GLB"
         )
     view = Path(__file__).with_name("view")
     page = view.joinpath("page.html").read_text(encoding="utf-8").replace("TITLE", html.escape(title))

@@ -303,7 +303,7 @@ class Materials:
         color = color * np.clip(thing.number("DiffuseFactor", 1), 0, 1)
         clear = thing.number("TransparencyFactor", 0) * thing.numbers("TransparentColor", (1, 1, 1)).mean()
         alpha = float(np.clip(1 - clear, 0, 1))
-        if alpha < 0.02:  # several exporters write 1 for what is solid; nobody animates what cannot be seen
+        if alpha < 0.02:  # several exporters write 1 for what is solid, and an invisible mesh is no character
             alpha = 1.0
         texture = self._diffuse(thing)
         if texture is not None:

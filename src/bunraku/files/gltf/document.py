@@ -103,6 +103,12 @@ class Document:
         """Raise a FormatError about bytes that this document lacks."""
         self.fail(f"{problem}; the file is truncated, export or download it again")
 
+    @property
+    def extensions(self) -> dict[str, Any]:
+        """The extensions of the whole document, empty where it has none."""
+        found = self.tree.get("extensions")
+        return found if isinstance(found, dict) else {}
+
     def items(self, kind: str) -> list[dict[str, Any]]:
         """A top-level list of the document, empty where it has none."""
         return self.objects(self.tree, kind)

@@ -11,8 +11,8 @@ from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, qu
 from bunraku.files.gltf.document import Document
 
 __all__ = [
-    "Curves", "MAX_SECONDS", "NodeTree", "SkinJoints", "bind_pose", "clip_curves", "node_worlds", "posed_skins",
-    "read_nodes", "read_skins",
+    "Curves", "MAX_SECONDS", "NodeTree", "SkinJoints", "bind_pose", "clip_curves", "front_matrix", "node_worlds",
+    "posed_skins", "read_nodes", "read_skins",
 ]  # fmt: skip
 
 MAX_NODES = 100_000
@@ -112,10 +112,7 @@ def read_nodes(document: Document) -> NodeTree:
             parents[child] = node
     world, local = np.empty((len(nodes), 4, 4)), _locals(document, nodes)
     order = [int(node) for node in np.flatnonzero(parents < 0)]
-    extensions = document.tree.get("extensions")
-    turned = isinstance(extensions, dict) and "VRM" in extensions
-    front = np.diag([-1.0, 1, -1, 1]) if turned else np.eye(4)
-    local[parents < 0] = front @ local[parents < 0]
+    local[parents < 0] = front_matrix(document) @ local[parents < 0]
     for node in order:
         world[node] = world[parents[node]] @ local[node] if parents[node] >= 0 else local[node]
         order.extend(children[node])
@@ -422,16 +419,15 @@ def node_worlds(
                 known[link] = known[above] @ rest if above >= 0 else np.broadcast_to(rest, (len(moments), 4, 4))
             else:
                 local = _local(document, nodes[link], link, curves, moments)
-                known[link] = known[above] @ local if above >= 0 else _front(document) @ local
+                known[link] = known[above] @ local if above >= 0 else front_matrix(document) @ local
         return known[chain[0]] if chain else known[node]
 
     return np.stack([world(node) for node in chosen], axis=1)
 
 
-def _front(document: Document) -> np.ndarray:
+def front_matrix(document: Document) -> np.ndarray:
     """The rotation that `read_nodes` gives a VRM 0.x avatar, else the identity."""
-    extensions = document.tree.get("extensions")
-    return np.diag([-1.0, 1, -1, 1]) if isinstance(extensions, dict) and "VRM" in extensions else np.eye(4)
+    return np.diag([-1.0, 1, -1, 1]) if "VRM" in document.extensions else np.eye(4)
 
 
 def _local(document: Document, node: dict[str, object], index: int, curves: Curves, moments: np.ndarray) -> np.ndarray:

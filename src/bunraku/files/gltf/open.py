@@ -48,10 +48,7 @@ def unpack_primitives(document: Document) -> None:
                 document.broken(f"a primitive lacks what {DRACO} says of it")
             if not _draco_plain(document, primitive):
                 packed.setdefault(document.integer(extension, "bufferView"), []).append((primitive, extension))
-    for key in ("extensionsUsed", "extensionsRequired"):
-        names = document.tree.get(key)
-        if isinstance(names, list):
-            document.tree[key] = [name for name in names if name != DRACO]
+    _forget(document, (DRACO,))
     if not packed:
         return
     if find_spec("DracoPy") is None:
@@ -145,11 +142,7 @@ def _store(document: Document, index: Any, values: np.ndarray) -> None:
 
 
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
-_STRIDES = {
-    "ATTRIBUTES": range(4, 257, 4),
-    "TRIANGLES": (2, 4),
-    "INDICES": (2, 4),
-}
+_STRIDES = {"ATTRIBUTES": range(4, 257, 4), "TRIANGLES": (2, 4), "INDICES": (2, 4)}
 _FILTERS: dict[str, tuple[str, tuple[int, ...]]] = {
     "NONE": ("", tuple(range(4, 257, 4))),
     "OCTAHEDRAL": ("decode_filter_oct", (4, 8)),
@@ -175,7 +168,7 @@ def unpack_views(document: Document) -> None:
             if not isinstance(found[0], dict):
                 document.broken(f"bufferViews[{index}] is compressed by nothing")
             packed.append((index, view, found[0]))
-    _forget(document)
+    _forget(document, MESHOPT)
     if not packed:
         return
     try:
@@ -205,12 +198,12 @@ def _plain(document: Document, view: dict[str, object]) -> bool:
     return buffer < len(document.buffers) and end <= len(document.buffers[buffer])
 
 
-def _forget(document: Document) -> None:
+def _forget(document: Document, extensions: tuple[str, ...]) -> None:
     """Remove the extensions from the lists of what the document needs."""
     for key in ("extensionsUsed", "extensionsRequired"):
         names = document.tree.get(key)
         if isinstance(names, list):
-            document.tree[key] = [name for name in names if name not in MESHOPT]
+            document.tree[key] = [name for name in names if name not in extensions]
 
 
 def _unpacked(document: Document, index: int, extension: dict[str, object], library: Any) -> bytes:

@@ -224,12 +224,7 @@ def _placed_source(source: Source, matrix: np.ndarray, parts: Sequence[MeshPart]
     old = source.tree
     local = np.where((old.parents < 0)[:, None, None], matrix @ old.local, old.local)
     tree = NodeTree(old.parents, matrix @ old.world, old.scene, local)
-    return replace(
-        source,
-        tree=tree,
-        skins=posed_skins(source.skins, tree),
-        parts=tuple(parts),
-    )
+    return replace(source, tree=tree, skins=posed_skins(source.skins, tree), parts=tuple(parts))
 
 
 def _turned_part(part: MeshPart, matrix: np.ndarray) -> MeshPart:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.core.avatars import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
+from bunraku.core.avatars import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint, warning_sentences
 from bunraku.core.body.layout import HANDLE_NAMES, REQUIRED, engine_names
 from bunraku.core.character import Rig
 from bunraku.files.gltf.document import Document
@@ -29,8 +29,8 @@ def read_vrm(document: Document) -> VrmModel | None:
     Raises:
         FormatError: The nodes of the document are broken.
     """
-    extensions = document.tree.get("extensions")
-    if not isinstance(extensions, dict) or not {"VRM", "VRMC_vrm"} & set(extensions):
+    extensions = document.extensions
+    if not {"VRM", "VRMC_vrm"} & extensions.keys():
         return None
     reader = _Reader(document, read_nodes(document))
     found = reader.first(extensions["VRM"]) if "VRM" in extensions else reader.second(extensions)
@@ -71,7 +71,7 @@ class _Reader:
         return entered, last
 
     def note(self, problem: str, name: object = "") -> None:
-        self.notes.setdefault(problem, []).append(" ".join(str(name).split())[:40])
+        self.notes.setdefault(problem, []).append(str(name))
 
     def node(self, value: Any) -> int:
         """A node's index, -1 where there is no such node."""
@@ -89,14 +89,9 @@ class _Reader:
         colliders: list[VrmCollider],
         groups: list[tuple[int, ...]],
     ) -> VrmModel:
-        sentences = []
-        for problem, names in self.notes.items():
-            some = ", ".join(name for name in names[:3] if name)
-            sentences.append(
-                f"{problem}: {some}{f' and {len(names) - 3} more' if len(names) > 3 else ''}" if some else problem
-            )
+        warnings = warning_sentences(self.notes)
         return VrmModel(
-            version, str(title or "")[:200], humanoid, tuple(springs), tuple(colliders), tuple(groups), tuple(sentences)
+            version, str(title or "")[:200], humanoid, tuple(springs), tuple(colliders), tuple(groups), warnings
         )
 
     def first(self, data: Any) -> VrmModel:
@@ -331,11 +326,7 @@ def add_humanoid(tree: dict[str, Any], rig: Rig, nodes: Sequence[int], title: st
         if side * arm[0] < _ALONG * float((arm**2).sum()) ** 0.5:
             return
     bones = {name: {"node": nodes[number]} for name, number in place.items() if name in _BONES}
-    extensions["VRMC_vrm"] = {
-        "specVersion": "1.0",
-        "meta": {"name": title, **_META},
-        "humanoid": {"humanBones": bones},
-    }
+    extensions["VRMC_vrm"] = {"specVersion": "1.0", "meta": {"name": title, **_META}, "humanoid": {"humanBones": bones}}
 
 
 SPRINGS = "VRMC_springBone"

@@ -57,8 +57,7 @@ def read_vrma(path: Path, data: bytes) -> SkeletalMotion:
 
 
 def _extension(document: Document) -> dict[str, Any] | None:
-    extensions = document.tree.get("extensions")
-    found = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
+    found = document.extensions.get(EXTENSION)
     return found if isinstance(found, dict) else None
 
 

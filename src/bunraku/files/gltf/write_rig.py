@@ -20,7 +20,7 @@ from bunraku.errors import CharacterError
 from bunraku.files.gltf.carry import MeshCarrier, carry_clips, carry_images, carry_tree
 from bunraku.files.gltf.document import ARRAY_BUFFER, GltfBuilder
 from bunraku.files.gltf.mesh import MeshPart
-from bunraku.files.gltf.nodes import read_nodes
+from bunraku.files.gltf.nodes import front_matrix, read_nodes
 from bunraku.files.gltf.read import Source
 from bunraku.files.gltf.vrm import add_humanoid, add_spring_extras
 from bunraku.files.gltf.write import build_document, document_of, drop_clip, finish_document, writable
@@ -265,10 +265,6 @@ def _above_all(source: Source, builder: GltfBuilder) -> np.ndarray:
     all.
     """
     file = read_nodes(source.document)  # turned to the front where the file is a VRM 0.x
-    raw = np.eye(4)
-    extensions = source.document.tree.get("extensions")
-    if isinstance(extensions, dict) and "VRM" in extensions:
-        raw = np.diag([-1.0, 1, -1, 1])
     roots = np.flatnonzero(source.tree.parents < 0)
     turn = source.tree.local[roots[0]] @ np.linalg.inv(file.local[roots[0]]) if len(roots) else np.eye(4)
     turn = np.round(turn) if np.allclose(turn, np.round(turn), atol=1e-6) else np.eye(4)
@@ -284,7 +280,7 @@ def _above_all(source: Source, builder: GltfBuilder) -> np.ndarray:
                     *free,
                     builder.add("nodes", {"name": "upright", "matrix": turn.T.reshape(-1).tolist(), "children": below}),
                 ]
-    return np.asarray(turn @ raw)
+    return np.asarray(turn @ front_matrix(source.document))
 
 
 def _local(source: Source, animation: RigAnimation, above_all: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ from bunraku.core.avatars import (
     mmd_angles,
     mmd_points,
     mmd_rotation,
+    warning_sentences,
 )
 from bunraku.core.character import Character
 from bunraku.errors import FormatError
@@ -268,7 +269,7 @@ def mmd_character(path: Path, file: MmdFile) -> Character:
     character = character_from_document(document, path.stem, None, path.suffix.lower() or ".pmx")
     model = MmdModel(
         file.name, file.english, file.version, bones, tuple(file.morphs), bodies, joints, file.deforms.copy(),
-        _sdef(file), _sentences(file.warnings)
+        _sdef(file), warning_sentences(file.warnings)
     )  # fmt: skip
     for warning in model.warnings:
         _log.warning("%s: %s", path, warning)
@@ -377,13 +378,3 @@ def _sdef(file: MmdFile) -> MmdSdef:
     chosen = np.flatnonzero(file.deforms == 3)
     constants = mmd_points(file.sdef[chosen])
     return MmdSdef(chosen, constants[:, 0], constants[:, 1], constants[:, 2])
-
-
-def _sentences(warnings: dict[str, list[str]]) -> tuple[str, ...]:
-    """One line for each problem, however often it occurs."""
-    out = []
-    for problem, names in warnings.items():
-        some = ", ".join(" ".join(name.split())[:40] for name in names[:3] if name)
-        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-        out.append(f"{problem}: {some}{more}" if some else problem)
-    return tuple(out)

@@ -17,6 +17,7 @@ from bunraku.errors import FormatError
 __all__ = ["MmdClip", "VMD_FPS", "VmdMotion", "VmdTrack", "load_vmd", "pack_vmd", "read_vmd", "write_vmd"]
 
 VMD_FPS = 30.0
+"""MMD's only rate [1/s]."""
 
 LONGEST = 4 * 3600 * 30  # frames
 _BONE = np.dtype(

@@ -31,7 +31,7 @@ AMASS_ARRAYS = frozenset({"poses", "trans", "root_orient", "pose_body"})
 _RATES = ("mocap_framerate", "mocap_frame_rate", "mocap_frame_rates")
 _UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)  # +Z up to +Y up
 MOST_FRAMES = 1_000_000  # more than two hours at 120 frames a second; files of zeros pack to next to nothing
-_STRAIGHT = 0.9  # who stands has the pelvis this share of a leg over the lower ankle, at least
+_STRAIGHT = 0.9  # a person who stands has the pelvis at least this share of a leg above the lower ankle
 _SIZES = (0.7, 1.3)  # of people, as shares of the reference body; what else is found says that the ground is not at 0
 
 
@@ -114,6 +114,7 @@ def _sized(rotations: np.ndarray, trans: np.ndarray, fps: float) -> SkeletalMoti
 
 
 HUMANML3D_FPS = 20.0
+"""Rate of all motions of the set (Guo et al. 2022) [1/s]."""
 MAX_FRAMES = 24_000
 """Longest motion that is read: each frame takes a tenth of a millisecond to fit its rotations."""
 VECTOR_SIZE = 12 * JOINT_COUNT - 1
