@@ -80,10 +80,6 @@ class Frame:
         out[..., :3, 3] = self.metres * (matrices[..., :3, 3] @ self.axes.T)
         return out
 
-    def local(self, points: np.ndarray) -> np.ndarray:
-        """Points of a local frame of the file as those of ours [m], shape (P, 3)."""
-        return self.metres * points @ self.hand.T
-
 
 @dataclass(frozen=True, eq=False)
 class FbxScene:
@@ -107,16 +103,7 @@ class FbxScene:
 
     def below(self, owner: FbxObject, kind: str, subtype: str = "") -> list[FbxObject]:
         """Objects of a kind that are connected below one, in the order of the file."""
-        return self._of(self.links, owner, kind, subtype)
-
-    def above(self, thing: FbxObject, kind: str, subtype: str = "") -> list[FbxObject]:
-        """Objects of a kind that one is connected to."""
-        return self._of(self.owners, thing, kind, subtype)
-
-    def _of(
-        self, links: dict[int, list[tuple[int, str]]], thing: FbxObject, kind: str, subtype: str
-    ) -> list[FbxObject]:
-        found = (self.objects.get(other) for other, _ in links.get(thing.id, ()))
+        found = (self.objects.get(other) for other, _ in self.links.get(owner.id, ()))
         return [other for other in found if other is not None and other.kind == kind and subtype in ("", other.subtype)]
 
     def of_kind(self, kind: str) -> list[FbxObject]:

@@ -14,11 +14,12 @@ from importlib import import_module
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from bunraku.core.files import check_input, path_inside, read_bounded
+from bunraku.core.request import no_constant
 from bunraku.errors import FormatError, MissingExtraError
 from bunraku.files.gltf.document import COMPONENT_TYPES, ELEMENT_SIZES, MAX_ELEMENTS, Document, room
 
@@ -276,7 +277,7 @@ def open_document(path: Path, data: bytes) -> Document:
         2 * len(written) + sum(written.count(sign) * cost for sign, cost in _TREE_COSTS.items())
     )
     try:
-        tree = json.loads(written.decode("utf-8-sig"), parse_constant=_no_constant)
+        tree = json.loads(written.decode("utf-8-sig"), parse_constant=no_constant)
     except (ValueError, RecursionError):
         raise FormatError(
             path, "its JSON cannot be parsed; the file is truncated or broken, export or download it again"
@@ -304,10 +305,6 @@ def open_document(path: Path, data: bytes) -> Document:
     if packed[1]:
         unpack_primitives(document)
     return document
-
-
-def _no_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not JSON")
 
 
 def _glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]:

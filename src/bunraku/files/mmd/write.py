@@ -175,23 +175,17 @@ def _bone(out: _Writer, bone: MmdBone, tail: int | None) -> None:
 
 def _frames(out: _Writer, file: MmdFile) -> None:
     """The two display frames that editors expect, and one of all further bones."""
-    out.pack("i", 3 if len(file.bones) > 1 else 2)
-    for name, english, special, bones in (
-        ("Root", "Root", 1, range(min(1, len(file.bones)))),
-        ("表情", "Exp", 1, range(0)),
-    ):
-        _frame(out, name, english, special, bones)
-    if len(file.bones) > 1:
-        _frame(out, "ボーン", "Bones", 0, range(1, len(file.bones)))
-
-
-def _frame(out: _Writer, name: str, english: str, special: int, bones: range) -> None:
-    out.text(name)
-    out.text(english)
-    out.pack("Bi", special, len(bones))
-    for bone in bones:
-        out.pack("B", 0)
-        out.index(bone, out.bone)
+    count = len(file.bones)
+    frames = [("Root", "Root", 1, range(min(1, count))), ("表情", "Exp", 1, range(0))]
+    frames += [("ボーン", "Bones", 0, range(1, count))] if count > 1 else []
+    out.pack("i", len(frames))
+    for name, english, special, bones in frames:
+        out.text(name)
+        out.text(english)
+        out.pack("Bi", special, len(bones))
+        for bone in bones:
+            out.pack("B", 0)
+            out.index(bone, out.bone)
 
 
 def _angles(turn: np.ndarray) -> np.ndarray:

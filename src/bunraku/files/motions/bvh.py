@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.core.files import MAX_TEXT_BYTES, atomic_write
+from bunraku.core.files import atomic_write
 from bunraku.core.motion import SkeletalMotion, Skeleton, resample_motion
 from bunraku.errors import FormatError, OptionError
 
@@ -172,7 +172,6 @@ def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None
         raise OptionError(f"'{unit}' is no unit; there are {', '.join(BVH_UNITS)}")
     if up not in (None, "+y", "+z"):
         raise OptionError(f"up in a BVH file is +y or +z, not {up}")
-    _check_size(path, len(data))
     start = _MOTION.search(data, 0, MOST_HEADER)
     if start is None:
         parse_hierarchy(
@@ -190,15 +189,6 @@ def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None
     motion = _assembled(path, joints, tree, values, rotations, fps)
     scale = BVH_UNITS[unit] if unit else _unit(joints)
     return _in_our_frame(motion, scale, up)
-
-
-def _check_size(path: Path, size: int) -> None:
-    if size > MAX_TEXT_BYTES:
-        raise FormatError(
-            path,
-            f"{size >> 20} MiB are too many for a motion, at most {MAX_TEXT_BYTES >> 20} are read; cut it into "
-            "shorter ones",
-        )
 
 
 def _frames(path: Path, data: bytes, start: int, columns: int) -> tuple[np.ndarray, float]:
