@@ -246,7 +246,7 @@ def preset_rows() -> list[dict[str, object]]:
 def save_for(
     preset: str | Preset, animations: Mapping[str, AnimatedCharacter], path: str | Path, *, fps: float | None = None
 ) -> list[Path]:
-    """Write animations of one character as a program expects them.
+    """Write animations of one character as a program expects them, and return the files.
 
     Args:
         preset: The program: "unity", "unreal", "godot", "blender", "three" or "vrchat".
@@ -254,9 +254,6 @@ def save_for(
         path: The file; its suffix becomes that of the preset. Where each clip has a file of its own, the clip's name
             follows.
         fps: Frames a second in place of the preset's [1/s].
-
-    Returns:
-        What was written.
 
     Raises:
         FormatError: A file cannot be written.

@@ -416,17 +416,14 @@ def save_character(
     rig: bool = False,
     avatar: MmdModel | VrmModel | None = None,
 ) -> Path:
-    """Write a character to GLB, FBX, VRM or PMX, its handles as a skin, without motion.
+    """Write a character to GLB, FBX, VRM or PMX, without motion, and return the path.
 
     Args:
         character: The character.
         path: The file.
-        handles: Its handles; without them the mesh alone is written.
+        handles: The handles for its skin; without them the mesh alone is written.
         rig: Write the character's own rig as its skin, as `bunraku.with_skeleton` makes one, in place of handles.
         avatar: Springs of that rig's bones for GLB and VRM, their rigid bodies for PMX.
-
-    Returns:
-        The file that was written.
 
     Raises:
         FormatError: The suffix is unknown, or the file cannot be written.

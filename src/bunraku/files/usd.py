@@ -252,15 +252,10 @@ def write_usd(
     unit: str = "m",
     points: bool = False,
 ) -> Path:
-    """Write an animation as USD; one of a character's own rig has its bones in their tree, under their names.
-
-    Args:
-        animation: The animation.
-        path: The file: .usd and .usdc are binary, .usda is text, .usdz is a package.
-        fps: Frames a second [1/s]; those of the motion by default.
-        up: "+y", USD's default, or "+z"; the stage's `upAxis` states it.
-        unit: Unit of lengths, one of `bunraku.core.geometry.axes.UNITS`; the stage's `metersPerUnit` states it.
-        points: Write the position of every vertex in every frame instead of a skeleton.
+    """Write an animation as USD: .usd and .usdc are binary, .usda is text, .usdz is a package. One of a character's own
+    rig has its bones in their tree, under their names. Options are those of `save`; the stage's `upAxis` and
+    `metersPerUnit` state axes and unit. With `points` it holds the position of every vertex in every frame instead of a
+    skeleton.
 
     Raises:
         FormatError: The file cannot be written.

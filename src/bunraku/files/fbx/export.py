@@ -37,15 +37,8 @@ def write_fbx(
     up: str = "+y",
     unit: str = "cm",
 ) -> Path:
-    """Write an animation of handles or of the bones of the character's own rig as FBX.
-
-    Args:
-        animation: The animation.
-        path: The file.
-        fps: Frames a second [1/s]; those of the motion by default.
-        name: The clip's name; the file's by default.
-        up: The axis that is up in the file, "+y" or "+z".
-        unit: The unit of its lengths, one of `bunraku.core.geometry.axes.UNITS`; most FBX files are in "cm".
+    """Write an animation of handles or of the bones of the character's own rig as FBX, with a clip of the file's or
+    another name. Options are those of `save`; most FBX files are in "cm".
 
     Raises:
         FormatError: The file cannot be written.
@@ -63,7 +56,7 @@ def write_clips(
     unit: str = "cm",
 ) -> Path:
     """Write several animations of one character, by the same handles or the same bones, each as a clip of its name.
-    Further arguments and errors are those of `write_fbx`.
+    Options and errors are those of `write_fbx`.
     """
     first = next(iter(clips.values()))
     moved = {name: clip.at(checked_fps(fps, clip.fps)) for name, clip in clips.items()}
@@ -87,18 +80,11 @@ def write_points(
     tolerance: float | None = None,
     shapes: str = "auto",
 ) -> Path:
-    """Write an animation whose vertices also move on their own, by bones of their own or by shapes.
-
-    Args:
-        animation: The animation.
-        path: The file.
-        fps, name, up, unit: As in `write_fbx`.
-        tolerance: Largest error of a vertex [m]; 0.05 % of the height by default.
-        shapes: "bones", "mixed", "keys" or "auto", as in `files.gltf.write_points.fitted_points`.
+    """Write an animation whose vertices also move on their own, by bones of their own or by shapes; `tolerance` and
+    `shapes` are those of `files.gltf.write_points.fitted_points`, other options and errors those of `write_fbx`.
 
     Raises:
-        FormatError: The file cannot be written.
-        OptionError: An option makes no sense, or bones do not come as near as the tolerance.
+        OptionError: Bones do not come as near as the tolerance.
     """
     from bunraku.files.gltf.write_points import fitted_points
 

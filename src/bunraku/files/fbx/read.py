@@ -286,16 +286,8 @@ def _node_transform(local: np.ndarray) -> dict[str, Any]:
 
 
 def read_fbx(path: Path, data: bytes, *, rest: str = "bind", clip_fps: float | None = None) -> Character:
-    """Read an FBX file of version 7.1 to 7.7, binary or text.
-
-    The vertices are the control points of all meshes in the order of the file, turned from the frame and unit that it
-    states into ours. Hidden meshes are left out where others are not; blend shapes are not read.
-
-    Args:
-        path: The file.
-        data: Its bytes.
-        rest: "bind" rests in the pose that the skins were bound in, "default" in that of the file's objects.
-        clip_fps: Also read the clips, at so many frames a second [1/s].
+    """Read an FBX file. The character rests as in `load_character`; with `clip_fps` [1/s] its document has the file's
+    clips.
 
     Raises:
         FormatError: The file is broken, of a version that is not read, or holds no mesh.

@@ -59,16 +59,10 @@ class Source:
 
 
 def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:
-    """Read a GLB, glTF or VRM file.
+    """Read a GLB, glTF or VRM file, which rests as in `load_character`.
 
     The vertices are those of all primitives in node order, in world space in the rest pose; primitives of one mesh that
     share their positions share their vertices.
-
-    Args:
-        path: The file.
-        data: Its bytes.
-        rest: "bind" for the pose that the skins were bound in (`bind_pose`), "default" for that of the file's nodes,
-            which may be the middle of a clip.
 
     Raises:
         FormatError: The file is broken, or needs what is not read.

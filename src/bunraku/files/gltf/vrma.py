@@ -202,17 +202,12 @@ def _add_clip(builder: GltfBuilder, motion: SkeletalMotion, name: str) -> None:
 def write_avatar(
     character: Character, handles: Handles | None, path: Path, *, rig: bool = False, avatar: VrmModel | None = None
 ) -> Path:
-    """Write a person with a skeleton of VRM's names, in the form that the registry calls.
-
-    Args:
-        character: With a rig in a T-pose, as `bunraku.with_skeleton(character, "vrm")` makes one.
-        handles: None; a VRM has bones.
-        path: The file.
-        rig: Whether the rig is to be written.
-        avatar: Springs and colliders of its bones.
+    """Write a person as VRM, with the springs and colliders of an avatar; the arguments are those of the registry's
+    writers.
 
     Raises:
-        CharacterError: It has no such rig.
+        CharacterError: It has no rig in a T-pose with VRM's names, as `bunraku.with_skeleton(character, "vrm")` makes
+            one.
         FormatError: The file cannot be written.
     """
     hint = "make one with --skeleton vrm, or with `bunraku.with_skeleton`"

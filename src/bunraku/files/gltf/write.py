@@ -193,13 +193,8 @@ def add_motion(builder: GltfBuilder, joints: list[int], positions: np.ndarray, m
 
 
 def write_animation(animation: Animation, path: Path, *, fps: float | None = None, name: str | None = None) -> Path:
-    """Write an animation as GLB.
-
-    Args:
-        animation: The animation.
-        path: The file.
-        fps: Frames a second of the channels [1/s]; those of the motion by default.
-        name: The clip's name; the file's by default.
+    """Write an animation as GLB, with a clip of the file's or another name; channels have `fps` [1/s] or the motion's
+    rate.
 
     Raises:
         FormatError: The file cannot be written.

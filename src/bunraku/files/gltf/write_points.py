@@ -148,13 +148,9 @@ def write_point_animation(
     tolerance: float | None = None,
     shapes: str = "auto",
 ) -> Path:
-    """Write an animation whose vertices also move on their own as GLB.
+    """Write an animation whose vertices also move on their own as GLB; options are those of `write_animation` and:
 
     Args:
-        animation: The animation.
-        path: The file.
-        fps: Frames a second [1/s]; those of the motion by default.
-        name: The clip's name; the file's by default.
         tolerance: Largest error of a vertex [m]; 0.05 % of the height by default.
         shapes: "bones" fits bones to the movement; "mixed" takes the fewest morph targets that all frames are mixed of;
             "keys" those of some frames, of which at most two show at any time, for players that cannot mix many. Those

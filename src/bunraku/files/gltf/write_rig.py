@@ -133,17 +133,8 @@ class RigDocument:
 def save_rig_animation(
     animation: RigAnimation, path: str | Path, *, fps: float | None = None, name: str | None = None
 ) -> Path:
-    """Write an animation as GLB.
-
-    Args:
-        animation: The animation.
-        path: The file.
-        fps: Frames a second of the channels [1/s]; those of the motion by default.
-        name: The clip's name; the file's by default.
-
-    Raises:
-        FormatError: The file cannot be written.
-        OptionError: `fps` is not a number from 1 to 1000.
+    """Write an animation of a rig as GLB, with a clip of the file's or another name; options and errors are those of
+    `save_rig_clips`.
     """
     path = Path(path)
     return save_rig_clips({str(name) if name else path.stem: animation}, path, fps=fps)
@@ -151,7 +142,11 @@ def save_rig_animation(
 
 def save_rig_clips(clips: Mapping[str, RigAnimation], path: Path, *, fps: float | None = None) -> Path:
     """Write several animations of one character as GLB, each as a clip of its name, and the file's own clips after
-    them. Errors are those of `save_rig_animation`.
+    them; channels have `fps` [1/s] or each motion's rate.
+
+    Raises:
+        FormatError: The file cannot be written.
+        OptionError: `fps` is not a number from 1 to 1000.
     """
     animation = next(iter(clips.values()))
     rates = {name: checked_fps(fps, clip.fps) for name, clip in clips.items()}

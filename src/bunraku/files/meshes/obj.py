@@ -381,17 +381,8 @@ Frame = Callable[[np.ndarray], bytes]
 def write_obj_sequence(
     animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m"
 ) -> Path:
-    """Write `walk.obj` as a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on: positions and triangles.
-
-    Args:
-        animation: The animation.
-        path: Its suffix names the format, its stem the folder and the files.
-        fps: Frames a second [1/s]; those of the motion by default.
-        up: The axis that is up in the files, "+y" or "+z".
-        unit: Unit of lengths, one of `bunraku.core.geometry.axes.UNITS`.
-
-    Returns:
-        The folder.
+    """Write `walk.obj` as a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on, positions and triangles, and
+    return the folder. Options are those of `save`.
 
     Raises:
         FormatError: The folder cannot be written, or holds other files.

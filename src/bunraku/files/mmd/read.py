@@ -53,11 +53,7 @@ class _Read:
 
 
 def read_model(path: Path, data: bytes) -> Character:
-    """Read a PMX or PMD file, by its first bytes.
-
-    Args:
-        path: The file; textures are looked for in its folder and below, nowhere else.
-        data: Its bytes.
+    """Read a PMX or PMD file, by its first bytes; textures are looked for in its folder and below, nowhere else.
 
     Raises:
         FormatError: It is no such file, is cut off, announces more than it has room for, or has indices that point
