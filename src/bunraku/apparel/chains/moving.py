@@ -15,6 +15,7 @@ from bunraku.apparel.physics.rig import ApparelRig, PhysicsSettings, apparel_rig
 from bunraku.apparel.physics.simulate import Simulation, simulate
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.character import Character
+from bunraku.core.request import Progress
 from bunraku.errors import CharacterError
 
 __all__ = ["check_apparel", "dialled", "moving_rig", "simulated", "steady_simulation", "with_apparel"]
@@ -109,7 +110,6 @@ def _stiffer(rig: ApparelRig, names: set[str]) -> ApparelRig:
     return replace(rig, joints=joints)
 
 
-Progress = Callable[[str, float], None]
 _log = logging.getLogger(__name__)
 
 

@@ -14,7 +14,6 @@ __all__ = [
     "quaternion_from_matrix", "quaternion_slerp", "rotation_between",
 ]  # fmt: skip
 
-
 Array = Any  # numpy.ndarray, or a tensor
 
 
