@@ -94,12 +94,12 @@ def apply_simulated(
     Raises:
         CharacterError: There is no physics in the file, or the names of its bones do not tell their parts.
     """
-    from bunraku.apparel.chains.moving import simulated
+    from bunraku.apparel.chains.moving import with_apparel
     from bunraku.core.motion import resample
     from bunraku.retarget.rig_parts import RigParts
 
     own = Constraints.of(in_place=in_place)
-    return simulated(apply_rigged(resample(motion, fps), RigParts.of(character), own, stages, progress), progress)
+    return with_apparel(apply_rigged(resample(motion, fps), RigParts.of(character), own, stages, progress), progress)
 
 
 def apply_rigged(

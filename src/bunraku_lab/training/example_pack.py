@@ -36,7 +36,6 @@ from bunraku.generation.pack import (
     read_pack,
     write_pack,
 )
-from bunraku.generation.splicing import standing_stretches
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
 from bunraku.gestures.standing import stands_well
@@ -45,7 +44,7 @@ from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.lexicon import main_actions
 from bunraku.language.vocabulary import is_known, own_words, words_of, write_own_words
 from bunraku_lab.description.wording import computed_sentence, inside
-from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
+from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture, standing_stretches
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips
 
 __all__ = ["BUSY_BOUNDS", "ExampleSettings", "IDLE_BOUNDS", "IdleBounds", "build_examples", "idling"]

@@ -8,7 +8,7 @@ import torch
 from scipy.sparse.csgraph import dijkstra
 
 from bunraku.apparel.clothed import SIZE, ClothedCharacter
-from bunraku.apparel.learned.segmentation import SegmentationConfig, joint_distances, sampled_mesh
+from bunraku.apparel.learned.segmentation import SegmentationConfig, sampled_mesh
 from bunraku.apparel.nodes import apparel_parts
 from bunraku.core.body.layout import JOINT_COUNT
 from bunraku.core.body.reference import reference_body
@@ -17,6 +17,7 @@ from bunraku.errors import WeightsError
 from bunraku_lab.nn.apparel import SegmentationNetwork, mesh_block
 from bunraku_lab.nn.graph import node_graph
 from bunraku_lab.training.apparel.body import BodyConfig, BodyNetwork
+from bunraku_lab.training.apparel.mesh_bank import joint_distances
 from bunraku_lab.training.apparel.refinement import (
     BASIS,
     FREE,

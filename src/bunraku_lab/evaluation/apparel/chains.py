@@ -141,8 +141,8 @@ def chain_parameters_from_file(laid: LaidChains, character: Character) -> LaidCh
         if count.sum() > 0:
             whole, stiffness, damping, mass = count @ facts / count.sum()
             limit = float(np.clip(whole / len(chain), NARROWEST, WIDEST))
-            manner = replace(chain.manner, limit=limit, stiffness=stiffness, damping=damping, mass=max(mass, 1e-3))
-            chain = replace(chain, manner=manner)
+            swing = replace(chain.parameters, limit=limit, stiffness=stiffness, damping=damping, mass=max(mass, 1e-3))
+            chain = replace(chain, parameters=swing)
         chains.append(chain)
     return replace(laid, chains=tuple(chains))
 
