@@ -20,8 +20,7 @@ from bunraku.anatomy.joints import (
     reference_joints,
     refined_joints,
 )
-from bunraku.anatomy.legs import Leg, find_arms, find_legs
-from bunraku.anatomy.plan import BodyPlan, Reach, plan_of, standing, stride_scale
+from bunraku.anatomy.legs import BodyPlan, Leg, Reach, find_arms, find_legs, plan_of, standing, stride_scale
 from bunraku.anatomy.rest_pose import block_rest, rest_of_limbs, stance_of, upright
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body

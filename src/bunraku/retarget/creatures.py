@@ -13,8 +13,8 @@ import numpy as np
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.anatomy.joints import downwards
+from bunraku.anatomy.legs import BodyPlan, Reach, check_plans
 from bunraku.anatomy.names.bone_names import NO_HANDLE, handle_of_joints
-from bunraku.anatomy.plan import BodyPlan, Reach, check_plans
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
 from bunraku.core.character import Character, Rig
@@ -347,7 +347,7 @@ def _parts(motion: SkeletalMotion, names: Mapping[str, str] | None) -> np.ndarra
 
 
 def motion_of_rig(rig: RigParts, turns: np.ndarray, positions: np.ndarray, fps: float) -> CreatureMotion | None:
-    """The motion of a rig that stands in its rest pose; None of a person and of any other body that walks upright on two legs.
+    """The motion of a rig that stands in its rest pose; None of a person and of any other body that walks upright.
 
     Args:
         rig: Facing +Z.
