@@ -78,7 +78,7 @@ BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
 SPEED = {"swim": 0.7, "slither": 0.5}  # heights of the root in a second
 STAYS = 0.25  # a motion that gets ahead by less than this share of that is given the speed
 AIR = {"stay": 0.75, "run": 0.2, "step": 0.15, "lie": 0.05, "slither": 0.05}
-"""How long before and after a frame the ground is touched at the latest [s]; a body that steps always has a foot on it."""
+"""How long before and after a frame the ground is touched at the latest [s]; a step always has a foot on it."""
 LEAST = 0.01  # what hovers by less, over the height, is left to the stages of fitting
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in ("left", "right")]
 _LINE = {"head": -1.2, "neck": -0.9, "spine3": -0.6, "spine2": -0.4, "spine1": -0.2, "tail": 0.9, "tail_tip": 1.7}
