@@ -276,11 +276,9 @@ def test_differences_at_the_edges_fade_out():
 
 def test_loops_close(checkpoint):
     one, long = generate_motions(
-        [clauses_of([("walks", 2.0)]), clauses_of([("walks", 1.0), ("runs", 6.0)])],
-        loop=True,
-        steps=3,
+        [clauses_of([("walks", 2.0)]), clauses_of([("walks", 1.0), ("runs", 6.0)])], loop=True, steps=3,
         checkpoint=checkpoint,
-    )
+    )  # fmt: skip
     assert len(one) == 41 and len(long) == 141
     for motion in (one, long):
         assert same_frames(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from oracles import skin_reference
 from scipy.optimize import minimize
 
 from bunraku.anatomy.anatomy import Anatomy
@@ -17,7 +18,7 @@ from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import skin, skin_reference
+from bunraku.core.skinning import skin
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.stages.animals import Front

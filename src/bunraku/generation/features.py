@@ -27,20 +27,10 @@ from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import MotionError
 
 __all__ = [
-    "body_handle_motion",
-    "decode",
-    "encode",
-    "feature_mask",
-    "FEATURE_SIZE",
-    "feature_weights",
-    "FeatureStatistics",
+    "body_handle_motion", "decode", "encode", "feature_mask", "FEATURE_SIZE", "feature_weights", "FeatureStatistics",
     "HANDLE_SIZE",
-    "is_rotation",
-    "mirror",
-    "root_velocities",
-    "ROOT_SIZE",
-    "standing_legs",
-]
+    "is_rotation", "mirror", "root_velocities", "ROOT_SIZE", "standing_legs",
+]  # fmt: skip
 
 ROOT_SIZE, HANDLE_SIZE = 10, 9
 FEATURE_SIZE = ROOT_SIZE + HANDLE_SIZE * (HANDLE_COUNT - 1)

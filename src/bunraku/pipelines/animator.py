@@ -18,7 +18,7 @@ from bunraku.anatomy.handles.predict import Predictor
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, resample
-from bunraku.core.request import SECONDS
+from bunraku.core.request import SECONDS, Progress
 from bunraku.core.travel import GroundPath
 from bunraku.errors import CharacterError, FormatError, OptionError
 from bunraku.generation.candidates import SamplingSettings
@@ -39,7 +39,7 @@ LEAST = 0.1
 """Seconds between two pictures of a bar."""
 
 
-def cell_progress() -> Callable[[str, float], None] | None:
+def cell_progress() -> Progress | None:
     """Bars of the notebook's cell that runs, one for each stage; None outside of notebooks."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
@@ -77,7 +77,6 @@ class _Bars:
             self.handle.update(picture)
 
 
-Progress = Callable[[str, float], None]
 AT_ONCE = 8
 """Sentences in one pass of the network."""
 STRETCH = 40.0

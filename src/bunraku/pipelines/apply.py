@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,7 @@ from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
-from bunraku.core.request import Constraint
+from bunraku.core.request import Constraint, Progress
 from bunraku.core.travel import GroundPath, bent_to_path
 from bunraku.pipelines.requests import Constraints
 from bunraku.retarget.fit import Stages, fit_motion
@@ -23,8 +23,6 @@ __all__ = [
     "GENERATED_STAGES", "apply_motion", "apply_rigged", "apply_simulated", "fitted_motion", "reference_of",
     "reference_path",
 ]  # fmt: skip
-
-Progress = Callable[[str, float], None]
 GENERATED_STAGES = Stages(shape=True)
 """The stages that run by default."""
 

@@ -139,7 +139,7 @@ def _facing(
     """A character and the motion of its bones, turned to face +Z by what its rig says."""
     from bunraku.anatomy.names.bone_names import rig_axes
     from bunraku.core.geometry.axes import upright_rotation
-    from bunraku.files import turned
+    from bunraku.files import rotated
 
     rig = character.rig
     assert rig is not None
@@ -147,7 +147,7 @@ def _facing(
     if axes is not None and axes != ("+y", "+z"):
         turn = upright_rotation(*axes)
         character, rotations, positions = (
-            turned(replace(character, source=None, avatar=None), *axes),
+            rotated(replace(character, source=None, avatar=None), *axes),
             turn @ rotations @ turn.T,
             positions @ turn.T,
         )

@@ -197,9 +197,7 @@ class _Stretch(NamedTuple):
 
 
 def build_examples(
-    settings: ExampleSettings,
-    encoder: TextEncoder | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    settings: ExampleSettings, encoder: TextEncoder | None = None, progress: Callable[[str, float], None] | None = None
 ) -> ExamplePack:
     """Choose stretches and write them.
 

@@ -13,7 +13,7 @@ from bunraku.anatomy.handles.orientation_evidence import Combination, ShapeView,
 from bunraku.core.character import Character
 from bunraku.core.geometry.axes import AXES, ORIENTATIONS, axis_name, default_orientation, upright_rotation
 from bunraku.core.geometry.surface import surface_points
-from bunraku.files import turned
+from bunraku.files import rotated
 
 if TYPE_CHECKING:
     from bunraku.anatomy.handles.networks import OrientationPredictor
@@ -197,6 +197,19 @@ class ResolvedAxes:
     front: str
     guess: Orientation | None = None
 
+    @property
+    def sure(self) -> float:
+        """How likely these axes are by the guess, 0 to 1; 1 where nothing was guessed."""
+        return 1.0 if self.guess is None else self.guess.probability(self.up, self.front)
+
+    @property
+    def other(self) -> tuple[str, str] | None:
+        """The likeliest other axes; None where nothing was guessed."""
+        if self.guess is None:
+            return None
+        likeliest, taken = (self.guess.up, self.guess.front), (self.up, self.front)
+        return likeliest if taken != likeliest else self.guess.next_best(*taken)
+
 
 def resolve_axes(
     character: Character, up: str = "auto", front: str = "auto", *, suffix: str | None = None
@@ -250,4 +263,4 @@ def upright(character: Character, up: str = "auto", front: str = "auto") -> Char
         WeightsError: The weights are missing or broken, and something is to be guessed.
     """
     resolved = resolve_axes(character, up, front)
-    return turned(character, resolved.up, resolved.front)
+    return rotated(character, resolved.up, resolved.front)
