@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Collection, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -48,9 +49,12 @@ class ExampleBank:
     ):  # fmt: skip
         self.pack, self.ranker, self.encoder, self.statistics = pack, ranker, encoder, statistics
         self.count, self.frames = count, frames
-        self._takes = [take_of(one.name) for one in pack.examples]
         self._usable = ~pack.made & np.array([bool(one.texts) for one in pack.examples], bool)
         self._known: dict[tuple[int, bool], tuple[np.ndarray, np.ndarray]] = {}
+
+    @cached_property
+    def _takes(self) -> list[str]:
+        return [take_of(one.name) for one in self.pack.examples]
 
     def nearest(self, vector: np.ndarray, without: Collection[str] = ()) -> list[tuple[int, bool]]:
         """The nearest examples and whether the mirror image is meant; of an example and its mirror image the nearer.
