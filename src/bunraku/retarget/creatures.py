@@ -340,9 +340,8 @@ def _parts(motion: SkeletalMotion, names: Mapping[str, str] | None) -> np.ndarra
         if joint >= 0 and (parts[joint] == NO_HANDLE or how == "given") and (how == "given" or part not in parts):
             parts[parts == part] = NO_HANDLE
             parts[joint] = part
-    for name, own in (names or {}).items():
-        if not own and name in JOINT_NAMES:
-            parts[parts == JOINT_NAMES.index(name)] = NO_HANDLE
+    left_out = [JOINT_NAMES.index(name) for name, own in (names or {}).items() if not own and name in JOINT_NAMES]
+    parts[np.isin(parts, left_out)] = NO_HANDLE
     return parts
 
 

@@ -58,9 +58,8 @@ def laid(motion: HandleMotion, share: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def _blend(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Rotations (N, 3, 3) so far from one to another."""
-    return np.asarray(
-        matrix_from_quaternion(quaternion_slerp(quaternion_from_matrix(start), quaternion_from_matrix(end), share))
-    )
+    first, last = quaternion_from_matrix(start), quaternion_from_matrix(end)
+    return np.asarray(matrix_from_quaternion(quaternion_slerp(first, last, share)))
 
 
 HOVER = 0.8
@@ -189,9 +188,8 @@ def _amount(count: int, frames: np.ndarray, fps: float) -> np.ndarray:
     """1 in some frames, 0 in others, and a soft way between, shape (N,)."""
     soft, at = RISE * fps, np.arange(count)
     up = np.ones(count) if frames[0] == 0 else smooth_step(at, frames[0] - 0.5 * soft, frames[0] + 0.5 * soft)
-    down = (
-        np.ones(count) if frames[-1] == count - 1 else smooth_step(at, frames[-1] + 0.5 * soft, frames[-1] - 0.5 * soft)
-    )
+    last = frames[-1]
+    down = np.ones(count) if last == count - 1 else smooth_step(at, last + 0.5 * soft, last - 0.5 * soft)
     return np.asarray(up * down)
 
 

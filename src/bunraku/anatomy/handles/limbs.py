@@ -41,7 +41,7 @@ GROUND = 0.2  # a limb whose tip is so near to the lowest point, over the height
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """One limb of those that share their handles.
+    """A limb of those that share their handles.
 
     Args:
         members: Vertices of its lower parts, shape (m,).
@@ -110,23 +110,16 @@ def find_limbs(
         regions = [weights[:, some].sum(axis=1) > 0.5 for some in (columns, columns[1:])]
         whole, lower = (_limbs(mesh, region, distance, before) if region.any() else ([], []) for region in regions)
         limbs, stubs = max(whole, lower, key=lambda found: (len(found[0]), len(found[1])))
-        out[family, side] = (
-            sorted(limbs, key=lambda limb: (stands(mesh, limb), float(mesh.vertices[limb.members, 2].mean()))),
-            stubs,
-        )
+        limbs.sort(key=lambda limb: (stands(mesh, limb), float(mesh.vertices[limb.members, 2].mean())))
+        out[family, side] = limbs, stubs
     return out
 
 
 def _limbs(
     mesh: NetworkMesh, region: np.ndarray, distance: np.ndarray, before: np.ndarray
 ) -> tuple[list[Limb], list[Limb]]:
-    """Pieces of a region that are limbs, largest first, and those that are stubs.
-
-    Args:
-        mesh: The network mesh.
-        region: Its vertices, shape (M,), bool.
-        distance: Of each vertex from the body, shape (M,).
-        before: The vertex before each on the way from the body, negative on the body, shape (M,).
+    """Pieces of a region (M,) that are limbs, largest first, and those that are stubs; `before` is the vertex before
+    each on the way from the body, negative on the body.
     """
     label = np.where(region, mesh_parts(_joined(mesh, region), len(region)), -1)
     areas = np.bincount(label[region], mesh.areas[region])
@@ -205,9 +198,8 @@ def _person(mesh: NetworkMesh, weights: np.ndarray) -> bool:
     weapons.
     """
     positions = handle_positions(mesh.vertices, weights, mesh.areas)
-    pelvis, head, *feet = (
-        positions[HANDLE_NAMES.index(name)] for name in ("pelvis", "head", "left_ankle", "right_ankle")
-    )
+    names = ("pelvis", "head", "left_ankle", "right_ankle")
+    pelvis, head, *feet = (positions[HANDLE_NAMES.index(name)] for name in names)
     return bool(head[1] - pelvis[1] > 2 * abs(head[2] - pelvis[2]) and head[1] - max(foot[1] for foot in feet) > TALL)
 
 
@@ -235,7 +227,7 @@ class _Split:
     before: int
 
     def slot(self, limb: int, part: int) -> int:
-        """The place of a part of a further limb among all that may need a handle."""
+        """The index of a part of a further limb among all that may need a handle."""
         return self.side + len(SIDES) * ((self.before + limb - 1) * len(self.columns) + part)
 
     def roles(self, limb: int) -> list[int]:
@@ -300,33 +292,17 @@ def split_limbs(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.
                 out[:, _body_handle(mesh, out, stub)] += held.sum(axis=1)
             members = members[:, : len(limbs)] / members[:, : len(limbs)].sum(axis=1, keepdims=True)
             legs = limb_handles(side, FAMILIES[0])
-            splits[-1].append(
-                _Split(
-                    columns,
-                    legs,
-                    out[:, columns],
-                    members,
-                    [stands(mesh, limb) for limb in limbs],
-                    number,
-                    before[number],
-                )
-            )
+            on_ground = [stands(mesh, limb) for limb in limbs]
+            splits[-1].append(_Split(columns, legs, out[:, columns], members, on_ground, number, before[number]))
             before[number] += len(limbs) - 1
     roles = np.arange(HANDLE_COUNT)
     dealt = _fitted(splits, areas, len(spare))
     for split, _ in dealt:
         out[:, split.columns] = split.parts * split.members[:, :1]
-    queries = [
-        (split, limb, part, owner)
-        for split, owners in dealt
-        for limb, owner in enumerate(owners, 1)
-        for part in sorted(set(owner))
-    ]
-    fresh = _slots_of(
-        [split.slot(limb, _canonical_part(part, owner)) for split, limb, part, owner in queries],
-        len(SIDES) * max(before) * len(FAMILIES[0]),
-        spare,
-    )
+    further = [(split, limb, owner) for split, owners in dealt for limb, owner in enumerate(owners, 1)]
+    queries = [(split, limb, part, owner) for split, limb, owner in further for part in sorted(set(owner))]
+    wanted = [split.slot(limb, _canonical_part(part, owner)) for split, limb, part, owner in queries]
+    fresh = _slots_of(wanted, len(SIDES) * max(before) * len(FAMILIES[0]), spare)
     for (split, limb, part, owner), handle in zip(queries, fresh, strict=True):
         roles[handle] = split.roles(limb)[_canonical_part(part, owner)]
         moved = [number for number, own in enumerate(owner) if own == part]
@@ -373,8 +349,8 @@ def _canonical_part(part: int, owner: list[int]) -> int:
 def _slots_of(queries: list[int], slots: int, spare: list[int]) -> list[int]:
     """A spare handle for each slot that is asked for, so that a part more or less does not move the others.
 
-    A slot has its own place in `_SPARE_FIRST`. Where the character uses that one itself, the slot has the next that no
-    slot owns, and keeps it whether it is asked for or not, as long as there are enough.
+    A slot has its own position in `_SPARE_FIRST`. Where the character uses that one itself, the slot has the next that
+    no slot owns, and keeps it whether it is asked for or not, as long as there are enough.
     """
     own = [HANDLE_NAMES.index(_SPARE_FIRST[slot]) if slot < len(_SPARE_FIRST) else -1 for slot in range(slots)]
     free = [handle for handle in spare if handle not in own]

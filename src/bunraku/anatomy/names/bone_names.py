@@ -467,7 +467,7 @@ def rig_handles(character: Character, least: int = 2) -> Handles:
     if len(np.unique(known[known != NO_HANDLE])) < least:
         some = ", ".join(rig.names[:3])
         raise CharacterError(
-            f"{character.name}: the names of the rig's {len(rig.names)} bones ({some} ...) do not say which part each "
+            f"{character.name}: the names of the rig's {len(rig.names)} bones ({some} ...) do not tell which part each "
             "moves; rename them (hips, spine, head, left_hand ...) or let the handles be predicted"
         )
     weights = dense @ np.eye(HANDLE_COUNT, dtype=np.float32)[resolve_joints(known, rig.parents)]
