@@ -237,8 +237,8 @@ class Swings(Stage):
                 rotations[:, handle] = about @ turned[:, handle]
 
     def angle(self, rotations: np.ndarray, leg: Leg, anatomy: Anatomy, rocks: np.ndarray) -> np.ndarray:
-        """How far forward a leg points along the heading [rad], shape (N,); `rocks` (N, 3, 3) are the rotations of the root from
-        it.
+        """How far forward a leg points along the heading [rad], shape (N,); `rocks` (N, 3, 3) are the root's rotations
+        from the heading.
         """
         hip, knee, ankle = leg.joints.astype(np.float64)
         sole = anatomy.mesh.vertices[leg.sole].mean(axis=0) - ankle
