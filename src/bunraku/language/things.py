@@ -152,16 +152,16 @@ def things() -> Things:
     for name, row in data["kinds"].items():
         kinds[name] = kind = _kind(name, row, kinds.get(row.get("is", ""), Kind("")))
         for noun, _, height in (said.partition("=") for said in row.get("nouns", "").split()):
-            nouns[_spaced(noun)] = _as_high(kind, float(height)) if height else kind
+            nouns[noun.replace("_", " ")] = _as_high(kind, float(height)) if height else kind
     gazes: dict[str, list[tuple[str, Gaze]]] = {}
     for name, row in data["sights"].items():
         for noun, _, pitch in (said.partition("=") for said in row["nouns"].split()):
             seen = Gaze(float(pitch or row["pitch"]), row.get("sweep", 0.0), row.get("lean", 0.0))
-            gazes.setdefault(_spaced(noun), []).append((name, seen))
+            gazes.setdefault(noun.replace("_", " "), []).append((name, seen))
     grounds: dict[str, list[Ground]] = {}
     for name, row in data["grounds"].items():
         for noun in row["nouns"].split():
-            grounds.setdefault(_spaced(noun), []).append(Ground(name, frozenset(row["after"].split())))
+            grounds.setdefault(noun.replace("_", " "), []).append(Ground(name, frozenset(row["after"].split())))
     ways: dict[str, list[str]] = {}
     for name, said in data["sight words"].items():
         for word in said.split():
@@ -178,10 +178,6 @@ def things() -> Things:
         Gaze(float(data["sights"]["level"]["pitch"])), looks, ways, grounds, walks, verb_grounds,
         {name: frozenset(actions) for name, actions in data["actions"].items()},
     )  # fmt: skip
-
-
-def _spaced(noun: str) -> str:
-    return noun.replace("_", " ")
 
 
 def _kind(name: str, row: dict[str, Any], of: Kind) -> Kind:
