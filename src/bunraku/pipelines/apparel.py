@@ -64,14 +64,14 @@ def shipped_displacement(clothed: ClothedCharacter | None = None) -> Displacemen
     """The displacement network that comes with Bunraku.
 
     Args:
-        clothed: Whom it is for: there is one for characters whose files say how their apparel swings, and one for those
+        clothed: The character: there is a network for those whose files say how their apparel swings, and one for those
             of which it is guessed; the first when None.
 
     Raises:
         WeightsError: It is missing or broken.
     """
-    told = clothed is None or clothed.swing is not None
-    return _network(*dated_checkpoint("apparel" if told else "apparel-guessed"))
+    from_file = clothed is None or clothed.swing is not None
+    return _network(*dated_checkpoint("apparel" if from_file else "apparel-guessed"))
 
 
 def dressed(
@@ -218,7 +218,7 @@ def _whole(
     progress: Progress | None,
 ) -> Animation | RigAnimation:  # fmt: skip
     """`chained` with what it would tear mended: torn places go over to the skin of the body, their parts swing less,
-    and go with the body where that does not help; as it is where that are all. What somebody said to be apparel moves
+    and go with the body where that does not help; as it is where that are all. What an artist's mask says to be apparel moves
     all the same, and a line says so.
     """
     plain, own = animation.at(RATE), artist_mask_file(animation.character) is not None
