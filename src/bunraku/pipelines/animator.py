@@ -218,7 +218,7 @@ class Animator:
             left = {name: request for name, request in left.items() if name not in group}
 
     def stretches(self, character: Character | Body, request: Request) -> Iterator[AnimatedCharacter]:
-        """A clip of any length, stretch by stretch, so that no more than one is in memory (see `files.write_stretches`).
+        """A clip of any length, stretch by stretch, so that only one is in memory (`files.write_stretches`).
         The first frame of each stretch is the last of the one before.
 
         Args:

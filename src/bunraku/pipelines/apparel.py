@@ -217,9 +217,8 @@ def _whole(
     animation: Animation | RigAnimation, clothed: ClothedCharacter, stiffness: float, gravity: float,
     progress: Progress | None,
 ) -> Animation | RigAnimation:  # fmt: skip
-    """`chained` with what it would tear mended: torn places go over to the skin of the body, their parts swing less,
-    and go with the body where that does not help; as it is where that are all. What an artist's mask says to be apparel moves
-    all the same, and a line says so.
+    """`chained`, with torn apparel mended: torn vertices go over to the body's skin and their parts swing less; parts
+    that are still torn go with the body, except those of an artist's mask, which only get a warning.
     """
     plain, own = animation.at(RATE), artist_mask_file(animation.character) is not None
     name = animation.character.name
