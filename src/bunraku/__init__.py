@@ -75,10 +75,10 @@ _HOME = {
     "load_character": "bunraku.files",
     "load_motion": "bunraku.pipelines.motions.read",
     "rig": "bunraku.pipelines.animate",
-    "sample_character": "bunraku.files.samples",
+    "sample_character": "bunraku.files",
     "save_character": "bunraku.files",
-    "save_clips": "bunraku.files.presets",
-    "save_for": "bunraku.files.presets",
+    "save_clips": "bunraku.files",
+    "save_for": "bunraku.files",
     "transfer": "bunraku.pipelines.transfer",
     "upright": "bunraku.anatomy.handles.orientation",
     "with_skeleton": "bunraku.pipelines.animate",
@@ -89,7 +89,7 @@ _ROOMS = {"clips": "bunraku.generation.library"}
 """Rooms that are public as they are."""
 
 provide(
-    save="bunraku.files.registry:save",
+    save="bunraku.files:save",
     resolve_axes="bunraku.anatomy.handles.orientation:resolve_axes",
     handle_animation="bunraku.retarget.to_reference:handle_animation",
     write_humanoid_bvh="bunraku.pipelines.motions.humanoid:write_humanoid_bvh",

@@ -88,11 +88,11 @@ def characters_of(folder: Path) -> dict[Path, str]:
     Raises:
         FormatError: There is none, or the folder cannot be read.
     """
-    from bunraku.files import FORMATS
+    from bunraku.files import READERS
 
-    suffixes = {suffix for kind in FORMATS if kind.character for suffix in kind.suffixes} - {".txt"}  # beside an OBJ
+    known = READERS["character"]
     try:
-        found = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
+        found = sorted(path for path in folder.iterdir() if path.suffix.lower() in known and path.is_file())
     except OSError as error:
         raise FormatError(folder, f"this folder cannot be read ({error.strerror}); name another") from None
     if not found:
@@ -414,13 +414,13 @@ def _kept(verb: Animate, path: Path) -> tuple[Body, Request]:
 
 def _ready(verb: Animate, request: Request, path: Path, report: Progress) -> tuple[Body, Request]:
     """A character as it is to be animated, and what is requested of it."""
-    from bunraku.files import check_writes
+    from bunraku.files import check_writer
 
     report("load", 0.0)
     character = verb.standing.load(path, clips=verb.fps)
     for output in verb.output:
         if output.suffix:
-            check_writes(output, character)
+            check_writer(output, character)
     report("load", 1.0)
 
     from bunraku.pipelines.animator import Animator

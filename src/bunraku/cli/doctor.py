@@ -32,7 +32,6 @@ EXTRAS = {
     "DracoPy": ("compressed", "GLB packed with Draco is not read"),
     "meshoptimizer": ("compressed", "GLB packed with meshopt is not read"),
     "torch": ("lab", "nothing is trained or measured, and no data are built; all else needs none"),
-    "accelerate": ("train", "a training runs on one process alone"),
     "tensorboard": ("train", "a training draws no curves"),
     "transformers": ("clip", "weights that were trained with CLIP cannot be used; the shipped ones were not"),
     "ray": ("ray", "`--jobs ray` does not work; `--jobs` with a number needs nothing"),

@@ -290,11 +290,11 @@ def _body(character: Character, up: str, front: str) -> dict[str, Any]:
     from bunraku.anatomy.anatomy import Anatomy
     from bunraku.anatomy.handles.predict import predict_handles
     from bunraku.apparel.chains.moving import moving_rig
-    from bunraku.files import turned
+    from bunraku.files import rotated
     from bunraku.pipelines.bodies import body_facts
 
     try:
-        standing = turned(character, up, front)
+        standing = rotated(character, up, front)
         anatomy = Anatomy.of(standing, predict_handles(standing))
         found = body_facts(anatomy)
     except (WeightsError, CharacterError) as error:

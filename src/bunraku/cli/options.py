@@ -70,13 +70,13 @@ def stand_up(character: Character, path: Path, up: str = "auto", front: str = "a
         OptionError: The unit of the file cannot be changed.
         WeightsError: Something is to be guessed and the weights are missing or broken.
     """
-    from bunraku.files import in_metres, turned
+    from bunraku.files import in_metres, rotated
 
     resolved, line = resolve_file(character, up, front)
     if line:
         print(f"{path}: {line}", file=sys.stderr)
     if (resolved.up, resolved.front) != ("+y", "+z"):
-        character = turned(character, resolved.up, resolved.front)
+        character = rotated(character, resolved.up, resolved.front)
     character, note = in_metres(character, unit, "+y")
     if note:
         print(f"{path}: {note}. Type --unit m to keep its numbers.", file=sys.stderr)

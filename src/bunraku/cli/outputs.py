@@ -91,11 +91,11 @@ NEEDY = (".usd", ".usda", ".usdc", ".usdz")
 
 def check_written(apparel: Apparel, outputs: Iterable[Path]) -> None:
     """Raise FormatError where apparel is to be learned and a file of its kind cannot hold what moves so."""
-    from bunraku.files import check_points_writer
+    from bunraku.files import check_writer
 
     if apparel.learns:
         for path in outputs:
-            check_points_writer(path)
+            check_writer(path, points=True)
 
 
 def check_mask(apparel: Apparel) -> None:
@@ -327,16 +327,12 @@ def save_all(
 def _fitting(animation: AnimatedCharacter, path: Path) -> AnimatedCharacter:
     """The animation, or, where its apparel moves by itself and a file of this kind cannot hold that, the body alone."""
     from bunraku.core.animation import PointAnimation
-    from bunraku.files import check_points_writer
+    from bunraku.files import WRITERS
 
-    if not isinstance(animation, PointAnimation):
+    if not isinstance(animation, PointAnimation) or path.suffix.lower() in WRITERS["points"]:
         return animation
-    try:
-        check_points_writer(path)
-    except FormatError:
-        _log.warning("%s: files of this kind cannot hold apparel; this one holds the body's motion alone", path)
-        return animation.animation
-    return animation
+    _log.warning("%s: files of this kind cannot hold apparel; this one holds the body's motion alone", path)
+    return animation.animation
 
 
 def save_clips_to(

@@ -346,12 +346,12 @@ def animation_of(pair: Pair, settings: Transfer, progress: Progress | None = Non
     Raises:
         BunrakuError: A file cannot be read, the two do not go together, or there is nothing to simulate.
     """
-    from bunraku.files import check_writes
+    from bunraku.files import check_writer
     from bunraku.pipelines.animator import Animator
     from bunraku.pipelines.transfer import transferred
 
     character, handles = character_of(pair.inputs[0], settings)
-    check_writes(pair.path, character)
+    check_writer(pair.path, character)
     source = source_of(pair.inputs[1], settings)
     return transferred(Animator.shipped(progress), character, source, settings.request(handles, stages_of(settings)))
 
@@ -441,9 +441,9 @@ def clips_for(
 
 
 def _outputs() -> tuple[str, ...]:
-    from bunraku.files import FORMATS
+    from bunraku.files import WRITERS
 
-    return tuple(suffix for found in FORMATS if found.animation for suffix in found.suffixes)
+    return tuple(WRITERS["animation"])
 
 
 def _suffix(text: str) -> str:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.limbs import has_extra_legs
 from bunraku.anatomy.handles.predict import Predictor
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character, Handles
@@ -101,8 +100,7 @@ class Body:
     @property
     def takes_skeleton(self) -> bool:
         """Whether an engine's skeleton can be made for it: it is a person, and its own bones do not move it."""
-        anatomy = self.anatomy
-        return self.parts is None and anatomy.plan.kind == "person" and not has_extra_legs(anatomy.handles)
+        return self.parts is None and self.anatomy.is_person
 
 
 def _silent(*messages: object) -> None:

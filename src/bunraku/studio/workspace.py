@@ -17,7 +17,7 @@ from bunraku.core.animation import RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import MAX_BYTES, atomic_write
 from bunraku.errors import BunrakuError, CharacterError, OptionError
-from bunraku.files import in_metres, load_character, resolve_unit, turned
+from bunraku.files import in_metres, load_character, resolve_unit, rotated
 from bunraku.pipelines.animator import Body
 from bunraku.studio.dressing import painted_file
 from bunraku.studio.wire import Dressed, Take, body_of, load_handles, load_take, packed_clip, save_take
@@ -69,7 +69,7 @@ def opened_character(path: Path, settings: Settings) -> tuple[Character, dict[st
             "simplify the mesh, or use the command line"
         )
     found = resolve_axes(character, settings.up, settings.front)
-    standing = turned(character, found.up, found.front)
+    standing = rotated(character, found.up, found.front)
     suffix = str(getattr(standing.source, "suffix", ""))
     unit = resolve_unit(standing.height, suffix, settings.unit)
     character, _ = in_metres(standing, settings.unit, "+y")
