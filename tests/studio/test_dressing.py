@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from packed import unpacked_apparel, unpacked_clip
 from scipy.spatial import cKDTree
 
 from bunraku import load_character
@@ -49,8 +50,6 @@ from bunraku.studio.wire import (
     packed_clip,
     save_handles,
     save_take,
-    unpacked_apparel,
-    unpacked_clip,
 )
 from bunraku.studio.workspace import Settings, Workspace, opened_character
 from bunraku_lab.synthetic.samples import make_sample

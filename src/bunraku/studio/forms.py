@@ -20,7 +20,7 @@ from bunraku.core.request import (
     to_json,
 )
 from bunraku.errors import OptionError
-from bunraku.files import preset_named
+from bunraku.files import UNIT_CHOICES, preset_named
 from bunraku.generation.library import clip as find_clip
 from bunraku.pipelines.requests import Apparel, Constraints, Keep, Pose, Request, Sampling
 
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from bunraku.retarget.pins import Pin
 
 __all__ = [
-    "ChangeForm", "ClipsForm", "Drawn", "DressForm", "MOST_PARTS", "MOST_SEED", "MOST_WORDS", "Motion", "Part",
-    "PoseForm", "TIME", "TakeForm", "TakeRecordForm", "check_asked", "check_pins", "read_path", "read_pins",
-    "read_script", "script_json", "sequence_of", "stages_without",
+    "ChangeForm", "CharacterForm", "ClipsForm", "Drawn", "DressForm", "ExportForm", "MOST_PARTS", "MOST_SEED",
+    "MOST_WORDS", "Motion", "Part", "PoseForm", "TIME", "TakeForm", "TakeRecordForm", "check_asked", "read_path",
+    "read_pins", "read_script", "script_json", "sequence_of", "stages_without",
 ]  # fmt: skip
 
 
@@ -45,11 +45,7 @@ Motion = Literal["rigid", "simulate", "chains", "learn"]
 
 
 def stages_without(names: Sequence[str]) -> Stages | None:
-    """The stages of generated motions but those named; None where none is.
-
-    Raises:
-        OptionError: There is no such stage.
-    """
+    """The stages of generated motions except those named, None where none is; OptionError for an unknown name."""
     from bunraku.pipelines.apply import GENERATED_STAGES
 
     known = sorted(field.name for field in fields(GENERATED_STAGES))
@@ -60,11 +56,7 @@ def stages_without(names: Sequence[str]) -> Stages | None:
 
 
 def read_pins(forms: Sequence[object]) -> list[Pin]:
-    """Pins of their JSON forms.
-
-    Raises:
-        OptionError: One is none.
-    """
+    """Pins of their JSON forms; OptionError where one is not a pin."""
     from bunraku.retarget.pins import Pin
 
     found = [Pin.from_json(form) for form in forms]
@@ -74,21 +66,8 @@ def read_pins(forms: Sequence[object]) -> list[Pin]:
     return found
 
 
-def check_pins(forms: Sequence[object]) -> None:
-    """Whether these are JSON forms of pins.
-
-    Raises:
-        OptionError: One is none.
-    """
-    read_pins(forms)
-
-
 def read_path(points: Sequence[object]) -> GroundPath | None:
-    """Points of a path on the floor, x and z [m]; None where there are none.
-
-    Raises:
-        OptionError: They are no such points.
-    """
+    """Points of a path on the floor, x and z [m]; None for no points, OptionError for other values."""
     from bunraku.core.travel import LONGEST, GroundPath
 
     if not points:
@@ -192,10 +171,10 @@ class Part:
 
 
 def read_script(script: Sequence[Part]) -> tuple[Part, ...]:
-    """The sentences of a script one by one: what was typed in a row, such as "walks:4; jumps:2", is several.
+    """The sentences of a script one by one: a row such as "walks:4; jumps:2" is several.
 
     Raises:
-        OptionError: A sentence is empty, or all are too long.
+        OptionError: A sentence is empty, or all together are too long.
     """
     from bunraku.language.prompts import parse_sequence, timed_sequence
 
@@ -233,17 +212,14 @@ MOST_TITLE = 80
 
 
 @dataclass(frozen=True, kw_only=True)
-class TakeForm(Drawn):
+class TakeForm(Drawn, DressForm):
     """Takes that are made from sentences.
 
     Args:
         script: What the character does.
         draft: Show a quick one first.
         loop: Make loops.
-        in_place: Take the path over the ground out.
-        apparel: How apparel moves.
-        stiffness: How stiff apparel is.
-        gravity: How strongly what is simulated is drawn downwards.
+        in_place: Remove the travel over the ground.
         path: Points that the root passes, x and z [m].
         after: The take in whose last pose these start.
         rig: What moves: handles, or the bones of the file's own skeleton.
@@ -253,9 +229,6 @@ class TakeForm(Drawn):
     draft: bool = True
     loop: bool = False
     in_place: bool = False
-    apparel: Motion = "rigid"
-    stiffness: float = 1.0
-    gravity: float = 1.0
     path: tuple[object, ...] | None = None
     after: str | None = None
     rig: Literal["handles", "own"] = "handles"
@@ -276,17 +249,12 @@ class TakeForm(Drawn):
                 loop=self.loop, in_place=self.in_place, after=self.after or None, path=read_path(self.path or ()),
                 pins=read_pins(self.pins),
             ),
-            self.dress.apparel_request, stages_without(self.without),
+            self.apparel_request, stages_without(self.without),
             "predict" if self.apparel == "simulate" else handles, self.force,
             self.rig if self.rig == "own" else "auto" if self.apparel in ("simulate", "learn") else "handles",
         )  # fmt: skip
         found.check()
         return found.with_parsed()
-
-    @property
-    def dress(self) -> DressForm:
-        """How apparel moves."""
-        return DressForm(apparel=self.apparel, stiffness=self.stiffness, gravity=self.gravity)
 
     def pieces(self, handles: Literal["predict", "rig"] = "predict") -> list[dict[str, Any]]:
         """The JSON forms of clips and of requests of the sentences between them, of a script with clips.
@@ -316,25 +284,53 @@ class TakeForm(Drawn):
 
     def asked(self) -> dict[str, Any]:
         """What a take's record keeps of it, for links."""
-        kept = (
-            "seeds",
-            "steps",
-            "guidance",
-            "loop",
-            "in_place",
-            "apparel",
-            "stiffness",
-            "gravity",
-            "path",
-            "pins",
-            "rig",
-        )
-        return {name: to_json(getattr(self, name)) for name in kept}
+        kept = "seeds steps guidance loop in_place apparel stiffness gravity path pins rig"
+        return {name: to_json(getattr(self, name)) for name in kept.split()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CharacterForm:
+    """What a page changes of a character.
+
+    Args:
+        name: Its name.
+        deleted: Whether it is given up.
+        up, front, unit, handles: How its file is read; see `workspace.Settings`.
+    """
+
+    name: str | None = None
+    deleted: bool | None = None
+    up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] | None = None
+    front: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] | None = None
+    unit: str | None = None
+    handles: Literal["predict", "rig"] | None = None
+
+    def __post_init__(self) -> None:
+        if self.unit is not None and self.unit not in UNIT_CHOICES:
+            raise OptionError(f"unit is one of {', '.join(UNIT_CHOICES)}")
+        if len(self.name or "") > MOST_TITLE:
+            raise OptionError(f"name has more than {MOST_TITLE} characters")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportForm:
+    """The file that a take is written as.
+
+    Args:
+        format: Its suffix.
+        fps: Frames a second [1/s].
+    """
+
+    format: Literal["glb", "bvh", "vrma", "vmd", "npz", "fbx", "usdz", "usdc", "mp4", "gif"] = "glb"
+    fps: float = 30.0
+
+    def __post_init__(self) -> None:
+        FPS.check(self.fps, "fps")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TakeRecordForm:
-    """What a page changes of a take that is there.
+    """What a page changes of a take.
 
     Args:
         star: Whether it is starred.

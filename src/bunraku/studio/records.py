@@ -11,7 +11,7 @@ from typing import Any, Literal
 from bunraku.core.request import GRAVITY, GUIDANCE, SECONDS, STEPS, STIFFNESS, Limit, from_json, read_json
 from bunraku.core.travel import LONGEST
 from bunraku.errors import OptionError
-from bunraku.studio.forms import MOST_PARTS, MOST_SEED, TIME, Motion, PoseForm, check_pins
+from bunraku.studio.forms import MOST_PARTS, MOST_SEED, TIME, Motion, PoseForm, read_pins
 from bunraku.studio.workspace import Settings
 
 __all__ = [
@@ -59,7 +59,7 @@ class _Chain:
 
 @dataclass(frozen=True)
 class _CharacterFacts:
-    """What is known of a character (`opened.told`)."""
+    """What is known of a character (`tasks.Open`)."""
 
     name: str
     file: str
@@ -259,7 +259,7 @@ class View:
                 Limit("x and z of a path", -LONGEST, LONGEST).check(one)
         for second in self.span or ():
             TIME.check(second, "span")
-        check_pins(self.pins)
+        read_pins(self.pins)
 
 
 def checked_view(view: object) -> dict[str, Any]:

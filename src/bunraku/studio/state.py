@@ -7,7 +7,7 @@ import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.studio.jobs import OPEN_STATES, About, Job, Jobs
@@ -166,6 +166,31 @@ class State:
         for old in written[: max(0, len(written) - KEPT_EXPORTS)]:
             self.store.drop("exports", old["id"])
         return self.store.new("exports", {"file": file, "title": title, "state": "waiting"})
+
+    def export(self, kind: str, file: str, title: str, params: Mapping[str, object], **about: Any) -> dict[str, Any]:
+        """Queue the job that writes a copy.
+
+        Args:
+            kind: The task.
+            file: The name of the file.
+            title: The name that a user sees.
+            params: What the task takes besides the file.
+            **about: Which things the job is about.
+
+        Raises:
+            QueueFull: Too many jobs wait.
+            FormatError: It cannot be written down.
+        """
+        made = self.new_export(file, title)
+        try:
+            job = self.jobs.submit(
+                kind, f"write {title}", {**params, "export": made["id"], "file": file},
+                cast(About, {**about, "export": made["id"]}),
+            )  # fmt: skip
+        except BaseException:
+            self.store.drop("exports", made["id"])
+            raise
+        return {"job": job["id"], "export": made["id"], "title": title}
 
     def revive(self, about: About) -> None:
         """Mark what a job is about as waiting again."""

@@ -32,11 +32,10 @@ from bunraku.studio.routes.reading import (
     ready_character,
     receive,
     studio_state,
-    text,
 )
 from bunraku.studio.workspace import PREVIEWS
 
-__all__ = ["LIBRARY_ROUTES", "Newer", "PROJECT_ROUTES", "ROUTES", "shown_project"]
+__all__ = ["Newer", "ROUTES", "shown_project"]
 
 
 MOST_PROJECTS = 200
@@ -123,14 +122,6 @@ async def opened(request: Request) -> Any:
     return JSONResponse(found, 201)
 
 
-PROJECT_ROUTES = [
-    ("/projects", ("GET", "POST"), projects),
-    ("/projects/{name}", ("GET", "PUT", "DELETE"), project),
-    ("/characters/{name}/project", ("POST",), packed),
-    ("/project-files", ("POST",), opened),
-]
-
-
 MOST_TEXT = 1000
 MOST_PREVIEWS = 48
 """Clips of one request."""
@@ -187,13 +178,6 @@ async def preview(request: Request) -> Response:
     return FileResponse(state.store.file("characters", owner, file), media_type="application/octet-stream")
 
 
-LIBRARY_ROUTES = [
-    ("/clips", ("GET",), clips),
-    ("/characters/{name}/clips", ("POST",), previews),
-    ("/characters/{name}/clips/{clip}", ("GET",), preview),
-]
-
-
 SUGGESTED = 6
 """Clips of the library that a sentence suggests."""
 LONGEST_NUMBER = 15
@@ -235,22 +219,35 @@ def _writes() -> list[str]:
     return found
 
 
+@dataclass(frozen=True)
+class _LoginForm:
+    password: str = ""
+
+
 async def login(request: Request) -> Any:
-    """The token, for who knows the password."""
+    """The token, in exchange for the password."""
     keys = request.app.state.keys
-    given = text(await body_of(request), "password", 200)
-    await asyncio.sleep(1)  # slow enough that nobody tries them all
+    given = from_json(_LoginForm, await body_of(request), "the request").password
+    await asyncio.sleep(1)  # too slow to try many passwords
     if not keys.password or not hmac.compare_digest(given.encode(), keys.password.encode()):
         return JSONResponse({"error": "this is not the password", "kind": "Refused"}, 401)
     return {"token": keys.token}
 
 
+@dataclass(frozen=True)
+class _TextForm:
+    text: str = ""
+
+    def __post_init__(self) -> None:
+        if len(self.text) > MOST_TEXT:
+            raise OptionError(f"text has more than {MOST_TEXT} characters")
+
+
 async def understand(request: Request) -> Any:
-    """What is understood of a sentence, with the places of words that are not."""
-    from bunraku.generation.library import search
+    """What is understood of a sentence, with the positions of words that are not."""
     from bunraku.language.understood import understood
 
-    words = text(await body_of(request), "text", 1000)
+    words = from_json(_TextForm, await body_of(request), "the request").text
     found = await run_in_threadpool(understood, words)
     clips = await run_in_threadpool(search, words)
     return {
@@ -258,7 +255,7 @@ async def understand(request: Request) -> Any:
         "ok": found.ok,
         "language": found.language,
         "english": found.english,
-        "unknown": [{"word": one.word, "start": one.start, "stop": one.stop} for one in found.unknown],
+        "unknown": [{"word": word.word, "start": word.start, "stop": word.stop} for word in found.unknown],
         "corrected": [list(pair) for pair in found.corrected],
         "nearest": list(found.nearest),
         "notes": list(found.notes),
@@ -304,4 +301,11 @@ ROUTES = [
     ("/jobs", ("GET",), jobs),
     ("/jobs/{name}", ("GET", "DELETE"), job),
     ("/jobs/{name}/again", ("POST",), again),
+    ("/projects", ("GET", "POST"), projects),
+    ("/projects/{name}", ("GET", "PUT", "DELETE"), project),
+    ("/characters/{name}/project", ("POST",), packed),
+    ("/project-files", ("POST",), opened),
+    ("/clips", ("GET",), clips),
+    ("/characters/{name}/clips", ("POST",), previews),
+    ("/characters/{name}/clips/{clip}", ("GET",), preview),
 ]

@@ -29,11 +29,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from bunraku import __version__
 from bunraku.errors import BunrakuError
-from bunraku.studio.forms import ChangeForm, ClipsForm, TakeForm, TakeRecordForm
+from bunraku.studio.forms import ChangeForm, CharacterForm, ClipsForm, ExportForm, TakeForm, TakeRecordForm
 from bunraku.studio.jobs import QueueFull
 from bunraku.studio.routes import characters, general, takes
-from bunraku.studio.routes import general as files
-from bunraku.studio.routes import general as library
 from bunraku.studio.routes.reading import TooLarge
 from bunraku.studio.state import State
 from bunraku.studio.store import NotThere, Store
@@ -75,7 +73,7 @@ class Guard:
 
     Args:
         app: What is behind it.
-        keys: Who is let in.
+        keys: What lets a page in.
     """
 
     def __init__(self, app: ASGIApp, keys: Keys):
@@ -209,10 +207,12 @@ def document_of(routes: Routes, version: str, reads: Mapping[tuple[str, str], ty
 
 
 READS: dict[tuple[str, str], type] = {
+    ("/characters/{name}", "PATCH"): CharacterForm,
     ("/characters/{name}/takes", "POST"): TakeForm,
     ("/characters/{name}/exports", "POST"): ClipsForm,
     ("/takes/{name}", "PATCH"): TakeRecordForm,
     ("/takes/{name}/change", "POST"): ChangeForm,
+    ("/takes/{name}/exports", "POST"): ExportForm,
 }
 """What the body of a route is read as."""
 STATIC = Path(__file__).parents[1] / "static"
@@ -224,8 +224,8 @@ def studio_app(folder: Path, keys: Keys | None = None, warm: bool = True) -> Sta
     """The application.
 
     Args:
-        folder: Where it keeps its things.
-        keys: Who is let in.
+        folder: Where it keeps everything.
+        keys: What lets a page in; a new token where None.
         warm: Start the worker with the application, and the sample where there is nothing yet.
 
     Raises:
@@ -243,12 +243,12 @@ def studio_app(folder: Path, keys: Keys | None = None, warm: bool = True) -> Sta
         finally:
             state.stop()
 
-    api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, *library.LIBRARY_ROUTES, *files.PROJECT_ROUTES]
-    api.append(("/openapi.json", ("GET",), described))
+    api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, ("/openapi.json", ("GET",), described)]
     app = Starlette(
         routes=[
             Mount(
-                "/api", routes=[Route(path, _told(handler), methods=list(methods)) for path, methods, handler in api]
+                "/api",
+                routes=[Route(path, _answered(handler), methods=list(methods)) for path, methods, handler in api],
             ),
             Route("/", _page),
             Route("/view.js", _view),
@@ -281,7 +281,7 @@ async def _no_such_page(request: Request, error: Exception) -> Response:
     return JSONResponse({"error": "there is nothing at this address", "kind": "NotThere"}, status)
 
 
-def _told(handler: Callable[[Request], Any]) -> Callable[[Request], Any]:
+def _answered(handler: Callable[[Request], Any]) -> Callable[[Request], Any]:
     """A route whose errors are sentences."""
 
     async def route(request: Request) -> Response:
@@ -302,7 +302,7 @@ def _answer(error: Exception) -> Response:
     elif is_full(error):
         status = 507
     elif isinstance(error, BunrakuError):
-        status = 429 if isinstance(error, QueueFull) else 409 if isinstance(error, files.Newer) else 400
+        status = 429 if isinstance(error, QueueFull) else 409 if isinstance(error, general.Newer) else 400
     else:
         logging.getLogger(__name__).error("a request failed", exc_info=error)
         status = 500
