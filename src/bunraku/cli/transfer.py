@@ -341,10 +341,8 @@ def batches(pairs: list[Pair], jobs: int | str) -> list[list[Pair]]:
 
 
 def animation_of(pair: Pair, settings: Transfer, progress: Progress | None = None) -> AnimatedCharacter:
-    """The motion of a pair on its character, apparel and all.
-
-    Raises:
-        BunrakuError: A file cannot be read, the two do not go together, or there is nothing to simulate.
+    """The motion of a pair on its character, apparel and all; BunrakuError where a file cannot be read, the two do not
+    go together, or there is nothing to simulate.
     """
     from bunraku.files import check_writer
     from bunraku.pipelines.animator import Animator

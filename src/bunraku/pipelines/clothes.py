@@ -42,10 +42,8 @@ eye.
 
 
 def body_of_handles(character: Character, handles: Handles) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (V, 22) and positions (22, 3) [m] of the joints that the 30 handles of a body stand for.
-
-    Raises:
-        CharacterError: The handles are not the 30 of a body.
+    """Weights (V, 22) and positions (22, 3) [m] of the joints that the 30 handles of a body stand for; CharacterError
+    where the handles are not the 30 of a body.
     """
     if len(handles.positions) < HANDLE_COUNT:
         raise CharacterError(f"{character.name}: its handles are not the 30 of a body; let them be predicted")

@@ -100,10 +100,8 @@ class Apparel:
             check_engine(f"apparel that moves by '{self.motion}'")
 
     def check_with(self, constraints: Sequence[Constraint], handles: bool = False, dashes: str = "") -> None:
-        """Whether apparel that moves so goes with the constraints, and with handles that are given or requested.
-
-        Raises:
-            OptionError: It does not.
+        """Whether apparel that moves so goes with the constraints, and with handles that are given or requested;
+        OptionError where it does not.
         """
         kinds = {constraint.kind for constraint in constraints}
         if self.motion == "simulate" and kinds & {"path", "pin"}:
@@ -256,11 +254,7 @@ class Constraints(tuple[Constraint, ...]):
 
     @property
     def after(self) -> HandleMotion | AnimatedCharacter | None:
-        """The clip in whose last pose the motion starts.
-
-        Raises:
-            OptionError: It is named and not opened.
-        """
+        """The clip in whose last pose the motion starts; OptionError where it is named and not opened."""
         found = self._one("after")
         if not isinstance(found, Follow):
             return None
@@ -287,10 +281,8 @@ class Constraints(tuple[Constraint, ...]):
         return next((constraint for constraint in self if constraint.kind == kind), None)
 
     def check(self, dashes: str = "", clip: bool = False) -> None:
-        """Whether all go together; `clip` says that a clip is edited, and no motion made anew.
-
-        Raises:
-            OptionError: They do not.
+        """Whether all go together; `clip` says that a clip is edited, and no motion made anew; OptionError where they
+        do not.
         """
         if len(self.pins) > MOST_PINS:
             raise OptionError(f"at most {MOST_PINS} pins are met, not {len(self.pins)}")
@@ -307,11 +299,7 @@ class Constraints(tuple[Constraint, ...]):
 
     @classmethod
     def from_json(cls, data: object) -> Self:
-        """The constraints of a JSON form.
-
-        Raises:
-            OptionError: It is none.
-        """
+        """The constraints of a JSON form; OptionError where it is not such a form."""
         if not isinstance(data, list | tuple):
             raise OptionError("constraints must be a list")
         found = []
@@ -331,11 +319,7 @@ RIGS = ("auto", "own", "handles")
 
 
 def whole_number(name: str, value: Any) -> int:
-    """A whole number of any type, such as numpy's.
-
-    Raises:
-        OptionError: It is none.
-    """
+    """A whole number of any type, such as numpy's; OptionError for other values."""
     try:
         return operator.index(value)
     except TypeError:
@@ -343,11 +327,7 @@ def whole_number(name: str, value: Any) -> int:
 
 
 def ground_path(points: Sequence[Sequence[float]]) -> GroundPath:
-    """The path of points on the ground, each x and z [m].
-
-    Raises:
-        OptionError: They are no such points.
-    """
+    """The path of points on the ground, each x and z [m]; OptionError for other values."""
     from bunraku.core.travel import GroundPath
 
     try:
@@ -382,10 +362,8 @@ class Sampling:
                 object.__setattr__(self, name, whole_number(name, value))
 
     def check(self, dashes: str = "") -> None:
-        """Whether a motion can be drawn so; `dashes` stand before the names of options in messages.
-
-        Raises:
-            OptionError: A number is outside its limits.
+        """Whether a motion can be drawn so; `dashes` stand before the names of options in messages; OptionError where a
+        number is outside its limits.
         """
         WHOLE.check(self.seconds, f"{dashes}seconds")
         SEED.check(self.seed, f"{dashes}seed")
@@ -433,11 +411,7 @@ class Request:
 
     @cached_property
     def parsed(self) -> Sentence:
-        """The sentence, parsed.
-
-        Raises:
-            OptionError: It is empty, too long or not understood, or a length is out of range.
-        """
+        """The sentence, parsed; OptionError where it is empty, too long or not understood, or a length is out of range."""
         from bunraku.language.parse import parse
 
         given = self.sentence
@@ -473,11 +447,7 @@ class Request:
         return not isinstance(self.handles, str) or self.handles != "predict"
 
     def to_json(self) -> dict[str, Any]:
-        """The JSON form.
-
-        Raises:
-            OptionError: It holds handles or a clip themselves, and not their names.
-        """
+        """The JSON form; OptionError where it holds handles or a clip themselves, and not their names."""
         if not isinstance(self.handles, str):
             raise OptionError("handles that were made have no form in JSON; say how they are made: 'predict' or 'rig'")
         return {
@@ -489,11 +459,7 @@ class Request:
 
     @classmethod
     def from_json(cls, data: object) -> Request:
-        """The request of a JSON form, checked.
-
-        Raises:
-            OptionError: It is none, or cannot be requested.
-        """
+        """The request of a JSON form, checked; OptionError where it is not such a form, or cannot be requested."""
         form = from_json(_Form, data, "the request")
         stages = None
         if form.stages is not None:

@@ -46,7 +46,7 @@ def save_worn(character: Character, found: np.ndarray | None, path: Path) -> Non
 
     Args:
         character: The character.
-        found: Vertices that are apparel, shape (V,), bool; None where nobody could look.
+        found: Vertices that are apparel, shape (V,), bool; None where that is not known.
         path: The file.
 
     Raises:
@@ -103,11 +103,7 @@ def shown_mask(worn: Path, painted: Path) -> bytes:
 
 
 def found_mask(worn: Path) -> np.ndarray:
-    """What was found, shape (V,), bool.
-
-    Raises:
-        FormatError: The file is broken.
-    """
+    """What was found, shape (V,), bool; FormatError where the file is broken."""
     data = read_bounded(worn)
     start, count = _head(worn, data)
     return np.unpackbits(np.frombuffer(data[start:], np.uint8), count=count, bitorder="little").astype(bool)
@@ -149,18 +145,14 @@ def clean_mask(worn: Path, bits: bytes) -> np.ndarray:
 
 
 def paint(mask: np.ndarray, path: Path) -> None:
-    """Write a painted mask.
-
-    Raises:
-        FormatError: It cannot be written.
-    """
+    """Write a painted mask; FormatError where it cannot be written."""
     packed = io.BytesIO()
     np.save(packed, mask, allow_pickle=False)
     with atomic_write(path) as file:
         file.write(packed.getvalue())
 
 
-MOST_PLACES = 30_000_000
+MOST_POSITIONS = 30_000_000
 """Vertices times frames of apparel that moves on its own, which takes 24 bytes for each."""
 LEAST = 0.01
 """Share of a mesh that is apparel where there is some."""
@@ -183,7 +175,7 @@ def check_fits(apparel: Apparel, character: Character, seconds: float) -> None:
 
     if apparel.motion == "simulate":
         check_apparel(character)
-    most = MOST_PLACES / (RATE * len(character.vertices))
+    most = MOST_POSITIONS / (RATE * len(character.vertices))
     if apparel.motion in ("learn", "chains") and seconds > most:
         raise OptionError(
             f"moving apparel of {len(character.vertices):,} vertices does not fit into the studio for {seconds:g} "
@@ -258,8 +250,8 @@ def redress_take(
 
 
 def apparel_mask_of(character: Character, handles: Handles) -> np.ndarray | None:
-    """Which vertices of a character are apparel: as its file says, or else as a network finds; shape (V,), bool. None
-    where nobody can tell.
+    """Which vertices of a character are apparel, by its file or else by a network; shape (V,), bool; None where neither
+    says it.
     """
     from bunraku.apparel.fitting import joint_weights_of_handles, joints_of_handles
     from bunraku.apparel.learned.segmentation import find_apparel
@@ -295,10 +287,10 @@ def chains_of(anatomy: Anatomy) -> tuple[Chained | None, str]:
 def chain_facts(made: Chained) -> list[dict[str, Any]]:
     """What a page shows of chains: name, kind, points at rest [m], and the handle that carries each."""
     carriers: dict[int, int] = {}
-    told = []
+    facts = []
     for chain in made.chains:
         carrier = carriers.get(chain.holder, int(chain.holder))
         carriers |= dict.fromkeys(chain.bones.tolist(), carrier)
         points = chain.points.astype(float).round(5).tolist()
-        told.append({"name": chain.name, "kind": chain.kind, "joint": carrier, "points": points})
-    return told
+        facts.append({"name": chain.name, "kind": chain.kind, "joint": carrier, "points": points})
+    return facts

@@ -257,10 +257,8 @@ class TakeForm(Drawn, DressForm):
         return found.with_parsed()
 
     def pieces(self, handles: Literal["predict", "rig"] = "predict") -> list[dict[str, Any]]:
-        """The JSON forms of clips and of requests of the sentences between them, of a script with clips.
-
-        Raises:
-            OptionError: It cannot be requested, or a sentence is not understood.
+        """The JSON forms of clips and of requests of the sentences between them, of a script with clips; OptionError
+        where it cannot be requested, or a sentence is not understood.
         """
         if self.after:
             raise OptionError("a script with clips follows no other take; put its clip or sentence before them")

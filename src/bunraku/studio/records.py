@@ -137,10 +137,8 @@ _OBJECTS = {"jobs": ("params", "about"), "projects": ("view",), "characters": ("
 
 
 def check_facts(kind: str, facts: Mapping[str, Any]) -> None:
-    """Whether these are facts of a character or a take, one key each.
-
-    Raises:
-        OptionError: One is missing, unknown, or of another type.
+    """Whether these are facts of a character or a take, one key each; OptionError where one is missing, unknown, or of
+    another type.
     """
     from_json(_FACTS[kind], dict(facts), f"a {kind[:-1]}")
 
@@ -263,11 +261,7 @@ class View:
 
 
 def checked_view(view: object) -> dict[str, Any]:
-    """The view that a page sent; none is an empty one.
-
-    Raises:
-        OptionError: It holds what a page cannot show.
-    """
+    """The view that a page sent; none is an empty one; OptionError where it holds what a page cannot show."""
     form: Any = {} if view is None else view
     from_json(View, form, "the view")
     return dict(form)

@@ -148,11 +148,7 @@ class Store:
         return f"something could not be read and is kept in {where}; delete that folder if you do not miss it"
 
     def new(self, kind: str, record: Record) -> Record:
-        """Add a thing and give back its record with its id.
-
-        Raises:
-            FormatError: It cannot be written.
-        """
+        """Add a thing and give back its record with its id; FormatError where it cannot be written."""
         name = secrets.token_hex(8)
         folder = self.folder / kind / name
         record = {**record, "id": name, "created": time.time()}
@@ -170,11 +166,7 @@ class Store:
         return record
 
     def get(self, kind: str, name: str) -> Record:
-        """The record of a thing.
-
-        Raises:
-            NotThere: There is none.
-        """
+        """The record of a thing; NotThere where there is none."""
         record = self._records[kind].get(name) if isinstance(name, str) else None
         if record is None:
             raise NotThere(f"there is no such {kind[:-1]} any more; reload the page")
@@ -201,10 +193,8 @@ class Store:
         return record
 
     def note(self, kind: str, name: str, /, **values: object) -> Record:
-        """Change a record even where the disk refuses it: it is in memory then, and written when the disk takes it.
-
-        Raises:
-            NotThere: There is no such thing.
+        """Change a record even where the disk refuses it: it is in memory then, and written when the disk takes it;
+        NotThere where there is no such thing.
         """
         with self._lock:
             record = self._records[kind][name] = {**self.get(kind, name), **values}
@@ -243,18 +233,12 @@ class Store:
         return bool(found)
 
     def folder_of(self, kind: str, name: str) -> Path:
-        """The folder of a thing.
-
-        Raises:
-            NotThere: There is no such thing.
-        """
+        """The folder of a thing; NotThere where there is no such thing."""
         return self.folder / kind / str(self.get(kind, name)["id"])
 
     def file(self, kind: str, name: str, file: str) -> Path:
-        """A file of a thing; its name comes from the program and never from a client.
-
-        Raises:
-            NotThere: There is no such thing, or it has no such file yet.
+        """A file of a thing; its name comes from the program and never from a client; NotThere where there is no such
+        thing, or it has no such file yet.
         """
         path = self.folder_of(kind, name) / file
         if not path.is_file():

@@ -48,11 +48,7 @@ class Task(Protocol):
 
 
 def handle_animation_of(take: Take) -> Animation:
-    """What moves the handles of a take.
-
-    Raises:
-        OptionError: It moves the bones of its file.
-    """
+    """What moves the handles of a take; OptionError where it moves the bones of its file."""
     body = body_of(take)
     if not isinstance(body, Animation):
         raise OptionError("this take moves the bones of the file; make one that moves handles to change it")

@@ -141,10 +141,8 @@ def packed_clip(take: Take) -> bytes:
 
 
 def save_take(take: Take, path: Path) -> None:
-    """Write a take so that `load_take` gives it back: its motion, and `APPAREL` beside it where that is learned.
-
-    Raises:
-        FormatError: The file cannot be written.
+    """Write a take so that `load_take` gives it back: its motion, and `APPAREL` beside it where that is learned;
+    FormatError where the file cannot be written.
     """
     if isinstance(take, Dressed):
         offsets = take.points.offsets
@@ -215,11 +213,7 @@ def _packed_bones(bones: RigAnimation) -> dict[str, Any]:
 
 
 def _bones_of(found: dict[str, np.ndarray], path: Path, skinned: Animation) -> RigAnimation:
-    """The inverse of `_packed_bones`.
-
-    Raises:
-        FormatError: Its rig is of another mesh, or none.
-    """
+    """The inverse of `_packed_bones`; FormatError where its rig is of another mesh, or none."""
     try:
         names = tuple(str(name) for name in json.loads(found["rig_names"].astype(np.uint8).tobytes()))
         rig = Rig(names, *(found[f"rig_{name}"] for name in ("parents", "transforms", "indices", "weights")))
@@ -246,10 +240,8 @@ def _load_body(path: Path, character: Character, handles: Handles) -> Animation 
 
 
 def save_handles(handles: Handles, path: Path) -> None:
-    """Write handles: positions, the four largest weights of each vertex, features, roles.
-
-    Raises:
-        FormatError: The file cannot be written.
+    """Write handles: positions, the four largest weights of each vertex, features, roles; FormatError where the file
+    cannot be written.
     """
     arrays = {"positions": handles.positions, "weights": handles.weights, "roles": handles.played}
     if handles.features is not None:

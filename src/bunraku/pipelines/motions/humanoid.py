@@ -31,10 +31,8 @@ Humanoid = HandleMotion | SkeletalMotion | Animation
 
 
 def as_skeletal(given: Humanoid) -> SkeletalMotion:
-    """A motion of a skeleton: the given one, that of the reference body's 22 joints, or `humanoid_motion`.
-
-    Raises:
-        MotionError: A handle motion has too few handles.
+    """A motion of a skeleton: the given one, that of the reference body's 22 joints, or `humanoid_motion`; MotionError
+    where A handle motion has too few handles.
     """
     if isinstance(given, Animation):
         return humanoid_motion(given)
@@ -64,11 +62,7 @@ def write_humanoid_vrma(given: Humanoid, path: Path, *, fps: float | None = None
 
 
 def write_motion_npz(motion: HandleMotion | SkeletalMotion, path: Path) -> Path:
-    """Write a handle motion of the reference body as NPZ.
-
-    Raises:
-        OptionError: The motion is of a skeleton.
-    """
+    """Write a handle motion of the reference body as NPZ; OptionError where the motion is of a skeleton."""
     from bunraku.core.files import atomic_write
     from bunraku.files import pack_motion
 

@@ -19,10 +19,8 @@ MAX_VALUES = 400_000_000
 
 
 def load_mesh_motion(folder: str | Path, fps: float = 20.0) -> MeshMotion:
-    """Read a folder of OBJ or PLY files, one a frame in the order of their names, all with the same triangles.
-
-    Raises:
-        FormatError: There are no such files, one cannot be read, or their meshes differ.
+    """Read a folder of OBJ or PLY files, one a frame in the order of their names, all with the same triangles;
+    FormatError where there are no such files, one cannot be read, or their meshes differ.
     """
     folder = Path(folder)
     found = sorted(file for file in folder.iterdir() if file.is_file())

@@ -92,10 +92,8 @@ async def receive(request: Request, path: Path, most: int | None = None) -> int:
 
 
 def unpack(archive: Path, folder: Path) -> str:
-    """Unpack the character of a ZIP with the files beside it, and give back its file, relative to the folder.
-
-    Raises:
-        FormatError: The ZIP is broken, unpacks to too much, names a path outside, or holds no character.
+    """Unpack the character of a ZIP with the files beside it, and give back its file, relative to the folder;
+    FormatError where the ZIP is broken, unpacks to too much, names a path outside, or holds no character.
     """
     found: list[str] = []
     with open_archive(archive, MOST_ENTRIES, MOST_UNPACKED) as opened:
@@ -149,11 +147,7 @@ def ready_character(state: State, name: str) -> dict[str, Any]:
 
 
 async def body_of(request: Request) -> dict[str, Any]:
-    """The JSON object of a request.
-
-    Raises:
-        OptionError: It is none, or too large.
-    """
+    """The JSON object of a request; OptionError where it is none, or too large."""
     data = bytearray()
     async for chunk in request.stream():
         data += chunk
