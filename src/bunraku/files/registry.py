@@ -24,7 +24,8 @@ from bunraku.files.gltf.read import rotated, scaled
 
 __all__ = [
     "READERS", "UNIT_CHOICES", "UNIT_NAMES", "WRITERS", "SettledUnit", "check_unit", "check_writer",
-    "holds_character", "in_metres", "load_character", "load_with_clips", "read_motion", "resolve_unit", "save", "save_character",
+    "holds_character", "in_metres", "load_character", "load_with_clips", "read_motion", "resolve_unit", "save",
+    "save_character",
 ]  # fmt: skip
 
 _FILES = "bunraku.files"

@@ -85,16 +85,8 @@ def read_path(points: Sequence[object]) -> GroundPath | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
-    """How takes are drawn.
-
-    Args:
-        seeds: One for each take.
-        steps: Of the sampler; None takes the default.
-        guidance: Of the sentence; None takes the default.
-        candidates: Motions of which one is chosen.
-        force: Go on where no movement is understood.
-        without: Names of stages that are left out.
-        pins: JSON forms of pins.
+    """How takes are drawn: as `Sampling` and `Request` say it, with a seed for each take, the names of stages that are
+    left out, and the JSON forms of pins.
     """
 
     seeds: tuple[float, ...] = (0,)
@@ -122,13 +114,7 @@ class Drawn:
 
 @dataclass(frozen=True, kw_only=True)
 class DressForm:
-    """How the apparel of takes moves.
-
-    Args:
-        apparel: With the body, by the physics of the file, by chains of bones, or as it is learned.
-        stiffness: Factor on how stiff apparel is.
-        gravity: Factor on the gravity of what is simulated.
-    """
+    """How the apparel of takes moves; see `Apparel`."""
 
     apparel: Motion = "rigid"
     stiffness: float = 1.0
@@ -150,13 +136,7 @@ MOST_WORDS = 1000
 
 @dataclass(frozen=True)
 class Part:
-    """A sentence of a script, or a clip of the library.
-
-    Args:
-        text: What the character does.
-        seconds: For how long.
-        clip: The name of a clip, which is played as it is; "" where the sentence is generated.
-    """
+    """A sentence of a script with its length [s], or a clip of the library by its name, which is played as it is."""
 
     text: str
     seconds: float = 4.0
@@ -233,11 +213,12 @@ class TakeForm(Drawn, DressForm):
     after: str | None = None
     rig: Literal["handles", "own"] = "handles"
 
-    def request(self, handles: Literal["predict", "rig"] = "predict") -> Request:
-        """The request, checked; the take that is followed is only named.
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        DressForm.__post_init__(self)
 
-        Args:
-            handles: How the handles of the character were made.
+    def request(self, handles: Literal["predict", "rig"] = "predict") -> Request:
+        """The request, checked; a take that is followed is only named. `handles` says how the character's were made.
 
         Raises:
             OptionError: It cannot be requested, or a sentence is not understood.
@@ -264,13 +245,13 @@ class TakeForm(Drawn, DressForm):
             raise OptionError("a script with clips follows no other take; put its clip or sentence before them")
         found: list[dict[str, Any]] = []
         for played, parts in itertools.groupby(read_script(self.script), lambda part: bool(part.clip)):
-            some = tuple(parts)
             if played:
-                found += [{"clip": part.clip, "seconds": part.seconds} for part in some]
-            else:
-                own = replace(self, script=some, loop=False, in_place=False, path=None, pins=(), apparel="rigid")
-                seconds = sum(part.seconds for part in some)
-                found.append({"seconds": seconds, "request": own.request(handles).to_json()})
+                found += [{"clip": part.clip, "seconds": part.seconds} for part in parts]
+                continue
+            script = tuple(parts)
+            bare = replace(self, script=script, loop=False, in_place=False, path=None, pins=(), apparel="rigid")
+            seconds = sum(part.seconds for part in script)
+            found.append({"seconds": seconds, "request": bare.request(handles).to_json()})
         return found
 
     def constraints(self) -> Constraints:
@@ -347,13 +328,7 @@ class TakeRecordForm:
 
 @dataclass(frozen=True)
 class PoseForm:
-    """A pose that stays.
-
-    Args:
-        time: Seconds of the clip.
-        take: The take that it is of; None is the clip itself.
-        at: Seconds of that take; None is `time`.
-    """
+    """A pose that stays; see `requests.Pose`."""
 
     time: float = 0.0
     take: str | None = None
@@ -371,13 +346,11 @@ class ChangeForm(Drawn):
     Args:
         prompt: What is done instead; nothing is generated where it is empty.
         keep: Parts that stay.
-        span: Seconds from and to which is generated.
+        span: The first and the last second that are generated.
         poses: Poses that stay.
-        apparel: How apparel moves, where that is to change.
-        stiffness: How stiff apparel is.
-        gravity: How strongly what is simulated is drawn downwards.
+        apparel, stiffness, gravity: How apparel moves, where that is to change.
         mirror: Left and right are exchanged; nothing else is then changed.
-        trim: Seconds from and to of what stays; all else goes.
+        trim: The first and the last second of what stays.
     """
 
     prompt: str = ""
@@ -404,10 +377,7 @@ class ChangeForm(Drawn):
             raise OptionError("trim is from an earlier second to a later one")
 
     def request(self, apparel: Apparel) -> Request:
-        """The request of an edit, checked.
-
-        Args:
-            apparel: How the apparel of the take moves.
+        """The request of an edit, checked, with how the apparel of the take moves.
 
         Raises:
             OptionError: Nothing is kept, or the sentence is not understood.
@@ -449,9 +419,8 @@ class ClipsForm:
 
     Args:
         takes: Their names, in order, each once.
-        fps: Frames a second [1/s].
-        preset: The program that the file is for, one of `files.presets`; "" for a plain GLB. Its rate holds where
-            `fps` is 0.
+        fps: Frames a second [1/s]; 0 for the preset's.
+        preset: The program that the file is for, one of `files.presets`; "" for a plain GLB.
     """
 
     takes: tuple[str, ...] = ()
@@ -468,15 +437,8 @@ class ClipsForm:
 
 
 def check_asked(how: object, script: object, asked: object) -> None:
-    """Whether what a project says of a take was requested by a page.
-
-    Args:
-        how: How the take was made.
-        script: Its script.
-        asked: What its record kept of the form.
-
-    Raises:
-        OptionError: It was not.
+    """Raise OptionError unless a page can have requested a take: how it was made, its script, and what its record kept
+    of the form.
     """
     kept: dict[str, Any] = asked if isinstance(asked, dict) else {}
     if how == "animate":

@@ -1,8 +1,8 @@
 """What the studio keeps: characters, takes and projects in a folder of the user's, written whole or not at all.
 
-A thing is a folder with a record, `record.json`, and the binary files that the worker wrote beside it. Only the
-server writes records, so nothing is written twice at once; a file that a record speaks of is there before the record.
-A folder whose record cannot be used is kept aside. What is given up has its record renamed, which needs no space.
+Each is a folder with a record, `record.json`, and the binary files that the worker wrote beside it. Only the server
+writes records, and a file that a record names is there before the record. A folder whose record cannot be used is kept
+aside. What is given up has its record renamed, which needs no space.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ KINDS = ("characters", "takes", "projects", "jobs", "exports")
 ASIDE = "set-aside"
 """The folder of what could not be read."""
 GIVEN_UP = "given-up.json"
-"""The record of what is given up: it goes when the studio starts again, or when the disk is full."""
+"""The record of what is given up: it is deleted when the studio starts again, or when the disk is full."""
 _ID = re.compile(r"[0-9a-f]{16}")
 _PROBE = 64 << 10
-"""Bytes that are written to learn whether the folder takes any: at the start, and after it took nothing."""
+"""Bytes that are written to try the folder: at the start, and after it refused a file."""
 
 
 class NotThere(BunrakuError):
@@ -41,7 +41,7 @@ class NotThere(BunrakuError):
 
 
 def default_folder() -> Path:
-    """Where the studio keeps its things unless the user names another place."""
+    """Where the studio keeps everything unless the user names another folder."""
     base = os.environ.get("XDG_DATA_HOME") or os.path.join(os.path.expanduser("~"), ".local", "share")
     return Path(base) / "bunraku" / "studio"
 
@@ -50,10 +50,8 @@ class Store:
     """The folder.
 
     Args:
-        folder: Made where it is not there. One that cannot be written to is read, and `trouble` says so.
-
-    Raises:
-        FormatError: It is not there and cannot be made.
+        folder: Made where it is missing; FormatError where that fails. One that cannot be written to is read, and
+            `trouble` says so.
     """
 
     def __init__(self, folder: Path):
@@ -140,7 +138,7 @@ class Store:
                 self.set_aside.append(self._aside(folder))
 
     def _aside(self, folder: Path) -> str:
-        """What is told of a folder that is kept aside."""
+        """A sentence about a folder that is kept aside."""
         sources = sorted(path.name for path in (folder / "source").rglob("*") if path.is_file())
         where = folder.relative_to(self.folder).as_posix()
         if sources:
@@ -173,11 +171,8 @@ class Store:
         return record
 
     def change(self, kind: str, name: str, /, **values: object) -> Record:
-        """Change a record and give it back; `deleted` gives the thing up, or takes that back, and needs no space.
-
-        Raises:
-            NotThere: There is no such thing.
-            FormatError: It cannot be written; then nothing has changed.
+        """Change a record and give it back; `deleted` gives a thing up or takes that back, which needs no space. NotThere
+        where there is no such thing; FormatError, with nothing changed, where it cannot be written.
         """
         with self._lock:  # the queue's thread and those of requests change the same things
             old = self.get(kind, name)

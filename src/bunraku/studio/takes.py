@@ -41,10 +41,10 @@ Partly = Callable[[dict[str, Any]], None]
 
 
 class Task(Protocol):
-    """Something that the worker does."""
+    """A task of the worker."""
 
     def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
-        """Do it; give what its record learns."""
+        """Do it, and give what its record learns."""
 
 
 def handle_animation_of(take: Take) -> Animation:
@@ -70,9 +70,9 @@ def finish_takes(takes: Mapping[str, Take], owner: str, workspace: Workspace, pa
 
 
 FPS = 20.0
-"""What the network knows; takes of other rates, carried over from files, are resampled before they are changed."""
+"""The network's rate [1/s]; takes of other rates, from files, are resampled before they are changed."""
 DRAFT_STAGES = Stages(smooth=False, feet=False, hands_clear=False, floor=False)
-"""Of a draft, which is there to be seen at once."""
+"""Stages of a draft, which is shown at once."""
 
 
 @dataclass(frozen=True)
@@ -292,13 +292,7 @@ BLEND = 8
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a take: a clip of the library, or a request.
-
-    Args:
-        seconds: How long it lasts.
-        clip: Its name; "" for a request.
-        request: The JSON form of a request of one sentence or several.
-    """
+    """A part of a take with its length [s]: a clip of the library by its name, or the JSON form of a request."""
 
     seconds: float
     clip: str = ""

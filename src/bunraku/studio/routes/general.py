@@ -43,17 +43,17 @@ MOST_PROJECTS = 200
 
 
 class Newer(BunrakuError):
-    """Another page keeps how it stands in the same project."""
+    """Another page keeps its view in the same project."""
 
 
 def shown_project(record: Record) -> Record:
-    """A project as a page gets it: how a page stood, put right where an earlier one kept what cannot be."""
+    """A project as a page gets it, its view repaired where it holds what cannot be shown."""
     return {**record, "view": read_view(record["view"])}
 
 
 @beside
 def projects(request: Request, body: dict[str, Any]) -> Any:
-    """All projects; POST adds one for a tab; where there are many, that which was kept longest ago goes."""
+    """All projects; POST adds one for a tab, and drops the oldest where there are too many."""
     state = studio_state(request)
     if request.method == "GET":
         return {"projects": [shown_project(record) for record in state.store.all("projects")]}
@@ -66,9 +66,7 @@ def projects(request: Request, body: dict[str, Any]) -> Any:
 
 @beside
 def project(request: Request, body: dict[str, Any]) -> Any:
-    """One project; PUT keeps how the page stands. A page that says which revision it knows is refused where another one
-    was faster.
-    """
+    """One project; PUT keeps the view of a page. A page that names an older revision is refused."""
     state, name = studio_state(request), request.path_params["name"]
     if request.method == "PUT":
         view = checked_view(body.get("view"))
@@ -86,7 +84,7 @@ def project(request: Request, body: dict[str, Any]) -> Any:
 
 @beside
 def packed(request: Request, body: dict[str, Any]) -> Response:
-    """A character with its takes as one file; the body says how the page stood."""
+    """A character with its takes as one file; the body has the view of the page."""
     state, name = studio_state(request), request.path_params["name"]
     view = checked_view(body.get("view"))
     title = state.store.get("characters", name)["name"]
@@ -158,7 +156,7 @@ class _PreviewForm:
 
 
 async def previews(request: Request) -> Any:
-    """Make how clips look on a character; the job is null where all are there."""
+    """Show clips on a character; the job is null where all are there."""
     state, owner = studio_state(request), request.path_params["name"]
     ready_character(state, owner)
     form = from_json(_PreviewForm, await body_of(request), "the request")
@@ -244,7 +242,7 @@ class _TextForm:
 
 
 async def understand(request: Request) -> Any:
-    """What is understood of a sentence, with the positions of words that are not."""
+    """What is understood of a sentence, with the positions of unknown words."""
     from bunraku.language.understood import understood
 
     words = from_json(_TextForm, await body_of(request), "the request").text

@@ -128,7 +128,7 @@ async def clip(request: Request) -> Response:
 
 
 async def change(request: Request) -> Any:
-    """New takes from one: parts or poses kept and the rest generated, or bent to pins with nothing generated."""
+    """New takes from one: parts or poses kept and the rest generated, or bent, mirrored, trimmed, dressed anew."""
     state, name = studio_state(request), request.path_params["name"]
     body = await body_of(request)
     return JSONResponse(await run_in_threadpool(_change, state, name, body), 202)

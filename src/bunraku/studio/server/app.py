@@ -1,6 +1,4 @@
-"""The studio as a web application: its routes and their OpenAPI document, its page, and a gate that admits that page
-only.
-"""
+"""The studio as a web application: its routes and their OpenAPI document, its page, and a gate for that page only."""
 
 from __future__ import annotations
 
@@ -55,7 +53,7 @@ class Keys:
 
     Args:
         token: In the address that is opened.
-        password: What others type where the studio is open to other machines; "" keeps it to this one.
+        password: For other machines; "" keeps the studio to this one.
         hosts: Names by which the studio may be called; empty allows any, behind a password only.
     """
 
@@ -131,9 +129,7 @@ class Guard:
 
 
 Routes = Iterable[tuple[str, tuple[str, ...], Callable[..., Any]]]
-_PLAIN: dict[Any, dict[str, Any]] = {
-    str: {"type": "string"}, bool: {"type": "boolean"}, int: {"type": "integer"}, float: {"type": "number"},
-}  # fmt: skip
+_PLAIN = {str: "string", bool: "boolean", int: "integer", float: "number", type(None): "null"}
 _ERROR = {
     "description": "What is wrong, one sentence.",
     "content": {"application/json": {"schema": {
@@ -145,37 +141,31 @@ _ERROR = {
 def schema_of(kind: Any) -> dict[str, Any]:
     """The JSON schema of a type: plain ones, lists, literals, dataclasses."""
     if kind in _PLAIN:
-        return dict(_PLAIN[kind])
+        return {"type": _PLAIN[kind]}
     origin, inner = get_origin(kind), get_args(kind)
     if origin is Literal:
         return {"enum": list(inner)}
     if origin in (Union, types.UnionType):
-        return {"anyOf": [{"type": "null"} if one is type(None) else schema_of(one) for one in inner]}
+        return {"anyOf": list(map(schema_of, inner))}
     if origin in (list, tuple):
-        same = (len(inner) == 2 and inner[1] is Ellipsis) or origin is list
-        if same:
+        if origin is list or inner[-1] is Ellipsis:
             return {"type": "array", "items": schema_of(inner[0])}
         bounds = {"minItems": len(inner), "maxItems": len(inner)}
-        return {"type": "array", "prefixItems": [schema_of(one) for one in inner], **bounds}
+        return {"type": "array", "prefixItems": list(map(schema_of, inner)), **bounds}
     if origin in (dict, Mapping):
         return {"type": "object"}
     if is_dataclass(kind) and isinstance(kind, type):
         hints = get_type_hints(kind)
-        own = {field.name: schema_of(hints[field.name]) for field in fields(kind)}
+        properties = {field.name: schema_of(hints[field.name]) for field in fields(kind)}
         needed = [field.name for field in fields(kind) if field.default is MISSING and field.default_factory is MISSING]
-        said = inspect.getdoc(kind) or ""
-        out: dict[str, Any] = {"type": "object", "title": kind.__name__, "description": said, "properties": own}
-        return {**out, "required": needed} if needed else out
+        about = {"title": kind.__name__, "description": inspect.getdoc(kind) or ""}
+        return {"type": "object", **about, "properties": properties, **({"required": needed} if needed else {})}
     return {}
 
 
 def document_of(routes: Routes, version: str, reads: Mapping[tuple[str, str], type]) -> dict[str, Any]:
-    """The document.
-
-    Args:
-        routes: Path, methods and handler of each; a handler's docstring says what it does.
-        version: Of Bunraku.
-        reads: The class of the JSON body of a path and method.
+    """The OpenAPI document of routes; handlers' docstrings say what these do, `reads` has the classes of JSON bodies by
+    path and method.
     """
     paths: dict[str, dict[str, Any]] = {}
     for path, methods, handler in routes:
