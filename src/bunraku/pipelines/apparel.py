@@ -85,11 +85,9 @@ def dressed(
 
     Args:
         animation: Of handles or of bones; its apparel goes with the body.
-        apparel: One of `APPAREL`, or a mask of the apparel that is to be learned.
-        stiffness: Factor on how stiff apparel is.
-        gravity: Factor on the gravity of what is simulated.
+        apparel, stiffness, gravity: As in `Apparel`.
         progress: Called with a stage's name and the share done.
-        anatomy: Of the character by the handles that move it; worked out where it is asked for and not given.
+        anatomy: Of the character by the handles that move it; found where it is needed and None.
 
     Raises:
         OptionError: `apparel` is none of these.

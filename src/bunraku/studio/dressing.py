@@ -38,11 +38,9 @@ _MAGIC = b"BNRM"
 
 
 def save_worn(character: Character, found: np.ndarray | None, path: Path) -> None:
-    """Write what was found, and which vertices the page draws.
-
-    `BNRM`, the length of a JSON header padded to four bytes, the header (`vertices`, and `parts`: mesh, primitive,
-    rows), a bit for each vertex of the character, lowest first, padded to four bytes, and for each primitive the vertex
-    of the character that each of its rows is, uint32.
+    """Write what was found, and which vertices the page draws: `BNRM`, the length of a JSON header, the header
+    (`vertices`, and `parts`: mesh, primitive, rows), `packed_bits` of the mask, and for each primitive the vertex of
+    the character that each of its rows is, uint32.
 
     Args:
         character: The character.
@@ -57,15 +55,15 @@ def save_worn(character: Character, found: np.ndarray | None, path: Path) -> Non
     rows: list[np.ndarray] = []
     start, mesh = 0, 0
     for part in source.parts:
-        own: dict[int, np.ndarray] = {}
+        members: dict[int, np.ndarray] = {}
         for group in part.groups:
-            own |= dict.fromkeys(group.primitives, source.index[start : start + len(group.vertices)])
+            members |= dict.fromkeys(group.primitives, source.index[start : start + len(group.vertices)])
             start += len(group.vertices)
-        if not any(len(index) for index in own.values()):
+        if not any(len(index) for index in members.values()):
             continue
-        for primitive, member in enumerate(sorted(own)):
-            parts.append({"mesh": mesh, "primitive": primitive, "rows": len(own[member])})
-            rows.append(own[member].astype("<u4"))
+        for primitive, (_, index) in enumerate(sorted(members.items())):
+            parts.append({"mesh": mesh, "primitive": primitive, "rows": len(index)})
+            rows.append(index.astype("<u4"))
         mesh += 1
     count = len(character.vertices)
     words = json.dumps({"vertices": count, "parts": parts}).encode()
@@ -82,14 +80,8 @@ def packed_bits(mask: np.ndarray) -> bytes:
 
 
 def shown_mask(worn: Path, painted: Path) -> bytes:
-    """What the page gets: the file of `save_worn`, with what was painted in the place of what was found.
-
-    Args:
-        worn: The file of `save_worn`.
-        painted: The file that was painted, if it is there.
-
-    Raises:
-        FormatError: One of them is broken.
+    """The file of `save_worn` as the page gets it, with the painted mask where there is one; FormatError where a file
+    is broken.
     """
     data = read_bounded(worn)
     start, count = _head(worn, data)
@@ -128,15 +120,8 @@ def painted_file(source: Path) -> Path:
 
 
 def clean_mask(worn: Path, bits: bytes) -> np.ndarray:
-    """The mask that a page sent, shape (V,), bool.
-
-    Args:
-        worn: The file of `save_worn`.
-        bits: As of `packed_bits`.
-
-    Raises:
-        OptionError: It is of another mesh.
-        FormatError: The file is broken.
+    """The mask of `packed_bits` that a page sent for the file of `save_worn`, shape (V,), bool; OptionError where it is
+    of another mesh, FormatError where the file is broken.
     """
     _, count = _head(worn, read_bounded(worn))
     if len(bits) != len(packed_bits(np.zeros(count, bool))):
@@ -159,12 +144,7 @@ LEAST = 0.01
 
 
 def check_fits(apparel: Apparel, character: Character, seconds: float) -> None:
-    """Whether apparel of a clip can move so, before the work.
-
-    Args:
-        apparel: How it is to move.
-        character: The character.
-        seconds: Length of the clip.
+    """Whether apparel of a clip of some seconds can move so, before the work.
 
     Raises:
         CharacterError: It is to be simulated, and the file says nothing of physics.
@@ -184,17 +164,7 @@ def check_fits(apparel: Apparel, character: Character, seconds: float) -> None:
 
 
 def dress_take(body: Animation | RigAnimation, apparel: Apparel, report: Progress) -> Take:
-    """A take of an animation, with apparel that moves as is requested.
-
-    Args:
-        body: The animation, apparel going with the body.
-        apparel: How it is to move.
-        report: Called with a stage's name and the share done.
-
-    Raises:
-        CharacterError: The mesh has no apparel.
-        OptionError: See `check_fits`.
-    """
+    """A take of an animation with its apparel moved; errors are those of `check_fits` and `dressed`."""
     from bunraku.core.animation import PointAnimation
     from bunraku.pipelines.apparel import dressed
 
@@ -222,8 +192,8 @@ def redress_take(
         take: The take.
         apparel: How apparel moves.
         handles: Those of the character.
-        in_place: Whether the way over the ground was taken out of its motion.
-        stages: Which stages fit the motion to the character, where that has to be done again.
+        in_place: Whether the travel was removed from its motion.
+        stages: Which stages fit the motion to the character, where that is done again.
         report: Called with a stage's name and the share done.
 
     Raises:

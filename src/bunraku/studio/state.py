@@ -187,11 +187,8 @@ class State:
                         (self.store.folder_of("takes", name) / "draft.bin").unlink(missing_ok=True)
             return
         if "opens" in about:
-            values = (
-                {**said, "state": "ready", "error": ""}
-                if state == "done"
-                else {"state": state, "error": said.get("error", "")}
-            )
+            found = {**said, "state": "ready", "error": ""}
+            values = found if state == "done" else {"state": state, "error": said.get("error", "")}
             version = int(self.store.get("characters", about["opens"]).get("version", 0)) + 1
             self.note("characters", about["opens"], version=version, **values)
             if state == "done":

@@ -171,8 +171,9 @@ class Store:
         return record
 
     def change(self, kind: str, name: str, /, **values: object) -> Record:
-        """Change a record and give it back; `deleted` gives a thing up or takes that back, which needs no space. NotThere
-        where there is no such thing; FormatError, with nothing changed, where it cannot be written.
+        """Change a record and give it back; `deleted` gives a thing up or takes that back, which needs no space.
+
+        NotThere where there is no such thing; FormatError, with nothing changed, where it cannot be written.
         """
         with self._lock:  # the queue's thread and those of requests change the same things
             old = self.get(kind, name)
@@ -232,9 +233,7 @@ class Store:
         return self.folder / kind / str(self.get(kind, name)["id"])
 
     def file(self, kind: str, name: str, file: str) -> Path:
-        """A file of a thing; its name comes from the program and never from a client; NotThere where there is no such
-        thing, or it has no such file yet.
-        """
+        """A file of a thing, whose name never comes from a client; NotThere where it is missing."""
         path = self.folder_of(kind, name) / file
         if not path.is_file():
             raise NotThere(f"this {kind[:-1]} is not finished yet; wait for it, or make it again")

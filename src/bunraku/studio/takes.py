@@ -105,10 +105,11 @@ class Animate:
         if own_rig(character, request) is None:
             request, moved = replace(request, handles=handles), body
 
-        def quickly(stage: str, done: float) -> None:
-            report("draft", 0.02 + 0.04 * done)
-
         if self.draft:
+
+            def quickly(stage: str, done: float) -> None:
+                report("draft", 0.02 + 0.04 * done)
+
             report("draft", 0.02)
             sampling = replace(request.sampling, seed=self.seeds[0], steps=None, guidance=None, candidates=1)
             quick = replace(
@@ -167,16 +168,16 @@ class Edit:
 
 
 def _with_pose(clip: Animation, source: Take, time: float, at: float) -> Animation:
-    """The clip with one frame taken from another at that one's place in it, heading and way of the clip kept."""
+    """The clip with one frame taken from another clip; position and heading are those of the clip."""
     source = handle_animation_of(source)
     frame = min(round(time * clip.fps), len(clip.motion) - 1)
     there = min(round(at * source.fps), len(source.motion) - 1)
 
     def patched(motion: HandleMotion, other: HandleMotion) -> HandleMotion:
-        one = placed_at(other.take(slice(there, there + 1)), 0, motion, frame)
+        pose = placed_at(other.take(slice(there, there + 1)), 0, motion, frame)
         arrays = {name: np.array(getattr(motion, name)) for name in HandleMotion.arrays}
         for name, array in arrays.items():
-            array[frame] = getattr(one, name)[0]
+            array[frame] = getattr(pose, name)[0]
         return motion.with_arrays(arrays)
 
     return Animation(

@@ -152,8 +152,8 @@ def _pictured(state: State, record: dict[str, Any], data: bytes) -> dict[str, An
 
 
 async def mask(request: Request) -> Any:
-    """Which vertices are hair and clothes (`workspace.mask`): GET gives what was found, or what was painted; PUT takes
-    bits that were painted, which all takes from then on go by; DELETE takes back what was found.
+    """Which vertices are hair and clothes: GET gives the painted mask, or else the found one; PUT takes a painted one,
+    for all takes from then on; DELETE goes back to the found one.
     """
     state, name = studio_state(request), request.path_params["name"]
     record = ready_character(state, name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hmac
+import importlib.util
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -188,11 +189,12 @@ async def about(request: Request) -> Any:
     from bunraku.files import sample_names
 
     state = studio_state(request)
+    usd = ["usdz"] if importlib.util.find_spec("pxr") is not None else []
     return {
         "version": __version__,
         "limits": {"bytes": MOST_BYTES, "seconds": 120, "takes": 8},
         "reads": {"characters": CHARACTERS, "motions": MOTIONS, "projects": PROJECTS},
-        "writes": _writes(),
+        "writes": ["glb", "fbx", "bvh", "vrma", "vmd", "npz", *usd],
         "fps": [FPS.low, FPS.high],
         "presets": preset_rows(),
         "samples": list(sample_names()),
@@ -206,15 +208,6 @@ async def about(request: Request) -> Any:
         "projects": [shown_project(record) for record in state.store.all("projects")],
         "jobs": [public(job) for job in state.jobs.all() if job["state"] in ("waiting", "running", "interrupted")],
     }
-
-
-def _writes() -> list[str]:
-    import importlib.util
-
-    found = ["glb", "fbx", "bvh", "vrma", "vmd", "npz"]
-    if importlib.util.find_spec("pxr") is not None:
-        found.append("usdz")
-    return found
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from bunraku.errors import BunrakuError, MissingExtraError, OptionError
 __all__ = ["serve"]
 
 WEAKEST = 8
-"""Letters of a password at the least."""
+"""Fewest letters of a password."""
 IDLE = 75
-"""Seconds for which a line stays open on which nothing is asked: a page on a slow machine asks more seldom than each
-five seconds, which is uvicorn's own bound.
+"""Seconds for which an idle line stays open. A page on a slow machine asks less often than every five seconds, which is
+uvicorn's own bound.
 """
 
 
