@@ -125,7 +125,7 @@ class PartTrack:
             limbs: What limbs are told to do is on that line, too; else it is laid over the motion (`overlay`).
         """
         voices = [clause.meanwhile for clause in script]
-        voices = [one if one is not None and (limbs or not isinstance(one.told, Posing)) else None for one in voices]
+        voices = [one if one is not None and (limbs or not isinstance(one.detail, Posing)) else None for one in voices]
         own = [kept_handles(made.part.split(" and ")) for made in voices if made is not None]
         texts = tuple((made or clause.body).text for made, clause in zip(voices, script, strict=True))
         return cls(motion, texts, np.any(own, axis=0)) if own else None

@@ -78,8 +78,8 @@ class Found(NamedTuple):
         score: Mean of the cosine of the sentence with its nearest sentence, and of that with its motion.
         part: The part of the body at which a gesture is done in place of its own (`gestures.parts`); "" for its own.
         times: How often a captured one is done that shows one time of what is counted.
-        told: What is done with a thing, follows from one, or is done by limbs, as a gesture of its own
-            (`gestures.told`).
+        detail: What is done with a thing, follows from one, or is done by limbs, as a gesture of its own
+            (`gestures.interactions`).
     """
 
     number: int
@@ -87,7 +87,7 @@ class Found(NamedTuple):
     score: float
     part: str = ""
     times: int = 1
-    told: Interaction | Posing | None = None
+    detail: Interaction | Posing | None = None
 
 
 class Retrieved(NamedTuple):
@@ -114,12 +114,12 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
         clause: Of one thing that is done.
         vector: The ranker's unit vector of it, shape (V,).
     """
-    told = [] if clause.told is None else [Found(one, False, 1.0, "", 1, clause.told) for one in pack.handled]
-    if told and isinstance(clause.told, Posing):
-        return Retrieved(_telling(pack, clause, clause.told) or told)
+    told = [] if clause.detail is None else [Found(one, False, 1.0, "", 1, clause.detail) for one in pack.handled]
+    if told and isinstance(clause.detail, Posing):
+        return Retrieved(_telling(pack, clause, clause.detail) or told)
     if clause.limbs_meanwhile is not None:
         return Retrieved([])  # what else is done is shown apart
-    if told and not isinstance(clause.told, Posing) and says_more(clause.told):
+    if told and not isinstance(clause.detail, Posing) and says_more(clause.detail):
         return Retrieved(told)
     found = _retrieved(pack, clause, vector, frozenset())
     if told and not found.found:
