@@ -247,12 +247,7 @@ def _range(positions: np.ndarray) -> float:
 
 
 def _scheduled(
-    gesture: Gesture,
-    span: float,
-    tempo: float,
-    random: np.random.Generator,
-    manner: Manner,
-    variation: Variation,
+    gesture: Gesture, span: float, tempo: float, random: np.random.Generator, manner: Manner, variation: Variation
 ) -> tuple[list[Key], np.ndarray, np.ndarray]:
     """Keys of so many seconds, when each is reached, and the size of the movement there."""
     parts, endless = _times_of(gesture, span, tempo, random, manner, variation)
@@ -283,12 +278,7 @@ _Part = tuple[Sequence[Key], float, float, float]
 
 
 def _times_of(
-    gesture: Gesture,
-    span: float,
-    tempo: float,
-    random: np.random.Generator,
-    manner: Manner,
-    variation: Variation,
+    gesture: Gesture, span: float, tempo: float, random: np.random.Generator, manner: Manner, variation: Variation
 ) -> tuple[list[_Part], bool]:
     """The parts of a gesture in a row, and whether the last may be cut off."""
     keys, repeat = gesture.keys, gesture.repeat

@@ -259,13 +259,7 @@ def _bent(start: np.ndarray, goal: np.ndarray, one: float, two: float, towards: 
 
 
 def _set_arm(
-    world: np.ndarray,
-    where: np.ndarray,
-    rest: np.ndarray,
-    side: str,
-    sign: float,
-    keys: _Between,
-    standing: Standing,
+    world: np.ndarray, where: np.ndarray, rest: np.ndarray, side: str, sign: float, keys: _Between, standing: Standing
 ) -> None:
     """Turns the joints of an arm, in place."""
     shoulder, elbow, wrist = (AT[f"{side}_{name}"] for name in ("shoulder", "elbow", "wrist"))
@@ -310,13 +304,7 @@ def _set_arm(
 
 
 def _set_leg(
-    world: np.ndarray,
-    where: np.ndarray,
-    rest: np.ndarray,
-    side: str,
-    sign: float,
-    keys: _Between,
-    standing: Standing,
+    world: np.ndarray, where: np.ndarray, rest: np.ndarray, side: str, sign: float, keys: _Between, standing: Standing
 ) -> None:
     """Turns the joints of a leg, in place; feet stand in the world."""
     hip, knee, ankle, toes = (AT[f"{side}_{name}"] for name in ("hip", "knee", "ankle", "foot"))

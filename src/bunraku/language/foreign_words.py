@@ -297,10 +297,7 @@ def _conjugated(form: str) -> list[tuple[str, str]]:
     if form.endswith("+"):
         noun = form[:-1].removesuffix("を")
         gaps = ("", "を")
-        return [
-            (noun, "plain"),
-            *((noun + gap + end, mark) for gap in gaps for end, mark in _surus()),
-        ]
+        return [(noun, "plain"), *((noun + gap + end, mark) for gap in gaps for end, mark in _surus())]
     if "・" in form:
         stem = form.replace("・る", "")
         ends = (("る", "plain"), ("", "stem"), ("て", "te"), ("た", "plain"), ("ろ", "plain"), ("よう", "plain"))
