@@ -16,7 +16,7 @@ from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.body.reference import reference_body, smpl_offsets, smpl_rotations
 from bunraku.core.character import Character
 from bunraku.errors import BunrakuError, FormatError, MotionError
-from bunraku.files.motions.arrays import positions_of_vectors, read_texts
+from bunraku.files.motions.arrays import positions_of_vectors
 from bunraku.files.registry import read_motion
 from bunraku.pipelines.motions.read import load_motion
 
@@ -309,21 +309,6 @@ def test_a_turn_to_the_left_is_one():
     vectors[0, 0] = -np.pi / 4
     vectors[:, 4:7] = [0, 1, 1]  # the first joint is ahead
     assert np.allclose(positions_of_vectors(vectors)[:, 1], [[0, 1, 1], [1, 1, 0]], atol=1e-6)
-
-
-def test_captions_with_spans(tmp_path):
-    (tmp_path / "a.txt").write_text(
-        "a man kicks.#a/DET man/NOUN kick/VERB#0.0#0.0\nhe  walks#he/PRON "
-        "walk/VERB#1.5#3.0\nbare\n\n#x#0#0\nodd#x#nan#0.0\nback#x#5#2\n"
-    )
-    found = [(caption.text, caption.start, caption.end) for caption in read_texts(tmp_path / "a.txt")]
-    assert found == [("a man kicks.", 0, 0), ("he walks", 1.5, 3), ("bare", 0, 0), ("odd", 0, 0), ("back", 0, 0)]
-    (tmp_path / "b.txt").write_text("\n##\n")
-    with pytest.raises(FormatError, match=r"b\.txt: there is no caption"):
-        read_texts(tmp_path / "b.txt")
-    (tmp_path / "c.txt").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(FormatError, match="UTF-8"):
-        read_texts(tmp_path / "c.txt")
 
 
 def test_humanml3d_files_that_are_broken_or_mean_harm(tmp_path):

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import BunrakuError, FormatError, OptionError
-from bunraku.files.motions.bvh import load_bvh, write_bvh
+from bunraku.files.motions.bvh import read_bvh, write_bvh
 from bunraku.pipelines.motions.read import load_motion
 
 ARCHIVE = Path(os.environ.get("BUNRAKU_DATA", "../shared/data"))
@@ -41,6 +41,10 @@ Frame Time: 0.04
 1 2 3 90 0 0 0 0 0
 1 2 4 0 90 0 0 0 90
 """
+
+
+def load_bvh(path, **options):
+    return read_bvh(path, path.read_bytes(), **options)
 
 
 def read(tmp_path, text, name="take.bvh"):

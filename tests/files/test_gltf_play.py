@@ -15,7 +15,7 @@ from bunraku import Animation, Character, FormatError, HandleMotion, Handles, Op
 from bunraku.core.animation import RigAnimation
 from bunraku.core.geometry.axes import ORIENTATIONS, upright_rotation
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
-from bunraku.files import load_character, save_animation, save_character
+from bunraku.files import load_character, save, save_character
 from bunraku.files.clips import load_animation
 from bunraku.files.gltf.clips import write_stretches
 from bunraku.files.gltf.open import open_document
@@ -43,7 +43,7 @@ def random_animation(seed: int = 0, frames: int = 12, count: int = 5) -> Animati
 
 def test_what_is_written_plays_the_same(tmp_path):
     animation = random_animation()
-    path = save_animation(animation, tmp_path / "a.glb", fps=20.0)
+    path = save(animation, tmp_path / "a.glb", fps=20.0)
     played = load_animation(path, fps=20.0)
     assert len(played.motion) == len(animation.motion)
     expected, got = animation.vertices(), played.vertices()
@@ -225,7 +225,7 @@ def test_the_player_sees_the_animation_of_a_turned_character(thing, tmp_path):
     character = turned(thing, "+z", "-y")
     handles = made_up_handles(character)
     animation = Animation(character, handles, made_up_motion(character))
-    player = Player(save_animation(animation, tmp_path / "out.glb"))
+    player = Player(save(animation, tmp_path / "out.glb"))
     top = Animation(character, handles.top(), animation.motion).vertices()
     for frame in (0, 7, 23):
         assert np.abs(player.vertices(frame / 20) - top[frame]).max() < 2e-5 * character.height

@@ -11,7 +11,7 @@ from bunraku.cli.app import main
 from bunraku.core.animation import RigAnimation
 from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.errors import CharacterError, OptionError
-from bunraku.files.mmd.write import write_pmx
+from bunraku.files.mmd.write import pmx_bytes, pmx_file
 from bunraku.pipelines.animate import animate, generate, rig
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.apply import apply_simulated
@@ -262,7 +262,7 @@ def test_what_cannot_be_simulated_is_refused(dressed):
 
 
 def test_the_command_line_takes_one_prompt_or_many(dressed, tmp_path, capsys):
-    (tmp_path / "doll.pmx").write_bytes(write_pmx(dressed))
+    (tmp_path / "doll.pmx").write_bytes(pmx_bytes(pmx_file(dressed)))
     (tmp_path / "lines.txt").write_text("walks\njumps\n")
     shared = [str(tmp_path / "doll.pmx"), "--apparel", "simulate", "--seconds", "1", "--steps", "2"]
     assert main(["animate", *shared[:1], "waves", *shared[1:], "-o", str(tmp_path / "one.glb")]) == 0

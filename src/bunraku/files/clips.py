@@ -17,6 +17,7 @@ from bunraku.core.geometry.rotations import nearest_rotation
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import posed_points
 from bunraku.errors import FormatError, MotionError, OptionError
+from bunraku.files.fbx.clips import clip_number
 from bunraku.files.gltf.clips import SAME_BONES, merge_documents
 from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.nodes import MAX_SECONDS, clip_curves, node_worlds
@@ -136,7 +137,7 @@ def load_animation(path: str | Path, clip: int | str = 0, fps: float = 30.0) -> 
     if character.rig is None:
         raise FormatError(path, "its animation moves no skin, which is all that is played; export it with its skin")
     document = source.document
-    channels = document.items("animations")[_find(document, clip)]
+    channels = document.items("animations")[clip_number(document.path, clip_names(document), clip)]
     curves = clip_curves(document, channels)
     end = max((float(times[-1]) for times, _, _ in curves.values()), default=0.0)
     if end > MAX_SECONDS:
@@ -155,18 +156,6 @@ def load_animation(path: str | Path, clip: int | str = 0, fps: float = 30.0) -> 
 def clip_names(document: Document) -> list[str]:
     """Names of the clips of a document; numbered where the file gives none."""
     return [str(clip.get("name") or f"animation {number}") for number, clip in enumerate(document.items("animations"))]
-
-
-def _find(document: Document, clip: int | str) -> int:
-    names = clip_names(document)
-    short = [name.rsplit("|", 1)[-1] for name in names]  # exporters write "Armature|Walk"
-    for known in (names, short):
-        if clip in known:
-            return known.index(str(clip))
-    number = int(clip) if str(clip).isdecimal() else -1
-    if not 0 <= number < len(names):
-        raise OptionError(f"{document.path} has no clip {clip!r}; it has {', '.join(names[:20])}")
-    return number
 
 
 def _animation(character: Character, world: np.ndarray, fps: float) -> Animation:

@@ -26,16 +26,9 @@ from bunraku.files.gltf.write import write_clips
 from bunraku.files.gltf.write_rig import save_rig_clips
 
 __all__ = [
-    "PRESETS",
-    "Preset",
-    "on_root_bone",
-    "on_the_spot",
-    "preset_named",
-    "preset_rows",
-    "root_bone",
-    "save_clips",
+    "PRESETS", "Preset", "on_root_bone", "on_the_spot", "preset_named", "preset_rows", "root_bone", "save_clips",
     "save_for",
-]
+]  # fmt: skip
 
 
 def on_the_spot(animation: AnimatedCharacter) -> AnimatedCharacter:

@@ -16,38 +16,28 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bunraku.core.animation import RigAnimation, bone_order
 from bunraku.core.body.layout import handle_names
-from bunraku.core.character import Character
+from bunraku.core.character import Character, top_influences
 from bunraku.core.files import check_output_folder, share_file, writing
 from bunraku.core.geometry.axes import UNITS, FileFrame
-from bunraku.core.geometry.rotations import quaternion_from_matrix
+from bunraku.core.geometry.rotations import continuous, quaternion_from_matrix
 from bunraku.core.motion import checked_fps
 from bunraku.errors import FormatError, MissingExtraError, OptionError
-from bunraku.files.gltf.carry import image_type
+from bunraku.files.gltf.carry import IMAGE_SUFFIXES, image_type
 from bunraku.files.gltf.colors import linear_from_srgb
 from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.read import Source
 
 if TYPE_CHECKING:
-    from bunraku.core.animation import Animation, PointAnimation, RigAnimation
+    from bunraku.core.animation import Animation, PointAnimation
     from bunraku.core.character import Handles
     from bunraku.core.motion import HandleMotion
 
-__all__ = [
-    "Look",
-    "Piece",
-    "add_mesh",
-    "check_available",
-    "pieces",
-    "prim_name",
-    "write_points",
-    "write_rig",
-    "write_usd",
-]
+__all__ = ["Look", "Piece", "add_mesh", "check_available", "pieces", "prim_name", "write_points", "write_usd"]
 
 
 _WRAP = {33071: "clamp", 33648: "mirror", 10497: "repeat"}
-_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg"}
 
 
 def prim_name(text: str, fallback: str = "character") -> str:
@@ -152,7 +142,7 @@ class Look:
         if type(number) is not int:
             return None
         data = bytes(document.image(number) or b"")
-        suffix = _SUFFIX.get(image_type(data[:16]) or "")
+        suffix = IMAGE_SUFFIXES.get(image_type(data[:16]) or "")
         if suffix is None:
             return None
         name = f"image_{number}{suffix}"
@@ -265,7 +255,13 @@ CHUNK = 32  # frames posed at once
 
 
 def write_usd(
-    animation: Animation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m", points: bool = False
+    animation: Animation | RigAnimation,
+    path: Path,
+    *,
+    fps: float | None = None,
+    up: str = "+y",
+    unit: str = "m",
+    points: bool = False,
 ) -> Path:
     """Write an animation as USD.
 
@@ -286,29 +282,12 @@ def write_usd(
         OptionError: An option makes no sense.
     """
     if points:
-        return write_points(animation, path, fps=fps, up=up, unit=unit)
-    frame = FileFrame.of(up, unit)
-    moved = animation.at(checked_fps(fps, animation.motion.fps))
-    return _write_skinned(path, moved.character, _of_handles(moved, frame), moved.motion.fps, up, unit)
-
-
-def write_rig(
-    animation: RigAnimation,
-    path: Path,
-    *,
-    fps: float | None = None,
-    up: str = "+y",
-    unit: str = "m",
-    points: bool = False,
-) -> Path:
-    """Write an animation of a character's own rig as USD: its bones in their tree, under their names; arguments and
-    errors are those of `write_usd`.
-    """
-    if points:
-        return write_points(animation.animation(), path, fps=fps, up=up, unit=unit)
+        shown = animation.animation() if isinstance(animation, RigAnimation) else animation
+        return write_points(shown, path, fps=fps, up=up, unit=unit)
     frame = FileFrame.of(up, unit)
     moved = animation.at(checked_fps(fps, animation.fps))
-    return _write_skinned(path, moved.character, _of_bones(moved, frame), moved.fps, up, unit)
+    skin = _of_bones(moved, frame) if isinstance(moved, RigAnimation) else _of_handles(moved, frame)
+    return _write_skinned(path, moved.character, skin, moved.fps, up, unit)
 
 
 def _write_skinned(path: Path, character: Character, skin: _Skin, fps: float, up: str, unit: str) -> Path:
@@ -416,10 +395,7 @@ def _of_handles(animation: Animation, frame: FileFrame) -> _Skin:
 
 
 def _of_bones(animation: RigAnimation, frame: FileFrame) -> _Skin:
-    from bunraku.core.animation import bone_order
-
-    rig = animation.character.rig
-    assert rig is not None
+    rig = animation.rig
     order = bone_order(rig.parents)
     place = {bone: number for number, bone in enumerate(order)}
     joints: list[str] = []
@@ -436,13 +412,13 @@ def _of_bones(animation: RigAnimation, frame: FileFrame) -> _Skin:
         if parent >= 0:
             local[bone] -= rig.positions[parent]
     translations = (local + animation.translations)[:, order]
-    rotations = _signed(quaternion_from_matrix(frame.turn @ animation.rotations[:, order].astype(float) @ frame.turn.T))
+    matrices = frame.turn @ animation.rotations[:, order].astype(float) @ frame.turn.T
     return _Skin(
         joints,
         frame.points(rig.positions[order].astype(np.float64)),
         frame.points(local[order]),
         np.ascontiguousarray(frame.points(translations), np.float32),
-        rotations,
+        np.ascontiguousarray(continuous(quaternion_from_matrix(matrices)), np.float32),
         *_influences(rig.dense_weights()[:, order]),
     )
 
@@ -499,23 +475,14 @@ def _channels(handles: Handles, motion: HandleMotion, frame: FileFrame) -> tuple
     translations[:, 0] = h[0] + motion.root_translation
     matrices = motion.rotations.astype(np.float64)
     matrices[:, 0] = motion.root_rotation
-    rotations = quaternion_from_matrix(frame.turn @ matrices @ frame.turn.T)
-    return np.ascontiguousarray(frame.points(translations), np.float32), _signed(rotations)
-
-
-def _signed(rotations: np.ndarray) -> np.ndarray:
-    """Quaternions (N, K, 4) that do not change their signs on the way, so that they can be interpolated, float32."""
-    flips = np.where((rotations[1:] * rotations[:-1]).sum(-1) < 0, -1.0, 1.0)
-    rotations[1:] *= np.cumprod(flips, axis=0)[..., None]
-    return np.ascontiguousarray(rotations, np.float32)
+    rotations = continuous(quaternion_from_matrix(frame.turn @ matrices @ frame.turn.T))
+    return np.ascontiguousarray(frame.points(translations), np.float32), np.ascontiguousarray(rotations, np.float32)
 
 
 def _influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """All weights that matter, largest first: joints (V, M) int32 and shares (V, M) float32, as many columns as any
     vertex needs.
     """
-    from bunraku.core.character import top_influences
-
     most = max(int((weights > SMALL).sum(axis=1).max()), 1)
     indices, shares = top_influences(np.where(weights > SMALL, weights, 0), most)
     return np.ascontiguousarray(indices, np.int32), np.ascontiguousarray(shares, np.float32)

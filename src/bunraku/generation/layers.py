@@ -10,20 +10,13 @@ import numpy as np
 
 from bunraku.core.body.layout import HANDLE_COUNT
 from bunraku.core.nn.checkpoints import config_of
-from bunraku.core.nn.layers import Attention, Memory, Norm, Rotary, Weights, hidden_by, split_heads, turned
+from bunraku.core.nn.layers import Attention, Memory, Norm, Rotary, Weights, apply_rotary, hidden_by, split_heads
 from bunraku.generation.features import FEATURE_SIZE
 
 __all__ = [
-    "Condition",
-    "DecoderLayer",
-    "DenoiserConfig",
-    "PRESETS",
-    "TRAINING_STEPS",
-    "denoiser_config",
-    "rotary_positions",
+    "Condition", "DecoderLayer", "DenoiserConfig", "PRESETS", "TRAINING_STEPS", "denoiser_config", "rotary_positions",
     "waves",
-]
-
+]  # fmt: skip
 
 TRAINING_STEPS = 1000
 """Of noise, from the clean motion on; a sampler visits some of them."""
@@ -113,12 +106,10 @@ class Condition:
         """Of some rows of the batch."""
         return Condition(
             [Memory(one.keys[rows], one.values[rows]) for one in self.memories],
-            None if self.hidden is None else self.hidden[rows],
-            self.sentence[rows],
-            self.mesh[rows],
+            None if self.hidden is None else self.hidden[rows], self.sentence[rows], self.mesh[rows],
             [None if one is None else Memory(one.keys[rows], one.values[rows]) for one in self.examples],
             None if self.hidden_examples is None else self.hidden_examples[rows],
-        )
+        )  # fmt: skip
 
 
 def rotary_positions(tokens: np.ndarray, size: int) -> Rotary:
@@ -176,7 +167,7 @@ class DecoderLayer:
             return None
         (key,) = split_heads(self.example_key(keys), self.heads)
         (value,) = split_heads(self.example_value(values), self.heads)
-        return Memory(turned(key, rotary), value)
+        return Memory(apply_rotary(key, rotary), value)
 
     def __call__(
         self, x: np.ndarray, steer: np.ndarray, rotary: Rotary, real: np.ndarray | None, condition: Condition,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, TypedDict, TypeVar, Unpack, cast, overload
 
@@ -14,6 +14,7 @@ from bunraku.core.animation import AnimatedCharacter, Animation
 from bunraku.core.body.layout import kept_handles
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
+from bunraku.core.request import Progress
 from bunraku.core.travel import GroundPath
 from bunraku.errors import MotionError, OptionError
 from bunraku.generation.candidates import SamplingSettings
@@ -25,9 +26,6 @@ from bunraku.retarget.fit import Stages
 from bunraku.retarget.pins import Pin, meet_pins
 
 __all__ = ["animate", "edit", "edited", "generate", "rig", "with_skeleton"]
-
-
-Progress = Callable[[str, float], None]
 
 
 def rig(
@@ -296,7 +294,7 @@ def edit(
     guidance: float | None = None,
     stages: Stages | None = None,
     force: bool = False,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Clip:
     """Keep chosen handles, or all but a span of seconds, and generate the rest from a sentence (section A.3 of TapMo).
 

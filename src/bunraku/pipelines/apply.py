@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from bunraku.anatomy.anatomy import Anatomy, stiff
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
-from bunraku.core.request import Constraint
+from bunraku.core.request import Constraint, Progress
 from bunraku.core.travel import GroundPath, bent_to_path
 from bunraku.pipelines.requests import Constraints
 from bunraku.retarget.fit import Stages, fit_motion
@@ -23,8 +23,6 @@ __all__ = [
     "GENERATED_STAGES", "apply_motion", "apply_rigged", "apply_simulated", "fitted_motion", "reference_of",
     "reference_path",
 ]  # fmt: skip
-
-Progress = Callable[[str, float], None]
 GENERATED_STAGES = Stages(shape=True)
 """The stages that run by default."""
 
@@ -122,7 +120,7 @@ def apply_rigged(
         progress: Called with a stage's name and the share done, 0 to 1.
     """
     from bunraku.retarget.to_reference import handle_animation
-    from bunraku.retarget.to_rig import on_bones
+    from bunraku.retarget.to_rig import on_bones, stiff
 
     constraints = Constraints(constraints)
     after = constraints.after

@@ -99,10 +99,10 @@ def _creature_motion(motion: Motion, fps: float, names: Mapping[str, str] | None
 
 
 def _of_skeleton(motion: SkeletalMotion, fps: float, names: Mapping[str, str] | None) -> HandleMotion:
-    from bunraku.anatomy.anatomy import body_handle_motion
     from bunraku.anatomy.names.skeleton_map import map_skeleton
     from bunraku.anatomy.names.to_smpl import to_smpl
     from bunraku.core.motion import resample_motion
+    from bunraku.generation.features import body_handle_motion
 
     found = map_skeleton(motion.skeleton, names)
     return body_handle_motion(to_smpl(resample_motion(motion, fps), found))
@@ -139,7 +139,7 @@ def _facing(
     """A character and the motion of its bones, turned to face +Z by what its rig says."""
     from bunraku.anatomy.names.bone_names import rig_axes
     from bunraku.core.geometry.axes import upright_rotation
-    from bunraku.files import turned
+    from bunraku.files import rotated
 
     rig = character.rig
     assert rig is not None
@@ -147,7 +147,7 @@ def _facing(
     if axes is not None and axes != ("+y", "+z"):
         turn = upright_rotation(*axes)
         character, rotations, positions = (
-            turned(replace(character, source=None, avatar=None), *axes),
+            rotated(replace(character, source=None, avatar=None), *axes),
             turn @ rotations @ turn.T,
             positions @ turn.T,
         )

@@ -7,7 +7,7 @@ how the one body stands to how the other does (`retarget.creatures`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from bunraku.apparel.chains.moving import check_apparel
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
+from bunraku.core.request import Progress
 from bunraku.errors import CharacterError
 from bunraku.files import bones_of
 from bunraku.pipelines.animator import Animator
@@ -34,8 +35,6 @@ __all__ = [
     "TRANSFER_STAGES", "Source", "apply_transfer", "fitted_transfer", "played_by_mmd", "same_skeleton", "transfer",
     "transferred",
 ]  # fmt: skip
-
-Progress = Callable[[str, float], None]
 TRANSFER_STAGES = Stages(hands=True, shape=True)
 """The stages that run by default: those of fitting, hands that touch the body stay near it, and the mesh keeps its
 shape.

@@ -17,7 +17,6 @@ from bunraku.core.animation import Animation, PointAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import atomic_write
 from bunraku.core.geometry.axes import ORIENTATIONS
-from bunraku.core.saving import save
 from bunraku.errors import FormatError, OptionError
 from bunraku.render.frames import SIZE, moments, render_animation, render_still
 from bunraku.render.pictures import assemble, check_target, page, write_moving, write_png
@@ -165,7 +164,7 @@ def write_html(
     title = str(name) if name else path.stem
     rate: dict[str, Any] = {} if fps is None else {"fps": fps}
     with tempfile.TemporaryDirectory() as folder:
-        model = save(animation, Path(folder, "model.glb"), name=title, **rate).read_bytes()
+        model = animation.save(Path(folder, "model.glb"), name=title, **rate).read_bytes()
     if len(model) > most:
         raise FormatError(
             path,
@@ -203,11 +202,11 @@ def orientation_views(character: Character, count: int = 4) -> np.ndarray:
         MissingExtraError: Pillow is not installed.
     """
     from bunraku.anatomy.handles.orientation import guess_orientation
-    from bunraku.files import turned
+    from bunraku.files import rotated
 
     guess = guess_orientation(character)
     likely = np.argsort(-guess.probabilities)[:count]
-    pictures = [render_still(turned(character, *ORIENTATIONS[n]), size=VIEW_SIZE, yaw=0.2) for n in likely]
+    pictures = [render_still(rotated(character, *ORIENTATIONS[n]), size=VIEW_SIZE, yaw=0.2) for n in likely]
     labels = [
         f"--up {ORIENTATIONS[n][0]} --front {ORIENTATIONS[n][1]} ({100 * min(guess.probabilities[n], 0.99):.0f} %)"
         for n in likely

@@ -1,6 +1,4 @@
-"""Names for the body: SMPL's 22 joints, Bunraku's 30 handles, its parts, and what game engines and avatars call
-them.
-"""
+"""Names of the body: SMPL's 22 joints, Bunraku's 30 handles, their groups, and what engines and avatars call them."""
 
 from __future__ import annotations
 
@@ -12,22 +10,9 @@ from bunraku.core.character import Handles
 from bunraku.errors import OptionError
 
 __all__ = [
-    "HANDLE_COUNT",
-    "HANDLE_MIRROR",
-    "HANDLE_NAMES",
-    "HANDLE_PARENTS",
-    "JOINT_COUNT",
-    "JOINT_MIRROR",
-    "JOINT_NAMES",
-    "JOINT_PARENTS",
-    "PARTS",
-    "REQUIRED",
-    "ROOTS",
-    "SKELETONS",
-    "engine_names",
-    "handle_names",
-    "kept_handles",
-]
+    "HANDLE_COUNT", "HANDLE_MIRROR", "HANDLE_NAMES", "HANDLE_PARENTS", "JOINT_COUNT", "JOINT_MIRROR", "JOINT_NAMES",
+    "JOINT_PARENTS", "PARTS", "REQUIRED", "ROOTS", "SKELETONS", "engine_names", "handle_names", "kept_handles",
+]  # fmt: skip
 
 
 JOINT_NAMES: tuple[str, ...] = (
@@ -58,9 +43,8 @@ HANDLE_MIRROR: tuple[int, ...] = _mirror(HANDLE_NAMES)
 
 
 def handle_names(handles: Handles) -> tuple[str, ...]:
-    """Names of handles: those of the layout where there are as many, numbers otherwise.
-
-    A handle that plays the part of another is named after it and numbered: left_hip_2 is the second left hip.
+    """Names of handles: those of the layout if there are 30, else numbers. A handle that plays the part of another is
+    named after it and numbered: left_hip_2 is the second left hip.
     """
     count = len(handles.positions)
     if count != len(HANDLE_NAMES):
@@ -96,14 +80,14 @@ PARTS: dict[str, tuple[int, ...]] = {
     "tail": _named("tail", "tail_tip"),
     "wings": _named("wing"),
 }
-"""Handles of each part. Legs come with the root: they step where they did only on its path."""
+"""Handles of each part. Legs come with the root: their steps stay in place only on its path."""
 
 
 def kept_handles(keep: str | Sequence[str]) -> np.ndarray:
     """Which handles words name, shape (K,), bool.
 
     Args:
-        keep: Parts (`PARTS`) or single handles (`HANDLE_NAMES`), as a list or parted by commas; case, hyphens and
+        keep: Parts (`PARTS`) or single handles (`HANDLE_NAMES`), as a list or separated by commas; case, hyphens and
             underscores do not matter.
 
     Raises:
@@ -158,16 +142,14 @@ _FORMS = {
     "unreal": ("{part}", "{part}_l", "{part}_r"),
 }
 SKELETONS = tuple(_FORMS)
-"""Whose names there are."""
+"""Skeletons whose names are known."""
 ROOTS = {"unreal": "root"}
-"""The joint above the pelvis, on the ground, where a skeleton has one."""
+"""The joint above the pelvis, on the ground, of skeletons that have one."""
 
 
 def engine_names(skeleton: str) -> tuple[str, ...]:
-    """The name of each of the 30 handles; parts that a humanoid lacks (wings, tail, face) keep their own.
-
-    Args:
-        skeleton: One of `SKELETONS`.
+    """The name of each of the 30 handles in one of `SKELETONS`; parts that a humanoid lacks (wings, tail, face) keep
+    their own.
     """
     middle, left, right = _FORMS[skeleton]
     out = []

@@ -24,7 +24,10 @@ from bunraku.files.fbx.scene import (
     world_matrices,
 )
 
-__all__ = ["Curve", "FbxClip", "find_clip", "load_fbx_motion", "read_clips", "read_curve", "read_motion", "sample_clip"]
+__all__ = [
+    "Curve", "FbxClip", "clip_number", "find_clip", "load_fbx_motion", "read_clips", "read_curve", "read_motion",
+    "sample_clip",
+]  # fmt: skip
 
 
 CONSTANT, CUBIC, NEXT, WEIGHTED_RIGHT, WEIGHTED_LEFT = 0x2, 0x8, 0x100, 0x0100_0000, 0x0200_0000
@@ -219,6 +222,21 @@ def _curves(scene: FbxScene, group: FbxObject, owner: int, what: str) -> tuple[C
     return tuple(found)
 
 
+def clip_number(path: Path, names: list[str], clip: int | str) -> int:
+    """Number of a clip by its number or name, with or without its armature's name before a bar.
+
+    Raises:
+        OptionError: There is no clip of this name or number.
+    """
+    for known in (names, [name.rsplit("|", 1)[-1] for name in names]):  # exporters write "Armature|Walk"
+        if clip in known:
+            return known.index(str(clip))
+    number = int(clip) if str(clip).isdecimal() else -1
+    if not 0 <= number < len(names):
+        raise OptionError(f"{path} has no clip {clip!r}; it has {', '.join(names[:20])}")
+    return number
+
+
 def find_clip(scene: FbxScene, clips: list[FbxClip], clip: int | str | None) -> FbxClip:
     """A clip by its number or name, with or without its armature's name before a bar; the first one for None.
 
@@ -228,17 +246,7 @@ def find_clip(scene: FbxScene, clips: list[FbxClip], clip: int | str | None) -> 
     """
     if not clips:
         scene.tree.fail("it holds no animation; export it with its keys baked")
-    if clip is None:
-        return clips[0]
-    for names in ([known.name for known in clips], [known.name.rsplit("|", 1)[-1] for known in clips]):
-        if clip in names:
-            return clips[names.index(str(clip))]
-    number = int(clip) if str(clip).isdecimal() else -1
-    if not 0 <= number < len(clips):
-        raise OptionError(
-            f"{scene.tree.path} has no clip {clip!r}; it has {', '.join(known.name for known in clips[:20])}"
-        )
-    return clips[number]
+    return clips[0 if clip is None else clip_number(scene.tree.path, [known.name for known in clips], clip)]
 
 
 def sample_clip(scene: FbxScene, clip: FbxClip, fps: float) -> tuple[Values, int]:

@@ -19,6 +19,7 @@ from bunraku.errors import CharacterError, FormatError, OptionError
 from bunraku.files.fbx.write_meshes import Look, Shape, add_mesh, file_matrices, meshes_of
 from bunraku.files.fbx.write_motion import Bones, ShapeTrack, Track, add_bones, add_clips
 from bunraku.files.fbx.write_objects import Objects, element, write_elements
+from bunraku.files.gltf.write import writable
 
 if TYPE_CHECKING:
     from bunraku.core.animation import PointAnimation
@@ -184,7 +185,7 @@ def _write(
         raise OptionError(f"FBX is written to a file that ends in .fbx, not in {path.suffix or 'nothing'}")
     objects = Objects(FileFrame.of(up, unit), up, unit)
     check_output_folder(path)
-    try:
+    with writable(path, character.name):
         document, meshes = meshes_of(character)
         look = Look(objects, document)
         joints = add_bones(objects, bones) if bones is not None else []
@@ -202,9 +203,6 @@ def _write(
             _add_bind_pose(objects, bones, joints, models)
             if tracks:
                 add_clips(objects, tracks, bones, joints, dict.fromkeys(tracks, played))
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        reason = f"{type(error).__name__}: {str(error)[:80]}"
-        raise FormatError(path, f"{character.name} is too broken to be written ({reason}); export it again") from error
     with atomic_write(path) as file:
         try:
             write_elements(file, objects.elements())

@@ -17,17 +17,9 @@ from bunraku.files.gltf.mesh import strongest
 from bunraku.files.meshes.obj import beside, embeddable, fans, split_corners
 
 __all__ = [
-    "BONES",
-    "Cluster",
-    "FbxMesh",
-    "FbxSkin",
-    "Materials",
-    "bind_matrices",
-    "inverses",
-    "read_clusters",
-    "read_mesh",
+    "BONES", "Cluster", "FbxMesh", "FbxSkin", "Materials", "bind_matrices", "inverses", "read_clusters", "read_mesh",
     "read_skin",
-]
+]  # fmt: skip
 
 
 INFLUENCES = 8

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku.core.geometry.rotations import matrix_from_quaternion, nearest_rotation, quaternion_from_matrix
+from bunraku.core.geometry.rotations import continuous, matrix_from_quaternion, nearest_rotation, quaternion_from_matrix
 from bunraku.files.fbx.clips import read_clips, sample_clip
 from bunraku.files.fbx.mesh import BONES, FbxMesh, FbxSkin, Materials, bind_matrices, inverses, read_mesh, read_skin
 from bunraku.files.fbx.nodes import read_tree
@@ -286,10 +286,7 @@ def _decompose(local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     scale = np.linalg.norm(linear, axis=1)
     scale[:, 0] *= np.where(np.linalg.det(linear) < 0, -1, 1)
     unit = linear / np.where(np.abs(scale) > 1e-12, scale, 1)[:, None, :]
-    quaternion = quaternion_from_matrix(nearest_rotation(unit))
-    flips = np.where((quaternion[1:] * quaternion[:-1]).sum(-1) < 0, -1.0, 1.0)
-    quaternion[1:] *= np.cumprod(flips)[:, None]
-    return local[:, :3, 3], quaternion, scale
+    return local[:, :3, 3], continuous(quaternion_from_matrix(nearest_rotation(unit))), scale
 
 
 def _node_transform(local: np.ndarray) -> dict[str, Any]:

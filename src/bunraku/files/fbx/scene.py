@@ -11,17 +11,9 @@ import numpy as np
 from bunraku.files.fbx.nodes import BROKEN, FbxNode, FbxTree
 
 __all__ = [
-    "FbxObject",
-    "FbxScene",
-    "Frame",
-    "PROPERTIES",
-    "Values",
-    "default_world",
-    "euler_matrices",
-    "geometric_matrix",
-    "read_scene",
-    "world_matrices",
-]
+    "FbxObject", "FbxScene", "Frame", "PROPERTIES", "Values", "default_world", "euler_matrices", "geometric_matrix",
+    "read_scene", "world_matrices",
+]  # fmt: skip
 
 
 MAX_MODELS = 50_000

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,11 +14,12 @@ from bunraku.core.geometry.axes import FileFrame
 from bunraku.core.geometry.surface import vertex_normals
 from bunraku.files.fbx.write_motion import Bones
 from bunraku.files.fbx.write_objects import Element, Objects, element, prop, properties
-from bunraku.files.gltf.carry import MeshCarrier, carry_images, carry_tree, image_type
+from bunraku.files.gltf.carry import IMAGE_SUFFIXES, MeshCarrier, carry_images, carry_tree
 from bunraku.files.gltf.colors import srgb_from_linear
 from bunraku.files.gltf.document import Document, GltfBuilder
 from bunraku.files.gltf.mesh import MeshPart
 from bunraku.files.gltf.write import document_of
+from bunraku.files.meshes.obj import embeddable
 
 __all__ = ["Layer", "Look", "Mesh", "Shape", "add_mesh", "file_matrices", "meshes_of", "uv_name"]
 
@@ -199,7 +199,6 @@ def _normals(document: Document, rows: _Rows) -> Layer | None:
     return Layer(values, layer.corners)
 
 
-_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg"}
 _CLAMP = 33071
 
 
@@ -322,26 +321,8 @@ def _picture(document: Document, texture: dict[str, Any]) -> tuple[int, bytes, s
     found = document.image(number)
     if not found:
         return None
-    data = bytes(found)
-    kind = image_type(data[:16])
-    if kind == "image/webp":
-        png = _as_png(data)
-        return None if png is None else (number, png, ".png")
-    suffix = _SUFFIX.get(kind or "")
-    return None if suffix is None else (number, data, suffix)
-
-
-def _as_png(data: bytes) -> bytes | None:
-    """An image of a kind that FBX's readers lack, None where it is broken."""
-    from PIL import Image
-
-    out = io.BytesIO()
-    try:
-        with Image.open(io.BytesIO(data), formats=("WEBP",)) as image:
-            image.save(out, "PNG")
-    except (OSError, ValueError, Image.DecompressionBombError):
-        return None
-    return out.getvalue()
+    image = embeddable(bytes(found))
+    return None if image is None else (number, image[0], IMAGE_SUFFIXES[image[1]])
 
 
 STILL = 1e-9  # m

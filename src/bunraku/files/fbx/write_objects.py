@@ -14,18 +14,9 @@ import numpy as np
 from bunraku.core.geometry.axes import UNITS, FileFrame
 
 __all__ = [
-    "CREATION_TIME",
-    "Element",
-    "FILE_ID",
-    "Objects",
-    "SECOND",
-    "Span",
-    "VERSION",
-    "element",
-    "prop",
-    "properties",
+    "CREATION_TIME", "Element", "FILE_ID", "Objects", "SECOND", "Span", "VERSION", "element", "prop", "properties",
     "write_elements",
-]
+]  # fmt: skip
 
 
 VERSION = 7400

@@ -14,7 +14,7 @@ from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Docu
 from bunraku.files.gltf.mesh import MeshPart, skin_matrices
 from bunraku.files.gltf.read import Source
 
-__all__ = ["MeshCarrier", "carry_clips", "carry_images", "carry_tree", "free_name", "used_extensions"]
+__all__ = ["IMAGE_SUFFIXES", "MeshCarrier", "carry_clips", "carry_images", "carry_tree", "free_name", "used_extensions"]
 
 
 _WHITE_PNG = base64.b64decode(
@@ -72,6 +72,10 @@ def image_type(start: bytes) -> str | None:
     if start.startswith(b"\xff\xd8\xff"):
         return "image/jpeg"
     return "image/webp" if start[:4] == b"RIFF" and start[8:12] == b"WEBP" else None
+
+
+IMAGE_SUFFIXES = {"image/png": ".png", "image/jpeg": ".jpg"}
+"""Suffixes of the images that other formats than glTF can hold."""
 
 
 def used_extensions(tree: dict[str, object]) -> None:

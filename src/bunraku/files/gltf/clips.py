@@ -13,7 +13,7 @@ import numpy as np
 
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.files import check_input, check_output_folder, read_bounded
-from bunraku.core.geometry.rotations import quaternion_slerp
+from bunraku.core.geometry.rotations import continuous, quaternion_slerp
 from bunraku.core.motion import checked_fps
 from bunraku.errors import FormatError, OptionError
 from bunraku.files.gltf.carry import carry_clips, image_type
@@ -181,8 +181,7 @@ class Tracks:
         rows = np.concatenate([self._last, np.concatenate([translations, rotations], axis=-1)])
         first = self._seen - len(self._last)
         self._seen = first + len(rows)
-        flips = np.where((rows[1:, :, 3:] * rows[:-1, :, 3:]).sum(axis=-1) < 0, -1.0, 1.0)
-        rows[1:, :, 3:] *= np.cumprod(flips, axis=0)[..., None]
+        rows[..., 3:] = continuous(rows[..., 3:])
         self._last = rows[-1:]
         stop = int((self._seen - 1) / self.step + 1e-6) + 1
         at = np.minimum(np.arange(self.frames, stop) * self.step, self._seen - 1) - first

@@ -15,20 +15,9 @@ import numpy as np
 from bunraku.errors import FormatError
 
 __all__ = [
-    "ARRAY_BUFFER",
-    "BASE",
-    "COMPONENT_TYPES",
-    "Document",
-    "ELEMENT_ARRAY_BUFFER",
-    "ELEMENT_SIZES",
-    "GltfBuilder",
-    "MAX_ELEMENTS",
-    "PER_BYTE",
-    "free_memory",
-    "mesh_document",
-    "room",
-    "scaled_mesh_document",
-]
+    "ARRAY_BUFFER", "BASE", "COMPONENT_TYPES", "Document", "ELEMENT_ARRAY_BUFFER", "ELEMENT_SIZES", "GltfBuilder",
+    "MAX_ELEMENTS", "PER_BYTE", "free_memory", "mesh_document", "room", "scaled_mesh_document",
+]  # fmt: skip
 
 
 PER_BYTE = 4
@@ -116,6 +105,14 @@ class Document:
         """Raise a FormatError about this document."""
         raise FormatError(self.path, problem)
 
+    def broken(self, problem: str) -> NoReturn:
+        """Raise a FormatError about damage in this document."""
+        self.fail(f"{problem}; the file is broken, export it again")
+
+    def truncated(self, problem: str) -> NoReturn:
+        """Raise a FormatError about bytes that this document lacks."""
+        self.fail(f"{problem}; the file is truncated, export or download it again")
+
     def items(self, kind: str) -> list[dict[str, Any]]:
         """A top-level list of the document, empty where it has none."""
         return self.objects(self.tree, kind)
@@ -124,14 +121,14 @@ class Document:
         """A list of objects under a key of an object."""
         value = owner.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-            self.fail(f"'{key}' must be a list of objects; the file is broken, export it again")
+            self.broken(f"'{key}' must be a list of objects")
         return value
 
     def entry(self, owner: dict[str, object], key: str) -> dict[str, object]:
         """An object under a key of an object."""
         value = owner.get(key)
         if not isinstance(value, dict):
-            self.fail(f"'{key}' must be an object; the file is broken, export it again")
+            self.broken(f"'{key}' must be an object")
         return value
 
     def item(self, kind: str, index: Any) -> dict[str, Any]:
@@ -143,7 +140,7 @@ class Document:
             or not 0 <= index < len(items)
             or not isinstance(items[index], dict)
         ):
-            self.fail(f"{kind}[{index!r:.20}] does not exist; the file is broken, export it again")
+            self.broken(f"{kind}[{index!r:.20}] does not exist")
         return items[index]
 
     def integer(self, owner: dict[str, object], key: str, default: int | None = None, high: int = 2**40) -> int:
@@ -152,10 +149,7 @@ class Document:
         if type(value) is float and value.is_integer():
             value = int(value)
         if type(value) is not int or not 0 <= value <= high:
-            self.fail(
-                f"'{key}' must be a whole number from 0 to {high}, not {value!r:.40}; the file is broken, export it "
-                "again"
-            )
+            self.broken(f"'{key}' must be a whole number from 0 to {high}, not {value!r:.40}")
         return value
 
     def numbers(self, owner: dict[str, object], key: str, default: list[float]) -> np.ndarray:
@@ -164,7 +158,7 @@ class Document:
         good = isinstance(value, list) and len(value) == len(default) and all(type(x) in (int, float) for x in value)
         out = np.array(value, float) if good else np.array([np.nan])
         if not np.isfinite(out).all():
-            self.fail(f"'{key}' must be {len(default)} finite numbers; the file is broken, export it again")
+            self.broken(f"'{key}' must be {len(default)} finite numbers")
         return out
 
     def indices(self, owner: dict[str, object], key: str, kind: str) -> list[int]:
@@ -175,7 +169,7 @@ class Document:
         )  # the list's own entries are not checked, as in `item`
         count = len(listed) if isinstance(listed, list) else 0
         if not isinstance(value, list) or not all(type(x) is int and 0 <= x < count for x in value):
-            self.fail(f"'{key}' points at {kind} that do not exist; the file is broken, export it again")
+            self.broken(f"'{key}' points at {kind} that do not exist")
         return value
 
     def view(self, index: Any) -> memoryview:
@@ -183,14 +177,11 @@ class Document:
         view = self.item("bufferViews", index)
         buffer = self.integer(view, "buffer")
         if buffer >= len(self.buffers):
-            self.fail(f"buffer {buffer} does not exist; the file is broken, export it again")
+            self.broken(f"buffer {buffer} does not exist")
         start, length = self.integer(view, "byteOffset", 0), self.integer(view, "byteLength")
         data = memoryview(self.buffers[buffer])
         if start + length > len(data):
-            self.fail(
-                f"bufferViews[{index}] ends at byte {start + length} of {len(data)}; the file is truncated, export or "
-                "download it again"
-            )
+            self.truncated(f"bufferViews[{index}] ends at byte {start + length} of {len(data)}")
         return data[start : start + length]
 
     def image(self, index: Any) -> bytes | memoryview | None:
@@ -217,16 +208,10 @@ class Document:
         accessor = self.item("accessors", index)
         kind, component = accessor.get("type"), accessor.get("componentType")
         if kind not in kinds:
-            self.fail(
-                f"accessors[{index}] has type {kind!r:.20} where {' or '.join(kinds)} is needed; the file is broken, "
-                "export it again"
-            )
+            self.broken(f"accessors[{index}] has type {kind!r:.20} where {' or '.join(kinds)} is needed")
         dtype = COMPONENT_TYPES.get(component) if type(component) is int else None
         if dtype is None:
-            self.fail(
-                f"accessors[{index}] has component type {component!r:.20}, which glTF does not know; the file is "
-                "broken, export it again"
-            )
+            self.broken(f"accessors[{index}] has component type {component!r:.20}, which glTF does not know")
         count, size = self.count(index), ELEMENT_SIZES[kind]
         if "bufferView" in accessor:
             values = self._elements(accessor, accessor["bufferView"], dtype, count, size)
@@ -247,15 +232,9 @@ class Document:
         width = dtype.itemsize * size
         stride = self.integer(self.item("bufferViews", view), "byteStride", width, high=65535)
         if stride < width:
-            self.fail(
-                f"bufferViews[{view}] packs elements of {width} bytes every {stride}; the file is broken, export it "
-                "again"
-            )
+            self.broken(f"bufferViews[{view}] packs elements of {width} bytes every {stride}")
         if count and offset + stride * (count - 1) + width > len(data):
-            self.fail(
-                f"an accessor reads past the end of bufferViews[{view}]; the file is truncated, export or download it "
-                "again"
-            )
+            self.truncated(f"an accessor reads past the end of bufferViews[{view}]")
         if not count:
             return np.zeros((0, size), dtype)
         return np.ndarray((count, size), dtype, data, offset, (stride, dtype.itemsize))
@@ -268,10 +247,10 @@ class Document:
             or not isinstance(what, dict)
             or where.get("componentType") not in (5121, 5123, 5125)
         ):
-            self.fail("a sparse accessor lacks its indices or values; the file is broken, export it again")
+            self.broken("a sparse accessor lacks its indices or values")
         rows = self._elements(where, where.get("bufferView"), COMPONENT_TYPES[where["componentType"]], count, 1)[:, 0]
         if count and int(rows.max()) >= len(values):
-            self.fail("a sparse accessor replaces elements that do not exist; the file is broken, export it again")
+            self.broken("a sparse accessor replaces elements that do not exist")
         values[rows] = self._elements(what, what.get("bufferView"), dtype, count, values.shape[1])
         return values
 

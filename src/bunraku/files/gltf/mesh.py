@@ -12,17 +12,9 @@ from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.nodes import NodeTree, SkinJoints
 
 __all__ = [
-    "MeshPart",
-    "PrimitiveData",
-    "borrow_weights",
-    "check_size",
-    "primitive_groups",
-    "primitive_triangles",
-    "read_part",
-    "rigid_joints",
-    "skin_matrices",
-    "strongest",
-]
+    "MeshPart", "PrimitiveData", "borrow_weights", "check_size", "primitive_groups", "primitive_triangles", "read_part",
+    "rigid_joints", "skin_matrices", "strongest",
+]  # fmt: skip
 
 
 def strongest(
@@ -128,7 +120,7 @@ def primitive_groups(document: Document, mesh: int) -> Iterator[tuple[tuple[int,
     for index, primitive in enumerate(primitives):
         attributes = primitive.get("attributes")
         if not isinstance(attributes, dict):
-            document.fail(f"meshes[{mesh}] has a primitive without attributes; the file is broken, export it again")
+            document.broken(f"meshes[{mesh}] has a primitive without attributes")
         if "POSITION" not in attributes:
             continue  # glTF lets extensions bring positions; there is nothing to draw without one
         groups.setdefault(_shared(attributes, primitive.get("targets")), []).append(index)
@@ -152,12 +144,9 @@ def primitive_triangles(document: Document, primitive: dict[str, object], count:
     if "indices" in primitive:
         order = document.accessor(primitive["indices"], ("SCALAR",), raw=True)[:, 0]
         if order.dtype.kind != "u":
-            document.fail("the indices of a mesh are not unsigned whole numbers; the file is broken, export it again")
+            document.broken("the indices of a mesh are not unsigned whole numbers")
         if len(order) and int(order.max()) >= count:
-            document.fail(
-                f"a triangle uses vertex {int(order.max())} but its mesh has {count}; the file is broken, export it "
-                "again"
-            )
+            document.broken(f"a triangle uses vertex {int(order.max())} but its mesh has {count}")
         order = order.astype(np.int32)
     else:
         order = np.arange(count, dtype=np.int32)
@@ -190,7 +179,7 @@ def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int, 
     document.item("meshes", mesh)
     skin = document.integer(entry, "skin") if "skin" in entry else None
     if skin is not None and skin >= len(skins.slots):
-        document.fail(f"node {node} uses a skin that does not exist; the file is broken, export it again")
+        document.broken(f"node {node} uses a skin that does not exist")
     groups: list[PrimitiveData] = []
     transforms: list[np.ndarray | None] = []
     mirrored = bool(np.linalg.det(tree.world[node, :3, :3]) < 0) if skin is None else skins.mirrored[skin]
@@ -321,18 +310,12 @@ def _influences(
             joints.append(document.accessor(attributes[f"JOINTS_{name}"], ("VEC4",), raw=True))
             weights.append(document.accessor(attributes[f"WEIGHTS_{name}"], ("VEC4",)).astype(float))
             if len(joints[-1]) != len(raw) or len(weights[-1]) != len(raw) or joints[-1].dtype.kind != "u":
-                document.fail(
-                    "the skin of a mesh weighs another number of vertices than it has; the file is broken, export it "
-                    "again"
-                )
+                document.broken("the skin of a mesh weighs another number of vertices than it has")
     indices, shares = np.concatenate(joints, 1).astype(np.int64), np.concatenate(weights, 1)
     shares = np.where(np.isfinite(shares) & (shares > 0), shares, 0)
     indices[shares == 0] = 0
     if len(indices) and int(indices.max()) >= slots:
-        document.fail(
-            f"a vertex is weighted to joint {int(indices.max())} of a skin with {slots}; the file is broken, export "
-            "it again"
-        )
+        document.broken(f"a vertex is weighted to joint {int(indices.max())} of a skin with {slots}")
     total = shares.sum(axis=1)
     lost = np.flatnonzero(~(total > 1e-9))
     if len(lost):

@@ -11,17 +11,9 @@ from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, qu
 from bunraku.files.gltf.document import Document
 
 __all__ = [
-    "Curves",
-    "MAX_SECONDS",
-    "NodeTree",
-    "SkinJoints",
-    "bind_pose",
-    "clip_curves",
-    "node_worlds",
-    "posed_skins",
-    "read_nodes",
-    "read_skins",
-]
+    "Curves", "MAX_SECONDS", "NodeTree", "SkinJoints", "bind_pose", "clip_curves", "node_worlds", "posed_skins",
+    "read_nodes", "read_skins",
+]  # fmt: skip
 
 
 MAX_NODES = 100_000
@@ -116,7 +108,7 @@ def read_nodes(document: Document) -> NodeTree:
     for node, below in enumerate(children):
         for child in below:
             if parents[child] != -1:
-                document.fail(f"node {child} has two parents; the file is broken, export it again")
+                document.broken(f"node {child} has two parents")
             parents[child] = node
     world, local = np.empty((len(nodes), 4, 4)), _locals(document, nodes)
     order = [int(node) for node in np.flatnonzero(parents < 0)]
@@ -128,9 +120,9 @@ def read_nodes(document: Document) -> NodeTree:
         world[node] = world[parents[node]] @ local[node] if parents[node] >= 0 else local[node]
         order.extend(children[node])
     if len(order) != len(nodes):
-        document.fail("its nodes form a cycle; the file is broken, export it again")
+        document.broken("its nodes form a cycle")
     if not np.isfinite(world).all():
-        document.fail("its node transforms overflow; the file is broken, export it again")
+        document.broken("its node transforms overflow")
     return NodeTree(parents, world, _scene_nodes(document, parents, children), local)
 
 
@@ -182,7 +174,7 @@ def read_skins(document: Document, tree: NodeTree) -> SkinJoints:
     for skin in document.items("skins"):
         nodes = document.indices(skin, "joints", "nodes")
         if not nodes:
-            document.fail("a skin has no joints; the file is broken, export it again")
+            document.broken("a skin has no joints")
         total += len(nodes)
         if total > MAX_SLOTS:
             document.fail(f"its skins have more than {MAX_SLOTS:,} joints; export the character alone")
@@ -191,11 +183,11 @@ def read_skins(document: Document, tree: NodeTree) -> SkinJoints:
         if "inverseBindMatrices" in skin:
             stored = document.accessor(skin["inverseBindMatrices"], ("MAT4",)).astype(float)
             if len(stored) < len(nodes):
-                document.fail("a skin has fewer inverse bind matrices than joints; the file is broken, export it again")
+                document.broken("a skin has fewer inverse bind matrices than joints")
             inverse = stored[: len(nodes)].reshape(-1, 4, 4).transpose(0, 2, 1).copy()
             inverse[:, 3] = 0, 0, 0, 1
         if not np.isfinite(inverse).all():
-            document.fail("a skin has inverse bind matrices that are not numbers; the file is broken, export it again")
+            document.broken("a skin has inverse bind matrices that are not numbers")
         inverses.append(inverse)
     return posed_skins(SkinJoints(list(merged), slots, inverses, [], []), tree)
 
@@ -374,9 +366,7 @@ def clip_curves(document: Document, animation: dict[str, object]) -> Curves:
         node, kind = document.integer(target, "node", high=last), target["path"]
         index = document.integer(channel, "sampler")
         if index >= len(samplers):
-            document.fail(
-                "an animation channel names a sampler that does not exist; the file is broken, export it again"
-            )
+            document.broken("an animation channel names a sampler that does not exist")
         how = samplers[index].get("interpolation", "LINEAR")
         times = document.accessor(samplers[index].get("input"), ("SCALAR",))[:, 0].astype(float)
         values = document.accessor(
@@ -393,7 +383,7 @@ def clip_curves(document: Document, animation: dict[str, object]) -> Curves:
             or not np.isfinite(values).all()
             or not np.isfinite(times).all()
         ):
-            document.fail("an animation channel has keys that do not fit together; the file is broken, export it again")
+            document.broken("an animation channel has keys that do not fit together")
         curves[node, kind] = (times, values.reshape(len(times), 3, -1) if keys == 3 else values, str(how))
     return curves
 

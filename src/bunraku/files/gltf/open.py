@@ -48,7 +48,7 @@ def unpack_primitives(document: Document) -> None:
             if extension is None:
                 continue
             if not isinstance(extension, dict) or not isinstance(extension.get("attributes"), dict):
-                document.fail(f"a primitive lacks what {DRACO} says of it; the file is broken, export it again")
+                document.broken(f"a primitive lacks what {DRACO} says of it")
             if not _draco_plain(document, primitive):
                 packed.setdefault(document.integer(extension, "bufferView"), []).append((primitive, extension))
     for key in ("extensionsUsed", "extensionsRequired"):
@@ -69,7 +69,7 @@ def unpack_primitives(document: Document) -> None:
 def _accessors(document: Document, primitive: dict[str, object]) -> list[Any]:
     attributes = primitive.get("attributes")
     if not isinstance(attributes, dict):
-        document.fail("a mesh has a primitive without attributes; the file is broken, export it again")
+        document.broken("a mesh has a primitive without attributes")
     return [*attributes.values(), *([primitive["indices"]] if "indices" in primitive else [])]
 
 
@@ -125,7 +125,7 @@ def _fill(
             continue
         values = arrays.get(f"{number}_{identity}")
         if type(identity) is not int or values is None:
-            document.fail(f"Draco's data hold no {name:.40} of a mesh; the file is broken, export it again")
+            document.broken(f"Draco's data hold no {name:.40} of a mesh")
         _store(document, attributes[name], values.reshape(len(values), -1))
     if "indices" in primitive:
         _store(document, primitive["indices"], arrays[f"{number}_faces"].reshape(-1, 1))
@@ -136,9 +136,7 @@ def _store(document: Document, index: Any, values: np.ndarray) -> None:
     kind, component = accessor.get("type"), accessor.get("componentType")
     dtype = COMPONENT_TYPES.get(component) if type(component) is int else None
     if dtype is None or len(values) != document.count(index) or ELEMENT_SIZES.get(str(kind)) != values.shape[1]:
-        document.fail(
-            f"Draco's data and accessors[{index}] disagree about what a mesh holds; the file is broken, export it again"
-        )
+        document.broken(f"Draco's data and accessors[{index}] disagree about what a mesh holds")
     with np.errstate(invalid="ignore"):
         data = np.ascontiguousarray(values.astype(dtype)).tobytes()
     view = {"buffer": len(document.buffers), "byteLength": len(data)}
@@ -179,7 +177,7 @@ def unpack_views(document: Document) -> None:
         found = [extensions.pop(name) for name in MESHOPT if name in extensions] if isinstance(extensions, dict) else []
         if found and not _plain(document, view):
             if not isinstance(found[0], dict):
-                document.fail(f"bufferViews[{index}] is compressed by nothing; the file is broken, export it again")
+                document.broken(f"bufferViews[{index}] is compressed by nothing")
             packed.append((index, view, found[0]))
     _forget(document)
     if not packed:
@@ -198,10 +196,7 @@ def unpack_views(document: Document) -> None:
     for index, view, extension in packed:
         data = _unpacked(document, index, extension, library)
         if document.integer(view, "byteLength") != len(data):
-            document.fail(
-                f"bufferViews[{index}] unpacks to {len(data)} bytes and not to those that it should have; the file is "
-                "broken, export it again"
-            )
+            document.broken(f"bufferViews[{index}] unpacks to {len(data)} bytes and not to those that it should have")
         view |= {"buffer": len(document.buffers), "byteOffset": 0, "byteLength": len(data)}
         document.items("buffers").append({"byteLength": len(data)})
         document.buffers.append(data)
@@ -238,10 +233,7 @@ def _unpacked(document: Document, index: int, extension: dict[str, object], libr
     buffer = document.integer(extension, "buffer")
     start, length = document.integer(extension, "byteOffset", 0), document.integer(extension, "byteLength")
     if buffer >= len(document.buffers) or start + length > len(document.buffers[buffer]):
-        document.fail(
-            f"bufferViews[{index}] is packed in bytes that are not there; the file is truncated, export or download it "
-            "again"
-        )
+        document.truncated(f"bufferViews[{index}] is packed in bytes that are not there")
     data = bytes(memoryview(document.buffers[buffer])[start : start + length])
     if not count:
         return b""
@@ -255,7 +247,7 @@ def _unpacked(document: Document, index: int, extension: dict[str, object], libr
             unpack = library.decode_index_buffer if mode == "TRIANGLES" else library.decode_index_sequence
             values = unpack(count, 4, data).astype("<u2" if stride == 2 else "<u4")
     except (RuntimeError, ValueError):
-        document.fail(f"bufferViews[{index}] cannot be unpacked by meshopt; the file is broken, export it again")
+        document.broken(f"bufferViews[{index}] cannot be unpacked by meshopt")
     return bytes(np.ascontiguousarray(values).tobytes())
 
 
@@ -387,10 +379,7 @@ def _buffer(files: _Files, buffer: dict[str, object], chunk: memoryview | None) 
         data = b""  # a fallback buffer of a compressed file: views into it fail where they are used
         length = 0
     if len(data) < length:
-        document.fail(
-            f"a buffer should have {length} bytes but has {len(data)}; the file is truncated, export or download it "
-            "again"
-        )
+        document.truncated(f"a buffer should have {length} bytes but has {len(data)}")
     return memoryview(data)[:length] if len(data) > length else data
 
 
@@ -406,7 +395,7 @@ class _Files:
         """The bytes of a data URI or of a file in the document's folder."""
         document = self.document
         if not isinstance(uri, str):
-            document.fail(f"the address of its {what} is not text; the file is broken, export it again")
+            document.broken(f"the address of its {what} is not text")
         if uri[:5].lower() == "data:":
             head, _, body = uri.partition(",")
             try:
@@ -414,7 +403,7 @@ class _Files:
                     raise ValueError
                 return base64.b64decode(body)
             except (ValueError, binascii.Error):
-                document.fail(f"its embedded {what} is not valid base64; the file is broken, export it again")
+                document.broken(f"its embedded {what} is not valid base64")
         target = path_inside(document.path.parent, uri)
         if target is None:
             document.fail(

@@ -18,7 +18,7 @@ from bunraku.files.gltf.nodes import NodeTree, SkinJoints, bind_pose, posed_skin
 from bunraku.files.gltf.open import open_document
 from bunraku.files.gltf.vrm import read_vrm
 
-__all__ = ["Source", "character_from_document", "read_gltf", "scaled", "turned"]
+__all__ = ["Source", "character_from_document", "read_gltf", "scaled", "rotated"]
 
 
 MAX_COORDINATE = 1e12
@@ -144,7 +144,7 @@ def _rig(document: Document, tree: NodeTree, skins: SkinJoints, parts: tuple[Mes
     return Rig(names, parents, tree.world[skins.nodes], indices, weights)
 
 
-def turned(character: Character, up: str, front: str) -> Character:
+def rotated(character: Character, up: str, front: str) -> Character:
     """The character with one of its axes up along +Y and another to the front along +Z.
 
     Args:

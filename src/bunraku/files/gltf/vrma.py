@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.avatars import VrmModel
+from bunraku.core.body.layout import JOINT_NAMES, engine_names
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import atomic_write, check_output_folder
-from bunraku.core.geometry.rotations import quaternion_from_matrix
-from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, checked_fps, local_rotations
+from bunraku.core.geometry.rotations import continuous, quaternion_from_matrix
+from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, checked_fps, local_rotations, resample_motion
 from bunraku.errors import CharacterError, FormatError, MotionError, OptionError
 from bunraku.files.gltf.document import Document, GltfBuilder
 from bunraku.files.gltf.nodes import MAX_SECONDS, clip_curves, node_worlds, read_nodes
@@ -20,22 +21,12 @@ from bunraku.files.gltf.vrm import add_springs
 from bunraku.files.gltf.write import finish_document
 from bunraku.files.gltf.write_rig import plain_rig
 
-__all__ = ["EXTENSION", "VRM_BONES", "read_glb_motion", "read_vrma", "write_avatar", "write_vrma"]
+__all__ = ["VRM_BONES", "read_glb_motion", "read_vrma", "write_avatar", "write_vrma"]
 
 
 EXTENSION = "VRMC_vrm_animation"
 
-VRM_BONES: dict[str, str] = {
-    "pelvis": "hips", "spine1": "spine", "spine2": "chest", "spine3": "upperChest", "neck": "neck", "head": "head",
-    **{
-        f"{side}_{joint}": f"{side}{bone}"
-        for side in ("left", "right")
-        for joint, bone in (
-            ("collar", "Shoulder"), ("shoulder", "UpperArm"), ("elbow", "LowerArm"), ("wrist", "Hand"),
-            ("hip", "UpperLeg"), ("knee", "LowerLeg"), ("ankle", "Foot"), ("foot", "Toes"),
-        )
-    },
-}  # fmt: skip
+VRM_BONES = dict(zip(JOINT_NAMES, engine_names("vrm"), strict=False))
 """VRM's bone for each of SMPL's 22 joints."""
 
 FPS = 30.0  # of files whose keys are not evenly spaced
@@ -100,7 +91,7 @@ def _motion(document: Document) -> SkeletalMotion:
     found, above = tree.nearest(index), tree.parents[order]
     parents = np.where(above >= 0, found[above], -1)
     if (parents < 0).sum() != 1 or parents[0] >= 0 or order[0] != bones["hips"]:
-        document.fail("its humanoid bones do not all hang on the hips; the file is broken, export it again")
+        document.broken("its humanoid bones do not all hang on the hips")
     names = {node: name for name, node in bones.items()}
     moved = node_worlds(document, tree, curves, np.arange(count) / fps, order)
     rest = tree.world[order]
@@ -131,10 +122,10 @@ def _bones(document: Document) -> dict[str, int]:
     taken, last = set[int](), max(len(document.items("nodes")) - 1, 0)
     for name, bone in listed.items():
         if not isinstance(bone, dict):
-            document.fail(f"its bone {name[:40]!r} is no object; the file is broken, export it again")
+            document.broken(f"its bone {name[:40]!r} is no object")
         node = document.integer(bone, "node", high=last)
         if node in taken:
-            document.fail(f"two of its bones are node {node}; the file is broken, export it again")
+            document.broken(f"two of its bones are node {node}")
         out[name[:100]] = node
         taken.add(node)
     return out
@@ -177,9 +168,6 @@ def write_vrma(motion: SkeletalMotion, path: str | Path, *, fps: float | None = 
         MotionError: The skeleton does not have SMPL's 22 joints.
         OptionError: `fps` is no number from 1 to 1000, or the motion has no frame.
     """
-    from bunraku.core.body.layout import JOINT_NAMES  # after the formats, in the order of imports
-    from bunraku.core.motion import resample_motion
-
     path = Path(path)
     if not len(motion):
         raise OptionError("a motion without frames cannot be written; give it at least one")
@@ -216,9 +204,7 @@ def _add_bones(builder: GltfBuilder, motion: SkeletalMotion) -> None:
 
 
 def _add_clip(builder: GltfBuilder, motion: SkeletalMotion, name: str) -> None:
-    rotations = quaternion_from_matrix(motion.rotations.astype(np.float64))
-    flips = np.where((rotations[1:] * rotations[:-1]).sum(-1) < 0, -1.0, 1.0)
-    rotations[1:] *= np.cumprod(flips, axis=0)[..., None]
+    rotations = continuous(quaternion_from_matrix(motion.rotations.astype(np.float64)))
     clock = builder.array((np.arange(len(motion)) / motion.fps).astype(np.float32)[:, None], bounds=True)
     channels: list[dict[str, Any]] = []
     samplers: list[dict[str, Any]] = []

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from bunraku.core.body.layout import HANDLE_NAMES, handle_names
 from bunraku.core.character import Character, Handles, top_influences
 from bunraku.core.files import atomic_write
-from bunraku.core.geometry.rotations import quaternion_from_matrix
+from bunraku.core.geometry.rotations import continuous, quaternion_from_matrix
 from bunraku.core.motion import HandleMotion, checked_fps, resample
 from bunraku.errors import FormatError
 from bunraku.files.gltf.carry import MeshCarrier, carry_images, carry_tree, used_extensions
@@ -28,22 +29,10 @@ if TYPE_CHECKING:
     from bunraku.core.animation import Animation
 
 __all__ = [
-    "add_clip",
-    "add_joints",
-    "add_motion",
-    "build_document",
-    "clip_handles",
-    "document_of",
-    "drop_clip",
-    "finish_document",
-    "joint_attributes",
-    "joint_tracks",
-    "keeps_positions",
-    "packed_motion",
-    "read_motion",
-    "write_animation",
-    "write_clips",
-]
+    "add_clip", "add_joints", "add_motion", "build_document", "clip_handles", "document_of", "drop_clip",
+    "finish_document", "joint_attributes", "joint_tracks", "keeps_positions", "packed_motion", "read_motion",
+    "write_animation", "write_clips",
+]  # fmt: skip
 
 
 KEY = "bunraku_motion"
@@ -178,11 +167,7 @@ def joint_tracks(positions: np.ndarray, motion: HandleMotion) -> tuple[np.ndarra
     translations[:, 0] = h[0] + motion.root_translation
     rotations = quaternion_from_matrix(motion.rotations.astype(np.float64))
     rotations[:, 0] = quaternion_from_matrix(motion.root_rotation.astype(np.float64))
-    flips = np.where((rotations[1:] * rotations[:-1]).sum(-1) < 0, -1.0, 1.0)
-    rotations[1:] *= np.cumprod(flips, axis=0)[
-        ..., None
-    ]  # an interpolated quaternion must not change its sign on the way
-    return translations, rotations
+    return translations, continuous(rotations)
 
 
 def add_motion(builder: GltfBuilder, joints: list[int], positions: np.ndarray, motion: HandleMotion, name: str) -> None:
@@ -287,6 +272,16 @@ def document_of(character: Character) -> Source:
     return made
 
 
+@contextmanager
+def writable(path: Path, what: object) -> Iterator[None]:
+    """Turn what goes wrong with a character that is too broken to be written into a FormatError about the output."""
+    try:
+        yield
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        reason = f"{type(error).__name__}: {str(error)[:80]}"
+        raise FormatError(path, f"{what} is too broken to be written ({reason}); export it again") from error
+
+
 def build_document(character: Character, handles: Handles | None, path: Path) -> tuple[GltfBuilder, list[int]]:
     """The character's meshes and materials, skinned to handles where there are some, and the nodes of the handles.
 
@@ -294,7 +289,7 @@ def build_document(character: Character, handles: Handles | None, path: Path) ->
     has vertices.
     """
     source = document_of(character)
-    try:
+    with writable(path, source.document.path):
         builder = GltfBuilder(drop_clip(carry_tree(source.document)))
         carry_images(source.document, builder)
         joints = add_joints(builder, handles) if handles is not None else []
@@ -307,11 +302,6 @@ def build_document(character: Character, handles: Handles | None, path: Path) ->
                     _add_part(builder, carrier, character, handles, joints, part, source.index[start:stop], skins)
                 )
             start = stop
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        reason = f"{type(error).__name__}: {str(error)[:80]}"
-        raise FormatError(
-            path, f"{source.document.path} is too broken to be written ({reason}); export it again"
-        ) from error
     builder.tree["scenes"][0]["nodes"] = roots
     return builder, joints
 

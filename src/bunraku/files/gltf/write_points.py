@@ -30,16 +30,9 @@ if TYPE_CHECKING:
     from bunraku.core.character import Character
 
 __all__ = [
-    "FittedPoints",
-    "GroupShapes",
-    "Shapes",
-    "before_skin",
-    "fitted_points",
-    "key_shapes",
-    "mixed_shapes",
-    "shapes_of_meshes",
-    "write_point_animation",
-]
+    "FittedPoints", "GroupShapes", "Shapes", "before_skin", "fitted_points", "key_shapes", "mixed_shapes",
+    "shapes_of_meshes", "write_point_animation",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,28 +14,21 @@ from bunraku.core.animation import RigAnimation
 from bunraku.core.avatars import VrmModel
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import check_output_folder
-from bunraku.core.geometry.rotations import Resampling, nearest_rotation, quaternion_from_matrix
+from bunraku.core.geometry.rotations import Resampling, continuous, nearest_rotation, quaternion_from_matrix
 from bunraku.core.motion import checked_fps
-from bunraku.errors import CharacterError, FormatError
+from bunraku.errors import CharacterError
 from bunraku.files.gltf.carry import MeshCarrier, carry_clips, carry_images, carry_tree
 from bunraku.files.gltf.document import ARRAY_BUFFER, GltfBuilder
 from bunraku.files.gltf.mesh import MeshPart
 from bunraku.files.gltf.nodes import read_nodes
 from bunraku.files.gltf.read import Source
 from bunraku.files.gltf.vrm import add_humanoid, add_spring_extras
-from bunraku.files.gltf.write import build_document, document_of, drop_clip, finish_document
+from bunraku.files.gltf.write import build_document, document_of, drop_clip, finish_document, writable
 
 __all__ = [
-    "RigDocument",
-    "add_bone_clip",
-    "bone_tracks",
-    "placed",
-    "plain_rig",
-    "save_rig_animation",
-    "save_rig_clips",
+    "RigDocument", "add_bone_clip", "bone_tracks", "placed", "plain_rig", "save_rig_animation", "save_rig_clips",
     "write_character",
-    "write_rigged",
-]
+]  # fmt: skip
 
 
 SMALL = 1e-6  # what changes less, over the size of the rig or as a quaternion, stands still
@@ -56,11 +49,8 @@ def add_bone_clip(
     """
     nodes = builder.tree["nodes"]
     scale = np.linalg.norm(local[..., :3, :3], axis=-2)
-    _, rotation = bone_tracks(local)
-    flips = np.where((rotation[1:] * rotation[:-1]).sum(-1) < 0, -1.0, 1.0)
-    rotation[1:] *= np.cumprod(flips, axis=0)[..., None]
     between = Resampling.of(len(local), have, want)
-    turned = between.quaternions(rotation)
+    turned = between.quaternions(continuous(bone_tracks(local)[1]))
     size = max(float(np.abs(local[..., :3, 3]).max()), 1e-9)
     every = builder.array((np.arange(len(between)) / want).astype(np.float32)[:, None], bounds=True)
     once = builder.array(np.zeros((1, 1), np.float32), bounds=True)
@@ -182,18 +172,13 @@ def save_rig_clips(clips: Mapping[str, RigAnimation], path: Path, *, fps: float 
     animation = next(iter(clips.values()))
     rates = {name: checked_fps(fps, clip.fps) for name, clip in clips.items()}
     check_output_folder(path)
-    try:
+    with writable(path, animation.character.name):
         written = RigDocument.of(animation.character)
         builder, own = written.builder, written.source
         for name, clip in clips.items():
             add_bone_clip(builder, written.nodes, written.local(clip), clip.fps, rates[name], name)
         if own:
             carry_clips(own.document, builder, {node: node for node in range(len(own.document.items("nodes")))})
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        reason = f"{type(error).__name__}: {str(error)[:80]}"
-        raise FormatError(
-            path, f"{animation.character.name} is too broken to be written ({reason}); export it again"
-        ) from error
     return finish_document(builder, path)
 
 
@@ -208,33 +193,18 @@ def write_character(
         CharacterError: The handles weigh another number of vertices, or there is no rig to write.
     """
     if rig:
-        return write_rigged(character, path, avatar)
+        if character.rig is None:
+            raise CharacterError(f"{character.name}: there is no rig to write; make one with `bunraku.with_skeleton`")
+        check_output_folder(path)
+        builder, nodes = plain_rig(character)
+        if avatar is not None:
+            add_spring_extras(builder.tree, avatar, nodes)
+        return finish_document(builder, path)
     if handles is not None and len(handles.weights) != len(character.vertices):
         raise CharacterError(
             f"the handles weigh {len(handles.weights)} vertices but {character.name} has {len(character.vertices)}"
         )
     return finish_document(build_document(character, handles, path)[0], path)
-
-
-def write_rigged(character: Character, path: Path, avatar: VrmModel | None = None) -> Path:
-    """Write a character with its rig as GLB, without motion: joints that are not turned where they rest, in a tree.
-
-    Args:
-        character: With a rig.
-        path: The file.
-        avatar: Springs of its bones.
-
-    Raises:
-        CharacterError: It has no rig.
-        FormatError: The file cannot be written.
-    """
-    if character.rig is None:
-        raise CharacterError(f"{character.name}: there is no rig to write; make one with `bunraku.with_skeleton`")
-    check_output_folder(path)
-    builder, nodes = plain_rig(character)
-    if avatar is not None:
-        add_spring_extras(builder.tree, avatar, nodes)
-    return finish_document(builder, path)
 
 
 def _fits(source: Source, character: Character) -> bool:
@@ -335,8 +305,7 @@ def _above_all(source: Source, builder: GltfBuilder) -> np.ndarray:
 
 def _local(source: Source, animation: RigAnimation, above_all: np.ndarray) -> np.ndarray:
     """Transform of each bone's node in its parent, shape (N, J, 4, 4)."""
-    rig = animation.character.rig
-    assert rig is not None
+    rig = animation.rig
     moved = animation.transforms().astype(np.float64)
     bones = {node: bone for bone, node in enumerate(source.skins.nodes)}
     frames = len(moved)
@@ -460,8 +429,7 @@ def plain_rig(character: Character) -> tuple[GltfBuilder, list[int]]:
 
 def _plain_local(animation: RigAnimation) -> np.ndarray:
     """Transform of each bone in its parent, shape (N, J, 4, 4)."""
-    rig = animation.character.rig
-    assert rig is not None
+    rig = animation.rig
     rest = rig.positions
     local = np.tile(np.eye(4), (len(animation), len(rest), 1, 1))
     local[..., :3, :3] = animation.rotations

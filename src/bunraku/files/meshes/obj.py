@@ -29,17 +29,9 @@ if TYPE_CHECKING:
     from bunraku.core.animation import Animation, PointAnimation
 
 __all__ = [
-    "beside",
-    "check_sequence",
-    "embeddable",
-    "fans",
-    "parse_numbers",
-    "read_materials",
-    "read_obj",
-    "split_corners",
-    "write_obj_sequence",
-    "write_ply_sequence",
-]
+    "BROKEN", "beside", "check_sequence", "embeddable", "fans", "parse_numbers", "read_materials", "read_obj",
+    "split_corners", "write_obj_sequence", "write_ply_sequence",
+]  # fmt: skip
 
 
 def split_corners(corners: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -213,7 +205,7 @@ def embeddable(image: Path | bytes) -> tuple[bytes, str] | None:
     return packed.getvalue(), "image/png"
 
 
-_BROKEN = "the file is truncated or broken, export it again"
+BROKEN = "the file is truncated or broken, export it again"
 
 
 def read_obj(path: Path, data: bytes) -> Character:
@@ -245,7 +237,7 @@ def read_obj(path: Path, data: bytes) -> Character:
         low = 0 if column == 0 else -1
         if len(corners) and not low <= int(corners[:, column].min()) <= int(corners[:, column].max()) < have:
             raise FormatError(
-                path, f"a face uses {what} {int(corners[:, column].max()) + 1} but there are {have}; {_BROKEN}"
+                path, f"a face uses {what} {int(corners[:, column].max()) + 1} but there are {have}; {BROKEN}"
             )
     slots, index, corner_of = split_corners(corners, len(positions))
     triangles, material = fans(slots[of_face], sizes, face_material)
@@ -331,9 +323,9 @@ class _Lines:
                         table[number, column] = int(part) - 1
         except (ValueError, OverflowError):
             shown = corner[:30].decode("utf-8", "replace")
-            raise FormatError(self.path, f"a face has the corner {shown!r}, which is not a vertex; {_BROKEN}") from None
+            raise FormatError(self.path, f"a face has the corner {shown!r}, which is not a vertex; {BROKEN}") from None
         if len(table) and (table[:, 0] < 0).any():
-            raise FormatError(self.path, f"a face uses a vertex that does not exist, there are {vertices}; {_BROKEN}")
+            raise FormatError(self.path, f"a face uses a vertex that does not exist, there are {vertices}; {BROKEN}")
         return table, of_face, sizes, np.array(self.face_materials, np.int64)
 
     def _absolute(self, corner: bytes, counts: tuple[int, int, int]) -> bytes:
@@ -373,9 +365,9 @@ def _numbers(path: Path, lines: list[bytes], widths: tuple[int, ...], what: str)
         try:
             values = np.array([[float(number) for number in row[:width]] for row in rows]).reshape(-1)
         except ValueError:
-            raise FormatError(path, f"{what} holds something that is not a number; {_BROKEN}") from None
+            raise FormatError(path, f"{what} holds something that is not a number; {BROKEN}") from None
         if width < min(widths):
-            raise FormatError(path, f"{what} has only {width} numbers; {_BROKEN}")
+            raise FormatError(path, f"{what} has only {width} numbers; {BROKEN}")
     return values.reshape(len(lines), width)
 
 

@@ -23,25 +23,18 @@ from bunraku.core.avatars import (
     MmdSdef,
     mmd_angles,
     mmd_points,
-    mmd_turn,
+    mmd_rotation,
 )
 from bunraku.core.character import Character
 from bunraku.errors import FormatError
 from bunraku.files.gltf.read import character_from_document
 from bunraku.files.mmd.document import MmdMaterial, model_document
+from bunraku.files.mmd.vmd import fixed_text
 
 __all__ = [
-    "MAX_BODIES",
-    "MAX_BONES",
-    "MAX_JOINTS",
-    "MmdFile",
-    "MmdMaterial",
-    "MmdReader",
-    "check_physics",
-    "mmd_character",
-    "read_body",
-    "read_joint",
-]
+    "MAX_BODIES", "MAX_BONES", "MAX_JOINTS", "MmdFile", "MmdMaterial", "MmdReader", "check_physics", "mmd_character",
+    "read_body", "read_joint",
+]  # fmt: skip
 
 
 _AGAIN = "save the model again"
@@ -136,11 +129,6 @@ class MmdReader:
         return fixed_text(self.take(size))
 
 
-def fixed_text(raw: bytes) -> str:
-    """Shift JIS up to the first zero byte; the half of a letter that was cut off is dropped."""
-    return raw.split(b"\0")[0].decode("cp932", "ignore")
-
-
 Note = Callable[[str, str], None]
 
 
@@ -158,7 +146,7 @@ def read_body(reader: MmdReader, name: str, bone: int, origin: np.ndarray) -> Mm
     mass, linear, angular, restitution, friction, mode = reader.values("5fB")
     return MmdBody(
         name, bone, BODY_SHAPES[shape] if shape < len(BODY_SHAPES) else "", size * MMD_METRE,
-        origin + mmd_points(position), mmd_turn(angles),
+        origin + mmd_points(position), mmd_rotation(angles),
         mass, linear, angular, restitution, friction, mode, group, mask,
     )  # fmt: skip
 
@@ -169,7 +157,7 @@ def read_joint(reader: MmdReader, name: str, bodies: tuple[int, int]) -> MmdJoin
     low, high = mmd_points([lower, upper])
     low[2], high[2] = high[2], low[2]  # z is turned round
     turned = mmd_angles(angle_lower, angle_upper)
-    return MmdJoint(name, bodies, mmd_points(position), mmd_turn(angles), low, high, *turned, spring, angle_spring)
+    return MmdJoint(name, bodies, mmd_points(position), mmd_rotation(angles), low, high, *turned, spring, angle_spring)
 
 
 def check_physics(

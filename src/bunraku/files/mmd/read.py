@@ -21,7 +21,7 @@ from bunraku.files.mmd.model import (
     read_joint,
 )
 
-__all__ = ["read_pmd", "read_pmx"]
+__all__ = ["read_model", "read_pmd_file", "read_pmx_file"]
 
 
 _MORPHS = ("group", "vertex", "bone", "uv", "uv", "uv", "uv", "uv", "material", "flip", "impulse")
@@ -52,19 +52,19 @@ class _Read:
     textures: list[str] = field(default_factory=list)
 
 
-def read_pmx(path: Path, data: bytes) -> Character:
-    """Read a PMX file.
+def read_model(path: Path, data: bytes) -> Character:
+    """Read a PMX or PMD file, by its first bytes.
 
     Args:
         path: The file; textures are looked for in its folder and below, nowhere else.
         data: Its bytes.
 
     Raises:
-        FormatError: It is no PMX file, is cut off, announces more than it has room for, or has indices that point
+        FormatError: It is no such file, is cut off, announces more than it has room for, or has indices that point
             outside.
         CharacterError: What it holds is no character.
     """
-    return mmd_character(path, read_pmx_file(path, data))
+    return mmd_character(path, (read_pmd_file if data.startswith(b"Pmd") else read_pmx_file)(path, data))
 
 
 def read_pmx_file(path: Path, data: bytes) -> MmdFile:
@@ -267,21 +267,6 @@ _NONE = 0xFFFF
 _TURNS_AND_MOVES, _IK, _TURNS_WITH, _TWIST, _TURNS_PARTLY = 1, 2, 5, 8, 9  # kinds of bones
 _STILL = (6, 7)  # targets of inverse kinematics, and hidden ones
 _KNEE = np.radians([[-180.0, 0, 0], [-0.5, 0, 0]])
-
-
-def read_pmd(path: Path, data: bytes) -> Character:
-    """Read a PMD file.
-
-    Args:
-        path: The file; textures are looked for in its folder and below, nowhere else.
-        data: Its bytes.
-
-    Raises:
-        FormatError: It is no PMD file, is cut off, announces more than it has room for, or has indices that point
-            outside.
-        CharacterError: What it holds is no character.
-    """
-    return mmd_character(path, read_pmd_file(path, data))
 
 
 def read_pmd_file(path: Path, data: bytes) -> MmdFile:

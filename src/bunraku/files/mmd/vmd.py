@@ -13,7 +13,7 @@ import numpy as np
 
 from bunraku.core.avatars import MMD_METRE
 from bunraku.core.files import atomic_write, read_bounded
-from bunraku.core.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, quaternion_slerp
+from bunraku.core.geometry.rotations import continuous, matrix_from_quaternion, quaternion_from_matrix, quaternion_slerp
 from bunraku.errors import FormatError
 
 __all__ = ["MmdClip", "VMD_FPS", "VmdMotion", "VmdTrack", "load_vmd", "pack_vmd", "read_vmd", "write_vmd"]
@@ -117,7 +117,7 @@ def read_vmd(path: Path, data: bytes) -> VmdMotion:
     if not name_size:
         raise FormatError(path, "it does not begin with 'Vocaloid Motion Data', so it is no VMD file; save it again")
     at = 30 + name_size
-    model = _text(data[30:at])
+    model = fixed_text(data[30:at])
     keys, at = _records(path, data, at, _BONE, "bone keys", needed=True)
     if not (np.isfinite(keys["position"]).all() and np.isfinite(keys["rotation"]).all()):
         raise FormatError(path, "one of its bone keys holds values that are not numbers; save it again")
@@ -132,13 +132,13 @@ def read_vmd(path: Path, data: bytes) -> VmdMotion:
     return VmdMotion(
         model,
         _tracks(keys),
-        {_text(name): int(count) for name, count in zip(names, counts, strict=True)},
+        {fixed_text(name): int(count) for name, count in zip(names, counts, strict=True)},
         _switches(path, data, at),
     )
 
 
-def _text(raw: bytes) -> str:
-    """A name in Shift JIS; the half of a letter that was cut off by the field's size is dropped."""
+def fixed_text(raw: bytes) -> str:
+    """Shift JIS up to the first zero byte; half of a letter that the field's size cut off is dropped."""
     return raw.split(b"\0")[0].decode("cp932", "ignore")
 
 
@@ -179,7 +179,7 @@ def _tracks(keys: np.ndarray) -> dict[str, VmdTrack]:
         # overwritten.
         curves = np.clip(keys["curve"][group][:, :, [0, 4, 8, 12]] / 127.0, 0, 1)
         positions = keys["position"][group].astype(float) * np.array([1, 1, -1]) * MMD_METRE
-        out[_text(names[owner[group[0]]])] = VmdTrack(
+        out[fixed_text(names[owner[group[0]]])] = VmdTrack(
             keys["frame"][group].astype(np.int64), positions, rotations, curves
         )
     return out
@@ -222,7 +222,8 @@ def _switches(path: Path, data: bytes, at: int) -> tuple[tuple[int, dict[str, bo
                 path, f"it announces {bones} inverse kinematics bones in one key but is cut off; save it again"
             )
         states = {
-            _text(data[at + 21 * bone : at + 21 * bone + 20]): bool(data[at + 21 * bone + 20]) for bone in range(bones)
+            fixed_text(data[at + 21 * bone : at + 21 * bone + 20]): bool(data[at + 21 * bone + 20])
+            for bone in range(bones)
         }
         at += 21 * bones
         out.append((int(frame), states))
@@ -299,14 +300,12 @@ def _name(path: Path, name: str, size: int) -> bytes:
 
 def _keys(path: Path, name: str, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     positions = np.asarray(positions, float) * [1, 1, -1] / MMD_METRE
-    quaternions = quaternion_from_matrix(np.asarray(rotations, float)) * [-1, -1, 1, 1]
+    quaternions = continuous(quaternion_from_matrix(np.asarray(rotations, float)) * [-1, -1, 1, 1])
     still = (
         np.ptp(positions, axis=0).max() <= _STILL_METRES / MMD_METRE
         and (np.abs(quaternions @ quaternions[0]) > np.cos(np.radians(_STILL_DEGREES))).all()
     )
     count = 1 if still else len(positions)
-    flips = np.where((quaternions[1:] * quaternions[:-1]).sum(-1) < 0, -1.0, 1.0)
-    quaternions[1:] *= np.cumprod(flips)[:, None]  # other programs may not take the short way
     out = np.zeros(count, _KEY)
     out["name"], out["frame"] = _name(path, name, 15), np.arange(count)
     out["position"], out["rotation"], out["curve"] = positions[:count], quaternions[:count], _CURVE

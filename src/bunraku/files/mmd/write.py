@@ -15,7 +15,7 @@ from bunraku.core.character import Character, Handles, top_influences
 from bunraku.core.files import atomic_write
 from bunraku.core.geometry.surface import vertex_normals
 from bunraku.errors import CharacterError, FormatError
-from bunraku.files.gltf.carry import image_type
+from bunraku.files.gltf.carry import IMAGE_SUFFIXES, image_type
 from bunraku.files.gltf.colors import srgb_from_linear
 from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.read import Source
@@ -23,7 +23,7 @@ from bunraku.files.gltf.write import document_of
 from bunraku.files.mmd.document import LIGHT
 from bunraku.files.mmd.model import MAX_BODIES, MAX_BONES, MAX_JOINTS, MmdFile, MmdMaterial
 
-__all__ = ["pmx_bytes", "pmx_file", "save_pmx", "write_character", "write_pmx"]
+__all__ = ["pmx_bytes", "pmx_file", "save_pmx", "write_character"]
 
 
 _MIRROR = np.array([1.0, 1, -1])
@@ -199,7 +199,7 @@ def _frame(out: _Writer, name: str, english: str, special: int, bones: range) ->
 
 
 def _angles(turn: np.ndarray) -> np.ndarray:
-    """MMD's angles about x, y, z [rad] of a rotation in our frame: the inverse of `mmd_turn`."""
+    """MMD's angles about x, y, z [rad] of a rotation in our frame: the inverse of `mmd_rotation`."""
     own = _MIRROR[:, None] * turn * _MIRROR
     x = np.arctan2(-own[1, 2], np.hypot(own[1, 0], own[1, 1]))
     if abs(own[1, 2]) > 1 - 1e-12:  # straight up or down: only the sum of the other two is known
@@ -227,19 +227,6 @@ def _joint(out: _Writer, joint: MmdJoint) -> None:
     low[2], high[2] = high[2], low[2]  # z is turned round
     out.floats([joint.position * _MIRROR / MMD_METRE, _angles(joint.rotation), low, high])
     out.floats([*mmd_angles(joint.angle_lower, joint.angle_upper), joint.spring, joint.angle_spring])
-
-
-_ENDINGS = {"image/png": ".png", "image/jpeg": ".jpg"}
-
-
-def write_pmx(character: Character) -> bytes:
-    """The PMX file of a character with a rig, without the pictures of its textures.
-
-    Raises:
-        CharacterError: It has no rig.
-        FormatError: It has more bones than are read, or its mesh is not the one that its model was read with.
-    """
-    return pmx_bytes(pmx_file(character))
 
 
 def save_pmx(character: Character, path: str | Path, avatar: MmdModel | None = None) -> Path:
@@ -396,7 +383,7 @@ def _pictures(document: Document, folder: str) -> dict[str, tuple[str, bytes]]:
         if data is None and "bufferView" in image:
             data = document.view(image["bufferView"])
         if data is not None:
-            kind = _ENDINGS.get(image_type(bytes(data[:16])) or "")
+            kind = IMAGE_SUFFIXES.get(image_type(bytes(data[:16])) or "")
             if kind:
                 out[str(number)] = (f"{folder}/{number}{kind}", bytes(data))
     return out

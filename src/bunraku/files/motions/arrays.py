@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +10,7 @@ import numpy as np
 
 from bunraku.core.arrays import npz_names, open_npz, read_member, read_npy, refuse_objects
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS, handle_names
-from bunraku.core.files import atomic_write, read_bounded
+from bunraku.core.files import atomic_write
 from bunraku.core.geometry.rotations import matrix_from_6d, matrix_from_axis_angle, matrix_y
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
 from bunraku.errors import FormatError
@@ -22,23 +20,10 @@ if TYPE_CHECKING:
     from bunraku.core.character import Handles
 
 __all__ = [
-    "AMASS_ARRAYS",
-    "HUMANML3D_FPS",
-    "REFERENCE",
-    "TimedCaption",
-    "motion_arrays",
-    "pack_animation",
-    "pack_motion",
-    "positions_of_vectors",
-    "read_amass",
-    "read_any_motion",
-    "read_humanml3d",
-    "read_npz_motion",
-    "read_positions",
-    "read_reference",
-    "read_texts",
-    "write_animation",
-]
+    "AMASS_ARRAYS", "HUMANML3D_FPS", "REFERENCE", "motion_arrays", "pack_animation", "pack_motion",
+    "positions_of_vectors", "read_amass", "read_any_motion", "read_humanml3d", "read_npz_motion", "read_positions",
+    "read_reference", "write_animation",
+]  # fmt: skip
 
 
 AMASS_ARRAYS = frozenset({"poses", "trans", "root_orient", "pose_body"})
@@ -197,53 +182,6 @@ def positions_of_vectors(vectors: np.ndarray) -> np.ndarray:
     local[:, 0, 1] = x[:, 3]
     local[:, 1:] = x[:, 4 : 4 + 3 * (JOINT_COUNT - 1)].reshape(len(x), -1, 3)
     return np.asarray(np.einsum("nij,nkj->nki", facing, local) + root[:, None])
-
-
-@dataclass(frozen=True)
-class TimedCaption:
-    """What somebody saw in a motion.
-
-    Args:
-        text: The caption.
-        start: When it begins [s].
-        end: When it ends [s]; 0 like the start where it is about the whole motion.
-    """
-
-    text: str
-    start: float = 0.0
-    end: float = 0.0
-
-
-def read_texts(path: str | Path) -> list[TimedCaption]:
-    """Captions of a file of `texts`: lines of `caption#word/KIND word/KIND#start#end`.
-
-    Lines whose span is not a number, or ends before it begins, are about the whole motion.
-
-    Raises:
-        FormatError: The file cannot be read, or holds no caption.
-    """
-    path = Path(path)
-    try:
-        lines = read_bounded(path).decode("utf-8").splitlines()
-    except UnicodeDecodeError:
-        raise FormatError(path, "these captions are not text in UTF-8; download them again") from None
-    out = []
-    for line in lines:
-        text, *rest = line.split("#")
-        text = " ".join(text.split())
-        if text:
-            out.append(TimedCaption(text, *_span(rest[-2:] if len(rest) >= 3 else [])))
-    if not out:
-        raise FormatError(path, "there is no caption in it; lines are 'caption#tokens#start#end'")
-    return out
-
-
-def _span(words: list[str]) -> tuple[float, float]:
-    try:
-        start, end = (float(word) for word in words)
-    except ValueError:
-        return 0.0, 0.0
-    return (start, end) if math.isfinite(start) and math.isfinite(end) and 0 <= start < end else (0.0, 0.0)
 
 
 REFERENCE = "reference_"

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.core.files import MAX_TEXT_BYTES, atomic_write, check_input, read_bounded
+from bunraku.core.files import MAX_TEXT_BYTES, atomic_write
 from bunraku.core.motion import SkeletalMotion, Skeleton, resample_motion
 from bunraku.errors import FormatError, OptionError
 
-__all__ = ["BVH_UNITS", "BvhJoint", "load_bvh", "parse_hierarchy", "read_bvh", "write_bvh"]
+__all__ = ["BVH_UNITS", "BvhJoint", "parse_hierarchy", "read_bvh", "write_bvh"]
 
 
 MOST_JOINTS = 4096
@@ -147,23 +147,6 @@ _FRAMES = re.compile(
     re.IGNORECASE,
 )
 _NO_NUMBER = re.compile(rb"(?<!\S)(?![+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?(?!\S))\S+")
-
-
-def load_bvh(path: str | Path, unit: str | None = None, up: str | None = None) -> SkeletalMotion:
-    """Read a BVH file whose unit or upward axis is known.
-
-    Args:
-        path: The file.
-        unit: One of `BVH_UNITS`; a guess by the skeleton's size by default.
-        up: "+y" or "+z"; a guess by default.
-
-    Raises:
-        FormatError: The file cannot be read.
-        OptionError: There is no such unit or axis.
-    """
-    path = Path(path)
-    _check_size(path, check_input(path))
-    return read_bvh(path, read_bounded(path), unit=unit, up=up)
 
 
 def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None = None) -> SkeletalMotion:

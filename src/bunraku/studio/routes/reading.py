@@ -17,27 +17,14 @@ from starlette.requests import ClientDisconnect, Request
 from bunraku.core.files import path_inside, writing
 from bunraku.core.request import Limit, read_json
 from bunraku.errors import BunrakuError, FormatError, OptionError
-from bunraku.files import FORMATS
+from bunraku.files import READERS
 from bunraku.studio.projects import copy_entry, open_archive
 from bunraku.studio.state import State
 
 __all__ = [
-    "CHARACTERS",
-    "MOST_BYTES",
-    "MOTIONS",
-    "PROJECTS",
-    "TooLarge",
-    "beside",
-    "body_of",
-    "choice",
-    "number",
-    "plain_name",
-    "ready_character",
-    "receive",
-    "studio_state",
-    "text",
-    "unpack",
-]
+    "CHARACTERS", "MOST_BYTES", "MOTIONS", "PROJECTS", "TooLarge", "beside", "body_of", "choice", "number",
+    "plain_name", "ready_character", "receive", "studio_state", "text", "unpack",
+]  # fmt: skip
 
 
 MOST_BYTES = 200 << 20
@@ -46,7 +33,7 @@ MOST_REFUSED = 1 << 30
 """Bytes of what is refused that are read, and not kept, so that who sends them hears why."""
 MOST_UNPACKED = 600 << 20
 MOST_ENTRIES = 2000
-CHARACTERS = tuple(suffix for one in FORMATS if one.character for suffix in one.suffixes)
+CHARACTERS = tuple(READERS["character"])
 """Suffixes of what becomes a character."""
 MOTIONS = (".bvh", ".vmd", ".vrma", ".npz", ".npy")
 """Suffixes of what is a motion and nothing else."""
