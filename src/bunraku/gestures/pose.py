@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -12,26 +12,17 @@ import numpy as np
 from bunraku.core.geometry.curves import MonotoneCurve
 
 __all__ = [
-    "Foot",
-    "Gesture",
-    "HANGING",
-    "Hand",
-    "Key",
-    "Pose",
-    "Repeat",
-    "STEP",
-    "again",
-    "foot_on",
-    "mirrored_pose",
-    "moved",
-    "repeated_gesture",
-    "through",
-    "vector",
-]
+    "Foot", "Gesture", "HANGING", "Hand", "Key", "Pose", "Repeat", "STEP", "Vector", "added", "again", "foot_on",
+    "mirrored_pose", "moved", "repeated_gesture", "through", "vector",
+]  # fmt: skip
 
 
 Vector = tuple[float, float, float]
-DOWN = (0.0, -1.0, 0.0)
+
+
+def added(one: Vector, other: Vector) -> Vector:
+    """The sum of two vectors."""
+    return one[0] + other[0], one[1] + other[1], one[2] + other[2]
 
 
 def vector(values: np.ndarray) -> Vector:
@@ -42,20 +33,19 @@ def vector(values: np.ndarray) -> Vector:
 
 @dataclass(frozen=True)
 class Hand:
-    """Where a hand is and how it is held; if nothing else is said, as that of somebody who works at a table.
+    """Where a hand is and how it is held: by default as at work on a table.
 
     Args:
         palm: Position of the middle of the palm.
         fingers: Direction in which the fingers point.
         faces: Direction in which the palm faces.
         elbow: Direction from the line between shoulder and wrist to the elbow.
-        on: What carries the position: the "head", the "chest", the "hips", or the "ground", where it stays in the
-            world.
+        on: What carries the position: "head", "chest", "hips", or "ground" for one that stays in the world.
     """
 
     palm: Vector
     fingers: Vector = (-0.3, 0.1, 1.0)
-    faces: Vector = DOWN
+    faces: Vector = (0.0, -1.0, 0.0)
     elbow: Vector = (0.6, -1.0, -0.3)
     on: Literal["head", "chest", "hips", "ground"] = "chest"
 
@@ -91,11 +81,11 @@ class Pose:
         lean: Of the upper body: ahead, to the left about the vertical, to the right side [degrees].
         head: The same of the head, seen from the chest.
         shrug: How far both shoulders are up, 0 to 1.
-        hips: Where the pelvis goes from where it is when somebody stands [m]: x to the body's left.
+        hips: Where the pelvis goes from where it is in a standing body [m]: x to the body's left.
         turn: Of the pelvis to the left [degrees].
         right_foot: The right foot.
         left_foot: The left foot.
-        tilt: Of the pelvis ahead: 90 for who lies on the belly, -90 on the back [degrees].
+        tilt: Of the pelvis ahead: 90 on the belly, -90 on the back [degrees].
     """
 
     right: Hand = HANGING
@@ -183,15 +173,15 @@ def again(
     rest: Pose | None = None,
     drift: Vector = (0.0, 0.0, 0.0),
 ) -> tuple[tuple[Key, ...], Repeat]:
-    """Keys of something that is done again and again between two rests, and which of them are one time of it.
+    """Keys of a cycle that is repeated between two rests, and which of them are one time of it.
 
     Args:
         poses: Of one cycle, evenly in time; the first follows the last.
         period: Of a cycle [s].
         times: How many.
-        start: Seconds from standing with hanging arms to the first pose.
-        end: Seconds from the last pose to that again.
-        rest: What it begins and ends with in place of hanging arms.
+        start: Seconds from rest to the first pose.
+        end: Seconds from the last pose to rest.
+        rest: What it begins and ends with; standing with hanging arms for none.
         drift: How far each cycle goes on from the one before [m], as in `Repeat`.
     """
     rest = rest or Pose()
@@ -202,8 +192,7 @@ def again(
     over = start + period * times
     last, still = (moved(pose, [times * step for step in drift]) for pose in (poses[0], rest))
     keys += [(over, last), (over + end, still)]
-    x, y, z = drift
-    return tuple(keys), Repeat(start, period, times, (x, y, z))
+    return tuple(keys), Repeat(start, period, times, (drift[0], drift[1], drift[2]))
 
 
 def repeated_gesture(
@@ -228,17 +217,13 @@ def moved(pose: Pose, by: Sequence[float]) -> Pose:
     if not any(by):
         return pose
 
-    def on(position: Sequence[float], side: int) -> Vector:
-        return position[0] + side * by[0], position[1] + by[1], position[2] + by[2]
-
-    def hand(one: Hand, side: int) -> Hand:
-        return replace(one, palm=on(one.palm, side)) if one.on == "ground" else one
-
-    return replace(
-        pose, hips=on(pose.hips, 1), right=hand(pose.right, -1), left=hand(pose.left, 1),
-        right_foot=replace(pose.right_foot, ankle=on(pose.right_foot.ankle, -1)),
-        left_foot=replace(pose.left_foot, ankle=on(pose.left_foot.ankle, 1)),
-    )  # fmt: skip
+    parts: dict[str, Any] = {}
+    for side, sign in (("right", -1), ("left", 1)):
+        outward = sign * by[0], by[1], by[2]
+        hand, foot = getattr(pose, side), getattr(pose, f"{side}_foot")
+        parts[side] = replace(hand, palm=added(hand.palm, outward)) if hand.on == "ground" else hand
+        parts[f"{side}_foot"] = replace(foot, ankle=added(foot.ankle, outward))
+    return replace(pose, hips=added(pose.hips, (by[0], by[1], by[2])), **parts)
 
 
 def mirrored_pose(pose: Pose) -> Pose:
@@ -253,27 +238,26 @@ def mirrored_pose(pose: Pose) -> Pose:
 
 STEP = 0.05
 """Seconds between two poses."""
-_BALL = np.array([0.054, -0.155])
-"""From the ball of a foot to its ankle, up and ahead [m]."""
-_HEEL = np.array([0.081, 0.05])
-"""The same from the heel."""
-_GROUND = 0.027
-"""Height of the ball [m]."""
+_BALL, _HEEL, _GROUND = (0.054, -0.155), (0.081, 0.05), 0.027
+"""From the ball of a foot of the reference body to its ankle, and from its heel, up and ahead, and the height of the
+ball [m].
+"""
 
 
 def through(keys: Sequence[Key]) -> tuple[Key, ...]:
-    """Poses that pass through some others, smooth in position and speed; what is the same in two in a row stays.
+    """Poses each 0.05 s that pass through some others, smooth in position and speed; what two in a row share stays.
 
     Args:
         keys: Moments [s], in steps of 0.05, and what is reached then; hands are on the same all the time.
     """
-    at = _passing([time for time, _ in keys], [pose for _, pose in keys])
-    count = round((keys[-1][0] - keys[0][0]) / STEP)
-    return tuple((round(keys[0][0] + STEP * index, 3), at(keys[0][0] + STEP * index)) for index in range(count + 1))
+    curve = MonotoneCurve([time for time, _ in keys], [_numbers(pose) for _, pose in keys])
+    carriers, begin = (keys[0][1].right.on, keys[0][1].left.on), keys[0][0]
+    moments = [begin + STEP * index for index in range(round((keys[-1][0] - begin) / STEP) + 1)]
+    return tuple((round(moment, 3), _pose(iter(curve(moment).tolist()), carriers)) for moment in moments)
 
 
 def foot_on(out: float, ahead: float, pitch: float = 0.0, turn: float = 8.0) -> Foot:
-    """A foot that is on the ground with its ball where the heel is up, and with its heel where the toes are.
+    """A foot on the ground, with its ball if the heel is up, and with its heel if the toes are.
 
     Args:
         out: Of the ankle of a flat foot from the middle [m].
@@ -286,12 +270,6 @@ def foot_on(out: float, ahead: float, pitch: float = 0.0, turn: float = 8.0) -> 
     height = (_GROUND if pitch > 0 else 0.0) + up * cosine - along * sine
     position = ahead - along + up * sine + along * cosine
     return Foot((out, height, position), pitch, turn=turn)
-
-
-def _passing(times: Sequence[float], poses: Sequence[Pose]) -> Callable[[float], Pose]:
-    curve = MonotoneCurve(times, [_numbers(pose) for pose in poses])
-    carriers = poses[0].right.on, poses[0].left.on
-    return lambda moment: _pose(iter(curve(moment).tolist()), carriers)
 
 
 def _numbers(pose: Pose) -> list[float]:
