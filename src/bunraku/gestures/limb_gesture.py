@@ -188,8 +188,8 @@ NAME = "limbs"
 THERE, RETURN = 0.95, 1.0
 """Seconds to where a limb goes, and back."""
 STAYS, SHORTLY, DOWN, ALIVE = 1.8, 0.9, 0.8, 4.0
-"""Seconds that a limb is there at the end, and before something else is done; of each part of the way down from standing;
-and of the small movement of a body that holds its limbs.
+"""Seconds that a limb is there at the end, and before something else is done; of each part of the way down from
+standing; and of the small movement of a body that holds its limbs.
 """
 PERIODS = {"arm": 1.3, "elbow": 1.3, "leg": 1.5, "knee": 1.5, "heel": 1.4, "head": 1.9, "trunk": 2.4, "hips": 1.8}
 """Seconds of once to and fro."""
