@@ -134,7 +134,7 @@ class Lexicon:
         grammar: Sets of words, by what they are.
         irregular: The plain form of inflected words that no rule of `vocabulary.stem` has.
         limbs: `parts`, the limb of each part of the body that can go somewhere; `goes`, where a limb goes by a verb
-            alone.
+            alone; `of verbs`, parts that go without saying with a verb, unless the sentence names their side.
         posing: Phrases of limbs, by the words that they may begin with.
         words: All words of the phrases, and of the rows' names.
     """

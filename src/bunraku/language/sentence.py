@@ -151,7 +151,7 @@ class Sentence:
 
 
 def in_stretches(sentence: Sentence, longest: float) -> list[Sentence]:
-    """A sentence in stretches of about the same length, each at most `longest` seconds; clauses are cut at their ends."""
+    """A sentence in stretches of about the same length, each at most `longest` seconds, which may cut clauses."""
     count = max(math.ceil(sentence.seconds / longest - 1e-9), 1)
     share, found = sentence.seconds / count, []
     left = [(clause, clause.seconds) for clause in sentence.clauses]
