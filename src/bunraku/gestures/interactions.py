@@ -221,45 +221,25 @@ ABOUT = 5.0
 
 @dataclass(frozen=True)
 class TerrainGait:
-    """A row of `[grounds]`.
+    """A row of `[grounds]`."""
 
-    Args:
-        stride: How far a cycle of two steps goes [m].
-        period: How long it takes [s].
-        lift: How high an ankle is lifted over the ground [m].
-        width: Of a foot from the middle [m].
-        sinks: How much lower the pelvis is than in who stands [m].
-        lean: Of the trunk ahead [degrees].
-        sway: How far the pelvis goes to the foot that stands [m].
-        head: How far the head is bent [degrees].
-        flat: Whether feet are put down flat.
-        toes: How far heels are up all the time [degrees].
-        tips: How far the trunk tips to both sides, slowly, in who keeps the balance [degrees].
-        looks: How far the head turns to both sides [degrees].
-        knees: How far knees go outwards.
-        arms: Of both sides; hanging for none.
-        right: Of the right one, where it is another.
-        swing: How far hands go to and fro [m].
-        held: Whether hands stay where they are ahead of the pelvis, on what is pushed.
-    """
-
-    stride: float
-    period: float
-    lift: float
-    width: float
-    sinks: float
-    lean: float
-    sway: float
-    head: float = 0.0
-    flat: bool = False
-    toes: float = 0.0
-    tips: float = 0.0
-    looks: float = 0.0
-    knees: float = 0.15
-    arms: Hand = HANGING
-    right: Hand | None = None
-    swing: float = 0.0
-    held: bool = False
+    stride: float  # how far a cycle of two steps goes [m]
+    period: float  # how long it takes [s]
+    lift: float  # how high an ankle is lifted over the ground [m]
+    width: float  # Of a foot from the middle [m]
+    sinks: float  # how much lower the pelvis is than in who stands [m]
+    lean: float  # of the trunk ahead [degrees]
+    sway: float  # how far the pelvis goes to the foot that stands [m]
+    head: float = 0.0  # how far the head is bent [degrees]
+    flat: bool = False  # whether feet are put down flat
+    toes: float = 0.0  # how far heels are up all the time [degrees]
+    tips: float = 0.0  # how far the trunk tips to both sides, slowly, in who keeps the balance [degrees]
+    looks: float = 0.0  # how far the head turns to both sides [degrees]
+    knees: float = 0.15  # how far knees go outwards
+    arms: Hand = HANGING  # Of both sides; hanging for none
+    right: Hand | None = None  # of the right one, where it is another
+    swing: float = 0.0  # how far hands go to and fro [m]
+    held: bool = False  # whether hands stay where they are ahead of the pelvis, on what is pushed
 
 
 @functools.cache

@@ -68,49 +68,28 @@ def _turned(hand: HandTrack, angle: np.ndarray) -> HandTrack:
 
 @dataclass(frozen=True)
 class Variation:
-    """How far two performances of one gesture differ.
+    """How far two performances of one gesture differ; all was chosen by eye."""
 
-    Args:
-        tempo: Largest factor of the tempo, either way.
-        heavy: The same of what steps, jumps or falls, whose time gravity keeps.
-        size: Largest factor of the size of the movement, either way.
-        touching: The same of hands that touch the body.
-        each: How far each time differs in size from the one before, either way.
-        timing: How far each time differs in length, either way.
-        reach: Standard deviation of where hands are that touch nothing [m].
-        elbows: The same of to where elbows are bent, over a direction.
-        bearing: The same of how trunk and head are held [degrees].
-        follows: Least and largest factor of how far pelvis, trunk and head go with the hands.
-        leaning: The same as `reach` of how far the pelvis of who stands is over one of both feet [m].
-        stride: Largest factor of the length and the width of steps, either way.
-        sinks: How much lower who steps goes at the most [m].
-        holds: Least and largest factor of how long a pose is held.
-        pauses: Share of the times after which there is a pause.
-        pause: Its shortest and longest [s].
-        before: Longest wait before it [s].
-        after: The same after it.
-        hurry: Factor by which it is sped up at the most to fit in.
-    """
-
-    tempo: float = 1.28
-    heavy: float = 1.1
-    size: float = 1.22
-    touching: float = 1.08
-    each: float = 0.12
-    timing: float = 0.1
-    reach: float = 0.045
-    elbows: float = 0.2
-    bearing: float = 4.0
+    tempo: float = 1.28  # largest factor of the tempo, either way
+    heavy: float = 1.1  # the same of what steps, jumps or falls, whose time gravity keeps
+    size: float = 1.22  # largest factor of the size of the movement, either way
+    touching: float = 1.08  # the same of hands that touch the body
+    each: float = 0.12  # how far each time differs in size from the one before, either way
+    timing: float = 0.1  # how far each time differs in length, either way
+    reach: float = 0.045  # standard deviation of where hands are that touch nothing [m]
+    elbows: float = 0.2  # the same of to where elbows are bent, over a direction
+    bearing: float = 4.0  # the same of how trunk and head are held [degrees]
+    # least and largest factor of how far pelvis, trunk and head go with the hands
     follows: tuple[float, float] = (0.5, 1.2)
-    leaning: float = 0.03
-    stride: float = 1.2
-    sinks: float = 0.05
-    holds: tuple[float, float] = (0.6, 1.8)
-    pauses: float = 0.2
-    pause: tuple[float, float] = (0.15, 0.6)
-    before: float = 1.0
-    after: float = 1.2
-    hurry: float = 1.35
+    leaning: float = 0.03  # the same as `reach` of how far the pelvis of a standing body is over one foot [m]
+    stride: float = 1.2  # largest factor of the length and the width of steps, either way
+    sinks: float = 0.05  # how much lower a stepping body goes at the most [m]
+    holds: tuple[float, float] = (0.6, 1.8)  # least and largest factor of how long a pose is held
+    pauses: float = 0.2  # share of the times after which there is a pause
+    pause: tuple[float, float] = (0.15, 0.6)  # its shortest and longest [s]
+    before: float = 1.0  # longest wait before it [s]
+    after: float = 1.2  # the same after it
+    hurry: float = 1.35  # factor by which it is sped up at the most to fit in
 
 
 VARIED = Variation()

@@ -50,49 +50,34 @@ class Turn:
 
 @dataclass(frozen=True)
 class Clause:
-    """One thing that is done.
+    """One thing that is done."""
 
-    Args:
-        text: In English, what the text encoder reads.
-        seconds: How long it lasts [s].
-        subject: "" where none is named.
-        person: The text as said of a person, in which captured examples and the ranker's vectors are looked up.
-        actions: What is done, in the lexicon's words, in the order in which it is said; none where nothing is known.
-        part: What the verb moves: "legs", "arms", "head", "arms and head", or "" for neither or all.
-        locomotion: The locomotion: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none of them.
-        cues: Sides, directions, turns, counts, speeds and postures (`encoders.CUES`).
-        traits: What else it says, such as "sits down" or "chair" (the lexicon's table of that name).
-        turn: How far the body turns; None where it says nothing of that.
-        straight: Whether it leads forward or on, with nothing of a turn, a curve or a side.
-        count: How often it is done; None where it says nothing of that.
-        added: Words for parts of the body and movements that it says beyond its actions.
-        detail: What is done with a thing, follows from where a person walks or looks, or is done by limbs, where that
-            is all that it says.
-        stance: Of the body that does it, if that follows from what was said before.
-        moves: What the body of `for_body` then does: "fly", "swim" and "slither", or how it is on the ground: "step",
-            "run", "stay", "lie"; "" for neither.
-        voices: Where a movement of the legs is joined with a gesture, the one and the other; none otherwise.
-        parts: What it says one after the other if it cannot be done all at once (`clauses.parts_of`); none where it
-            says one thing.
-    """
-
-    text: str
-    seconds: float = 0.0
-    subject: str = ""
-    person: str = ""
+    text: str  # in English, what the text encoder reads
+    seconds: float = 0.0  # how long it lasts [s]
+    subject: str = ""  # "" where none is named
+    person: str = ""  # the text as said of a person, in which captured examples and the ranker's vectors are looked up
+    # what is done, in the lexicon's words, in the order in which it is said; none where nothing is known
     actions: tuple[str, ...] = ()
-    part: str = ""
-    locomotion: str = ""
-    cues: frozenset[str] = frozenset()
+    part: str = ""  # what the verb moves: "legs", "arms", "head", "arms and head", or "" for neither or all
+    locomotion: str = ""  # the locomotion: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none of them
+    cues: frozenset[str] = frozenset()  # sides, directions, turns, counts, speeds and postures (`encoders.CUES`)
+    # what else it says, such as "sits down" or "chair" (the lexicon's table of that name)
     traits: frozenset[str] = frozenset()
-    turn: Turn | None = None
-    straight: bool = False
-    count: int | None = None
-    added: tuple[str, ...] = ()
+    turn: Turn | None = None  # how far the body turns; None where it says nothing of that
+    straight: bool = False  # whether it leads forward or on, with nothing of a turn, a curve or a side
+    count: int | None = None  # how often it is done; None where it says nothing of that
+    added: tuple[str, ...] = ()  # words for parts of the body and movements that it says beyond its actions
+    # what is done with a thing, follows from where a person walks or looks, or is done by limbs, where that is all
+    # that it says
     detail: Interaction | Posing | None = None
-    stance: Stance | None = None
+    stance: Stance | None = None  # of the body that does it, if that follows from what was said before
+    # what the body of `for_body` then does: "fly", "swim" and "slither", or how it is on the ground: "step", "run",
+    # "stay", "lie"; "" for neither
     moves: str = ""
+    # where a movement of the legs is joined with a gesture, the one and the other; none otherwise
     voices: tuple[Clause, ...] = field(default=())
+    # what it says one after the other if it cannot be done all at once (`clauses.parts_of`); none where it says one
+    # thing
     parts: tuple[Clause, ...] = field(default=())
 
     @property
@@ -120,29 +105,17 @@ class Clause:
 
 @dataclass(frozen=True)
 class Sentence:
-    """A prompt that has been read.
+    """A prompt that has been read."""
 
-    Args:
-        prompt: As it was given.
-        english: What is read of it, in English.
-        language: "en", "de", "fr", "es", "ja" or "zh"; "" for a script that is not read.
-        clauses: What is done one after the other.
-        unknown: Words that are not understood.
-        corrected: Words taken for typing errors, and what is read in their place.
-        notes: What the writer of the prompt should know, one line each.
-        loop: Whether it asks for a loop: "walk cycle".
-        cannot: What a body cannot do of it, one line each (`for_body`).
-    """
-
-    prompt: str
-    english: str
-    language: str
-    clauses: tuple[Clause, ...]
-    unknown: tuple[UnknownWord, ...] = ()
-    corrected: tuple[tuple[str, str], ...] = ()
-    notes: tuple[str, ...] = ()
-    loop: bool = False
-    cannot: tuple[str, ...] = ()
+    prompt: str  # as it was given
+    english: str  # what is read of it, in English
+    language: str  # "en", "de", "fr", "es", "ja" or "zh"; "" for a script that is not read
+    clauses: tuple[Clause, ...]  # what is done one after the other
+    unknown: tuple[UnknownWord, ...] = ()  # words that are not understood
+    corrected: tuple[tuple[str, str], ...] = ()  # words taken for typing errors, and what is read in their place
+    notes: tuple[str, ...] = ()  # what the writer of the prompt should know, one line each
+    loop: bool = False  # whether it asks for a loop: "walk cycle"
+    cannot: tuple[str, ...] = ()  # what a body cannot do of it, one line each (`for_body`)
 
     @property
     def seconds(self) -> float:
