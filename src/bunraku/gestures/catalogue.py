@@ -290,15 +290,10 @@ def place_pose(height: str | float, way: str, hands: str, held: bool = False) ->
 
 
 class Part(NamedTuple):
-    """A part of the body that a sentence names.
+    """A part of the body that a sentence names."""
 
-    Args:
-        name: Of `[parts]` in `gestures.toml`.
-        words: Those of the sentence that say it.
-    """
-
-    name: str
-    words: tuple[str, ...]
+    name: str  # of `[parts]` in `gestures.toml`
+    words: tuple[str, ...]  # those of the sentence that say it
 
 
 def part_in(text: str) -> Part | None:

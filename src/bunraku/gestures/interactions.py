@@ -182,13 +182,13 @@ CHEST = 0.25
 PERIOD, GAZE_TIMES = 6.0, 3
 """Seconds of a gaze to both sides and back, and how often it goes so."""
 LEAST = 3.0
-"""How far it goes to both sides of who looks at one thing [degrees]."""
+"""How far the gaze goes to both sides of a single thing [degrees]."""
 GAZE_LEANS = 12.0
 """Lean of the trunk from which on arms keep the balance, and knees bend by so much again [degrees]."""
 BENT = 2.0
 """How often so from where on hands are on the knees."""
 OUT = Hand((0.36, 0.98, -0.04), (0.3, -0.9, 0.2), (-0.9, 0.0, 0.2), (0.35, 0.0, -1.0))
-"""A hand of who leans over a depth."""
+"""A hand of a body that leans over a depth."""
 
 
 def _gaze_gesture(gaze: Gaze) -> Gesture:
@@ -212,7 +212,7 @@ STANCE = 0.62
 WALK_TIMES = 4
 """Cycles that are laid."""
 ROLL = 26.0
-"""How far the heel of who walks is up when the foot leaves the ground [degrees]."""
+"""How far the heel is up when the foot leaves the ground [degrees]."""
 STRIKE = 14.0
 """How far the toes are up when it comes down [degrees]."""
 ABOUT = 5.0
@@ -227,13 +227,13 @@ class TerrainGait:
     period: float  # how long it takes [s]
     lift: float  # how high an ankle is lifted over the ground [m]
     width: float  # Of a foot from the middle [m]
-    sinks: float  # how much lower the pelvis is than in who stands [m]
+    sinks: float  # how much lower the pelvis is than in standing [m]
     lean: float  # of the trunk ahead [degrees]
     sway: float  # how far the pelvis goes to the foot that stands [m]
     head: float = 0.0  # how far the head is bent [degrees]
     flat: bool = False  # whether feet are put down flat
     toes: float = 0.0  # how far heels are up all the time [degrees]
-    tips: float = 0.0  # how far the trunk tips to both sides, slowly, in who keeps the balance [degrees]
+    tips: float = 0.0  # how far the trunk tips to both sides, slowly, to keep the balance [degrees]
     looks: float = 0.0  # how far the head turns to both sides [degrees]
     knees: float = 0.15  # how far knees go outwards
     arms: Hand = HANGING  # Of both sides; hanging for none

@@ -99,8 +99,8 @@ _TRUNK = np.array([0.0, 1.25, 0.0])
 _RISES = 0.03
 _SPINE = ("spine1", "spine2", "spine3", "neck", "head")
 SHIFTS, MOST_SHIFTED = (0.1, 0.24), 2.5
-"""How far the pelvis of who makes a gesture goes to and fro at the least, drawn from these [m], as of the middle half
-of captured people who make one; and how many times as far as of somebody who only stands at the most.
+"""How far the pelvis goes to and fro during a gesture at the least, drawn from these [m], as that of the middle half of
+captured people who make one; and how many times as far as in standing at the most.
 """
 TURNS = (10.0, 24.0)
 """The same of how far it turns to and fro [degrees], and up to as many times as far."""
@@ -109,11 +109,11 @@ DIPS, OUT = (0.015, 0.045), 0.7
 that [m].
 """
 WITH_BUSY = 0.85
-"""Share of gestures of the hands that are made by somebody who was captured with busy hands, whose legs and trunk are
+"""Share of gestures of the hands that are made by a person who was captured with busy hands, whose legs and trunk are
 livelier: beside them a shaken head is not seen.
 """
 LIES = 20.0
-"""Tilt of the pelvis from which on nobody stands [degrees]."""
+"""Tilt of the pelvis from which on the body lies [degrees]."""
 
 
 def performed(
@@ -126,18 +126,18 @@ def performed(
     fps: float = FPS,
     busy: Sequence[SkeletalMotion] = (),
 ) -> SkeletalMotion:
-    """A gesture done in so many frames by somebody who stands before and after it.
+    """A gesture done in so many frames by a person who stands before and after it.
 
     Args:
         gesture: What is done.
         frames: How many.
-        idles: People who stand, of whom one is drawn; none for one made by code.
+        idles: Captured standing people, one of which is drawn; none for one made by code.
         random: Draws all that differs.
         manner: What is said of it.
         variation: How far performances differ.
         fps: Frames a second [1/s].
-        busy: People who stand and do something with their hands, whose legs, trunk and head most gestures take; idle
-            hands are always those of `idles`.
+        busy: Captured standing people with busy hands, whose legs, trunk and head most gestures take; idle hands are
+            always those of `idles`.
     """
     heavy = gesture.steps or any(pose.hips[1] > _RISES for _, pose in gesture.keys)
     most = variation.heavy if heavy else variation.tempo
@@ -161,8 +161,8 @@ def performed(
 
 
 def _level(standing: Standing) -> Standing:
-    """Somebody who looks straight ahead on average, up and down as before: of a look up by who looks at the ground
-    nothing is left.
+    """A person who looks straight ahead on average, up and down as before: in one who looks at the ground, nothing is
+    left of a look up.
     """
     world = standing.rotations[:, 0]
     for joint in _SPINE:
@@ -172,7 +172,7 @@ def _level(standing: Standing) -> Standing:
 
 
 def _turning(standing: Standing, random: np.random.Generator) -> Standing:
-    """Somebody whose pelvis turns to and fro at least as far as that of people who use their hands."""
+    """A person whose pelvis turns to and fro at least as far as that of people who use their hands."""
     pelvis = standing.rotations[:, 0]
     angle = np.unwrap(np.arctan2(pelvis[:, 0, 2], pelvis[:, 2, 2]))
     reach = np.degrees(np.ptp(angle))
@@ -183,7 +183,7 @@ def _turning(standing: Standing, random: np.random.Generator) -> Standing:
 
 
 def _dipping(tracks: Tracks, random: np.random.Generator) -> Tracks:
-    """Key poses in which the knees of who stands give way a little where a hand goes out."""
+    """Key poses in which the knees of a standing body give way a little where a hand goes out."""
     stands = np.minimum(*[tracks.feet[side].rests for side, _ in SIDES])
     away = [
         np.where(hand.rests | (hand.on == 3), 0, np.linalg.norm(hand.palm - HANGING.palm, axis=1))
@@ -221,7 +221,7 @@ def _standing(
 
 
 def _range(positions: np.ndarray) -> float:
-    """How far somebody (N, 3) comes over the ground [m]."""
+    """How far a body (N, 3) comes over the ground [m]."""
     return max(float(np.linalg.norm(np.ptp(positions[:, [0, 2]], axis=0))), 1e-3)
 
 
@@ -278,7 +278,7 @@ def _times_of(
             start += timed[-1][0] / tempo + random.uniform(*variation.pause)
         return parts, False
     head = [key for key in keys if key[0] < repeat.start - 1e-6]
-    ends = keys[-1][0] > repeat.stop + 1e-6  # otherwise nothing follows it: who crawls does not stop in mid-crawl
+    ends = keys[-1][0] > repeat.stop + 1e-6  # a crawl does not stop in the middle
     tail = [key for key in keys if ends and key[0] > repeat.stop - 1e-6]
     once = [key for key in keys if repeat.start - 1e-6 <= key[0] < repeat.start + repeat.period - 1e-6]
     if manner.closed:
@@ -390,7 +390,9 @@ def _varied(
         free[side] = ~touches
     if gesture.steps:
         return _strode(replace(tracks, hands=hands), random, variation)
-    placed = np.any([tracks.hands[side].on == 3 for side, _ in SIDES], axis=0)  # who bends less does not get there
+    placed = np.any(
+        [tracks.hands[side].on == 3 for side, _ in SIDES], axis=0
+    )  # a body that bends less does not get there
     body = np.where(placed, np.maximum(size, 1), size)[:, None]
     hips = tracks.hips
     if all(tracks.feet[side].rests.all() for side, _ in SIDES):
@@ -412,7 +414,7 @@ def _within(deviation: float) -> tuple[float, float]:
 
 
 def _strode(tracks: Tracks, random: np.random.Generator, variation: Variation) -> Tracks:
-    """Key poses of who steps: steps longer or shorter, wider or narrower, trunk and head held otherwise."""
+    """Key poses of steps that are longer or shorter, wider or narrower, with trunk and head held otherwise."""
     if np.abs(tracks.tilt).max() > LIES or any((tracks.hands[side].on == 3).any() for side, _ in SIDES):
         return tracks
     longer, wider = variation.stride ** random.uniform(-1, 1, 2)

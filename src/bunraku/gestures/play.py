@@ -25,21 +25,14 @@ CARRIERS: dict[str, int | None] = {"head": AT["head"], "chest": AT["spine3"], "h
 
 @dataclass(frozen=True)
 class HandTrack:
-    """A hand in L key poses.
+    """A hand in L key poses."""
 
-    Args:
-        palm: Shape (L, 3) [m].
-        ways: Unit vectors: where fingers point, where the palm faces, to where the elbow is bent, shape (L, 3, 3).
-        on: What carries it (the number of a row of `CARRIERS`), shape (L,).
-        rests: Whether it hangs as that of a body that only stands, shape (L,).
-        raised: How far the shoulder goes up and ahead with it [degrees], shape (L, 2).
-    """
-
-    palm: np.ndarray
+    palm: np.ndarray  # shape (L, 3) [m]
+    # unit vectors: where fingers point, where the palm faces, to where the elbow is bent, shape (L, 3, 3)
     ways: np.ndarray
-    on: np.ndarray
-    rests: np.ndarray
-    raised: np.ndarray
+    on: np.ndarray  # what carries it (the number of a row of `CARRIERS`), shape (L,)
+    rests: np.ndarray  # whether it hangs as that of a body that only stands, shape (L,)
+    raised: np.ndarray  # how far the shoulder goes up and ahead with it [degrees], shape (L, 2)
 
     @classmethod
     def of(cls, hands: Sequence[Hand]) -> HandTrack:
@@ -56,21 +49,13 @@ class HandTrack:
 
 @dataclass(frozen=True)
 class FootTrack:
-    """A foot in L key poses.
+    """A foot in L key poses."""
 
-    Args:
-        ankle: Shape (L, 3) [m].
-        knee: Direction to which the knee is bent, shape (L, 3).
-        pitch: How far the heel is up over the toes, shape (L,) [degrees].
-        turn: How far the toes point outwards, shape (L,) [degrees].
-        rests: Whether it stands as that of a body that only stands, shape (L,).
-    """
-
-    ankle: np.ndarray
-    knee: np.ndarray
-    pitch: np.ndarray
-    turn: np.ndarray
-    rests: np.ndarray
+    ankle: np.ndarray  # shape (L, 3) [m]
+    knee: np.ndarray  # direction to which the knee is bent, shape (L, 3)
+    pitch: np.ndarray  # how far the heel is up over the toes, shape (L,) [degrees]
+    turn: np.ndarray  # how far the toes point outwards, shape (L,) [degrees]
+    rests: np.ndarray  # whether it stands as that of a body that only stands, shape (L,)
 
     @classmethod
     def of(cls, feet: Sequence[Foot]) -> FootTrack:

@@ -33,20 +33,13 @@ def vector(values: np.ndarray) -> Vector:
 
 @dataclass(frozen=True)
 class Hand:
-    """Where a hand is and how it is held: by default as at work on a table.
+    """Where a hand is and how it is held: by default as at work on a table."""
 
-    Args:
-        palm: Position of the middle of the palm.
-        fingers: Direction in which the fingers point.
-        faces: Direction in which the palm faces.
-        elbow: Direction from the line between shoulder and wrist to the elbow.
-        on: What carries the position: "head", "chest", "hips", or "ground" for one that stays in the world.
-    """
-
-    palm: Vector
-    fingers: Vector = (-0.3, 0.1, 1.0)
-    faces: Vector = (0.0, -1.0, 0.0)
-    elbow: Vector = (0.6, -1.0, -0.3)
+    palm: Vector  # position of the middle of the palm
+    fingers: Vector = (-0.3, 0.1, 1.0)  # direction in which the fingers point
+    faces: Vector = (0.0, -1.0, 0.0)  # direction in which the palm faces
+    elbow: Vector = (0.6, -1.0, -0.3)  # direction from the line between shoulder and wrist to the elbow
+    # what carries the position: "head", "chest", "hips", or "ground" for one that stays in the world
     on: Literal["head", "chest", "hips", "ground"] = "chest"
 
 
@@ -56,48 +49,30 @@ HANGING = Hand((0.27, 0.845, 0.06), (0.0, -1.0, 0.12), (-1.0, 0.0, 0.1), (0.35, 
 
 @dataclass(frozen=True)
 class Foot:
-    """Where a foot is.
+    """Where a foot is."""
 
-    Args:
-        ankle: Position of the ankle.
-        pitch: How far the heel is up over the toes [degrees].
-        knee: Direction to which the knee is bent.
-        turn: How far the toes point outwards [degrees].
-    """
-
-    ankle: Vector = (0.12, 0.081, 0.0)
-    pitch: float = 0.0
-    knee: Vector = (0.15, 0.0, 1.0)
-    turn: float = 8.0
+    ankle: Vector = (0.12, 0.081, 0.0)  # position of the ankle
+    pitch: float = 0.0  # how far the heel is up over the toes [degrees]
+    knee: Vector = (0.15, 0.0, 1.0)  # direction to which the knee is bent
+    turn: float = 8.0  # how far the toes point outwards [degrees]
 
 
 @dataclass(frozen=True)
 class Pose:
-    """The body at one moment.
-
-    Args:
-        right: The right hand.
-        left: The left hand.
-        lean: Of the upper body: ahead, to the left about the vertical, to the right side [degrees].
-        head: The same of the head, seen from the chest.
-        shrug: How far both shoulders are up, 0 to 1.
-        hips: Where the pelvis goes from where it is in a standing body [m]: x to the body's left.
-        turn: Of the pelvis to the left [degrees].
-        right_foot: The right foot.
-        left_foot: The left foot.
-        tilt: Of the pelvis ahead: 90 on the belly, -90 on the back [degrees].
-    """
+    """The body at one moment."""
 
     right: Hand = HANGING
     left: Hand = HANGING
+    # of the upper body: ahead, to the left about the vertical, to the right side [degrees]
     lean: Vector = (0.0, 0.0, 0.0)
-    head: Vector = (0.0, 0.0, 0.0)
-    shrug: float = 0.0
+    head: Vector = (0.0, 0.0, 0.0)  # the same of the head, seen from the chest
+    shrug: float = 0.0  # how far both shoulders are up, 0 to 1
+    # where the pelvis goes from where it is in a standing body [m]: x to the body's left
     hips: Vector = (0.0, 0.0, 0.0)
-    turn: float = 0.0
+    turn: float = 0.0  # of the pelvis to the left [degrees]
     right_foot: Foot = field(default_factory=Foot)
     left_foot: Foot = field(default_factory=Foot)
-    tilt: float = 0.0
+    tilt: float = 0.0  # of the pelvis ahead: 90 on the belly, -90 on the back [degrees]
 
 
 Key = tuple[float, Pose]
@@ -106,18 +81,12 @@ Key = tuple[float, Pose]
 
 @dataclass(frozen=True)
 class Repeat:
-    """Which of a gesture's keys are one time of what is done again and again.
+    """Which of a gesture's keys are one time of what is done again and again."""
 
-    Args:
-        start: When the first time begins [s].
-        period: How long each takes [s].
-        times: How many there are.
-        drift: How far each goes on from the one before [m]: x to the body's left, y up, z ahead.
-    """
-
-    start: float
-    period: float
-    times: int
+    start: float  # when the first time begins [s]
+    period: float  # how long each takes [s]
+    times: int  # how many there are
+    # how far each goes on from the one before [m]: x to the body's left, y up, z ahead
     drift: Vector = (0.0, 0.0, 0.0)
 
     @property
@@ -128,30 +97,19 @@ class Repeat:
 
 @dataclass(frozen=True)
 class Gesture:
-    """Something that people do mostly with their hands.
+    """Something that people do mostly with their hands."""
 
-    Args:
-        name: In the words of the lexicon, or a new one.
-        texts: Sentences that tell it, the fullest first. Sides are the right one's.
-        keys: Key poses in order of time; the first is where it begins and the last where it ends.
-        cycle: Seconds (start, end) that can be played again and again; None where it is done once.
-        steps: Feet go where the keys say; else they stand all the time.
-        repeat: Its single times, where it is done again and again and they can be counted.
-        handed: It is done with these very hands by everybody: nobody shakes hands with the left.
-        at: The part of the body at which the right hand does it, where that may be another (`gestures.parts`); "" for
-            none.
-        begins: What comes before its cycle is always shown; else somebody may be at it from the first moment.
-    """
-
-    name: str
-    texts: tuple[str, ...]
-    keys: tuple[Key, ...]
+    name: str  # in the words of the lexicon, or a new one
+    texts: tuple[str, ...]  # sentences that say it, the fullest first; sides are those of the right hand
+    keys: tuple[Key, ...]  # key poses in order of time; the first is where it begins and the last where it ends
+    # seconds (start, end) that can be played again and again; None where it is done once
     cycle: tuple[float, float] | None = None
-    steps: bool = False
-    repeat: Repeat | None = None
-    handed: bool = False
+    steps: bool = False  # feet go where the keys say; else they stand all the time
+    repeat: Repeat | None = None  # its single times, where it is done again and again and they can be counted
+    handed: bool = False  # it is always done with these very hands: no person shakes hands with the left
+    # the part of the body at which the right hand does it, where that may be another (`gestures.parts`); "" for none
     at: str = ""
-    begins: bool = False
+    begins: bool = False  # what comes before its cycle is always shown; else it may go on from the first moment
 
     @property
     def seconds(self) -> float:

@@ -30,55 +30,34 @@ _STILL = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
 
 @dataclass(frozen=True)
 class Hanging:
-    """A hand that does nothing, in N frames.
+    """A hand that does nothing, in N frames."""
 
-    Args:
-        palm: In the frame of the chest, from its joint [m], shape (N, 3).
-        ways: Where fingers point, palm faces and elbow is bent, in that frame, shape (N, 3, 3).
-    """
-
-    palm: np.ndarray
-    ways: np.ndarray
+    palm: np.ndarray  # in the frame of the chest, from its joint [m], shape (N, 3)
+    ways: np.ndarray  # where fingers point, palm faces and elbow is bent, in that frame, shape (N, 3, 3)
 
 
 @dataclass(frozen=True)
 class Planted:
-    """A foot that stands, in N frames.
+    """A foot that stands, in N frames."""
 
-    Args:
-        ankle: Position [m], shape (N, 3).
-        knee: Direction to which the knee is bent, shape (N, 3).
-        rotation: Of the foot in the world, shape (N, 3, 3).
-        toes: Of the toes in the world, shape (N, 3, 3).
-    """
-
-    ankle: np.ndarray
-    knee: np.ndarray
-    rotation: np.ndarray
-    toes: np.ndarray
+    ankle: np.ndarray  # position [m], shape (N, 3)
+    knee: np.ndarray  # direction to which the knee is bent, shape (N, 3)
+    rotation: np.ndarray  # of the foot in the world, shape (N, 3, 3)
+    toes: np.ndarray  # of the toes in the world, shape (N, 3, 3)
 
 
 @dataclass(frozen=True)
 class Standing:
-    """A standing person in N frames, facing +z.
+    """A standing person in N frames, facing +z."""
 
-    Args:
-        hips: Where the pelvis is from where it is at rest [m], shape (N, 3).
-        rotations: Of the joints relative to their parents; those of arms and legs are not read, shape (N, 22, 3, 3).
-        lean: Added to that of the keys, shape (N, 3) [degrees].
-        head: The same of the head.
-        hands: By side; None where they hang as the keys say.
-        feet: By side; None where they stand as the keys say.
-        sways: The pelvis sways even where the feet step.
-    """
-
-    hips: np.ndarray
+    hips: np.ndarray  # where the pelvis is from where it is at rest [m], shape (N, 3)
+    # of the joints relative to their parents; those of arms and legs are not read, shape (N, 22, 3, 3)
     rotations: np.ndarray
-    lean: np.ndarray
-    head: np.ndarray
-    hands: dict[str, Hanging | None]
-    feet: dict[str, Planted | None]
-    sways: bool = False
+    lean: np.ndarray  # added to that of the keys, shape (N, 3) [degrees]
+    head: np.ndarray  # the same of the head
+    hands: dict[str, Hanging | None]  # by side; None where they hang as the keys say
+    feet: dict[str, Planted | None]  # by side; None where they stand as the keys say
+    sways: bool = False  # the pelvis sways even where the feet step
 
 
 def still(frames: int) -> Standing:

@@ -58,21 +58,13 @@ class Target(NamedTuple):
 
 
 class Phrase(NamedTuple):
-    """Words that say one thing.
+    """Words that say one thing."""
 
-    Args:
-        kind: Of its row in the table; "other" of what is in none.
-        value: The same.
-        words: As they stand there.
-        start: The number of the first word.
-        stop: The number of the word after.
-    """
-
-    kind: str
-    value: str
-    words: tuple[str, ...]
-    start: int
-    stop: int
+    kind: str  # of its row in the table; "other" of what is in none
+    value: str  # the same
+    words: tuple[str, ...]  # as they stand there
+    start: int  # the number of the first word
+    stop: int  # the number of the word after
 
 
 def phrases_of(words: Sequence[str]) -> list[Phrase]:

@@ -20,32 +20,20 @@ SHORT = 0.5
 
 @dataclass(frozen=True)
 class UnknownWord:
-    """A word that is not understood.
+    """A word that is not understood."""
 
-    Args:
-        word: As it stands in the sentence.
-        start: Of its first letter.
-        stop: After its last letter.
-    """
-
-    word: str
-    start: int
-    stop: int
+    word: str  # as it stands in the sentence
+    start: int  # of its first letter
+    stop: int  # after its last letter
 
 
 @dataclass(frozen=True)
 class Turn:
-    """How far a clause says that the body turns.
+    """How far a clause says that the body turns."""
 
-    Args:
-        side: 1 to the left, -1 to the right, 0 for either.
-        least: The least angle [rad].
-        most: The most [rad].
-    """
-
-    side: int
-    least: float
-    most: float
+    side: int  # 1 to the left, -1 to the right, 0 for either
+    least: float  # the least angle [rad]
+    most: float  # the most [rad]
 
 
 @dataclass(frozen=True)

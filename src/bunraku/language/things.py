@@ -53,43 +53,26 @@ class Kind:
 
 
 class Gaze(NamedTuple):
-    """Where a thing is seen.
+    """Where a thing is seen."""
 
-    Args:
-        pitch: How far the gaze is down [degrees].
-        sweep: How far it goes to both sides [degrees].
-        lean: How far the trunk leans over it [degrees].
-    """
-
-    pitch: float = 0.0
-    sweep: float = 0.0
-    lean: float = 0.0
+    pitch: float = 0.0  # how far the gaze is down [degrees]
+    sweep: float = 0.0  # how far it goes to both sides [degrees]
+    lean: float = 0.0  # how far the trunk leans over it [degrees]
 
 
 class Ground(NamedTuple):
-    """A meaning of a word for what is walked on or in.
+    """A meaning of a word for what is walked on or in."""
 
-    Args:
-        name: Of `[grounds]` in `things.toml`.
-        after: Words that stand before it there.
-    """
-
-    name: str
-    after: frozenset[str]
+    name: str  # of `[grounds]` in `things.toml`
+    after: frozenset[str]  # words that stand before it there
 
 
 class Named(NamedTuple, Generic[Value]):
-    """A noun of a text.
+    """A noun of a text."""
 
-    Args:
-        start: The number of its first word.
-        stop: The number of the word after its last.
-        means: What it is.
-    """
-
-    start: int
-    stop: int
-    means: Value
+    start: int  # the number of its first word
+    stop: int  # the number of the word after its last
+    means: Value  # what it is
 
     @property
     def span(self) -> range:

@@ -23,19 +23,12 @@ _NAMES = ("", "one", "two", "three", "four", "five", "six", "seven", "eight", "n
 
 @dataclass
 class VerbPhrase:
-    """A verb with what belongs to it.
+    """A verb with what belongs to it."""
 
-    Args:
-        link: The connector before it: "then", "and", "while", "comma", or "".
-        subject: The subject, where it is named anew.
-        verb: In English with braces; "" where the verb before it goes on.
-        items: Parts, directions, manners and the like.
-    """
-
-    link: str = ""
-    subject: str = ""
-    verb: str = ""
-    items: list[Concept] = field(default_factory=list)
+    link: str = ""  # the connector before it: "then", "and", "while", "comma", or ""
+    subject: str = ""  # the subject, where it is named anew
+    verb: str = ""  # in English with braces; "" where the verb before it goes on
+    items: list[Concept] = field(default_factory=list)  # parts, directions, manners and the like
 
 
 def clauses_of(concepts: Sequence[Concept], language: str) -> list[VerbPhrase]:
@@ -338,7 +331,7 @@ def _phrase(clause: VerbPhrase) -> str:
 
 
 def _object(items: Sequence[Concept], default: str, head: str) -> Concept | None:
-    """What a verb is done to: a part of the body where that is usual, or else a thing or somebody."""
+    """What a verb is done to: a part of the body where that is usual, or else a thing or a being."""
     bodily = default.removeprefix("the ") in _body()
     if bodily or head in _TOUCHED:
         part = next((item for item in items if item.kind == "part"), None)
@@ -419,18 +412,13 @@ _MOST, _SOME = 0.4, 0.3
 
 @dataclass(frozen=True)
 class Translation:
-    """A sentence in English.
+    """A sentence in English."""
 
-    Args:
-        english: "a person walks forward, then waves with the left hand"; the sentence itself where it is English or in
-            no language of the table, and "" where it is in one and the table has no word of it.
-        language: "en", "de", "fr", "es", "ja" or "zh"; "" for another script.
-        concepts: Words of the table in their order, those that neither it nor the tagger has as "unknown"; none of
-            English.
-    """
-
+    # "a person walks forward, then waves with the left hand"; the sentence itself where it is English or in no
+    # language of the table, and "" where it is in one and the table has no word of it
     english: str
-    language: str
+    language: str  # "en", "de", "fr", "es", "ja" or "zh"; "" for another script
+    # words of the table in their order, those that neither it nor the tagger has as "unknown"; none of English
     concepts: tuple[Concept, ...] = ()
 
     @property
