@@ -411,7 +411,9 @@ class Request:
 
     @cached_property
     def parsed(self) -> Sentence:
-        """The sentence, parsed; OptionError where it is empty, too long or not understood, or a length is out of range."""
+        """The sentence, parsed; OptionError where it is empty, too long or not understood, or a length is out of
+        range.
+        """
         from bunraku.language.parse import parse
 
         given = self.sentence
