@@ -21,23 +21,10 @@ from bunraku.core.geometry.graph import bridge_edges, clean_mesh, mesh_parts, un
 from bunraku.core.geometry.surface import vertex_areas
 
 __all__ = [
-    "EmbeddedSkeleton",
-    "Template",
-    "Volume",
-    "bone_distances",
-    "bone_heat",
-    "cluster_vertices",
-    "cotangent_laplacian",
-    "embed_skeleton",
-    "embedded_bone_heat",
-    "embedded_human",
-    "geodesic_clusters",
-    "geodesic_graph",
-    "human_template",
-    "sphere_centres",
-    "surface_samples",
-    "volume_of",
-]
+    "EmbeddedSkeleton", "Template", "Volume", "bone_distances", "bone_heat", "cluster_vertices", "cotangent_laplacian",
+    "embed_skeleton", "embedded_bone_heat", "embedded_human", "geodesic_clusters", "geodesic_graph", "human_template",
+    "sphere_centres", "surface_samples", "volume_of",
+]  # fmt: skip
 
 
 _MEDOIDS = 24  # vertices near a cluster's mean that are tried as its medoid
@@ -369,14 +356,9 @@ def embed_skeleton(template: Template, volume: Volume, low: np.ndarray, high: np
 
 
 def _refined(
-    template: Template,
-    points: np.ndarray,
-    volume: Volume,
-    low: np.ndarray,
-    high: np.ndarray,
-    size: float,
+    template: Template, points: np.ndarray, volume: Volume, low: np.ndarray, high: np.ndarray, size: float,
     rounds: int = 6,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Joints moved by shrinking steps wherever that lowers the cost of what they touch."""
     points = points.copy()
     middle = float(low[0] + high[0]) / 2
@@ -456,13 +438,9 @@ def bone_distances(points: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> 
 
 
 def bone_heat(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    starts: np.ndarray,
-    ends: np.ndarray,
-    owners: Sequence[int] | np.ndarray,
+    vertices: np.ndarray, faces: np.ndarray, starts: np.ndarray, ends: np.ndarray, owners: Sequence[int] | np.ndarray,
     volume: Volume | None = None,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Weights of bones: the solution of `(-L + H) w = H p`.
 
     H of a vertex is c over the squared distance to its nearest visible bone, per unit of area; where several bones are

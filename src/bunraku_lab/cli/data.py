@@ -116,12 +116,9 @@ class Characters:
 
         with stages() as report:
             files, failed = build_characters(
-                self.source,
-                self.output,
-                self.vertices,
-                progress=lambda done, total, name: report("characters", done / total),
-                code_made=self.code_made,
-            )
+                self.source, self.output, self.vertices,
+                progress=lambda done, total, name: report("characters", done / total), code_made=self.code_made,
+            )  # fmt: skip
         if not files:
             raise FormatError(
                 self.source,
@@ -173,14 +170,9 @@ class MeshBank:
         characters = [*train, *held, *reference_characters()]
         with stages() as report:
             write_mesh_bank(
-                model,
-                characters,
-                self.output,
-                self.variants,
-                0,
-                HELD_OUT,
+                model, characters, self.output, self.variants, 0, HELD_OUT,
                 lambda done: report("mesh features", done / len(characters)),
-            )
+            )  # fmt: skip
         print(f"wrote {self.output}")
 
 
@@ -220,13 +212,9 @@ class CharacterBank:
 
         with stages() as report:
             path, failed = build_character_bank(
-                self.source,
-                self.output,
-                rig,
-                self.code_made,
-                self.variants,
+                self.source, self.output, rig, self.code_made, self.variants,
                 lambda done, total, name: report("characters", done / total),
-            )
+            )  # fmt: skip
         for name, reason in failed.items():
             print(f"left out {name}: {reason}", file=sys.stderr)
         print(f"wrote {path}")
@@ -313,12 +301,9 @@ class DataBundle:
 
         with stages() as report:
             facts = write_bundle(
-                self.data,
-                self.output,
-                self.mesh_bank,
-                self.people,
+                self.data, self.output, self.mesh_bank, self.people,
                 progress=lambda done, total: report("clips", done / total),
-            )
+            )  # fmt: skip
         print(
             f"wrote {facts.clips} clips, {facts.frames / 72_000:.1f} hours, to {self.output}: "
             f"{facts.bytes / 2**20:.1f} MiB; handles are off by {facts.error * 100:.2f} cm on average, 99 of 100 by "

@@ -64,15 +64,9 @@ class EvaluateHandles(Printed):
         subjects = code_made_subjects() if self.characters is None else folder_subjects(self.characters, self.all)
         with stages() as report:
             result = evaluate_handles(
-                subjects,
-                detailed=detailed_subjects(self.characters, self.avatars),
-                checkpoint=self.checkpoint,
-                baselines=not self.no_baselines,
-                speed=not self.no_speed,
-                seed=self.seed,
-                jobs=jobs,
-                progress=report,
-            )
+                subjects, detailed=detailed_subjects(self.characters, self.avatars), checkpoint=self.checkpoint,
+                baselines=not self.no_baselines, speed=not self.no_speed, seed=self.seed, jobs=jobs, progress=report,
+            )  # fmt: skip
         self.show(result, _handles_report)
 
 

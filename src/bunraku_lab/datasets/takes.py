@@ -265,12 +265,8 @@ def _name(name: str, clip: str, start: float | None, end: float | None) -> str:
 
 _SPLITS = {"train": "train", "val": "val", "test": "test"}
 _SKIPPED = {
-    "Eyes_Japan_Dataset": 3.0,
-    "MPI_HDM05": 3.0,
-    "TotalCapture": 1.0,
-    "MPI_Limits": 1.0,
-    "Transitions_mocap": 0.5,
-}
+    "Eyes_Japan_Dataset": 3.0, "MPI_HDM05": 3.0, "TotalCapture": 1.0, "MPI_Limits": 1.0, "Transitions_mocap": 0.5,
+}  # fmt: skip
 """Seconds that HumanML3D cut off the start of some sets before its index counts frames."""
 
 
@@ -309,15 +305,9 @@ def _splits(folder: Path) -> dict[str, str]:
 
 
 def _captioned(
-    folder: Path,
-    key: str,
-    file: Path,
-    name: str,
-    splits: dict[str, str],
-    source: str,
-    start: float = 0.0,
+    folder: Path, key: str, file: Path, name: str, splits: dict[str, str], source: str, start: float = 0.0,
     end: float | None = None,
-) -> list[Take]:
+) -> list[Take]:  # fmt: skip
     """One take for the captions of the whole motion, and one for each span that others are about."""
     texts = folder / "texts" / f"{key}.txt"
     if not texts.is_file() or (splits and key not in splits):

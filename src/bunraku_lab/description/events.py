@@ -11,17 +11,9 @@ import numpy as np
 from bunraku.generation.agreement import SIDES, Phrase, Track, runs, smooth
 
 __all__ = [
-    "find_arms",
-    "find_bends",
-    "find_gaits",
-    "find_jumps",
-    "find_kicks",
-    "find_punches",
-    "find_seats",
-    "find_stillness",
-    "find_turns",
-    "peaks",
-]
+    "find_arms", "find_bends", "find_gaits", "find_jumps", "find_kicks", "find_punches", "find_seats", "find_stillness",
+    "find_turns", "peaks",
+]  # fmt: skip
 
 
 def peaks(values: np.ndarray, prominence: float, height: float | None = None) -> np.ndarray:
@@ -233,10 +225,8 @@ def find_bends(track: Track) -> list[Phrase]:
             and stands[part].all()
         ):
             texts = (
-                "{squat} down and {stand} up again",
-                "{bend} the knees into a squat and {rise} again",
-                "{do} a squat",
-            )
+                "{squat} down and {stand} up again", "{bend} the knees into a squat and {rise} again", "{do} a squat",
+            )  # fmt: skip
             found.append(Phrase("bend", texts, max(start - 2, 0), min(stop + 2, len(track))))
     lying = runs((track.up < 0.45) & (root < -0.6), track.frames(0.5), track.frames(0.5))
     upright = (track.up > 0.85) & (root > -0.2)
@@ -341,20 +331,16 @@ def _turn_words(turn: float, side: str, there: bool) -> tuple[str, ...]:
         return ()
     if degrees <= 115:
         words = (
-            f"{{turn}} {side}",
-            f"{{turn}} to the {side}",
-            f"{{make}} a quarter turn to the {side}",
+            f"{{turn}} {side}", f"{{turn}} to the {side}", f"{{make}} a quarter turn to the {side}",
             f"{{turn}} 90 degrees to the {side}",
-        )
+        )  # fmt: skip
     elif degrees < 145:
         words = (f"{{turn}} {side}", f"{{turn}} to the {side}")
     elif degrees <= 215:
         words = (
-            f"{{turn}} around to the {side}",
-            f"{{make}} a half turn to the {side}",
-            f"{{turn}} 180 degrees to the {side}",
-            f"{{turn}} round to the {side}",
-        )
+            f"{{turn}} around to the {side}", f"{{make}} a half turn to the {side}",
+            f"{{turn}} 180 degrees to the {side}", f"{{turn}} round to the {side}",
+        )  # fmt: skip
     elif degrees < 310:
         words = (f"{{turn}} around to the {side}", f"{{turn}} far around to the {side}")
     elif degrees <= 410:
@@ -428,11 +414,9 @@ def find_gaits(track: Track, turns: list[Phrase], human: bool = True) -> list[Ph
         away[turn.start : turn.stop] = False
     direction = np.arctan2(smooth(track.velocity[:, 1], 0.3, track.fps), smooth(track.velocity[:, 0], 0.3, track.fps))
     classes = {
-        "forward": np.abs(direction) < 0.6,
-        "backwards": np.abs(direction) > 2.5,
-        "left": np.abs(direction - np.pi / 2) < 0.6,
-        "right": np.abs(direction + np.pi / 2) < 0.6,
-    }
+        "forward": np.abs(direction) < 0.6, "backwards": np.abs(direction) > 2.5,
+        "left": np.abs(direction - np.pi / 2) < 0.6, "right": np.abs(direction + np.pi / 2) < 0.6,
+    }  # fmt: skip
     for name, mask in classes.items():
         for start, stop in runs(away & mask, track.frames(0.8), track.frames(0.25)):
             length = float(np.linalg.norm(np.diff(track.position[start:stop], axis=0), axis=1).sum())

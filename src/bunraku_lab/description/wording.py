@@ -37,19 +37,9 @@ from bunraku_lab.description.events import (
 )
 
 __all__ = [
-    "all_variants",
-    "borrowed_sentence",
-    "can_do",
-    "chain",
-    "clauses",
-    "computed_sentence",
-    "creature_subjects",
-    "describe",
-    "inside",
-    "joined",
-    "sentences",
-    "verbs",
-]
+    "all_variants", "borrowed_sentence", "can_do", "chain", "clauses", "computed_sentence", "creature_subjects",
+    "describe", "inside", "joined", "sentences", "verbs",
+]  # fmt: skip
 
 
 _LEAST = 16  # frames of a state that are worth a word
@@ -285,12 +275,9 @@ def borrowed_sentence(
 
 
 def computed_sentence(
-    found: Sequence[Phrase],
-    labels: Sequence[Sequence[str]],
-    frames: int,
-    random: np.random.Generator,
+    found: Sequence[Phrase], labels: Sequence[Sequence[str]], frames: int, random: np.random.Generator,
     species: str | None = None,
-) -> str | None:
+) -> str | None:  # fmt: skip
     """A sentence from the motion, alone or together with the label.
 
     It stands alone only where it tells what the label tells: "moves forward" would be true of a drinker who takes a

@@ -31,19 +31,9 @@ from bunraku_lab.evaluation.report import Bar, measured_in, percent, reached_bar
 from bunraku_lab.synthetic.stock_motions import STOCK_MOTIONS, stock_motion
 
 __all__ = [
-    "Chain",
-    "PHYSICS_BARS",
-    "apparel_chains",
-    "body_speeds",
-    "chain_lengths",
-    "deep_share",
-    "evaluate_physics",
-    "joined",
-    "link_position",
-    "measure_physics",
-    "nearest_joint_vertices",
-    "sample_apparel",
-]
+    "Chain", "PHYSICS_BARS", "apparel_chains", "body_speeds", "chain_lengths", "deep_share", "evaluate_physics",
+    "joined", "link_position", "measure_physics", "nearest_joint_vertices", "sample_apparel",
+]  # fmt: skip
 
 
 _FREE = 1e-3  # a joint that lets its bodies come apart by more [m] is no link of a chain
@@ -235,15 +225,9 @@ PHYSICS_BARS: dict[str, Bar] = {
 
 
 def evaluate_physics(
-    files: Sequence[str | Path] = (),
-    wardrobe: Sequence[CharacterSource] = (),
-    *,
-    motions: Sequence[str | Path] = (),
-    seconds: float = 60.0,
-    quick: bool = False,
-    jobs: int | str = 1,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
+    files: Sequence[str | Path] = (), wardrobe: Sequence[CharacterSource] = (), *, motions: Sequence[str | Path] = (),
+    seconds: float = 60.0, quick: bool = False, jobs: int | str = 1, progress: Progress | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Measure all rows.
 
     Args:
@@ -303,12 +287,9 @@ def evaluate_physics(
 
 
 def _measured(
-    motions: Sequence[Path],
-    seconds: float,
-    quick: bool,
-    characters: list[tuple[int, str, Callable[[], Character]]],
+    motions: Sequence[Path], seconds: float, quick: bool, characters: list[tuple[int, str, Callable[[], Character]]],
     progress: Progress | None = None,
-) -> list[dict[str, Any] | str]:
+) -> list[dict[str, Any] | str]:  # fmt: skip
     """The row of each character, or why there is none."""
     out: list[dict[str, Any] | str] = []
     for _, name, load in characters:
@@ -327,12 +308,9 @@ def _lost(reason: str) -> dict[str, Any] | str:
 
 
 def measure_physics(
-    character: Character,
-    motions: Sequence[str | Path] = (),
-    seconds: float = 60.0,
-    quick: bool = False,
+    character: Character, motions: Sequence[str | Path] = (), seconds: float = 60.0, quick: bool = False,
     progress: Callable[[float], None] | None = None,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """The row of one character.
 
     Args:
@@ -414,10 +392,8 @@ def joined(parts: Sequence[RigAnimation], blend: float = BLEND) -> tuple[RigAnim
     shares = np.arange(1, steps + 1) / (steps + 1)
     shares = shares * shares * (3 - 2 * shares)
     rotations, translations, bounds = (
-        [np.asarray(parts[0].rotations)],
-        [np.asarray(parts[0].translations)],
-        [(0, len(parts[0]))],
-    )
+        [np.asarray(parts[0].rotations)], [np.asarray(parts[0].translations)], [(0, len(parts[0]))],
+    )  # fmt: skip
     for part in parts[1:]:
         rig = part.character.rig
         assert rig is not None

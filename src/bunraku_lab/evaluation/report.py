@@ -14,18 +14,9 @@ from typing import Any
 from bunraku.core.files import atomic_write
 
 __all__ = [
-    "Bar",
-    "KeptParts",
-    "Parts",
-    "Report",
-    "Table",
-    "at_once",
-    "bar_table",
-    "figure",
-    "measured_in",
-    "percent",
+    "Bar", "KeptParts", "Parts", "Report", "Table", "at_once", "bar_table", "figure", "measured_in", "percent",
     "reached_bars",
-]
+]  # fmt: skip
 
 
 def figure(value: float) -> str:
@@ -145,11 +136,9 @@ class Report:
 
 
 def bar_table(
-    bars: Mapping[str, Bar],
-    result: Mapping[str, Any],
-    title: str = "measure",
+    bars: Mapping[str, Bar], result: Mapping[str, Any], title: str = "measure",
     reached: Mapping[str, bool | None] | None = None,
-) -> Table:
+) -> Table:  # fmt: skip
     """Figures beside their bars.
 
     Args:

@@ -29,17 +29,9 @@ from bunraku_lab.nn.checkpoints import SavedNetwork
 from bunraku_lab.nn.graph import EdgeBlock, NodeGraph, node_graph
 
 __all__ = [
-    "AnchorHead",
-    "DisplacementNetwork",
-    "Inputs",
-    "NodeEncoder",
-    "Past",
-    "RecurrentPart",
-    "SegmentationNetwork",
-    "mesh_block",
-    "node_state",
-    "past_of_states",
-]
+    "AnchorHead", "DisplacementNetwork", "Inputs", "NodeEncoder", "Past", "RecurrentPart", "SegmentationNetwork",
+    "mesh_block", "node_state", "past_of_states",
+]  # fmt: skip
 
 
 class Inputs:

@@ -14,17 +14,9 @@ from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku_lab.nn.checkpoints import SavedNetwork
 
 __all__ = [
-    "BlendShapes",
-    "EdgeMesh",
-    "MeshConv",
-    "NbsConfig",
-    "NbsNetwork",
-    "edge_mesh",
-    "hinted",
-    "local_rotations",
-    "moved_by",
-    "vertex_means",
-]
+    "BlendShapes", "EdgeMesh", "MeshConv", "NbsConfig", "NbsNetwork", "edge_mesh", "hinted", "local_rotations",
+    "moved_by", "vertex_means",
+]  # fmt: skip
 
 
 SLOPE = 0.2

@@ -22,17 +22,9 @@ from bunraku.core.nn.checkpoints import FORMAT, config_of, fitting_config, read_
 from bunraku.errors import WeightsError
 
 __all__ = [
-    "SavedNetwork",
-    "TrainingState",
-    "fitted_network",
-    "lab_checkpoint",
-    "load_checkpoint",
-    "load_network",
-    "load_training_state",
-    "save_checkpoint",
-    "save_network",
-    "save_training_state",
-]
+    "SavedNetwork", "TrainingState", "fitted_network", "lab_checkpoint", "load_checkpoint", "load_network",
+    "load_training_state", "save_checkpoint", "save_network", "save_training_state",
+]  # fmt: skip
 
 LAB_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
 """Where the checkpoints lie that no animation reads; they are in a checkout and not in the wheel."""
@@ -107,14 +99,9 @@ def fitted_network(build: Callable[[], Network], state: Mapping[str, torch.Tenso
 
 
 def save_network(
-    path: str | Path,
-    model: torch.nn.Module,
-    kind: str,
-    note: Mapping[str, object] | None = None,
-    half: bool = False,
-    *,
-    key: str = "network",
-) -> Path:
+    path: str | Path, model: torch.nn.Module, kind: str, note: Mapping[str, object] | None = None, half: bool = False,
+    *, key: str = "network",
+) -> Path:  # fmt: skip
     """Write a network's weights with its config, a dataclass.
 
     Args:

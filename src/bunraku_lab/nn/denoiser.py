@@ -26,21 +26,10 @@ from bunraku.generation.layers import DenoiserConfig, denoiser_config
 from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
 
 __all__ = [
-    "DecoderLayer",
-    "Denoiser",
-    "RetrievedExamples",
-    "adapted_denoiser",
-    "add_noise",
-    "alphas_cumprod",
-    "capped_on_people",
-    "frozen_digest",
-    "joint_offsets",
-    "load_denoiser",
-    "normal_noise",
-    "rotary_positions",
-    "save_adapter",
-    "save_denoiser",
-]
+    "DecoderLayer", "Denoiser", "RetrievedExamples", "adapted_denoiser", "add_noise", "alphas_cumprod",
+    "capped_on_people", "frozen_digest", "joint_offsets", "load_denoiser", "normal_noise", "rotary_positions",
+    "save_adapter", "save_denoiser",
+]  # fmt: skip
 
 
 def capped_on_people(residual: Tensor) -> Tensor:
@@ -169,24 +158,16 @@ class DecoderLayer(nn.Module):
         self.offset = nn.Parameter(torch.zeros(9, width))
         self.self_in, self.self_out = nn.Linear(width, 3 * width), nn.Linear(width, width)
         self.cross_query, self.cross_memory, self.cross_out = (
-            nn.Linear(width, width),
-            nn.Linear(width, 2 * width),
-            nn.Linear(width, width),
-        )
+            nn.Linear(width, width), nn.Linear(width, 2 * width), nn.Linear(width, width),
+        )  # fmt: skip
         self.wide, self.narrow = nn.Linear(width, config.feedforward), nn.Linear(config.feedforward, width)
         self.offset_more = nn.Parameter(torch.zeros(3, width)) if config.examples else None
         self.examples = _ExampleAttention(width, config.heads) if examples else None
 
     def forward(
-        self,
-        x: Tensor,
-        memory: Tensor,
-        steer: Tensor,
-        rotary: Rotary,
-        mask: Tensor | None,
-        memory_mask: Tensor | None,
+        self, x: Tensor, memory: Tensor, steer: Tensor, rotary: Rotary, mask: Tensor | None, memory_mask: Tensor | None,
         examples: tuple[Tensor, ...] = (),
-    ) -> Tensor:
+    ) -> Tensor:  # fmt: skip
         """x (B, T, d), memory (B, M, d), steer (B, 9, or 12 with examples, d), masks (B, 1, 1, T) and (B, 1, 1,
         M), True where real.
         """
@@ -290,15 +271,9 @@ class Denoiser(nn.Module):
         return bool(self.notes.get("characters"))
 
     def condition(
-        self,
-        text: Tensor | None,
-        text_mask: Tensor | None,
-        pooled: Tensor | None,
-        mesh: Tensor | None,
-        keep_text: Tensor,
-        keep_mesh: Tensor,
-        examples: RetrievedExamples | None = None,
-    ) -> tuple[Tensor, ...]:
+        self, text: Tensor | None, text_mask: Tensor | None, pooled: Tensor | None, mesh: Tensor | None,
+        keep_text: Tensor, keep_mesh: Tensor, examples: RetrievedExamples | None = None,
+    ) -> tuple[Tensor, ...]:  # fmt: skip
         """Memory tokens and the pooled vector, which do not depend on the step.
 
         Args:

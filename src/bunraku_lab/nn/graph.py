@@ -15,17 +15,9 @@ from torch import nn
 from bunraku.anatomy.handles import networks as arrays
 
 __all__ = [
-    "AnchorBlock",
-    "EdgeBlock",
-    "EdgeConv",
-    "GraphLayer",
-    "HasNeighbours",
-    "MeshGraph",
-    "NodeGraph",
-    "edge_conv_reference",
-    "mesh_graph",
-    "node_graph",
-]
+    "AnchorBlock", "EdgeBlock", "EdgeConv", "GraphLayer", "HasNeighbours", "MeshGraph", "NodeGraph",
+    "edge_conv_reference", "mesh_graph", "node_graph",
+]  # fmt: skip
 
 
 class HasNeighbours(Protocol):
@@ -136,13 +128,9 @@ class MeshGraph:
 
 
 def mesh_graph(
-    positions: np.ndarray,
-    normals: np.ndarray,
-    edges: np.ndarray,
-    areas: np.ndarray,
-    anchors: int = 128,
+    positions: np.ndarray, normals: np.ndarray, edges: np.ndarray, areas: np.ndarray, anchors: int = 128,
     rng: np.random.Generator | None = None,
-) -> MeshGraph:
+) -> MeshGraph:  # fmt: skip
     """Tensors of a normalised mesh.
 
     Args:

@@ -16,13 +16,7 @@ from bunraku.errors import WeightsError
 from bunraku_lab.nn.checkpoints import SavedNetwork, load_checkpoint
 from bunraku_lab.nn.graph import GraphLayer, MeshGraph
 
-__all__ = [
-    "HandlePrediction",
-    "HandlePredictor",
-    "OrientationPredictor",
-    "grow_predictor",
-    "rotated_tokens",
-]
+__all__ = ["HandlePrediction", "HandlePredictor", "OrientationPredictor", "grow_predictor", "rotated_tokens"]
 
 
 class HandlePrediction(NamedTuple):

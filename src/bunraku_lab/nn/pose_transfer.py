@@ -15,17 +15,9 @@ from bunraku.core.geometry.rotations import matrix_from_quaternion
 from bunraku_lab.nn.checkpoints import SavedNetwork
 
 __all__ = [
-    "GraphUnit",
-    "PartGraph",
-    "TransferConfig",
-    "TransferNetwork",
-    "affine_of",
-    "dense",
-    "part_centres",
-    "part_graph",
-    "per_mesh_max",
-    "shares_of",
-]
+    "GraphUnit", "PartGraph", "TransferConfig", "TransferNetwork", "affine_of", "dense", "part_centres", "part_graph",
+    "per_mesh_max", "shares_of",
+]  # fmt: skip
 
 
 MOMENTUM = 0.1

@@ -239,13 +239,9 @@ def build_examples(
     chosen = np.isin(owners, kept)
     place_of = {index: number for number, index in enumerate(kept)}
     pack = ExamplePack(
-        examples,
-        tuple(data),
-        np.array([place_of[owner] for owner in owners[chosen].tolist()], np.int32),
-        texts[:, chosen],
-        motions[:, kept],
-        fingerprint(path),
-    )
+        examples, tuple(data), np.array([place_of[owner] for owner in owners[chosen].tolist()], np.int32),
+        texts[:, chosen], motions[:, kept], fingerprint(path),
+    )  # fmt: skip
     licences = Counter(
         "Apache-2.0" if one.made else str(clips[one.name.split("#")[0]].get("licence", "unknown")) for one in examples
     )

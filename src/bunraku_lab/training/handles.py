@@ -35,20 +35,9 @@ from bunraku_lab.training.losses.handles import LossConfig
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, TrainingNote, TrainingSettings
 
 __all__ = [
-    "HandleTrainConfig",
-    "HandleTrainer",
-    "MeshAugmentation",
-    "augment_mesh",
-    "coarser",
-    "has_human_shape",
-    "noisy",
-    "pierced",
-    "slid",
-    "split",
-    "train_handles",
-    "validate_handles",
-    "write_mesh_bank",
-]
+    "HandleTrainConfig", "HandleTrainer", "MeshAugmentation", "augment_mesh", "coarser", "has_human_shape", "noisy",
+    "pierced", "slid", "split", "train_handles", "validate_handles", "write_mesh_bank",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -209,14 +198,9 @@ def has_human_shape(character: TrainingCharacter) -> bool:
 
 @torch.no_grad()
 def write_mesh_bank(
-    model: HandlePredictor,
-    characters: Iterable[TrainingCharacter] | Sequence[TrainingCharacter],
-    path: str | Path,
-    variants: int = 3,
-    seed: int = 0,
-    held_out: Collection[str] = (),
-    progress: Callable[[int], None] | None = None,
-) -> Path:
+    model: HandlePredictor, characters: Iterable[TrainingCharacter] | Sequence[TrainingCharacter], path: str | Path,
+    variants: int = 3, seed: int = 0, held_out: Collection[str] = (), progress: Callable[[int], None] | None = None,
+) -> Path:  # fmt: skip
     """Write f_phi of each character, as it is and in some other poses and proportions.
 
     Args:
@@ -250,12 +234,9 @@ def write_mesh_bank(
     path = Path(path)
     with atomic_write(path) as file:
         np.savez(
-            file,
-            features=np.stack(features).astype(np.float32),
-            names=np.array(names),
-            split=np.array(split),
+            file, features=np.stack(features).astype(np.float32), names=np.array(names), split=np.array(split),
             humanoid=np.array(humanoid),
-        )
+        )  # fmt: skip
     return path
 
 
@@ -321,12 +302,9 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
     every_row = True
 
     def __init__(
-        self,
-        config: HandleTrainConfig,
-        characters: Sequence[TrainingCharacter],
-        held_out: Sequence[TrainingCharacter],
+        self, config: HandleTrainConfig, characters: Sequence[TrainingCharacter], held_out: Sequence[TrainingCharacter],
         reference: Sequence[TrainingCharacter] = (),
-    ):
+    ):  # fmt: skip
         if not characters:
             raise OptionError("there are no characters to train on; build the cache first")
         self.config, self.epoch = config, 0
@@ -374,11 +352,9 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
             "sparsity": losses.sparsity_loss(weights),
         }
         i, j, gamma = losses.skinning_pairs(
-            torch.from_numpy(mesh.weights),
-            config.skinning_pairs,
-            self.generator,
+            torch.from_numpy(mesh.weights), config.skinning_pairs, self.generator,
             torch.from_numpy(np.ascontiguousarray(mesh.handles)),
-        )
+        )  # fmt: skip
         parts["skinning"] = losses.skinning_loss(logits, i.to(device), j.to(device), gamma.to(device), config.apart)
         if len(mesh.posed):
             parts["pose"] = config.pose_unit * losses.pose_loss(

@@ -30,29 +30,10 @@ from bunraku.language.word_table import LANGUAGES, Concept, forms, table
 from bunraku_lab.training.runs.run import AveragedRun, StepSettings, TrainingNote
 
 __all__ = [
-    "FILES",
-    "Lesson",
-    "Likeness",
-    "MEANT",
-    "NOT_MEANT",
-    "Pair",
-    "TaggerNetwork",
-    "TaggerTrainConfig",
-    "TaggerTrainer",
-    "batch_of",
-    "drawn_number",
-    "lessons_of",
-    "likeness_of",
-    "measure",
-    "movements",
-    "read_pairs",
-    "save_tagger",
-    "sentence_losses",
-    "split_of",
-    "table_pairs",
-    "train_tagger",
-    "verbs_of_actions",
-]
+    "FILES", "Lesson", "Likeness", "MEANT", "NOT_MEANT", "Pair", "TaggerNetwork", "TaggerTrainConfig", "TaggerTrainer",
+    "batch_of", "drawn_number", "lessons_of", "likeness_of", "measure", "movements", "read_pairs", "save_tagger",
+    "sentence_losses", "split_of", "table_pairs", "train_tagger", "verbs_of_actions",
+]  # fmt: skip
 
 
 _QUIET = -6.0
@@ -201,12 +182,9 @@ Likeness = dict[str, dict[str, float]]
 
 
 def measure(
-    sentences: Iterable[str],
-    path: Path,
-    most: int = 250,
-    encoder: MiniLMEncoder | None = None,
+    sentences: Iterable[str], path: Path, most: int = 250, encoder: MiniLMEncoder | None = None,
     progress: Callable[[float], None] = lambda done: None,
-) -> Likeness:
+) -> Likeness:  # fmt: skip
     """How near sentences are to captions of what the rules find in them, kept in a file.
 
     Args:
@@ -503,11 +481,9 @@ class TaggerTrainer(AveragedRun[TaggerNetwork]):
                 false += bool(names) and not lesson.said
         silent = sum(not lesson.said for lesson in self.held_out)
         return {
-            "validation": float(np.mean(losses)),
-            "precision": right / max(found, 1),
-            "recall": right / max(there, 1),
+            "validation": float(np.mean(losses)), "precision": right / max(found, 1), "recall": right / max(there, 1),
             "said_of_silent": false / max(silent, 1),
-        }
+        }  # fmt: skip
 
     def write(self, note: TrainingNote) -> Path:
         """Write the checkpoint."""
@@ -516,11 +492,9 @@ class TaggerTrainer(AveragedRun[TaggerNetwork]):
 
 
 def train_tagger(
-    config: TaggerTrainConfig,
-    report: Callable[[dict[str, float]], None] | None = None,
-    progress: Callable[[str, float], None] | None = None,
-    encoder: MiniLMEncoder | None = None,
-) -> Path:
+    config: TaggerTrainConfig, report: Callable[[dict[str, float]], None] | None = None,
+    progress: Callable[[str, float], None] | None = None, encoder: MiniLMEncoder | None = None,
+) -> Path:  # fmt: skip
     """Train, or go on training, and return the path of the averaged weights.
 
     Args:

@@ -28,16 +28,9 @@ from bunraku_lab.training.rows.clips import load_people
 from bunraku_lab.training.runs.run import AveragedRun, StepSettings, TrainingNote, bf16_is_fast
 
 __all__ = [
-    "MatchingRun",
-    "MatchingTrainConfig",
-    "RankerTrainConfig",
-    "RankerTrainer",
-    "captions_of",
-    "corrupted",
-    "for_encoder",
-    "start_from",
-    "train_ranker",
-]
+    "MatchingRun", "MatchingTrainConfig", "RankerTrainConfig", "RankerTrainer", "captions_of", "corrupted",
+    "for_encoder", "start_from", "train_ranker",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,14 +89,9 @@ class MatchingRun(AveragedRun[Extractor]):
     flush = True
 
     def __init__(
-        self,
-        config: MatchingTrainConfig,
-        network: ExtractorConfig,
-        statistics: FeatureStatistics,
-        bank: TextBank,
-        clips: int,
-        kind: str,
-    ):
+        self, config: MatchingTrainConfig, network: ExtractorConfig, statistics: FeatureStatistics, bank: TextBank,
+        clips: int, kind: str,
+    ):  # fmt: skip
         self.config, self.bank, self.clip_count, self.kind = config, bank, clips, kind
 
         def begin(model: Extractor) -> None:
@@ -152,11 +140,9 @@ def start_from(path: Path, model: Extractor, kind: str) -> None:
 
 
 def captions_of(
-    config: MatchingTrainConfig,
-    encoder: TextEncoder,
-    sentences: Collection[str],
+    config: MatchingTrainConfig, encoder: TextEncoder, sentences: Collection[str],
     progress: Callable[[str, float], None],
-) -> TextBank:
+) -> TextBank:  # fmt: skip
     """The sentences of a run, encoded once and kept in its folder."""
     path = config.out / "captions.safetensors"
     return TextBank(encoder, sorted(sentences), path, lambda done, total: progress("captions", done / total))
@@ -287,11 +273,9 @@ def alike(sentences: Sequence[str]) -> np.ndarray:
 
 
 def train_ranker(
-    config: RankerTrainConfig,
-    report: Callable[[dict[str, float]], None] | None = None,
-    encoder: TextEncoder | None = None,
-    progress: Callable[[str, float], None] | None = None,
-) -> Path:
+    config: RankerTrainConfig, report: Callable[[dict[str, float]], None] | None = None,
+    encoder: TextEncoder | None = None, progress: Callable[[str, float], None] | None = None,
+) -> Path:  # fmt: skip
     """Train, or go on training, and return the path of the averaged weights.
 
     Args:

@@ -22,17 +22,9 @@ from bunraku_lab.nn.handles import OrientationPredictor
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
 
 __all__ = [
-    "FRONTS",
-    "OTHERS",
-    "OrientationTrainConfig",
-    "OrientationTrainer",
-    "UPRIGHT",
-    "fitted_temperature",
-    "orientation_results",
-    "train_orientation",
-    "validate_orientation",
-    "varied_tokens",
-]
+    "FRONTS", "OTHERS", "OrientationTrainConfig", "OrientationTrainer", "UPRIGHT", "fitted_temperature",
+    "orientation_results", "train_orientation", "validate_orientation", "varied_tokens",
+]  # fmt: skip
 
 
 UPRIGHT = ORIENTATIONS.index(("+y", "+z"))
@@ -44,12 +36,9 @@ OTHERS = [n for n, (up, _) in enumerate(ORIENTATIONS) if up != "+y"]
 
 
 def varied_tokens(
-    character: TrainingCharacter,
-    rng: np.random.Generator,
-    anchors: int = 128,
-    tilt: float = 0.26,
+    character: TrainingCharacter, rng: np.random.Generator, anchors: int = 128, tilt: float = 0.26,
     config: AugmentConfig | None = None,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Tokens of a random variant of an upright character that is still nearly upright, shape (M, 10).
 
     Args:
@@ -123,11 +112,9 @@ def orientation_results(logs: np.ndarray) -> dict[str, float]:
     own = list(dict.fromkeys(ups)).index("+y")
     front = logs[:, FRONTS].argmax(1) == FRONTS.index(UPRIGHT)
     return {
-        "up": float((by_up.argmax(1) == own).mean()),
-        "front": float(front.mean()),
-        "both": float((logs.argmax(1) == UPRIGHT).mean()),
-        "loss": float(-logs[:, UPRIGHT].mean()),
-    }
+        "up": float((by_up.argmax(1) == own).mean()), "front": float(front.mean()),
+        "both": float((logs.argmax(1) == UPRIGHT).mean()), "loss": float(-logs[:, UPRIGHT].mean()),
+    }  # fmt: skip
 
 
 def fitted_temperature(logs: np.ndarray) -> float:
@@ -189,12 +176,9 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
     columns = ("loss", "won", "rate")
 
     def __init__(
-        self,
-        config: OrientationTrainConfig,
-        characters: Sequence[TrainingCharacter],
-        held_out: Sequence[TrainingCharacter] = (),
-        reference: Sequence[TrainingCharacter] = (),
-    ):
+        self, config: OrientationTrainConfig, characters: Sequence[TrainingCharacter],
+        held_out: Sequence[TrainingCharacter] = (), reference: Sequence[TrainingCharacter] = (),
+    ):  # fmt: skip
         if not characters:
             raise OptionError("there are no characters to train on; build the cache first")
         self.config = config

@@ -333,19 +333,9 @@ def test_bad_options_are_one_sentence(motions, tmp_path, capsys, words, say):
 
 def test_the_command_goes_on_where_it_stopped(motions, tmp_path, capsys):
     words = [
-        "data",
-        "apparel",
-        "--motions",
-        str(motions),
-        "-o",
-        str(tmp_path / "out"),
-        "--wardrobe",
-        "1",
-        "--seed",
-        str(SEED),
-        "--jobs",
-        "1",
-    ]
+        "data", "apparel", "--motions", str(motions), "-o", str(tmp_path / "out"), "--wardrobe", "1", "--seed",
+        str(SEED), "--jobs", "1",
+    ]  # fmt: skip
     words += ["--minutes", "0.1", "--seconds", "3"]
     if character_split(f"wardrobe_{SEED:06d}") != "train":
         pytest.skip("this seed is not of the training split, and the motions are")

@@ -222,11 +222,9 @@ def test_captured_clips_of_the_same_words(tmp_path):
     add("kicks", "a person kicks", "train", stretches=parts)
     write_index(tmp_path, index)
     wanted = {
-        "walk": Captured("", "walk", r"\bwalk", r"\bslow"),
-        "slow walk": Captured("", "walk", r"\bslow"),
-        "kick": Captured("", "kick"),
-        "run": Captured("", "run"),
-    }
+        "walk": Captured("", "walk", r"\bwalk", r"\bslow"), "slow walk": Captured("", "walk", r"\bslow"),
+        "kick": Captured("", "kick"), "run": Captured("", "run"),
+    }  # fmt: skip
     found = captured_clips(tmp_path, wanted)
     assert {name: len(clips) for name, clips in found.items()} == {"walk": 8, "slow walk": 1, "kick": 1, "run": 0}
     assert len(found["kick"][0]) == 30 and moving_speed(found["walk"][0]) == pytest.approx(1, rel=1e-3)

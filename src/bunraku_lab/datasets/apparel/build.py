@@ -144,12 +144,9 @@ class BuildState:
 
 
 def build_apparel(
-    folder: str | Path,
-    plan: Sequence[ShardPlan],
-    *,
-    jobs: int | str = 1,
+    folder: str | Path, plan: Sequence[ShardPlan], *, jobs: int | str = 1,
     progress: Callable[[BuildState], None] | None = None,
-) -> BuildState:
+) -> BuildState:  # fmt: skip
     """Build the shards of a plan that are not there yet, and the index.
 
     Args:
@@ -299,15 +296,10 @@ def _build(folder: Path, shard: ShardPlan) -> None:
             failed[clip.motion.name] = str(error)
             continue
         away = [[lost.body, int(lost.frame)] for lost in simulation.report.recoveries]
-        clips.append(
-            {
-                "motion": clip.motion.name,
-                "start": clip.start,
-                "first": first,
-                "frames": len(animation),
-                "fly_aways": away,
-            }
-        )
+        clips.append({
+            "motion": clip.motion.name, "start": clip.start, "first": first, "frames": len(animation),
+            "fly_aways": away,
+        })  # fmt: skip
         animations.append(animation)
         first += len(animation)
     if not animations:

@@ -21,19 +21,9 @@ from bunraku.core.skinning import skin
 from bunraku_lab.datasets.apparel.shards import ApparelData
 
 __all__ = [
-    "ApparelFacts",
-    "DEEP",
-    "Insides",
-    "PushOut",
-    "apparel_facts",
-    "deep_inside",
-    "facts_table",
-    "inside_shares",
-    "pushed_out_clips",
-    "standing_out",
-    "sway_frequency",
-    "unclothed",
-]
+    "ApparelFacts", "DEEP", "Insides", "PushOut", "apparel_facts", "deep_inside", "facts_table", "inside_shares",
+    "pushed_out_clips", "standing_out", "sway_frequency", "unclothed",
+]  # fmt: skip
 
 
 DEEP = 0.01
@@ -166,13 +156,9 @@ class PushOut:
 
 
 def inside_shares(
-    clothed: ClothedCharacter,
-    transforms: np.ndarray,
-    loose: np.ndarray,
-    before: np.ndarray,
-    after: np.ndarray,
+    clothed: ClothedCharacter, transforms: np.ndarray, loose: np.ndarray, before: np.ndarray, after: np.ndarray,
     most: int = 600,
-) -> Insides:
+) -> Insides:  # fmt: skip
     """Share of the apparel vertices deeper than 1 cm in the body, of those that are not so at rest, mean over the
     frames: of rigid apparel, of some offsets, and of others.
 
@@ -209,12 +195,9 @@ def inside_shares(
 
 
 def pushed_out_clips(
-    clothed: ClothedCharacter,
-    transforms: np.ndarray,
-    loose: np.ndarray,
-    offsets: np.ndarray,
+    clothed: ClothedCharacter, transforms: np.ndarray, loose: np.ndarray, offsets: np.ndarray,
     clips: Sequence[Mapping[str, Any]],
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """The offsets of a character's clips with its apparel out of its body, shape (N, M, 3).
 
     Args:

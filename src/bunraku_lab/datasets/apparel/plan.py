@@ -287,13 +287,9 @@ def choose_motions(motions: Sequence[MotionSource], count: int) -> list[MotionSo
 
 
 def plan_shards(
-    characters: Sequence[CharacterSource],
-    motions: Sequence[MotionSource],
-    *,
-    minutes: float,
-    longest: float = 12.0,
+    characters: Sequence[CharacterSource], motions: Sequence[MotionSource], *, minutes: float, longest: float = 12.0,
     seed: int = 0,
-) -> tuple[list[ShardPlan], dict[str, str]]:
+) -> tuple[list[ShardPlan], dict[str, str]]:  # fmt: skip
     """Which clips are made.
 
     Every character gets the same time. It meets the motions of its split in an order of its own, from a motion of its

@@ -22,19 +22,9 @@ from bunraku.core.skinning import skin
 from bunraku.errors import FormatError, OptionError
 
 __all__ = [
-    "ApparelCharacter",
-    "ApparelClip",
-    "ApparelData",
-    "ApparelWindow",
-    "INDEX",
-    "LATER_ARRAYS",
-    "SHARD_ARRAYS",
-    "SHARD_FORMAT",
-    "Shard",
-    "read_index",
-    "shard_fingerprint",
-    "write_shard",
-]
+    "ApparelCharacter", "ApparelClip", "ApparelData", "ApparelWindow", "INDEX", "LATER_ARRAYS", "SHARD_ARRAYS",
+    "SHARD_FORMAT", "Shard", "read_index", "shard_fingerprint", "write_shard",
+]  # fmt: skip
 
 
 SHARD_FORMAT = "bunraku-apparel-3"
@@ -308,13 +298,9 @@ class ApparelData:
     fps = 30.0
 
     def __init__(
-        self,
-        folder: str | Path,
-        split: Literal["train", "val", "test"] | None = None,
-        *,
-        physics: bool = True,
+        self, folder: str | Path, split: Literal["train", "val", "test"] | None = None, *, physics: bool = True,
         fly_aways: bool = False,
-    ):
+    ):  # fmt: skip
         if split not in (None, "train", "val", "test"):
             raise OptionError(f"the split is 'train', 'val' or 'test', not '{split}'")
         self.folder, self.physics = Path(folder), physics

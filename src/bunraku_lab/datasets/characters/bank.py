@@ -37,13 +37,8 @@ from bunraku_lab.datasets.characters.training_character import (
 )
 
 __all__ = [
-    "CharacterBank",
-    "bank_row",
-    "build_character_bank",
-    "load_character_bank",
-    "save_character_bank",
-    "write_rows",
-]
+    "CharacterBank", "bank_row", "build_character_bank", "load_character_bank", "save_character_bank", "write_rows",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,13 +163,9 @@ def _check(bank: CharacterBank) -> None:
         if len(value) != count:
             raise ValueError(f"{name} has {len(value)} rows, not {count}")
     limits = {
-        "roles": handles,
-        "order": handles,
-        "parents": handles,
-        "edge_index": handles,
-        "arm_index": handles,
+        "roles": handles, "order": handles, "parents": handles, "edge_index": handles, "arm_index": handles,
         "bone_handles": handles,
-    }
+    }  # fmt: skip
     limits |= {"arm_bones": bones, "bone_parents": bones, "chest_bone": bones}
     for name, limit in limits.items():
         value = getattr(bank, name)
@@ -195,13 +186,9 @@ Row = dict[str, Any]
 
 
 def build_character_bank(
-    folder: str | Path,
-    path: str | Path,
-    rig: Callable[[Character], Handles],
-    code_made: int = 0,
-    variants: int = 2,
+    folder: str | Path, path: str | Path, rig: Callable[[Character], Handles], code_made: int = 0, variants: int = 2,
     progress: Callable[[int, int, str], None] | None = None,
-) -> tuple[Path, dict[str, str]]:
+) -> tuple[Path, dict[str, str]]:  # fmt: skip
     """Pack all rigged characters under a folder.
 
     Args:
@@ -304,11 +291,9 @@ def _varied(character: Character, name: str, random: np.random.Generator) -> Cha
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
     areas = vertex_areas(vertices, character.faces)
     known = known_handles(
-        name,
-        rig.names,
-        joints,
+        name, rig.names, joints,
         handle_of_joints(rig.names, rig.parents, joints, (weights * areas[:, None]).sum(axis=0)),
-    )
+    )  # fmt: skip
     truth = TrainingCharacter(
         name=name, vertices=vertices, normals=np.zeros_like(vertices), areas=areas, edges=np.zeros((0, 2), np.int64),
         weights=weights, joints=joints,
@@ -329,14 +314,9 @@ def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 
 def _row(
-    character: Character,
-    name: str,
-    handles: Handles,
-    rotations: np.ndarray,
-    joints: Joints,
-    scale: float,
+    character: Character, name: str, handles: Handles, rotations: np.ndarray, joints: Joints, scale: float,
     seed: int = 0,
-) -> Row:
+) -> Row:  # fmt: skip
     random = np.random.default_rng([seed, len(character.vertices)])
     index, weights = _top(handles.weights)
     present = joints.present
@@ -364,13 +344,9 @@ def _row(
 
 
 def _arms(
-    character: Character,
-    name: str,
-    handles: Handles,
-    index: np.ndarray,
-    weights: np.ndarray,
+    character: Character, name: str, handles: Handles, index: np.ndarray, weights: np.ndarray,
     random: np.random.Generator,
-) -> Row:
+) -> Row:  # fmt: skip
     """Arm vertices, their weights on handles and on the rig, and the bones of the rig that they need."""
     row: Row = {
         "arms": False, "arm_points": np.zeros((ARM_POINTS, 3)), "arm_index": np.zeros((ARM_POINTS, 4), np.int64),

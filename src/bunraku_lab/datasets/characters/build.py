@@ -35,20 +35,9 @@ from bunraku_lab.synthetic.dressed.people import Dressed, dressed_person
 from bunraku_lab.synthetic.makehuman import MakeHumanBody
 
 __all__ = [
-    "HELD_OUT",
-    "RIGGED",
-    "build_characters",
-    "build_dressed",
-    "find_rig",
-    "load_characters",
-    "load_rigged",
-    "no_characters",
-    "reference_characters",
-    "rigged_files",
-    "training_character",
-    "training_dressed",
-    "whole_head",
-]
+    "HELD_OUT", "RIGGED", "build_characters", "build_dressed", "find_rig", "load_characters", "load_rigged",
+    "no_characters", "reference_characters", "rigged_files", "training_character", "training_dressed", "whole_head",
+]  # fmt: skip
 
 
 MAX_JOINTS, MAX_SHARES, INFLUENCES = 10_000, 50_000_000, 16
@@ -212,14 +201,9 @@ def _read_text(path: Path, data: bytes) -> _Text:
     shares = np.maximum(np.array(reader.shares), 0)
     vertices = np.array(reader.vertices, np.int64)
     return _Text(
-        tuple(reader.joints),
-        np.array(reader.positions),
-        _parents(path, reader),
-        vertices,
-        joints,
-        shares,
+        tuple(reader.joints), np.array(reader.positions), _parents(path, reader), vertices, joints, shares,
         len(reader.seen),
-    )
+    )  # fmt: skip
 
 
 def _parents(path: Path, reader: _Reader) -> np.ndarray:
@@ -325,11 +309,9 @@ def _variants(load: Callable[..., Character], mesh_vertices: int) -> dict[str, t
     learn one tessellation by heart; and in the pose that the file's nodes have, often the middle of a clip.
     """
     return {
-        "": (load, mesh_vertices),
-        "~coarse": (load, round(0.72 * mesh_vertices)),
-        "~fine": (load, round(1.2 * mesh_vertices)),
-        "~posed": (partial(load, rest="default"), mesh_vertices),
-    }
+        "": (load, mesh_vertices), "~coarse": (load, round(0.72 * mesh_vertices)),
+        "~fine": (load, round(1.2 * mesh_vertices)), "~posed": (partial(load, rest="default"), mesh_vertices),
+    }  # fmt: skip
 
 
 RIGGED = (".glb", ".fbx", ".obj")
@@ -360,12 +342,9 @@ def no_characters(folder: Path, suffixes: Sequence[str]) -> FormatError:
 
 
 def build_characters(
-    folder: str | Path,
-    cache: str | Path,
-    mesh_vertices: int = 2400,
-    progress: Callable[[int, int, str], None] | None = None,
-    code_made: int = 0,
-) -> tuple[list[Path], dict[str, str]]:
+    folder: str | Path, cache: str | Path, mesh_vertices: int = 2400,
+    progress: Callable[[int, int, str], None] | None = None, code_made: int = 0,
+) -> tuple[list[Path], dict[str, str]]:  # fmt: skip
     """Build the cache: four npz for each file under a folder (see `_variants`), and one for each sample
     character. What is there already is kept, so a run that was cut off goes on.
 
@@ -495,14 +474,9 @@ def _shares(weights: np.ndarray) -> np.ndarray:
 
 
 def build_dressed(
-    clothes: str | Path,
-    body_data: str | Path,
-    cache: str | Path,
-    count: int = 400,
-    seed: int = 0,
-    mesh_vertices: int = 2400,
-    progress: Callable[[int, int, str], None] | None = None,
-) -> list[Path]:
+    clothes: str | Path, body_data: str | Path, cache: str | Path, count: int = 400, seed: int = 0,
+    mesh_vertices: int = 2400, progress: Callable[[int, int, str], None] | None = None,
+) -> list[Path]:  # fmt: skip
     """Write dressed characters as `dressed/<number>.npz` in a cache of training characters. What is there already is
     kept.
 

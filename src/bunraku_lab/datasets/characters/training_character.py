@@ -18,19 +18,9 @@ from bunraku.core.skinning import skin
 from bunraku.errors import FormatError
 
 __all__ = [
-    "AugmentConfig",
-    "TrainingCharacter",
-    "TrainingMesh",
-    "augment",
-    "facing_rotation",
-    "forward_kinematics",
-    "handle_target",
-    "human_rest",
-    "known_handles",
-    "plain_mesh",
-    "random_pose",
-    "root_joint",
-]
+    "AugmentConfig", "TrainingCharacter", "TrainingMesh", "augment", "facing_rotation", "forward_kinematics",
+    "handle_target", "human_rest", "known_handles", "plain_mesh", "random_pose", "root_joint",
+]  # fmt: skip
 
 
 # Rigs whose bones have no names, or wrong ones: the turn about +Y that makes them face +Z [degrees], and the part of
@@ -311,11 +301,8 @@ def human_rest(rng: np.random.Generator, character: TrainingCharacter, rotations
     for sign, shoulder, arm, leg, shin in ((1, 16, 18, 1, 4), (-1, 17, 19, 2, 5)):
         lift = elevation - _elevation(character, shoulder, arm) + rng.normal(0, 0.1)
         angles = {
-            shoulder: (forward, 0.0, sign * lift),
-            arm: (elbow, 0.0, 0.0),
-            leg: (hip, 0.0, 0.0),
-            shin: (knee, 0.0, 0.0),
-        }
+            shoulder: (forward, 0.0, sign * lift), arm: (elbow, 0.0, 0.0), leg: (hip, 0.0, 0.0), shin: (knee, 0.0, 0.0),
+        }  # fmt: skip
         for handle, turn in angles.items():
             for joint in _first_of(character, handle):
                 rotations[joint] = matrix_from_axis_angle(np.array(turn)) @ rotations[joint]
@@ -356,17 +343,9 @@ def plain_mesh(
     c = character
     posed = skin(c.vertices, c.weights, np.stack(frames)) if frames else np.zeros((0, *c.vertices.shape), np.float32)
     return TrainingMesh(
-        c.vertices,
-        c.normals,
-        c.areas,
-        c.edges,
-        c.weights,
-        c.handles,
-        c.target,
-        c.root,
-        c.height,
+        c.vertices, c.normals, c.areas, c.edges, c.weights, c.handles, c.target, c.root, c.height,
         np.ascontiguousarray(posed),
-    )
+    )  # fmt: skip
 
 
 def augment(

@@ -30,17 +30,9 @@ from bunraku_lab.datasets.motions.clips import load_clip, load_lowest, write_cli
 from bunraku_lab.datasets.motions.sources import FEWEST, Stretch, load_watched, source_of, subject_of
 
 __all__ = [
-    "MotionArchive",
-    "build_motions",
-    "floor_height",
-    "level_feet",
-    "posture_fault",
-    "rolled_limbs",
-    "split_of",
-    "standing_foot_pitch",
-    "subject_pitches",
-    "unrolled",
-]
+    "MotionArchive", "build_motions", "floor_height", "level_feet", "posture_fault", "rolled_limbs", "split_of",
+    "standing_foot_pitch", "subject_pitches", "unrolled",
+]  # fmt: skip
 
 
 ANKLES = (JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle"))
@@ -347,13 +339,9 @@ def build_motions(
     for i, name in enumerate(archive.names):
         clip = archive.clips.get(name, {})
         entries[name] = {
-            "texts": clip.get("texts") or [],
-            "source": clip.get("source", ""),
-            "licence": clip.get("licence", ""),
-            "frames": int(lengths[i]),
-            "split": split_of(name),
-            "weight": clip_weight(name, clip.get("flags") or []),
-        }
+            "texts": clip.get("texts") or [], "source": clip.get("source", ""), "licence": clip.get("licence", ""),
+            "frames": int(lengths[i]), "split": split_of(name), "weight": clip_weight(name, clip.get("flags") or []),
+        }  # fmt: skip
         if name in watched:
             motion, bottom = load_clip(out / f"{name}.npz"), load_lowest(out / f"{name}.npz")
             origin = source_of(name)

@@ -25,22 +25,9 @@ from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import FormatError, OptionError, WeightsError
 
 __all__ = [
-    "Bundle",
-    "BundleFacts",
-    "FORMS",
-    "FPS",
-    "KIND",
-    "MOST_FRAMES",
-    "load_clip",
-    "load_index",
-    "load_lowest",
-    "pack_motion",
-    "read_bundle",
-    "unpack_motion",
-    "write_bundle",
-    "write_clip",
-    "write_index",
-]
+    "Bundle", "BundleFacts", "FORMS", "FPS", "KIND", "MOST_FRAMES", "load_clip", "load_index", "load_lowest",
+    "pack_motion", "read_bundle", "unpack_motion", "write_bundle", "write_clip", "write_index",
+]  # fmt: skip
 
 
 def write_clip(path: Path, motion: HandleMotion, lowest: np.ndarray | None = None) -> None:
@@ -56,11 +43,9 @@ def write_clip(path: Path, motion: HandleMotion, lowest: np.ndarray | None = Non
     """
     arrays: dict[str, Any] = {
         "translations": motion.translations.astype(np.float16),
-        "rotations6d": matrix_to_6d(motion.rotations).astype(np.float16),
-        "root_translation": motion.root_translation,
-        "root_rotation6d": matrix_to_6d(motion.root_rotation),
-        "fps": np.float32(motion.fps),
-    }
+        "rotations6d": matrix_to_6d(motion.rotations).astype(np.float16), "root_translation": motion.root_translation,
+        "root_rotation6d": matrix_to_6d(motion.root_rotation), "fps": np.float32(motion.fps),
+    }  # fmt: skip
     if lowest is not None:
         arrays["lowest"] = lowest.astype(np.float16)
     with atomic_write(path) as file:
@@ -249,13 +234,9 @@ class Bundle:
 
 
 def write_bundle(
-    folder: Path,
-    path: Path,
-    mesh_bank: Path | None = None,
-    people: str = "skeleton",
-    splits: Collection[str] = ("train", "val"),
-    progress: Callable[[int, int], None] | None = None,
-) -> BundleFacts:
+    folder: Path, path: Path, mesh_bank: Path | None = None, people: str = "skeleton",
+    splits: Collection[str] = ("train", "val"), progress: Callable[[int, int], None] | None = None,
+) -> BundleFacts:  # fmt: skip
     """Pack what training reads of a folder of clips.
 
     Args:
@@ -315,12 +296,9 @@ def write_bundle(
     save_checkpoint(path, tensors, config, KIND)
     distances = np.concatenate(errors)
     return BundleFacts(
-        len(kept),
-        sum(entry["frames"] for entry in kept.values()),
-        path.stat().st_size,
-        float(distances.mean()),
+        len(kept), sum(entry["frames"] for entry in kept.values()), path.stat().st_size, float(distances.mean()),
         float(np.quantile(distances, 0.99)),
-    )
+    )  # fmt: skip
 
 
 def _distances(one: HandleMotion, other: HandleMotion) -> np.ndarray:

@@ -29,23 +29,10 @@ from bunraku_lab.datasets.motions.build import split_of
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, write_clip, write_index
 
 __all__ = [
-    "CreatureBody",
-    "CreatureClip",
-    "HELD_OUT_SPECIES",
-    "add_creatures",
-    "add_game_clips",
-    "clip_vertices",
-    "creature_body",
-    "creature_clips",
-    "creature_split",
-    "forward_speed",
-    "known_plan",
-    "played_on",
-    "present_files",
-    "reference_clip",
-    "reference_motion",
-    "with_travel",
-]
+    "CreatureBody", "CreatureClip", "HELD_OUT_SPECIES", "add_creatures", "add_game_clips", "clip_vertices",
+    "creature_body", "creature_clips", "creature_split", "forward_speed", "known_plan", "played_on", "present_files",
+    "reference_clip", "reference_motion", "with_travel",
+]  # fmt: skip
 
 
 def present_files(folder: Path, files: Iterable[str]) -> list[str]:
@@ -148,21 +135,9 @@ FPS = 20.0
 LEAST_FRAMES = 8
 _TRAVELS = ("walk", "run", "trot", "gallop", "sneak", "crawl", "carry", "run carry")
 _CYCLES = (
-    *_TRAVELS,
-    "swim",
-    "swim fast",
-    "swim impulse",
-    "fly",
-    "glide",
-    "hover",
-    "idle",
-    "idle head low",
-    "alert",
-    "eat",
-    "sleep",
-    "sit",
-    "dance",
-)
+    *_TRAVELS, "swim", "swim fast", "swim impulse", "fly", "glide", "hover", "idle", "idle head low", "alert", "eat",
+    "sleep", "sit", "dance",
+)  # fmt: skip
 LEAST_LOOP = 40  # frames to which shorter loops are played on
 _SEEN_ON_PEOPLE = ("walk", "run", "idle", "crawl")  # motion capture has these, and game clips of them are poorer
 _FLOATS = ("fish", "flyer", "snake", "blob")

@@ -19,21 +19,9 @@ LEAST, MOST, FARTHEST = 2.5, 3.9, 0.9  # rad, rad, m
 MARGIN = 6  # frames kept before and after
 _WALKS = ("walk", "turn", "stand", "push", "stop")
 _OTHERS = (
-    "dance",
-    "jete",
-    "pirouette",
-    "wheel",
-    "ball",
-    "tennis",
-    "jump",
-    "hop",
-    "climb",
-    "sit",
-    "pick",
-    "uneven",
-    "spiral",
+    "dance", "jete", "pirouette", "wheel", "ball", "tennis", "jump", "hop", "climb", "sit", "pick", "uneven", "spiral",
     "playground",
-)
+)  # fmt: skip
 
 
 def find_turn(motion: HandleMotion) -> tuple[int, int, float] | None:

@@ -13,14 +13,7 @@ from typing import Any
 
 from bunraku.errors import FormatError
 
-__all__ = [
-    "Source",
-    "Stretch",
-    "credit_lines",
-    "load_watched",
-    "source_of",
-    "subject_of",
-]
+__all__ = ["Source", "Stretch", "credit_lines", "load_watched", "source_of", "subject_of"]
 
 
 _CUT = "turn_"

@@ -24,14 +24,7 @@ from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.character import Character, Rig, top_influences
 from bunraku_lab.evaluation.apparel.clips import RATE, TrueClip, edge_score, insides, point_distance
 
-__all__ = [
-    "FileChain",
-    "chain_parameters_from_file",
-    "chain_row",
-    "chain_summary",
-    "chained_clip",
-    "chains_from_file",
-]
+__all__ = ["FileChain", "chain_parameters_from_file", "chain_row", "chain_summary", "chained_clip", "chains_from_file"]
 
 
 LOCKED = np.radians(1.0)
@@ -192,10 +185,8 @@ def chain_row(clip: TrueClip, told: Character | None = None) -> dict[str, Any]:
     index[vertices] = np.arange(len(vertices))
     edges, rest = index[clip.edges()], clothed.rest[vertices]
     shown = {
-        "rigid": clip.carried(vertices)[few],
-        "chains": moved[few][:, vertices],
-        "truth": clip.truth(vertices)[few],
-    }
+        "rigid": clip.carried(vertices)[few], "chains": moved[few][:, vertices], "truth": clip.truth(vertices)[few],
+    }  # fmt: skip
     more = {}
     if told is not None:
         own, flown = chained_clip(clip, told)

@@ -32,21 +32,9 @@ from bunraku_lab.datasets.apparel.checks import PushOut, deep_inside
 from bunraku_lab.datasets.apparel.plan import character_split
 
 __all__ = [
-    "TrueClip",
-    "clip_row",
-    "data_clips",
-    "drift_row",
-    "edge_score",
-    "file_clips",
-    "frame_milliseconds",
-    "insides",
-    "long_clip",
-    "made_clips",
-    "oracle_skinning",
-    "point_distance",
-    "safe_truth",
-    "ten_frames",
-]
+    "TrueClip", "clip_row", "data_clips", "drift_row", "edge_score", "file_clips", "frame_milliseconds", "insides",
+    "long_clip", "made_clips", "oracle_skinning", "point_distance", "safe_truth", "ten_frames",
+]  # fmt: skip
 
 
 def point_distance(points: np.ndarray, truth: np.ndarray) -> np.ndarray:

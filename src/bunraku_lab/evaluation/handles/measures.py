@@ -16,40 +16,19 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import handle_offsets, part_means, register, skin
 
 __all__ = [
-    "FAR",
-    "NAMED_PARTS",
-    "STRETCHED",
-    "accepted_handles",
-    "carried",
-    "drive",
-    "edge_error",
-    "edge_stretch",
-    "main_handles",
-    "part_handles",
-    "part_meaning",
-    "part_purity",
-    "pose_error",
-    "refine_registration",
-    "resampled",
-    "root_error",
-    "same_main_handle",
-    "stretch_of",
-    "truncation_error",
-    "weight_difference",
-]
+    "FAR", "NAMED_PARTS", "STRETCHED", "accepted_handles", "carried", "drive", "edge_error", "edge_stretch",
+    "main_handles", "part_handles", "part_meaning", "part_purity", "pose_error", "refine_registration", "resampled",
+    "root_error", "same_main_handle", "stretch_of", "truncation_error", "weight_difference",
+]  # fmt: skip
 
 
 _LIGHT = 1e-3  # weight under which a vertex has no say in a part
 
 
 def refine_registration(
-    source: np.ndarray,
-    targets: np.ndarray,
-    weights: np.ndarray,
-    transforms: np.ndarray,
-    fixed: tuple[int, ...] = (),
+    source: np.ndarray, targets: np.ndarray, weights: np.ndarray, transforms: np.ndarray, fixed: tuple[int, ...] = (),
     sweeps: int = 6,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Improve the motions of parts so that their blend comes closer to the targets, in the sense of least squares.
 
     Args:

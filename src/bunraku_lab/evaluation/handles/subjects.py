@@ -26,17 +26,9 @@ from bunraku_lab.datasets.characters.training_character import (
 )
 
 __all__ = [
-    "ARCHIVE",
-    "AVATARS",
-    "Subject",
-    "WARDROBE",
-    "detailed_subjects",
-    "find_files",
-    "is_humanoid",
-    "load_subject",
-    "subject",
-    "subject_name",
-]
+    "ARCHIVE", "AVATARS", "Subject", "WARDROBE", "detailed_subjects", "find_files", "is_humanoid", "load_subject",
+    "subject", "subject_name",
+]  # fmt: skip
 
 
 _NEEDED = tuple(

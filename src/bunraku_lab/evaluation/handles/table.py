@@ -33,18 +33,9 @@ from bunraku_lab.evaluation.handles.subjects import Subject, find_files, load_su
 from bunraku_lab.evaluation.report import Bar, measured_in, percent, reached_bars
 
 __all__ = [
-    "BARS",
-    "Predict",
-    "Reference",
-    "code_made_subjects",
-    "evaluate_handles",
-    "folder_subjects",
-    "measure_orientation",
-    "measure_subject",
-    "prediction_seconds",
-    "purity_of",
-    "resolution_differences",
-]
+    "BARS", "Predict", "Reference", "code_made_subjects", "evaluate_handles", "folder_subjects", "measure_orientation",
+    "measure_subject", "prediction_seconds", "purity_of", "resolution_differences",
+]  # fmt: skip
 
 
 BARE, RULED = ".obj", ".glb"
@@ -83,11 +74,9 @@ def measure_orientation(one: Subject) -> dict[str, Any]:
         warned.append(not standing.sure)
     return {
         "orientation_humanoids" if one.humanoid else "orientation_creatures": float(np.mean(both)),
-        "orientation_up": float(np.mean(ups)),
-        "orientation_front": float(np.mean(fronts)),
-        "orientation_upright": float(upright),
-        "orientation_warned": float(np.mean(warned)) if warned else None,
-    }
+        "orientation_up": float(np.mean(ups)), "orientation_front": float(np.mean(fronts)),
+        "orientation_upright": float(upright), "orientation_warned": float(np.mean(warned)) if warned else None,
+    }  # fmt: skip
 
 
 def _judged(seen: np.ndarray, suffix: str) -> Orientation:
@@ -414,16 +403,10 @@ def _mean(rows: Iterable[Mapping[str, float | None]], key: str) -> float | None:
 
 
 def evaluate_handles(
-    subjects: dict[str, Load],
-    *,
-    detailed: dict[str, Load] | None = None,
-    checkpoint: str | Path | None = None,
-    baselines: bool = True,
-    speed: bool = True,
-    seed: int = 0,
-    jobs: int | str = 1,
+    subjects: dict[str, Load], *, detailed: dict[str, Load] | None = None, checkpoint: str | Path | None = None,
+    baselines: bool = True, speed: bool = True, seed: int = 0, jobs: int | str = 1,
     progress: Callable[[str, float], None] | None = None,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """Measure the predictor on characters.
 
     Args:
@@ -484,21 +467,16 @@ def evaluate_handles(
     if rivals and result["reached"]["pose_error"]:
         result["reached"]["pose_error"] = bool(result["pose_error"] < min(rivals))
     result["counts"] = {
-        "characters": len(rows),
-        "humanoids": sum(row["humanoid"] for row in rows),
-        "resampled": len(chosen),
+        "characters": len(rows), "humanoids": sum(row["humanoid"] for row in rows), "resampled": len(chosen),
         "detailed": len(fine),
-    }
+    }  # fmt: skip
     return result | {"left_out": left_out, "characters": rows, "detailed": fine}
 
 
 def _detailed(
-    people: dict[str, Load],
-    known: dict[str, float | None],
-    predict: Predict,
-    left_out: dict[str, str],
+    people: dict[str, Load], known: dict[str, float | None], predict: Predict, left_out: dict[str, str],
     report: Callable[[str, float], None],
-) -> dict[str, float]:
+) -> dict[str, float]:  # fmt: skip
     """Part purity of each detailed person by name; those that are measured already are not looked at again."""
     out: dict[str, float] = {}
     for number, (name, load) in enumerate(people.items()):

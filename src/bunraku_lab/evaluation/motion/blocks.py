@@ -35,12 +35,9 @@ SCRIPT = (
 )  # fmt: skip
 """The clip of 60 s of five prompts, 12 s each."""
 FAST_SCRIPT = (
-    "a person walks forward",
-    "a person runs",
-    "a person jumps up",
-    "a person dances",
+    "a person walks forward", "a person runs", "a person jumps up", "a person dances",
     "a person waves with the right hand",
-)
+)  # fmt: skip
 """The same with what is many times as fast as the median by nature."""
 SEAM_SEEDS = 3
 
@@ -107,12 +104,9 @@ def seam_block(config: MotionEvalConfig) -> dict[str, float]:
         parts = clauses_of((prompt, 12.0) for prompt in script)
         seeds = [config.seed + number for number in range(SEAM_SEEDS)]
         motions = generate_motions(
-            [parts] * SEAM_SEEDS,
-            seeds=seeds,
-            steps=config.steps,
-            guidance=config.guidance,
+            [parts] * SEAM_SEEDS, seeds=seeds, steps=config.steps, guidance=config.guidance,
             checkpoint=config.checkpoint,
-        )
+        )  # fmt: skip
         found = [
             measure_seams(motion, [round(12 * number * motion.fps) for number in range(1, len(script))])
             for motion in motions
@@ -169,13 +163,9 @@ def arap_block(config: MotionEvalConfig, quick: bool, progress: Progress) -> dic
     files = [file for unseen in (False, True) for file in chosen_files(config.characters, unseen, 3 if quick else 15)]
     characters = load_named(files, config.characters, progress=lambda done: progress(0.3 * done))
     return arap_figures(
-        characters,
-        config.checkpoint,
-        2 if quick else 6,
-        config.steps,
-        config.seed,
+        characters, config.checkpoint, 2 if quick else 6, config.steps, config.seed,
         lambda done: progress(0.3 + 0.7 * done),
-    )
+    )  # fmt: skip
 
 
 def _windows(

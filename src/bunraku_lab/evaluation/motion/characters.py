@@ -26,25 +26,10 @@ from bunraku_lab.datasets.characters.build import HELD_OUT
 from bunraku_lab.evaluation.handles.subjects import find_files, load_subject, subject_name
 
 __all__ = [
-    "ARAP_PROMPTS",
-    "ArapRow",
-    "ArapTable",
-    "Gauge",
-    "MotionQuality",
-    "Named",
-    "animation_arap",
-    "arap_figures",
-    "arap_loss",
-    "chosen_files",
-    "foot_figures",
-    "gauge",
-    "load_named",
-    "measure",
-    "measure_adaptation",
-    "mesh_features",
-    "pooled",
-    "stage_effects",
-]
+    "ARAP_PROMPTS", "ArapRow", "ArapTable", "Gauge", "MotionQuality", "Named", "animation_arap", "arap_figures",
+    "arap_loss", "chosen_files", "foot_figures", "gauge", "load_named", "measure", "measure_adaptation",
+    "mesh_features", "pooled", "stage_effects",
+]  # fmt: skip
 
 
 ARAP_PROMPTS: tuple[str, ...] = (
@@ -146,16 +131,10 @@ STRIDE = 2
 
 
 def measure_adaptation(
-    characters: Sequence[tuple[str, Character, Handles]],
-    prompts: Sequence[str] = ARAP_PROMPTS,
-    *,
-    seconds: float = 3.0,
-    steps: int | None = None,
-    seed: int = 0,
-    checkpoint: str | Path | None = None,
-    stages: Stages | None = None,
-    progress: Callable[[str, float], None] | None = None,
-) -> ArapTable:
+    characters: Sequence[tuple[str, Character, Handles]], prompts: Sequence[str] = ARAP_PROMPTS, *,
+    seconds: float = 3.0, steps: int | None = None, seed: int = 0, checkpoint: str | Path | None = None,
+    stages: Stages | None = None, progress: Callable[[str, float], None] | None = None,
+) -> ArapTable:  # fmt: skip
     """ARAP-Loss of generated motions on characters, with and without the adaptation; the motions are the same.
 
     Args:
@@ -278,14 +257,9 @@ def gauge(character: Character, handles: Handles) -> Gauge:
     floor = float(character.vertices[stands, 1].min())
     feet = tuple(leg.foot_area[:: max(1, len(leg.foot_area) // POINTS)] for leg in legs)
     return Gauge(
-        character,
-        handles,
-        feet,
-        tuple(leg.length for leg in legs),
-        stands[:: max(1, len(stands) // SINK)],
-        joints.present,
-        floor,
-    )
+        character, handles, feet, tuple(leg.length for leg in legs), stands[:: max(1, len(stands) // SINK)],
+        joints.present, floor,
+    )  # fmt: skip
 
 
 def _slides(what: Gauge, transforms: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray, int]:
@@ -473,13 +447,9 @@ def arap_figures(
     characters.
     """
     table = measure_adaptation(
-        characters,
-        ARAP_PROMPTS[:prompts],
-        steps=steps,
-        seed=seed,
-        checkpoint=checkpoint,
+        characters, ARAP_PROMPTS[:prompts], steps=steps, seed=seed, checkpoint=checkpoint,
         progress=lambda stage, done: progress(done),
-    )
+    )  # fmt: skip
     out: dict[str, float | None] = {}
     for unseen, word in ((False, "seen"), (True, "unseen")):
         means = table.means(unseen)

@@ -20,23 +20,10 @@ from bunraku.generation.features import decode
 from bunraku.retarget.fit import fit_motion
 
 __all__ = [
-    "BODIES",
-    "Interval",
-    "SeamReport",
-    "body_handles",
-    "diversity",
-    "fid",
-    "frechet_distance",
-    "handle_fid",
-    "handle_samples",
-    "interval",
-    "measure_seams",
-    "multimodal_distance",
-    "multimodality",
-    "posed_positions",
-    "r_precision",
-    "t_quantile",
-]
+    "BODIES", "Interval", "SeamReport", "body_handles", "diversity", "fid", "frechet_distance", "handle_fid",
+    "handle_samples", "interval", "measure_seams", "multimodal_distance", "multimodality", "posed_positions",
+    "r_precision", "t_quantile",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -25,19 +25,9 @@ if TYPE_CHECKING:
     from bunraku.language.encoders import TextEncoder
 
 __all__ = [
-    "LENGTHS",
-    "Request",
-    "SHORTEST",
-    "SamplerSettings",
-    "Window",
-    "candidate_sentences",
-    "checkpoint_digest",
-    "choose_motions",
-    "draw_windows",
-    "make_motions",
-    "window_features",
-    "window_meaning",
-]
+    "LENGTHS", "Request", "SHORTEST", "SamplerSettings", "Window", "candidate_sentences", "checkpoint_digest",
+    "choose_motions", "draw_windows", "make_motions", "window_features", "window_meaning",
+]  # fmt: skip
 
 
 SHORTEST = 40
@@ -85,12 +75,9 @@ def _shares(clips: Mapping[str, ClipEntry], names: list[str]) -> np.ndarray:
 
 
 def draw_windows(
-    clips: Mapping[str, ClipEntry],
-    count: int,
-    random: np.random.Generator,
-    shortest: int = SHORTEST,
+    clips: Mapping[str, ClipEntry], count: int, random: np.random.Generator, shortest: int = SHORTEST,
     longest: int = 196,
-) -> list[Window]:
+) -> list[Window]:  # fmt: skip
     """Windows at random places, half of them mirrored.
 
     A clip of at most `longest` frames gives windows of three fifths of its length or more; a longer one of three fifths
@@ -161,12 +148,10 @@ def candidate_sentences(
                 "asked for"
             )
         drawn = [others[index] for index in random.permutation(len(others))[: count - 1]]
-        rows.append(
-            [
-                window.sentence,
-                *(by_meaning[meaning][int(random.integers(len(by_meaning[meaning])))] for meaning in drawn),
-            ]
-        )
+        rows.append([
+            window.sentence,
+            *(by_meaning[meaning][int(random.integers(len(by_meaning[meaning])))] for meaning in drawn),
+        ])  # fmt: skip
     return rows
 
 
@@ -223,16 +208,10 @@ def checkpoint_digest(path: Path) -> str:
 
 
 def make_motions(
-    model: Denoiser,
-    encoder: TextEncoder,
-    requests: Sequence[Request],
-    sampling: SamplerSettings,
-    *,
-    folder: Path | None = None,
-    digest: str = "",
-    mesh_feature: np.ndarray | None = None,
+    model: Denoiser, encoder: TextEncoder, requests: Sequence[Request], sampling: SamplerSettings, *,
+    folder: Path | None = None, digest: str = "", mesh_feature: np.ndarray | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> list[np.ndarray]:
+) -> list[np.ndarray]:  # fmt: skip
     """Motions in the order of the requests, features in the data's units, each of shape (N, 271), float32.
 
     Args:
@@ -283,13 +262,9 @@ def make_motions(
 
 
 def choose_motions(
-    requests: Sequence[Request],
-    sampling: SamplerSettings,
-    checkpoint: Path,
-    *,
-    folder: Path | None = None,
+    requests: Sequence[Request], sampling: SamplerSettings, checkpoint: Path, *, folder: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> list[np.ndarray]:
+) -> list[np.ndarray]:  # fmt: skip
     """Motions as `bunraku animate` makes and chooses them, before they are fitted to a character; otherwise as
     `make_motions`.
 
@@ -323,11 +298,9 @@ def choose_motions(
 
 
 def _kept(
-    requests: Sequence[Request],
-    home: Path | None,
-    make: Callable[[list[int], int], np.ndarray],
+    requests: Sequence[Request], home: Path | None, make: Callable[[list[int], int], np.ndarray],
     progress: Callable[[int, int], None] | None,
-) -> list[np.ndarray]:
+) -> list[np.ndarray]:  # fmt: skip
     """Motions in the order of the requests, made in batches, each read from its folder where it is there already.
 
     Args:

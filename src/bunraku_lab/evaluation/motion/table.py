@@ -120,14 +120,9 @@ class Row:
 
 
 def measure_rows(
-    rows: Mapping[str, Row],
-    references: np.ndarray,
-    windows: list[Window],
-    clips: Mapping[str, ClipEntry],
-    sentences: Mapping[str, np.ndarray],
-    config: MotionEvalConfig,
-    report: Report,
-) -> None:
+    rows: Mapping[str, Row], references: np.ndarray, windows: list[Window], clips: Mapping[str, ClipEntry],
+    sentences: Mapping[str, np.ndarray], config: MotionEvalConfig, report: Report,
+) -> None:  # fmt: skip
     """All runs: adds the measures of each to the rows.
 
     Args:

@@ -24,27 +24,10 @@ from bunraku.retarget.stages.animals import pairs_of
 from bunraku_lab.evaluation.motion.metrics import posed_positions
 
 __all__ = [
-    "DOERS",
-    "Pair",
-    "Slides",
-    "Wave",
-    "floating",
-    "gait_of",
-    "hands_in_body",
-    "heading_drift",
-    "kicking_side",
-    "lowest_points",
-    "moving_speed",
-    "punching_side",
-    "raised_side",
-    "sits",
-    "sliding_contacts",
-    "stepped_side",
-    "tremor",
-    "turned",
-    "wave_of",
-    "waving_side",
-]
+    "DOERS", "Pair", "Slides", "Wave", "floating", "gait_of", "hands_in_body", "heading_drift", "kicking_side",
+    "lowest_points", "moving_speed", "punching_side", "raised_side", "sits", "sliding_contacts", "stepped_side",
+    "tremor", "turned", "wave_of", "waving_side",
+]  # fmt: skip
 
 
 DOWN = 0.05  # m over the ground; what is higher stands on nothing

@@ -239,10 +239,8 @@ def _like_captured(make: Make, data: Path, seeds: int) -> dict[str, Any]:
     rough = [row["ratio"] for row in tremors.values() if row["ratio"] is not None]
     return {
         "speed_over_captured": max(ratios, key=lambda ratio: abs(np.log(max(ratio, 1e-9))), default=None),
-        "jitter_over_real": max(rough, default=None),
-        "speed_by_action": speeds,
-        "jitter_by_action": tremors,
-    }
+        "jitter_over_real": max(rough, default=None), "speed_by_action": speeds, "jitter_by_action": tremors,
+    }  # fmt: skip
 
 
 def _compared(

@@ -151,12 +151,10 @@ def measured_table(table: PaperTable, figures: Figures, not_run: str = "") -> di
             own = figures.get(row.name, {}).get(column)
             base = paper_of.get(table.reference)
             cells[column] = {
-                "paper": said,
-                "ours": own,
-                "interval": figures.get(row.name, {}).get(f"{column} {EITHER_WAY}"),
+                "paper": said, "ours": own, "interval": figures.get(row.name, {}).get(f"{column} {EITHER_WAY}"),
                 "paper_over_reference": _over(said, None if base is None else base[index]),
                 "ours_over_reference": _over(own, figures.get(own_reference, {}).get(column)),
-            }
+            }  # fmt: skip
         reason = "" if row.name in figures else row.missing or not_run or "its group measured no such row"
         rows.append({"name": row.name, "cells": cells, "not_run": reason})
     return {

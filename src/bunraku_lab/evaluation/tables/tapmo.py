@@ -65,19 +65,9 @@ if TYPE_CHECKING:
     from bunraku.generation.networks import Networks
 
 __all__ = [
-    "DistortionConfig",
-    "HANDLE_FID",
-    "MDM",
-    "NO_STAGES",
-    "SFR",
-    "TAPMO",
-    "adapted_weights",
-    "body_samples",
-    "measure_distortion",
-    "measure_handles",
-    "transferred_motion",
-    "transfers_of",
-]
+    "DistortionConfig", "HANDLE_FID", "MDM", "NO_STAGES", "SFR", "TAPMO", "adapted_weights", "body_samples",
+    "measure_distortion", "measure_handles", "transferred_motion", "transfers_of",
+]  # fmt: skip
 
 
 SFR = "MDM-SFR"

@@ -24,16 +24,9 @@ from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts
 
 __all__ = [
-    "SUFFIXES",
-    "Source",
-    "carried_heads",
-    "facing_character",
-    "ground_heights",
-    "limb_angles",
-    "measure_character",
-    "named_front",
-    "off_ground",
-]
+    "SUFFIXES", "Source", "carried_heads", "facing_character", "ground_heights", "limb_angles", "measure_character",
+    "named_front", "off_ground",
+]  # fmt: skip
 
 
 LEAP = 0.6

@@ -135,12 +135,9 @@ def _four_legged(character: Character, name: str) -> RigParts | None:
 
 
 def measure_quadrupeds(
-    characters: Mapping[str, Path],
-    *,
-    word: str = "walk",
-    sources: int = 3,
+    characters: Mapping[str, Path], *, word: str = "walk", sources: int = 3,
     progress: Callable[[str, float], None] | None = None,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """Clips of four-legged animals, written as captured skeletons, on the predicted handles of all others and of the
     sample dog.
 

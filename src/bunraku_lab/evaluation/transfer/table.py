@@ -35,17 +35,9 @@ from bunraku_lab.evaluation.transfer.character import (
 from bunraku_lab.evaluation.transfer.quadrupeds import measure_quadrupeds
 
 __all__ = [
-    "BARS",
-    "KINDS",
-    "MANY",
-    "bvh_again",
-    "evaluate_transfer",
-    "leg_reach",
-    "measure_soles",
-    "pick_motions",
-    "sole_gaps",
-    "times",
-]
+    "BARS", "KINDS", "MANY", "bvh_again", "evaluate_transfer", "leg_reach", "measure_soles", "pick_motions",
+    "sole_gaps", "times",
+]  # fmt: skip
 
 
 MANY = 20_000  # vertices of the character that is timed
@@ -126,11 +118,9 @@ def _bvh_seconds() -> float:
     parents = np.array([-1] + [max(0, joint - 1 - joint % 5) for joint in range(1, 31)])
     swing = np.sin(np.linspace(0, 300, 14_400))[:, None, None] * random.normal(size=(1, 31, 3))
     motion = SkeletalMotion(
-        Skeleton(names, parents, random.normal(size=(31, 3)) * 0.2),
-        matrix_from_axis_angle(swing),
-        np.zeros((14_400, 3)),
-        120.0,
-    )
+        Skeleton(names, parents, random.normal(size=(31, 3)) * 0.2), matrix_from_axis_angle(swing),
+        np.zeros((14_400, 3)), 120.0,
+    )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         path = write_bvh(motion, Path(folder) / "long.bvh")
         taken = []
@@ -187,11 +177,9 @@ def measure_soles(folder: str | Path | None, failed: dict[str, str]) -> dict[str
         np.concatenate([legs[key] for legs in found]) for key in ("reached", "gap", "beyond", "target")
     )
     return {
-        "soles": float(gap[reached].max()) if reached.any() else None,
-        "soles_reached": float(reached.mean()),
-        "soles_beyond": 0.0 if reached.all() else float(beyond[~reached].max()),
-        "soles_target": float(target.max()),
-    }
+        "soles": float(gap[reached].max()) if reached.any() else None, "soles_reached": float(reached.mean()),
+        "soles_beyond": 0.0 if reached.all() else float(beyond[~reached].max()), "soles_target": float(target.max()),
+    }  # fmt: skip
 
 
 def sole_gaps(character: Character, model: MmdModel, vmd: VmdMotion) -> list[dict[str, np.ndarray]]:
@@ -338,16 +326,9 @@ def pick_motions(folder: str | Path) -> dict[str, Path]:
 
 
 def evaluate_transfer(
-    characters: str | Path,
-    motions: str | Path,
-    *,
-    mmd: str | Path | None = None,
-    limit: int | None = None,
-    work: str | Path | None = None,
-    speed: bool = True,
-    jobs: int | str = 1,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
+    characters: str | Path, motions: str | Path, *, mmd: str | Path | None = None, limit: int | None = None,
+    work: str | Path | None = None, speed: bool = True, jobs: int | str = 1, progress: Progress | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Measure all rows.
 
     Args:

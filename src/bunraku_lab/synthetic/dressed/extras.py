@@ -88,9 +88,12 @@ def ears(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Pie
     pieces = []
     for side in (1, -1):
         out = np.array([side * np.sin(angle), np.cos(angle), 0])
-        curve = center + half * out * 0.92 + length * t * (out + [0, 0, -lean]) + length * bend * t * t * np.array([
-            side * 0.6, 0.3, 0.4,
-        ])  # fmt: skip
+        curve = (
+            center
+            + half * out * 0.92
+            + length * t * (out + [0, 0, -lean])
+            + length * bend * t * t * np.array([side * 0.6, 0.3, 0.4])
+        )
         points, faces = _tube(curve, wide * np.sin(np.pi * (0.35 + 0.63 * t[:, 0])), 8)
         pieces.append(_rigid(points, faces, "head", "head_top"))
     return joined(pieces)

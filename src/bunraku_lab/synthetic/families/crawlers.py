@@ -168,9 +168,11 @@ def bee(m: Model) -> None:
         for pair in range(pairs):
             t, v = np.linspace(0, 1, 11)[:, None, None], np.linspace(-0.5, 0.5, 5)[None, :, None]
             direction = np.array([s * np.cos(lift), np.sin(lift), -sweep - 0.7 * pair]) * (1 - 0.3 * pair)
-            grid = root + t * span * direction + v * chord * np.sin(np.pi * (0.06 + 0.9 * t**0.7)) * np.array([
-                0, -0.3, 1.0,
-            ])  # fmt: skip
+            grid = (
+                root
+                + t * span * direction
+                + v * chord * np.sin(np.pi * (0.06 + 0.9 * t**0.7)) * np.array([0, -0.3, 1.0])
+            )
             m.sheet(grid, f"{side}Wing", f"wing {side}", u(0.005, 0.02))
     if m.chance(0.7):
         _antennae(m, centre, head)

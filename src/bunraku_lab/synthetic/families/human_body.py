@@ -270,9 +270,11 @@ def _trunk(m: Model, h: Human) -> None:
             )  # fmt: skip
     neck, head = m.at("Neck"), m.at("Head")
     if h.neck > 0.008:
-        thick = min(u(0.2, 0.42) * h.head, 0.55 * h.chest) if h.kind != "realistic" else u(
-            0.22, 0.32,
-        ) * h.head * h.girth**0.4  # fmt: skip
+        thick = (
+            min(u(0.2, 0.42) * h.head, 0.55 * h.chest)
+            if h.kind != "realistic"
+            else u(0.22, 0.32) * h.head * h.girth**0.4
+        )
         m.limb(
             [neck - [0, 0.03 * h.trunk, 0], head + [0, 0.06 * h.head, 0]], [thick * 1.1, thick * 0.9], "Neck", "trunk",
             blend=0.6,

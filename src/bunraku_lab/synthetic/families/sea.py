@@ -45,9 +45,11 @@ def fish(m: Model) -> None:
     if m.chance(0.1):
         high, wide = wide * 0.8, high
     nose, peak, root = u(0.02, 0.12), u(0.25, 0.45), u(0.68, 0.82)
-    marks = (0.1, u(0.28, 0.38), u(0.46, 0.54), u(0.57, 0.63), 0.1) if toy else (
-        0.1, u(0.18, 0.25), u(0.33, 0.42), u(0.5, 0.58), 0.05,
-    )  # fmt: skip
+    marks = (
+        (0.1, u(0.28, 0.38), u(0.46, 0.54), u(0.57, 0.63), 0.1)
+        if toy
+        else (0.1, u(0.18, 0.25), u(0.33, 0.42), u(0.5, 0.58), 0.05)
+    )
     body = _spine(m, marks, int(m.rng.integers(3, 5)))
     stem = high * u(0.15, 0.35)
     z = [0.5 - nose - high * 0.4, 0.5 - peak, 0.5 - root, -0.42]

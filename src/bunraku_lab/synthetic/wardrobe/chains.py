@@ -94,9 +94,11 @@ class Chains:
             across = np.zeros(len(along))
         left = np.floor(across).astype(np.int64)
         aside = across - left
-        left, right = (left % count, (left + 1) % count) if self.closed else (
-            np.clip(left, 0, count - 1), np.clip(left + 1, 0, count - 1),
-        )  # fmt: skip
+        left, right = (
+            (left % count, (left + 1) % count)
+            if self.closed
+            else (np.clip(left, 0, count - 1), np.clip(left + 1, 0, count - 1))
+        )
         bones = np.stack([table[left, low], table[left, low + 1], table[right, low], table[right, low + 1]], axis=1)
         shares = np.stack([(1 - aside) * (1 - down), (1 - aside) * down, aside * (1 - down), aside * down], axis=1)
         return bones, shares

@@ -25,17 +25,9 @@ from bunraku_lab.training.losses.meshes import ARM_VERTICES, Fitted, MeshDraw, M
 from bunraku_lab.training.rows.clip_rows import ClipSet
 
 __all__ = [
-    "AdaptationHead",
-    "AdaptationPairs",
-    "EdgeSystem",
-    "MeshLosses",
-    "PairPlan",
-    "arap_labels",
-    "collect_pairs",
-    "edge_system",
-    "label_distance",
-    "whitening",
-]
+    "AdaptationHead", "AdaptationPairs", "EdgeSystem", "MeshLosses", "PairPlan", "arap_labels", "collect_pairs",
+    "edge_system", "label_distance", "whitening",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -106,13 +98,9 @@ def edge_system(fitted: Fitted, bank: CharacterBank, picked: Tensor | None = Non
 
 @torch.no_grad()
 def arap_labels(
-    system: EdgeSystem,
-    start: Tensor,
-    strength: float | Tensor = 3.0,
-    steps: int = 3,
-    longest: float = LOOSE_ON_PEOPLE,
+    system: EdgeSystem, start: Tensor, strength: float | Tensor = 3.0, steps: int = 3, longest: float = LOOSE_ON_PEOPLE,
     calm: float = 0.0,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """The adaptation that keeps edges at their lengths [TapMo 10], shape (B, N, K, 3).
 
     Args:
@@ -305,15 +293,9 @@ class PairPlan:
 
 @torch.no_grad()
 def collect_pairs(
-    model: Denoiser,
-    encoder: TextEncoder,
-    clips: ClipSet,
-    bank: CharacterBank,
-    rows: np.ndarray,
-    folder: Path,
-    plan: PairPlan,
-    progress: Callable[[int, int], None] | None = None,
-) -> AdaptationPairs:
+    model: Denoiser, encoder: TextEncoder, clips: ClipSet, bank: CharacterBank, rows: np.ndarray, folder: Path,
+    plan: PairPlan, progress: Callable[[int, int], None] | None = None,
+) -> AdaptationPairs:  # fmt: skip
     """Draw pairs of a training clip and a character; chunks that an earlier call wrote are read, not made again.
 
     Args:

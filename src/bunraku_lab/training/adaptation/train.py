@@ -127,13 +127,9 @@ class _Run(TrainingRun):
     columns = ("loss",)
 
     def __init__(
-        self,
-        config: AdaptationConfig,
-        model: Denoiser,
-        bank: CharacterBank,
-        pairs: AdaptationPairs,
+        self, config: AdaptationConfig, model: Denoiser, bank: CharacterBank, pairs: AdaptationPairs,
         held: AdaptationPairs,
-    ):
+    ):  # fmt: skip
         self.config, self.model, self.pairs, self.held = config, model, pairs, held
         self.device = model.mean.device
         self.bank = bank.to(self.device)
@@ -338,11 +334,9 @@ class _Run(TrainingRun):
 
 
 def train_adaptation(
-    config: AdaptationConfig,
-    report: Report | None = None,
-    progress: Progress | None = None,
+    config: AdaptationConfig, report: Report | None = None, progress: Progress | None = None,
     encoder: TextEncoder | None = None,
-) -> Path:
+) -> Path:  # fmt: skip
     """Fine-tune, or go on fine-tuning, and return the path of the denoiser with its new layer.
 
     Args:

@@ -31,17 +31,9 @@ from bunraku_lab.training.losses.motion import edge_loss, smoothness_loss, verte
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
 __all__ = [
-    "BodyConfig",
-    "BodyNetwork",
-    "BodyTrainConfig",
-    "BodyTrainer",
-    "body_weights",
-    "clothed_by_mask",
-    "pose_bank",
-    "posed_joints",
-    "tiled",
-    "train_body",
-]
+    "BodyConfig", "BodyNetwork", "BodyTrainConfig", "BodyTrainer", "body_weights", "clothed_by_mask", "pose_bank",
+    "posed_joints", "tiled", "train_body",
+]  # fmt: skip
 
 
 JOINT_INPUT = 3 + 1 + 3

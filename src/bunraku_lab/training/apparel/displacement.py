@@ -30,14 +30,9 @@ from bunraku_lab.training.losses.motion import edge_loss, vertex_loss
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
 
 __all__ = [
-    "BANK_NODES",
-    "BankCharacter",
-    "DisplacementTrainConfig",
-    "DisplacementTrainer",
-    "build_bank",
-    "train_displacement",
+    "BANK_NODES", "BankCharacter", "DisplacementTrainConfig", "DisplacementTrainer", "build_bank", "train_displacement",
     "truly_clothed",
-]
+]  # fmt: skip
 
 
 BANK_NODES = 128
@@ -294,11 +289,9 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
     columns = ("head_loss", "recurrent_loss", "rate")
 
     def __init__(
-        self,
-        config: DisplacementTrainConfig,
-        characters: Sequence[BankCharacter],
+        self, config: DisplacementTrainConfig, characters: Sequence[BankCharacter],
         held_out: Sequence[BankCharacter] = (),
-    ):
+    ):  # fmt: skip
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
         self.set_up(lambda: DisplacementNetwork(config.network), self._units)
 

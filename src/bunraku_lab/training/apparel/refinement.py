@@ -32,20 +32,9 @@ from bunraku_lab.training.rows.banks import kept_arrays
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
 __all__ = [
-    "BASIS",
-    "INPUTS",
-    "RefinementConfig",
-    "RefinementNetwork",
-    "RefinementTrainConfig",
-    "RefinementTrainer",
-    "Seam",
-    "SeamFrame",
-    "SeamSample",
-    "refined",
-    "seam_of",
-    "seam_sample",
-    "train_refinement",
-]
+    "BASIS", "INPUTS", "RefinementConfig", "RefinementNetwork", "RefinementTrainConfig", "RefinementTrainer", "Seam",
+    "SeamFrame", "SeamSample", "refined", "seam_of", "seam_sample", "train_refinement",
+]  # fmt: skip
 
 
 REACH = 0.12

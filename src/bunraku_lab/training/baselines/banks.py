@@ -37,20 +37,9 @@ from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.training.rows.banks import kept_arrays
 
 __all__ = [
-    "BankPlan",
-    "ClothedSample",
-    "Pair",
-    "Target",
-    "build_clothed_bank",
-    "build_posed_bank",
-    "clothed_sample",
-    "clothed_target",
-    "clothed_targets",
-    "drawn_pairs",
-    "pose_frames",
-    "posed_sample",
-    "rootless",
-]
+    "BankPlan", "ClothedSample", "Pair", "Target", "build_clothed_bank", "build_posed_bank", "clothed_sample",
+    "clothed_target", "clothed_targets", "drawn_pairs", "pose_frames", "posed_sample", "rootless",
+]  # fmt: skip
 
 
 REFERENCE = "reference_"

@@ -31,15 +31,9 @@ from bunraku_lab.training.losses.handles import skinning_loss, skinning_pairs
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
 __all__ = [
-    "PRESETS",
-    "TransferTrainConfig",
-    "TransferTrainer",
-    "chamfer_loss",
-    "far_points",
-    "train_transfer",
-    "transform_loss",
-    "weight_divergence",
-]
+    "PRESETS", "TransferTrainConfig", "TransferTrainer", "chamfer_loss", "far_points", "train_transfer",
+    "transform_loss", "weight_divergence",
+]  # fmt: skip
 
 
 QUATERNION = 0.5

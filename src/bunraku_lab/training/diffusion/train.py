@@ -254,18 +254,14 @@ def train_diffusion(
             encoder = text_encoder(f"{'clip' if config.text_folder else MiniLMEncoder.name}+cues", config.text_folder)
         task = bar.add_task("captions", total=None)
         bank = TextBank(
-            encoder,
-            sorted({sentence for part in (train, val) for sentence in part.sentences()}),
-            config.out / "captions.safetensors",
-            lambda done, total: bar.update(task, completed=done, total=total),
+            encoder, sorted({sentence for part in (train, val) for sentence in part.sentences()}),
+            config.out / "captions.safetensors", lambda done, total: bar.update(task, completed=done, total=total),
             config.workers,
-        )
+        )  # fmt: skip
     if network is None:
         sizes: dict[str, Any] = {
-            "text_encoder": encoder.name,
-            "text_size": encoder.token_size,
-            "pooled_size": encoder.pooled_size,
-        }
+            "text_encoder": encoder.name, "text_size": encoder.token_size, "pooled_size": encoder.pooled_size,
+        }  # fmt: skip
         network = replace(
             PRESETS[config.preset], **sizes, adaptation_mesh=config.adaptation_mesh, examples=config.examples
         )

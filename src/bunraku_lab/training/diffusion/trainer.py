@@ -178,14 +178,10 @@ class Trainer:
     """
 
     def __init__(
-        self,
-        config: TrainingConfig,
-        network: DenoiserConfig,
-        statistics: FeatureStatistics,
-        mesh_bank: MeshBank | None = None,
-        character_bank: CharacterBank | None = None,
+        self, config: TrainingConfig, network: DenoiserConfig, statistics: FeatureStatistics,
+        mesh_bank: MeshBank | None = None, character_bank: CharacterBank | None = None,
         notes: Mapping[str, object] | None = None,
-    ):
+    ):  # fmt: skip
         self.config = config
         self.notes = notes or {}
         self.device = torch.device(config.device or ("cuda" if torch.cuda.is_available() else "cpu"))
@@ -212,13 +208,9 @@ class Trainer:
         self.seconds = 0.0
 
     def example(
-        self,
-        batch: MotionBatch,
-        text: TextBatch,
-        seed: list[int],
-        train: bool = True,
+        self, batch: MotionBatch, text: TextBatch, seed: list[int], train: bool = True,
         examples: RetrievedExamples | None = None,
-    ) -> Example:
+    ) -> Example:  # fmt: skip
         """Noise, steps, characters and dropped conditions for a batch: a pure function of the seed."""
         random = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0] >> 1))
         size = len(batch.lengths)

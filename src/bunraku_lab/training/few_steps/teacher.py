@@ -22,16 +22,9 @@ from bunraku_lab.nn.text import Extractor, TextBatch
 from bunraku_lab.training.rows.workers import DrawnRows
 
 __all__ = [
-    "NODES",
-    "STEPS",
-    "Teacher",
-    "Trajectories",
-    "ddim",
-    "ddim_shares",
-    "draw_trajectories",
-    "smoothed",
+    "NODES", "STEPS", "Teacher", "Trajectories", "ddim", "ddim_shares", "draw_trajectories", "smoothed",
     "visited_steps",
-]
+]  # fmt: skip
 
 
 class _Conditions(NamedTuple):
@@ -242,11 +235,9 @@ def _narrow(rows: DrawnRows) -> DrawnRows:
     """Without motions, in half precision: many are kept."""
     text, found = rows.text, rows.examples
     return replace(
-        rows,
-        clean=rows.clean[:, :0],
-        text=TextBatch(text.tokens.half(), text.mask, text.pooled),
+        rows, clean=rows.clean[:, :0], text=TextBatch(text.tokens.half(), text.mask, text.pooled),
         examples=None if found is None else RetrievedExamples(found.values.half(), found.lengths, found.pooled),
-    )
+    )  # fmt: skip
 
 
 def _wide(rows: DrawnRows, some: Tensor) -> DrawnRows:
@@ -254,11 +245,7 @@ def _wide(rows: DrawnRows, some: Tensor) -> DrawnRows:
     text = TextBatch(rows.text.tokens[some].float(), rows.text.mask[some], rows.text.pooled[some])
     found = None if rows.examples is None else rows.examples.rows(some)
     return DrawnRows(
-        rows.clean[some],
-        rows.lengths[some],
-        text,
-        None if rows.mesh is None else rows.mesh[some],
-        rows.known[some],
+        rows.clean[some], rows.lengths[some], text, None if rows.mesh is None else rows.mesh[some], rows.known[some],
         rows.person[some],
         None if found is None else RetrievedExamples(found.values.float(), found.lengths, found.pooled),
-    )
+    )  # fmt: skip

@@ -44,16 +44,9 @@ from bunraku_lab.training.runs.processes import forking
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote, bf16_is_fast
 
 __all__ = [
-    "FewStepsConfig",
-    "FewStepsRun",
-    "LowRank",
-    "PooledRows",
-    "RowSource",
-    "RowsInTurn",
-    "changes_of",
-    "train_few_steps",
-    "with_changes",
-]
+    "FewStepsConfig", "FewStepsRun", "LowRank", "PooledRows", "RowSource", "RowsInTurn", "changes_of",
+    "train_few_steps", "with_changes",
+]  # fmt: skip
 
 
 class LowRank(nn.Module):
@@ -224,14 +217,8 @@ class FewStepsConfig(StepSettings):
     device: str | None = None
     bf16: bool = True
     least: ClassVar[dict[str, float]] = {
-        **StepSettings.least,
-        "rank": 1,
-        "rows": 1,
-        "uses": 0.1,
-        "kept": 1,
-        "workers": 0,
-        "pool": 1,
-    }
+        **StepSettings.least, "rank": 1, "rows": 1, "uses": 0.1, "kept": 1, "workers": 0, "pool": 1,
+    }  # fmt: skip
 
 
 class FewStepsRun(AveragedRun[torch.nn.Module]):
@@ -397,11 +384,9 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
 
 
 def train_few_steps(
-    config: FewStepsConfig,
-    report: Report | None = None,
-    progress: Progress | None = None,
+    config: FewStepsConfig, report: Report | None = None, progress: Progress | None = None,
     encoder: TextEncoder | None = None,
-) -> Path:
+) -> Path:  # fmt: skip
     """Distil, or go on, and return the path of the changes.
 
     Args:

@@ -12,19 +12,9 @@ import torch
 from bunraku.core.skinning import EMPTY, PULL, handle_offsets
 
 __all__ = [
-    "LossConfig",
-    "drive_local",
-    "feature_loss",
-    "mirror_loss",
-    "pose_loss",
-    "register_torch",
-    "root_loss",
-    "semantic_loss",
-    "skinning_loss",
-    "skinning_pairs",
-    "smoothness_loss",
-    "sparsity_loss",
-]
+    "LossConfig", "drive_local", "feature_loss", "mirror_loss", "pose_loss", "register_torch", "root_loss",
+    "semantic_loss", "skinning_loss", "skinning_pairs", "smoothness_loss", "sparsity_loss",
+]  # fmt: skip
 
 
 def register_torch(
@@ -214,12 +204,9 @@ def skinning_loss(
 
 
 def drive_local(
-    positions: torch.Tensor,
-    weights: torch.Tensor,
-    rotations: torch.Tensor,
-    translations: torch.Tensor,
+    positions: torch.Tensor, weights: torch.Tensor, rotations: torch.Tensor, translations: torch.Tensor,
     handles: torch.Tensor,
-) -> torch.Tensor:
+) -> torch.Tensor:  # fmt: skip
     """Eq. 3 without the global items, `sum_k s_k (R_k (v - h_k) + h_k + t_k)`, with the identity for handle 0.
 
     Args:

@@ -112,12 +112,8 @@ def _attached(rotations: Tensor, bank: CharacterBank, row: Tensor) -> tuple[Tens
     rotations = rotations.clone()
     translations = rotations.new_zeros(*rotations.shape[:3], 3)
     h, joints, parents, order, present = (
-        bank.handles[row],
-        bank.joints[row],
-        bank.parents[row],
-        bank.order[row],
-        bank.present[row],
-    )
+        bank.handles[row], bank.joints[row], bank.parents[row], bank.order[row], bank.present[row],
+    )  # fmt: skip
     each = torch.arange(len(row), device=row.device)
     for index in range(1, order.shape[1]):
         handle = order[:, index]
@@ -233,11 +229,9 @@ class MeshMotionDiscriminator(nn.Module):
         super().__init__()
         self.vertex = nn.Sequential(nn.Linear(6, width), nn.LeakyReLU(0.2), nn.Linear(width, width), nn.LeakyReLU(0.2))
         self.time = nn.Sequential(
-            nn.Conv1d(2 * width, width, 3, padding=1),
+            nn.Conv1d(2 * width, width, 3, padding=1), nn.LeakyReLU(0.2), nn.Conv1d(width, width, 3, padding=1),
             nn.LeakyReLU(0.2),
-            nn.Conv1d(width, width, 3, padding=1),
-            nn.LeakyReLU(0.2),
-        )
+        )  # fmt: skip
         self.score = nn.Linear(width, 1)
 
     def forward(self, points: Tensor) -> Tensor:
@@ -305,13 +299,9 @@ def handle_driven(fitted: Fitted, bank: CharacterBank, picked: Tensor, delta: Te
     )
     points = move_points(rest, index, weights, fitted.rotations, bank.handles[row], translations)
     return _seen_from_chest(
-        points,
-        rest,
-        fitted.rotations[:, :, _CHEST],
-        positions[:, :, _CHEST],
-        bank.handles[row, _CHEST],
+        points, rest, fitted.rotations[:, :, _CHEST], positions[:, :, _CHEST], bank.handles[row, _CHEST],
         bank.extent[row],
-    )
+    )  # fmt: skip
 
 
 @torch.no_grad()
@@ -384,14 +374,9 @@ class MeshLearning:
     """
 
     def __init__(
-        self,
-        bank: CharacterBank,
-        device: torch.device,
-        characters: int,
-        frames: int,
-        sigma: float,
+        self, bank: CharacterBank, device: torch.device, characters: int, frames: int, sigma: float,
         learning_rate: float = 1e-4,
-    ):
+    ):  # fmt: skip
         self.bank = bank.to(device)
         self.characters, self.frames, self.sigma = characters, frames, sigma
         self.discriminator = MeshMotionDiscriminator().to(device)

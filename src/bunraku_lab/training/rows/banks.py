@@ -31,10 +31,8 @@ Arrays = dict[str, Any]
 
 
 def kept_arrays(
-    folder: Path,
-    makers: Mapping[str, Callable[[], Arrays]],
-    progress: Callable[[float], None] | None = None,
-) -> Iterator[tuple[str, Arrays]]:
+    folder: Path, makers: Mapping[str, Callable[[], Arrays]], progress: Callable[[float], None] | None = None,
+) -> Iterator[tuple[str, Arrays]]:  # fmt: skip
     """The arrays of each sample by its name, from an NPZ of the folder; those that are not there yet are made, and
     samples that cannot be made are left out.
 
@@ -186,13 +184,9 @@ class TextBank:
     """
 
     def __init__(
-        self,
-        encoder: TextEncoder,
-        sentences: Sequence[str],
-        cache: str | Path | None = None,
-        progress: Callable[[int, int], None] | None = None,
-        workers: int = 0,
-    ):
+        self, encoder: TextEncoder, sentences: Sequence[str], cache: str | Path | None = None,
+        progress: Callable[[int, int], None] | None = None, workers: int = 0,
+    ):  # fmt: skip
         self._encoder = encoder
         sentences = sorted(set(sentences))
         self._rows = {sentence: row for row, sentence in enumerate(sentences)}
@@ -202,10 +196,8 @@ class TextBank:
                 state, config = load_checkpoint(cache, "text-bank")
                 if config.get("digest") == digest:
                     self._tokens, self._offsets, self._pooled = (
-                        state["tokens"].half(),
-                        state["offsets"],
-                        state["pooled"],
-                    )
+                        state["tokens"].half(), state["offsets"], state["pooled"],
+                    )  # fmt: skip
                     return
             except WeightsError:
                 pass  # a broken cache is made again
@@ -218,12 +210,10 @@ class TextBank:
             if progress is not None:
                 progress(min(256 * (done + 1), len(sentences)), len(sentences))
         self._tokens = torch.cat(tokens) if tokens else torch.zeros(0, encoder.token_size, dtype=torch.float16)
-        self._offsets = torch.cat(
-            [
-                torch.zeros(1, dtype=torch.long),
-                torch.cat(lengths).cumsum(0) if lengths else torch.zeros(0, dtype=torch.long),
-            ]
-        )
+        self._offsets = torch.cat([
+            torch.zeros(1, dtype=torch.long),
+            torch.cat(lengths).cumsum(0) if lengths else torch.zeros(0, dtype=torch.long),
+        ])  # fmt: skip
         # As the file gives it back: a run that goes on must learn from the same numbers.
         self._pooled = torch.cat(pooled).half().float() if pooled else torch.zeros(0, encoder.pooled_size)
         if cache is not None:

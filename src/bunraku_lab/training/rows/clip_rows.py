@@ -48,12 +48,9 @@ class EventPool:
     """
 
     def __init__(
-        self,
-        clips: Sequence[TrainingClip],
-        phrases_of: Callable[[TrainingClip], list[Phrase]],
-        motion_of: Callable[[TrainingClip], HandleMotion],
-        frames: int,
-    ):
+        self, clips: Sequence[TrainingClip], phrases_of: Callable[[TrainingClip], list[Phrase]],
+        motion_of: Callable[[TrainingClip], HandleMotion], frames: int,
+    ):  # fmt: skip
         self.clips = clips
         self.phrases: dict[int, list[Phrase]] = {}
         self.kinds: dict[str, list[tuple[int, Phrase]]] = {}
@@ -333,14 +330,9 @@ class ClipSet:
         return row._replace(values=mirror(row.values), sentence=mirror_words(row.sentence)) if mirrored else row
 
     def _worded(
-        self,
-        clip: TrainingClip,
-        values: np.ndarray,
-        sentence: str,
-        labels: list[tuple[str, ...]],
-        names: tuple[str, ...],
-        random: np.random.Generator,
-    ) -> Row:
+        self, clip: TrainingClip, values: np.ndarray, sentence: str, labels: list[tuple[str, ...]],
+        names: tuple[str, ...], random: np.random.Generator,
+    ) -> Row:  # fmt: skip
         """A row of joined clips, sometimes with what can be computed of it for a sentence."""
         if random.random() < self.computed:
             found = self._true_in(clip, values, None)
@@ -360,11 +352,9 @@ class ClipSet:
                 values = np.concatenate([clip.values, after.values])
                 start = int(random.integers(0, max(len(values) - self.frames, 0) + 1))
                 return Row(
-                    values[start : start + self.frames],
-                    joined_sentence(texts[int(random.integers(len(texts)))]),
-                    clip.character,
-                    (clip.name, after.name),
-                )
+                    values[start : start + self.frames], joined_sentence(texts[int(random.integers(len(texts)))]),
+                    clip.character, (clip.name, after.name),
+                )  # fmt: skip
         target = int(random.integers(40, self.frames + 1)) if random.random() < 0.6 else self.frames
         values, start = clip.values, 0
         if len(values) < target and random.random() < 0.7:

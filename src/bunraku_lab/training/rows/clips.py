@@ -26,16 +26,9 @@ from bunraku_lab.datasets.motions.clips import load_clip, load_index, read_bundl
 from bunraku_lab.description.wording import all_variants, clauses
 
 __all__ = [
-    "ClipEntry",
-    "TrainingClip",
-    "agreeing",
-    "load_clips",
-    "load_people",
-    "people",
-    "rehearsal_clips",
-    "stretch_phrases",
-    "stretch_variants",
-]
+    "ClipEntry", "TrainingClip", "agreeing", "load_clips", "load_people", "people", "rehearsal_clips",
+    "stretch_phrases", "stretch_variants",
+]  # fmt: skip
 
 
 MIN_FRAMES = 8
@@ -163,11 +156,8 @@ def _stretches(name: str, entry: Mapping[str, object], features: np.ndarray) -> 
     for part, after in zip_longest(sound, sound[1:]):
         start, stop = int(part["start"]), int(part["stop"])
         own: dict[str, Any] = {
-            "texts": part["texts"],
-            "watched": True,
-            "features": features[start:stop],
-            "frames": stop - start,
-        }
+            "texts": part["texts"], "watched": True, "features": features[start:stop], "frames": stop - start,
+        }  # fmt: skip
         if len(sound) == 1:
             own["labels"] = entry.get("texts") or []
         if after is not None and after["start"] == stop:
@@ -180,19 +170,9 @@ _SUBJECT = re.compile(
     r"^(?:a|the|one) (?:person|human|man|woman|figure|character)\b|^someone\b|^somebody\b", re.IGNORECASE
 )
 _SUBJECTS = (
-    "a person",
-    "someone",
-    "the character",
-    "a man",
-    "a woman",
-    "the person",
-    "he",
-    "she",
-    "a figure",
-    "a human",
-    "somebody",
-    "this person",
-)
+    "a person", "someone", "the character", "a man", "a woman", "the person", "he", "she", "a figure", "a human",
+    "somebody", "this person",
+)  # fmt: skip
 _LINK = re.compile(r"(,? and then |,? then |,? and |, )")
 
 
@@ -398,20 +378,9 @@ class TrainingClip:
             ends_at_rest = rests(values[-END:], statistics)
         labels = tuple(entry.get("labels") or ())
         return cls(
-            name,
-            values,
-            texts,
-            watched,
-            labels,
-            float(entry.get("weight", 1.0)),
-            loop,
-            ends_at_rest,
-            entry.get("next"),
-            creature[0],
-            creature[1],
-            creature[2],
-            bool(entry.get("rehearsed")),
-        )
+            name, values, texts, watched, labels, float(entry.get("weight", 1.0)), loop, ends_at_rest,
+            entry.get("next"), creature[0], creature[1], creature[2], bool(entry.get("rehearsed")),
+        )  # fmt: skip
 
     def lengthened(self, target: int, still: np.ndarray, random: np.random.Generator) -> np.ndarray:
         """The clip played again from its loop point, or with its last pose held, until it has `target` frames or can

@@ -130,17 +130,10 @@ class RowMaker:
             found = np.array([_numbers(self.examples.nearest(*pair)) for pair in zip(vectors, own, strict=True)])
             nearest = np.array([_numbers(self.examples.nearest(vector)) for vector in vectors])
         return MadeRows(
-            batch.values.astype(np.float16),
-            batch.lengths,
-            text.tokens.numpy().astype(np.float16),
-            text.mask.sum(1).numpy(),
-            text.pooled.numpy(),
-            mesh,
-            np.array([name is None for name in batch.meshes]),
-            found,
-            nearest,
-            self._unsent(np.concatenate([found, nearest])),
-        )
+            batch.values.astype(np.float16), batch.lengths, text.tokens.numpy().astype(np.float16),
+            text.mask.sum(1).numpy(), text.pooled.numpy(), mesh, np.array([name is None for name in batch.meshes]),
+            found, nearest, self._unsent(np.concatenate([found, nearest])),
+        )  # fmt: skip
 
     def _unsent(self, numbers: np.ndarray) -> dict[int, tuple[np.ndarray, np.ndarray]]:
         if self.examples is None:
@@ -316,14 +309,10 @@ class RowPool:
                 self._examples[found].float(), self._example_lengths[found], self._example_vectors[found]
             )
         return DrawnRows(
-            arrays["values"][rows].float(),
-            arrays["lengths"][rows],
-            TextBatch(tokens, mask, arrays["pooled"][rows]),
-            None if self.meshes is None else self.meshes[mesh.clamp(min=0)],
-            mesh >= 0,
-            arrays["person"][rows],
+            arrays["values"][rows].float(), arrays["lengths"][rows], TextBatch(tokens, mask, arrays["pooled"][rows]),
+            None if self.meshes is None else self.meshes[mesh.clamp(min=0)], mesh >= 0, arrays["person"][rows],
             examples,
-        )
+        )  # fmt: skip
 
 
 class FedPool:

@@ -24,25 +24,10 @@ from bunraku.errors import OptionError
 from bunraku_lab.nn.checkpoints import SavedNetwork, TrainingState, load_training_state, save_training_state
 
 __all__ = [
-    "AveragedRun",
-    "EventLog",
-    "Progress",
-    "Report",
-    "RunSettings",
-    "StepSettings",
-    "Stop",
-    "TrainingNote",
-    "TrainingRun",
-    "TrainingSettings",
-    "append_row",
-    "bf16_is_fast",
-    "careful_step",
-    "follow_weights",
-    "learning_rate",
-    "logged_columns",
-    "plain_settings",
-    "share_done",
-]
+    "AveragedRun", "EventLog", "Progress", "Report", "RunSettings", "StepSettings", "Stop", "TrainingNote",
+    "TrainingRun", "TrainingSettings", "append_row", "bf16_is_fast", "careful_step", "follow_weights", "learning_rate",
+    "logged_columns", "plain_settings", "share_done",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -425,11 +410,9 @@ class AveragedRun(TrainingRun, Generic[Network]):
         self.step, self.seconds, self.stop = 0, 0.0, Stop()
 
     def set_up(
-        self,
-        make: Callable[[], Network],
-        prepare: Callable[[Network], None] = lambda model: None,
+        self, make: Callable[[], Network], prepare: Callable[[Network], None] = lambda model: None,
         betas: tuple[float, float] = (0.9, 0.999),
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Begin as `__init__` does, with two networks from the seed of `config` and AdamW with its rates.
 
         Args:
