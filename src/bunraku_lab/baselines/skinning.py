@@ -59,9 +59,7 @@ def _seeds(graph: csr_matrix, areas: np.ndarray, count: int, rng: np.random.Gene
 
 
 def _medoid(graph: csr_matrix, members: np.ndarray, points: np.ndarray, areas: np.ndarray) -> int:
-    """The member with the least area-weighted sum of squared geodesic distances to the others, among those near their
-    mean.
-    """
+    """The member nearest to the mean with the least area-weighted sum of squared geodesic distances to the others."""
     mean = np.average(points[members], axis=0, weights=areas[members])
     order = np.argsort(np.square(points[members] - mean).sum(axis=1), kind="stable")
     tried = order[:: max(1, len(order) // (4 * _MEDOIDS))][:_MEDOIDS]
@@ -306,11 +304,7 @@ def _joint_costs(template: Template, points: np.ndarray, radii: np.ndarray, midd
 
 
 def _bone_costs(start: np.ndarray, end: np.ndarray, wanted: np.ndarray, size: float) -> np.ndarray:
-    """Cost of the length and the direction of bones from starts to ends, shapes [..., 3] x 2 -> [...].
-
-    Args:
-        wanted: The template's bone, at the size of the mesh, shape (3,).
-    """
+    """Cost of the length and the direction of bones from starts to ends, shapes [..., 3] x 2 -> [...]."""
     bone = end - start
     length = np.sqrt(np.square(bone).sum(-1) + 1e-12)
     want = float(np.linalg.norm(wanted))

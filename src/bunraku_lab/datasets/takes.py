@@ -1,6 +1,4 @@
-"""Motions in files of their own as clips to train on: a folder of the user's with captions, and HumanML3D and AMASS,
-which people with a licence have.
-"""
+"""Motions in files as clips to train on: a folder with captions, and HumanML3D and AMASS for licensees."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Rules that find what a motion plainly shows: what the limbs do (jumping, kicking, waving, sitting), and how the body
-travels (turning, walking, running, curving).
-"""
+"""Rules that find what a motion plainly shows: what limbs do (jump, kick, wave, sit) and how the body travels."""
 
 from __future__ import annotations
 
@@ -252,9 +250,7 @@ def find_bends(track: Track) -> list[Phrase]:
 
 
 def find_punches(track: Track) -> list[Phrase]:
-    """A fist that shoots forward until the arm is stretched, with its side; of somebody who is known to punch, since a
-    push or a throw does the same.
-    """
+    """A fist that shoots forward until the arm is stretched, with its side; of clips that are labelled as punches."""
     found = []
     for side in SIDES:
         wrist, shoulder = track.relative(f"{side}_wrist"), track.relative(f"{side}_shoulder")
@@ -271,9 +267,7 @@ def find_punches(track: Track) -> list[Phrase]:
 
 
 def find_seats(track: Track) -> list[Phrase]:
-    """Sitting down from standing and standing up from a seat; of somebody who is known to sit, since a squat that is
-    held looks the same.
-    """
+    """Sitting down from standing and standing up from a seat; of clips that are labelled as sitting."""
     upright = (track.up > 0.85) & (track.height > -0.1)
     low = (track.height < -0.2) & (track.up > 0.5) & (track.feet.max(1) < 0.2)
     found = []

@@ -1,6 +1,4 @@
-"""Sentences of motions: computed from the motion itself ("turns left twice, then runs forward"), and of a training row,
-from its label, from the motion, or from both.
-"""
+"""Sentences of motions, computed from the motion itself, from a label, or from both."""
 
 from __future__ import annotations
 
@@ -78,9 +76,7 @@ def _overlap(phrase: Phrase, others: Sequence[Phrase]) -> float:
 
 
 def inside(phrases: Sequence[Phrase], start: int, stop: int) -> list[Phrase]:
-    """The phrases that are true in frames `start` to `stop` - 1, with frames counted from `start`; repeats are counted
-    in words.
-    """
+    """The phrases that are true in frames `start` to `stop` - 1; repeats are counted in words."""
     kept, broken = [], []
     for phrase in phrases:
         a, b = max(phrase.start, start), min(phrase.stop, stop)
@@ -212,9 +208,7 @@ def all_variants(text: str, species: str | None, action: str | None, mirrored: b
 
 
 def clauses(text: str, species: str | None, action: str | None) -> tuple[str, ...]:
-    """What the clip shows as phrases with their verbs in braces; none where nothing is known of it. Arguments as
-    above.
-    """
+    """What the clip shows as phrases with their verbs in braces; none where nothing is known of it."""
     if species and action:
         return creature_clauses(species, action, form="braces")
     found = caption_clauses(text, form="braces")
@@ -315,9 +309,7 @@ def _covered(label: Sequence[str], found: Sequence[Phrase]) -> bool:
 def _of_creature(
     found: Sequence[Phrase], label: Sequence[str], random: np.random.Generator, species: str, variant: int
 ) -> str | None:
-    """ "gallops forward, then turns left" of a creature that goes, "attacks, turning left" of one that does something
-    else.
-    """
+    """ "gallops forward, then turns left" of a creature that goes, else "attacks, turning left"."""
     if not label:
         return None
     short = [
@@ -342,9 +334,7 @@ def _of_creature(
 def _with_label(
     found: Sequence[Phrase], label: Sequence[str], frames: int, random: np.random.Generator, variant: int
 ) -> str | None:
-    """ "{jog} in a circle to the left, slowly", or "{dance}, turning left twice"; None where the two do not go
-    together.
-    """
+    """ "{jog} in a circle to the left" or "{dance}, turning left twice"; None where the two do not go together."""
     clause = _one(label, random)
     own = verbs([clause])
     moving = [phrase for phrase in found if phrase.kind != "still"]

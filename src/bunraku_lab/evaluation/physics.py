@@ -1,6 +1,4 @@
-"""Simulated apparel (`bunraku evaluate physics`): chains that stretch, bodies that do not come to rest, apparel inside
-the body, and the table of all of it.
-"""
+"""Simulated apparel (`bunraku evaluate physics`): stretch, rest, apparel inside the body, and their table."""
 
 from __future__ import annotations
 
@@ -108,9 +106,7 @@ def apparel_chains(character: Character, rig: ApparelRig) -> list[Chain]:
 
 
 def link_position(character: Character, rig: ApparelRig, body: int, joint: int) -> np.ndarray:
-    """Where a body hangs in the rest pose [m], shape (3,): at its joint, or, where the file holds it at its bone (mode
-    2), at the bone's head.
-    """
+    """Where a body hangs at rest [m], shape (3,): at its joint, or at the bone's head (mode 2)."""
     entry = rig.bodies[body]
     assert character.rig is not None
     return np.asarray(character.rig.positions[entry.bone] if entry.mode == 2 else rig.joints[joint].position)
@@ -445,10 +441,6 @@ def _penetration(
 ) -> tuple[np.ndarray, float]:
     """Share of apparel that is deep in the body, and the share that is so at rest and is left out, since no motion put
     it there.
-
-    Returns:
-        As simulated, rigid with the nearest joint, and rigid with what its bones hang on, shape (N, 3); and the share
-        at rest.
     """
     character, rig = body.parts.character, body.parts.character.rig
     assert rig is not None

@@ -1,6 +1,4 @@
-"""What evaluations share: figures beside the bars that they should reach, as text or Markdown, and parts of a long
-measurement that are kept one by one.
-"""
+"""What evaluations share: figures beside their bars as text or Markdown, and kept parts of a long measurement."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The networks of apparel (section 4 of MMDMC): the segmentation network f_c, and the displacement network f_d with its
-head that cannot drift and its recurrent part.
-"""
+"""The networks of apparel (section 4 of MMDMC): segmentation f_c, and displacement f_d (head and recurrent part)."""
 
 from __future__ import annotations
 

@@ -238,8 +238,6 @@ def shape_joints(weights: torch.Tensor) -> torch.Tensor:
 
 
 def local_rotations(turns: torch.Tensor) -> torch.Tensor:
-    """Turns of the joints to their parents, of turns in the world, both (P, J, 3, 3); the root's is none, since which
-    way a character faces changes no shape.
-    """
+    """Rotations relative to the parents, from rotations in the world, both (P, J, 3, 3); the root's is the identity."""
     above = [max(parent, 0) for parent in JOINT_PARENTS]
     return turns[:, above].transpose(2, 3) @ turns

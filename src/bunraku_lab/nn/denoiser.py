@@ -76,18 +76,14 @@ class RetrievedExamples:
 
 
 def rotary_positions(tokens: Tensor, size: int) -> Rotary:
-    """Cosines and sines of rotary positions (Su et al. 2021) of tokens at these places in time, shape (T,), each of
-    shape (T, size / 2).
-    """
+    """Cosines and sines of rotary positions (Su et al. 2021) at these times, shape (T,) -> (T, size / 2) each."""
     rates = 1000.0 ** (-torch.arange(0, size, 2, device=tokens.device) / size)
     angle = tokens[:, None] * rates
     return angle.cos(), angle.sin()
 
 
 def normal_noise(value: Tensor, deviation: float) -> Tensor:
-    """The tensor, filled with normal noise; one on the meta device stays as it is, since torch takes two seconds to
-    load what would fill it.
-    """
+    """The tensor, filled with normal noise; on the meta device it stays, since filling it loads torch's compiler."""
     return value if value.is_meta else nn.init.normal_(value, std=deviation)
 
 
@@ -121,9 +117,7 @@ def _without_effect(linear: nn.Linear) -> nn.Linear:
 
 
 class _ExampleAttention(nn.Module):
-    """Motion tokens attend to tokens of examples: keys say what an example shows and is called, values what it
-    shows.
-    """
+    """Motion tokens attend to tokens of examples: keys say what an example is called, values what it shows."""
 
     def __init__(self, width: int, heads: int):
         super().__init__()
@@ -132,9 +126,7 @@ class _ExampleAttention(nn.Module):
         self.out = _without_effect(nn.Linear(width, width))
 
     def forward(self, x: Tensor, rotary: Rotary, examples: tuple[Tensor, ...]) -> Tensor:
-        """x (B, T, d); keys (B, M, d), values (B, M, d) and mask (B, 1, 1, M) of the examples' tokens, and their
-        rotary positions.
-        """
+        """x (B, T, d); keys, values (B, M, d) and mask (B, 1, 1, M) of the examples, and their rotary positions."""
         keys, values, mask, cos, sin = examples
         query, key = _heads(self.query(x), self.heads)[0], _heads(self.key(keys), self.heads)[0]
         value = _heads(self.value(values), self.heads)[0]
@@ -361,9 +353,7 @@ class Denoiser(nn.Module):
         return motion, said
 
     def adaptation_input(self, hidden: Tensor, condition: tuple[Tensor, ...]) -> Tensor:
-        """What the adaptation's linear layer sees: last hidden states (B, T, d), with the mesh token where the config
-        says so.
-        """
+        """What the adaptation's layer sees: last hidden states (B, T, d), with the mesh token if the config says so."""
         if not self.config.adaptation_mesh:
             return hidden
         return torch.cat([hidden, condition[0][:, :1].to(hidden.dtype).expand(-1, hidden.shape[1], -1)], dim=-1)

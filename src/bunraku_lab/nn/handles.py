@@ -97,9 +97,7 @@ def grow_predictor(model: HandlePredictor, path: str | Path) -> None:
 
 
 def rotated_tokens(tokens: torch.Tensor, rotations: torch.Tensor) -> torch.Tensor:
-    """Tokens of the mesh turned by each of some rotations by right angles, shapes (..., M, 10), (R, 3, 3) -> (..., R,
-    M, 10).
-    """
+    """Tokens of the mesh in some rotations, shapes (..., M, 10), (R, 3, 3) -> (..., R, M, 10)."""
     parts = tokens.unsqueeze(-3)
     back = rotations.transpose(-1, -2)
     shares = parts[..., 9:].expand(*tokens.shape[:-2], len(rotations), -1, 1)
@@ -170,9 +168,7 @@ class OrientationPredictor(SavedNetwork):
         return result
 
     def probabilities(self, tokens: torch.Tensor) -> torch.Tensor:
-        """How likely each of `ORIENTATIONS` is the right one, from the mesh and its mirror image, shape (M, 10) ->
-        (24,).
-        """
+        """Probability of each of `ORIENTATIONS`, from the mesh and its mirror image, shape (M, 10) -> (24,)."""
         mirror = tokens.new_tensor([-1.0, 1, 1, -1, 1, 1, 1, 1, 1, 1])
         turned = rotated_tokens(tokens, self.rotations)
         scores = self(torch.cat([turned, turned * mirror])).reshape(2, -1).mean(dim=0)

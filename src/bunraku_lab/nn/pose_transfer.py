@@ -253,9 +253,7 @@ class TransferNetwork(SavedNetwork):
         return self.decoded(pose, shape.expand_as(pose), own)
 
     def pose_codes(self, rest: PartGraph, posed: PartGraph, weights: torch.Tensor) -> torch.Tensor:
-        """Codes of the source in its poses less those of the source at rest, shape (B, K, C); arguments are those of
-        `forward`.
-        """
+        """Codes of the source in its poses less those at rest, shape (B, K, C); see `forward`."""
         count = len(posed.sizes)
         moving = weights if len(rest.sizes) == count else weights.repeat(count, 1)
         out: torch.Tensor = self.encoder(posed, moving) - self.encoder(rest, weights)

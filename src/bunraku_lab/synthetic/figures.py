@@ -205,9 +205,7 @@ class Figure:
         self, height: float, angles: np.ndarray, *, center: np.ndarray, band: float, spread: float = 0.3,
         points: np.ndarray | None = None,
     ) -> np.ndarray:  # fmt: skip
-        """How far the surface itself reaches in each direction, as `rim` but not convex: the farthest point in a
-        sector.
-        """
+        """How far the surface reaches in each direction, as `rim` but not convex."""
         cloud = self.trunk if points is None else points
         near = cloud[np.abs(cloud[:, 1] - height) < band][:, [0, 2]] - center
         if not len(near):
@@ -231,9 +229,7 @@ _HEAD = np.array(
 
 
 def _with_drawn_head(skin: Skin) -> Skin:
-    """The body with the plain head of a drawing instead of its own: round above, a small chin, next to no nose, no
-    ears.
-    """
+    """The body with the plain head of a drawing: round above, a small chin, next to no nose, no ears."""
     share = skin.weights[:, J["head"]]
     own = skin.points[share > 0.6]
     low, high = float(own[:, 1].min()), float(own[:, 1].max())
@@ -349,12 +345,7 @@ def random_figure(rng: np.random.Generator, detail: str = "plain") -> Figure:
 
 @lru_cache(maxsize=8)
 def _tessellation(detail: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Another mesh of the reference body.
-
-    Returns:
-        Faces (F, 3), and for each vertex the corners (V, 3) of the face of the body that it is on and its shares (V, 3)
-        of them.
-    """
+    """Another mesh of the reference body."""
     body = reference_body()
     points, faces = body.vertices.astype(np.float64), body.faces
     if detail == "coarse":

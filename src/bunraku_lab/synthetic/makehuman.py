@@ -31,9 +31,7 @@ __all__ = [
 
 BASE_VERTICES = 19158
 BODY_VERTICES = 13380
-"""Vertices of the skin, which come first; after them stand eyes, teeth, the cubes of the joints, and the helpers that
-clothes are bound to.
-"""
+"""Vertices of the skin, which come first; eyes, teeth, joints and helpers for clothes follow."""
 
 _MESH, _GROUPS = "3dobjs/base.obj", "mesh_metadata/basemesh_vertex_groups.json"
 _RIG, _WEIGHTS = "rigs/standard/rig.default.json", "rigs/standard/weights.default.json"
@@ -417,9 +415,7 @@ def rest_linear(joints: np.ndarray, proportions: np.ndarray, arm: float, elbow: 
 
 
 def random_rest(rng: np.random.Generator, joints: np.ndarray) -> np.ndarray:
-    """A random rest pose (T, A, arms down, between) and random proportions, as linear maps of the parts, shape (22, 3,
-    3).
-    """
+    """A random rest pose and random proportions, as linear maps of the parts, shape (22, 3, 3)."""
     pose = rng.choice(4, p=[0.4, 0.3, 0.2, 0.1])
     arm = (rng.normal(0, 0.04), rng.normal(0.75, 0.12), rng.normal(1.25, 0.08), rng.uniform(-0.2, 1.3))[pose]
     elbow = float(rng.uniform(0, 0.5)) if rng.random() < 0.35 else 0.0

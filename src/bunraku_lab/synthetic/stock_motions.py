@@ -57,14 +57,7 @@ def _turn(axis: np.ndarray, angles: np.ndarray | float) -> np.ndarray:
 
 
 def _arms(rotations: np.ndarray, low: np.ndarray, swing: np.ndarray, bend: float) -> None:
-    """Arms that hang, 0 the T-pose.
-
-    Args:
-        rotations: Where to write, shape (N, 22, 3, 3).
-        low: How far each arm is let down [rad], shape (N, 2), left first.
-        swing: How far each swings forwards [rad], shape (N, 2).
-        bend: Of the elbows [rad].
-    """
+    """Arms that hang, 0 the T-pose."""
     for column, (side, sign) in enumerate(_SIDES):
         rotations[:, _J[f"{side}_shoulder"]] = _turn(_X, -swing[:, column]) @ _turn(_Z, -sign * low[:, column])
         rotations[:, _J[f"{side}_elbow"]] = _turn(_Y, -sign * bend)

@@ -1,6 +1,4 @@
-"""Which stretches of captured clips the sampler may start from, packed into one file: among them people who stand, for
-gestures.
-"""
+"""Which stretches of captured clips the sampler may start from, packed into one file."""
 
 from __future__ import annotations
 

@@ -287,14 +287,7 @@ def _graph(
 
 
 class HandleTrainer(AveragedRun[HandlePredictor]):
-    """One training run in memory: the network, its optimiser, and the characters.
-
-    Args:
-        config: Settings.
-        characters: To train on.
-        held_out: To validate on.
-        reference: The reference body's shapes, mixed in.
-    """
+    """One training run in memory: the network, its optimiser, and the characters."""
 
     kind = "handles"
     columns = None
@@ -335,9 +328,7 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
         return min(max(parts), 1.0)
 
     def example_loss(self, mesh: TrainingMesh) -> tuple[torch.Tensor, dict[str, float]]:
-        """L_s + nu_p L_p + nu_r L_r [TapMo 5] with the further losses, for one mesh; and each loss before its
-        weight.
-        """
+        """L_s + nu_p L_p + nu_r L_r [TapMo 5] and further losses for one mesh; and each before its weight."""
         config, device = self.config.loss, self.config.device
         graph = _graph(mesh, self.config.predictor, device, self.rng)
         with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.config.bf16):
@@ -493,14 +484,6 @@ def validate_handles(
 def train_handles(config: HandleTrainConfig, report: Report | None = None, progress: Progress | None = None) -> Path:
     """Train the predictor, or go on where the run in `config.out` stopped; at the end write `mesh_features.npz` for the
     diffusion.
-
-    Args:
-        config: Settings.
-        report: Called after each epoch with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         BunrakuError: No cache, the folder cannot be written, or the checkpoint to start from does not fit.

@@ -236,9 +236,7 @@ def _captions(encoder: MiniLMEncoder) -> dict[str, np.ndarray]:
 
 
 def likeness_of(found: Likeness) -> Callable[[str], dict[str, float]]:
-    """A function that gives the cosine of each movement of a sentence: its own, or else the mean of those that say
-    the movement by the same word.
-    """
+    """The cosine of each movement of a sentence: its own, or else the mean of movements said by the same word."""
     by_word: dict[tuple[str, str], list[float]] = defaultdict(list)
     for sentence, cosines in found.items():
         for action, word in _said_by(sentence).items():
@@ -422,13 +420,7 @@ def batch_of(lessons: Sequence[Lesson]) -> tuple[Tensor, Tensor, Tensor, Tensor]
 
 
 class TaggerTrainer(AveragedRun[TaggerNetwork]):
-    """One training run in memory.
-
-    Args:
-        config: Settings.
-        lessons: To train on.
-        held_out: To validate on.
-    """
+    """One training run in memory."""
 
     kind = KIND
     columns = ("loss", "rate")
@@ -496,12 +488,6 @@ def train_tagger(
     progress: Callable[[str, float], None] | None = None, encoder: MiniLMEncoder | None = None,
 ) -> Path:  # fmt: skip
     """Train, or go on training, and return the path of the averaged weights.
-
-    Args:
-        config: The run.
-        report: Called with a row of the log at each validation.
-        progress: Called with a stage's name and the share done.
-        encoder: In place of the built-in text encoder.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another network.

@@ -1,6 +1,4 @@
-"""Training of networks that match motions and sentences: the run that they share, and the ranker, which chooses among
-the candidates that `animate` makes.
-"""
+"""Training of networks that match motions and sentences: the shared run, and the ranker."""
 
 from __future__ import annotations
 
@@ -73,16 +71,7 @@ def for_encoder(network: ExtractorConfig, encoder: TextEncoder) -> ExtractorConf
 
 
 class MatchingRun(AveragedRun[Extractor]):
-    """One training run in memory.
-
-    Args:
-        config: Settings.
-        network: The network.
-        statistics: Of the training motions; the network's units.
-        bank: Their sentences, encoded.
-        clips: How many they are, for the notes.
-        kind: Of the checkpoint, and its name.
-    """
+    """One training run in memory."""
 
     columns = None
     least = 0.01
@@ -192,14 +181,7 @@ def corrupted(values: np.ndarray, random: np.random.Generator, sided: bool) -> n
 
 
 class RankerTrainer(MatchingRun):
-    """One training run in memory.
-
-    Args:
-        config: Settings.
-        rows: Training rows; their statistics are the network's units.
-        bank: Their sentences, encoded.
-        held: Rows of clips that no training sees.
-    """
+    """One training run in memory."""
 
     config: RankerTrainConfig
 
@@ -209,9 +191,7 @@ class RankerTrainer(MatchingRun):
         super().__init__(config, config.network, rows.statistics, bank, len(rows.clips), RANKER)
 
     def losses(self, model: Extractor, batch: MotionBatch, random: np.random.Generator) -> tuple[Tensor, float, float]:
-        """The loss of a batch, the share of motions that find their sentence first, and of sentences that find their
-        motion first.
-        """
+        """The loss of a batch, and the shares of motions and of sentences that find their partner first."""
         size, device = len(batch.lengths), self.config.device
         turned = [mirror_words(sentence) for sentence in batch.sentences]
         sided = np.array([a != b for a, b in zip(batch.sentences, turned, strict=True)])
@@ -277,12 +257,6 @@ def train_ranker(
     encoder: TextEncoder | None = None, progress: Callable[[str, float], None] | None = None,
 ) -> Path:  # fmt: skip
     """Train, or go on training, and return the path of the averaged weights.
-
-    Args:
-        config: The run.
-        report: Called with a row of the log at each validation.
-        encoder: In place of the built-in text encoder.
-        progress: Called with a stage's name and the share done.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another network.

@@ -118,9 +118,7 @@ def orientation_results(logs: np.ndarray) -> dict[str, float]:
 
 
 def fitted_temperature(logs: np.ndarray) -> float:
-    """The temperature, 0.5 to 5, at which log-probabilities (N, 24) of upright characters have the least
-    cross-entropy.
-    """
+    """The temperature, 0.5 to 5, with the least cross-entropy of log-probabilities (N, 24)."""
     choices = np.exp(np.linspace(np.log(0.5), np.log(5), 60))
 
     def loss(temperature: float) -> float:
@@ -163,14 +161,7 @@ class OrientationTrainConfig(StepSettings):
 
 
 class OrientationTrainer(AveragedRun[OrientationPredictor]):
-    """One training run in memory: the network, its optimiser, and the characters.
-
-    Args:
-        config: Settings.
-        characters: To train on, all upright and facing +Z.
-        held_out: To validate on.
-        reference: The reference body's shapes, mixed in.
-    """
+    """One training run in memory: the network, its optimiser, and the characters."""
 
     kind = "orientation"
     columns = ("loss", "won", "rate")
@@ -196,9 +187,7 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         model.load_state_dict(given.state_dict())
 
     def loss(self, tokens: torch.Tensor, others: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Cross-entropy of the upright orientation against the three other fronts and a sample of the rest; and the
-        scores.
-        """
+        """Cross-entropy of the upright orientation against three other fronts and a sample; and the scores."""
         chosen = [*FRONTS, *others]
         scores = self.model.scores(tokens, self.model.rotations[chosen])
         offset = torch.zeros(len(chosen), device=scores.device)
@@ -255,14 +244,6 @@ def train_orientation(
     config: OrientationTrainConfig, report: Report | None = None, progress: Progress | None = None
 ) -> Path:
     """Train the orientation network, or go on where the run in `config.out` stopped.
-
-    Args:
-        config: Settings.
-        report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         BunrakuError: No cache, or the folder cannot be written.

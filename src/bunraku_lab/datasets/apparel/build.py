@@ -1,6 +1,4 @@
-"""`bunraku data apparel`: characters x motions, simulated and recorded in few numbers (joint transforms, and how far
-vertices leave what the joints give), as shards.
-"""
+"""`bunraku data apparel`: characters in motions, simulated and recorded as shards."""
 
 from __future__ import annotations
 

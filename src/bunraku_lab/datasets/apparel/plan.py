@@ -120,9 +120,7 @@ class ShardPlan:
         return sum(clip.seconds for clip in self.clips)
 
     def fingerprint(self) -> str:
-        """What the shard is made of, as 32 letters: a file with another one is built again. Folders do not count,
-        contents do.
-        """
+        """A digest of what the shard is made of; a file with another one is built again. Folders do not count."""
         from bunraku import __version__
 
         facts = asdict(self)

@@ -1,6 +1,4 @@
-"""Characters for the weakly supervised losses of TapMo (section 3.2), each reduced to what the losses look at: the
-file, and its packing.
-"""
+"""Characters for the weakly supervised losses of TapMo (section 3.2), reduced to what the losses look at."""
 
 from __future__ import annotations
 
@@ -246,9 +244,7 @@ def write_rows(path: str | Path, rows: Iterable[Row], reference: np.ndarray) -> 
 
 
 def _reference_row(features: np.ndarray) -> Row:
-    """The reference body with its own handles and true joints, so that a motion's residual is what `fit_motion` says it
-    is.
-    """
+    """The reference body with its own handles and true joints."""
     body = reference_body()
     handles = replace(body.handles, features=features)
     still = np.tile(np.eye(3), (HANDLE_COUNT, 1, 1))

@@ -262,9 +262,7 @@ HELD_OUT: tuple[str, ...] = (
     "quaternius2019/Smooth_Female_Dress",
     "valid/Black_F_1_Busi",
 )  # fmt: skip
-"""Characters that no training sees: one or two of most packs, and two packs whole (platformer_game_pack,
-single_knight_pack).
-"""
+"""Characters that no training sees: one or two of most packs, and two whole packs."""
 
 
 def training_character(character: Character, name: str, mesh_vertices: int = 2400) -> TrainingCharacter:
@@ -319,9 +317,7 @@ RIGGED = (".glb", ".fbx", ".obj")
 
 
 def rigged_files(folder: Path) -> list[Path]:
-    """Files under a folder that may hold rigged characters: GLB, FBX, and OBJ with a rig text (see
-    `bunraku_lab.datasets.characters.build`).
-    """
+    """Files under a folder that may hold rigged characters: GLB, FBX, and OBJ with a rig text."""
 
     files = [file for file in folder.rglob("*") if file.suffix.lower() in RIGGED and file.is_file()]
     return sorted(file for file in files if file.suffix.lower() != ".obj" or find_rig(file) is not None)
@@ -453,9 +449,7 @@ def reference_characters(mesh_vertices: int = 2400) -> list[TrainingCharacter]:
 
 
 def training_dressed(person: Dressed, name: str, mesh_vertices: int = 2400) -> TrainingCharacter:
-    """A dressed character as the predictor trains on it, with the canonical handle weights as the target
-    (`whole_head`).
-    """
+    """A dressed character for the predictor, with the canonical handle weights as the target (`whole_head`)."""
     piece = person.piece
     mesh = network_mesh(piece.points, piece.faces, mesh_vertices)
     joints = (person.joints - mesh.center) / mesh.scale

@@ -1,6 +1,4 @@
-"""Characters to train the Mesh Handle Predictor on: what is known of their rigs beyond bone names, and the ways in
-which each character is varied.
-"""
+"""Characters to train the Mesh Handle Predictor on, and the ways in which each is varied."""
 
 from __future__ import annotations
 
@@ -263,9 +261,7 @@ def _resting(character: TrainingCharacter) -> np.ndarray:
 
 
 def random_pose(rng: np.random.Generator, character: TrainingCharacter, angle: float, share: float = 0.5) -> np.ndarray:
-    """Turns of a random share of the joints by up to `angle` [rad] about random axes; the root rests. Shape (J, 3,
-    3).
-    """
+    """Rotations of a random share of the joints by up to `angle` [rad] about random axes, shape (J, 3, 3)."""
     count = len(character.joints)
     axis = rng.normal(size=(count, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True) + 1e-9
@@ -351,9 +347,7 @@ def plain_mesh(
 def augment(
     character: TrainingCharacter, rng: np.random.Generator, config: AugmentConfig | None = None
 ) -> TrainingMesh:
-    """A random variant: another rest pose, other proportions, a small turn, perhaps the mirror image; and poses of
-    it.
-    """
+    """A random variant: another rest pose, other proportions, perhaps the mirror image; and poses of it."""
     config = config or AugmentConfig()
     c = character
     vertices, normals, joints, root = (

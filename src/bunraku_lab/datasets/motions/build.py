@@ -40,9 +40,7 @@ LEAST, MOST = np.radians(2.0), np.radians(35.0)
 
 
 def standing_foot_pitch(motion: SkeletalMotion) -> float:
-    """Median slope [rad] of the feet while they stand (low and slower than 0.3 m/s); up is positive, NaN where they
-    never stand.
-    """
+    """Median slope [rad] of the feet while they stand (low, slower than 0.3 m/s); NaN where they never stand."""
     rotations, positions = motion.world()
     slopes = []
     for joint in ANKLES:
@@ -55,9 +53,7 @@ def standing_foot_pitch(motion: SkeletalMotion) -> float:
 
 
 def subject_pitches(pitches: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """Slope of each subject [rad] from (clip name, slope) pairs: the median of its clips, 0 where that is small, wild
-    or of few clips.
-    """
+    """Slope of each subject [rad]: the median of its clips, 0 where that is small, scattered or of few clips."""
     groups = defaultdict(list)
     for name, pitch in pitches:
         if np.isfinite(pitch):
@@ -166,9 +162,7 @@ def unrolled(motion: SkeletalMotion) -> SkeletalMotion:
 
 
 HELD_TURN, HELD_WAY, HELD_MARGIN = np.radians(10), 0.05, 5
-"""A pose is held while no handle turns farther than this, the root moves no farther [m]; so many frames are left of
-it.
-"""
+"""A pose is held while no handle rotates and the root moves no farther than this [m]; so many frames are kept."""
 QUATERNION_STEP = 8192.0  # the archive stores first differences of round(8192 q)
 
 
@@ -389,9 +383,7 @@ def checked(
 
 
 def between_held_poses(motion: HandleMotion) -> tuple[int, int]:
-    """First frame and frame after the last of a take without the poses that it holds at its ends, but for a quarter of
-    a second of each.
-    """
+    """First frame and frame after the last of a take without the poses held at its ends, but for 0.25 s of each."""
     first, last = (_still(motion, end) for end in (0, len(motion) - 1))
     start = int(np.argmin(first)) if not first.all() else len(motion)
     stop = len(motion) - int(np.argmin(last[::-1])) if not last.all() else 0
@@ -408,9 +400,7 @@ def _still(motion: HandleMotion, frame: int) -> np.ndarray:
 
 
 def t_pose(motion: HandleMotion) -> np.ndarray:
-    """Frames in which both arms are stretched out to the sides as in the reference body's rest pose, shape (N,),
-    bool.
-    """
+    """Frames in which both arms are stretched out to the sides as in the rest pose, shape (N,), bool."""
     parts = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow")]
     turned = np.einsum("nkii->nk", motion.rotations[:, parts])  # 3 at rest
     return np.asarray((turned > 1 + 2 * np.cos(np.radians(22))).all(axis=1))

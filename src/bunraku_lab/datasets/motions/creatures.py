@@ -125,9 +125,7 @@ HELD_OUT_SPECIES: tuple[str, ...] = (
     "bull", "shiba inu", "rat", "velociraptor", "spider", "crab", "dragon", "bee", "tuna", "betta", "puffer",
     "manta ray", "goblin",
 )  # fmt: skip
-"""Species that no training sees: hoofed and clawed animals, a biped with a tail, eight legs, claws, wings, fish. No
-predictor saw them.
-"""
+"""Species that no training sees: hoofed and clawed, a biped with a tail, eight legs, claws, wings, fish."""
 
 VALIDATION_SPECIES: tuple[str, ...] = ("llama", "tetra", "turbot", "parasaurolophus")
 
@@ -201,9 +199,7 @@ def _sentences(species: tuple[str, ...], generic: str, phrases: list[str]) -> tu
 
 
 def _seen(characters: Mapping[str, _Character], file: str, word: str) -> list[str] | None:
-    """Phrases written from watching this clip; they stand with the character named in `watched_like` where the same was
-    seen on it.
-    """
+    """Phrases written from watching this clip, or the clip of the character named in `watched_like`."""
     known = characters[file]
     like = characters.get(known.get("watched_like", ""))
     return known.get("watched", {}).get(word) or (like or known).get("watched", {}).get(word)
@@ -255,9 +251,7 @@ def known_plan(file: str) -> str | None:
 
 
 def creature_split(clip: CreatureClip) -> str:
-    """The split of a clip: whole species and whole characters are kept from training; what people are tested on stays
-    as it is.
-    """
+    """The split of a clip: whole species and characters are kept from training."""
     if clip.file in HELD_OUT or clip.species[0] in HELD_OUT_SPECIES:
         return "test"
     if clip.species[0] in VALIDATION_SPECIES:

@@ -1,6 +1,4 @@
-"""Training data cut out of longer clips: turns on the spot with captions from the motion itself, and dressed people in
-the poses of captured clips.
-"""
+"""Training data cut out of longer clips: rotations on the spot, and dressed people in poses of clips."""
 
 from __future__ import annotations
 

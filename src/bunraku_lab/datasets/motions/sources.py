@@ -66,9 +66,7 @@ def source_of(name: str) -> Source | None:
 
 
 def subject_of(name: str) -> str:
-    """The captured subject of a clip, as its name tells: `cmu_16_11` -> `cmu_16`, `accad_m1_Walk2` -> `accad_m1`,
-    `snu_WalkSad05` -> `snu_WalkSad`.
-    """
+    """The captured subject of a clip, by its name: `cmu_16_11` -> `cmu_16`, `accad_m1_Walk2` -> `accad_m1`."""
     source = source_of(name)
     if source is not None and source.subject_parts is not None:
         return "_".join(name.split("_")[: source.subject_parts])

@@ -1,6 +1,4 @@
-"""Chains of apparel: how they swing by what files say, and chains laid over the shape alone, measured against the truth
-of their file's physics.
-"""
+"""Chains of apparel: how files say that they swing, and chains laid over the shape alone against the truth."""
 
 from __future__ import annotations
 
@@ -202,9 +200,7 @@ def chain_row(clip: TrueClip, told: Character | None = None) -> dict[str, Any]:
 
 
 def chain_summary(rows: Sequence[dict[str, Any]]) -> dict[str, float | None]:
-    """Over all clips: error over that of rigid apparel, the mean and the median of the clips' own, ELS less the
-    truth's, and clips in which something flew away.
-    """
+    """Error over that of rigid apparel (mean, and median of clips), ELS less the truth's, and clips with fly-aways."""
     if not rows:
         return {}
     ratios = [row["chains"] / max(row["rigid"], 1e-9) for row in rows]

@@ -1,6 +1,4 @@
-"""Learned apparel on one clip, beside what skinning alone gives: the clips that hold the truth, the measures, and the
-row.
-"""
+"""Learned apparel on one clip, beside what skinning alone gives: clips with the truth, measures, and rows."""
 
 from __future__ import annotations
 
@@ -322,9 +320,7 @@ def safe_truth(clip: TrueClip, nodes: int = 256) -> np.ndarray:
 
 
 def ten_frames(clip: TrueClip, network: DisplacementNetwork, starts: int = 4, nodes: int = 256) -> dict[str, float]:
-    """The paper's protocol: the ten frames after a true state. Mean errors [m] of the network, of parent-rigid skinning
-    and of the true displacement kept as it was.
-    """
+    """The paper's ten frames after a true state: mean errors [m] of the network, of rigid skinning and of no change."""
     player = ApparelPlayer(clip.clothed, network, nodes=nodes, safe=False)
     frames = clip_features(clip.clothed, player.nodes, clip.transforms)
     turns = np.stack([frame.turns for frame in frames])

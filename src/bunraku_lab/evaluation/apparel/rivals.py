@@ -1,6 +1,4 @@
-"""MMDMC's tables 2 to 4: the whole mesh by our modules, one by one, and by other methods (Neural Blend Shapes,
-Skeleton-free Pose Transfer, the best skinning).
-"""
+"""MMDMC's tables 2 to 4: the whole mesh by our modules, one by one, and by other methods."""
 
 from __future__ import annotations
 
@@ -208,9 +206,7 @@ def part_weights(seen: np.ndarray) -> np.ndarray:
 
 
 def ten_frame_spans(clip: TrueClip) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """Ten frames at `STARTS` places of a clip: the first, affine transforms of the joints (10, 22, 3, 4), and where all
-    vertices are [m], (10, V, 3).
-    """
+    """Ten frames at `STARTS` of a clip: the first, the joints' affine transforms, and all vertices [m], (10, V, 3)."""
     everything = np.arange(len(clip.clothed.rest))
     for first in np.linspace(3, len(clip.transforms) - TEN - 1, STARTS).astype(int):
         span = slice(first, first + TEN)
@@ -365,9 +361,7 @@ MOST = 2000  # vertices that distances are taken of
 
 
 def mask_scores(clip: TrueClip, masks: Path | None = None) -> dict[str, float]:
-    """Intersection over union of the mask that is found, and the mean error of log10 stiffness where there is
-    apparel.
-    """
+    """Intersection over union of the mask that is found, and the mean error of log10 stiffness of apparel."""
     clothed = clip.clothed
     found = find_apparel(clothed.rest, clothed.faces, clothed.joints, masks)
     both, any_ = (found.mask & clothed.apparel).sum(), (found.mask | clothed.apparel).sum()

@@ -1,6 +1,4 @@
-"""How rigid the blocks of a figure stay in an animation and how well they stay jointed, in files that are written and
-read back.
-"""
+"""How rigid the blocks of a figure stay in an animation, and how well they stay jointed."""
 
 from __future__ import annotations
 

@@ -219,9 +219,7 @@ def drive(
 def pose_error(
     rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, height: float, rooted: bool = True, together: bool = False
 ) -> float:
-    """Mean distance over vertices and poses between a posed mesh and what the handles make of it (`drive`), over the
-    height.
-    """
+    """Mean distance between a posed mesh and what the handles make of it (`drive`), over the height."""
     return float(np.linalg.norm(drive(rest, posed, weights, rooted, together) - posed, axis=-1).mean() / height)
 
 

@@ -1,6 +1,4 @@
-"""The same humanoid in other rest poses (T, A, arms down, sitting, crouching), and how much the rest pose shows in its
-animation.
-"""
+"""The same humanoid in other rest poses, and how much the rest pose shows in its animation."""
 
 from __future__ import annotations
 
@@ -62,9 +60,7 @@ def limb_directions(pose: str) -> dict[str, np.ndarray]:
 
 
 def _first(truth: TrainingCharacter, handle: str, mass: np.ndarray, under: int = -1) -> int:
-    """The joint at which a limb's part begins: of its joints whose parent is of another part the heaviest, -1 where
-    there is none.
-    """
+    """The joint at which a limb's part begins: the heaviest whose parent is of another part, or -1."""
     index = HANDLE_NAMES.index(handle)
     found = [
         j

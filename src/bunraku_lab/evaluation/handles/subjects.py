@@ -1,6 +1,4 @@
-"""The characters that handles are measured on: original vertices with the truth of their rigs, among them detailed
-people that no training saw.
-"""
+"""The characters that handles are measured on, with the truth of their rigs."""
 
 from __future__ import annotations
 

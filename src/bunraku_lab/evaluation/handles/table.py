@@ -85,9 +85,7 @@ def _judged(seen: np.ndarray, suffix: str) -> Orientation:
 
 
 def _permutation(up: str, front: str) -> np.ndarray:
-    """For each of `ORIENTATIONS` of a mesh that was laid so that `up` is up and `front` the front: the one that it was
-    when the mesh stood, shape (24,).
-    """
+    """For each of `ORIENTATIONS` of a mesh that was laid down: the one that it was when the mesh stood, shape (24,)."""
     rotations = right_angle_rotations()
     before = rotations @ upright_rotation(up, front).T
     return np.asarray((before[:, None] == rotations[None]).all(axis=(2, 3)).argmax(axis=1))
@@ -256,9 +254,7 @@ def _clips(one: Subject, handles: Handles) -> list[HandleMotion]:
 
 
 def _walk(one: Subject, handles: Handles) -> dict[str, float]:
-    """How far edges are stretched when the character walks: `stretched_edges`, `most_stretched`, and
-    `whole_in_walks`, 1 where none is torn.
-    """
+    """How far edges stretch when the character walks; `whole_in_walks` is 1 where none is torn."""
     from bunraku.pipelines.animate import animate
 
     walk = animate(one.character, WALK, seconds=WALK_SECONDS, seed=0, handles=handles, candidates=1)

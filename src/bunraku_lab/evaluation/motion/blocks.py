@@ -67,9 +67,7 @@ BARS = {
 
 
 def speed_block(config: MotionEvalConfig) -> dict[str, float]:
-    """Seconds from a known sentence to a handle motion of 196 frames, alone and in a batch of 8; the best of three, and
-    of two.
-    """
+    """Seconds from a known sentence to 196 frames, alone (best of three) and in a batch of 8 (best of two)."""
     from bunraku.generation.generate import generate_motion, generate_motions
     from bunraku.language.parse import clauses_of
 
@@ -92,9 +90,7 @@ def speed_block(config: MotionEvalConfig) -> dict[str, float]:
 
 
 def seam_block(config: MotionEvalConfig) -> dict[str, float]:
-    """Clips of 60 s of five prompts: the largest step of the handles from frame to frame near a seam, over the median
-    of the clip; means of seeds.
-    """
+    """60 s of five prompts: the largest step of the handles near a seam over the median of the clip; means of seeds."""
     from bunraku.generation.generate import generate_motions
     from bunraku.language.parse import clauses_of
     from bunraku_lab.evaluation.motion.metrics import measure_seams
@@ -139,9 +135,7 @@ def handle_fid_block(config: MotionEvalConfig, count: int, progress: Progress) -
 
 
 def foot_block(config: MotionEvalConfig, count: int, progress: Progress) -> dict[str, float]:
-    """Feet of generated motions of held-out sentences, on the reference body and on unseen humanoids of the characters'
-    folder.
-    """
+    """Feet of motions of held-out sentences, on the reference body and on unseen humanoids."""
     from bunraku_lab.evaluation.motion.characters import chosen_files, foot_figures, load_named
 
     characters = []

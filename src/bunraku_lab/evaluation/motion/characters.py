@@ -263,9 +263,7 @@ def gauge(character: Character, handles: Handles) -> Gauge:
 
 
 def _slides(what: Gauge, transforms: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Ways of feet that are down from a frame to the next [cm], whether each is no swing, and how many pairs of frames
-    and feet there are.
-    """
+    """Paths of feet that are down [cm], whether each is no swing, and the number of pairs of frames and feet."""
     ways, slid, count = [], [], 0
     h = what.handles.positions
     root = transforms[:, 0, :, :3] @ h[0] + transforms[:, 0, :, 3]
@@ -443,9 +441,7 @@ def mesh_features(folder: Path, names: Collection[str]) -> dict[str, np.ndarray]
 def arap_figures(
     characters: Sequence[Named], checkpoint: Path | None, prompts: int, steps: int | None, seed: int, progress: Progress
 ) -> dict[str, float | None]:
-    """ARAP-Loss of generated motions with the adaptation, without, and the ratio of both, on seen and on unseen
-    characters.
-    """
+    """ARAP-Loss with and without the adaptation, and the ratio, on seen and on unseen characters."""
     table = measure_adaptation(
         characters, ARAP_PROMPTS[:prompts], steps=steps, seed=seed, checkpoint=checkpoint,
         progress=lambda stage, done: progress(done),

@@ -42,9 +42,7 @@ def t_quantile(degrees: int) -> float:
 
 
 def interval(values: Sequence[float]) -> Interval:
-    """Mean and 95 % interval of independent runs: t times the standard deviation over the root of their number; 0 wide
-    for one run.
-    """
+    """Mean and 95 % interval of independent runs (Student's t); 0 wide for one run."""
     found = np.asarray(values, float)
     if len(found) < 2:
         return Interval(float(found.mean()), 0.0)
@@ -110,9 +108,7 @@ def fid(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def diversity(vectors: np.ndarray, random: np.random.Generator, pairs: int = 300) -> float:
-    """Mean distance of motions drawn in two lists without repetition (Guo et al. 2022), shape (B, E); `pairs` of them
-    at most B / 2.
-    """
+    """Mean distance of motions drawn in two lists without repetition (Guo et al. 2022), shape (B, E)."""
     count = min(pairs, len(vectors) // 2)
     if count < 1:
         raise OptionError("Diversity needs at least 2 motions")
@@ -213,9 +209,7 @@ class SeamReport:
 
 
 def posed_positions(motion: HandleMotion, positions: np.ndarray | None = None) -> np.ndarray:
-    """World positions of the handles [m], shape (N, K, 3); of the reference body's unless rest positions (K, 3) are
-    given.
-    """
+    """World positions of the handles [m], shape (N, K, 3), at given rest positions (K, 3) or the reference body's."""
     rest = np.asarray(reference_body().handles.positions if positions is None else positions, float)
     transforms = motion.transforms(rest).astype(float)
     return np.asarray(posed_points(transforms, rest))

@@ -1,6 +1,4 @@
-"""The motions that the table compares: windows of captioned clips, and motions made and kept in a folder so that a
-stopped evaluation can go on.
-"""
+"""The motions that the table compares: windows of captioned clips, and motions made and kept in a folder."""
 
 from __future__ import annotations
 
@@ -301,14 +299,7 @@ def _kept(
     requests: Sequence[Request], home: Path | None, make: Callable[[list[int], int], np.ndarray],
     progress: Callable[[int, int], None] | None,
 ) -> list[np.ndarray]:  # fmt: skip
-    """Motions in the order of the requests, made in batches, each read from its folder where it is there already.
-
-    Args:
-        requests: What to make.
-        home: Folder of these very requests, weights and settings; None keeps nothing.
-        make: Makes the rows of batch `number`, shape (B, N, 271).
-        progress: Called with (motions done, total).
-    """
+    """Motions in the order of the requests, made in batches, each read from its folder where it is there already."""
     if home is not None:
         home.mkdir(parents=True, exist_ok=True)
     out: list[np.ndarray] = [np.zeros((0, FEATURE_SIZE), np.float32)] * len(requests)

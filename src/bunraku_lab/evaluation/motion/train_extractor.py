@@ -59,13 +59,7 @@ def retrieval_of(
 
 
 class ExtractorTrainer(MatchingRun):
-    """One training run in memory.
-
-    Args:
-        config: Settings.
-        clips: To train on.
-        bank: Their sentences, encoded.
-    """
+    """One training run in memory."""
 
     config: ExtractorTrainConfig
     held: Mapping[str, ClipEntry]
@@ -130,12 +124,6 @@ def train_extractor(
     encoder: TextEncoder | None = None, progress: Callable[[str, float], None] | None = None,
 ) -> Path:  # fmt: skip
     """Train, or go on training, and return the path of the averaged weights.
-
-    Args:
-        config: The run.
-        report: Called with a row of the log at each validation.
-        encoder: In place of the built-in text encoder.
-        progress: Called with a stage's name and the share done.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another network.

@@ -141,9 +141,7 @@ def punching_side(motion: HandleMotion) -> str | None:
 
 
 def raised_side(motion: HandleMotion) -> str | None:
-    """The hand that is up at its shoulder for a quarter of a second while the other never is; None where both are, or
-    neither.
-    """
+    """The hand that is up at its shoulder for 0.25 s while the other never is; None for both or neither."""
     track = Track.of(motion)
     up = {}
     for side in SIDES:

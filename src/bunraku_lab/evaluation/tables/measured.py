@@ -1,6 +1,4 @@
-"""All tables of a paper, measured: the figures of MMDMC, which groups of rows exist, what each needs, and whose figures
-become which row.
-"""
+"""All tables of a paper, measured: MMDMC's figures, groups of rows, what each needs, and which row is whose."""
 
 from __future__ import annotations
 

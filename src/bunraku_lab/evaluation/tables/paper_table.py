@@ -169,9 +169,7 @@ def _over(value: float | None, base: float | None) -> float | None:
 
 
 def shown_table(measured: Mapping[str, Any]) -> list[Table | str]:
-    """A measured table for people, the paper's figure before ours in each cell, and a line for each reason why rows
-    were not run.
-    """
+    """A measured table with the paper's figure before ours, and a line for each reason why rows were not run."""
     rows = [["paper / ours", *(cell for column in measured["columns"] for cell in (column, "ratio"))]]
     for row in measured["rows"]:
         cells = [row["cells"][column] for column in measured["columns"]]

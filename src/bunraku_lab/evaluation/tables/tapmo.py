@@ -145,9 +145,7 @@ def measure_distortion(
 
 
 def _losses(config: DistortionConfig, named: Named, theirs: Sequence[HandleMotion]) -> dict[str, float]:
-    """Mean ARAP-Loss of each row on one character, but for those of trained baselines and adaptations; without those of
-    MDM-SR where it cannot be embedded.
-    """
+    """Mean ARAP-Loss of each row on one character, without trained baselines and adaptations."""
     _, character, handles = named
     anatomy = Anatomy.of(character, handles)
     ours = drawn_motions(config, config.checkpoint, handles.features)
@@ -170,9 +168,7 @@ def _losses(config: DistortionConfig, named: Named, theirs: Sequence[HandleMotio
 def _trained(
     config: DistortionConfig, theirs: Sequence[HandleMotion]
 ) -> Iterator[tuple[str, str, Callable[[Named], float]]]:
-    """The rows of trained adaptations and pose transfers: name, what tells its weights from others, and what measures a
-    character. One network is held at a time.
-    """
+    """The rows of trained adaptations and pose transfers: name, digest of the weights, and the measure."""
     from bunraku.generation.networks import Networks
 
     for row, adapter in config.adapters.items():

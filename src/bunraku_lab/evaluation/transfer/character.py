@@ -1,6 +1,4 @@
-"""One character of the table of motion transfer: what is measured of it with every motion, how far it stands off the
-ground.
-"""
+"""One character of the table of motion transfer: what is measured of it with every motion."""
 
 from __future__ import annotations
 
@@ -187,9 +185,7 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
 
 
 def _there_and_back(path: Path, character: Character, name: str) -> _Back:
-    """Mean error of the vertices of a character's own clip, over its height, after the way to the reference body and
-    back; none without clips.
-    """
+    """Mean error of a character's own clip after the way to the reference body and back, over its height."""
     from bunraku.files import clip_names, load_animation
     from bunraku.pipelines.to_reference import reference_motion
     from bunraku.pipelines.transfer import apply_transfer, same_skeleton
@@ -235,9 +231,7 @@ def _rig_heads(parts: RigParts, animation: RigAnimation, frames: np.ndarray) -> 
 
 
 def carried_heads(parts: RigParts, animation: Animation | RigAnimation, frames: np.ndarray) -> np.ndarray:
-    """Where the skinning of an animation takes a rig's joints: as it takes the vertices that both parts of the joint
-    hold, in the mean.
-    """
+    """Where skinning takes a rig's joints: the mean of the vertices that both parts of the joint hold."""
     own = parts.handles.weights.astype(np.float64)
     world = animation.motion.transforms(animation.handles.positions)[frames].astype(np.float64)
     heads = np.tile(parts.joints.positions, (len(world), 1, 1))

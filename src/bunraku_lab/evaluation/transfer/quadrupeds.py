@@ -87,13 +87,7 @@ def captured_animal(animation: Animation | RigAnimation, parts: RigParts, flat: 
 
 
 def _limbs(parts: RigParts, heads: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Where the four limbs of a rigged animal point, shape (N, 4, 3).
-
-    Args:
-        parts: Of its rig.
-        heads: Where the joints of its 30 handles are [m], shape (N, 30, 3).
-        vertices: Of its mesh [m], shape (N, V, 3).
-    """
+    """Where the four limbs of a rigged animal point, shape (N, 4, 3)."""
     legs = {leg.upper: leg for leg in parts.anatomy.legs}
     return np.stack([vertices[:, legs[top].sole].mean(axis=1) - heads[:, top] for top in _LIMBS], axis=1)
 

@@ -226,9 +226,7 @@ def sole_gaps(character: Character, model: MmdModel, vmd: VmdMotion) -> list[dic
 
 
 def leg_reach(model: MmdModel, knee: MmdIkLink, hip: int, ankle: int) -> float:
-    """How far from the hip the ankle can be [m], with the knee between its limits; for a knee without limits, the leg's
-    length.
-    """
+    """How far from the hip the ankle can be [m], with the knee between its limits."""
     rest = model.positions
     thigh, shin = rest[knee.bone] - rest[hip], rest[ankle] - rest[knee.bone]
     if knee.lower is None or knee.upper is None:

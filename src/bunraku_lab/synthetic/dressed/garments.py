@@ -404,9 +404,7 @@ class Wardrobe:
         return Piece(points, garment.clothes.faces, joints, handles)
 
     def part(self, figure: BodyShape, *groups: str, keep: np.ndarray | None = None) -> Piece:
-        """Parts of the base mesh itself ("body", "helper-tights", "helper-l-eye", ...), or what is kept of them, shape
-        (B,) bool.
-        """
+        """Parts of the base mesh itself ("body", "helper-tights", ...), or what is kept of them, shape (B,), bool."""
         wanted = np.zeros(len(figure.vertices), bool)
         for group in groups:
             wanted[self.body.groups[group]] = True

@@ -68,9 +68,7 @@ def melted(piece: Piece, solid: Piece, cell: float, thickness: float) -> Piece:
 
 
 def simplified(piece: Piece, faces: int) -> Piece:
-    """The mesh with at most so many triangles, as characters of games have them; weights are those of the nearest
-    points.
-    """
+    """The mesh with at most so many triangles; weights are those of the nearest points."""
     import fast_simplification
 
     if faces >= len(piece.faces):
@@ -124,9 +122,7 @@ class Outfit:
 
 
 def random_outfit(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Outfit:
-    """A random outfit: a suit of the archive, its parts mixed, garments made of the helper surfaces, or next to
-    nothing.
-    """
+    """A random outfit: a suit of the archive, its parts mixed, garments of helper surfaces, or next to nothing."""
     outfit = Outfit()
     kind = rng.choice(["archive", "overall", "gown", "bare"], p=[0.73, 0.1, 0.1, 0.07])
     if kind == "overall" and wardrobe.whole:
@@ -348,9 +344,7 @@ def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
 
 
 def _covered(figure: BodyShape, outfit: Outfit) -> np.ndarray:
-    """Base vertices that the clothes hide and that are near some of them: garments of an archive expect others beside
-    them.
-    """
+    """Vertices that the clothes hide and that lie near some of them."""
     hidden = np.unique(np.concatenate(outfit.hidden))
     reach = 0.025 * float(np.ptp(figure.vertices[:BODY_VERTICES, 1]))
     distance = cKDTree(np.concatenate([piece.points for piece in outfit.pieces])).query(

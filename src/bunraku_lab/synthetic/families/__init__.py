@@ -71,9 +71,7 @@ def code_made_character(family: str, seed: int) -> Character:
 
 
 def code_made_names(count: int, seed: int = 0) -> list[tuple[str, int]]:
-    """Family and seed of `count` characters, families by their shares; a longer list begins as a shorter one
-    does.
-    """
+    """Family and seed of `count` characters, families by their shares; a longer list begins as a shorter one."""
     shares = np.array([share for _, share in _MAKERS.values()])
     owed, out = np.zeros(len(shares)), []
     for number in range(count):

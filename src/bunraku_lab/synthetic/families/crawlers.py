@@ -24,9 +24,7 @@ class _LegShape:
 
 
 def _leg(m: Model, side: str, word: str, root: np.ndarray, yaw: float, shape: _LegShape, parent: str = "Hips") -> None:
-    """A leg of three segments: out and up, out and down, and to the ground; the word in its bones' names says which leg
-    it is.
-    """
+    """A leg of three segments: out and up, out and down, and to the ground; the word names its bones."""
     reach, rise, ground, radius = astuple(shape)
     direction = np.array([dict(SIDES)[side] * np.cos(yaw), 0, np.sin(yaw)])
     knee = root + direction * reach * 0.38 + [0, rise, 0]

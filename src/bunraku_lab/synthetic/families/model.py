@@ -393,9 +393,7 @@ class Model:
         return out
 
     def _bend(self, size: float, middle: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """A smooth random warp of space, so that no two parts are perfect, and what is left and right differs a
-        little.
-        """
+        """A smooth random warp of space, so that no two parts, and no two sides, are the same."""
         count, most = 4, float(self.rng.choice([0.0, 0.006, 0.012]))
         wave = self.rng.normal(size=(count, 3)) * 4 / size
         phase, shift = self.rng.uniform(0, 6.28, count), self.rng.normal(size=(count, 3)) * most * size

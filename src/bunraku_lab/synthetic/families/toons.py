@@ -1,6 +1,4 @@
-"""Toys and monsters without a human shape: mascots on thin limbs, slimes, ghosts, mushrooms, skulls, and blobs that
-fly.
-"""
+"""Toys and monsters: mascots on thin limbs, slimes, ghosts, mushrooms, skulls, and blobs that fly."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The sample characters that are no people: a dog with floppy ears, a young dragon with spread wings, and a walking
-mushroom.
-"""
+"""The sample characters that are no people: a dog, a young dragon with spread wings, and a walking mushroom."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The sample characters on two legs: a young person in a T-shirt, a dancer with a flared skirt and a ponytail, and a
-tin robot of more than forty hard-edged parts.
-"""
+"""The sample characters on two legs: a young person, a dancer with skirt and ponytail, and a tin robot."""
 
 from __future__ import annotations
 

@@ -45,9 +45,7 @@ def slab(
     axis: int, low: float = -np.inf, high: float = np.inf, *, both_sides: bool = False,
     tilt: Sequence[float] = (0, 0, 0),
 ) -> Region:  # fmt: skip
-    """Points between two values of a coordinate [m]; `both_sides` takes |coordinate|, `tilt` leans the planes by the
-    others.
-    """
+    """Points between two values of a coordinate [m], or of its absolute value; `tilt` leans the planes."""
     lean = np.asarray(tilt, float)
 
     def region(points: np.ndarray) -> np.ndarray:
@@ -244,9 +242,7 @@ def clay(field: Field, count: int, bones: Bones, base: str, paints: Sequence[Pai
 
 
 def _weigh(vertices: np.ndarray, faces: np.ndarray, field: Field, bones: Bones, softness: float) -> np.ndarray:
-    """Skin weights: a joint counts by how near its lumps are, and only on its own lumps and those of its neighbours in
-    the skeleton.
-    """
+    """Skin weights: a joint counts by the distance of its lumps, on its own lumps and its neighbours' only."""
     names = tuple(bones)
     distance = field.distances(vertices, names)
     owner = distance.argmin(axis=1)
@@ -339,9 +335,7 @@ def button(field: Field, position: Sequence[float] | np.ndarray, radii: Sequence
 def eye(
     field: Field, position: Sequence[float], size: tuple[float, float], color: str, joint: str, white: str | None = None
 ) -> list[Piece]:
-    """An eye with a glint, and with its white where a colour for it is given; `size` is its half width and half height
-    [m].
-    """
+    """An eye with a glint, and with its white where a colour is given; `size` is half width and half height [m]."""
     width, height = size
     pieces, lift = [], 0.0
     if white is not None:

@@ -145,9 +145,7 @@ def add_chains(
 
 
 def band_start(costume: Costume, name: str) -> float:
-    """Where a piece begins to move, over its length from 0 at its top: most move whole, of others only the hem or the
-    tips do.
-    """
+    """Where a piece begins to move, over its length from its top: at 0 for most, at the hem or tips for others."""
     random = _piece_random(costume, f"{name} band")
     if costume.quiet:
         return float(random.uniform(0.78, 0.94))
@@ -223,9 +221,7 @@ def _cross(
     costume: Costume, names: list[str], nodes: np.ndarray, outward: np.ndarray, bodies: np.ndarray, hang: Hang,
     closed: bool,
 ) -> None:  # fmt: skip
-    """Ties between links of the same row, in every second row from the last up: enough to keep cloth in order, and half
-    the work.
-    """
+    """Ties between links of the same row, in every second row: enough to keep cloth in order."""
     count, links = bodies.shape
     rows = range(links - 1, 0, -2) if links > 1 else range(1)
     for chain in range(count if closed else count - 1):

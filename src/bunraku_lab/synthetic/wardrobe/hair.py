@@ -55,9 +55,7 @@ class Scalp:
 def add_hair(
     costume: Costume, figure: Figure, rng: np.random.Generator, *, kind: str, colors: tuple[str, str]
 ) -> Scalp:
-    """Hair of a kind: "short", "bob", "ponytail", "twin tails", "long", with a fringe; returns the dome that it lies
-    on.
-    """
+    """Hair of a kind ("short", "bob", "ponytail", "twin tails", "long") with a fringe; returns its dome."""
     scalp = Scalp(figure, float(rng.uniform(0.08, 0.14)) * float(figure.skull[1][0]))
     bone = costume.bone_index("頭")
     _cap(costume, scalp, bone, rng, kind, colors[0])

@@ -281,9 +281,7 @@ class _Run(TrainingRun):
 
     @torch.no_grad()
     def measure(self, pairs: AdaptationPairs, count: int = 96) -> tuple[float, float, float]:
-        """ARAP-Loss with the adaptation over without, of the means and as the mean of each pair's own; and delta's mean
-        length [m].
-        """
+        """ARAP-Loss with the adaptation over without, of the means and by pair; and delta's mean length [m]."""
         with_it, without, ratios, length = 0.0, 0.0, [], []
         random = np.random.default_rng(9)
         for start in range(0, min(count, len(pairs.row)), 8):
@@ -338,12 +336,6 @@ def train_adaptation(
     encoder: TextEncoder | None = None,
 ) -> Path:  # fmt: skip
     """Fine-tune, or go on fine-tuning, and return the path of the denoiser with its new layer.
-
-    Args:
-        config: The run.
-        report: Called with each row of the log.
-        progress: Called with a stage's name and the share done.
-        encoder: In place of the denoiser's own text encoder.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another run.

@@ -246,9 +246,7 @@ class BodyTrainConfig(StepSettings):
 
 
 def pose_bank(data: Path, split: str, most: int = 4000) -> np.ndarray:
-    """Turns of the joints in the motions of a data set, one frame of many, shape (P, 22, 3, 3), float32; none of a
-    split that has no motion.
-    """
+    """Rotations of the joints in a data set's motions, one frame of many, shape (P, 22, 3, 3), float32."""
     from bunraku_lab.datasets.apparel import ApparelData
 
     found = ApparelData(data, split)  # type: ignore[arg-type]
@@ -277,15 +275,7 @@ def posed_joints(turns: np.ndarray, joints: np.ndarray) -> np.ndarray:
 
 
 class BodyTrainer(AveragedRun[BodyNetwork]):
-    """One run in memory.
-
-    Args:
-        config: Settings.
-        characters: To learn from.
-        poses: Turns of the joints, shape (P, 22, 3, 3).
-        held_out: To validate on, in `held_poses`.
-        held_poses: As `poses`.
-    """
+    """One run in memory."""
 
     kind = "apparel-body"
 
@@ -355,14 +345,6 @@ class BodyTrainer(AveragedRun[BodyNetwork]):
 
 def train_body(config: BodyTrainConfig, report: Report | None = None, progress: Progress | None = None) -> Path:
     """Train the body network, or go on where the run in `config.out` stopped.
-
-    Args:
-        config: Settings.
-        report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         BunrakuError: No data, or the folder cannot be written.

@@ -277,13 +277,7 @@ class _Block:
 
 
 class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
-    """One run in memory.
-
-    Args:
-        config: Settings.
-        characters: To learn from.
-        held_out: To validate on.
-    """
+    """One run in memory."""
 
     kind = "apparel"
     columns = ("head_loss", "recurrent_loss", "rate")
@@ -431,14 +425,6 @@ def train_displacement(
     config: DisplacementTrainConfig, report: Report | None = None, progress: Progress | None = None
 ) -> Path:
     """Train the displacement network, or go on where the run in `config.out` stopped.
-
-    Args:
-        config: Settings.
-        report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         BunrakuError: No data, or the folder cannot be written.

@@ -1,6 +1,4 @@
-"""The joint refinement f_j of section 4.4 of MMDMC: where apparel and body meet, the network that merges what both
-modules say, and its training.
-"""
+"""The joint refinement f_j of section 4.4 of MMDMC, which merges what both modules say, and its training."""
 
 from __future__ import annotations
 
@@ -332,13 +330,7 @@ def seam_sample(
 
 
 class RefinementTrainer(AveragedRun[RefinementNetwork]):
-    """One run in memory.
-
-    Args:
-        config: Settings.
-        characters: To learn from.
-        held_out: To validate on.
-    """
+    """One run in memory."""
 
     kind = "apparel-refinement"
 
@@ -407,14 +399,6 @@ def train_refinement(
     config: RefinementTrainConfig, report: Report | None = None, progress: Progress | None = None
 ) -> Path:
     """Train the joint refinement, or go on where the run in `config.out` stopped.
-
-    Args:
-        config: Settings.
-        report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         BunrakuError: No data, a network is missing, or the folder cannot be written.

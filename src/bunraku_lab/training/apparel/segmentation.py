@@ -1,6 +1,4 @@
-"""Training of the segmentation network (section 4.1 of MMDMC), on characters in other makes: welded parts, other
-widths, fewer points.
-"""
+"""Training of the segmentation network (section 4.1 of MMDMC) on varied characters."""
 
 from __future__ import annotations
 
@@ -118,13 +116,7 @@ class SegmentationTrainConfig(StepSettings):
 
 
 class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
-    """One run in memory.
-
-    Args:
-        config: Settings.
-        characters: To learn from.
-        held_out: To validate on.
-    """
+    """One run in memory."""
 
     kind = "apparel-mask"
 
@@ -200,14 +192,6 @@ def train_segmentation(
     config: SegmentationTrainConfig, report: Report | None = None, progress: Progress | None = None
 ) -> Path:
     """Train the segmentation network, or go on where the run in `config.out` stopped.
-
-    Args:
-        config: Settings.
-        report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         BunrakuError: The folder cannot be written.

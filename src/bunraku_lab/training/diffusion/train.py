@@ -1,6 +1,4 @@
-"""Training of the denoiser (Eq. 6 to 9 of TapMo), from scratch or from the weights of another run, and the card that
-says what the weights learned from.
-"""
+"""Training of the denoiser (Eq. 6 to 9 of TapMo), and the card that says what the weights learned from."""
 
 from __future__ import annotations
 
@@ -147,9 +145,7 @@ def training_card(clips: Mapping[str, ClipEntry], config: TrainingConfig) -> str
 
 
 def _carried(config: TrainingConfig) -> list[str]:
-    """The credits of the weights that the run starts from, and of the examples that it rehearses, where their cards are
-    beside them.
-    """
+    """The credits of the start weights and of the rehearsed examples, where their cards are beside them."""
     names = ["diffusion"] if config.start == SHIPPED else []
     names += ["examples"] if config.rehearse else []
     cards = [] if config.start in (None, SHIPPED) else [config.start.with_suffix(".md")]  # type: ignore[union-attr]
@@ -183,11 +179,7 @@ def _statistics(path: Path) -> FeatureStatistics | None:
 
 
 def _pack(config: TrainingConfig) -> ExamplePack:
-    """The examples of a run.
-
-    Raises:
-        WeightsError: They are missing or damaged.
-    """
+    """The examples of a run."""
     pack = load_examples() if config.example_pack is None else read_pack(config.example_pack)
     if pack is None:
         raise WeightsError("the shipped examples are missing; install Bunraku again or name some with --example-pack")
@@ -198,11 +190,6 @@ def train_diffusion(
     config: TrainingConfig, network: DenoiserConfig | None = None, encoder: TextEncoder | None = None
 ) -> Path:
     """Train, or go on training, and return the path of the averaged weights.
-
-    Args:
-        config: The run.
-        network: In place of the preset's network.
-        encoder: In place of the built-in text encoder.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another network.
@@ -326,15 +313,7 @@ _COLUMNS = (
 
 
 class _Run(TrainingRun):
-    """A trainer in the loop, with its batches, its validation and its log.
-
-    Args:
-        trainer: Networks and optimisers.
-        network: The denoiser's config.
-        source: Batches from the trainer's step on.
-        examples: What is validated.
-        console: Of rich.
-    """
+    """A trainer in the loop, with its batches, its validation and its log."""
 
     stage = "diffusion"
     columns = None

@@ -1,6 +1,4 @@
-"""One training run of the denoiser in memory: settings, model, averaged model, optimiser, a step of each kind, and
-where batches come from.
-"""
+"""One training run of the denoiser in memory, and where its batches come from."""
 
 from __future__ import annotations
 
@@ -318,9 +316,7 @@ class Trainer:
 
     @torch.no_grad()
     def validate(self, examples: list[Example]) -> tuple[float, float]:
-        """Mean motion loss of the averaged model on fixed noise, with the right sentences and with those of other
-        rows.
-        """
+        """Mean motion loss of the averaged model on fixed noise, with the right sentences and with others."""
         right, wrong, rows = 0.0, 0.0, 0
         for example in examples:
             right += float(self.losses(self.average, example)[0].sum())

@@ -1,6 +1,4 @@
-"""What a student of few steps learns from: the sampler that users have, on the device that learns, and the motions that
-it draws in many steps.
-"""
+"""What a student of few steps learns from: the sampler, and the motions that it draws in many steps."""
 
 from __future__ import annotations
 
@@ -129,9 +127,7 @@ class Teacher:
 
 
 def smoothed(values: Tensor, lengths: Tensor, spread: float = SPREAD) -> Tensor:
-    """Values of rows in time, shape (B, N, D), convolved with a Gaussian of `spread` frames; each row's own ends are
-    held, and zero follows.
-    """
+    """Values of rows in time, shape (B, N, D), convolved with a Gaussian of `spread` frames; ends are held."""
     reach = int(CUT * spread + 0.5)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / spread) ** 2)
     at = torch.arange(values.shape[1], device=values.device)
@@ -145,9 +141,7 @@ def smoothed(values: Tensor, lengths: Tensor, spread: float = SPREAD) -> Tensor:
 STEPS = 20
 """Of the teacher."""
 NODES = (0, 7, 11, 15)
-"""Which of its steps are the student's. The third is below `LED_UNTIL`: down to there an example stands for what is
-predicted.
-"""
+"""Which of its steps are the student's; the third is below `LED_UNTIL`."""
 Roll = Callable[[DrawnRows, Tensor, int], Tensor]
 """The student's own way from x (B, N, D) at its first step down to a step of that number."""
 

@@ -1,6 +1,4 @@
-"""Distillation of the denoiser into few steps: guidance by the sentence and by the critic in the weights, as a low-rank
-change (Hu et al. 2022).
-"""
+"""Distillation of the denoiser into few guided steps, as a low-rank change (Hu et al. 2022)."""
 
 from __future__ import annotations
 
@@ -222,15 +220,7 @@ class FewStepsConfig(StepSettings):
 
 
 class FewStepsRun(AveragedRun[torch.nn.Module]):
-    """One distillation in memory.
-
-    Args:
-        config: Settings.
-        diffusion: Path of the teacher.
-        teacher: Draws what is learned.
-        source: Rows to draw of, by the number of their batch.
-        held: Rows that are held out; None for none.
-    """
+    """One distillation in memory."""
 
     kind = FEW_STEPS_KIND
     config: FewStepsConfig
@@ -252,11 +242,7 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
         self.held_out = [] if self.held is None else [self.held]
 
     def _begin(self, model: torch.nn.Module) -> None:
-        """Give a new student the changes that the run starts from.
-
-        Raises:
-            OptionError: They have another rank, or are of another network.
-        """
+        """Give a new student the changes that the run starts from."""
         if self.config.start is None:
             return
         changes, _ = load_checkpoint(self.config.start, FEW_STEPS_KIND)
@@ -388,12 +374,6 @@ def train_few_steps(
     encoder: TextEncoder | None = None,
 ) -> Path:  # fmt: skip
     """Distil, or go on, and return the path of the changes.
-
-    Args:
-        config: The run.
-        report: Called with each row of the log.
-        progress: Called with a stage's name and the share done.
-        encoder: In place of the denoiser's own text encoder.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another run.

@@ -235,48 +235,31 @@ class MeshMotionDiscriminator(nn.Module):
         self.score = nn.Linear(width, 1)
 
     def forward(self, points: Tensor) -> Tensor:
-        """Logits, shape (B,), of arm motions (B, N, P, 6) as `handle_driven` gives them; the sigmoid of one is
-        Disc(V).
-        """
+        """Logits, shape (B,), of arm motions (B, N, P, 6) of `handle_driven`; their sigmoid is Disc(V)."""
         h = self.vertex(points)
         h = torch.cat([h.amax(2), h.mean(2)], dim=-1).transpose(1, 2)
         return self.score(self.time(h).mean(2)).squeeze(-1)
 
 
 def discriminator_loss(real: Tensor, fake: Tensor) -> Tensor:
-    """What the discriminator minimises: -(E[log Disc(real)] + E[log(1 - Disc(fake))]) of Eq. 8, from logits of shape
-    (B,).
-    """
+    """What the discriminator minimises: -(E[log Disc(real)] + E[log(1 - Disc(fake))]) of Eq. 8, logits (B,)."""
     return F.softplus(-real).mean() + F.softplus(fake).mean()
 
 
 def adversarial_loss(fake: Tensor) -> Tensor:
-    """Adversarial Loss L_a [TapMo 8], the part that the denoiser minimises: E[log(1 - Disc(fake))], from logits of
-    shape (B,).
-    """
+    """Adversarial Loss L_a [TapMo 8], which the denoiser minimises: E[log(1 - Disc(fake))], logits (B,)."""
     return -F.softplus(fake).mean()
 
 
 def discriminator_learns(score: float, margin: float = MARGIN) -> bool:
-    """Whose turn it is (A.2): the discriminator learns only while the mean score of fakes exceeds the margin, the
-    denoiser else.
-    """
+    """Whether the discriminator learns (A.2): only while the mean score of fakes exceeds the margin."""
     return score > margin
 
 
 def _seen_from_chest(
     points: Tensor, rest: Tensor, turn: Tensor, position: Tensor, anchor: Tensor, extent: Tensor
 ) -> Tensor:
-    """Rest place and displacement as the chest sees them, over the character's extent, shape (B, N, P, 6).
-
-    Args:
-        points: Posed vertices, shape (B, N, P, 3).
-        rest: Their rest positions, shape (B, P, 3).
-        turn: Rotation of the chest, shape (B, N, 3, 3).
-        position: Where the chest's handle is taken to, shape (B, N, 3).
-        anchor: Its rest position, shape (B, 3).
-        extent: Shape (B,).
-    """
+    """Rest place and displacement as the chest sees them, over the character's extent, shape (B, N, P, 6)."""
     seen = (points - position[:, :, None]) @ turn
     own = (rest - anchor[:, None])[:, None].expand_as(seen)
     return torch.cat([own, seen - own], dim=-1) / extent[:, None, None, None]
@@ -306,9 +289,7 @@ def handle_driven(fitted: Fitted, bank: CharacterBank, picked: Tensor, delta: Te
 
 @torch.no_grad()
 def skeleton_driven(fitted: Fitted, bank: CharacterBank, picked: Tensor) -> Tensor:
-    """V^sk of Eq. 8: the same vertices moved by the character's own rig under the same rotations, shape (B, N, P,
-    6).
-    """
+    """V^sk of Eq. 8: the same vertices moved by the rig under the same rotations, shape (B, N, P, 6)."""
     row = fitted.row
     each = torch.arange(len(row), device=row.device)
     rotations, positions = bone_positions(fitted, bank)
@@ -444,9 +425,7 @@ class MeshLearning:
         return spring, adversarial, skeleton_driven(fitted, bank, draw.picked), fake.detach()
 
     def learn(self, real: Tensor, fake: Tensor, learns: bool) -> tuple[Tensor, float]:
-        """A step of the discriminator on real and fake arms, where it has its turn; its loss and the mean score of the
-        fakes.
-        """
+        """A step of the discriminator, if it is due, on real and fake arms; its loss and the mean score of fakes."""
         with torch.set_grad_enabled(learns):
             fakes = self.discriminator(fake)
             loss = discriminator_loss(self.discriminator(real), fakes)

@@ -1,6 +1,4 @@
-"""What trainings look up: arrays of many samples, computed once; the mesh features f_phi of many characters; and all
-sentences of a run, encoded once.
-"""
+"""What trainings look up: kept arrays of samples, mesh features f_phi, and encoded sentences."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Training rows: clips drawn (rare events as often as common ones), mirrored and joined, each with a sentence and a
-mesh.
-"""
+"""Training rows: clips drawn, mirrored and joined, each with a sentence and a mesh."""
 
 from __future__ import annotations
 
@@ -266,9 +264,7 @@ class ClipSet:
         self._cast = {species: sorted(characters) for species, characters in cast.items()}
 
     def _probability(self, creatures: float) -> np.ndarray:
-        """People by what is done in them where clips were watched, else by labels: square roots of a group's seconds
-        (at most two minutes count).
-        """
+        """Groups of people by action, else by label: square roots of their seconds (at most two minutes)."""
         groups: dict[str, list[int]] = {}
         for index, clip in enumerate(self.clips):
             groups.setdefault(clip.label, []).append(index)
@@ -295,9 +291,7 @@ class ClipSet:
         return weights / weights.sum()
 
     def _by_action(self, seen: np.ndarray) -> np.ndarray:
-        """Weights of these clips: each action counts by a power of its clips, at least `FEWEST_CLIPS`, and shares that
-        out among them.
-        """
+        """Weights of these clips: an action counts by a power of its clips, at least `FEWEST_CLIPS`."""
         groups: dict[str, float] = {}
         for index in np.flatnonzero(seen):
             for action in self.clips[index].actions:
@@ -386,9 +380,7 @@ class ClipSet:
         return clip.lengthened(target, self._still, random)
 
     def _event(self, random: np.random.Generator) -> Row | None:
-        """Something that is plain to see in a clip's numbers (a turn, a jump, a punch, sitting down), cut out and
-        described by them alone.
-        """
+        """What is plain to see in a clip's numbers (a rotation, a jump, a punch), cut out and described alone."""
         found = self.event_pool().draw(random)
         if found is None:
             return None
@@ -421,9 +413,7 @@ class ClipSet:
         return self._phrases[clip.name]
 
     def _true_in(self, clip: TrainingClip, values: np.ndarray, start: int | None) -> list[Phrase]:
-        """What can be said of a row: from the clip's own phrases where it is a plain crop of it, else from the row
-        itself.
-        """
+        """What can be said of a row: the clip's phrases for a plain crop of it, else computed from the row."""
         if start is None:
             return inside(describe(decode(self.statistics.restore(values)), clip.species is None), 0, len(values))
         return inside(self._all_phrases(clip), start, start + len(values))
@@ -496,9 +486,7 @@ class ClipSet:
         return values[: self.frames], sentence, described, tuple(names)
 
     def batch(self, seed: int, number: int, size: int, compose: float = 0.0, bucket: int = 4) -> MotionBatch:
-        """Batch `number` of the endless series of a seed. `bucket` neighbours share their draws, sorted by length, to
-        pad little.
-        """
+        """Batch `number` of the endless series of a seed; `bucket` neighbours share draws, sorted by length."""
         key = (seed, number // bucket, size, compose, bucket)
         if self._bucket is None or self._bucket[0] != key:
             random = np.random.default_rng([seed, number // bucket, 7])
@@ -519,9 +507,7 @@ class ClipSet:
         return pad(rows)
 
     def sentences(self) -> list[str]:
-        """All sentences that labels give, sorted, to encode before training; computed, joined and borrowed ones are
-        without end.
-        """
+        """All sentences of labels, sorted, to encode before training; computed ones are without end."""
         found = {sentence for clip in self.clips for mirrored in (False, True) for sentence in clip.sentences(mirrored)}
         own = {text for clip in self.clips if clip.species for text in clip.texts}
         return sorted(found | own | set(map(mirror_words, own)))

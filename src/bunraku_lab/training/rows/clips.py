@@ -144,9 +144,7 @@ def _entries(name: str, entry: Mapping[str, object], features: np.ndarray) -> di
 
 
 def _stretches(name: str, entry: Mapping[str, object], features: np.ndarray) -> dict[str, ClipEntry]:
-    """What is captioned by time, as entries of their own; those that follow each other without a gap say so in
-    "next".
-    """
+    """Stretches as entries of their own; those that follow without a gap are named in "next"."""
     parts = entry["stretches"]
     if not isinstance(parts, list):
         raise TypeError("its stretches are no list")
@@ -334,9 +332,7 @@ class TrainingClip:
 
     @property
     def phrases(self) -> tuple[str, ...]:
-        """What it shows without a subject, verbs in braces, to be joined with others; none where no caption has that
-        form.
-        """
+        """What it shows without a subject, verbs in braces; none where no caption has that form."""
         return stretch_phrases(self.texts) if self.watched else clauses(self.texts[0], self.species, self.action)
 
     def sentences(self, mirrored: bool = False) -> tuple[str, ...]:

@@ -1,6 +1,4 @@
-"""Training rows on a device: drawn ahead by processes, and kept and drawn more than once, each time with other
-noise.
-"""
+"""Training rows on a device: drawn ahead by processes, and used several times with other noise."""
 
 from __future__ import annotations
 

@@ -518,9 +518,7 @@ class AveragedRun(TrainingRun, Generic[Network]):
         return state
 
     def save(self, results: dict[str, float]) -> Path:
-        """Write the checkpoint, then the training state: who is killed between goes on from the state before, and comes
-        to the same checkpoint again.
-        """
+        """Write the checkpoint, then the state: a run that is killed in between comes to the same checkpoint again."""
         settings = plain_settings(asdict(self.config))
         path = self.write({"training": settings, "seconds": self.seconds, "steps": self.step, "results": results})
         self.save_state(settings, *self.extras())
