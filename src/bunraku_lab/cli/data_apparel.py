@@ -24,11 +24,9 @@ __all__ = ["Apparel", "Wardrobe", "process_count"]
 
 @dataclass(frozen=True)
 class Wardrobe:
-    """Make dressed characters whose skirts, coats, capes, sleeves, hair, ribbons, scarves, ears and tails physics can
-    move, as PMX files.
+    """Make dressed characters with skirts, coats, sleeves, hair, scarves, ears and tails for physics, as PMX files.
 
-    They need no data: the body is the reference body. The same seed gives the same bytes. A file wardrobe.json says
-    what each wears.
+    They need no data. The same seed gives the same bytes. A file wardrobe.json says what each wears.
 
     Example: bunraku data wardrobe -o wardrobe --count 100
     """

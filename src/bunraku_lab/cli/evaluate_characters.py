@@ -237,8 +237,7 @@ DEFAULT = 4
 
 @dataclass(frozen=True)
 class EvaluatePhysics(Printed):
-    """Measure the simulated apparel of characters: stretch, penetration, rest, fly-aways, speed, and whether the same
-    comes out twice.
+    """Measure the simulated apparel of characters: stretch, penetration, rest, fly-aways, speed and repeatability.
 
     Every character plays a minute of a walk, a dance and kicks made by code, or of motions that are named.
 

@@ -269,8 +269,7 @@ _SKIPPED = {
 
 
 def humanml3d_takes(folder: str | Path) -> list[Take]:
-    """What the clips of a HumanML3D folder are: `new_joint_vecs` or `new_joints`, `texts`, and `train.txt`, `val.txt`,
-    `test.txt`.
+    """The files of a HumanML3D folder: `new_joint_vecs` or `new_joints`, `texts`, `train.txt`, `val.txt`, `test.txt`.
 
     Mirrored clips (`M000001`) are left out, training mirrors by itself. A caption about a span is a clip of its own.
 
@@ -362,8 +361,7 @@ def amass_takes(folder: str | Path, captions: str | Path | None = None) -> list[
 
 
 def licensed_takes(humanml3d: Path | None, amass: Path | None) -> list[Take]:
-    """The takes of both folders, each motion once: one that AMASS has under HumanML3D's caption is not taken from
-    positions too.
+    """The takes of both folders, each motion once: AMASS goes before positions of HumanML3D.
 
     Raises:
         FormatError: As `humanml3d_takes` and `amass_takes`.

@@ -147,8 +147,7 @@ def chain(parts: Sequence[str], variant: int = 0) -> str:
 
 
 def sentences(phrases: Sequence[Phrase], start: int, stop: int) -> list[str]:
-    """What happens in frames `start` to `stop` - 1, in order, in several wordings of the third person without a
-    subject.
+    """What happens in frames `start` to `stop` - 1, in order, in several wordings without a subject.
 
     Args:
         phrases: From `describe`.

@@ -54,11 +54,9 @@ class Chain:
 
 
 def apparel_chains(character: Character, rig: ApparelRig) -> list[Chain]:
-    """Chains of a character: the shortest ways over its joints from bodies that follow their bones to those at the
-    ends.
+    """Chains of a character: the shortest paths over its joints from bodies that follow bones to those at the ends.
 
-    Joints that close loops (the cross-links of skirts) are not on them, nor are joints whose file lets the bodies come
-    apart.
+    Joints that close loops (the cross-links of skirts) are left out, and joints that let bodies come apart.
     """
     beside: dict[int, list[tuple[int, int]]] = {}
     for number, joint in enumerate(rig.joints):
@@ -113,8 +111,7 @@ def link_position(character: Character, rig: ApparelRig, body: int, joint: int) 
 
 
 def chain_lengths(animation: RigAnimation, rig: ApparelRig, chains: list[Chain]) -> np.ndarray:
-    """How long the chains are in each frame [m], shape (N, C): along their joints, gaps between the two sides of a
-    joint included.
+    """How long the chains are in each frame [m], shape (N, C): along their joints, gaps at joints included.
 
     What is seen counts, which is the bones: a body that is held at its bone hangs on that bone's parent.
 
@@ -229,12 +226,9 @@ def evaluate_physics(
     Args:
         files: PMX, PMD or VRM files.
         wardrobe: Characters of the wardrobe.
-        motions: Motion files; a walk, a dance and kicks made by code when there are none. A VMD is played as MMD plays
-            it.
-        seconds: Length of the clip that every character plays: the motions one after the other, each as long, repeated
-            where it is shorter [s].
-        quick: Leave out what takes longest: penetration, rest and whether the same comes out twice, which are None
-            then.
+        motions: Motion files, a VMD as MMD plays it; a walk, a dance and kicks made by code when there are none.
+        seconds: Length of the clip that every character plays [s], shared by the motions.
+        quick: Leave out what takes longest (penetration, rest, repeatability), which is None then.
         jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
         progress: Called with the name of a character and the share done.
 
@@ -381,8 +375,7 @@ def joined(parts: Sequence[RigAnimation], blend: float = BLEND) -> tuple[RigAnim
         blend: Length of a way [s].
 
     Returns:
-        The whole, and the first frame and the one after the last of each part; ways belong to the part that they lead
-        to.
+        The whole, and the first frame and the one after the last of each part; a transition belongs to the next part.
     """
     fps, steps = parts[0].fps, max(1, round(blend * parts[0].fps))
     shares = np.arange(1, steps + 1) / (steps + 1)
@@ -439,9 +432,7 @@ def _parts(body: UnifiedBody, motions: Sequence[str | Path], seconds: float) -> 
 def _penetration(
     body: UnifiedBody, mask: np.ndarray, result: RigAnimation, frames: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Share of apparel that is deep in the body, and the share that is so at rest and is left out, since no motion put
-    it there.
-    """
+    """Share of apparel that is deep in the body, without what is so at rest, and that share at rest."""
     character, rig = body.parts.character, body.parts.character.rig
     assert rig is not None
     volume, chosen = BodyVolume.of(body, mask), sample_apparel(mask)

@@ -129,8 +129,7 @@ class Past:
     Args:
         rest: Difference from the head (frame="joint"), in the frame of the carrying joint, or position from the pelvis
             (frame="world"), newest first, shape (3, M, 3).
-        whole: The last two displacements that were given out, in the frame of the carrying joint, newest first, shape
-            (2, M, 3).
+        whole: The last two displacements that were given out, in the joint's frame, newest first, shape (2, M, 3).
         positions: Positions of the last two frames in the world, newest first, shape (2, M, 3).
     """
 

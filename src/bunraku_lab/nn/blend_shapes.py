@@ -46,8 +46,7 @@ def edge_mesh(faces: np.ndarray, edges: np.ndarray, count: int) -> EdgeMesh:
 
     Args:
         faces: Vertex indices, shape (F, 3).
-        edges: All edges of the faces, and others that lie in no triangle, each once, smaller vertex first, shape (E,
-            2).
+        edges: All edges of the faces, and others in no triangle, each once, smaller vertex first, shape (E, 2).
         count: Number of vertices.
     """
     key = edges[:, 0] * count + edges[:, 1]

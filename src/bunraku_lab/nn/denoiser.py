@@ -184,8 +184,7 @@ class DecoderLayer(nn.Module):
 
 
 def joint_offsets(moves: Tensor, features: Tensor) -> Tensor:
-    """The adaptation that moves joints: delta_k = delta_p + (R_p - R_k) d_k for a handle k and its parent p, shape (B,
-    N, K, 3).
+    """The adaptation that moves joints: delta_k = delta_p + (R_p - R_k) d_k for handle k of parent p, (B, N, K, 3).
 
     It is what `attach_joints` does to the translations when the joint of k is held d_k farther off. It turns with the
     body and fades where nothing bends, so one d_k serves all poses.
@@ -208,8 +207,7 @@ def joint_offsets(moves: Tensor, features: Tensor) -> Tensor:
 class Denoiser(nn.Module):
     """Predicts x0 and the adaptation from a noisy motion, the step, a sentence and a mesh feature (Eq. 2).
 
-    Motion enters and leaves in network units (see `FeatureStatistics`); the statistics travel with the weights as
-    buffers.
+    Motion enters and leaves in network units (`FeatureStatistics`), which travel with the weights as buffers.
     """
 
     mean: Tensor

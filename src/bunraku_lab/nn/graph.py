@@ -147,8 +147,7 @@ def mesh_graph(
 
 
 class AnchorBlock(nn.Module):
-    """One round in which the anchors pass messages to one another: attention, then an MLP, each added to what was
-    there.
+    """One round in which the anchors pass messages: attention, then an MLP, each added to its input.
 
     Args:
         width: Channels.

@@ -141,8 +141,7 @@ class TransferConfig:
     Args:
         parts: K.
         predictor: Whether the weights of the parts are predicted here; otherwise they are given.
-        tied: Of the parts, so many are given joints, the first ones: their transforms are known, and no decoder says
-            them.
+        tied: So many parts, the first ones, are given joints: their transforms are known and not decoded.
         levels: Channels of the graph units.
         code: Channels of a part's code.
         correction: Whether the decoder says how a target's part differs from the source's own, which it begins as; the

@@ -303,8 +303,7 @@ def _loops(case: int) -> list[list[int]]:
     """The closed lines in which the surface crosses the sides of a cube, as numbers of edges.
 
     Each crossed edge belongs to two sides, and going around both as seen from outside, one leaves the inside there on
-    one side and enters it on the other. So a line from where the inside is left to where it was entered goes on at its
-    end, on the next side.
+    one side and enters it on the other, so a line from the one to the other goes on at its end on the next side.
     """
     number = {edge: i for i, edge in enumerate(_EDGES)} | {edge[::-1]: i for i, edge in enumerate(_EDGES)}
     follows: dict[int, int] = {}
@@ -410,8 +409,7 @@ def field_mesh(
         field: The shape.
         count: How many vertices to aim at.
         half: Build the half x >= 0 and mirror it, for an exactly symmetric mesh; the field must be symmetric.
-        crease: How much finer the mesh is where it bends: the edge length that a turn of the normal by one radian
-            counts as [m].
+        crease: Edge length that a bend of the normal by one radian counts as [m]: the mesh is finer there.
         steps: Rounds of relaxation.
 
     Returns:

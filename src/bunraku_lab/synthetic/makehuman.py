@@ -139,11 +139,9 @@ class MakeHumanBody:
 
     @cached_property
     def handle_weights(self) -> np.ndarray:
-        """Canonical weights of the 30 handles, shape (B, 30): the joint weights, split where the reference body splits
-        them.
+        """Canonical weights of the 30 handles, shape (B, 30): the joint weights, split as in the reference body.
 
-        The shares of fingers, scalp, face and wings are those at the nearest points of the reference body in its
-        T-pose.
+        The shares of fingers, scalp, face and wings are those at the nearest points of the T-posed reference body.
         """
         vertices = self.shape({})
         joints = self.joints(vertices)
@@ -171,8 +169,7 @@ class MakeHumanBody:
         Args:
             parameters: `gender` (0 male, 1 female), `age` (0 baby, 1/3 child, 2/3 young, 1 old), `muscle`, `weight`,
                 `height`, `proportions` (0 ideal), `cupsize` and `firmness` from 0 to 1; and shares of `african`,
-                `asian` and `caucasian`. What is not given is 0.5, and age 0.67; so the reference body is the shape of
-                no parameters.
+                `asian` and `caucasian`. What is not given is 0.5, and age 0.67: the shape of the reference body.
         """
         shares: dict[str, float] = {}
         for label, anchors in _ANCHORS.items():

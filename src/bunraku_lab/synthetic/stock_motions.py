@@ -1,8 +1,6 @@
-"""A walk, a dance and kicks made by code, for tests of physics that need no files: of any length, the same on every
-machine.
+"""A walk, a dance and kicks made by code: of any length, the same on every machine.
 
-They are no captures: they ask of apparel what people ask of it (strides, turns, sudden legs), at speeds that people
-reach.
+They ask of apparel what people ask of it (strides, rotations, sudden legs), at speeds that people reach.
 """
 
 from __future__ import annotations
@@ -29,8 +27,7 @@ def stock_motion(kind: str, seconds: float = 6.0, fps: float = 30.0) -> HandleMo
     """A motion of the reference body.
 
     Args:
-        kind: "walk" (1.2 m/s), "dance" (sways, bends, a spin every six seconds) or "kick" (to the front, one leg after
-            the other).
+        kind: "walk" (1.2 m/s), "dance" (sways, bends, a spin every six seconds) or "kick" (legs in turn).
         seconds: Its length [s].
         fps: Frames a second [1/s].
 

@@ -65,8 +65,7 @@ class IdleBounds:
         sinks: How far the pelvis is lower than at rest at the most [m].
         shifts: How far it goes over the ground at the most [m].
         hangs: How far wrists of who does nothing are under the shoulders at the least [m].
-        swings: How fast they are, seen from the pelvis, in the mean of a stretch at the most [m/s]; of who is busy the
-            faster one at the least.
+        swings: Highest mean speed of hands seen from the pelvis [m/s]; of busy hands the least of the faster one.
     """
 
     busy: bool = False

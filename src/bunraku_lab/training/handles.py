@@ -131,8 +131,7 @@ def pierced(mesh: TrainingMesh, rng: np.random.Generator, radius: float, holes: 
 
 
 def split(mesh: TrainingMesh, rng: np.random.Generator) -> TrainingMesh:
-    """Edges between parts are cut, all but a few that stand for the bridges which network meshes have between loose
-    parts.
+    """Cut the edges between parts, but for a few that stand for the bridges of network meshes.
 
     The parts are those of the rig, or what a random plane parts.
     """
@@ -206,8 +205,7 @@ def write_mesh_bank(
     Args:
         model: The trained predictor.
         characters: All of them; what follows a "~" in a name says which variant of a character it is.
-        path: An NPZ; it gets `features` (C, 448), `names` (C,), `split` (C,), "train" or "test", and `humanoid` (C,),
-            see `has_human_shape`.
+        path: NPZ to write: `features` (C, 448), `names`, `split` ("train" or "test") and `humanoid`, each (C,).
         variants: Changed forms of each character beside its own; those held out have none.
         seed: Of the changes.
         held_out: Names of the characters that no training may see: their rows are "test", for evaluation only.
@@ -482,8 +480,7 @@ def validate_handles(
 
 
 def train_handles(config: HandleTrainConfig, report: Report | None = None, progress: Progress | None = None) -> Path:
-    """Train the predictor, or go on where the run in `config.out` stopped; at the end write `mesh_features.npz` for the
-    diffusion.
+    """Train the predictor, or go on where the run in `config.out` stopped; then write `mesh_features.npz`.
 
     Raises:
         BunrakuError: No cache, the folder cannot be written, or the checkpoint to start from does not fit.

@@ -374,8 +374,7 @@ def _reference(path: str) -> Any:
 
 
 def body_animation(body: UnifiedBody, motion: Any) -> RigAnimation:
-    """A handle motion on a character's rig, moved by SMPL's 22 joints alone: fingers, hair and tails go along with what
-    they hang on.
+    """A handle motion on a character's rig, moved by SMPL's 22 joints alone; fingers, hair and tails go along.
 
     Args:
         body: The character.

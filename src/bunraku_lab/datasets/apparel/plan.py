@@ -1,5 +1,4 @@
-"""What the apparel data set is made of, before anything is computed: characters, motions, their splits, and which clips
-are in which shard.
+"""What the apparel data set is made of, before anything is computed: characters, motions, splits and shards.
 
 The split of a character or a motion is fixed by its name. Characters of a split meet motions of the same split only, so
 that a test clip has a character and a motion that no training clip has.
@@ -192,8 +191,7 @@ def character_sources(paths: Iterable[str | Path]) -> list[CharacterSource]:
 
 
 def motion_sources(folder: str | Path, shortest: float = LONG_ENOUGH) -> list[MotionSource]:
-    """The people's motions of a folder: one that `bunraku data motions` wrote, whose index names the splits, or one of
-    BVH, VMD and other files.
+    """The people's motions of a folder of `bunraku data motions`, whose index names the splits, or of motion files.
 
     Args:
         folder: Which.
@@ -265,8 +263,7 @@ def _length(path: Path) -> float:
 
 
 def choose_motions(motions: Sequence[MotionSource], count: int) -> list[MotionSource]:
-    """So many motions, in an order that mixes them: 10 % of "test", 5 % of "val" and the rest of "train", as far as
-    there are any.
+    """So many motions, mixed: 10 % of "test", 5 % of "val" and the rest of "train", as far as there are any.
 
     Args:
         motions: To choose from.

@@ -90,8 +90,7 @@ def shard_fingerprint(path: Path) -> str:
 
 
 class Shard:
-    """A shard, opened: `facts`, `lengths` and the `names` of its arrays are known, arrays are read when they are asked
-    for.
+    """A shard, opened: `facts`, `lengths` and the `names` of its arrays; arrays are read on request.
 
     Args:
         path: The file.
@@ -255,8 +254,7 @@ class ApparelClip:
         shard: Its file's name without a suffix.
         first: Its first frame in the shard.
         frames: How many it has.
-        fly_aways: Bodies that flew away and were put back, and at which frame of the clip, below 0 in the warm-up
-            before it.
+        fly_aways: Bodies that flew away, and at which frame of the clip, below 0 in the warm-up.
     """
 
     character: str

@@ -300,8 +300,7 @@ def training_character(character: Character, name: str, mesh_vertices: int = 240
 
 
 def _variants(load: Callable[..., Character], mesh_vertices: int) -> dict[str, tuple[Callable[[], Character], int]]:
-    """The ways in which one file is trained on: what to append to its name, how to load it, and the size of the network
-    mesh.
+    """The ways in which one file is trained on: a suffix of its name, how to load it, and the mesh size.
 
     As it is; in a finer and in a coarser network mesh, whose vertices fall elsewhere, so that the network does not
     learn one tessellation by heart; and in the pose that the file's nodes have, often the middle of a clip.
@@ -471,8 +470,7 @@ def build_dressed(
     clothes: str | Path, body_data: str | Path, cache: str | Path, count: int = 400, seed: int = 0,
     mesh_vertices: int = 2400, progress: Callable[[int, int, str], None] | None = None,
 ) -> list[Path]:  # fmt: skip
-    """Write dressed characters as `dressed/<number>.npz` in a cache of training characters. What is there already is
-    kept.
+    """Write dressed characters as `dressed/<number>.npz` in a cache of training characters, unless they are there.
 
     Args:
         clothes: Folder of MakeHuman clothes and hair (`.mhclo`), searched through.
@@ -480,8 +478,7 @@ def build_dressed(
         cache: Folder of the cache.
         count: How many characters.
         seed: Of the random choices.
-        mesh_vertices: Most vertices of the network mesh; a third of the characters get 0.72 times as many, a third 1.2
-            times.
+        mesh_vertices: Most vertices of the network mesh; a third of the characters get 0.72, a third 1.2 times as many.
         progress: Called with the number done, the number of all, and the name.
 
     Returns:

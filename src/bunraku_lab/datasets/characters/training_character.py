@@ -77,8 +77,7 @@ def facing_rotation(name: str, names: tuple[str, ...], positions: np.ndarray) ->
 
 
 def known_handles(name: str, names: tuple[str, ...], positions: np.ndarray, handles: np.ndarray) -> np.ndarray:
-    """The handle of each joint, shape (J,): those found by name, but for rigs whose names say nothing, which are listed
-    here.
+    """The handle of each joint, shape (J,): by name, but for listed rigs whose names say nothing.
 
     Args:
         name: Path of the character in its archive, without the suffix.
@@ -102,8 +101,7 @@ def known_handles(name: str, names: tuple[str, ...], positions: np.ndarray, hand
 def root_joint(
     vertices: np.ndarray, joints: np.ndarray, parents: np.ndarray, handles: np.ndarray, mass: np.ndarray
 ) -> np.ndarray:
-    """The root joint b_1 of Eq. 4, shape (3,): the mean of the pelvis joints that move something, or of the pelvis, or
-    of the roots.
+    """The root joint b_1 of Eq. 4, shape (3,): the mean of the pelvis joints, of those that move something if any.
 
     Args:
         vertices: Of the mesh, in the frame and unit of the joints, shape (V, 3); the root is kept inside their box.
@@ -129,8 +127,7 @@ class TrainingCharacter:
         joints: Joint positions, shape (J, 3).
         parents: Parent of each joint for posing (`limb_parents`), shape (J,).
         handles: Handle of each joint, -1 for none, shape (J,).
-        target: Share of each handle in each vertex; a row sums to less than 1 where joints have no handle, shape (V,
-            30).
+        target: Share of each handle in each vertex, shape (V, 30); rows sum to less than 1 for joints without handle.
         root: Position of the root joint b_1 of Eq. 4, shape (3,).
         height: Extent along +Y.
     """

@@ -100,8 +100,7 @@ def with_travel(motion: HandleMotion, speed: float) -> HandleMotion:
 
 
 def played_on(motion: HandleMotion, least: int) -> HandleMotion:
-    """A loop played on, in whole rounds, until it has at least `least` frames; the motion as it is where it does not
-    end as it began.
+    """A loop repeated until it has at least `least` frames; a motion that does not end as it began stays as it is.
 
     Loops of a few frames, such as one bound of a gallop, are too short to be cut, joined or told from a single step.
     """
@@ -321,8 +320,7 @@ def reference_motion(
     Args:
         body: The character.
         vertices: Its vertices in each frame [m], shape (N, V, 3).
-        travels: It goes over the ground, so a way that keeps its feet from sliding is added where the clip stays in
-            place.
+        travels: It goes over the ground, so a path that keeps its feet from sliding is added to a clip in place.
         loops: It repeats itself, so it is played on to two seconds.
         person: It becomes a motion of any humanoid, otherwise it stays one of this very body.
 
@@ -362,8 +360,7 @@ def add_creatures(
 ) -> tuple[list[str], dict[str, str]]:
     """Convert the clips that `creature_clips.json` names and add them to the index that `build_motions` wrote.
 
-    One file a clip, so a second run goes on where the first one stopped. What cannot be converted does not stop the
-    others.
+    One file a clip, so a second run goes on where the first one stopped; what fails does not stop the others.
 
     Args:
         characters: Folder of the unpacked character archive.

@@ -30,8 +30,7 @@ class Source:
         licence: On which terms.
         weight: How often its clips are drawn, 1 for most; less where a toy's or a robot's proportions make feet slide,
             or where there is much of the same.
-        subject_parts: Parts of a name, between underscores, that tell the captured subject; None for two parts without
-            the number at their end.
+        subject_parts: Parts of a name, between underscores, that name the subject; None: two, without a last number.
         holds_ends: Its takes begin and end in a pose that is held, which is no part of what their captions say.
     """
 

@@ -175,8 +175,7 @@ def file_clips(character: Character, motions: Sequence[str], seconds: float = 6.
 
 
 def made_clips(count: int, seconds: float = 6.0) -> Iterator[TrueClip]:
-    """Clips that need no data: characters of the wardrobe that are no data of training by their names, simulated in
-    motions made by code.
+    """Clips that need no data: wardrobe characters that are not trained on, simulated in motions made by code.
 
     Args:
         count: How many, each of another character.

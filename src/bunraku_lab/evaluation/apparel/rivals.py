@@ -158,8 +158,7 @@ def whole_figures(clip: TrueClip, moved: np.ndarray, truth: np.ndarray) -> Figur
 
 
 def best_skinning(rest: np.ndarray, truth: np.ndarray, affine: np.ndarray) -> np.ndarray:
-    """The weights, not negative and with a sum of 1, that put vertices nearest to the truth of some frames, shape (V,
-    J).
+    """The convex weights that put vertices nearest to the truth of some frames, shape (V, J).
 
     The sum of squares is a quadratic of the weights, whose least on the simplex accelerated projected gradients find.
 
@@ -313,8 +312,7 @@ def rivals_of(folder: Path | None) -> list[Rival]:
 
 
 def floor_movers(clothed: ClothedCharacter, truth: np.ndarray, affine: np.ndarray) -> dict[str, Mover]:
-    """What needs no training, by the names of its rows: the best skinning that there is, and SPT's predicted parts
-    moved as the joints are.
+    """Rows that need no training: the best skinning, and SPT's predicted parts moved as the joints are.
 
     Args:
         clothed: The character, of which mesh and joints are used.

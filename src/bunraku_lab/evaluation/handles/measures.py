@@ -35,8 +35,7 @@ def refine_registration(
         source: Rest vertices x [m], shape (V, 3).
         targets: Moved vertices of each frame [m], shape (N, V, 3).
         weights: Skinning weights, rows sum to 1, shape (V, K).
-        transforms: Affine motions to start from, `[R | o]` with x going to `sum_k w_k (R_k x + o_k)`, shape (N, K, 3,
-            4).
+        transforms: Affine motions `[R | o]` to start from, x going to `sum_k w_k (R_k x + o_k)`, shape (N, K, 3, 4).
         fixed: Parts whose motion stays.
         sweeps: How often each part is fitted.
 
@@ -236,8 +235,7 @@ def same_main_handle(first: np.ndarray, second: np.ndarray) -> float:
 def truncation_error(
     vertices: np.ndarray, full: np.ndarray, cut: np.ndarray, transforms: np.ndarray, height: float
 ) -> float:
-    """Mean distance over vertices and frames between a mesh that plays with all its weights and with fewer, over the
-    height.
+    """Mean distance between a mesh that plays with all its weights and with fewer, over the height.
 
     Args:
         vertices: Rest vertices [m], shape (V, 3).
@@ -251,8 +249,7 @@ def truncation_error(
 
 
 def resampled(character: Character, count: int) -> Character:
-    """A character with about `count` vertices: welded, then simplified by edge collapses or refined by halving long
-    edges.
+    """A character with about `count` vertices: welded, then simplified by edge collapses, or long edges halved.
 
     Args:
         character: Any mesh.

@@ -81,8 +81,7 @@ class ArapRow:
     Args:
         name: Its name.
         unseen: Whether no training sees it.
-        adapted: ARAP-Loss with the adaptation: the network's, and its last step on the very mesh, which is the stage
-            `shape`.
+        adapted: ARAP-Loss with the network's adaptation and its last step on the very mesh, the stage `shape`.
         learned: With the network's adaptation alone.
         plain: Without both: delta = 0.
         loose: Without the stage `attach` too: the paper's setting without adaptation.
@@ -105,8 +104,7 @@ class ArapTable:
     rows: tuple[ArapRow, ...]
 
     def ratio(self, unseen: bool, kind: str = "adapted") -> float:
-        """ARAP-Loss with the adaptation over without, each the mean over the characters that are (un)seen; NaN without
-        any.
+        """ARAP-Loss with the adaptation over without, means over (un)seen characters; NaN without any.
 
         Args:
             unseen: Which characters.
@@ -341,8 +339,7 @@ def pooled(found: Sequence[MotionQuality]) -> MotionQuality:
 def stage_effects(
     motions: Sequence[HandleMotion], characters: Mapping[str, tuple[Character, Handles]]
 ) -> list[dict[str, float | str]]:
-    """What each cleaning stage does: every motion on every character with all stages, with each left out once, and with
-    none of them.
+    """What each cleaning stage does: every motion on every character with all, without each, and with none of them.
 
     Args:
         motions: Of the reference body.
@@ -391,8 +388,7 @@ Progress = Callable[[float], None]
 
 
 def chosen_files(folder: Path, unseen: bool, count: int) -> list[Path]:
-    """At most `count` character files of a folder, evenly over their sorted names: those that no training sees, or the
-    others.
+    """At most `count` character files of a folder, evenly over their names: those unseen in training, or the others.
 
     Raises:
         FormatError: There are no characters.
@@ -406,8 +402,7 @@ def chosen_files(folder: Path, unseen: bool, count: int) -> list[Path]:
 def load_named(
     files: Sequence[Path], folder: Path, humanoids: bool = False, progress: Progress | None = None
 ) -> list[Named]:
-    """Characters facing +Z with the handles that the predictor gives them; files that cannot be used are left out with
-    a warning.
+    """Characters facing +Z with predicted handles; files that cannot be used are left out with a warning.
 
     Args:
         files: Their files.
@@ -457,8 +452,7 @@ def arap_figures(
 
 
 def foot_figures(features: Sequence[np.ndarray], characters: Sequence[Named], progress: Progress) -> dict[str, float]:
-    """Sliding, sinking and jitter of generated motions on the reference body and on characters, with all stages and
-    without them.
+    """Sliding, sinking and jitter of motions on the reference body and on characters, with and without the stages.
 
     Args:
         features: Motions of the reference body, each of shape (N, 271).

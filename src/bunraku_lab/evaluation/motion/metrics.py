@@ -75,8 +75,7 @@ def frechet_distance(
 ) -> float:
     """Squared Frechet distance of two Gaussians (Dowson & Landau 1982): |m_a - m_b|^2 + tr(A + B - 2 (A B)^(1/2)).
 
-    The trace of the root is the sum of the singular values of A^(1/2) B^(1/2), which stays real and stable where a
-    covariance is singular.
+    The trace of the root is the sum of the singular values of A^(1/2) B^(1/2), also of singular covariances.
 
     Args:
         mean_a: Shape (E,).

@@ -263,8 +263,7 @@ def choose_motions(
     requests: Sequence[Request], sampling: SamplerSettings, checkpoint: Path, *, folder: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[np.ndarray]:  # fmt: skip
-    """Motions as `bunraku animate` makes and chooses them, before they are fitted to a character; otherwise as
-    `make_motions`.
+    """Motions as `bunraku animate` makes and chooses them, not fitted to a character; otherwise as `make_motions`.
 
     Args:
         requests: What to make.

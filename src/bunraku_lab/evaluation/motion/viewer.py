@@ -354,8 +354,7 @@ class Slides(NamedTuple):
 
 
 def sliding_contacts(motion: HandleMotion) -> Slides:
-    """How feet slide that are on the ground and not swung; a foot is where the lowest part of its sole is, so rolling
-    is no way.
+    """How feet slide that are on the ground and not swung; a foot is where its lowest part is, so rolling is no slide.
 
     Args:
         motion: Of the reference body.

@@ -105,8 +105,7 @@ GAITS = ("walk", "run", "slow walk")
 
 
 def captured_clips(data: Path, wanted: Mapping[str, Captured]) -> dict[str, list[HandleMotion]]:
-    """Captured motions of people for each name: held-out ones, and those of the training split where there are fewer
-    than 8.
+    """Captured motions of people for each name: held-out ones, and training ones where there are fewer than 8.
 
     Args:
         data: Folder that `bunraku data motions` wrote.

@@ -347,8 +347,7 @@ Motions = Sequence[HandleMotion]
 
 
 def body_samples(vertices: np.ndarray, body: ReferenceBody) -> np.ndarray:
-    """Where the handles that a body has are as it moves, seen from below the root with the hips to the sides, over its
-    height, shape (N, 3 K).
+    """A body's handles as it moves, from below the root with the hips to the sides, over its height, shape (N, 3 K).
 
     Args:
         vertices: In N frames [m], shape (N, V, 3).

@@ -49,8 +49,7 @@ def ground_heights(animation: Animation) -> np.ndarray:
 
 
 def off_ground(heights: np.ndarray, fps: float) -> float:
-    """How far a body is off its ground at the most, over its height: how deep it sinks, or how high it hovers for
-    longer than a leap lasts.
+    """How deep a body sinks at the most, or how high it hovers for longer than a leap lasts, over its height.
 
     Args:
         heights: Of the lowest point, as of `ground_heights`, shape (N,).
@@ -209,8 +208,7 @@ def _there_and_back(path: Path, character: Character, name: str) -> _Back:
 
 
 def limb_angles(parts: RigParts, heads: np.ndarray, source: np.ndarray) -> np.ndarray:
-    """Angles between limbs of a result and of its source [degrees], shape (N, limbs): upper arms, forearms, thighs and
-    shins.
+    """Angles between limbs of a result and of its source [degrees], shape (N, limbs): arms and legs.
 
     Args:
         parts: The rig that names the limbs.

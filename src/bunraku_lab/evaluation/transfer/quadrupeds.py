@@ -132,8 +132,7 @@ def measure_quadrupeds(
     characters: Mapping[str, Path], *, word: str = "walk", sources: int = 3,
     progress: Callable[[str, float], None] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Clips of four-legged animals, written as captured skeletons, on the predicted handles of all others and of the
-    sample dog.
+    """Captured skeletons of four-legged animals on the predicted handles of all others and of the sample dog.
 
     Args:
         characters: Files by their names; those that do not stand on four legs are passed over.

@@ -283,11 +283,9 @@ BARS: dict[str, Bar] = {
 
 
 def pick_motions(folder: str | Path) -> dict[str, Path]:
-    """A motion of each kind of `KINDS` in a folder: by the captions of its `captions.csv`, or by the names of the
-    files.
+    """A motion of each kind of `KINDS` in a folder, by its `captions.csv` or by file names.
 
-    Of several that fit, one that says just this word is taken, then the one with the fewest words, then the first by
-    name.
+    Of several that fit, the one that says just this word is taken, then that with the fewest words, then by name.
 
     Raises:
         FormatError: There is none of some kind.
@@ -334,8 +332,7 @@ def evaluate_transfer(
         motions: Folder with a motion of each kind, BVH with a `captions.csv` beside them or named by kind.
         mmd: Folder with MMD models and VMD files, searched through, for the rows of soles.
         limit: How many characters to take, spread over all; all when None.
-        work: Where what was measured of each character is kept, so that a second call goes on where the first was
-            stopped.
+        work: Where results are kept, so that a second call goes on where the first was stopped.
         speed: Whether to measure times too.
         jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
         progress: Called with a stage's name and the share done.

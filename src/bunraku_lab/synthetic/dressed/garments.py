@@ -69,8 +69,7 @@ def read_mhclo(path: str | Path) -> Clothes:
     """Read a `.mhclo` file and the OBJ that it names, which must lie in its folder or below.
 
     Raises:
-        FormatError: A file is missing or too large, a line cannot be understood, the OBJ lies elsewhere, or the two do
-        not fit.
+        FormatError: A file is missing, too large or not understood, or the two do not fit.
     """
     path = Path(path)
     data = _text(path)
@@ -300,8 +299,7 @@ def joined(pieces: list[Piece]) -> Piece:
 
 
 def skirt_weights(points: np.ndarray, joints: np.ndarray, carried: np.ndarray) -> np.ndarray:
-    """Weights of a skirt as game rigs have them: the pelvis at the waist, the thighs further down, half and half in the
-    middle.
+    """Weights of a skirt as game rigs have them: the pelvis at the waist, the thighs further down.
 
     Args:
         points: Shape (V, 3).

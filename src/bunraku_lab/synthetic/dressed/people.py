@@ -23,8 +23,7 @@ _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 
 
 
 def melted(piece: Piece, solid: Piece, cell: float, thickness: float) -> Piece:
-    """The outside of all points nearer to a mesh than `thickness`, by marching cubes; weights are those of the nearest
-    points.
+    """The outside of all points nearer to a mesh than `thickness`; weights are those of the nearest points.
 
     Args:
         piece: Everything that is seen, open and closed surfaces.
@@ -301,8 +300,7 @@ class Dressed:
 def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
     """A random person in random clothes; the same seed gives the same one.
 
-    A fifth of them are melted into one closed surface, as scans are, and a fifth are simplified to a game's few
-    triangles.
+    A fifth of them are melted into one closed surface, as scans are, and a fifth are simplified.
     """
     rng = np.random.default_rng(seed)
     vertices = wardrobe.body.shape(random_body(rng))

@@ -1,5 +1,4 @@
-"""Characters made by code, each from a family and a seed, for training and testing on more shapes than any archive
-holds.
+"""Characters made by code, each from a family and a seed: more shapes than any archive holds.
 
 People of all proportions, dressed and armed; mascots; beasts on two and four legs; dragons, birds, fish, insects,
 blobs. Their bones have names that `anatomy.names.bone_names` reads, so that every part has the handle that it has

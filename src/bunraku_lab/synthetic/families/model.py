@@ -198,13 +198,11 @@ class Style:
     """How the parts of one character become a mesh.
 
     Args:
-        mode: "clay" melts the body into one skin, "regions" does so limb by limb, "pieces" leaves every part closed on
-            its own.
+        mode: "clay" melts the body into one skin, "regions" does so limb by limb, "pieces" closes every part.
         exponent: Roundness of pieces (`block_mesh`).
         cells: Cells across a piece.
         cap: How far pieces reach past their joints, over their radius.
-        soft: Half the width over which weights pass from joint to joint, over the size of the character; 0 for rigid
-            parts.
+        soft: Half the width over which weights pass from joint to joint, over the size; 0 for rigid parts.
         melt: Factor on the widths over which lumps melt into each other.
         faces: Faces of the body after thinning; None for all.
         detail: Vertices of the body.

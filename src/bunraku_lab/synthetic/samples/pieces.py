@@ -82,8 +82,7 @@ def paint_mesh(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cut a mesh along the borders of its paints and colour it; later paints cover earlier ones.
 
-    Vertices on a border are doubled, one for each colour, like the seams of files from artists: the mesh is closed once
-    welded.
+    Vertices on a border are doubled, one for each colour, as in files from artists: welded, the mesh is closed.
 
     Args:
         vertices: Positions [m], shape (V, 3).

@@ -36,8 +36,7 @@ class Hang:
     Args:
         mass: Of a link at the top [kg]; those below are lighter, the last has half.
         damping: Share of the velocity that is lost in a second, linear and angular.
-        out, inward, side, twist: Largest angles of a link against the one above [deg]: away from the body, towards it,
-            along it, about itself.
+        out, inward, side, twist: Largest angles of a link against the one above [deg]: away from the body, and so on.
         spring: Stiffness against turning at the top [N m / rad]; those below are weaker, as their masses.
         thick: Half thickness of boxes, or radius of capsules [m].
         box: Whether links are boxes as wide as their share of the surface, as cloth is.

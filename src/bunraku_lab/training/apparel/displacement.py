@@ -245,8 +245,7 @@ class DisplacementTrainConfig(StepSettings):
 
 
 def take_head(model: DisplacementNetwork, path: Path) -> None:
-    """Put the head of a checkpoint in the place of a network's own, and its recurrent part where that has the same
-    shape.
+    """Put the head of a checkpoint in place of a network's own, and its recurrent part if the shapes agree.
 
     Raises:
         OptionError: The checkpoint's head has another shape.

@@ -74,8 +74,7 @@ class Seam:
         weights: Skinning weights that the body alone would have there, shape (S, 22).
         rest: [m], shape (S, 3).
         joint: Joint that carries each, by these weights, shape (S,).
-        still: Inputs that never change: apparel or not, its means around, and how many edges meet, shape
-            (S, len(HOPS) + 2).
+        still: Inputs that never change: apparel, its means around, and the number of edges, shape (S, len(HOPS) + 2).
         around: Mean over the neighbours and the vertex itself, sparse (S, S).
         scale: The clothed's size.
     """

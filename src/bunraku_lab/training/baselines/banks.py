@@ -58,8 +58,7 @@ class Target:
         skinning: True weights of the joints, shape (M, 22).
         truth: Its vertices in the poses, shape (P, M, 3).
         affine: Affine transforms of its joints, shape (P, 22, 3, 4); None where the poses are those of all characters.
-        turns: Of the joints of the reference body in the same poses, shape (P, 22, 3, 3); None where the poses are
-            those of all characters.
+        turns: Rotations of the reference body's joints in the poses, shape (P, 22, 3, 3); None where all share poses.
         source: The reference body at rest as the character rests; None where the poses are those of all characters.
     """
 
@@ -97,8 +96,7 @@ class Pair:
 
 
 def drawn_pairs(characters: Sequence[Target], count: int, random: np.random.Generator) -> list[Pair]:
-    """Pairs of one source: in one pose where all characters have the same poses; otherwise the reference body in the
-    pose of each target.
+    """Pairs of one source: in one pose where all share the poses; otherwise the reference body in each target's pose.
 
     Args:
         characters: Targets, and sources too where all have the same poses.

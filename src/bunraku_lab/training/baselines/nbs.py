@@ -25,8 +25,7 @@ class NbsTrainConfig(StepSettings):
     Args:
         data: Folder that `bunraku data apparel` wrote.
         meshes: Folder that keeps its characters as meshes of network size.
-        start: A trained skinning branch, which stays as it is; blend shapes are trained on top of it
-            (--network.shapes 9).
+        start: A trained skinning branch, which stays as it is below the blend shapes (--network.shapes 9).
         vertices: Of a mesh, about.
         frames: Of each character.
         poses: Of a mesh a step.

@@ -52,8 +52,7 @@ def transform_loss(transforms: Tensor, truth: Tensor) -> Tensor:
 
 
 def far_points(points: Tensor, count: int) -> Tensor:
-    """Rows of farthest-point samples, shape (count,): each is the farthest from those before it, the first is the one
-    farthest from the mean.
+    """Rows of farthest-point samples, shape (count,), of which the first is the farthest from the mean.
 
     Args:
         points: Shape (M, 3).
@@ -70,8 +69,7 @@ def far_points(points: Tensor, count: int) -> Tensor:
 
 
 def chamfer_loss(centres: Tensor, points: Tensor) -> Tensor:
-    """The Chamfer distance of the parts' centres from points of the mesh: mean squared distance to the nearest of the
-    other set, both ways.
+    """The Chamfer distance of centres and points: mean squared distance to the nearest of the other set, both ways.
 
     Args:
         centres: Shape (K, 3).

@@ -79,8 +79,7 @@ def rescaled(model: Denoiser, mean: torch.Tensor, std: torch.Tensor) -> dict[str
 
 
 def start_from(path: str | Path, model: Denoiser) -> None:
-    """Give a new denoiser the weights of a checkpoint, in the units of its own statistics; its adaptation's layer stays
-    as it is.
+    """Give a new denoiser the weights of a checkpoint, in its own units, but for the adaptation's layer.
 
     Args:
         path: A checkpoint of kind "diffusion".

@@ -62,12 +62,9 @@ class TrainingConfig(RunSettings):
         compose: Share of rows that join two clips, "a person walks and then waves".
         creatures: Share of rows that are creatures' clips, where the data have any.
         computed: Share of rows whose sentence is computed from the motion, where it says anything plain.
-        borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that
-            creature shows.
-        events: Share of people's rows that are something plain to see in the numbers, such as a turn, cut out of a clip
-            and described by them.
-        balance: Power of the number of its clips by which an action is drawn: 1 as often as it is captured, 0 all
-            actions alike.
+        borrowed: Share of people's rows with a creature's mesh, of actions that no clip of that creature shows.
+        events: Share of people's rows that are plain to see in the numbers (a rotation, a punch), and described so.
+        balance: Power of its clips by which an action is drawn: 1 as often as captured, 0 all actions alike.
         most_drawn: How many times as often as the median clip one is drawn at the most, so that the only one of its
             action is not learned by heart.
         ema: Decay of the averaged weights.

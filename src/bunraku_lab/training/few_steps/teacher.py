@@ -172,8 +172,7 @@ class Trajectories:
 
     Args:
         rows: What they are told, without their motions, numbers in half precision.
-        stations: Where they are at each of the student's steps from `start` on, and at their ends, shape (S + 1, B, N,
-            D), float16.
+        stations: The states at each of the student's steps from `start` on, and at the end, (S + 1, B, N, D), float16.
         start: The first of these steps.
     """
 

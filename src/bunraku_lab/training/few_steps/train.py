@@ -67,8 +67,7 @@ class LowRank(nn.Module):
 
 
 def with_changes(model: nn.Module, rank: int, without: tuple[str, ...] = ()) -> nn.Module:
-    """The model itself, where every linear layer's matrix has a change of at most this rank that learns, and nothing
-    else does.
+    """The model itself, where every linear layer has a change of at most this rank that learns, and nothing else.
 
     Args:
         model: Changed in place.

@@ -66,8 +66,7 @@ def spring_loss(positions: Tensor, rest: Tensor, springs: Tensor, sigma: float =
     """Spring Loss L_h of each row [TapMo 7], shape (B,).
 
     With E the distance of two adjacent handles, and frame 0 the rest pose, it is the sum over springs and frames of
-    `exp(-(E_0 + sigma)) (E_n - E_0)^2 + (E_n - E_{n-1})^2`. Rigid motion changes no distance, so positions may be
-    local.
+    `exp(-(E_0 + sigma)) (E_n - E_0)^2 + (E_n - E_{n-1})^2`. Positions may be local: distances stay.
 
     Args:
         positions: Handle positions of each frame, h^1 to h^N, shape (B, N, K, 3).
@@ -92,8 +91,7 @@ class Fitted:
         row: Character of the bank, shape (B,).
         rotations: Local rotations on the character, shape (B, N, K, 3, 3).
         stiff: Local translations that hold the joints [m], shape (B, N, K, 3).
-        residual: What the motion's own translations add, by the part that is played [m of the reference body], shape
-            (B, N, K, 3).
+        residual: The motion's own translations by canonical part [m of the reference body], shape (B, N, K, 3).
     """
 
     row: Tensor
@@ -150,8 +148,7 @@ def posed_positions(fitted: Fitted, bank: CharacterBank, delta: Tensor | None = 
     Args:
         fitted: The motions.
         bank: The characters.
-        delta: Adaptation of each part [m of the reference body], shape (B, N, K, 3); the root's does not count. None
-            for none.
+        delta: Adaptation of each part [m of the reference body], shape (B, N, K, 3), without the root's; or None.
     """
     row = fitted.row
     total = fitted.residual if delta is None else fitted.residual + delta
@@ -221,8 +218,7 @@ class MeshMotionDiscriminator(nn.Module):
     """Disc of Eq. 8: a score for the motion of arm vertices.
 
     Each vertex of a frame goes through one small network with its rest position beside its displacement; maximum and
-    mean over the vertices give the frame, since they are drawn in any order; two convolutions over time and the mean
-    give the score.
+    mean over the vertices give the frame; two convolutions over time and the mean give the score.
     """
 
     def __init__(self, width: int = 64):
@@ -266,8 +262,7 @@ def _seen_from_chest(
 
 
 def handle_driven(fitted: Fitted, bank: CharacterBank, picked: Tensor, delta: Tensor | None = None) -> Tensor:
-    """V^g of Eq. 8: arm vertices moved by the handles, with the adaptation, as the discriminator sees them, shape (B,
-    N, P, 6).
+    """V^g of Eq. 8: arm vertices moved by the handles with the adaptation, for the discriminator, (B, N, P, 6).
 
     Args:
         fitted: The motions on B characters.

@@ -86,8 +86,7 @@ class MeshBank:
         """A feature for each row of a batch.
 
         Args:
-            meshes: Character that a row's motion belongs to, None for any humanoid; None in place of all for a batch
-                without creatures.
+            meshes: Character of each row's motion, None for any humanoid; None in place of all without creatures.
             size: Rows B.
             random: Draws them.
             cross: Share of the humanoids' rows that take any character at all.

@@ -197,8 +197,7 @@ class Mixture:
         computed: Share of rows whose sentence is computed from the motion, where it says anything plain.
         borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that
             creature shows, so that a person's words move a creature too.
-        events: Share of people's rows that are something plain to see in the numbers, cut out of a clip and described
-            by them.
+        events: Share of people's rows that are plain to see in the numbers, cut out of a clip and described by them.
         balance: Power of the number of an action's clips by which it is drawn.
         most_drawn: How many times as often as the median clip one is drawn at the most.
         rehearse: Share of people's draws that are of what the network knew before, where there is any.

@@ -69,8 +69,7 @@ def load_clips(folder: str | Path, progress: Any = None, splits: Collection[str]
     A clip with captions by time becomes one entry a stretch, "name@first frame", without those that are faulty.
 
     Args:
-        folder: What `bunraku data motions` wrote: `index.json` and one NPZ a clip; or the one file that `bunraku data
-            bundle` made of it.
+        folder: `index.json` and one NPZ a clip of `bunraku data motions`, or the file of `bunraku data bundle`.
         progress: Called with (done, total).
         splits: "train", "val", "test": those to load; None for all.
 
@@ -176,8 +175,7 @@ _LINK = re.compile(r"(,? and then |,? then |,? and |, )")
 
 @functools.lru_cache(maxsize=8192)
 def stretch_phrases(texts: tuple[str, ...]) -> tuple[str, ...]:
-    """The tersest sentence with its verbs in braces, "{walk} fast, {turn} left"; none where it does not begin with a
-    verb: "brisk walk".
+    """The tersest sentence with its verbs in braces, "{walk} fast, {turn} left"; none if it begins with no verb.
 
     Args:
         texts: Sentences of a stretch, the tersest last.
@@ -289,8 +287,7 @@ class TrainingClip:
         watched: The captions were written from watching just this; the fullest is first, the tersest last.
         labels: Labels of the archive for a watched clip, used where they say the same.
         weight: The index's own weight.
-        loop: Frames (i, j) such that playing on from j after i is smooth and what the captions say stays true; None
-            where there are none.
+        loop: Frames (i, j) such that playing on from j after i is smooth and true to the captions; None without.
         rests: The clip ends at rest, so its last pose can be held.
         follows: Name of the stretch that goes on where this one ends.
         species: What creature it is of; None for people.
@@ -379,8 +376,7 @@ class TrainingClip:
         )  # fmt: skip
 
     def lengthened(self, target: int, still: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """The clip played again from its loop point, or with its last pose held, until it has `target` frames or can
-        have no more.
+        """The clip repeated from its loop point, or with its last pose held, until it has `target` frames if it can.
 
         Args:
             target: Frames wanted.

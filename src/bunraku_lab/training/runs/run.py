@@ -35,8 +35,7 @@ class RunSettings:
     """Settings of any run.
 
     Args:
-        out: Folder of the run: `state.safetensors` to go on from, the weights, `log.csv`. The same folder goes on with
-            the same run.
+        out: Folder of the run: `state.safetensors` to go on from, the weights, `log.csv`; the same one goes on.
         threads: CPU threads; 0 leaves torch's choice.
         batch: Examples a step.
         validate_every: Steps between validations.
@@ -70,8 +69,7 @@ class TrainingSettings(RunSettings):
     """Settings of a run that keeps the running mean of its weights.
 
     Args:
-        minutes: Stop after this much training time on one core, over all sittings; the learning rate falls to nothing
-            by then. 0 for no limit.
+        minutes: Stop after this much training time on one core, over all sittings; 0 for no limit.
         rate: Peak learning rate.
         warmup: Steps until the peak.
         decay: Decay of the running mean of the weights, which is what is validated and saved.
@@ -104,8 +102,7 @@ class StepSettings(TrainingSettings):
 
 
 def bf16_is_fast(device: torch.device | str) -> bool:
-    """Whether a device has bfloat16 in hardware. A processor without it can compute in it too, sixty times as slowly as
-    in float32.
+    """Whether a device has bfloat16 in hardware; a processor without it is sixty times as slow in it.
 
     Args:
         device: Of torch.
@@ -386,8 +383,7 @@ class AveragedRun(TrainingRun, Generic[Network]):
     """A network, the running mean of its weights, which is what is validated and saved, and its optimiser.
 
     A subclass says what a step's loss is (`step_loss`), what is validated (`validate`, on `held_out`) and how the
-    checkpoint is written (`write`). Its `config` is a dataclass of `TrainingSettings`. What it draws by `rng` is part
-    of its state.
+    checkpoint is written (`write`). Its `config` is a `TrainingSettings`; what it draws by `rng` is kept.
 
     Args:
         out: Folder of the run.
