@@ -96,8 +96,6 @@ class Apparel:
     """Seed of the wardrobe's first character, which the others follow, and of where motions are cut, 0 to 1000000."""
     jobs: Annotated[str | None, tyro.conf.arg(metavar="{N,ray}", help_behavior_hint="")] = None
     """How many processes, or "ray" for a Ray cluster. Default: one for each core."""
-    report: bool = False
-    """Also print what the data are like: shares, parts, offsets, frequencies and springs."""
 
     def run(self) -> int:
         check_range("--wardrobe", self.wardrobe, 0, 100_000)
@@ -148,11 +146,6 @@ class Apparel:
             f"wrote {state.built_minutes:.1f} minutes in {state.done} of {state.shards} files to {self.output}; "
             f"{rounded}"
         )
-        if self.report:
-            from bunraku_lab.datasets.apparel.checks import apparel_facts, facts_table
-            from bunraku_lab.datasets.apparel.shards import ApparelData
-
-            print(facts_table(apparel_facts(ApparelData(self.output))))
         return 0 if state.done == state.shards else 2
 
 
