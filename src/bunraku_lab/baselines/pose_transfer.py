@@ -215,11 +215,7 @@ class SourceBody:
 
 @lru_cache(maxsize=2)
 def source_body(vertices: int = 1000) -> SourceBody:
-    """The average reference body.
-
-    Args:
-        vertices: Of its mesh, about.
-    """
+    """The average reference body."""
     body = reference_body()
     mesh = network_mesh(body.vertices, body.faces, round(ROOM * vertices))
     rest = mesh.pull(body.vertices)

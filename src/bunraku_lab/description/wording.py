@@ -252,14 +252,7 @@ def _creature_frames(species: str) -> list[str]:
 def borrowed_sentence(
     phrases: Sequence[str], sentences: Sequence[str], species: str, random: np.random.Generator
 ) -> str:
-    """What a person does, said of a creature or, as often, of a person: "a horse waves".
-
-    Args:
-        phrases: With verbs in braces.
-        sentences: About a person.
-        species: Of the creature.
-        random: Chooses.
-    """
+    """What a person does, said of a creature or, as often, of a person: "a horse waves"."""
     if not phrases or random.random() < 0.5:
         return _one(sentences, random)
     phrase = _one(phrases, random)

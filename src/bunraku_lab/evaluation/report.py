@@ -165,21 +165,12 @@ def at_once(name: str, measure: Callable[[], Any]) -> Any:
 
 @dataclass(frozen=True)
 class KeptParts:
-    """What was measured before, or is measured now and kept.
-
-    Args:
-        folder: That keeps it, of one measurement with all that it depends on.
-    """
+    """What was measured before, or is measured now and kept."""
 
     folder: Path
 
     def __call__(self, name: str, measure: Callable[[], Any]) -> Any:
-        """Give a part.
-
-        Args:
-            name: Of the part in this measurement.
-            measure: Called where it is not known yet.
-        """
+        """Give a part."""
         path = self.folder / f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.json"
         if path.is_file():
             return json.loads(path.read_text(encoding="utf-8"))

@@ -68,9 +68,6 @@ def edge_mesh(faces: np.ndarray, edges: np.ndarray, count: int) -> EdgeMesh:
 class MeshConv(nn.Module):
     """A linear map of `[e, a + c, b + d, |a - c|, |b - d|]`, which does not depend on which triangle comes first.
 
-    Args:
-        width_in, width_out: Channels.
-
     Shapes: (E, width_in) -> (E, width_out).
     """
 
@@ -151,11 +148,7 @@ class _Branch(nn.Module):
 
 
 class BlendShapes(nn.Module):
-    """Shapes of each vertex from geometry and skinning, and their coefficients from how each joint turns.
-
-    Args:
-        config: Shape of the networks.
-    """
+    """Shapes of each vertex from geometry and skinning, and their coefficients from how each joint turns."""
 
     def __init__(self, config: NbsConfig):
         super().__init__()

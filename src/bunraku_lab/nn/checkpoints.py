@@ -80,10 +80,6 @@ def fitted_network(build: Callable[[], Network], state: Mapping[str, torch.Tenso
     """A network with its weights. Its sizes are compared with those of the weights before it takes any memory, as a
     config may ask for more than there is.
 
-    Args:
-        build: Makes the network of its config.
-        state: The weights by name.
-
     Raises:
         ValueError: A weight is missing, or has another size.
     """

@@ -435,13 +435,7 @@ def frozen_digest(model: Denoiser) -> str:
 
 
 def save_adapter(path: str | Path, model: Denoiser, notes: Mapping[str, object]) -> Path:
-    """Write the last layer of a denoiser's adaptation, and which denoiser it is of.
-
-    Args:
-        path: The file.
-        model: The denoiser.
-        notes: How it was trained.
-    """
+    """Write the last layer of a denoiser's adaptation, and which denoiser it is of."""
     layer = {name: value for name, value in model.state_dict().items() if name.startswith(LAYER)}
     shape = {"adaptation_mesh": model.config.adaptation_mesh, "adaptation_frame": model.config.adaptation_frame}
     return save_checkpoint(

@@ -65,9 +65,6 @@ class _NeighbourMax(torch.autograd.Function):
 class EdgeConv(nn.Module):
     """max over neighbours j of `W1 x_i + W2 (x_j - x_i) + b` (Wang et al. 2019), as `(W1 - W2) x_i + b + max_j W2 x_j`.
 
-    Args:
-        width_in, width_out: Channels.
-
     Shapes: (V, width_in) -> (V, width_out).
     """
 
@@ -189,11 +186,6 @@ class AnchorBlock(nn.Module):
 class GraphLayer(nn.Module):
     """`LayerNorm(EdgeConv(x) + spread(blocks(gather(x))))`, then GELU.
 
-    Args:
-        width_in, width_out: Channels.
-        heads: Attention heads among the anchors.
-        depth: Rounds among the anchors.
-
     Shapes: (V, width_in) -> (V, width_out).
     """
 
@@ -275,9 +267,6 @@ def _largest(x: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
 
 class EdgeBlock(nn.Module):
     """An edge convolution within parts, with what the part as a whole says, added to what came in.
-
-    Args:
-        width: Channels.
 
     Shapes: (M, width) -> (M, width).
     """

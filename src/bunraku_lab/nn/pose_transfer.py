@@ -95,9 +95,6 @@ class GraphUnit(nn.Module):
 
     The first linear map runs once a vertex: A x_i + B (x_j - x_i) is (A - B) x_i + B x_j.
 
-    Args:
-        width_in, width_out: Channels.
-
     Shapes: (N, width_in) -> (N, width_out).
     """
 

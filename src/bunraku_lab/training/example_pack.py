@@ -86,12 +86,7 @@ BUSY_BOUNDS = IdleBounds(busy=True, sinks=0.1, shifts=0.3, swings=0.2)
 
 
 def idling(clips: Mapping[str, ClipEntry], bounds: IdleBounds = IDLE_BOUNDS) -> Iterator[tuple[str, np.ndarray]]:
-    """The longest such stretch of each clip, as its name and its features, the longest first.
-
-    Args:
-        clips: Features of people by the names of their clips.
-        bounds: Who they are.
-    """
+    """The longest such stretch of each clip, as its name and its features, the longest first."""
     found: list[tuple[str, np.ndarray]] = []
     for name, entry in clips.items():
         stretch = _longest(entry["features"], bounds)
@@ -198,11 +193,6 @@ def build_examples(
     settings: ExampleSettings, encoder: TextEncoder | None = None, progress: Callable[[str, float], None] | None = None
 ) -> ExamplePack:
     """Choose stretches and write them.
-
-    Args:
-        settings: Which, and where to.
-        encoder: In place of the ranker's own.
-        progress: Called with a stage's name and the share done.
 
     Raises:
         FormatError: The data are missing or damaged.

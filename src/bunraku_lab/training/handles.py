@@ -154,13 +154,7 @@ def noisy(mesh: TrainingMesh, rng: np.random.Generator, positions: float, normal
 
 
 def augment_mesh(mesh: TrainingMesh, rng: np.random.Generator, config: MeshAugmentation | None = None) -> TrainingMesh:
-    """The example with its surface changed at random.
-
-    Args:
-        mesh: An example.
-        rng: Source of randomness.
-        config: How often and how much.
-    """
+    """The example with its surface changed at random."""
     config = config or MeshAugmentation()
     if rng.random() < config.split_rate:
         mesh = split(mesh, rng)
@@ -437,12 +431,6 @@ def validate_handles(
     model: HandlePredictor, characters: Sequence[TrainingCharacter], varied: bool = False, seed: int = 0
 ) -> dict[str, float]:
     """How good the predictor is on characters with known handles.
-
-    Args:
-        model: The predictor.
-        characters: With labels.
-        varied: Change each character's rest pose and proportions first.
-        seed: Of the poses.
 
     Returns:
         accuracy: Share of the labelled surface whose largest weight is the right handle's. purity: of the surface that

@@ -41,11 +41,7 @@ _QUIET = -6.0
 
 
 class TaggerNetwork(torch.nn.Module):
-    """The network.
-
-    Args:
-        config: Its sizes.
-    """
+    """The network."""
 
     def __init__(self, config: TaggerConfig):
         super().__init__()
@@ -79,12 +75,7 @@ class TaggerNetwork(torch.nn.Module):
 
 
 def sentence_losses(words: Tensor, lengths: Tensor) -> Tensor:
-    """Minus the logarithm of the probability that no word of a sentence says a movement, shape (B, V).
-
-    Args:
-        words: What the network says of each word.
-        lengths: Words of each sentence.
-    """
+    """Minus the logarithm of the probability that no word of a sentence says a movement, shape (B, V)."""
     row = torch.repeat_interleave(torch.arange(len(lengths), device=words.device), lengths)
     silence = torch.nn.functional.softplus(words)
     return words.new_zeros(len(lengths), words.shape[1]).index_add(0, row, silence)

@@ -109,11 +109,6 @@ class MatchingRun(AveragedRun[Extractor]):
 def start_from(path: Path, model: Extractor, kind: str) -> None:
     """Give a new network the weights and the units of a checkpoint.
 
-    Args:
-        path: The checkpoint.
-        model: The new network.
-        kind: Of the checkpoint.
-
     Raises:
         OptionError: The checkpoint is of another network.
         WeightsError: It is missing, damaged or of another kind.

@@ -51,10 +51,6 @@ class Recording:
 def record(body: UnifiedBody, clips: Sequence[RigAnimation]) -> Recording:
     """Write down what a character does.
 
-    Args:
-        body: The character's joints.
-        clips: Its clips, simulated.
-
     Raises:
         ValueError: An offset is not finite or too long for half precision.
     """

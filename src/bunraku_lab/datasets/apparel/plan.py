@@ -96,13 +96,7 @@ class ClipPlan:
 
 @dataclass(frozen=True)
 class ShardPlan:
-    """A file of the data set: some clips of one character.
-
-    Args:
-        character: Which.
-        part: Number of the shard among those of its character.
-        clips: In their order.
-    """
+    """A file of the data set: some clips of one character."""
 
     character: CharacterSource
     part: int
@@ -263,12 +257,7 @@ def _length(path: Path) -> float:
 
 
 def choose_motions(motions: Sequence[MotionSource], count: int) -> list[MotionSource]:
-    """So many motions, mixed: 10 % of "test", 5 % of "val" and the rest of "train", as far as there are any.
-
-    Args:
-        motions: To choose from.
-        count: How many; all where there are fewer.
-    """
+    """So many motions, mixed: 10 % of "test", 5 % of "val" and the rest of "train", as far as there are any."""
     rows = {
         split: sorted((motion for motion in motions if motion.split == split), key=lambda motion: _number(motion.name))
         for split in SPLITS

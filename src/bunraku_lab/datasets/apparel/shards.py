@@ -92,9 +92,6 @@ def shard_fingerprint(path: Path) -> str:
 class Shard:
     """A shard, opened: `facts`, `lengths` and the `names` of its arrays; arrays are read on request.
 
-    Args:
-        path: The file.
-
     Raises:
         FormatError: It is missing, damaged, or no shard.
     """

@@ -323,12 +323,7 @@ def rigged_files(folder: Path) -> list[Path]:
 
 
 def no_characters(folder: Path, suffixes: Sequence[str]) -> FormatError:
-    """What to say of a folder without character files; one that `bunraku data characters` wrote is told from others.
-
-    Args:
-        folder: The folder.
-        suffixes: Of the files that are looked for.
-    """
+    """What to say of a folder without character files; one that `bunraku data characters` wrote is told from others."""
     if next(folder.rglob("*.npz"), None) is not None:
         return FormatError(
             folder, "it holds what `bunraku data characters` made for training; give the folder of the files it is from"

@@ -240,11 +240,7 @@ def creature_clips(file: str, labels: list[str]) -> list[CreatureClip]:
 
 
 def known_plan(file: str) -> str | None:
-    """The body plan of a character of the archive, such as "quadruped" or "fish"; None of one that is not in the table.
-
-    Args:
-        file: Path in the archive without suffix.
-    """
+    """The body plan of a character of the archive, such as "quadruped" or "fish"; None of one that is not in the table."""
     known = _table()["characters"].get(file)
     return None if known is None else str(known["plan"])
 

@@ -69,11 +69,7 @@ class FileChain:
 
 
 def chains_from_file(character: Character) -> list[FileChain]:
-    """The chains of a character whose file has physics; none where it has none, or its rig is not a person's.
-
-    Args:
-        character: With a rig.
-    """
+    """The chains of a character whose file has physics; none where it has none, or its rig is not a person's."""
     rig = apparel_rig(character)
     if rig is None or character.rig is None:
         return []
@@ -110,10 +106,6 @@ def chains_from_file(character: Character) -> list[FileChain]:
 def chain_parameters_from_file(laid: LaidChains, character: Character) -> LaidChains:
     """Chains laid over a shape that swing by what the file says of those that hold the same vertices there: as far in
     all, by links of their own, with its springs, damping and mass.
-
-    Args:
-        laid: Over the character's mesh.
-        character: With a rig and physics.
     """
     rig, told = character.rig, chains_from_file(character)
     if rig is None or not told:

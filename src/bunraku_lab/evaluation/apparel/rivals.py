@@ -274,13 +274,7 @@ FILES = {
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """Networks of another method.
-
-    Args:
-        name: Of its row.
-        digest: Of its weights.
-        network: Neural Blend Shapes, or a pose transfer.
-    """
+    """Networks of another method."""
 
     name: str
     digest: str
@@ -336,12 +330,7 @@ def rival_mover(clothed: ClothedCharacter, network: NbsNetwork | TransferNetwork
 
 
 def mover_rows(clip: TrueClip, mover: Mover) -> tuple[Figures, Figures]:
-    """Figures of a way from rest over the whole clip, and over ten frames at several places.
-
-    Args:
-        clip: The clip.
-        mover: The way.
-    """
+    """Figures of a way from rest over the whole clip, and over ten frames at several places."""
     frames = np.arange(0, len(clip.transforms), STRIDE)
     short = replace(clip, transforms=clip.transforms[frames], offsets=clip.offsets[frames])
     truth = short.truth(np.arange(len(clip.clothed.rest)))

@@ -89,11 +89,6 @@ def is_humanoid(truth: TrainingCharacter) -> bool:
 def subject(character: Character, name: str, path: Path | None = None) -> Subject:
     """A rigged character, turned to face +Z as in training, with the truth of its rig on its own vertices.
 
-    Args:
-        character: With a rig.
-        name: Its name in the archive; some rigs are known by it.
-        path: Its file, where it has one.
-
     Raises:
         CharacterError: It has no rig, or a rig that moves nothing.
     """
@@ -167,12 +162,7 @@ WARDROBE: tuple[int, ...] = tuple(range(900_000, 900_010))
 
 
 def detailed_subjects(characters: Path | None = None, avatars: Path | None = None) -> dict[str, Callable[[], Subject]]:
-    """How to load each detailed person, by name; files that are not there are left out.
-
-    Args:
-        characters: Folder of the archive.
-        avatars: Folder of avatars, searched through.
-    """
+    """How to load each detailed person, by name; files that are not there are left out."""
     out: dict[str, Callable[[], Subject]] = {}
     for name in ARCHIVE if characters is not None else ():
         assert characters is not None

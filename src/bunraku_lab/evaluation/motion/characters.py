@@ -300,12 +300,7 @@ def _jitter(what: Gauge, transforms: np.ndarray) -> float:
 
 
 def measure(what: Gauge, motion: HandleMotion) -> MotionQuality:
-    """All measures of one motion of a character.
-
-    Args:
-        what: The character's gauge.
-        motion: Motion of its handles.
-    """
+    """All measures of one motion of a character."""
     transforms = motion.transforms(what.handles.positions)
     ways, slid, count = _slides(what, transforms, motion.fps)
     depths = _depths(what, transforms)
@@ -340,10 +335,6 @@ def stage_effects(
     motions: Sequence[HandleMotion], characters: Mapping[str, tuple[Character, Handles]]
 ) -> list[dict[str, float | str]]:
     """What each cleaning stage does: every motion on every character with all, without each, and with none of them.
-
-    Args:
-        motions: Of the reference body.
-        characters: Character and handles by name.
 
     Returns:
         A row for each character and case: `character` (of all together: "all"), `without` (a stage, "nothing" or
@@ -402,14 +393,7 @@ def chosen_files(folder: Path, unseen: bool, count: int) -> list[Path]:
 def load_named(
     files: Sequence[Path], folder: Path, humanoids: bool = False, progress: Progress | None = None
 ) -> list[Named]:
-    """Characters facing +Z with predicted handles; files that cannot be used are left out with a warning.
-
-    Args:
-        files: Their files.
-        folder: What their names are relative to.
-        humanoids: Leave out all that are not.
-        progress: Called with the share done.
-    """
+    """Characters facing +Z with predicted handles; files that cannot be used are left out with a warning."""
     found: list[Named] = []
     for done, file in enumerate(files, 1):
         try:

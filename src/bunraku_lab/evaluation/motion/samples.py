@@ -160,12 +160,7 @@ CHOOSING = ("ranker", "critic", "examples")
 
 @dataclass(frozen=True)
 class Request:
-    """A motion to be made.
-
-    Args:
-        sentence: What it shows.
-        frames: Its length N.
-    """
+    """A motion to be made."""
 
     sentence: str
     frames: int

@@ -178,10 +178,6 @@ def _distinct(windows: Sequence[Window], count: int) -> list[Window]:
 def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> dict[str, Any]:
     """The table.
 
-    Args:
-        config: What to measure and how.
-        report: Called with a stage's name and the share done.
-
     Returns:
         Numbers and lists that JSON can say: "rows" by name ("real", "tapmo"), each measure with "mean" and
         "half" (of the 95 % interval); "counts"; and at the top level the figures that the bars are about:

@@ -253,12 +253,7 @@ class Pair:
 
 
 def gait_of(animation: Animation | RigAnimation, anatomy: Anatomy) -> list[Pair]:
-    """The pairs of legs of a body, the foremost first.
-
-    Args:
-        animation: In which it goes straight.
-        anatomy: Of its character, with the handles or bones that move it.
-    """
+    """The pairs of legs of a body, the foremost first."""
     character = animation.character
     whole = Anatomy(character, anatomy.handles, character, anatomy.handles)
     vertices = animation.vertices().astype(np.float64)
@@ -317,10 +312,6 @@ def _trunk_and_hands() -> tuple[np.ndarray, np.ndarray]:
 def hands_in_body(motion: HandleMotion, every: int = 2) -> np.ndarray:
     """Whether a hand is more than 1 cm deep in the body without its arms, in every second frame, shape (N / 2,), bool:
     by the generalised winding number of the posed surface (Jacobson et al. 2013).
-
-    Args:
-        motion: Of the reference body.
-        every: Frames from one to the next that is looked at.
     """
     import igl
 
@@ -354,11 +345,7 @@ class Slides(NamedTuple):
 
 
 def sliding_contacts(motion: HandleMotion) -> Slides:
-    """How feet slide that are on the ground and not swung; a foot is where its lowest part is, so rolling is no slide.
-
-    Args:
-        motion: Of the reference body.
-    """
+    """How feet slide that are on the ground and not swung; a foot is where its lowest part is, so rolling is no slide."""
     body = reference_body()
     transforms = motion.transforms(body.handles.positions)
     fast = far = count = 0

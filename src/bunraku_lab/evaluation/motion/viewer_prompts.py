@@ -140,11 +140,6 @@ def captured_clips(data: Path, wanted: Mapping[str, Captured]) -> dict[str, list
 def viewer_figures(config: MotionEvalConfig, quick: bool, report: Report) -> dict[str, Any]:
     """All figures of `VIEWER_BARS`, and tables by action.
 
-    Args:
-        config: Of it the data, the weights, the sampler and the seed.
-        quick: Fewer seeds.
-        report: Called with a stage's name and the share done.
-
     Returns:
         By key; a figure that could not be measured is None. Tables: "side_accuracy_by_action",
         "speed_by_action" and "jitter_by_action".

@@ -157,10 +157,6 @@ class TablesConfig:
 def measure_tables(config: TablesConfig, report: Report | None = None) -> list[dict[str, Any]]:
     """The tables as JSON can say them (`measured_table`). What cannot be run says why, and all else is measured.
 
-    Args:
-        config: What is measured.
-        report: Called with a stage's name and the share done.
-
     Raises:
         OptionError: The paper has no such table.
     """

@@ -94,11 +94,7 @@ class Group:
     others: Mapping[str, Any] | None = None
 
     def figures(self, work: Path) -> Figures:
-        """What was measured before of the same, or is measured now and kept.
-
-        Args:
-            work: Folder that keeps them.
-        """
+        """What was measured before of the same, or is measured now and kept."""
         kept = work / f"{self.name}-{_fingerprint({**self.of, **(self.others or {})})}.json"
         if kept.is_file():
             found: Figures = json.loads(kept.read_text(encoding="utf-8"))
@@ -134,13 +130,7 @@ def half_interval(values: Sequence[float]) -> float:
 
 
 def measured_table(table: PaperTable, figures: Figures, not_run: str = "") -> dict[str, Any]:
-    """A table as JSON can say it: of each row and column the paper's figure, ours, and both over the reference row's.
-
-    Args:
-        table: The table.
-        figures: What was measured.
-        not_run: Why nothing was.
-    """
+    """A table as JSON can say it: of each row and column the paper's figure, ours, and both over the reference row's."""
     paper_of = {row.name: row.paper for row in table.rows}
     own_reference = table.reference if table.reference in figures or not table.stand_in else table.stand_in
     rows = []

@@ -332,10 +332,6 @@ class Garment:
 class Wardrobe:
     """All pieces of a folder of MakeHuman clothes (`.mhclo`), and those that are cut from the base mesh.
 
-    Args:
-        body: The base mesh.
-        folder: Folder with clothes and hair, searched through.
-
     Raises:
         FormatError: There are no clothes under the folder, or a file is damaged.
     """

@@ -246,15 +246,7 @@ _DOWN = np.array([0, -1.0, 0])
 
 
 def add_little_pieces(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generator, hair: str) -> None:
-    """Add some of them, more where little else of the character is apparel.
-
-    Args:
-        costume: What they are added to.
-        figure: The body and what it wears.
-        scalp: The dome that hair lies on.
-        rng: Random numbers.
-        hair: Kind of the hair.
-    """
+    """Add some of them, more where little else of the character is apparel."""
     likely = 0.3 if costume.quiet else 0.22
     before = len(costume.bodies)
     makers: list[Callable[[], None]] = [

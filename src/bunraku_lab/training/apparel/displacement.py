@@ -58,12 +58,7 @@ def truly_clothed(character: ApparelCharacter) -> ClothedCharacter:
 
 @dataclass(frozen=True, eq=False)
 class BankCharacter:
-    """The nodes of one character in all of its clips.
-
-    Args:
-        path: Its folder.
-        name: Of the character.
-    """
+    """The nodes of one character in all of its clips."""
 
     path: Path
     name: str

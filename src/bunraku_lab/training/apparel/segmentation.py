@@ -59,12 +59,7 @@ def welded_parts(
 
 
 def varied(sample: MeshSample, random: np.random.Generator) -> MeshSample:
-    """A variation of a character, for the segmentation network: its weights and geodesic distances are not changed.
-
-    Args:
-        sample: The character.
-        random: Of what is changed.
-    """
+    """A variation of a character, for the segmentation network: its weights and geodesic distances are not changed."""
     mesh = sample.mesh
     part = mesh.part
     if random.random() < 0.6:

@@ -96,13 +96,7 @@ class Pair:
 
 
 def drawn_pairs(characters: Sequence[Target], count: int, random: np.random.Generator) -> list[Pair]:
-    """Pairs of one source: in one pose where all share the poses; otherwise the reference body in each target's pose.
-
-    Args:
-        characters: Targets, and sources too where all have the same poses.
-        count: How many pairs.
-        random: Draws them.
-    """
+    """Pairs of one source: in one pose where all share the poses; otherwise the reference body in each target's pose."""
     targets = [characters[number] for number in random.integers(len(characters), size=count)]
     if targets[0].turns is not None:
         out = []
@@ -153,15 +147,7 @@ class ClothedSample:
 def clothed_sample(
     data: ApparelData, clips: list[ApparelClip], mesh: NetworkMesh, frames: int, seed: int
 ) -> ClothedSample:
-    """A character in some frames of its clips, evenly taken.
-
-    Args:
-        data: The data set.
-        clips: Of one character.
-        mesh: Its mesh of network size.
-        frames: How many in all.
-        seed: Of where the first is.
-    """
+    """A character in some frames of its clips, evenly taken."""
     character = data.character(clips[0])
     random = np.random.default_rng(seed)
     affine, truth = [], []
@@ -296,12 +282,6 @@ def pose_frames(motions: Path, count: int, seed: int = 0) -> HandleMotion:
 
 def posed_sample(character: Character, name: str, poses: HandleMotion, vertices: int) -> Target:
     """A rigged character in poses, x and z from its root handle.
-
-    Args:
-        character: Facing +Z, with a person's rig.
-        name: Its name.
-        poses: Motion of the reference body.
-        vertices: Of its mesh, about.
 
     Raises:
         CharacterError: There is no rig, or it is not a person's.

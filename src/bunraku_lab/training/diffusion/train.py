@@ -112,10 +112,6 @@ def training_card(clips: Mapping[str, ClipEntry], config: TrainingConfig) -> str
     """A model card in Markdown.
 
     The terms of the weights that a run starts from hold for what comes out of it, so their credits are carried on.
-
-    Args:
-        clips: All clips of the data, those that are held out too.
-        config: The run.
     """
     learned = {name: entry for name, entry in clips.items() if entry.get("split", "train") == "train"}
     seconds: Counter[str] = Counter()

@@ -394,13 +394,7 @@ class BatchSource(Protocol):
 
 
 class BatchesAhead:
-    """Batches from the trainer's step on, made ahead by a thread: a pure function of the seed.
-
-    Args:
-        trainer: Adds noise.
-        clips: What is drawn from.
-        sources: What rows get beside their motions.
-    """
+    """Batches from the trainer's step on, made ahead by a thread: a pure function of the seed."""
 
     def __init__(self, trainer: Trainer, clips: ClipSet, sources: Sources):
         self.trainer, self.clips, self.sources = trainer, clips, sources
@@ -426,11 +420,6 @@ class BatchesAhead:
 class PooledBatches:
     """Batches from a pool on the trainer's device. A run that goes on fills it anew, so it does not learn from the very
     rows that it would have seen.
-
-    Args:
-        trainer: Adds noise.
-        clips: What is drawn from.
-        sources: What rows get beside their motions.
     """
 
     def __init__(self, trainer: Trainer, clips: ClipSet, sources: Sources):

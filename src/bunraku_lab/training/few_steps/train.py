@@ -105,14 +105,7 @@ class RowSource(Protocol):
 
 
 class RowsInTurn:
-    """Rows made when they are asked for: a pure function of the maker's seed.
-
-    Args:
-        maker: Makes them.
-        rows: Of a batch.
-        frames: Longest row.
-        device: Where they are wanted.
-    """
+    """Rows made when they are asked for: a pure function of the maker's seed."""
 
     def __init__(self, maker: RowMaker, rows: int, frames: int, device: torch.device):
         self.maker, self.pool = maker, RowPool(rows, frames, device, maker.meshes)

@@ -36,14 +36,7 @@ _SEATED = {"sit", "stand up"}
 
 
 class EventPool:
-    """Events of all clips, by what is said of them; left and right count as one, since rows are mirrored.
-
-    Args:
-        clips: Training clips; people's are looked at.
-        phrases_of: What can be said of a clip by its numbers.
-        motion_of: The motion of a clip.
-        frames: Longest row.
-    """
+    """Events of all clips, by what is said of them; left and right count as one, since rows are mirrored."""
 
     def __init__(
         self, clips: Sequence[TrainingClip], phrases_of: Callable[[TrainingClip], list[Phrase]],
@@ -304,12 +297,7 @@ class ClipSet:
         return np.minimum(weights, self.most_drawn * float(np.median(weights)))
 
     def draw(self, random: np.random.Generator, compose: float = 0.0) -> Row:
-        """One motion of at most `frames` frames with its sentence and mesh.
-
-        Args:
-            random: Draws everything.
-            compose: Share of rows that join two or three clips.
-        """
+        """One motion of at most `frames` frames with its sentence and mesh."""
         clip = self.clips[int(random.choice(len(self.clips), p=self.probability))]
         mirrored = bool(random.random() < 0.5)
         pair = self._compose(clip, random) if random.random() < compose else None

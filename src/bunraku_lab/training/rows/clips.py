@@ -175,11 +175,7 @@ _LINK = re.compile(r"(,? and then |,? then |,? and |, )")
 
 @functools.lru_cache(maxsize=8192)
 def stretch_phrases(texts: tuple[str, ...]) -> tuple[str, ...]:
-    """The tersest sentence with its verbs in braces, "{walk} fast, {turn} left"; none if it begins with no verb.
-
-    Args:
-        texts: Sentences of a stretch, the tersest last.
-    """
+    """The tersest sentence with its verbs in braces, "{walk} fast, {turn} left"; none if it begins with no verb."""
     parts = _LINK.split(texts[-1])
     braced = []
     for index, part in enumerate(parts):

@@ -148,11 +148,6 @@ def _numbers(found: list[tuple[int, bool]]) -> list[int]:
 class RowWorkers:
     """Processes that make batches number `first`, `first` + 1, and so on; they come as they are done.
 
-    Args:
-        maker: What they make.
-        count: How many.
-        first: Number of the first batch.
-
     Raises:
         OptionError: This system cannot fork processes.
     """
@@ -314,12 +309,7 @@ class RowPool:
 
 
 class FedPool:
-    """A pool that processes fill while it is drawn from.
-
-    Args:
-        pool: Rows.
-        workers: What fills it.
-    """
+    """A pool that processes fill while it is drawn from."""
 
     def __init__(self, pool: RowPool, workers: RowWorkers):
         self.pool, self.workers = pool, workers

@@ -102,11 +102,7 @@ class StepSettings(TrainingSettings):
 
 
 def bf16_is_fast(device: torch.device | str) -> bool:
-    """Whether a device has bfloat16 in hardware; a processor without it is sixty times as slow in it.
-
-    Args:
-        device: Of torch.
-    """
+    """Whether a device has bfloat16 in hardware; a processor without it is sixty times as slow in it."""
     kind = torch.device(device).type
     if kind == "cpu":
         return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
@@ -295,11 +291,7 @@ class TrainingRun:
         raise NotImplementedError
 
     def save(self, results: dict[str, float]) -> Path:
-        """Write the checkpoint and the training state.
-
-        Args:
-            results: Of the validation before; none between validations.
-        """
+        """Write the checkpoint and the training state."""
         raise NotImplementedError
 
     def due(self) -> bool:
