@@ -114,7 +114,6 @@ def add_takes(
         takes: Of `humanml3d_takes`, `amass_takes` or `own_takes`.
         out: Folder of the motions; an index is begun where there is none.
         jobs: Processes; the number of cores when None.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         Names of the clips that are in the index now, and what failed with its reason.

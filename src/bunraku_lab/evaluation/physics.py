@@ -308,7 +308,6 @@ def measure_physics(
         motions: As in `evaluate_physics`.
         seconds: As in `evaluate_physics`.
         quick: As in `evaluate_physics`.
-        progress: Called with the share done.
 
     Raises:
         CharacterError: It has no rig of a person, or nothing that physics move.

@@ -183,7 +183,6 @@ def measure(
         path: A JSON file, which is gone on with.
         most: Sentences of each movement, drawn by lot.
         encoder: In place of the built-in one.
-        progress: Called with the share done.
     """
     found: Likeness = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     counts: Counter[str] = Counter()

@@ -292,7 +292,6 @@ def build_motions(
         source: Folder with `motions.npz` and `motions.json`.
         out: Folder for the clips and `index.json` (captions, source, frames, split and weight of each clip).
         jobs: Processes; the number of cores when None.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         Path of `index.json`.

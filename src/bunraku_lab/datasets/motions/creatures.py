@@ -240,7 +240,7 @@ def creature_clips(file: str, labels: list[str]) -> list[CreatureClip]:
 
 
 def known_plan(file: str) -> str | None:
-    """The body plan of a character of the archive, such as "quadruped" or "fish"; None of one that is not in the table."""
+    """The body plan of a character of the archive, such as "quadruped" or "fish"; None where it is unknown."""
     known = _table()["characters"].get(file)
     return None if known is None else str(known["plan"])
 
@@ -361,7 +361,6 @@ def add_creatures(
     Args:
         characters: Folder of the unpacked character archive.
         out: Folder of the motions, with its `index.json`.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         Names of the clips in the index, and what failed with its reason.
@@ -438,7 +437,6 @@ def add_game_clips(
     Args:
         characters: Folder of the unpacked character archive.
         out: Folder of the motions, with its `index.json`.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         Names of the clips in the index, and what failed with its reason.

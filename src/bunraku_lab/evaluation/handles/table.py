@@ -413,7 +413,6 @@ def evaluate_handles(
         speed: Also take the time of predictions.
         seed: Of the random poses and of the clusters.
         jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         Numbers and lists that JSON can say: the measures of `BARS` (shares, or seconds; None where no character fits

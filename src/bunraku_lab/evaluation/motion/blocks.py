@@ -193,7 +193,6 @@ def add_blocks(result: dict[str, object], config: MotionEvalConfig, quick: bool,
         result: Gets the figures, None where a block could not run, and "left_out" with the reasons.
         config: Settings.
         quick: Measure on few motions.
-        report: Called with a stage's name and the share done.
     """
     left_out = result.setdefault("left_out", {})
     assert isinstance(left_out, dict)

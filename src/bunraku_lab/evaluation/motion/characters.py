@@ -143,7 +143,6 @@ def measure_adaptation(
         seed: Of the first prompt; each has its own.
         checkpoint: Weights in place of the shipped ones.
         stages: Stages of the fit; all when None.
-        progress: Called with a stage's name and the share done.
     """
     from bunraku.core.nn.layers import one_thread
     from bunraku.generation.generate import GUIDANCE, STEPS, adapt
@@ -441,7 +440,6 @@ def foot_figures(features: Sequence[np.ndarray], characters: Sequence[Named], pr
     Args:
         features: Motions of the reference body, each of shape (N, 271).
         characters: Further characters.
-        progress: Called with the share done.
     """
     body = reference_body()
     everyone: list[Named] = [("reference", body.character(), body.handles), *characters]

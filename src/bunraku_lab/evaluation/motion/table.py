@@ -132,7 +132,6 @@ def measure_rows(
         clips: What `load_clips` returned.
         sentences: The vector of each sentence.
         config: Settings.
-        report: Called with the stage and the share done.
     """
     for run in range(config.runs):
         drawn = np.random.default_rng([config.seed, run, 1]).permutation(len(windows))[: config.clips]

@@ -345,7 +345,7 @@ class Slides(NamedTuple):
 
 
 def sliding_contacts(motion: HandleMotion) -> Slides:
-    """How feet slide that are on the ground and not swung; a foot is where its lowest part is, so rolling is no slide."""
+    """How feet on the ground slide; a foot is where its lowest part is, so rolling is no slide."""
     body = reference_body()
     transforms = motion.transforms(body.handles.positions)
     fast = far = count = 0

@@ -130,7 +130,7 @@ def half_interval(values: Sequence[float]) -> float:
 
 
 def measured_table(table: PaperTable, figures: Figures, not_run: str = "") -> dict[str, Any]:
-    """A table as JSON can say it: of each row and column the paper's figure, ours, and both over the reference row's."""
+    """A table for JSON: in each row and column the paper's figure, ours, and both over the reference row's."""
     paper_of = {row.name: row.paper for row in table.rows}
     own_reference = table.reference if table.reference in figures or not table.stand_in else table.stand_in
     rows = []

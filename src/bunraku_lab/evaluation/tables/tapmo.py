@@ -371,7 +371,6 @@ def measure_handles(
         config: The networks.
         data: Folder that `bunraku data motions` wrote.
         count: Windows.
-        progress: Called with a stage's name and the share done.
         parts: Measures each row on each body, or knows what was measured of it before.
 
     Raises:

@@ -138,7 +138,6 @@ def measure_quadrupeds(
         characters: Files by their names; those that do not stand on four legs are passed over.
         word: Of the clips that are taken.
         sources: How many animals give their clips, spread over all that have one.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         `quadruped_limbs_degrees`, the mean angle between limbs of the source and of the result, None where no animal

@@ -335,7 +335,6 @@ def evaluate_transfer(
         work: Where results are kept, so that a second call goes on where the first was stopped.
         speed: Whether to measure times too.
         jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         Values by the keys of `BARS`, None where nothing could be measured; `reached`, `failed`, `rows` and `counts`.

@@ -29,14 +29,8 @@ __all__ = ["HUMAN_BONES", "arm_lumps", "build_dancer", "build_person", "build_ro
 
 
 PERSON_SKIN, SHIRT, STRIPE, TROUSERS, PERSON_SHOES, SOLE, PERSON_HAIR = (
-    "#f2b48c",
-    "#1fa3a0",
-    "#fff4dc",
-    "#34457a",
-    "#e4573d",
-    "#fbf6ec",
-    "#5a3422",
-)
+    "#f2b48c", "#1fa3a0", "#fff4dc", "#34457a", "#e4573d", "#fbf6ec", "#5a3422",
+)  # fmt: skip
 
 HUMAN_BONES: Bones = mirror_bones(
     {
@@ -167,13 +161,8 @@ def build_person(detail: float, rigged: bool) -> Character:
 
 
 DANCER_SKIN, DRESS, SASH, DANCER_SHOES, DANCER_HAIR, DRESS_TRIM = (
-    "#c98a5e",
-    "#c2366b",
-    "#ffd166",
-    "#8f2450",
-    "#2b2130",
-    "#ffe9d6",
-)
+    "#c98a5e", "#c2366b", "#ffd166", "#8f2450", "#2b2130", "#ffe9d6",
+)  # fmt: skip
 
 _DANCER_BONES: Bones = {
     **HUMAN_BONES, "Ponytail1": ("Head", (0, 1.60, -0.175)), "Ponytail2": ("Ponytail1", (0, 1.46, -0.275)),

@@ -105,7 +105,6 @@ def build_bank(
     Args:
         data: The data set, of one split.
         folder: Where it is kept.
-        progress: Called with the share done.
         nodes: Most nodes of a character.
     """
     out = []

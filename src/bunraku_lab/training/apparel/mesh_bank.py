@@ -78,7 +78,6 @@ def build_meshes(
         folder: Where they are kept.
         count: How many characters.
         first: Seed of the first.
-        progress: Called with the share done.
 
     Raises:
         FormatError: A file of the folder is damaged.

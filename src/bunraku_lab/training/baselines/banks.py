@@ -96,7 +96,7 @@ class Pair:
 
 
 def drawn_pairs(characters: Sequence[Target], count: int, random: np.random.Generator) -> list[Pair]:
-    """Pairs of one source: in one pose where all share the poses; otherwise the reference body in each target's pose."""
+    """Pairs of one source: in one pose where all share poses, else the reference body in each target's pose."""
     targets = [characters[number] for number in random.integers(len(characters), size=count)]
     if targets[0].turns is not None:
         out = []
@@ -179,7 +179,6 @@ def build_clothed_bank(
         folder: Where they are kept.
         vertices: Of a mesh, about.
         frames: Of each character.
-        progress: Called with the share done.
         most: How many characters at the most.
     """
     makers = {name: lambda name=name: _sampled(data, name, vertices, frames) for name in data.characters[:most]}
@@ -311,7 +310,6 @@ def build_posed_bank(
     Args:
         plan: What it is made of.
         folder: Where it is kept.
-        progress: Called with the share done.
 
     Raises:
         FormatError: There are no rigged characters, or no people's clips.

@@ -37,7 +37,6 @@ def kept_arrays(
     Args:
         folder: Where they are kept.
         makers: What makes them, by name.
-        progress: Called with the share done.
 
     Raises:
         FormatError: A file is damaged.

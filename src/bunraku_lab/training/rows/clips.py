@@ -104,7 +104,6 @@ def load_people(
 
     Args:
         folder: As of `load_clips`.
-        progress: Called with a stage's name and the share done.
         labelled: With labelled actions of game characters.
 
     Raises:

@@ -315,7 +315,6 @@ class TrainingRun:
 
         Args:
             report: Called with each row.
-            progress: Called with a stage's name and the share done.
 
         Returns:
             The checkpoint.
