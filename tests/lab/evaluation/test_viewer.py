@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from look import hands_in_body, sliding_contacts
 
 from bunraku.anatomy.anatomy import body_handle_motion
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
@@ -15,7 +16,6 @@ from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion.viewer import (
     DOERS,
     floating,
-    hands_in_body,
     heading_drift,
     kicking_side,
     lowest_points,
@@ -23,7 +23,6 @@ from bunraku_lab.evaluation.motion.viewer import (
     punching_side,
     raised_side,
     sits,
-    sliding_contacts,
     stepped_side,
     tremor,
     turned,
