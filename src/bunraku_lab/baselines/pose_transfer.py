@@ -49,7 +49,6 @@ __all__ = [
     "transferred",
 ]
 
-
 MOST_BONES = 4
 """Joints that move one vertex, as engines have it."""
 _LEGS = (1, 4, 7)  # left hip, knee, ankle in SMPL's order

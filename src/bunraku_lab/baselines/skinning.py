@@ -26,7 +26,6 @@ __all__ = [
     "sphere_centres", "surface_samples", "volume_of",
 ]  # fmt: skip
 
-
 _MEDOIDS = 24  # vertices near a cluster's mean that are tried as its medoid
 
 

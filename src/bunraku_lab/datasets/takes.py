@@ -24,7 +24,6 @@ from bunraku_lab.datasets.motions.clips import load_clip, load_index, write_clip
 
 __all__ = ["CAPTIONS", "Take", "add_takes", "amass_takes", "humanml3d_takes", "licensed_takes", "own_takes"]
 
-
 FPS = 20.0
 """Frames a second of clips to train on [1/s]."""
 SHORTEST, LONGEST = 0.4, 60.0  # seconds of a clip: what training can take; longer ones are cut

@@ -39,7 +39,6 @@ __all__ = [
     "describe", "inside", "joined", "sentences", "verbs",
 ]  # fmt: skip
 
-
 _LEAST = 16  # frames of a state that are worth a word
 _TIMES = {2: "twice", 3: "three times", 4: "four times", 5: "five times"}
 _COUNTED = {"turn", "jump", "kick", "bend"}

@@ -33,7 +33,6 @@ __all__ = [
     "joined", "link_position", "measure_physics", "nearest_joint_vertices", "sample_apparel",
 ]  # fmt: skip
 
-
 _FREE = 1e-3  # a joint that lets its bodies come apart by more [m] is no link of a chain
 _SHORT = 5e-3  # chains under this have no length to speak of [m]
 

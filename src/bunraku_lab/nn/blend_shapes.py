@@ -18,7 +18,6 @@ __all__ = [
     "moved_by", "vertex_means",
 ]  # fmt: skip
 
-
 SLOPE = 0.2
 """Of the LeakyReLU."""
 HINT = 5

@@ -19,7 +19,6 @@ __all__ = [
     "per_mesh_max", "shares_of",
 ]  # fmt: skip
 
-
 MOMENTUM = 0.1
 
 

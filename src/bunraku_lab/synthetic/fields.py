@@ -15,7 +15,6 @@ __all__ = [
     "mirrored", "neighbour_average", "thinned",
 ]  # fmt: skip
 
-
 Vector = Sequence[float] | np.ndarray
 _EMPTY = 10.0
 

@@ -18,7 +18,6 @@ from bunraku_lab.synthetic.surfaces import nearest_shares
 
 __all__ = ["DRAWN", "Figure", "J", "Skin", "figure_of", "random_figure"]
 
-
 J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
 _ARMS = [J[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
 _HANDS = [J["left_wrist"], J["right_wrist"]]

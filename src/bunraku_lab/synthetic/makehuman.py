@@ -28,7 +28,6 @@ __all__ = [
     "random_proportions", "random_rest", "rest_linear",
 ]  # fmt: skip
 
-
 BASE_VERTICES = 19158
 BODY_VERTICES = 13380
 """Vertices of the skin, which come first; eyes, teeth, joints and helpers for clothes follow."""

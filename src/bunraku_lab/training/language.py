@@ -35,7 +35,6 @@ __all__ = [
     "sentence_losses", "split_of", "table_pairs", "train_tagger", "verbs_of_actions",
 ]  # fmt: skip
 
-
 _QUIET = -6.0
 """What each movement is at the beginning, before the logistic function: no word says anything."""
 

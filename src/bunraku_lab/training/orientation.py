@@ -26,7 +26,6 @@ __all__ = [
     "orientation_results", "train_orientation", "validate_orientation", "varied_tokens",
 ]  # fmt: skip
 
-
 UPRIGHT = ORIENTATIONS.index(("+y", "+z"))
 """The orientation of all training characters."""
 FRONTS = [n for n, (up, _) in enumerate(ORIENTATIONS) if up == "+y"]

@@ -25,7 +25,6 @@ from bunraku_lab.datasets.apparel.shards import INDEX, LATER_ARRAYS, SHARD_ARRAY
 
 __all__ = ["BuildState", "RIGID", "Recording", "body_animation", "build_apparel", "build_shard", "record"]
 
-
 RIGID = 2e-5
 """A bone that leaves its joint by less than this at all its vertices [m] counts as rigid with it."""
 _CHUNK = 256

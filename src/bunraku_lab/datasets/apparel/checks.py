@@ -21,7 +21,6 @@ __all__ = [
     "pushed_out_clips", "standing_out", "unclothed",
 ]  # fmt: skip
 
-
 DEEP = 0.01
 """Vertices deeper than this are counted [m]."""
 

@@ -26,7 +26,6 @@ __all__ = [
     "SHARD_FORMAT", "Shard", "read_index", "shard_fingerprint", "write_shard",
 ]  # fmt: skip
 
-
 SHARD_FORMAT = "bunraku-apparel-3"
 _KEY = "bunraku"
 SHARD_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {

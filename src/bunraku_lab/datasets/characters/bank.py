@@ -29,6 +29,7 @@ from bunraku_lab.datasets.characters.training_character import (
     AugmentConfig,
     TrainingCharacter,
     augment,
+    facing_ahead,
     facing_rotation,
     handle_target,
     known_handles,
@@ -263,14 +264,7 @@ def bank_row(character: Character, name: str, rig: Callable[[Character], Handles
     Raises:
         CharacterError: The mesh has no surface.
     """
-    if character.rig is not None:
-        turn = facing_rotation(name, character.rig.names, character.rig.positions)
-        transforms = character.rig.transforms.copy()
-        transforms[:, :3] = turn @ transforms[:, :3]
-        vertices = character.vertices @ turn.T.astype(np.float32)
-        character = replace(
-            character, vertices=vertices, rig=replace(character.rig, transforms=transforms), source=None
-        )
+    character = facing_ahead(character, name)
     plain = replace(character, rig=None)
     handles = rig(plain)
     anatomy = Anatomy.of(plain, handles)
@@ -281,8 +275,8 @@ def _varied(character: Character, name: str, random: np.random.Generator) -> Cha
     """The character in another rest pose and other proportions, perhaps mirrored, facing +Z, without its rig."""
     rig = character.rig
     assert rig is not None
-    turn = facing_rotation(name, rig.names, rig.positions)
-    vertices, joints = character.vertices @ turn.T.astype(np.float32), rig.positions @ turn.T
+    rotation = facing_rotation(name, rig.names, rig.positions)
+    vertices, joints = character.vertices @ rotation.T.astype(np.float32), rig.positions @ rotation.T
     weights = np.maximum(rig.dense_weights(), 0)
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
     areas = vertex_areas(vertices, character.faces)

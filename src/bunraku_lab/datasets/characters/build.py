@@ -39,7 +39,6 @@ __all__ = [
     "no_characters", "reference_characters", "rigged_files", "training_character", "training_dressed", "whole_head",
 ]  # fmt: skip
 
-
 MAX_JOINTS, MAX_SHARES, INFLUENCES = 10_000, 50_000_000, 16
 _SUFFIXES = ("", "_remesh", "_ori")
 _FIX = "correct the line or take the file from the archive again"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -10,16 +10,17 @@ import numpy as np
 
 from bunraku.anatomy.names.bone_words import left_axis
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES
+from bunraku.core.character import Character
 from bunraku.core.files import atomic_write
 from bunraku.core.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError
 
 __all__ = [
-    "AugmentConfig", "TrainingCharacter", "TrainingMesh", "augment", "facing_rotation", "forward_kinematics",
+    "AugmentConfig", "TrainingCharacter", "TrainingMesh", "augment", "facing_ahead", "facing_rotation",
+    "forward_kinematics",
     "handle_target", "human_rest", "known_handles", "plain_mesh", "random_pose", "root_joint",
 ]  # fmt: skip
-
 
 # Rigs whose bones have no names, or wrong ones: the turn about +Y that makes them face +Z [degrees], and the part of
 # each bone.
@@ -74,6 +75,17 @@ def facing_rotation(name: str, names: tuple[str, ...], positions: np.ndarray) ->
         return np.eye(3)
     quarter = np.round(np.arctan2(left[2], left[0]) / (np.pi / 2))
     return np.asarray(matrix_y(np.array(quarter * np.pi / 2)))
+
+
+def facing_ahead(character: Character, name: str) -> Character:
+    """A character with its rig, rotated to face +Z (`facing_rotation`); one without a rig as it is."""
+    rig = character.rig
+    if rig is None:
+        return character
+    rotation, transforms = facing_rotation(name, rig.names, rig.positions), rig.transforms.copy()
+    transforms[:, :3] = rotation @ transforms[:, :3]
+    vertices = character.vertices @ rotation.T.astype(np.float32)
+    return replace(character, vertices=vertices, rig=replace(rig, transforms=transforms), source=None)
 
 
 def known_handles(name: str, names: tuple[str, ...], positions: np.ndarray, handles: np.ndarray) -> np.ndarray:

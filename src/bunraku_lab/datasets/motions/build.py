@@ -34,7 +34,6 @@ __all__ = [
     "standing_foot_pitch", "subject_pitches", "unrolled",
 ]  # fmt: skip
 
-
 ANKLES = (JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle"))
 LEAST, MOST = np.radians(2.0), np.radians(35.0)
 

@@ -15,7 +15,6 @@ from bunraku.errors import FormatError
 
 __all__ = ["Source", "Stretch", "credit_lines", "load_watched", "source_of", "subject_of"]
 
-
 _CUT = "turn_"
 """How the names of clips begin that were cut out of others (`turns`)."""
 

@@ -24,7 +24,6 @@ from bunraku_lab.evaluation.apparel.clips import RATE, TrueClip, edge_score, ins
 
 __all__ = ["FileChain", "chain_parameters_from_file", "chain_row", "chain_summary", "chained_clip", "chains_from_file"]
 
-
 LOCKED = np.radians(1.0)
 """A joint that turns less far counts as locked [rad]."""
 NARROWEST, WIDEST = np.radians(0.2), 1.4  # limits of a link of chains that are laid over a shape [rad]

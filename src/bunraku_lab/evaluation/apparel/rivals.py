@@ -64,7 +64,6 @@ __all__ = [
     "whole_figures",
 ]
 
-
 OURS, BEST, PARTS = "ours", "NBS, best skinning that there is", "SPT, floor without training"
 NBS, NBS_SHAPES, SPT, SPT_JOINTS = "NBS", "NBS, with blend shapes", "SPT", "SPT, joints given"
 UNTRAINED = "untrained"

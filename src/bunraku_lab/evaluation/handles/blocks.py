@@ -25,7 +25,6 @@ from bunraku.pipelines.requests import Request, Sampling
 
 __all__ = ["BlockMotion", "GAP", "SHEAR", "block_file", "block_joints", "block_motion"]
 
-
 SPACING = 0.005  # of the points that gaps are measured between, over the height: gaps are overrated by as much
 AROUND = 0.06  # points so near to where two blocks touch at rest are looked at, over the height
 

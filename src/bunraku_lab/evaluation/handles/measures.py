@@ -21,7 +21,6 @@ __all__ = [
     "root_error", "same_main_handle", "stretch_of", "truncation_error", "weight_difference",
 ]  # fmt: skip
 
-
 _LIGHT = 1e-3  # weight under which a vertex has no say in a part
 
 

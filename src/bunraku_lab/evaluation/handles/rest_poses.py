@@ -25,7 +25,6 @@ __all__ = [
     "true_handles",
 ]  # fmt: skip
 
-
 REST_POSES = ("T", "A", "arms down", "sitting")
 _ARM_DROP = {
     "T": 0.0,

@@ -28,7 +28,6 @@ __all__ = [
     "subject", "subject_name",
 ]  # fmt: skip
 
-
 _NEEDED = tuple(
     HANDLE_NAMES.index(name) for name in ("pelvis", "head", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
 )

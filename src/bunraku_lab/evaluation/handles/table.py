@@ -37,7 +37,6 @@ __all__ = [
     "measure_subject", "prediction_seconds", "purity_of", "resolution_differences",
 ]  # fmt: skip
 
-
 BARE, RULED = ".obj", ".glb"
 """Formats that a character is judged in: one that does not say how it stands, and one whose rule is +Y up."""
 
@@ -310,7 +309,6 @@ RESAMPLED = 30
 SPEEDS = {"seconds_5k": 5_000, "seconds_200k": 200_000}
 
 Load = Callable[[], Subject]
-
 
 BARS: dict[str, Bar] = {
     "root_error": Bar("root: first handle to the root joint, over the height", most=0.03, show=percent(2)),

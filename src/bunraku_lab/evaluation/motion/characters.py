@@ -31,7 +31,6 @@ __all__ = [
     "mesh_features", "pooled", "stage_effects",
 ]  # fmt: skip
 
-
 ARAP_PROMPTS: tuple[str, ...] = (
     "a person walks forward", "a person runs", "a person waves with the right hand", "a person kicks with the left leg",
     "a person jumps up and down", "a person dances",

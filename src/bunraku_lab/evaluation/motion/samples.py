@@ -27,7 +27,6 @@ __all__ = [
     "choose_motions", "draw_windows", "make_motions", "window_features", "window_meaning",
 ]  # fmt: skip
 
-
 SHORTEST = 40
 """Frames: HumanML3D leaves out clips of less than 2 s, and so do we."""
 LENGTHS = (40, 50, 60, 70, 80, 100, 120, 140, 160, 180, 196)

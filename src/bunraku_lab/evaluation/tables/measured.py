@@ -25,7 +25,6 @@ from bunraku_lab.nn.checkpoints import lab_checkpoint
 
 __all__ = ["MMDMC", "PAPERS", "TablesConfig", "measure_tables"]
 
-
 _COLUMNS = ("PMD", "PMD_a", "PMD_b", "ELS")
 _NBS = "--baselines has no such weights: bunraku train nbs"
 _SHAPES = "--baselines has no such weights: bunraku train nbs --start NBS --network.shapes 9"
@@ -82,7 +81,6 @@ MMDMC: tuple[PaperTable, ...] = (
         "network. After a minute they depend on the characters.",
     ),
 )  # fmt: skip
-
 
 PAPERS: dict[str, tuple[PaperTable, ...]] = {"tapmo": TAPMO, "mmdmc": MMDMC}
 _NETWORKS = ("diffusion", "extractor", "ranker", "critic", "handles")

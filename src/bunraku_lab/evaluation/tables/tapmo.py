@@ -69,7 +69,6 @@ __all__ = [
     "measure_distortion", "measure_handles", "transferred_motion", "transfers_of",
 ]  # fmt: skip
 
-
 SFR = "MDM-SFR"
 
 NO_STAGES = Stages(**{each.name: False for each in fields(Stages)})
@@ -340,7 +339,6 @@ TAPMO: tuple[PaperTable, ...] = (
         "MDM-SR",
     ),
 )  # fmt: skip
-
 
 LEFT, RIGHT = HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")
 Motions = Sequence[HandleMotion]

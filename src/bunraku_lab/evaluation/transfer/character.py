@@ -26,7 +26,6 @@ __all__ = [
     "named_front", "off_ground",
 ]  # fmt: skip
 
-
 LEAP = 0.6
 """Who is in the air for no longer leaps [s]; runs of animals do so at every stride."""
 CHUNK = 64  # frames posed at once: bounds memory

@@ -39,7 +39,6 @@ __all__ = [
     "sole_gaps", "times",
 ]  # fmt: skip
 
-
 MANY = 20_000  # vertices of the character that is timed
 
 

@@ -24,7 +24,6 @@ __all__ = [
     "skirt_weights",
 ]  # fmt: skip
 
-
 MAX_TEXT = 64 << 20
 """Largest `.mhclo` or OBJ that is read [bytes]; the clothes of MakeHuman have 1 MiB."""
 

@@ -18,7 +18,6 @@ from bunraku_lab.synthetic.surfaces import nearest_shares
 
 __all__ = ["Dressed", "Outfit", "dressed_person", "melted", "random_outfit", "simplified"]
 
-
 _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 
 

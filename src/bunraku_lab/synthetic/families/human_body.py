@@ -125,8 +125,7 @@ def pose_skeleton(m: Model, h: Human) -> None:
     lean = u(-0.06, 0.06) * h.trunk
     positions = [np.array([0, base + length * s, lean * s]) for s in (0, u(0.05, 0.15), u(0.26, 0.44), u(0.4, 0.62))]
     names = ["Hips", "Spine", "Spine1", "Spine2"]
-    for name, parent, at in zip(names, ["", *names], positions, strict=False):
-        m.bone(name, parent, at)
+    m.bones_along(names, positions)
     h.torso = Chain(names, positions)
     neck = m.bone("Neck", "Spine2", (0, h.top, lean))
     slouch = u(0.02, 0.12) if h.kind == "brute" else u(-0.01, 0.035) * (1 if h.kind != "chibi" else 0.3)

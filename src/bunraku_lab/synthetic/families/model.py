@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TypeVar
@@ -17,7 +17,6 @@ from bunraku_lab.synthetic.fields import Field, Lump, ball, bar, marched, neighb
 from bunraku_lab.synthetic.surfaces import sheet_faces, unit
 
 __all__ = ["Chain", "Mesh", "Model", "SIDES", "Share", "Style", "block_mesh", "melted_mesh", "sheet_mesh", "thinned"]
-
 
 Mesh = tuple[np.ndarray, np.ndarray]
 
@@ -287,6 +286,11 @@ class Model:
         """Add a bone and return its position."""
         self.bones[name] = (parent, np.asarray(at, float))
         return self.bones[name][1]
+
+    def bones_along(self, names: Sequence[str], positions: Iterable[Vector], parent: str = "") -> None:
+        """Add a chain of bones, each the parent of the next one."""
+        for name, above, at in zip(names, [parent, *names], positions, strict=False):
+            self.bone(name, above, at)
 
     def at(self, name: str) -> np.ndarray:
         """Position of a bone [m], shape (3,)."""

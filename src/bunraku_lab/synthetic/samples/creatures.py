@@ -29,7 +29,6 @@ from bunraku_lab.synthetic.surfaces import ball_mesh, cylinder_mesh, plate_mesh,
 
 __all__ = ["build_dog", "build_dragon", "build_mushroom"]
 
-
 COAT, CREAM, EAR, COLLAR, TAG, NOSE, TONGUE = (
     "#d08a46", "#fbeeda", "#8a5228", "#d63a3a", "#ffcc4d", "#2a2023", "#f08a94",
 )  # fmt: skip

@@ -27,7 +27,6 @@ from bunraku_lab.synthetic.surfaces import ball_mesh, box_mesh, cylinder_mesh, r
 
 __all__ = ["HUMAN_BONES", "arm_lumps", "build_dancer", "build_person", "build_robot", "face_pieces", "head_lumps"]
 
-
 PERSON_SKIN, SHIRT, STRIPE, TROUSERS, PERSON_SHOES, SOLE, PERSON_HAIR = (
     "#f2b48c", "#1fa3a0", "#fff4dc", "#34457a", "#e4573d", "#fbf6ec", "#5a3422",
 )  # fmt: skip

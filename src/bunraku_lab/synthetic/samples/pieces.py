@@ -18,7 +18,6 @@ __all__ = [
     "mirror_piece", "onto_surface", "paint_mesh", "rgb", "slab", "solid", "stroke",
 ]  # fmt: skip
 
-
 Region = Callable[[np.ndarray], np.ndarray]
 Project = Callable[[np.ndarray], np.ndarray]
 

@@ -38,7 +38,6 @@ __all__ = [
     "Closet", "INDEX", "build_wardrobe", "makehuman_figure", "open_closet", "wardrobe_character", "wardrobe_costume",
 ]  # fmt: skip
 
-
 _ARMS = [J[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
 
 

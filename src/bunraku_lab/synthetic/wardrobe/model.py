@@ -20,7 +20,6 @@ __all__ = [
     "capsule_of",
 ]  # fmt: skip
 
-
 _MIRROR = np.array([1.0, 1, -1])
 _STEPS = 1024
 """Weights are multiples of 1 / 1024, so that they add up to 1 exactly in the file's 32-bit numbers."""

@@ -54,7 +54,6 @@ from bunraku_lab.training.runs.run import (
 
 __all__ = ["AdaptationConfig", "FRAMES", "train_adaptation"]
 
-
 FRAMES = ("root", "joints")
 """What the layer may say."""
 

@@ -35,7 +35,6 @@ __all__ = [
     "posed_joints", "tiled", "train_body",
 ]  # fmt: skip
 
-
 JOINT_INPUT = 3 + 1 + 3
 """Of a vertex and a joint: the way from it, its length, the vertex normal."""
 

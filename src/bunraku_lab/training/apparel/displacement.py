@@ -34,7 +34,6 @@ __all__ = [
     "truly_clothed",
 ]  # fmt: skip
 
-
 BANK_NODES = 128
 HEADS = (48, 72, 128)
 """Numbers of nodes that are trained on: heads of the same order, each with neighbours of its own."""

@@ -34,7 +34,6 @@ __all__ = [
     "SeamFrame", "SeamSample", "refined", "seam_of", "seam_sample", "train_refinement",
 ]  # fmt: skip
 
-
 REACH = 0.12
 """How far from apparel the body is refined too, along the edges, over the character's size [m]."""
 HOPS = (1, 4, 12)

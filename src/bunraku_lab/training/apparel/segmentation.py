@@ -20,7 +20,6 @@ from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSet
 
 __all__ = ["SegmentationTrainConfig", "SegmentationTrainer", "mask_iou", "train_segmentation", "varied", "welded_parts"]
 
-
 TOUCHING = 0.03  # over the height: points of two parts as near may be welded
 WIDTH = 0.08  # of the logarithm of what widths are multiplied by
 FEWEST = 0.5  # least share of the points that is kept

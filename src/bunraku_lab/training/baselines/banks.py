@@ -32,7 +32,7 @@ from bunraku_lab.baselines.pose_transfer import (
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.shards import ApparelClip
 from bunraku_lab.datasets.characters.build import HELD_OUT, RIGGED, no_characters, rigged_files
-from bunraku_lab.datasets.characters.training_character import facing_rotation
+from bunraku_lab.datasets.characters.training_character import facing_ahead
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.training.rows.banks import kept_arrays
 
@@ -40,7 +40,6 @@ __all__ = [
     "BankPlan", "ClothedSample", "Pair", "Target", "build_clothed_bank", "build_posed_bank", "clothed_sample",
     "clothed_target", "clothed_targets", "drawn_pairs", "pose_frames", "posed_sample", "rootless",
 ]  # fmt: skip
-
 
 REFERENCE = "reference_"
 """What the names of the reference body's shapes begin with."""
@@ -329,6 +328,7 @@ def build_posed_bank(
 
 
 def _makers(plan: BankPlan) -> dict[str, Callable[[], Character]]:
+    from bunraku.files import load_character
     from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
     out: dict[str, Callable[[], Character]] = {}
@@ -339,21 +339,7 @@ def _makers(plan: BankPlan) -> dict[str, Callable[[], Character]]:
         raise no_characters(plan.characters, RIGGED)
     for file in files:
         name = file.relative_to(plan.characters).with_suffix("").as_posix()
-        out[name] = lambda file=file, name=name: _facing(file, name)  # type: ignore[misc]
+        out[name] = lambda file=file, name=name: facing_ahead(load_character(file), name)  # type: ignore[misc]
     for seed in range(plan.wardrobe):
         out[f"wardrobe_{seed:06d}"] = lambda seed=seed: wardrobe_character(seed)  # type: ignore[misc]
     return out
-
-
-def _facing(file: Path, name: str) -> Character:
-    """A rigged file facing +Z."""
-    from bunraku.files import load_character
-
-    character = load_character(file)
-    if character.rig is None:
-        return character
-    turn = facing_rotation(name, character.rig.names, character.rig.positions)
-    transforms = character.rig.transforms.copy()
-    transforms[:, :3] = turn @ transforms[:, :3]
-    vertices = character.vertices @ turn.T.astype(np.float32)
-    return replace(character, vertices=vertices, rig=replace(character.rig, transforms=transforms), source=None)

@@ -33,7 +33,6 @@ __all__ = [
     "transform_loss", "weight_divergence",
 ]  # fmt: skip
 
-
 QUATERNION = 0.5
 """Weight of quaternions against translations."""
 

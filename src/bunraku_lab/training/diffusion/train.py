@@ -44,7 +44,6 @@ from bunraku_lab.training.runs.run import EventLog, Stop, TrainingRun, logged_co
 
 __all__ = ["TrainingConfig", "rescaled", "start_from", "train_diffusion", "training_card", "write_card"]
 
-
 _HEAD = "adaptation_out."
 _FREE = {"adaptation_mesh", "adaptation_frame", "examples"}
 """What may differ: the adaptation's layer is small and trained anew, and examples begin without effect."""

@@ -31,7 +31,6 @@ from bunraku_lab.training.runs.run import RunSettings, bf16_is_fast, careful_ste
 
 __all__ = ["BatchSource", "BatchesAhead", "Example", "PooledBatches", "SHIPPED", "Sources", "Trainer", "TrainingConfig"]
 
-
 SHIPPED = Path("shipped")
 """In place of a path: the weights that Bunraku brings."""
 

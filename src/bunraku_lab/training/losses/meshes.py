@@ -43,7 +43,6 @@ __all__ = [
     "springs_present",
 ]
 
-
 LIMB_SPRINGS: tuple[tuple[int, int], ...] = tuple(
     spring for side in SIDES for family in FAMILIES for spring in pairwise(limb_handles(side, family))
 )

@@ -24,7 +24,6 @@ from bunraku_lab.training.runs.processes import forking
 
 __all__ = ["MeshBank", "TextBank", "kept_arrays", "load_mesh_bank"]
 
-
 Arrays = dict[str, Any]
 
 

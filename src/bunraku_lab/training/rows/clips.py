@@ -30,7 +30,6 @@ __all__ = [
     "stretch_phrases", "stretch_variants",
 ]  # fmt: skip
 
-
 MIN_FRAMES = 8
 
 
