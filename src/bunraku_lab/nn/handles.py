@@ -1,6 +1,4 @@
-"""The networks of a character at rest: the Mesh Handle Predictor (section 3.1 of TapMo), and the network that knows
-which way up a character belongs and which way it faces.
-"""
+"""The networks of a character at rest: the Mesh Handle Predictor (section 3.1 of TapMo), and orientation."""
 
 from __future__ import annotations
 
@@ -46,7 +44,6 @@ class HandlePredictor(SavedNetwork):
 
     @classmethod
     def config_from(cls, fields: dict[str, object]) -> PredictorConfig:
-        """See `SavedNetwork.config_from`."""
         return predictor_config(fields)
 
     def __init__(self, config: PredictorConfig | None = None):

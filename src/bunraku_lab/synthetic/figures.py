@@ -1,6 +1,4 @@
-"""Figures that wardrobe characters are dressed on: a shape, its proportions, its rest pose and what clothes measure on
-it; mixed from reference bodies and drawn at random.
-"""
+"""Figures that wardrobe characters are dressed on: a shape, its proportions, its rest pose and what clothes measure."""
 
 from __future__ import annotations
 

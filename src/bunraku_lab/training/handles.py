@@ -1,6 +1,4 @@
-"""Training of the Mesh Handle Predictor (Eq. 5 of TapMo): other tessellations, holes and loose parts of its examples, a
-resumable run, and the mesh features of many characters afterwards.
-"""
+"""Training of the Mesh Handle Predictor (Eq. 5 of TapMo), and the mesh features of many characters afterwards."""
 
 from __future__ import annotations
 
@@ -399,7 +397,6 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
         return self.train_epoch(lambda: self.stop.asked)
 
     def begun(self) -> dict[str, float]:
-        """The first columns of a row of the log."""
         rate = self.optimizer.param_groups[0]["lr"]
         return {"epoch": self.epoch, "step": self.step, "seconds": round(self.seconds, 1), "rate": rate}
 
@@ -412,7 +409,6 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
         }
 
     def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
         return self.average.save(self.checkpoint, note | {"epochs": self.epoch})
 
     def extras(self) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:

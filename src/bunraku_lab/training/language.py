@@ -1,6 +1,4 @@
-"""Training of the tagger, which says what words of other languages mean: pairs of sentences, forms of the table of
-words, and which English sentences describe a movement as captions do.
-"""
+"""Training of the tagger, which says what words of other languages mean."""
 
 from __future__ import annotations
 
@@ -467,7 +465,6 @@ class TaggerTrainer(AveragedRun[TaggerNetwork]):
         }  # fmt: skip
 
     def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
         notes = {"steps": note["steps"], "minutes": round(note["seconds"] / 60, 1), "lessons": len(self.saying)}
         return save_tagger(self.checkpoint, self.average, notes | note["results"])
 

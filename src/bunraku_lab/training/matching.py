@@ -57,7 +57,6 @@ class MatchingTrainConfig(StepSettings):
     seed: int = 0
 
     def prepare(self) -> None:
-        """See `TrainingSettings.prepare`."""
         if self.batch < 2 or self.threads < 1:
             raise OptionError("batch must be 2 or more, threads 1 or more")
         super().prepare()
@@ -97,11 +96,9 @@ class MatchingRun(AveragedRun[Extractor]):
         return super().train_step()
 
     def begun(self) -> dict[str, float]:
-        """The first columns of a row of the log."""
         return {"step": self.step, "minutes": self.seconds / 60}
 
     def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
         notes = {"steps": self.step, "minutes": round(self.seconds / 60, 1), "clips": self.clip_count}
         return save_extractor(self.checkpoint, self.average, notes | note["results"], self.kind)
 

@@ -1,6 +1,4 @@
-"""Training of the orientation network: variants of characters, a resumable run with validation on unseen characters,
-and the weights of the simple evidence that is used beside it.
-"""
+"""Training of the orientation network, and the weights of the simple evidence beside it."""
 
 from __future__ import annotations
 
@@ -225,7 +223,6 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         return results | {"temperature": self.temperature}
 
     def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
         shipped = OrientationPredictor(replace(self.average.config, temperature=self.temperature))
         shipped.load_state_dict(self.average.state_dict())
         return shipped.save(self.checkpoint, note, half=True)

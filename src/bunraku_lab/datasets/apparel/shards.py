@@ -1,6 +1,4 @@
-"""Apparel data on disk and in training: shards, which are safetensors files that are whole or absent and are mapped
-instead of loaded, and the characters and windows of clips that they hold.
-"""
+"""Apparel data on disk (shards: mapped safetensors files) and in training: characters and windows of clips."""
 
 from __future__ import annotations
 

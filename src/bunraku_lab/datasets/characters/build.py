@@ -1,6 +1,4 @@
-"""The training set of the Mesh Handle Predictor: rigged characters from files (RigNet's text files too), from code, and
-dressed people, as network meshes with the truth of their rigs.
-"""
+"""The training set of the Mesh Handle Predictor: rigged files, code and dressed people as labelled network meshes."""
 
 from __future__ import annotations
 

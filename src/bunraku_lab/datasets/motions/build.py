@@ -1,6 +1,4 @@
-"""Human motions as handle motions (`bunraku data motions`), with the faults of captured motion measured and removed:
-sloping feet, heights off the ground, and limbs rolled by half a turn.
-"""
+"""Human motions as handle motions (`bunraku data motions`), without sloping feet, heights and rolled limbs."""
 
 from __future__ import annotations
 

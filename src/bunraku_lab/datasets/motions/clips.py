@@ -1,6 +1,4 @@
-"""The training motions on disk: a folder of clips, one NPZ each, with an `index.json` of their captions; and one small
-file that holds all of them packed, with the mesh features to train with.
-"""
+"""The training motions on disk: a folder with an NPZ for each clip and an `index.json`, or one packed file."""
 
 from __future__ import annotations
 

@@ -103,9 +103,7 @@ def chains_from_file(character: Character) -> list[FileChain]:
 
 
 def chain_parameters_from_file(laid: LaidChains, character: Character) -> LaidChains:
-    """Chains laid over a shape that swing by what the file says of those that hold the same vertices there: as far in
-    all, by links of their own, with its springs, damping and mass.
-    """
+    """Laid chains that swing by what the file says of those that hold the same vertices there."""
     rig, told = character.rig, chains_from_file(character)
     if rig is None or not told:
         return laid

@@ -1,6 +1,4 @@
-"""What handles are measured by: each measure a function of arrays for one character, among them registration of all
-parts together, other resolutions of the surface, and stretched edges.
-"""
+"""What handles are measured by, for one character: registration, other resolutions, and stretched edges."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The table of the Mesh Handle Predictor (`bunraku evaluate handles`): the trials of one character, its orientation,
-and the sums. Definitions are in `docs/evaluation.md`.
-"""
+"""The table of the Mesh Handle Predictor (`bunraku evaluate handles`); definitions are in `docs/evaluation.md`."""
 
 from __future__ import annotations
 

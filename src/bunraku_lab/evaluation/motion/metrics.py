@@ -1,6 +1,4 @@
-"""Measures of generated motion: those of Guo et al. 2022 on the vectors of the feature extractor (section 4.1 of
-TapMo), Handle-FID on two bodies, and how smoothly windows meet.
-"""
+"""Measures of generated motion: those of Guo et al. 2022 (section 4.1 of TapMo), Handle-FID, and seams."""
 
 from __future__ import annotations
 

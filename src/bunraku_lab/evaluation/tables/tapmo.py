@@ -1,6 +1,4 @@
-"""The tables of TapMo: the figures of the paper, and the rows of its table 2, measured: how far edges change their
-lengths, and the Handle-FID of the shape of moving bodies.
-"""
+"""The tables of TapMo: the paper's figures, and its table 2 measured: distortion of edges and Handle-FID."""
 
 from __future__ import annotations
 

@@ -116,9 +116,7 @@ def _above(handle: int, parts: RigParts, index: Mapping[int, int]) -> int:
 
 
 def _four_legged(character: Character, name: str) -> RigParts | None:
-    """The rig of a character that stands on four legs, by the archive's table of body plans or by the rig; None of
-    others, and where the bones' names do not tell all four.
-    """
+    """The rig of a character on four legs, by the archive's table of body plans or by the rig; None of others."""
     if (known_plan(name) or "quadruped") != "quadruped":
         return None
     try:

@@ -1,6 +1,4 @@
-"""The table of motion transfer (`bunraku evaluate transfer`), with the exactness of BVH files, the speed of reading and
-transferring, and the soles of MMD models that a VMD moves by leg IK.
-"""
+"""The table of motion transfer (`bunraku evaluate transfer`), with BVH exactness, speed, and soles of MMD models."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Garments of dressed characters: MakeHuman's clothes, whose `.mhclo` files bind each vertex to three of the base mesh,
-taken apart, and garments cut from the helper surfaces of that mesh.
-"""
+"""Garments of dressed characters: MakeHuman's clothes (`.mhclo`), and garments cut from the helper surfaces."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Dressed people for the Mesh Handle Predictor: MakeHuman bodies of every shape in random outfits and game styles, and
-other meshes of the same shape (one closed skin, or few triangles).
-"""
+"""Dressed people for the Mesh Handle Predictor: MakeHuman bodies of every shape in random outfits and game styles."""
 
 from __future__ import annotations
 

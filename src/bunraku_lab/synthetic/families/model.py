@@ -1,6 +1,4 @@
-"""A character in the making: bones, parts with their shares of the bones, and how the parts become one mesh or many
-(lumps as rounded blocks, lumps melted into one skin, and sheets).
-"""
+"""A character in the making: bones, parts with their shares, and how the parts become one mesh or many."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Pieces of sample characters: one mesh with crisp borders between its colours, a skeleton with skin weights where one
-is asked for, and eyes, cheeks, brows and smiles laid on the surface.
-"""
+"""Pieces of sample characters: meshes with crisp borders between colours, skeletons with weights, and faces."""
 
 from __future__ import annotations
 

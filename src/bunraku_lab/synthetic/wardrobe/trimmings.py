@@ -1,6 +1,4 @@
-"""Trimmings of wardrobe characters: ribbons, scarves, ears and tails, and the little things that swing (locks of hair,
-ties, tassels, bells, ear-rings, pins), of which real avatars have dozens.
-"""
+"""Trimmings of wardrobe characters: ribbons, scarves, ears, tails, and the little things that swing."""
 
 from __future__ import annotations
 

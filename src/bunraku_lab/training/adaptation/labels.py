@@ -1,6 +1,4 @@
-"""What the adaptation's last layer learns from (Eq. 7 to 11 of TapMo): ARAP pseudo-labels, its inputs for many motions
-on many characters, and its losses while all else is frozen.
-"""
+"""What the adaptation's last layer learns from (Eq. 7 to 11 of TapMo): ARAP pseudo-labels, inputs and losses."""
 
 from __future__ import annotations
 

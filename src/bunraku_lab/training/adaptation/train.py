@@ -245,7 +245,6 @@ class _Run(TrainingRun):
 
     @property
     def save_every(self) -> float:
-        """Minutes between saved states."""
         return max(float(self.config.save_every), 1e-9)
 
     def progress(self) -> float:
@@ -264,11 +263,9 @@ class _Run(TrainingRun):
         return super().due() or self.step == self.config.steps
 
     def begun(self) -> dict[str, float]:
-        """The first columns of a row of the log."""
         return {"step": self.step, "seconds": self.seconds}
 
     def event_log(self) -> EventLog:
-        """Where curves go."""
         return EventLog(self.out / "events")
 
     def validate(self) -> dict[str, float]:

@@ -1,6 +1,4 @@
-"""The body network of section 4.2 of MMDMC, skinning weights for 22 joints: the network, its use on any mesh, body and
-apparel put together (tile(A, B) of section 4.4), and its training.
-"""
+"""The body network of section 4.2 of MMDMC (skinning weights for 22 joints), its use, and its training."""
 
 from __future__ import annotations
 

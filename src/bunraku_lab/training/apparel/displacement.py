@@ -1,6 +1,4 @@
-"""Training of the displacement network (section 4.3 of MMDMC): features and true displacements of many characters, the
-head that cannot drift first, then the recurrent part.
-"""
+"""Training of the displacement network (section 4.3 of MMDMC): the head first, then the recurrent part."""
 
 from __future__ import annotations
 
@@ -405,7 +403,6 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
                 "both_over_rigid": sums[2] / sums[0]}  # fmt: skip
 
     def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
         whole = self.average
         if self.progress() <= self.config.head:  # what has not learned is not handed on
             whole = DisplacementNetwork(replace(self.config.network, recurrent=0))

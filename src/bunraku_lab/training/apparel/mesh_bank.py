@@ -1,6 +1,4 @@
-"""What the segmentation and the body network train on: sampled meshes of the wardrobe with their masks, stiffness,
-weights and geodesic distances. No physics are simulated for it.
-"""
+"""What the segmentation and the body network train on: sampled meshes of the wardrobe, without physics."""
 
 from __future__ import annotations
 

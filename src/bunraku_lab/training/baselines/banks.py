@@ -1,6 +1,4 @@
-"""What the baselines train on: characters of MMDMC's data set as small meshes, characters with people's rigs in the
-same poses, and the pairs that pose transfer learns from.
-"""
+"""What the baselines train on: small meshes of characters in poses, and the pairs that pose transfer learns from."""
 
 from __future__ import annotations
 

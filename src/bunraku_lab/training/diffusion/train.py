@@ -327,7 +327,6 @@ class _Run(TrainingRun):
 
     @property
     def checkpoint(self) -> Path:
-        """The averaged weights."""
         return self.out / "diffusion.safetensors"
 
     @property
@@ -337,7 +336,6 @@ class _Run(TrainingRun):
 
     @property
     def save_every(self) -> float:
-        """Minutes between saved states."""
         return max(float(self.config.save_every), 1e-9)
 
     def progress(self) -> float:
@@ -367,7 +365,6 @@ class _Run(TrainingRun):
         }  # fmt: skip
 
     def event_log(self) -> EventLog:
-        """Where curves go."""
         return EventLog(self.out / "events", self.console.print)
 
     def validate(self) -> dict[str, float]:

@@ -406,12 +406,10 @@ class BatchesAhead:
             yield number, batch, *self.sources(batch)
 
     def next(self) -> Example:
-        """See `BatchSource`."""
         number, batch, text, found = self._ahead.take()
         return self.trainer.example(batch, text, [self.trainer.config.seed, number], examples=found)
 
     def close(self) -> None:
-        """See `BatchSource`."""
         self._ahead.end()
         self._ahead.join()
 
@@ -433,10 +431,8 @@ class PooledBatches:
         self._random = torch.Generator(trainer.device).manual_seed(int(seed >> 1))
 
     def next(self) -> Example:
-        """See `BatchSource`."""
         self.fed.feed(self._least)
         return self.trainer.noised(self.fed.pool.draw(self.trainer.config.batch, self._random), self._random)
 
     def close(self) -> None:
-        """See `BatchSource`."""
         self.fed.close()

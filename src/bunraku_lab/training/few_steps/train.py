@@ -111,7 +111,6 @@ class RowsInTurn:
         self.maker, self.pool = maker, RowPool(rows, frames, device, maker.meshes)
 
     def __call__(self, number: int) -> DrawnRows:
-        """See `RowSource`."""
         return self.of(self.maker(number, self.pool.size))
 
     def of(self, made: MadeRows) -> DrawnRows:
@@ -122,7 +121,7 @@ class RowsInTurn:
         return replace(rows, clean=rows.clean[:, : int(rows.lengths.max())])
 
     def close(self) -> None:
-        """See `RowSource`."""
+        """Nothing has to end."""
 
 
 class PooledRows:
@@ -142,13 +141,11 @@ class PooledRows:
         self.fed = FedPool(RowPool(pool, frames, device, maker.meshes), RowWorkers(maker, workers))
 
     def __call__(self, number: int) -> DrawnRows:
-        """See `RowSource`."""
         self.fed.feed(self.size)
         random = torch.Generator(self.fed.pool.device).manual_seed(self.seed * 1_000_003 + number)
         return self.fed.pool.draw(self.size, random, nearest=True)
 
     def close(self) -> None:
-        """See `RowSource`."""
         self.fed.close()
 
 

@@ -1,6 +1,4 @@
-"""The losses of the Mesh Handle Predictor: the paper's three (Eq. 4, 13, 14 of TapMo) and four that give handles their
-meaning, with weighted rigid registration whose gradient stays finite.
-"""
+"""The losses of the Mesh Handle Predictor: the paper's three (Eq. 4, 13, 14 of TapMo) and four further ones."""
 
 from __future__ import annotations
 

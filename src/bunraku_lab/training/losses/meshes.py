@@ -1,6 +1,4 @@
-"""Mesh-specific motion learning (section 3.2 of TapMo): motions fitted to characters in batches, the Spring Loss (Eq.
-7), the Adversarial Loss (Eq. 8), and both on random characters.
-"""
+"""Mesh-specific motion learning (section 3.2 of TapMo): the Spring Loss (Eq. 7) and the Adversarial Loss (Eq. 8)."""
 
 from __future__ import annotations
 

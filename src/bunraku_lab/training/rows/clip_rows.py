@@ -150,9 +150,7 @@ _BLEND = 8
 
 
 class Row(NamedTuple):
-    """A motion (N, D) in network units, its sentence, the character in the mesh bank that it is of, None for any
-    humanoid, and the names of the clips that it was made of.
-    """
+    """A motion (N, D) in network units, its sentence, its character in the mesh bank (or None), and its clips."""
 
     values: np.ndarray
     sentence: str

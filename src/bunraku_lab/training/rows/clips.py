@@ -1,6 +1,4 @@
-"""The clips that networks train on and are measured with: features and captions, sentences of watched stretches, clips
-in network units, and the shipped examples as clips.
-"""
+"""The clips that networks train on and are measured with: features, captions, and shipped examples."""
 
 from __future__ import annotations
 

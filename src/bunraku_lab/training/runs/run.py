@@ -1,6 +1,4 @@
-"""What all training runs share: settings, learning rate, log and curves, the loop that steps, validates and saves, and
-runs of one network beside the running mean of its weights.
-"""
+"""What all training runs share: settings, learning rate, log, the loop, and the running mean of the weights."""
 
 from __future__ import annotations
 
@@ -95,7 +93,6 @@ class StepSettings(TrainingSettings):
     weight_decay: float = 0.01
 
     def prepare(self) -> None:
-        """See `TrainingSettings.prepare`."""
         if self.steps < 1:
             raise OptionError("steps must be 1 or more")
         super().prepare()
