@@ -45,8 +45,7 @@ class Motions:
         _check(self.source, self.output, self.jobs)
         for folder in (self.characters, self.creatures):
             check_source(folder, "name the one of the unpacked character archive")
-        from bunraku_lab.datasets.motions.build import build_motions
-        from bunraku_lab.datasets.motions.derived import add_turns
+        from bunraku_lab.datasets.motions.build import add_turns, build_motions
         from bunraku_lab.datasets.takes import CAPTIONS, add_takes, own_takes
 
         failed: dict[str, str] = {}

@@ -22,11 +22,7 @@ from bunraku.errors import FormatError, OptionError
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel import build as building
 from bunraku_lab.datasets.apparel.build import record
-from bunraku_lab.datasets.apparel.checks import (
-    PushOut,
-    deep_inside,
-    standing_out,
-)
+from bunraku_lab.datasets.apparel.checks import PushOut, deep_inside, standing_out
 from bunraku_lab.datasets.apparel.plan import (
     MotionSource,
     character_sources,

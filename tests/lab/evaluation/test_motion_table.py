@@ -21,12 +21,7 @@ from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion import samples as motion_samples
 from bunraku_lab.evaluation.motion.blocks import BARS
 from bunraku_lab.evaluation.motion.metrics import body_handles, handle_fid, handle_samples
-from bunraku_lab.evaluation.motion.samples import (
-    Request,
-    SamplerSettings,
-    Window,
-    make_motions,
-)
+from bunraku_lab.evaluation.motion.samples import Request, SamplerSettings, Window, make_motions
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows
 from bunraku_lab.evaluation.motion.viewer_prompts import VIEWER_BARS
 from bunraku_lab.evaluation.report import KeptParts

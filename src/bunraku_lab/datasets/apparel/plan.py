@@ -235,11 +235,9 @@ def _indexed(folder: Path, shortest: float) -> list[MotionSource]:
         ):
             continue
         split = entry.get("split")
-        out.append(
-            MotionSource(
-                name, split if split in SPLITS else _motion_split(name), str(path.resolve()), frames / 20, "", True
-            )
-        )
+        out.append(MotionSource(
+            name, split if split in SPLITS else _motion_split(name), str(path.resolve()), frames / 20, "", True,
+        ))  # fmt: skip
     return out
 
 

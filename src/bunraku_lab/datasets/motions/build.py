@@ -19,17 +19,32 @@ from scipy.ndimage import gaussian_filter1d, percentile_filter
 from bunraku.core.body.joint_rotations import motion_from_positions
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.core.files import remove_leftovers
-from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
+from bunraku.core.geometry.rotations import (
+    axis_angle_from_matrix,
+    heading,
+    matrix_from_axis_angle,
+    matrix_from_quaternion,
+)
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
 from bunraku.core.parallel import Pool
 from bunraku.errors import FormatError
 from bunraku.retarget.to_reference import registered_body
-from bunraku_lab.datasets.motions.clips import load_clip, load_lowest, write_clip, write_index
-from bunraku_lab.datasets.motions.sources import FEWEST, Stretch, load_watched, source_of, subject_of
+from bunraku_lab.datasets.motions.clips import (
+    FEWEST,
+    Stretch,
+    load_clip,
+    load_index,
+    load_lowest,
+    load_watched,
+    source_of,
+    subject_of,
+    write_clip,
+    write_index,
+)
 
 __all__ = [
-    "MotionArchive", "build_motions", "floor_height", "level_feet", "posture_fault", "rolled_limbs", "split_of",
-    "standing_foot_pitch", "subject_pitches", "unrolled",
+    "MotionArchive", "add_turns", "build_motions", "find_turn", "floor_height", "level_feet", "posture_fault",
+    "rolled_limbs", "split_of", "standing_foot_pitch", "subject_pitches", "unrolled",
 ]  # fmt: skip
 
 ANKLES = (JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle"))
@@ -400,3 +415,73 @@ def t_pose(motion: HandleMotion) -> np.ndarray:
     parts = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow")]
     turned = np.einsum("nkii->nk", motion.rotations[:, parts])  # 3 at rest
     return np.asarray((turned > 1 + 2 * np.cos(np.radians(22))).all(axis=1))
+
+
+WINDOWS = (50, 70)  # frames
+LEAST, MOST, FARTHEST = 2.5, 3.9, 0.9  # rad, rad, m
+MARGIN = 6  # frames kept before and after
+_WALKS = ("walk", "turn", "stand", "push", "stop")
+_OTHERS = (
+    "dance", "jete", "pirouette", "wheel", "ball", "tennis", "jump", "hop", "climb", "sit", "pick", "uneven", "spiral",
+    "playground",
+)  # fmt: skip
+
+
+def find_turn(motion: HandleMotion) -> tuple[int, int, float] | None:
+    """The stretch in which somebody turns round the farthest with the smallest move, if there is one.
+
+    Returns:
+        First frame, frame after the last, and the change of heading [rad], positive to the left; None without a turn.
+    """
+    angle = heading(motion.root_rotation, motion.fps)
+    path = motion.root_translation[:, [0, 2]]
+    best: tuple[float, int, int, float] | None = None
+    for window in WINDOWS:
+        for start in range(0, len(angle) - window, 5):
+            change = float(angle[start + window - 1] - angle[start])
+            if LEAST < abs(change) < MOST:
+                moved = float(np.ptp(path[start : start + window], axis=0).max())
+                cost = moved - 0.3 * abs(change)
+                if moved < FARTHEST and (best is None or cost < best[0]):
+                    best = (cost, start, start + window, change)
+    return best and best[1:]
+
+
+def add_turns(out: str | Path) -> list[str]:
+    """Cut the turns out of the training clips that `build_motions` wrote and add them to the index.
+
+    Args:
+        out: Folder of the motions, with its `index.json`.
+
+    Returns:
+        Names of the new clips.
+
+    Raises:
+        FormatError: The index or a clip is missing or broken.
+    """
+    out = Path(out)
+    clips = load_index(out)
+    added = {}
+    for name, entry in list(clips.items()):
+        if name.startswith("turn_"):
+            del clips[name]  # of an earlier run; made again below
+            continue
+        text = " ".join(entry["texts"]).lower()
+        if (
+            entry["split"] != "train"
+            or not any(word in text for word in _WALKS)
+            or any(word in text for word in _OTHERS)
+        ):
+            continue
+        motion = load_clip(out / f"{name}.npz")
+        found = find_turn(motion)
+        if found is None:
+            continue
+        start, stop, change = found
+        clip = motion.take(slice(max(start - MARGIN, 0), stop + MARGIN))
+        write_clip(out / f"turn_{name}.npz", clip)
+        caption = f"a person turns around to the {'left' if change > 0 else 'right'}"
+        kept = {key: value for key, value in entry.items() if key != "stretches"}
+        added[f"turn_{name}"] = kept | {"texts": [caption], "frames": len(clip)}
+    write_index(out, clips | added)
+    return list(added)

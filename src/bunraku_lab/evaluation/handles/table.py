@@ -242,11 +242,9 @@ def _clips(one: Subject, handles: Handles) -> list[HandleMotion]:
         frames = np.unique(np.linspace(0, count - 1, CLIP_FRAMES).round().astype(int))
         posed = animation.vertices(frames) @ one.turn.T.astype(np.float32)
         if np.isfinite(posed).all():
-            out.append(
-                handle_motion_of_mesh(
-                    one.character.vertices, posed, handles.weights, handles.positions, one.truth.areas, CLIP_RATE
-                )
-            )
+            out.append(handle_motion_of_mesh(
+                one.character.vertices, posed, handles.weights, handles.positions, one.truth.areas, CLIP_RATE,
+            ))  # fmt: skip
     return out
 
 

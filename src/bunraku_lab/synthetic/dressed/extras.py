@@ -233,14 +233,10 @@ def shoulder_pads(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generato
     pieces = []
     for side, name in ((1, "left_shoulder"), (-1, "right_shoulder")):
         turn = np.asarray(matrix_from_axis_angle(np.array([0, 0, -0.6 * side])))
-        pieces.append(
-            _rigid(
-                (dome @ turn.T) + figure.joints[_J[name]] + [0.2 * side * size, 0.1 * size, 0],
-                sheet_faces(6, 12, wrap=True)[:, ::-1],
-                name,
-                name,
-            )
-        )
+        pieces.append(_rigid(
+            (dome @ turn.T) + figure.joints[_J[name]] + [0.2 * side * size, 0.1 * size, 0],
+            sheet_faces(6, 12, wrap=True)[:, ::-1], name, name,
+        ))  # fmt: skip
     return joined(pieces)
 
 

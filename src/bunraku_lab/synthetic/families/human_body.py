@@ -186,16 +186,10 @@ def build_body(m: Model, h: Human) -> None:
     """Bones and flesh of everything but the head."""
     pose_skeleton(m, h)
     _trunk(m, h)
-    hand = str(
-        m.pick(
-            "mitten",
-            "fingers",
-            "three",
-            "stub",
-            "claw",
-            weights=(0.3, 0.33, 0.13, 0.15, 0.09) if h.kind != "realistic" else (0.1, 0.8, 0.05, 0.05, 0),
-        )
-    )
+    hand = str(m.pick(
+        "mitten", "fingers", "three", "stub", "claw",
+        weights=(0.3, 0.33, 0.13, 0.15, 0.09) if h.kind != "realistic" else (0.1, 0.8, 0.05, 0.05, 0),
+    ))  # fmt: skip
     slim, ball_joint = m.u(0.6, 0.95), h.kind == "robot" and m.chance(0.5)
     toes = m.chance(0.6)
     foot = (m.u(0.5, 0.9), m.u(0.8, 1.7), m.u(1.4, 2.8))  # heel, width and length over the ankle's radius

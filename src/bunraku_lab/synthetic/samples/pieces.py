@@ -339,17 +339,9 @@ def eye(
         lift = 0.45 * width
     pieces.append(button(field, position, (width, height, 0.55 * width), color, joint, lift=lift))
     glint = np.add(position, (0.13 * width, 0.38 * height, 0.0))
-    pieces.append(
-        button(
-            field,
-            glint,
-            (0.33 * width, 0.28 * height, 0.2 * width),
-            "#ffffff",
-            joint,
-            lift=lift + 0.46 * width,
-            level=1,
-        )
-    )
+    pieces.append(button(
+        field, glint, (0.33 * width, 0.28 * height, 0.2 * width), "#ffffff", joint, lift=lift + 0.46 * width, level=1,
+    ))  # fmt: skip
     return pieces
 
 

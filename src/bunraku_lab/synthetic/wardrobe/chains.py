@@ -235,17 +235,7 @@ def _cross(
             give = np.full(3, hang.give * apart)
             turn = np.array([30.0, 30.0, 30.0]) * _DEGREE
             label = f"{names[chain]}_{link + 1}横"
-            costume.joints.append(
-                MmdJoint(
-                    label,
-                    (int(bodies[chain, link]), int(bodies[after, link])),
-                    position,
-                    frame,
-                    -give,
-                    give,
-                    -turn,
-                    turn,
-                    np.zeros(3),
-                    np.zeros(3),
-                )
-            )
+            costume.joints.append(MmdJoint(
+                label, (int(bodies[chain, link]), int(bodies[after, link])), position, frame, -give, give, -turn, turn,
+                np.zeros(3), np.zeros(3),
+            ))  # fmt: skip

@@ -279,17 +279,10 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
     if plan.skirt:
         if plan.dress:
             costume.colors["top"] = costume.colors["cloth"]
-        figure = figure.wearing(
-            add_skirt(
-                costume,
-                figure,
-                rng,
-                kind=plan.skirt,
-                top=waist,
-                colors=("cloth", "trim"),
-                what="dress" if plan.dress else "skirt",
-            )
-        )
+        figure = figure.wearing(add_skirt(
+            costume, figure, rng, kind=plan.skirt, top=waist, colors=("cloth", "trim"),
+            what="dress" if plan.dress else "skirt",
+        ))  # fmt: skip
     if plan.coat:
         figure = figure.wearing(
             add_coat(costume, figure, rng, waist=waist, colors=("mantle", "lining"), thick=0.012 * h)

@@ -376,18 +376,11 @@ def train_adaptation(
         if not len(rows) or not drawn.clips:
             pairs.append(pairs[0]) if pairs else None
             continue
-        pairs.append(
-            collect_pairs(
-                model,
-                encoder,
-                drawn,
-                bank,
-                rows,
-                config.out / "pairs" / split,
-                PairPlan(count, frames, digest.hexdigest(), config.seed),
-                (lambda done, total: progress("motions on characters", done / total)) if progress else None,
-            )
-        )
+        pairs.append(collect_pairs(
+            model, encoder, drawn, bank, rows, config.out / "pairs" / split,
+            PairPlan(count, frames, digest.hexdigest(), config.seed),
+            (lambda done, total: progress("motions on characters", done / total)) if progress else None,
+        ))  # fmt: skip
     if not pairs:
         raise OptionError(f"{config.cache}: the bank or the clips have none of the split 'train' to learn from")
     run = _Run(config, model, bank, pairs[0], pairs[-1])

@@ -24,7 +24,7 @@ from bunraku.core.skinning import skin
 from bunraku.errors import OptionError
 from bunraku_lab.nn.checkpoints import SavedNetwork, lab_checkpoint
 from bunraku_lab.nn.graph import EdgeBlock, NodeGraph, node_graph
-from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
+from bunraku_lab.training.apparel.segmentation import MeshSample, build_meshes
 from bunraku_lab.training.losses.motion import edge_loss, smoothness_loss, vertex_loss
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 

@@ -22,8 +22,7 @@ from bunraku.generation.layers import PRESETS, DenoiserConfig
 from bunraku.generation.pack import ExamplePack, load_examples, read_pack
 from bunraku.language.encoders import MiniLMEncoder, TextEncoder, text_encoder
 from bunraku_lab.datasets.characters.bank import load_character_bank
-from bunraku_lab.datasets.motions.clips import read_bundle
-from bunraku_lab.datasets.motions.sources import credit_lines
+from bunraku_lab.datasets.motions.clips import credit_lines, read_bundle
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.denoiser import Denoiser, load_denoiser
 from bunraku_lab.training.diffusion.trainer import (
@@ -39,8 +38,7 @@ from bunraku_lab.training.diffusion.trainer import (
 from bunraku_lab.training.rows.banks import TextBank, load_mesh_bank
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips, rehearsal_clips
-from bunraku_lab.training.runs.processes import forking
-from bunraku_lab.training.runs.run import EventLog, Stop, TrainingRun, logged_columns
+from bunraku_lab.training.runs.run import EventLog, Stop, TrainingRun, forking, logged_columns
 
 __all__ = ["TrainingConfig", "rescaled", "start_from", "train_diffusion", "training_card", "write_card"]
 

@@ -26,8 +26,7 @@ from bunraku_lab.training.losses.motion import contact_loss, motion_losses
 from bunraku_lab.training.rows.banks import MeshBank, TextBank
 from bunraku_lab.training.rows.clip_rows import ClipSet, MotionBatch
 from bunraku_lab.training.rows.workers import DrawnRows, FedPool, RowMaker, RowPool, RowWorkers
-from bunraku_lab.training.runs.processes import Ahead
-from bunraku_lab.training.runs.run import RunSettings, bf16_is_fast, careful_step, follow_weights, learning_rate
+from bunraku_lab.training.runs.run import Ahead, RunSettings, bf16_is_fast, careful_step, follow_weights, learning_rate
 
 __all__ = ["BatchSource", "BatchesAhead", "Example", "PooledBatches", "SHIPPED", "Sources", "Trainer", "TrainingConfig"]
 

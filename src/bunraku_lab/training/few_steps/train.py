@@ -38,8 +38,15 @@ from bunraku_lab.training.rows.banks import TextBank, load_mesh_bank
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
 from bunraku_lab.training.rows.clips import load_clips
 from bunraku_lab.training.rows.workers import DrawnRows, FedPool, MadeRows, RowMaker, RowPool, RowWorkers
-from bunraku_lab.training.runs.processes import forking
-from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote, bf16_is_fast
+from bunraku_lab.training.runs.run import (
+    AveragedRun,
+    Progress,
+    Report,
+    StepSettings,
+    TrainingNote,
+    bf16_is_fast,
+    forking,
+)
 
 __all__ = [
     "FewStepsConfig", "FewStepsRun", "LowRank", "PooledRows", "RowSource", "RowsInTurn", "changes_of",

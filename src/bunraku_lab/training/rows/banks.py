@@ -20,7 +20,7 @@ from bunraku.language.encoders import TextEncoder
 from bunraku_lab.datasets.motions.clips import read_bundle
 from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku_lab.nn.text import TextBatch, tensors_of
-from bunraku_lab.training.runs.processes import forking
+from bunraku_lab.training.runs.run import forking
 
 __all__ = ["MeshBank", "TextBank", "kept_arrays", "load_mesh_bank"]
 

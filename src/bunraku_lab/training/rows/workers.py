@@ -18,7 +18,7 @@ from bunraku_lab.nn.denoiser import RetrievedExamples
 from bunraku_lab.nn.text import TextBatch
 from bunraku_lab.training.rows.banks import MeshBank, TextBank
 from bunraku_lab.training.rows.clip_rows import ClipSet, MotionBatch
-from bunraku_lab.training.runs.processes import Ahead, forking
+from bunraku_lab.training.runs.run import Ahead, forking
 
 __all__ = ["DrawnRows", "FedPool", "MadeRows", "RowMaker", "RowPool", "RowWorkers"]
 
