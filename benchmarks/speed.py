@@ -152,7 +152,8 @@ def time_size(size: int) -> dict[str, float]:
     from bunraku.core.animation import Animation
     from bunraku.core.geometry.simplify import network_mesh
     from bunraku.core.nn.checkpoints import shipped_checkpoint
-    from bunraku.core.skinning import skin, skin_basis, skin_reference
+    from bunraku.core.skinning import skin, skin_basis
+    from oracles import skin_reference
     from bunraku_lab.nn.graph import EdgeConv, edge_conv_reference, mesh_graph
     from bunraku_lab.nn.handles import HandlePredictor
 

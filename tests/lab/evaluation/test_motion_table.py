@@ -132,7 +132,7 @@ def test_the_same_seed_gives_the_same_table_and_a_cache_is_used(folder, tmp_path
     def refuse(*words, **options):
         raise AssertionError("the motions were made before")
 
-    monkeypatch.setattr("bunraku.generation.sampler.sample", refuse)
+    monkeypatch.setattr("bunraku_lab.evaluation.motion.samples.sample", refuse)
     again = evaluate_motion(settings(folder, tmp_path))
     assert again["rows"] == first["rows"]
 
