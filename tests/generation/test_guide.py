@@ -373,7 +373,7 @@ def test_legs_are_crossed_where_a_person_sits(networks, seat, texts):
 def test_a_thing_goes_through_its_places_or_is_picked_up_as_captured(networks):
     def of(prompt):
         found, clauses = known(networks, prompt)
-        return [one.described for one in found._found[clauses[0].text]]
+        return [one.detail for one in found._found[clauses[0].text]]
 
     assert [one.steps[-1].place for one in of("puts a box on a shelf to the left")] == [("high", "left")]
     assert of("a person picks up something from the floor")[0] is None

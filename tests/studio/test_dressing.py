@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from packed import unpacked_apparel, unpacked_clip
 from scipy.spatial import cKDTree
 
 from bunraku import load_character
@@ -49,8 +50,6 @@ from bunraku.studio.wire import (
     packed_clip,
     save_handles,
     save_take,
-    unpacked_apparel,
-    unpacked_clip,
 )
 from bunraku.studio.workspace import Settings, Workspace, opened_character
 from bunraku_lab.synthetic.samples import make_sample
@@ -205,7 +204,7 @@ def test_what_is_worn_is_found(file):
 
 def test_too_many_places_are_refused_before_the_work(monkeypatch):
     dragon = sample_character("dragon")
-    monkeypatch.setattr(dressing, "MOST_PLACES", 100_000)
+    monkeypatch.setattr(dressing, "MOST_POSITIONS", 100_000)
     with pytest.raises(OptionError, match="take at most 0.4"):
         check_fits(Apparel("learn"), dragon, 4.0)
     check_fits(Apparel("learn"), dragon, 0.2)

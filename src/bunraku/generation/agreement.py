@@ -143,7 +143,7 @@ def agreement(clause: Clause, motion: HandleMotion) -> float | None:
     """
     if clause.limbs_meanwhile is not None:
         clause = clause.body
-    if len(motion) < 8 or not (clause.told is None or isinstance(clause.told, Posing)):
+    if len(motion) < 8 or not (clause.detail is None or isinstance(clause.detail, Posing)):
         return None  # "to the left" is where a thing is put
     if "then" in clause.cues and len(clause.actions) != 1:
         return None  # of several things that follow each other, no one holds throughout

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Collection, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -42,9 +43,12 @@ class ExampleBank:
     ):  # fmt: skip
         self.pack, self.ranker, self.encoder, self.statistics = pack, ranker, encoder, statistics
         self.count, self.frames = count, frames
-        self._takes = [take_of(example.name) for example in pack.examples]
         self._usable = ~pack.made & np.array([bool(example.texts) for example in pack.examples], bool)
         self._known: dict[tuple[int, bool], tuple[np.ndarray, np.ndarray]] = {}
+
+    @cached_property
+    def _takes(self) -> list[str]:
+        return [take_of(example.name) for example in self.pack.examples]
 
     def nearest(self, vector: np.ndarray, without: Collection[str] = ()) -> list[tuple[int, bool]]:
         """The nearest examples and whether the mirror image is meant; of an example and its mirror image the nearer.

@@ -96,7 +96,7 @@ class PartTrack:
         """
         voices = [clause.meanwhile for clause in script]
         voices = [
-            voice if voice is not None and (limbs or not isinstance(voice.told, Posing)) else None for voice in voices
+            voice if voice is not None and (limbs or not isinstance(voice.detail, Posing)) else None for voice in voices
         ]
         kept = [kept_handles(voice.part.split(" and ")) for voice in voices if voice is not None]
         texts = tuple((voice or clause.body).text for voice, clause in zip(voices, script, strict=True))

@@ -85,15 +85,11 @@ def laid(
     """
     closed = manner.closed
     gesture = pack.gesture(found.number)
-    if gesture is not None and found.described is not None:
-        gesture = (
-            limb_gesture(found.described)
-            if isinstance(found.described, Posing)
-            else interaction_gesture(found.described)
-        )
+    if gesture is not None and found.detail is not None:
+        gesture = limb_gesture(found.detail) if isinstance(found.detail, Posing) else interaction_gesture(found.detail)
     elif gesture is not None and found.part:
         gesture = at_part(gesture, found.part)
-    if gesture is not None and manner.stance is not None and not isinstance(found.described, Posing):
+    if gesture is not None and manner.stance is not None and not isinstance(found.detail, Posing):
         gesture = in_stance(gesture, manner.stance)
     if gesture is not None and not (closed and gesture.cycle is None):
         features = _performed(pack, gesture, frames, random, manner)

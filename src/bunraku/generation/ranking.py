@@ -67,7 +67,7 @@ def script_agreement(motion: np.ndarray, script: Sequence[tuple[Clause, int]], l
     """
     scores = []
     for clause, span in clause_spans(script):
-        if led and isinstance(clause.told, Posing):
+        if led and isinstance(clause.detail, Posing):
             continue
         part = motion[span]
         score = agreement(clause, decode(part)) if len(part) >= SHORTEST else None

@@ -62,7 +62,7 @@ class Found(NamedTuple):
     part: str = ""  # the part of the body at which a gesture is done in place of its own; "" for its own
     times: int = 1  # repetitions of a captured one that shows a counted action once
     # what is done with a thing, follows from one, or is done by limbs, as a gesture of its own
-    described: Interaction | Posing | None = None
+    detail: Interaction | Posing | None = None
 
 
 class Retrieved(NamedTuple):
@@ -88,12 +88,12 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
         clause: Of one action.
         vector: The ranker's unit vector of it, shape (V,).
     """
-    described = [] if clause.told is None else [Found(one, False, 1.0, "", 1, clause.told) for one in pack.handled]
-    if described and isinstance(clause.told, Posing):
-        return Retrieved(_described(pack, clause, clause.told) or described)
+    described = [] if clause.detail is None else [Found(one, False, 1.0, "", 1, clause.detail) for one in pack.handled]
+    if described and isinstance(clause.detail, Posing):
+        return Retrieved(_described(pack, clause, clause.detail) or described)
     if clause.limbs_meanwhile is not None:
         return Retrieved([])  # what else is done is shown apart
-    if described and not isinstance(clause.told, Posing) and says_more(clause.told):
+    if described and not isinstance(clause.detail, Posing) and says_more(clause.detail):
         return Retrieved(described)
     found = _retrieved(pack, clause, vector, frozenset())
     if described and not found.found:

@@ -1,6 +1,4 @@
-"""The networks of apparel (section 4 of MMDMC): the segmentation network f_c, and the displacement network f_d with its
-head that cannot drift and its recurrent part.
-"""
+"""The networks of apparel (section 4 of MMDMC): segmentation f_c, and displacement f_d (head and recurrent part)."""
 
 from __future__ import annotations
 
@@ -40,19 +38,9 @@ from bunraku_lab.nn.checkpoints import SavedNetwork
 from bunraku_lab.nn.graph import EdgeBlock, NodeGraph, node_graph
 
 __all__ = [
-    "AnchorHead",
-    "DisplacementNetwork",
-    "Inputs",
-    "NodeEncoder",
-    "Past",
-    "RecurrentPart",
-    "SegmentationNetwork",
-    "clip_features",
-    "mesh_block",
-    "mirror_global",
-    "node_state",
-    "past_of_states",
-]
+    "AnchorHead", "DisplacementNetwork", "Inputs", "NodeEncoder", "Past", "RecurrentPart", "SegmentationNetwork",
+    "clip_features", "mesh_block", "mirror_global", "node_state", "past_of_states",
+]  # fmt: skip
 
 
 class Inputs:
@@ -152,8 +140,7 @@ class Past:
     Args:
         rest: Difference from the head (frame="joint"), in the frame of the carrying joint, or position from the pelvis
             (frame="world"), newest first, shape (3, M, 3).
-        whole: The last two displacements that were given out, in the frame of the carrying joint, newest first, shape
-            (2, M, 3).
+        whole: The last two displacements that were given out, in the joint's frame, newest first, shape (2, M, 3).
         positions: Positions of the last two frames in the world, newest first, shape (2, M, 3).
     """
 

@@ -17,7 +17,6 @@ from bunraku.errors import WeightsError
 from bunraku_lab.nn.apparel import SegmentationNetwork, mesh_block
 from bunraku_lab.nn.graph import node_graph
 from bunraku_lab.training.apparel.body import BodyConfig, BodyNetwork
-from bunraku_lab.training.apparel.mesh_bank import joint_distances
 from bunraku_lab.training.apparel.refinement import (
     BASIS,
     FREE,
@@ -28,6 +27,7 @@ from bunraku_lab.training.apparel.refinement import (
     refined,
     seam_of,
 )
+from bunraku_lab.training.apparel.segmentation import joint_distances
 from bunraku_lab.training.losses.motion import edge_loss, mask_loss, refinement_loss, smoothness_loss, vertex_loss
 
 

@@ -15,11 +15,11 @@ from bunraku.apparel.physics.rig import ApparelRig, PhysicsSettings, apparel_rig
 from bunraku.apparel.physics.simulate import Simulation, simulate
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.character import Character
+from bunraku.core.request import Progress
 from bunraku.errors import CharacterError
 
 __all__ = ["check_apparel", "dialled", "moving_rig", "steady_simulation", "with_apparel"]
 
-Progress = Callable[[str, float], None]
 TRIES = 3  # how often bodies that fly off are simulated again
 STIFFER = 4.0  # factor on their stiffness, each time; steps are half as long
 _log = logging.getLogger(__name__)

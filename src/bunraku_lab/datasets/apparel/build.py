@@ -1,6 +1,4 @@
-"""`bunraku data apparel`: characters x motions, simulated and recorded in few numbers (joint transforms, and how far
-vertices leave what the joints give), as shards.
-"""
+"""`bunraku data apparel`: characters in motions, simulated and recorded as shards."""
 
 from __future__ import annotations
 
@@ -27,7 +25,6 @@ from bunraku_lab.datasets.apparel.shards import INDEX, LATER_ARRAYS, SHARD_ARRAY
 
 __all__ = ["BuildState", "RIGID", "Recording", "body_animation", "build_apparel", "build_shard", "record"]
 
-
 RIGID = 2e-5
 """A bone that leaves its joint by less than this at all its vertices [m] counts as rigid with it."""
 _CHUNK = 256
@@ -52,10 +49,6 @@ class Recording:
 
 def record(body: UnifiedBody, clips: Sequence[RigAnimation]) -> Recording:
     """Write down what a character does.
-
-    Args:
-        body: The character's joints.
-        clips: Its clips, simulated.
 
     Raises:
         ValueError: An offset is not finite or too long for half precision.
@@ -150,12 +143,9 @@ class BuildState:
 
 
 def build_apparel(
-    folder: str | Path,
-    plan: Sequence[ShardPlan],
-    *,
-    jobs: int | str = 1,
+    folder: str | Path, plan: Sequence[ShardPlan], *, jobs: int | str = 1,
     progress: Callable[[BuildState], None] | None = None,
-) -> BuildState:
+) -> BuildState:  # fmt: skip
     """Build the shards of a plan that are not there yet, and the index.
 
     Args:
@@ -305,15 +295,10 @@ def _build(folder: Path, shard: ShardPlan) -> None:
             failed[clip.motion.name] = str(error)
             continue
         away = [[lost.body, int(lost.frame)] for lost in simulation.report.recoveries]
-        clips.append(
-            {
-                "motion": clip.motion.name,
-                "start": clip.start,
-                "first": first,
-                "frames": len(animation),
-                "fly_aways": away,
-            }
-        )
+        clips.append({
+            "motion": clip.motion.name, "start": clip.start, "first": first, "frames": len(animation),
+            "fly_aways": away,
+        })  # fmt: skip
         animations.append(animation)
         first += len(animation)
     if not animations:
@@ -390,8 +375,7 @@ def _reference(path: str) -> Any:
 
 
 def body_animation(body: UnifiedBody, motion: Any) -> RigAnimation:
-    """A handle motion on a character's rig, moved by SMPL's 22 joints alone: fingers, hair and tails go along with what
-    they hang on.
+    """A handle motion on a character's rig, moved by SMPL's 22 joints alone; fingers, hair and tails go along.
 
     Args:
         body: The character.

@@ -1,6 +1,4 @@
-"""Learned apparel on one clip, beside what skinning alone gives: the clips that hold the truth, the measures, and the
-row.
-"""
+"""Learned apparel on one clip, beside what skinning alone gives: clips with the truth, measures, and rows."""
 
 from __future__ import annotations
 
@@ -33,21 +31,9 @@ from bunraku_lab.datasets.apparel.plan import character_split
 from bunraku_lab.nn.apparel import clip_features
 
 __all__ = [
-    "TrueClip",
-    "clip_row",
-    "data_clips",
-    "drift_row",
-    "edge_score",
-    "file_clips",
-    "frame_milliseconds",
-    "insides",
-    "long_clip",
-    "made_clips",
-    "oracle_skinning",
-    "point_distance",
-    "safe_truth",
-    "ten_frames",
-]
+    "TrueClip", "clip_row", "data_clips", "drift_row", "edge_score", "file_clips", "frame_milliseconds", "insides",
+    "long_clip", "made_clips", "oracle_skinning", "point_distance", "safe_truth", "ten_frames",
+]  # fmt: skip
 
 
 def point_distance(points: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -190,8 +176,7 @@ def file_clips(character: Character, motions: Sequence[str], seconds: float = 6.
 
 
 def made_clips(count: int, seconds: float = 6.0) -> Iterator[TrueClip]:
-    """Clips that need no data: characters of the wardrobe that are no data of training by their names, simulated in
-    motions made by code.
+    """Clips that need no data: wardrobe characters that are not trained on, simulated in motions made by code.
 
     Args:
         count: How many, each of another character.
@@ -373,9 +358,7 @@ class KnownPlayer(ApparelPlayer):
 
 
 def ten_frames(clip: TrueClip, network: DisplacementNetwork, starts: int = 4, nodes: int = 256) -> dict[str, float]:
-    """The paper's protocol: the ten frames after a true state. Mean errors [m] of the network, of parent-rigid skinning
-    and of the true displacement kept as it was.
-    """
+    """The paper's ten frames after a true state: mean errors [m] of the network, of rigid skinning and of no change."""
     player = KnownPlayer(clip.clothed, network, nodes=nodes, safe=False)
     frames = clip_features(clip.clothed, player.nodes, clip.transforms)
     turns = np.stack([frame.turns for frame in frames])

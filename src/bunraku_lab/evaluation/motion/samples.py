@@ -1,6 +1,4 @@
-"""The motions that the table compares: windows of captioned clips, and motions made and kept in a folder so that a
-stopped evaluation can go on.
-"""
+"""The motions that the table compares: windows of captioned clips, and motions made and kept in a folder."""
 
 from __future__ import annotations
 
@@ -27,21 +25,9 @@ if TYPE_CHECKING:
     from bunraku.language.encoders import TextBatch, TextEncoder
 
 __all__ = [
-    "LENGTHS",
-    "Request",
-    "SHORTEST",
-    "SamplerSettings",
-    "Window",
-    "candidate_sentences",
-    "checkpoint_digest",
-    "choose_motions",
-    "draw_windows",
-    "make_motions",
-    "sample",
-    "window_features",
-    "window_meaning",
-]
-
+    "LENGTHS", "Request", "SHORTEST", "SamplerSettings", "Window", "candidate_sentences", "checkpoint_digest",
+    "choose_motions", "draw_windows", "make_motions", "sample", "window_features", "window_meaning",
+]  # fmt: skip
 
 SHORTEST = 40
 """Frames: HumanML3D leaves out clips of less than 2 s, and so do we."""
@@ -88,12 +74,9 @@ def _shares(clips: Mapping[str, ClipEntry], names: list[str]) -> np.ndarray:
 
 
 def draw_windows(
-    clips: Mapping[str, ClipEntry],
-    count: int,
-    random: np.random.Generator,
-    shortest: int = SHORTEST,
+    clips: Mapping[str, ClipEntry], count: int, random: np.random.Generator, shortest: int = SHORTEST,
     longest: int = 196,
-) -> list[Window]:
+) -> list[Window]:  # fmt: skip
     """Windows at random places, half of them mirrored.
 
     A clip of at most `longest` frames gives windows of three fifths of its length or more; a longer one of three fifths
@@ -164,12 +147,10 @@ def candidate_sentences(
                 "asked for"
             )
         drawn = [others[index] for index in random.permutation(len(others))[: count - 1]]
-        rows.append(
-            [
-                window.sentence,
-                *(by_meaning[meaning][int(random.integers(len(by_meaning[meaning])))] for meaning in drawn),
-            ]
-        )
+        rows.append([
+            window.sentence,
+            *(by_meaning[meaning][int(random.integers(len(by_meaning[meaning])))] for meaning in drawn),
+        ])  # fmt: skip
     return rows
 
 
@@ -180,12 +161,7 @@ CHOOSING = ("ranker", "critic", "examples")
 
 @dataclass(frozen=True)
 class Request:
-    """A motion to be made.
-
-    Args:
-        sentence: What it shows.
-        frames: Its length N.
-    """
+    """A motion to be made."""
 
     sentence: str
     frames: int
@@ -259,16 +235,10 @@ def sample(
 
 
 def make_motions(
-    model: Denoiser,
-    encoder: TextEncoder,
-    requests: Sequence[Request],
-    sampling: SamplerSettings,
-    *,
-    folder: Path | None = None,
-    digest: str = "",
-    mesh_feature: np.ndarray | None = None,
+    model: Denoiser, encoder: TextEncoder, requests: Sequence[Request], sampling: SamplerSettings, *,
+    folder: Path | None = None, digest: str = "", mesh_feature: np.ndarray | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> list[np.ndarray]:
+) -> list[np.ndarray]:  # fmt: skip
     """Motions in the order of the requests, features in the data's units, each of shape (N, 271), float32.
 
     Args:
@@ -318,15 +288,10 @@ def make_motions(
 
 
 def choose_motions(
-    requests: Sequence[Request],
-    sampling: SamplerSettings,
-    checkpoint: Path,
-    *,
-    folder: Path | None = None,
+    requests: Sequence[Request], sampling: SamplerSettings, checkpoint: Path, *, folder: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> list[np.ndarray]:
-    """Motions as `bunraku animate` makes and chooses them, before they are fitted to a character; otherwise as
-    `make_motions`.
+) -> list[np.ndarray]:  # fmt: skip
+    """Motions as `bunraku animate` makes and chooses them, not fitted to a character; otherwise as `make_motions`.
 
     Args:
         requests: What to make.
@@ -358,19 +323,10 @@ def choose_motions(
 
 
 def _kept(
-    requests: Sequence[Request],
-    home: Path | None,
-    make: Callable[[list[int], int], np.ndarray],
+    requests: Sequence[Request], home: Path | None, make: Callable[[list[int], int], np.ndarray],
     progress: Callable[[int, int], None] | None,
-) -> list[np.ndarray]:
-    """Motions in the order of the requests, made in batches, each read from its folder where it is there already.
-
-    Args:
-        requests: What to make.
-        home: Folder of these very requests, weights and settings; None keeps nothing.
-        make: Makes the rows of batch `number`, shape (B, N, 271).
-        progress: Called with (motions done, total).
-    """
+) -> list[np.ndarray]:  # fmt: skip
+    """Motions in the order of the requests, made in batches, each read from its folder where it is there already."""
     if home is not None:
         home.mkdir(parents=True, exist_ok=True)
     out: list[np.ndarray] = [np.zeros((0, FEATURE_SIZE), np.float32)] * len(requests)
