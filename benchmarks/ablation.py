@@ -22,7 +22,7 @@ from bunraku.core.body.layout import HANDLE_MIRROR
 from bunraku_lab.datasets.characters.build import load_characters, reference_characters
 from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter
 from bunraku_lab.nn.graph import mesh_graph
-from bunraku_lab.nn.handles import load_predictor
+from bunraku_lab.nn.handles import HandlePredictor
 from bunraku_lab.training.handles import HandleTrainConfig, HandleTrainer, MeshAugmentation, validate_handles
 from bunraku_lab.training.losses.handles import LossConfig
 
@@ -61,7 +61,7 @@ def consistency(path: Path, held_out: list[TrainingCharacter]) -> dict[str, floa
     """What the mirror and the smoothness loss are for: L1 difference between the weights of a mesh and those of its
     mirror image, and between those of neighbouring vertices, means over the held-out characters.
     """
-    model = load_predictor(path).eval()
+    model = HandlePredictor.load(path).eval()
     sides, rough = [], []
     for character in held_out:
         graph = mesh_graph(

@@ -78,7 +78,7 @@ def _frames_of(clause: Any) -> Frames:
         direction = "circle" if action == "circle" else "-".join(filter(None, (along, side)))
         if direction:
             frame["direction"] = direction
-        if clause.turn is not None and action != "circle":
+        if clause.turn is not None and (action != "circle" or clause.turn.side):
             angles = {"quarter": "90", "half": "180", "full": "360"}
             said = [angle for cue, angle in angles.items() if cue in clause.cues]
             degrees = "180" if action == "turn around" else said[0] if said else "?"

@@ -154,7 +154,7 @@ def time_size(size: int) -> dict[str, float]:
     from bunraku.core.nn.checkpoints import shipped_checkpoint
     from bunraku.core.skinning import skin, skin_basis, skin_reference
     from bunraku_lab.nn.graph import EdgeConv, edge_conv_reference, mesh_graph
-    from bunraku_lab.nn.handles import load_predictor
+    from bunraku_lab.nn.handles import HandlePredictor
 
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -171,7 +171,7 @@ def time_size(size: int) -> dict[str, float]:
         slow = 0.0
         import torch
 
-        definition = load_predictor(weights_path)
+        definition = HandlePredictor.load(weights_path)
         graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, network.config.anchors)
         for layer in (module for module in definition.modules() if isinstance(module, EdgeConv)):
             x = torch.zeros(len(mesh.vertices), layer.own.in_features)

@@ -35,7 +35,7 @@ from bunraku.pipelines.requests import Request, Sampling
 from bunraku_lab.nn.denoiser import RetrievedExamples as TensorExamples
 from bunraku_lab.nn.denoiser import load_denoiser
 from bunraku_lab.nn.graph import MeshGraph
-from bunraku_lab.nn.handles import load_predictor
+from bunraku_lab.nn.handles import HandlePredictor
 from bunraku_lab.nn.text import Extractor, load_extractor, tensors_of
 
 PROMPTS = (
@@ -120,7 +120,7 @@ class TorchPredictor:
     """Torch's predictor of handles, for graphs in order of degree."""
 
     def __init__(self, running: Any):
-        self.running, self.model = running, load_predictor(shipped_checkpoint("handles"))
+        self.running, self.model = running, HandlePredictor.load(shipped_checkpoint("handles"))
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.running, name)

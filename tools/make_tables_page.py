@@ -1,8 +1,8 @@
 """Write the pages of figures: docs/tables.md, the papers' tables, and docs/measurements.md.
 
     bunraku evaluate tables --paper tapmo --data data/motions --characters archive
-        --baselines benchmarks/weights --json > a.json
-    bunraku evaluate tables --paper mmdmc --apparel data/apparel --baselines benchmarks/weights --json > b.json
+        --baselines runs/baselines --json > a.json
+    bunraku evaluate tables --paper mmdmc --apparel data/apparel --baselines runs/baselines --json > b.json
     python tools/make_tables_page.py a.json b.json
     python tools/make_tables_page.py
 
@@ -43,7 +43,7 @@ HEAD = """# The papers' tables
 TapMo's and MMDMC's tables with our figures, by `bunraku evaluate tables`, {day}. A cell has the paper's figure / ours,
 and in brackets both over the reference row. The data are not the papers', so only these ratios compare. What follows ±
 is half of a 95 % interval. Rows that were not run, and rows that the papers quote from others, are left out.
-`tools/make_tables_page.py` makes the page; `benchmarks/weights/baselines.md` has the commands for the other methods'
+`tools/make_tables_page.py` makes the page; `benchmarks/baselines.md` has the commands for the other methods'
 weights.
 """
 MEASUREMENTS = """# Measurements

@@ -1,7 +1,7 @@
 """Make the pictures of docs/tables.md: the same sentence and character, or the same character and motion, a row for
 each method.
 
-    python tools/make_tables_pictures.py --character FILE --baselines benchmarks/weights
+    python tools/make_tables_pictures.py --character FILE --baselines runs/baselines
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from bunraku_lab.evaluation.apparel.clips import made_clips
 from bunraku_lab.evaluation.apparel.rivals import UNTRAINED, rival_mover, rivals_of
 from bunraku_lab.evaluation.tables.measured import TRANSFER
 from bunraku_lab.evaluation.tables.tapmo import NO_STAGES, transferred_motion
-from bunraku_lab.nn.pose_transfer import load_transfer
+from bunraku_lab.nn.pose_transfer import TransferNetwork
 from bunraku_lab.training.apparel.body import clothed_by_mask, tiled
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
@@ -64,7 +64,7 @@ def main() -> None:
     handles = bunraku.rig(character)
     anatomy = Anatomy.of(character, handles)
     copied = copied_motion(rig_by_embedding(character.vertices, character.faces), skeleton_from_handles(ours))
-    network = load_transfer(options.baselines / TRANSFER)
+    network = TransferNetwork.load(options.baselines / TRANSFER)
     rows = {"MDM-SR": copied}
     rows["MDM-SFR"] = transferred_motion(
         network, character, handles, source_motion(network, skeleton_from_handles(ours))

@@ -103,7 +103,7 @@ def test_what_reaches_the_ground_is_the_lowest_of_all_that_may_stand():
     turns[:, 1:, 1:] = [[[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]] for a in angles]  # falls on its face
     still = np.tile(np.eye(3), (4, HANDLE_COUNT, 1, 1))
     motion = HandleMotion(np.zeros((4, HANDLE_COUNT, 3)), still, np.zeros((4, 3)), turns, 20.0)
-    seen = found.reach.lowest(motion, found.handles.positions)
+    seen = found.reach.lowest(motion.transforms(found.handles.positions))
     points, root = found.mesh.vertices[found.stands], found.handles.positions[0]
     true = ((points - root) @ turns.swapaxes(1, 2))[..., 1].min(axis=1) + root[1]
     assert (seen >= true - 1e-5).all() and (seen <= true + 0.01).all()

@@ -372,15 +372,9 @@ def test_vertices_of_a_file_swing_as_far_as_the_links_of_their_chain(clothed) ->
 
 
 HAIR = Chain(
-    "hair_1",
-    "hair",
-    np.array([1]),
-    np.array([[0, 1, 0], [0, 0.8, 0.0]]),
-    0,
-    np.array([0.02]),
-    0.01,
+    "hair_1", "hair", np.array([1]), np.array([[0, 1, 0], [0, 0.8, 0.0]]), 0, np.array([0.02]), 0.01,
     parameters_of("hair"),
-)
+)  # fmt: skip
 
 
 def test_kinds_and_names(tmp_path: Path) -> None:

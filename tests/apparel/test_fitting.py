@@ -223,15 +223,9 @@ def test_apparel_that_does_not_hang_over_legs_is_left_alone(clothed):
     weights = clothed.weights.copy()
     weights[LEG] = np.eye(22)[JOINT_NAMES.index("spine1")]
     other = ClothedCharacter(
-        clothed.rest,
-        clothed.faces,
-        clothed.joints,
-        weights,
-        clothed.apparel,
-        clothed.part,
-        clothed.stiffness,
+        clothed.rest, clothed.faces, clothed.joints, weights, clothed.apparel, clothed.part, clothed.stiffness,
         clothed.damping,
-    )
+    )  # fmt: skip
     positions = clothed.rest[SKIRT.start :] + 0.1
     assert Layers(other, np.flatnonzero(clothed.part >= 0))(positions, clothed.rest) is positions
 

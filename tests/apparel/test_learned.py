@@ -52,11 +52,9 @@ from bunraku_lab.nn.apparel import (
     Inputs,
     Past,
     RecurrentPart,
-    load_displacement,
     node_state,
     past_of_states,
 )
-from bunraku_lab.nn.apparel import save_displacement as save
 from bunraku_lab.nn.graph import EdgeBlock, node_graph
 from bunraku_lab.nn.running import running_displacement
 
@@ -595,13 +593,13 @@ def test_a_known_difference_fades():
 
 def test_a_network_comes_back_from_its_checkpoint(tmp_path):
     network = DisplacementNetwork(DisplacementConfig(16, 1, 8, "world"))
-    path = save(tmp_path / "a.safetensors", network)
-    again = load_displacement(path)
+    path = network.save(tmp_path / "a.safetensors")
+    again = DisplacementNetwork.load(path)
     assert again.config == network.config
     for one, other in zip(network.parameters(), again.parameters(), strict=True):
         assert torch.equal(one, other)
     with pytest.raises(WeightsError):
-        load_displacement(tmp_path / "none.safetensors")
+        DisplacementNetwork.load(tmp_path / "none.safetensors")
 
 
 def test_a_clothed_character_is_of_one_character():

@@ -11,9 +11,10 @@ import pytest
 
 import bunraku
 from bunraku.cli import main
-from bunraku.cli.app import _explain, all_verbs
+from bunraku.cli.app import all_verbs
 from bunraku.cli.clips import Samples
 from bunraku.cli.outputs import size_text, slug
+from bunraku.errors import is_fault, sentence_of
 
 
 @pytest.mark.parametrize("verb", all_verbs())
@@ -59,8 +60,7 @@ def test_help_loads_nothing_heavy():
     ],
 )
 def test_what_is_raised_becomes_a_sentence(error, status, words):
-    got, sentence = _explain(error)
-    assert got == status and words in sentence
+    assert is_fault(error) == (status == 1) and words in sentence_of(error)
 
 
 def _raising(error):

@@ -110,7 +110,7 @@ PROGRAM = '''
 import os, signal, sys
 from functools import partial
 from pathlib import Path
-from bunraku.core.parallel import spread
+from bunraku.core.parallel import run_parallel
 
 def work(folder, always, once, batch):
     for name in batch:
@@ -123,7 +123,7 @@ def work(folder, always, once, batch):
 if __name__ == "__main__":
     folder, always, once = Path(sys.argv[1]), sys.argv[2], sys.argv[3]
     batches = [["a", "b"], ["c", "d"], ["e"]]
-    for name, reason in spread(partial(work, folder, always, once), batches, 2, str):
+    for name, reason in run_parallel(partial(work, folder, always, once), batches, 2, str):
         print(name, reason)
 '''
 

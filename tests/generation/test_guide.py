@@ -375,7 +375,7 @@ def test_a_thing_goes_through_its_places_or_is_picked_up_as_captured(networks):
         found, clauses = known(networks, prompt)
         return [one.told for one in found._found[clauses[0].text]]
 
-    assert [one.stations[-1].place for one in of("puts a box on a shelf to the left")] == [("high", "left")]
+    assert [one.steps[-1].place for one in of("puts a box on a shelf to the left")] == [("high", "left")]
     assert of("a person picks up something from the floor")[0] is None
 
 

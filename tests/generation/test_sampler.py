@@ -61,12 +61,9 @@ def toy(x, step):
 def test_dpm_solver_walks_the_path_of_diffusers(count):
     scheduling = pytest.importorskip("diffusers.schedulers.scheduling_dpmsolver_multistep")
     scheduler = scheduling.DPMSolverMultistepScheduler(
-        num_train_timesteps=1000,
-        beta_schedule="squaredcos_cap_v2",
-        prediction_type="sample",
-        algorithm_type="dpmsolver++",
-        solver_order=2,
-    )
+        num_train_timesteps=1000, beta_schedule="squaredcos_cap_v2", prediction_type="sample",
+        algorithm_type="dpmsolver++", solver_order=2,
+    )  # fmt: skip
     scheduler.set_timesteps(timesteps=sampling_steps(count))
     torch = pytest.importorskip("torch")
     noise = starting_noise(2, 12, 5, seed=3)

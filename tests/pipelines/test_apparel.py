@@ -23,7 +23,7 @@ from bunraku.pipelines.apparel import dressed, learned
 from bunraku.pipelines.clothes import MOST, apparel_of, excess_apparel_note
 from bunraku.pipelines.requests import Apparel, Constraints, Loop, Request
 from bunraku.pipelines.transfer import transfer
-from bunraku_lab.nn.apparel import DisplacementNetwork, SegmentationNetwork, save_displacement, save_segmentation
+from bunraku_lab.nn.apparel import DisplacementNetwork, SegmentationNetwork
 from bunraku_lab.synthetic.stock_motions import stock_motion
 
 MOTION = stock_motion("walk", 1.0, 20.0)
@@ -34,8 +34,8 @@ def weights(tmp_path, monkeypatch):
     """Networks that know nothing, in place of the shipped ones."""
     torch.manual_seed(0)
     for name in ("apparel", "apparel-guessed"):
-        save_displacement(tmp_path / f"{name}.safetensors", DisplacementNetwork(DisplacementConfig(8, 1, 0)))
-    save_segmentation(tmp_path / "apparel-mask.safetensors", SegmentationNetwork(SegmentationConfig(8, 1)))
+        DisplacementNetwork(DisplacementConfig(8, 1, 0)).save(tmp_path / f"{name}.safetensors")
+    SegmentationNetwork(SegmentationConfig(8, 1)).save(tmp_path / "apparel-mask.safetensors")
     monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))
     return tmp_path
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bunraku.anatomy.anatomy import Anatomy, body_handle_motion
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.names.bone_names import rig_handles
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.core.body.reference import handle_positions, reference_body
@@ -15,6 +15,7 @@ from bunraku.core.geometry.surface import vertex_areas
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import OptionError
 from bunraku.files.samples import sample_character
+from bunraku.generation.features import body_handle_motion
 from bunraku.pipelines.animate import rig
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.pins import PINNED, Pin, end_positions, limb_ends, meet_pins, spread

@@ -287,7 +287,7 @@ def bowed(angle: float) -> HandleMotion:
 
 def head_heights(dog, motion: HandleMotion, rotations: np.ndarray) -> np.ndarray:
     """Of the lowest point of the head over the ground, over the height, shape (N,)."""
-    turned, translations = attach_joints(rotations, dog.handles, dog.joints)
+    turned, translations = attach_joints(rotations, dog.handles.positions, dog.joints)
     posed = HandleMotion(translations, turned, np.zeros((FRONT_FRAMES, 3)), motion.root_rotation, 20.0)
     held = dog.handles.weights[:, HANDLE_NAMES.index("head")] > 0.5
     character = dog.character

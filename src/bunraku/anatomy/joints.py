@@ -217,11 +217,20 @@ def _unbent(
     return where, unbend[kept], both[where] * vertex_areas(flat, faces)[where]
 
 
-def attach_joints(rotations: np.ndarray, handles: Handles, joints: Joints) -> tuple[np.ndarray, np.ndarray]:
-    """Local rotations and translations in which every joint holds; absent handles move with their parents."""
+def attach_joints(rotations: np.ndarray, positions: np.ndarray, joints: Joints) -> tuple[np.ndarray, np.ndarray]:
+    """Local rotations and translations in which every joint holds; absent handles move with their parents.
+
+    Args:
+        rotations: Local rotations of the handles, shape (N, K, 3, 3).
+        positions: Of the handles at rest [m], shape (K, 3).
+        joints: Where they meet.
+
+    Returns:
+        The rotations, shape (N, K, 3, 3), and the translations [m], shape (N, K, 3).
+    """
     rotations = rotations.copy()
     translations = np.zeros((*rotations.shape[:2], 3))
-    h = handles.positions.astype(np.float64)
+    h = positions.astype(np.float64)
     for handle in downwards(joints.parents)[1:]:
         parent = int(joints.parents[handle])
         if not joints.present[handle]:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.anatomy.joints import Joints
-from bunraku.anatomy.rest_pose import upright
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.geometry.surface import extreme_points
-from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import posed_points, skin
 
-__all__ = ["Leg", "NEAR", "carry", "find_arms", "find_legs", "find_stumps", "foot_points", "local_motion", "move_feet"]
+__all__ = ["Leg", "NEAR", "carry", "find_arms", "find_legs", "move_feet"]
 
 
 NEAR = 0.15  # a limb of a lying body is a leg if it ends so near to the lowest point, over the height
@@ -60,23 +57,25 @@ class Leg:
         return self.foot[0] if self.foot else self.lower
 
 
-def find_legs(character: Character, handles: Handles, joints: Joints) -> list[Leg]:
-    """The limbs that a character stands on: two legs of who is upright; of others every limb, and that may be an arm of
-    the reference body, that reaches the ground in the rest pose. None of who has no legs.
+def find_legs(character: Character, handles: Handles, joints: Joints, stands: bool) -> list[Leg]:
+    """The limbs that a character stands on, none where it has fewer than two.
+
+    An upright body stands on its two legs, any other on every limb that reaches the ground in the rest pose, those with
+    the handles of arms included.
 
     Args:
         character: In its rest pose.
         handles: Its handles.
         joints: Where they meet.
+        stands: Whether it is upright.
     """
     out = []
-    played, stands = handles.played, upright(handles)
     seen, heights = character.surface, character.vertices[:, 1]
     floor, height = float(heights[seen].min()), character.height
     for number, parts in enumerate(_PARTS):
         if stands and number >= _LEGS:
             continue
-        for chain in _chains(parts, played, joints):
+        for chain in _chains(parts, handles.played, joints):
             leg = _leg(character, handles, joints, chain)
             if leg is None or leg.length < SHORTEST * height:
                 continue
@@ -86,20 +85,9 @@ def find_legs(character: Character, handles: Handles, joints: Joints) -> list[Le
 
 
 def find_arms(character: Character, handles: Handles, joints: Joints, legs: list[Leg]) -> list[Leg]:
-    """The arms of a character that are not among its legs, in the words for legs: a shoulder, an elbow and a wrist with
-    a hand.
+    """The arms of a character that are not among its legs, in the words for legs: a shoulder, an elbow and a wrist. The
+    hand is the foot; arms of one rigid block may have none.
     """
-    return [arm for arm in _arms(character, handles, joints, legs) if arm.foot]
-
-
-def find_stumps(character: Character, handles: Handles, joints: Joints, legs: list[Leg]) -> list[Leg]:
-    """The arms of a character that are not among its legs and have no hand of their own, such as those of one rigid
-    block: they end in what may be a fist.
-    """
-    return [arm for arm in _arms(character, handles, joints, legs) if not arm.foot]
-
-
-def _arms(character: Character, handles: Handles, joints: Joints, legs: list[Leg]) -> list[Leg]:
     known = {leg.upper for leg in legs}
     limbs = (
         _leg(character, handles, joints, chain)
@@ -147,48 +135,41 @@ def _leg(character: Character, handles: Handles, joints: Joints, chain: list[int
     return Leg(upper, lower, tuple(foot), found, own[extreme_points(points)], own, length)
 
 
-def foot_points(leg: Leg, character: Character, handles: Handles, transforms: np.ndarray) -> np.ndarray:
-    """Where the sole of a leg is in each frame [m], shape (N, m, 3), by the transforms of the handles (N, K, 3, 4)."""
-    return skin(character.vertices[leg.sole], handles.weights[leg.sole], transforms).astype(np.float64)
-
-
 STRAIGHT = 0.99  # how far a leg is stretched at the most, over its length
 SOFT = 0.94  # from where on stretching slows down, so that knees do not snap
+LEAST_SHIFT = 1e-9  # of an ankle [m]: legs whose feet move less are left bit for bit
 
 
 def move_feet(
-    motion: HandleMotion,
-    handles: Handles,
+    world: np.ndarray,
+    root: np.ndarray,
     joints: Joints,
     legs: list[Leg],
     shifts: np.ndarray,
     slopes: np.ndarray | None = None,
-) -> HandleMotion:
-    """The motion with feet moved by bending their legs; feet keep their slope unless slopes are given.
+) -> None:
+    """Move feet by bending their legs, in place; feet keep their slope unless slopes are given.
 
     A leg is a chain of two bones: its knee stays in the plane in which it was bent. It is never stretched beyond its
     length, so a foot may stop short of where it should be. A leg of one rigid block points to where its foot should be.
 
     Args:
-        motion: Of the character.
-        handles: Its handles.
-        joints: Where they meet.
+        world: Transforms of the handles, shape (N, K, 3, 4), float64.
+        root: Rotations of the root, shape (N, 3, 3): what a knee usually does in its frame says how a straight leg
+            bends.
+        joints: Where the handles meet.
         legs: The legs whose feet are moved, L.
         shifts: How far each ankle moves [m], shape (N, L, 3).
         slopes: How each foot turns about its ankle, in the world, shape (N, L, 3, 3); None for not at all.
     """
-    moved = [number for number in range(len(legs)) if np.abs(shifts[:, number]).max() > 1e-9]
-    if not moved:
-        return motion
-    world = motion.transforms(handles.positions).astype(np.float64)
-    for number in moved:
-        slope = np.tile(np.eye(3), (len(world), 1, 1)) if slopes is None else slopes[:, number]
-        _move_foot(world, legs[number], joints, shifts[:, number], slope, motion)
-    return local_motion(world, motion, handles)
+    for number, leg in enumerate(legs):
+        if np.abs(shifts[:, number]).max() > LEAST_SHIFT:
+            slope = np.tile(np.eye(3), (len(world), 1, 1)) if slopes is None else slopes[:, number]
+            _move_foot(world, root, leg, joints, shifts[:, number], slope)
 
 
 def _move_foot(
-    world: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, slope: np.ndarray, motion: HandleMotion
+    world: np.ndarray, root: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, slope: np.ndarray
 ) -> None:
     """Bend one leg, in place."""
     hip, knee, ankle = (
@@ -214,7 +195,7 @@ def _move_foot(
     bent = (
         hip
         + toward * along[:, None]
-        + _unit(np.einsum("nij,nj->ni", swing, aside + more * _bend(aside, line, motion))) * out
+        + _unit(np.einsum("nij,nj->ni", swing, aside + more * _bend(aside, line, root))) * out
     )
     for handle, pivot, target, before_turn, after_turn in (
         (leg.upper, hip, hip, knee - hip, bent - hip),
@@ -246,20 +227,20 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     return np.asarray(vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-12))
 
 
-def _bend(aside: np.ndarray, line: np.ndarray, motion: HandleMotion) -> np.ndarray:
+def _bend(aside: np.ndarray, line: np.ndarray, root: np.ndarray) -> np.ndarray:
     """Where the knee points, square to the line from hip to ankle, shape (N, 3); where it is straight, as in the clip's
     bent frames.
 
     Args:
         aside: From the line to the knee [m], shape (N, 3).
         line: From hip to ankle, shape (N, 3).
-        motion: For the root's rotation: what a knee does in its frame is usual for it.
+        root: Rotations of the root, shape (N, 3, 3): what a knee does in its frame is usual for it.
     """
-    own = np.einsum("nji,nj->ni", motion.root_rotation, aside)
+    own = np.einsum("nji,nj->ni", root, aside)
     size = np.linalg.norm(own, axis=1)
     mean = own.mean(axis=0)
     usual = mean / np.linalg.norm(mean) if np.linalg.norm(mean) > 0.3 * size.mean() else np.array([0, 0, 1.0])
-    helps = np.einsum("nij,j->ni", motion.root_rotation, usual)
+    helps = np.einsum("nij,j->ni", root, usual)
     helps -= (helps * line).sum(axis=1, keepdims=True) * line
     return _unit(aside + 0.3 * size.mean() * np.exp(-((size / max(0.5 * size.mean(), 1e-9)) ** 2))[:, None] * helps)
 
@@ -269,14 +250,3 @@ def _between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     sine = np.linalg.norm(axis, axis=1)
     angle = np.arctan2(sine, (start * end).sum(axis=1))
     return np.asarray(matrix_from_axis_angle(axis / np.maximum(sine, 1e-12)[:, None] * angle[:, None]))
-
-
-def local_motion(world: np.ndarray, motion: HandleMotion, handles: Handles) -> HandleMotion:
-    """A motion with the same root and other world transforms of its handles."""
-    h = handles.positions.astype(np.float64)
-    root = motion.root_rotation.astype(np.float64)
-    rotations = root.transpose(0, 2, 1)[:, None] @ world[..., :3]
-    centres = posed_points(world, h)
-    translations = np.einsum("nji,nkj->nki", root, centres - h[0] - motion.root_translation[:, None]) + h[0] - h
-    rotations[:, 0], translations[:, 0] = np.eye(3), 0
-    return replace(motion, rotations=rotations, translations=translations)

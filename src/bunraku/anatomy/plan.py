@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -18,11 +17,10 @@ from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.surface import part_extremes
-from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError
 
-__all__ = ["BodyPlan", "Reach", "check_plans", "lowest", "plan_of", "reference_reach", "standing", "stride_scale"]
+__all__ = ["BodyPlan", "Reach", "check_plans", "plan_of", "standing", "stride_scale"]
 
 
 CHUNK = 500  # frames posed at once to find the lowest point: bounds memory
@@ -35,12 +33,12 @@ _HANGING = [
 
 
 def standing(character: Character, handles: Handles) -> np.ndarray:
-    """Vertices that may stand on the ground, shape (V,), bool: the surface, but of who stands on legs not what may hang
-    lower than the feet, such as a weapon in a hand, long arms or a tail.
+    """Vertices that may stand on the ground, shape (V,), bool: the surface, but of an upright body on legs not what may
+    hang lower than the feet, such as a weapon in a hand, long arms or a tail.
 
     Args:
-        character: In the reference body's stance (`stance_of`): who sits has its legs below it all the same.
-        handles: Its handles.
+        character: In the reference body's stance (`stance_of`), so that one that sits has its legs below it.
+        handles: Its handles there.
     """
     seen, heights = character.surface, character.vertices[:, 1]
     legs = seen & (handles.weights[:, np.isin(handles.played, _LEGS)].sum(axis=1) > 0.5)
@@ -79,38 +77,17 @@ class Reach(NamedTuple):
         pick = part_extremes(vertices, weights)
         return cls(vertices[pick], weights[pick])
 
-    def lowest(self, motion: HandleMotion, positions: np.ndarray) -> np.ndarray:
-        """Height of the lowest point in each frame [m], shape (N,); handles are at `positions` [m], shape (K, 3)."""
-        transforms = motion.transforms(positions)
+    def lowest(self, transforms: np.ndarray) -> np.ndarray:
+        """Height of the lowest point in each frame [m], shape (N,), by the transforms of the handles (N, K, 3, 4)."""
         parts = [transforms[start : start + CHUNK] for start in range(0, len(transforms), CHUNK)]
         return np.concatenate([skin(self.vertices, self.weights, part)[..., 1].min(axis=1) for part in parts])
-
-
-def lowest(vertices: np.ndarray, weights: np.ndarray, motion: HandleMotion, positions: np.ndarray) -> np.ndarray:
-    """Height of the lowest vertex in each frame [m], shape (N,), from the extreme points of every part.
-
-    Args:
-        vertices: Rest positions [m], shape (V, 3).
-        weights: Of the handles, shape (V, K).
-        motion: Of the handles.
-        positions: Of the handles [m], shape (K, 3).
-    """
-    return Reach.of(vertices, weights).lowest(motion, positions)
-
-
-@lru_cache(maxsize=2)
-def reference_reach(arms: bool = True) -> Reach:
-    """That of the reference body, or of all that it may stand on, which is not its arms."""
-    body = reference_body()
-    some = slice(None) if arms else standing(body.character(), body.handles)
-    return Reach.of(body.vertices[some], body.handle_weights[some])
 
 
 _HIND = [handle for side in SIDES for handle in limb_handles(side, FAMILIES[0])]
 _ARMS = [HANDLE_NAMES.index(f"{side}_{part}") for side in SIDES for part in ("shoulder", "elbow")]
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in SIDES]
 _CHEST = HANDLE_NAMES.index("spine3")
-LONG = (3.5, 1.0)  # who is so many times as long as high, lying or with the head up, is a snake and no fish
+LONG = (3.5, 1.0)  # length over height, lying and with the head up, from which on a body is a snake and no fish
 SPREAD = 0.15  # wings lie so far from the chest, over the height; a person's are the halves of the upper back
 _TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 
@@ -156,7 +133,7 @@ class BodyPlan:
 
     @property
     def _tailed(self) -> bool:
-        """Whether it has a tail and neither legs nor wings; who is upright and has arms wears a gown."""
+        """Whether it has a tail and neither legs nor wings; an upright body with arms wears a gown."""
         return self.tail and not self.legs and not self.wings and not (self.upright and self.arms)
 
     @property
@@ -185,7 +162,7 @@ class BodyPlan:
 
 
 def plan_of(
-    character: Character, handles: Handles, joints: Joints, legs: list[Leg], further: list[list[int]]
+    character: Character, handles: Handles, joints: Joints, legs: list[Leg], further: list[list[int]], stands: bool
 ) -> BodyPlan:
     """The plan of a body in the pose that it stands in.
 
@@ -195,6 +172,7 @@ def plan_of(
         joints: Where they meet.
         legs: The limbs that it stands on.
         further: The handles of each limb beyond those of a person.
+        stands: Whether it is upright.
     """
     found = {leg.upper for leg in legs}
     stiff = [
@@ -206,7 +184,7 @@ def plan_of(
     there = {name: bool(own[parts].all()) for name, parts in (("arms", arms), ("wings", _WINGS))}
     away = np.linalg.norm(handles.positions[_WINGS] - handles.positions[_CHEST], axis=1)
     there["wings"] &= bool((away > SPREAD * character.height).all())
-    extent, stands = np.ptp(character.vertices[character.surface], axis=0), upright(handles)
+    extent = np.ptp(character.vertices[character.surface], axis=0)
     return BodyPlan(
         hind=hind, front=len(legs) - hind, upright=stands, tail=bool(own[_TAIL].any()),
         arms=there["arms"], wings=there["wings"], long=bool(extent[2] > LONG[stands] * extent[1]), further=len(stiff),

@@ -10,13 +10,12 @@ import numpy as np
 
 from bunraku.anatomy.handles.blocks import away_from, joint_parents
 from bunraku.anatomy.handles.limbs import has_extra_legs
-from bunraku.anatomy.joints import Joints, attach_joints, estimated_reference_joints, reference_joints, refined_joints
+from bunraku.anatomy.joints import Joints, estimated_reference_joints, reference_joints, refined_joints
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle, rotation_between
 from bunraku.core.geometry.surface import surface_points, vertex_areas
-from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 
 __all__ = [
@@ -142,8 +141,8 @@ def _as_one(limb: _Limb, arm: _Limb, bent: float) -> _Limb:
 
 
 def upright(handles: Handles) -> bool:
-    """Whether the head is over the hips rather than before them; never of who has further limbs, and so many legs to
-    stand on, nor of who carries the head high on a level trunk over four legs, as a llama does.
+    """Whether the head is over the hips rather than before them: never of a body with further limbs, nor of one that
+    carries the head high on a level trunk over four legs, as a llama does.
     """
     if has_extra_legs(handles):
         return False
@@ -166,11 +165,10 @@ def _leg_rotations(thigh: _Limb | None, shin: _Limb | None, leg: _Limb | None, a
     """Rotations of a thigh and a shin, shape (2, 3, 3), from where each and the whole leg point and where the reference
     body's do.
 
-    Standing wide is style and stays: legs turn about the axis from left to right. Who has arms stands on straight
-    thighs, so bent ones idle, sit or crouch and are straightened, with their shins. Legs without a body that has arms
-    may be built bent, as those of birds and walking machines are, so a thigh or a shin that is bent by more than an
-    idle pose and less than sitting stays. A leg whose knee is hardly bent turns as one, because estimates of single
-    joints are not exact enough to bend a knee by.
+    Standing wide is style and stays: legs turn about the axis from left to right. A body with arms stands on straight
+    thighs, so bent ones idle, sit or crouch and are straightened, with their shins. Without arms legs may be built
+    bent, as those of birds are, so what is bent by more than an idle pose and less than sitting stays. A leg whose knee
+    is hardly bent turns as one, because estimates of single joints are not exact enough to bend a knee by.
     """
     out = np.tile(np.eye(3), (2, 1, 1))
     for number, limb in enumerate((thigh, shin)):
@@ -230,23 +228,19 @@ def rest_of_limbs(character: Character, handles: Handles, found: Joints) -> tupl
 
 
 def stance_of(
-    character: Character, handles: Handles, joints: Joints, to_reference: np.ndarray
+    character: Character, handles: Handles, transforms: np.ndarray, translations: np.ndarray
 ) -> tuple[Character, Handles]:
-    """The character with every handle turned, every joint held and its root where it was, and its handles as they are
-    there.
+    """The character in another pose, and its handles as they are there.
 
     Args:
         character: In its rest pose.
         handles: Its handles.
-        joints: Where they meet.
-        to_reference: Rotation of each handle, the identity for the root, shape (K, 3, 3).
+        transforms: From the rest pose into the other, shape (K, 3, 4).
+        translations: How far each handle is moved [m], shape (K, 3).
     """
-    rotations, translations = attach_joints(to_reference[None].astype(np.float64), handles, joints)
-    still = np.zeros((1, 3)), np.eye(3)[None]
-    motion = HandleMotion(translations, rotations, *still)
-    vertices = skin(character.vertices, handles.weights, motion.transforms(handles.positions))[0]
+    vertices = skin(character.vertices, handles.weights, transforms[None])[0]
     if handles.rigid:
-        positions = (handles.positions + translations[0]).astype(np.float32)
+        positions = (handles.positions + translations).astype(np.float32)
     else:
         positions = handle_positions(vertices, handles.weights, vertex_areas(vertices, character.faces))
     return replace(character, vertices=vertices, rig=None, source=None, avatar=None), Handles(
@@ -255,11 +249,8 @@ def stance_of(
 
 
 def flat_feet(character: Character, handles: Handles, rotations: np.ndarray) -> np.ndarray:
-    """The turns with feet that go along with their shins where that, and not their rest pose, makes them stand flat,
-    shape (K, 3, 3).
-
-    Who crouches on the toes has feet that belong to the shins; who sits, or crouches on flat feet, has them on the
-    ground already.
+    """The rotations with feet that go along with their shins where that, and not their rest pose, makes them stand
+    flat, shape (K, 3, 3): so they do where a body crouches on its toes, but not where it sits.
     """
     out = rotations.copy()
     areas = character.areas
@@ -313,8 +304,8 @@ def pieces(limb: tuple[int, ...], joints: Joints) -> list[tuple[int, int]]:
 def block_rest(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
     """How the rest pose of rigid blocks differs from the reference body's.
 
-    Arms, and the front legs of animals, are turned wholly, as those of bodies that bend are; the legs of who stands
-    upright where they do not stand.
+    Arms, and the front legs of animals, are turned wholly, as those of bodies that bend are; the legs of an upright
+    body where they do not stand.
 
     Args:
         character: In its rest pose.

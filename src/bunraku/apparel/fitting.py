@@ -18,15 +18,9 @@ from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.graph import clean_mesh, unique_edges
 
 __all__ = [
-    "carried",
-    "eased_border",
-    "fitted_clothes",
-    "fitted_rig",
-    "joint_weights_of_handles",
-    "joints_of_handles",
+    "carried", "eased_border", "fitted_clothes", "fitted_rig", "joint_weights_of_handles", "joints_of_handles",
     "without_worn",
-]
-
+]  # fmt: skip
 
 _HIPS = tuple(JOINT_NAMES.index(name) for name in ("left_hip", "right_hip"))
 _ABOVE_COLLARS = tuple(JOINT_NAMES.index(name) for name in ("left_collar", "right_collar"))

@@ -161,14 +161,9 @@ class _Over:
     """
 
     def __init__(
-        self,
-        clothed: ClothedCharacter,
-        part: np.ndarray,
-        vertices: np.ndarray,
-        rows: np.ndarray,
-        under: Sequence[tuple[int | None, np.ndarray]],
-        how: _How,
-    ):
+        self, clothed: ClothedCharacter, part: np.ndarray, vertices: np.ndarray, rows: np.ndarray,
+        under: Sequence[tuple[int | None, np.ndarray]], how: _How,
+    ):  # fmt: skip
         scale, rest = clothed.scale, np.asarray(clothed.rest, np.float64)
         self.rows, self.vertices = rows, vertices[rows]
         self.chosen = rows[:0]

@@ -15,15 +15,9 @@ from bunraku.errors import FormatError
 from bunraku.files import read_gltf, read_ply
 
 __all__ = [
-    "APPAREL_SHARE",
-    "apparel_mask",
-    "artist_mask",
-    "artist_mask_file",
-    "file_beside",
-    "moved_joints",
+    "APPAREL_SHARE", "apparel_mask", "artist_mask", "artist_mask_file", "file_beside", "moved_joints",
     "read_artist_mask",
-]
-
+]  # fmt: skip
 
 SUFFIXES = (".apparel.npy", ".apparel.txt", ".apparel.ply", ".apparel.glb")
 NEAR = 1e-3  # a painted vertex stands for those of the character that are as near, over its extent

@@ -17,21 +17,9 @@ from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 from bunraku.core.nn.layers import Linear, Norm, Weights, gelu, normed
 
 __all__ = [
-    "ApparelNodes",
-    "EdgeBlock",
-    "NEIGHBOURS",
-    "NodeGraph",
-    "apparel_nodes",
-    "apparel_parts",
-    "clothed_with_springs",
-    "held_vertices",
-    "node_swing",
-    "part_lengths",
-    "part_neighbours",
-    "surface_distances",
-    "whole_pieces",
-]
-
+    "ApparelNodes", "EdgeBlock", "NEIGHBOURS", "NodeGraph", "apparel_nodes", "apparel_parts", "clothed_with_springs",
+    "held_vertices", "node_swing", "part_lengths", "part_neighbours", "surface_distances", "whole_pieces",
+]  # fmt: skip
 
 MOSTLY = 0.4
 """Of a loose piece's points: a piece of which so many are apparel is apparel."""

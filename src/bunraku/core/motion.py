@@ -12,7 +12,7 @@ import numpy as np
 from bunraku.core.character import frozen_array
 from bunraku.core.geometry.rotations import Resampling
 from bunraku.core.saving import Saved
-from bunraku.core.skinning import handle_offsets
+from bunraku.core.skinning import handle_offsets, posed_points
 from bunraku.errors import MotionError, OptionError
 
 __all__ = [
@@ -212,6 +212,21 @@ class HandleMotion(Saved):
             np.einsum("nij,nkj->nki", self.root_rotation, local - h[0]) + h[0] + self.root_translation[:, None]
         )
         return out
+
+    def with_transforms(self, transforms: np.ndarray, positions: np.ndarray) -> HandleMotion:
+        """The motion with the same root and other world transforms of its handles.
+
+        Args:
+            transforms: As `transforms` gives them, shape (N, K, 3, 4), float64.
+            positions: Handle positions h [m], shape (K, 3).
+        """
+        h = positions.astype(np.float64)
+        root = self.root_rotation.astype(np.float64)
+        rotations = root.transpose(0, 2, 1)[:, None] @ transforms[..., :3]
+        away = posed_points(transforms, h) - h[0] - self.root_translation[:, None]
+        translations = np.einsum("nji,nkj->nki", root, away) + h[0] - h
+        rotations[:, 0], translations[:, 0] = np.eye(3), 0
+        return replace(self, rotations=rotations, translations=translations)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,9 @@ __all__ = [
     "STIFFNESS", "TAKES", "WHOLE", "from_json", "no_constant", "option", "read_json", "to_json",
 ]  # fmt: skip
 
+Progress = Callable[[str, float], None]
+"""Called with the name of a stage and the share of it that is done, 0 to 1."""
+
 
 @dataclass(frozen=True)
 class Limit:
@@ -56,8 +59,6 @@ STIFFNESS = Limit("stiffness", 0.001, 1000)
 GRAVITY = Limit("gravity", 0, 10)
 """Factor on the gravity of simulated apparel."""
 
-Progress = Callable[[str, float], None]
-"""Called with the name of a stage and the share of it that is done, 0 to 1."""
 Kind = TypeVar("Kind")
 MOST_ENTRIES = 1000
 """Entries of a list."""

@@ -19,7 +19,6 @@ from bunraku.language.sentence import Clause
 
 __all__ = ["Phrase", "SIDES", "Track", "agreement", "runs", "smooth"]
 
-
 SIDES = ("left", "right")
 _PARTS = ("ankle", "foot", "wrist", "elbow", "shoulder", "hip")
 _NAMES = [f"{side}_{part}" for side in SIDES for part in _PARTS] + ["head_top", "head"]

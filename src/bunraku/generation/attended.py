@@ -43,14 +43,9 @@ class ExampleBank:
     """
 
     def __init__(
-        self,
-        pack: ExamplePack,
-        ranker: Extractor,
-        encoder: TextEncoder,
-        statistics: FeatureStatistics,
-        count: int,
+        self, pack: ExamplePack, ranker: Extractor, encoder: TextEncoder, statistics: FeatureStatistics, count: int,
         frames: int = 196,
-    ):
+    ):  # fmt: skip
         self.pack, self.ranker, self.encoder, self.statistics = pack, ranker, encoder, statistics
         self.count, self.frames = count, frames
         self._takes = [take_of(one.name) for one in pack.examples]
@@ -121,11 +116,9 @@ class ExampleBank:
 
 
 def example_bank(
-    config: DenoiserConfig,
-    statistics: FeatureStatistics,
-    pack: ExamplePack | None = None,
+    config: DenoiserConfig, statistics: FeatureStatistics, pack: ExamplePack | None = None,
     encoder: TextEncoder | None = None,
-) -> ExampleBank:
+) -> ExampleBank:  # fmt: skip
     """The bank of a denoiser that attends to examples; with the shipped pack it is kept between calls.
 
     Args:

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 __all__ = ["GUIDANCE", "STEPS", "SamplingSettings", "arrive", "draw_candidates", "frames_of", "way_of"]
 
-
 STILL = 0.3  # m/s; a loop whose root goes no faster than this, all in all, is meant to stay where it is
 
 
@@ -161,15 +160,10 @@ class SamplingSettings:
 
 
 def draw_candidates(
-    texts: Texts,
-    scripts: Sequence[Sequence[Clause]],
-    noise: list[tuple[int, int]],
-    how: SamplingSettings,
-    loop: bool,
-    path: GroundPath | None,
-    examples: Sequence[tuple[GuidanceExample | None, GuidanceExample | None]],
+    texts: Texts, scripts: Sequence[Sequence[Clause]], noise: list[tuple[int, int]], how: SamplingSettings, loop: bool,
+    path: GroundPath | None, examples: Sequence[tuple[GuidanceExample | None, GuidanceExample | None]],
     critic: Critic | None = None,
-) -> list[Candidate]:
+) -> list[Candidate]:  # fmt: skip
     """One candidate for each script from its own noise, all in one batch.
 
     Args:
@@ -257,12 +251,9 @@ def way_of(path: GroundPath, frames: int, fps: float, script: Sequence[Clause]) 
 
 
 def _held(
-    ways: Sequence[np.ndarray] | None,
-    stands: Sequence[bool],
-    sizes: Sequence[int],
-    statistics: FeatureStatistics,
+    ways: Sequence[np.ndarray] | None, stands: Sequence[bool], sizes: Sequence[int], statistics: FeatureStatistics,
     fps: float,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """What is known beforehand, in network units, and which features these are: both (F, D). The root's velocities
     where it follows a path; legs that stand in the first frames of who is about to sit or lie down.
     """
@@ -284,12 +275,9 @@ def _held(
 
 
 def _guided(
-    examples: Sequence[GuidanceExample | None],
-    lengths: Sequence[list[int]],
-    sizes: Sequence[int],
-    statistics: FeatureStatistics,
-    loop: bool,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    examples: Sequence[GuidanceExample | None], lengths: Sequence[list[int]], sizes: Sequence[int],
+    statistics: FeatureStatistics, loop: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:  # fmt: skip
     """What candidates start from, in network units, (F, D), how far, (F, 1), and down to which step of the sampler,
     (F, 1); None where no one has an example.
     """

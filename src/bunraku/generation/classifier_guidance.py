@@ -60,14 +60,9 @@ class ClassifierGuidance:
     """
 
     def __init__(
-        self,
-        network: Extractor,
-        mean: np.ndarray,
-        std: np.ndarray,
-        stretches: Sequence[Spoken],
-        strength: float = STRENGTH,
-        rounds: int = 1,
-    ):
+        self, network: Extractor, mean: np.ndarray, std: np.ndarray, stretches: Sequence[Spoken],
+        strength: float = STRENGTH, rounds: int = 1,
+    ):  # fmt: skip
         self.network, self.mean, self.std, self.strength, self.rounds = network, mean, std, strength, rounds
         self.stretches = sorted(stretches, key=lambda one: one.frames[1] - one.frames[0])
 
@@ -120,14 +115,9 @@ class Critic:
     strength: float = STRENGTH
 
     def guidance(
-        self,
-        model: Denoiser,
-        scripts: Sequence[Sequence[str]],
-        lengths: Sequence[Sequence[int]],
-        sizes: Sequence[int],
-        guide: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
-        steps: int = FEW,
-    ) -> ClassifierGuidance:
+        self, model: Denoiser, scripts: Sequence[Sequence[str]], lengths: Sequence[Sequence[int]], sizes: Sequence[int],
+        guide: tuple[np.ndarray, np.ndarray, np.ndarray] | None, steps: int = FEW,
+    ) -> ClassifierGuidance:  # fmt: skip
         """For motions that lie one after the other on the time line.
 
         Args:

@@ -20,7 +20,6 @@ from bunraku.language.sentence import Clause
 
 __all__ = ["PartTrack", "clause_spans", "overlaid", "steadied", "straightened", "turned_as_asked", "with_limbs"]
 
-
 _SAVITZKY_GOLAY = np.array([-3, 12, 17, 12, -3]) / 35
 """Least-squares parabolas through five frames (Savitzky & Golay 1964): nothing changes below 3 Hz, half goes at 6."""
 STRENGTH = 0.6

@@ -30,19 +30,9 @@ from bunraku.generation.layers import (
 )
 
 __all__ = [
-    "Denoiser",
-    "EXAMPLE_TOKENS",
-    "FEW_STEPS_KIND",
-    "FewSteps",
-    "RetrievedExamples",
-    "fingerprint",
-    "joint_offsets",
-    "load_denoiser",
-    "load_denoiser_of_few_steps",
-    "load_few_steps",
-    "text_encoder_name",
-]
-
+    "Denoiser", "EXAMPLE_TOKENS", "FEW_STEPS_KIND", "FewSteps", "RetrievedExamples", "fingerprint", "joint_offsets",
+    "load_denoiser", "load_denoiser_of_few_steps", "load_few_steps", "text_encoder_name",
+]  # fmt: skip
 
 EXAMPLE_TOKENS = 2
 """Motion tokens whose frames share one token of an example: examples need less detail, and attention to them is half
@@ -171,12 +161,9 @@ class Denoiser:
     """
 
     def __init__(
-        self,
-        config: DenoiserConfig,
-        weights: Weights,
-        notes: dict[str, Any] | None = None,
+        self, config: DenoiserConfig, weights: Weights, notes: dict[str, Any] | None = None,
         visited: tuple[int, ...] = (),
-    ):
+    ):  # fmt: skip
         self.config, self.visited = config, visited
         self.notes: dict[str, Any] = notes or {}
         width, patch = config.width, config.frames_per_token
@@ -217,15 +204,9 @@ class Denoiser:
         return bool(self.notes.get("characters"))
 
     def condition(
-        self,
-        text: np.ndarray | None,
-        text_mask: np.ndarray | None,
-        pooled: np.ndarray | None,
-        mesh: np.ndarray | None,
-        keep_text: np.ndarray,
-        keep_mesh: np.ndarray,
-        examples: RetrievedExamples | None = None,
-    ) -> Condition:
+        self, text: np.ndarray | None, text_mask: np.ndarray | None, pooled: np.ndarray | None, mesh: np.ndarray | None,
+        keep_text: np.ndarray, keep_mesh: np.ndarray, examples: RetrievedExamples | None = None,
+    ) -> Condition:  # fmt: skip
         """What the layers read beside the motion, which does not depend on the step.
 
         Args:

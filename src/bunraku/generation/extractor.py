@@ -20,22 +20,9 @@ from bunraku.generation.features import FEATURE_SIZE
 from bunraku.language.encoders import TextBatch, TextEncoder
 
 __all__ = [
-    "Extractor",
-    "ExtractorConfig",
-    "FARTHEST",
-    "KIND",
-    "LONGEST",
-    "RADIUS",
-    "RANKER",
-    "SHORTEST",
-    "embed_motions",
-    "embed_sentences",
-    "load_critic",
-    "load_extractor",
-    "load_ranker",
-    "sentence_vectors",
-]
-
+    "Extractor", "ExtractorConfig", "FARTHEST", "KIND", "LONGEST", "RADIUS", "RANKER", "SHORTEST", "embed_motions",
+    "embed_sentences", "load_critic", "load_extractor", "load_ranker", "sentence_vectors",
+]  # fmt: skip
 
 KIND, RANKER = "extractor", "ranker"
 """Kinds of checkpoints: who judges, and who chooses."""
@@ -257,10 +244,7 @@ def _normed(x: np.ndarray, norm: Norm) -> tuple[np.ndarray, Back]:
 
 
 def _ends(weights: Weights, config: ExtractorConfig) -> tuple[Linear, Linear]:
-    return (
-        weights.linear("0", 2 * config.width, config.width),
-        weights.linear("3", config.width, config.embedding),
-    )
+    return (weights.linear("0", 2 * config.width, config.width), weights.linear("3", config.width, config.embedding))
 
 
 def _ended(x: np.ndarray, norm: Norm, ends: tuple[Linear, Linear]) -> tuple[np.ndarray, Back]:

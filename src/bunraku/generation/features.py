@@ -1,4 +1,4 @@
-"""A handle motion as the numbers that the denoiser sees.
+"""A handle motion as the numbers that the denoiser sees, and motions of SMPL's 22 joints as handle motions.
 
 Each frame holds the root without its place and heading, then each other handle, D = 10 + 9 (K - 1) = 271 numbers:
 
@@ -16,33 +16,58 @@ a motion is put together, so any cut of a clip is a clip.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES
+from bunraku.core.body.reference import leg_length, reference_body
 from bunraku.core.geometry.rotations import heading, matrix_from_6d, matrix_to_6d, matrix_y
-from bunraku.core.motion import HandleMotion
+from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import MotionError
 
 __all__ = [
-    "decode",
-    "encode",
-    "feature_mask",
-    "FEATURE_SIZE",
-    "feature_weights",
-    "FeatureStatistics",
+    "body_handle_motion", "decode", "encode", "feature_mask", "FEATURE_SIZE", "feature_weights", "FeatureStatistics",
     "HANDLE_SIZE",
-    "is_rotation",
-    "mirror",
-    "root_velocities",
-    "ROOT_SIZE",
-    "standing_legs",
-]
+    "is_rotation", "mirror", "root_velocities", "ROOT_SIZE", "standing_legs",
+]  # fmt: skip
 
 ROOT_SIZE, HANDLE_SIZE = 10, 9
 FEATURE_SIZE = ROOT_SIZE + HANDLE_SIZE * (HANDLE_COUNT - 1)
 _SIX_SIGNS = np.array([1, -1, -1, -1, 1, 1], np.float32)
+
+
+STANDS = 0.05
+"""Share of the frames of `body_handle_motion` whose lowest point may be under the ground."""
+
+
+def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:
+    """Handle motion of the reference body, which stands on y = 0.
+
+    Args:
+        motion: Of SMPL's 22 joints, relative to the reference body's T-pose (`anatomy.names.to_smpl`).
+
+    Raises:
+        MotionError: It has other joints.
+    """
+    from bunraku.anatomy.anatomy import reference_anatomy
+
+    if motion.skeleton.names != JOINT_NAMES:
+        raise MotionError("the reference body takes motions of SMPL's 22 joints only; map the skeleton first")
+    body, anatomy = reference_body(), reference_anatomy()
+    world = motion.world()[0].astype(np.float64)
+    root = world[:, 0]
+    rotations = np.tile(np.eye(3), (len(motion), HANDLE_COUNT, 1, 1))
+    rotations[:, 1:JOINT_COUNT] = np.swapaxes(root, -1, -2)[:, None] @ world[:, 1:]
+    for handle in range(JOINT_COUNT, HANDLE_COUNT):
+        rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
+    rotations, translations = anatomy.attached(rotations)
+    scale = leg_length(body.joints) / max(leg_length(motion.skeleton.positions), 1e-9)
+    pelvis, position = body.joints[0].astype(np.float64), body.handles.positions[0].astype(np.float64)
+    path = motion.root_translation * scale + np.einsum("nij,j->ni", root, position - pelvis) - position
+    out = HandleMotion(translations, rotations, path, root, motion.fps)
+    path[:, 1] -= np.quantile(anatomy.surface_reach.lowest(out.transforms(body.handles.positions)), STANDS)
+    return replace(out, root_translation=path)
 
 
 def encode(motion: HandleMotion) -> np.ndarray:

@@ -26,19 +26,9 @@ if TYPE_CHECKING:
     from bunraku.generation.ranking import Candidate
 
 __all__ = [
-    "SamplingSettings",
-    "GUIDANCE",
-    "STEPS",
-    "adapt",
-    "continue_motion",
-    "edit_motion",
-    "generate_motion",
-    "generate_motions",
-    "generated_runs",
-    "pose_frames",
-    "span_frames",
-]
-
+    "SamplingSettings", "GUIDANCE", "STEPS", "adapt", "continue_motion", "edit_motion", "generate_motion",
+    "generate_motions", "generated_runs", "pose_frames", "span_frames",
+]  # fmt: skip
 
 _APART = 1_000_003
 """Between the noise of a motion's candidates, so that none is that of another motion of the batch."""
@@ -61,13 +51,9 @@ def generate_motion(prompt: str, seconds: float, *, seed: int = 0, **sampling: A
 
 
 def generate_motions(
-    scripts: Sequence[Sequence[Clause]],
-    *,
-    seeds: int | Sequence[int] = 0,
-    loop: bool = False,
-    path: GroundPath | None = None,
-    **sampling: Any,
-) -> list[HandleMotion]:
+    scripts: Sequence[Sequence[Clause]], *, seeds: int | Sequence[int] = 0, loop: bool = False,
+    path: GroundPath | None = None, **sampling: Any,
+) -> list[HandleMotion]:  # fmt: skip
     """Handle motions of the reference body, all in one batch, each from one clause or several in a row.
 
     Args:
@@ -231,15 +217,9 @@ def generated_runs(first: int, after: int, kept: Sequence[int]) -> list[tuple[in
 
 
 def edit_motion(
-    motion: HandleMotion,
-    clause: Clause,
-    *,
-    keep: str | Sequence[str] = (),
-    span: tuple[float, float] | None = None,
-    poses: Sequence[float] = (),
-    seed: int = 0,
-    **sampling: Any,
-) -> HandleMotion:
+    motion: HandleMotion, clause: Clause, *, keep: str | Sequence[str] = (), span: tuple[float, float] | None = None,
+    poses: Sequence[float] = (), seed: int = 0, **sampling: Any,
+) -> HandleMotion:  # fmt: skip
     """The motion with all but what is kept generated anew from a clause.
 
     Args:
@@ -313,14 +293,9 @@ def continue_motion(motion: HandleMotion, script: Sequence[Clause], *, seed: int
     still = history.take(frames)
     lengths[0] += past - 1
     made = _generate(
-        still,
-        [(past, len(frames))],
-        np.zeros(HANDLE_COUNT, bool),
-        [clause.text for clause in script],
-        lengths,
-        seed,
+        still, [(past, len(frames))], np.zeros(HANDLE_COUNT, bool), [clause.text for clause in script], lengths, seed,
         how,
-    )
+    )  # fmt: skip
     made = placed_at(made, past - 1, history, past - 1).take(slice(past - 1, len(made)))
     return put_back(made, still.take(slice(past - 1, len(still))), np.zeros(HANDLE_COUNT, bool), 1, len(made), fade=0)
 
@@ -336,14 +311,9 @@ def _check(motion: HandleMotion, model: Denoiser) -> None:
 
 
 def _generate(
-    original: HandleMotion,
-    runs: Sequence[tuple[int, int]],
-    handles: np.ndarray,
-    texts: list[str],
-    lengths: list[int],
-    seed: int,
-    how: SamplingSettings,
-) -> HandleMotion:
+    original: HandleMotion, runs: Sequence[tuple[int, int]], handles: np.ndarray, texts: list[str], lengths: list[int],
+    seed: int, how: SamplingSettings,
+) -> HandleMotion:  # fmt: skip
     """All frames of the original with some runs of frames made anew, but for the kept handles; the root's path from x
     = z = 0 facing +Z.
     """

@@ -26,21 +26,9 @@ if TYPE_CHECKING:
     from bunraku.gestures.pose import Gesture
 
 __all__ = [
-    "CROUCH",
-    "GuidanceExample",
-    "GuidanceExamples",
-    "Guide",
-    "circled",
-    "fills",
-    "fits_into",
-    "goes_on",
-    "hurried",
-    "laid",
-    "laid_script",
-    "liveliest",
-    "pose_distance",
-]
-
+    "CROUCH", "GuidanceExample", "GuidanceExamples", "Guide", "circled", "fills", "fits_into", "goes_on", "hurried",
+    "laid", "laid_script", "liveliest", "pose_distance",
+]  # fmt: skip
 
 HURRY = 1.35
 """Factor by which an example that is done once is sped up at the most to fit in."""
@@ -96,13 +84,9 @@ def fills(pack: ExamplePack, found: Found, frames: int) -> bool:
 
 
 def laid(
-    pack: ExamplePack,
-    found: Found,
-    frames: int,
-    statistics: FeatureStatistics,
-    random: np.random.Generator,
+    pack: ExamplePack, found: Found, frames: int, statistics: FeatureStatistics, random: np.random.Generator,
     manner: Manner = AS_USUAL,
-) -> Guide:
+) -> Guide:  # fmt: skip
     """An example made as long as is wanted: what goes on is played on or cut, what is done once is joined to standing,
     or done faster. Where it neither rests nor can be joined, the frames before and after it are the sampler's own. A
     gesture is performed anew, for so long.
@@ -182,7 +166,7 @@ def _performed(
     pack: ExamplePack, gesture: Gesture, frames: int, random: np.random.Generator, manner: Manner
 ) -> np.ndarray:
     """What the denoiser sees of a gesture that is done by one of the people who stand, shape (N, 271)."""
-    from bunraku.anatomy.anatomy import body_handle_motion
+    from bunraku.generation.features import body_handle_motion
     from bunraku.gestures.perform import performed
 
     return encode(body_handle_motion(performed(gesture, frames, pack.idles, random, manner, busy=pack.busy)))
@@ -298,13 +282,9 @@ def circled(features: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndar
 
 
 def laid_script(
-    pack: ExamplePack,
-    parts: Sequence[tuple[Found | None, int]],
-    frames: int,
-    statistics: FeatureStatistics,
-    random: np.random.Generator,
-    manners: Sequence[Manner] = (),
-) -> Guide:
+    pack: ExamplePack, parts: Sequence[tuple[Found | None, int]], frames: int, statistics: FeatureStatistics,
+    random: np.random.Generator, manners: Sequence[Manner] = (),
+) -> Guide:  # fmt: skip
     """The examples of sentences in a row; frames of a sentence without one are the sampler's own.
 
     Args:

@@ -14,16 +14,9 @@ from bunraku.core.nn.layers import Attention, Memory, Norm, Rotary, Weights, app
 from bunraku.generation.features import FEATURE_SIZE
 
 __all__ = [
-    "Condition",
-    "DecoderLayer",
-    "DenoiserConfig",
-    "PRESETS",
-    "TRAINING_STEPS",
-    "denoiser_config",
-    "rotary_positions",
+    "Condition", "DecoderLayer", "DenoiserConfig", "PRESETS", "TRAINING_STEPS", "denoiser_config", "rotary_positions",
     "waves",
-]
-
+]  # fmt: skip
 
 TRAINING_STEPS = 1000
 """Of noise, from the clean motion on; a sampler visits some of them."""
@@ -113,12 +106,10 @@ class Condition:
         """Of some rows of the batch."""
         return Condition(
             [Memory(one.keys[rows], one.values[rows]) for one in self.memories],
-            None if self.hidden is None else self.hidden[rows],
-            self.sentence[rows],
-            self.mesh[rows],
+            None if self.hidden is None else self.hidden[rows], self.sentence[rows], self.mesh[rows],
             [None if one is None else Memory(one.keys[rows], one.values[rows]) for one in self.examples],
             None if self.hidden_examples is None else self.hidden_examples[rows],
-        )
+        )  # fmt: skip
 
 
 def rotary_positions(tokens: np.ndarray, size: int) -> Rotary:

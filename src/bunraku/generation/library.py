@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Clip", "Source", "all_clips", "clip", "features_of", "motion_of", "search"]
 
-
 _NAME, _TAG, _SENTENCE, _ACTION = 3.0, 2.0, 1.0, 2.0
 """What a word counts for that stands in the name, in a tag or in the sentence of a clip, and an action in common."""
 _BEGUN = 0.5
@@ -210,11 +209,12 @@ def motion_of(stretch: str, seconds: float | None = None, loop: bool = False) ->
 
 
 def features_of(stretch: str, seconds: float | None = None, loop: bool = False) -> np.ndarray:
-    """What the denoiser sees of a stretch (see `diffusion.features`), shape (N, 271), as long as it is to last.
+    """What the denoiser sees of a stretch (see `generation.features`), shape (N, 271), as long as it is to last.
 
     Args:
         stretch: A name of the examples (`Clip.stretch`).
-        seconds, loop: As of `Clip.motion`.
+        seconds: As of `Clip.motion`.
+        loop: As of `Clip.motion`.
 
     Raises:
         OptionError: It cannot last so long.

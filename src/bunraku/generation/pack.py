@@ -30,26 +30,9 @@ if TYPE_CHECKING:
     from bunraku.gestures.pose import Gesture
 
 __all__ = [
-    "BUSY",
-    "FPS",
-    "IDLE",
-    "KIND",
-    "MADE",
-    "OWN",
-    "Example",
-    "ExamplePack",
-    "Said",
-    "fingerprint",
-    "load_examples",
-    "packed_stretch",
-    "read_pack",
-    "said_by",
-    "said_path",
-    "stand_well",
-    "unpacked_stretch",
-    "write_pack",
-    "write_said",
-]
+    "BUSY", "FPS", "IDLE", "KIND", "MADE", "OWN", "Example", "ExamplePack", "Said", "fingerprint", "load_examples",
+    "packed_stretch", "read_pack", "said_by", "said_path", "stand_well", "unpacked_stretch", "write_pack", "write_said",
+]  # fmt: skip
 
 KIND = "examples"
 FPS = 20.0
@@ -277,10 +260,9 @@ def _features(data: bytes, frames: int) -> np.ndarray:
 
 def _encoded(root: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     """Features of a stretch (see `diffusion.features`), shape (N, 271)."""
-    from bunraku.anatomy.anatomy import body_handle_motion
     from bunraku.core.body.reference import reference_body
     from bunraku.core.motion import SkeletalMotion
-    from bunraku.generation.features import encode
+    from bunraku.generation.features import body_handle_motion, encode
 
     return encode(body_handle_motion(SkeletalMotion(reference_body().skeleton, rotations, root, FPS)))
 
@@ -413,13 +395,9 @@ def read_pack(path: str | Path) -> ExamplePack:
         ]
         owners = state["owners"]
         found = ExamplePack(
-            tuple(examples),
-            tuple([data[start:stop] for start, stop in zip(ends, ends[1:], strict=False)]),
-            owners,
-            state["texts"],
-            state["motions"],
-            str(config["ranker"]),
-        )
+            tuple(examples), tuple([data[start:stop] for start, stop in zip(ends, ends[1:], strict=False)]), owners,
+            state["texts"], state["motions"], str(config["ranker"]),
+        )  # fmt: skip
         fits = found.texts.shape[:2] == (2, len(owners)) and found.motions.shape[:2] == (2, len(examples))
         if not fits or len(sizes) != len(examples) or not ((owners >= 0) & (owners < len(examples))).all():
             raise ValueError("its tables have different lengths")

@@ -50,11 +50,9 @@ class Candidate:
 
 
 def script_scores(
-    ranker: Extractor,
-    text: Mapping[str, np.ndarray],
-    motions: Sequence[np.ndarray],
+    ranker: Extractor, text: Mapping[str, np.ndarray], motions: Sequence[np.ndarray],
     scripts: Sequence[Sequence[tuple[Clause, int]]],
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """How well each motion does what its script says, the mean cosine over its sentences, shape (M,).
 
     Args:
@@ -101,11 +99,9 @@ def script_agreement(motion: np.ndarray, script: Sequence[tuple[Clause, int]], l
 
 
 def choose(
-    draw: Callable[[list[int], list[int]], list[Candidate]],
-    motions: int,
-    candidates: int,
+    draw: Callable[[list[int], list[int]], list[Candidate]], motions: int, candidates: int,
     score: Callable[[Sequence[Candidate]], np.ndarray],
-) -> list[Candidate]:
+) -> list[Candidate]:  # fmt: skip
     """The best candidate of each motion; where not even that does what is plainly said, more are drawn.
 
     Args:

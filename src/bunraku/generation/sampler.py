@@ -18,25 +18,9 @@ from bunraku.generation.layers import TRAINING_STEPS
 from bunraku.language.encoders import TextBatch
 
 __all__ = [
-    "Known",
-    "Noise",
-    "Predictor",
-    "Sample",
-    "Solver",
-    "Steering",
-    "Window",
-    "alphas_cumprod",
-    "between",
-    "dpm_solver",
-    "guided",
-    "row_noise",
-    "sample",
-    "sample_windows",
-    "sampling_steps",
-    "starting_noise",
-    "token_share",
-]
-
+    "Known", "Noise", "Predictor", "Sample", "Solver", "Steering", "Window", "alphas_cumprod", "between", "dpm_solver",
+    "guided", "row_noise", "sample", "sample_windows", "sampling_steps", "starting_noise", "token_share",
+]  # fmt: skip
 
 _BITS = 24
 _LANES = 16
@@ -241,12 +225,9 @@ def between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndar
 
 
 def guided(
-    conditional: np.ndarray,
-    unconditional: np.ndarray,
-    guidance: float,
-    rescale: float = 0.0,
+    conditional: np.ndarray, unconditional: np.ndarray, guidance: float, rescale: float = 0.0,
     real: np.ndarray | None = None,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Classifier-free guidance on x0 (Ho & Salimans 2022), brought back towards the conditional's deviation by the
     share `rescale` (Lin et al. 2023), shape (B, N, D); `real` (B, N) is False in padding, which does not count in the
     deviation.
@@ -304,15 +285,9 @@ class Steering:
 
 
 def sample(
-    model: Denoiser,
-    text: TextBatch,
-    frames: int | Sequence[int],
-    solver: Solver = Solver(),
-    *,
-    mesh_features: np.ndarray | None = None,
-    seed: int = 0,
-    known: Known | None = None,
-) -> Sample:
+    model: Denoiser, text: TextBatch, frames: int | Sequence[int], solver: Solver = Solver(), *,
+    mesh_features: np.ndarray | None = None, seed: int = 0, known: Known | None = None,
+) -> Sample:  # fmt: skip
     """Draw one motion for each sentence, all in one batch.
 
     Args:
@@ -340,15 +315,9 @@ def sample(
 
 
 def sample_windows(
-    model: Denoiser,
-    text: TextBatch,
-    windows: Sequence[Window],
-    noise: np.ndarray,
-    solver: Solver = Solver(),
-    steering: Steering = Steering(),
-    *,
-    mesh_features: np.ndarray | None = None,
-) -> Sample:
+    model: Denoiser, text: TextBatch, windows: Sequence[Window], noise: np.ndarray, solver: Solver = Solver(),
+    steering: Steering = Steering(), *, mesh_features: np.ndarray | None = None,
+) -> Sample:  # fmt: skip
     """Denoise a time line through windows, all of them at each step: where they overlap, x0 is the mean of what they
     predict.
 
@@ -391,15 +360,9 @@ class Predictor:
     """
 
     def __init__(
-        self,
-        model: Denoiser,
-        text: TextBatch,
-        windows: Sequence[Window],
-        frames: int,
-        solver: Solver = Solver(),
-        steering: Steering = Steering(),
-        mesh_features: np.ndarray | None = None,
-    ):
+        self, model: Denoiser, text: TextBatch, windows: Sequence[Window], frames: int, solver: Solver = Solver(),
+        steering: Steering = Steering(), mesh_features: np.ndarray | None = None,
+    ):  # fmt: skip
         self.model, self.steering = model, steering
         self.visited = list(model.visited) or sampling_steps(solver.steps)
         guide = steering.guide
@@ -453,16 +416,9 @@ class _Group:
     """
 
     def __init__(
-        self,
-        model: Denoiser,
-        text: TextBatch,
-        windows: Sequence[Window],
-        mesh_features: np.ndarray | None,
-        examples: RetrievedExamples | None,
-        solver: Solver,
-        total: np.ndarray,
-        led: bool,
-    ):
+        self, model: Denoiser, text: TextBatch, windows: Sequence[Window], mesh_features: np.ndarray | None,
+        examples: RetrievedExamples | None, solver: Solver, total: np.ndarray, led: bool,
+    ):  # fmt: skip
         self.led = led
         count, longest = len(windows), max(len(window.frames) for window in windows)
         self.guidance, self.rescale = solver.guidance, solver.rescale

@@ -11,19 +11,9 @@ from bunraku.generation.agreement import Track
 from bunraku.generation.features import FeatureStatistics, decode, feature_weights
 
 __all__ = [
-    "AROUND",
-    "END",
-    "FEWEST",
-    "Joins",
-    "held",
-    "join_point",
-    "on_one_leg",
-    "played",
-    "rests",
-    "splice",
+    "AROUND", "END", "FEWEST", "Joins", "held", "join_point", "on_one_leg", "played", "rests", "splice",
     "standing_stretches",
-]
-
+]  # fmt: skip
 
 END = 4
 """Frames that say whether somebody rests."""
@@ -31,12 +21,9 @@ _BLEND = 6
 
 
 def join_point(
-    tail: np.ndarray,
-    head: np.ndarray,
-    weights: np.ndarray,
-    blend: int = _BLEND,
+    tail: np.ndarray, head: np.ndarray, weights: np.ndarray, blend: int = _BLEND,
     most: tuple[int | None, int | None] = (None, None),
-) -> tuple[int, int, float]:
+) -> tuple[int, int, float]:  # fmt: skip
     """Where to leave one motion and enter another so that pose and velocity agree best.
 
     Args:
@@ -129,11 +116,9 @@ class Joins:
     """
 
     def __init__(
-        self,
-        standing: Sequence[np.ndarray],
-        walking: Sequence[tuple[np.ndarray, tuple[int, int]]] = (),
+        self, standing: Sequence[np.ndarray], walking: Sequence[tuple[np.ndarray, tuple[int, int]]] = (),
         near: float = NEAR,
-    ):
+    ):  # fmt: skip
         self._share, self._near = feature_weights(), near
         self.standing, self.walking = list(standing), list(walking)
 

@@ -95,15 +95,9 @@ def _rise(frames: np.ndarray, length: int) -> np.ndarray:
 
 
 def sample_plans(
-    model: Denoiser,
-    text: TextBatch,
-    plans: Sequence[Plan],
-    solver: Solver,
-    steering: Steering | None = None,
-    *,
-    seeds: int | Sequence[int] | Sequence[tuple[int, int]] = 0,
-    mesh_features: np.ndarray | None = None,
-) -> list[Sample]:
+    model: Denoiser, text: TextBatch, plans: Sequence[Plan], solver: Solver, steering: Steering | None = None, *,
+    seeds: int | Sequence[int] | Sequence[tuple[int, int]] = 0, mesh_features: np.ndarray | None = None,
+) -> list[Sample]:  # fmt: skip
     """Make several motions in one batch.
 
     Args:
@@ -128,13 +122,7 @@ def sample_plans(
     drawn = drawn_noise(seeds, len(plans))
     noise = [row_noise(length, size, *pair) for length, pair in zip(lengths, drawn, strict=True)]
     found = sample_windows(
-        model,
-        text,
-        windows,
-        np.concatenate(noise),
-        solver,
-        steering or Steering(),
-        mesh_features=mesh_features,
+        model, text, windows, np.concatenate(noise), solver, steering or Steering(), mesh_features=mesh_features
     )
     ends = np.cumsum(lengths)[:-1]
     parts = np.split(found.values, ends), np.split(found.adaptation, ends)

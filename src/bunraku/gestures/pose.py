@@ -24,6 +24,7 @@ __all__ = [
     "foot_on",
     "mirrored_pose",
     "moved",
+    "repeated_gesture",
     "through",
     "vector",
 ]
@@ -203,6 +204,23 @@ def again(
     keys += [(over, last), (over + end, still)]
     x, y, z = drift
     return tuple(keys), Repeat(start, period, times, (x, y, z))
+
+
+def repeated_gesture(
+    name: str, poses: Sequence[Pose], period: float, times: int, *, steps: bool = False, **how: Any
+) -> Gesture:
+    """A gesture whose poses are done again and again between two rests.
+
+    Args:
+        name: Of the gesture.
+        poses: As in `again`.
+        period: The same.
+        times: The same.
+        steps: Feet go where the poses say.
+        how: `start`, `end`, `rest` and `drift` of `again`.
+    """
+    keys, repeat = again(poses, period, times, **how)
+    return Gesture(name, (), keys, (repeat.start, repeat.stop - repeat.period), steps, repeat)
 
 
 def moved(pose: Pose, by: Sequence[float]) -> Pose:

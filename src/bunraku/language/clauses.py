@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from bunraku.language.captions import is_known_clause
-from bunraku.language.interactions import handling_of, interaction_of, with_names
+from bunraku.language.interactions import Handling, interaction_of, read_as, with_names
 from bunraku.language.lexicon import actions_of, lexicon, said_cues, said_traits, words_of
 from bunraku.language.limb_phrases import names_limb
 from bunraku.language.posing import Posing, posing_of
@@ -266,9 +266,9 @@ def handed_on(clauses: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
     """
     found: list[tuple[str, float]] = []
     for text, seconds in clauses:
-        if found and (first := handling_of(found[-1][0])) and (second := handling_of(text)):
+        if found and (first := read_as(Handling, found[-1][0])) and (second := read_as(Handling, text)):
             joined = f"{found[-1][0].rstrip(' .,')}, then {subject_of(text)[1]}"
-            if first.stations[-1].does != "put" and second.stations[0].does == "hold" and handling_of(joined):
+            if first.steps[-1].does != "put" and second.steps[0].does == "hold" and read_as(Handling, joined):
                 found[-1] = joined, found[-1][1] + seconds
                 continue
         if found and _of_limbs(joined := f"{found[-1][0].rstrip(' .,')}, then {subject_of(text)[1]}"):
@@ -466,7 +466,7 @@ def moved_part(clause: str) -> str:
     part = table.parts.get(verb, "")
     if part in ("legs", "arms", "head"):
         return part
-    held = handling_of(clause)
+    held = read_as(Handling, clause)
     if held is not None and held.said and held.only_held:
         return "arms"  # a thing that is carried as captured people carry it is no gesture
     said = {table.actions[action].part for action in actions_of(clause)}

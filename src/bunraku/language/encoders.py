@@ -20,21 +20,13 @@ import numpy as np
 from bunraku.core.nn.checkpoints import dated, halves_of
 from bunraku.core.nn.layers import Linear, Norm, PostNorm, unit
 from bunraku.errors import MissingExtraError, WeightsError
-from bunraku.language.lexicon import CUES, sentence_cues
+from bunraku.language.lexicon import lexicon, said_cues
 from bunraku.language.tokenizer import WordPieces, encoder_file, read_header
 
 __all__ = [
-    "TEXT_LENGTH",
-    "RARE",
-    "SCALES",
-    "CLIPEncoder",
-    "CuedEncoder",
-    "MiniLMEncoder",
-    "TextBatch",
-    "TextEncoder",
-    "encoder_of",
-    "text_encoder",
-]
+    "CLIPEncoder", "CUES", "CuedEncoder", "MiniLMEncoder", "RARE", "SCALES", "TEXT_LENGTH", "TextBatch", "TextEncoder",
+    "encoder_of", "sentence_cues", "text_encoder",
+]  # fmt: skip
 
 TEXT_LENGTH = 30
 
@@ -251,6 +243,25 @@ class CLIPEncoder:
         output = self._model(**batch, output_hidden_states=True)
         tokens, pooled = (value[0].detach().numpy() for value in (output.hidden_states[-2], output.pooler_output))
         return tokens, unit(pooled)
+
+
+CUES: tuple[str, ...] = (
+    *(f"{side} {place}" for place in ("arm", "leg", "turn", "go") for side in ("left", "right")),
+    *lexicon().cues,
+)
+"""What the numbers of `sentence_cues` stand for."""
+
+
+def sentence_cues(sentence: str) -> np.ndarray:
+    """What a sentence in English says of sides, directions, turns, counts, speeds and postures.
+
+    The cues of a sentence with left and right exchanged are the cues with their sides exchanged.
+
+    Returns:
+        One for each of `CUES` that is said, else zero, shape (30,), float32.
+    """
+    said = said_cues(sentence)
+    return np.array([cue in said for cue in CUES], np.float32)
 
 
 class CuedEncoder:

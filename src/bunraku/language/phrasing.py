@@ -67,7 +67,7 @@ def object_of(words: Sequence[str], zone: range) -> range:
 def names_a_thing(words: Sequence[str], some: range) -> bool:
     """Whether some words are a noun that is no part of the body: "the contraption"."""
     table, own = lexicon(), words[some.start : some.stop]
-    body = table.grammar["limbs"] | table.grammar["parts"] | {*table.body}
+    body = table.grammar["limbs"] | table.grammar["parts"] | table.grammar["body"]
     return len(own) > 1 and own[0] in table.grammar["determiners"] and not body.intersection(own)
 
 
@@ -129,7 +129,7 @@ def count_of(text: str) -> int | None:
         count = numbers.get(word) or (int(word) if word.isdecimal() and len(word) <= 2 else 0)
         if not 0 < count <= MOST:
             continue
-        if word in lexicon().adverbs or (at + 1 < len(words) and words[at + 1] in _TIMES):
+        if word in lexicon().grammar["adverbs"] or (at + 1 < len(words) and words[at + 1] in _TIMES):
             return count
         if at and {at + 1, at + 2} & starts:
             return count
@@ -140,7 +140,7 @@ def count_of(text: str) -> int | None:
 def body_stems() -> frozenset[str]:
     """Stems of words for parts of the body, but for those that are verbs: a spin is no spine."""
     named = [word for row in table()["parts"] for word in row["en"].split("/")]
-    words, verbs = {*named, *lexicon().body}, lexicon().lemmas
+    words, verbs = {*named, *lexicon().grammar["body"]}, lexicon().lemmas
     return frozenset(stem(word) for word in words if stem(word) == word or stem(word) not in verbs)
 
 

@@ -22,23 +22,9 @@ from bunraku.language.tokenizer import word_pieces
 from bunraku.language.word_table import table
 
 __all__ = [
-    "FILE",
-    "FUNCTION_WORDS",
-    "Word",
-    "action_stems",
-    "caption_stems",
-    "corrected",
-    "is_known",
-    "known_words",
-    "nearest_sentences",
-    "own_words",
-    "says_action",
-    "slips",
-    "stem",
-    "stems",
-    "words_of",
-    "write_own_words",
-]
+    "FILE", "FUNCTION_WORDS", "Word", "action_stems", "caption_stems", "corrected", "is_known", "known_words",
+    "nearest_sentences", "own_words", "says_action", "slips", "stem", "stems", "words_of", "write_own_words",
+]  # fmt: skip
 
 
 FILE = "own_words.json"
@@ -78,46 +64,8 @@ def write_own_words(folder: Path, words: Iterable[str]) -> Path:
 
 
 _WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
-_IRREGULAR = {
-    "ran": "run", "sat": "sit", "stood": "stand", "fell": "fall", "fallen": "fall", "went": "go", "gone": "go",
-    "threw": "throw", "thrown": "throw", "caught": "catch", "swam": "swim", "flew": "fly", "flown": "fly",
-    "shook": "shake", "shaken": "shake", "bent": "bend", "swung": "swing", "held": "hold", "hung": "hang",
-    "knelt": "kneel", "crept": "creep", "leapt": "leap", "spun": "spin", "slid": "slide", "strode": "stride",
-    "rose": "rise", "risen": "rise", "ate": "eat", "eaten": "eat", "drank": "drink", "drunk": "drink", "sang": "sing",
-    "fought": "fight", "hid": "hide", "hidden": "hide", "lain": "lie", "lying": "lie", "dying": "die", "took": "take",
-    "taken": "take", "came": "come", "got": "get", "gave": "give", "made": "make", "did": "do", "done": "do",
-    "struck": "strike", "stuck": "stick", "swept": "sweep", "slept": "sleep", "drove": "drive", "rode": "ride",
-    "bit": "bite", "dug": "dig", "shot": "shoot", "stole": "steal", "drew": "draw", "blew": "blow", "woke": "wake",
-    "feet": "foot", "men": "man", "women": "woman", "children": "child", "knives": "knife", "teeth": "tooth",
-    "mice": "mouse", "wolves": "wolf", "has": "have", "does": "do", "goes": "go", "is": "be", "are": "be", "was": "be",
-    "were": "be", "been": "be", "being": "be", "am": "be",
-}  # fmt: skip
-_FUNCTION = (
-    "a an the this that these those one ones some any each every all both other another own his her its their my your "
-    "our he she it they him them i you we me us himself herself itself themselves myself someone somebody who which "
-    "something anything nothing everything thing things and or but nor so then than as if while when whilst until "
-    "before after because since though of to in on at by for from with without into onto off out over under up down "
-    "around round about across along through between behind beside near toward towards against again also too very "
-    "really quite rather just only even still almost nearly more most less least much many few several little lot lots "
-    "be do have can could will would shall should may might must not no yes don't doesn't let lets please there here "
-    "now once twice first second third last next finally afterwards later soon same such like how what where why "
-    "person people man woman guy girl boy lady character figure human child kid creature animal "
-    "two three four five six seven eight nine ten half"
-)
-FUNCTION_WORDS = frozenset(_FUNCTION.split())
+FUNCTION_WORDS = lexicon().grammar["function"]
 """Words that say nothing of a movement; they are in every language model, and no reason for a warning."""
-_THINGS = (
-    "goodbye searching everybody cups plate apple camera orchestra book page pot wrapped waking noise biceps club meal "
-    "soldier boxer jabs cross hook overarm stone fastball baseball racket serve pitcher press fours puddle obstacle "
-    "log abs freestyle newspaper soup spoon undead hair combs"
-)
-"""Other words of sentences that tell gestures."""
-_LIGHT = (
-    "be do have make let start begin continue keep try act take give get use perform show want need seem become cause "
-    "help say tell know feel set can will would may must please remain mean call change find add list own note light "
-    "present end finish handle repeat strain"
-)
-"""Verbs that say no movement by themselves: "does a blorp"."""
 
 
 class Word(NamedTuple):
@@ -137,10 +85,10 @@ def stem(word: str) -> str:
 
 def stems(words: Iterable[str]) -> list[str]:
     """The stem of each of some words."""
-    found = []
+    found, irregular = [], lexicon().irregular
     for word in words:
         word = word.lower().replace("’", "'").removesuffix("'s").rstrip("'")
-        word = _IRREGULAR.get(word, word)
+        word = irregular.get(word, word)
         if word.endswith("ly") and len(word) > 4:
             word = word[:-2]
         for ending, least in (("ies", 2), ("ied", 2), ("es", 3), ("s", 3), ("ing", 3), ("ed", 3)):
@@ -169,7 +117,7 @@ def known_words() -> dict[str, int]:
     """
     written: dict[str, int] = _written()["words"]
     named = [row["en"].replace("/", " ") for section in ("beings", "parts") for row in table()[section]]
-    lexical = (*lexicon().words, *lexicon().verbs, _THINGS)
+    lexical = (*lexicon().words, *lexicon().verbs, *lexicon().grammar["other words"])
     listed = " ".join((*known_phrases(), *creature_words(), *named, *lexical))
     return (
         dict.fromkeys(own_words(), 1)
@@ -197,7 +145,7 @@ def action_stems() -> frozenset[str]:
     """
     verbs = {*lexicon().verbs, *_written()["verbs"], *own_words()}
     parts = [name for row in table()["parts"] for name in row["en"].split("/")]
-    return (frozenset(stems(verbs)) & _stems()) - frozenset(stems([*parts, *_LIGHT.split()]))
+    return (frozenset(stems(verbs)) & _stems()) - frozenset(stems([*parts, *lexicon().grammar["light verbs"]]))
 
 
 def is_known(word: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, TypedDict, TypeVar, Unpack, cast, overload
 
@@ -294,7 +294,7 @@ def edit(
     guidance: float | None = None,
     stages: Stages | None = None,
     force: bool = False,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Clip:
     """Keep chosen handles, or all but a span of seconds, and generate the rest from a sentence (section A.3 of TapMo).
 

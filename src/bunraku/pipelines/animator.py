@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.limbs import has_extra_legs
 from bunraku.anatomy.handles.predict import Predictor
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character, Handles
@@ -40,7 +39,7 @@ LEAST = 0.1
 """Seconds between two pictures of a bar."""
 
 
-def cell_progress() -> Callable[[str, float], None] | None:
+def cell_progress() -> Progress | None:
     """Bars of the notebook's cell that runs, one for each stage; None outside of notebooks."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
@@ -110,8 +109,7 @@ class Body:
         """Whether a skeleton of an engine can be made for it: a person by 30 handles, which its own bones do not
         move.
         """
-        anatomy = self.anatomy
-        return self.parts is None and anatomy.plan.kind == "person" and not has_extra_legs(anatomy.handles)
+        return self.parts is None and self.anatomy.is_person
 
 
 def _silent(*messages: object) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from bunraku.anatomy.anatomy import Anatomy, stiff
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
@@ -23,7 +23,6 @@ __all__ = [
     "GENERATED_STAGES", "apply_motion", "apply_rigged", "apply_simulated", "fitted_motion", "reference_of",
     "reference_path",
 ]  # fmt: skip
-
 GENERATED_STAGES = Stages(shape=True)
 """The stages that run by default."""
 
@@ -121,7 +120,7 @@ def apply_rigged(
         progress: Called with a stage's name and the share done, 0 to 1.
     """
     from bunraku.retarget.to_reference import handle_animation
-    from bunraku.retarget.to_rig import on_bones
+    from bunraku.retarget.to_rig import on_bones, stiff
 
     constraints = Constraints(constraints)
     after = constraints.after

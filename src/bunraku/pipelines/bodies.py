@@ -20,15 +20,9 @@ from bunraku.language.sentence import Sentence
 from bunraku.retarget.locomotion import moved_so
 
 __all__ = [
-    "BodyFacts",
-    "PartFact",
-    "adapt_to_body",
-    "body_facts",
-    "body_kind",
-    "apply_locomotion",
-    "moves_as_people",
+    "BodyFacts", "PartFact", "adapt_to_body", "body_facts", "body_kind", "apply_locomotion", "moves_as_people",
     "adapt_sentence",
-]
+]  # fmt: skip
 
 
 LEAST = 0.004  # share of the surface from which a part counts as found

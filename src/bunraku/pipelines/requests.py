@@ -38,27 +38,10 @@ if TYPE_CHECKING:
     from bunraku.retarget.pins import Pin
 
 __all__ = [
-    "APPAREL",
-    "Apparel",
-    "CONSTRAINTS",
-    "Constraints",
-    "Follow",
-    "HANDLES",
-    "InPlace",
-    "Keep",
-    "Loop",
-    "ONTO",
-    "Pose",
-    "RATE",
-    "RIGS",
-    "Request",
-    "Sampling",
-    "TransferRequest",
-    "check_handles",
-    "clip_names",
-    "is_cycle",
+    "APPAREL", "Apparel", "CONSTRAINTS", "Constraints", "Follow", "HANDLES", "InPlace", "Keep", "Loop", "ONTO",
+    "Pose", "RATE", "RIGS", "Request", "Sampling", "TransferRequest", "check_handles", "clip_names", "is_cycle",
     "with_loops",
-]
+]  # fmt: skip
 
 
 APPAREL = ("auto", "none", "rigid", "simulate", "chains", "learn")

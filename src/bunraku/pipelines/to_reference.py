@@ -99,10 +99,10 @@ def _creature_motion(motion: Motion, fps: float, names: Mapping[str, str] | None
 
 
 def _of_skeleton(motion: SkeletalMotion, fps: float, names: Mapping[str, str] | None) -> HandleMotion:
-    from bunraku.anatomy.anatomy import body_handle_motion
     from bunraku.anatomy.names.skeleton_map import map_skeleton
     from bunraku.anatomy.names.to_smpl import to_smpl
     from bunraku.core.motion import resample_motion
+    from bunraku.generation.features import body_handle_motion
 
     found = map_skeleton(motion.skeleton, names)
     return body_handle_motion(to_smpl(resample_motion(motion, fps), found))

@@ -35,7 +35,6 @@ __all__ = [
     "TRANSFER_STAGES", "Source", "apply_transfer", "fitted_transfer", "played_by_mmd", "same_skeleton", "transfer",
     "transferred",
 ]  # fmt: skip
-
 TRANSFER_STAGES = Stages(hands=True, shape=True)
 """The stages that run by default: those of fitting, hands that touch the body stay near it, and the mesh keeps its
 shape.

@@ -16,7 +16,7 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import Joints
-from bunraku.anatomy.legs import Leg, carry, local_motion, move_feet
+from bunraku.anatomy.legs import Leg, carry
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import smooth_step
@@ -24,6 +24,7 @@ from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_
 from bunraku.core.motion import HandleMotion
 from bunraku.core.request import Constraint
 from bunraku.errors import OptionError
+from bunraku.retarget.stages.stage import with_feet_moved
 
 __all__ = ["PINNED", "LimbEnd", "Pin", "end_positions", "limb_ends", "meet_pins"]
 
@@ -165,7 +166,7 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
             [spread(pinned[:, number], off[:, number], LEAD * motion.fps) for number in range(len(ends))], axis=1
         )
         reach |= np.abs(shifts).max(axis=(1, 2)) > 0
-        motion = move_feet(motion, handles, joints, limbs, shifts)
+        motion = with_feet_moved(motion, anatomy, limbs, shifts)
         off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
         if np.abs(off).max() <= CLOSE * height:
             break
@@ -175,10 +176,10 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
         reach |= np.abs(step).max(axis=1) > 0
         motion = replace(motion, root_translation=motion.root_translation + step)
         stay = np.zeros_like(shifts)
-        for number in feet:  # the root moved, and feet that nobody asked for stay where they were
+        for number in feet:  # the root moved, and feet without a pin stay where they were
             free = 1 - spread(pinned[:, number], np.ones((len(motion), 1)), LEAD * motion.fps)
             stay[:, number] = free * (planted - end_positions(motion, handles, ends))[:, number]
-        motion = move_feet(motion, handles, joints, limbs, stay)
+        motion = with_feet_moved(motion, anatomy, limbs, stay)
     off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
     worst = np.linalg.norm(off, axis=-1)
     if worst.max() > MISSED * height:
@@ -230,7 +231,7 @@ def _turned(
         pivot = world[:, end.handle, :, :3] @ end.point + world[:, end.handle, :, 3]
         for handle in end.limb.foot:
             carry(world, handle, joints, pivot, pivot, turned)
-    return local_motion(world, motion, handles)
+    return motion.with_transforms(world, handles.positions)
 
 
 def spread(pinned: np.ndarray, values: np.ndarray, lead: float) -> np.ndarray:

@@ -178,7 +178,7 @@ class RigParts:
 
 
 def understood_rig(character: Character) -> RigParts | None:
-    """The rig of a person, of four legs or of a bird, told by the file, by the names of its bones or by their shape;
+    """The rig of a person, of four legs or of a bird, read from the file, from the names of its bones or from their shape;
     None where it is none of these, or there is none.
 
     Args:

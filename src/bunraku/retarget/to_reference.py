@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.joints import attach_joints, downwards, reference_joints, reference_parts
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
+from bunraku.anatomy.joints import downwards, reference_parts
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.core.body.reference import ReferenceBody, capped, handle_positions, reference_body
@@ -54,13 +54,13 @@ def motion_to_reference(motion: HandleMotion, anatomy: Anatomy, own: bool = Fals
     handles, joints = anatomy.handles, anatomy.joints
     parents, present = reference_parts(handles, joints)
     rotations = motion.rotations.astype(np.float64) @ anatomy.rotations.transpose(0, 2, 1)
-    stiff = attach_joints(motion.rotations.astype(np.float64), handles, joints)[1]
+    stiff = anatomy.attached(motion.rotations.astype(np.float64))[1]
     residual = (motion.translations - stiff) / anatomy.scale * present[:, None]
     residual[:, 0] = 0
     for handle in downwards(HANDLE_PARENTS):
         if not present[handle] and handle:
             rotations[:, handle] = rotations[:, max(int(parents[handle]), 0)]
-    translations = attach_joints(rotations, reference_body().handles, reference_joints())[1] + capped(residual, own)
+    translations = reference_anatomy().attached(rotations)[1] + capped(residual, own)
     path = motion.root_translation - np.array([0, anatomy.rise, 0])
     path = (path - (motion.root_rotation - np.eye(3)) @ anatomy.lever) / anatomy.scale
     result = replace(motion, rotations=rotations, translations=translations, root_translation=path)

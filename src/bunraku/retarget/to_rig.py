@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import stiff
+from bunraku.anatomy.anatomy import reference_anatomy
 from bunraku.anatomy.names.bone_names import NO_HANDLE
 from bunraku.core.animation import RigAnimation
 from bunraku.core.avatars import mmd_model
@@ -16,7 +16,13 @@ from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.mmd_pose import pose_mmd
 from bunraku.retarget.rig_parts import RigParts
 
-__all__ = ["copied_bones", "fit_rig", "on_bones"]
+__all__ = ["copied_bones", "fit_rig", "on_bones", "stiff"]
+
+
+def stiff(motion: HandleMotion) -> HandleMotion:
+    """A motion of the reference body with all joints held, as bones hold them."""
+    rotations, translations = reference_anatomy().attached(motion.rotations.astype(np.float64))
+    return replace(motion, rotations=rotations, translations=translations)
 
 
 def fit_rig(
@@ -37,12 +43,7 @@ def fit_rig(
         CharacterError: There is no rig, or its bones' names do not tell which parts they move.
     """
     parts = character if isinstance(character, RigParts) else RigParts.of(character)
-    fitted = fit_motion(
-        stiff(motion),
-        parts.anatomy,
-        replace(stages or Stages(), shape=False),
-        heights,
-    )
+    fitted = fit_motion(stiff(motion), parts.anatomy, replace(stages or Stages(), shape=False), heights)
     return on_bones(parts, fitted, motion)
 
 

@@ -15,7 +15,7 @@ from bunraku.core.arrays import read_npy
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import atomic_write, read_bounded
 from bunraku.core.motion import HandleMotion
-from bunraku.core.request import Progress as Report
+from bunraku.core.request import Progress
 from bunraku.errors import CharacterError, FormatError, OptionError
 from bunraku.files import document_of
 from bunraku.pipelines.requests import Apparel
@@ -27,21 +27,9 @@ if TYPE_CHECKING:
     from bunraku.apparel.chains.chain_rig import Chained
 
 __all__ = [
-    "WORN",
-    "apparel_mask_of",
-    "chain_facts",
-    "chains_of",
-    "check_fits",
-    "clean_mask",
-    "dress_take",
-    "found_mask",
-    "has_apparel",
-    "paint",
-    "painted_file",
-    "redress_take",
-    "save_worn",
-    "shown_mask",
-]
+    "WORN", "apparel_mask_of", "chain_facts", "chains_of", "check_fits", "clean_mask", "dress_take", "found_mask",
+    "has_apparel", "paint", "painted_file", "redress_take", "save_worn", "shown_mask",
+]  # fmt: skip
 
 
 WORN = "worn.bin"
@@ -203,7 +191,7 @@ def check_fits(apparel: Apparel, character: Character, seconds: float) -> None:
         )
 
 
-def dress_take(body: Animation | RigAnimation, apparel: Apparel, report: Report) -> Take:
+def dress_take(body: Animation | RigAnimation, apparel: Apparel, report: Progress) -> Take:
     """A take of an animation, with apparel that moves as is requested.
 
     Args:
@@ -234,7 +222,7 @@ def redress_take(
     *,
     in_place: bool = False,
     stages: Stages | None = None,
-    report: Report,
+    report: Progress,
 ) -> Take:
     """A take of the same motion whose apparel moves otherwise.
 

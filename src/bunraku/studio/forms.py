@@ -30,28 +30,10 @@ if TYPE_CHECKING:
     from bunraku.retarget.pins import Pin
 
 __all__ = [
-    "ChangeForm",
-    "ClipsForm",
-    "Drawn",
-    "DressForm",
-    "MOST_PARTS",
-    "MOST_SEED",
-    "MOST_WORDS",
-    "Motion",
-    "Part",
-    "PoseForm",
-    "TIME",
-    "TakeForm",
-    "TakeRecordForm",
-    "check_asked",
-    "check_pins",
-    "read_path",
-    "read_pins",
-    "read_script",
-    "script_json",
-    "sequence_of",
-    "stages_without",
-]
+    "ChangeForm", "ClipsForm", "Drawn", "DressForm", "MOST_PARTS", "MOST_SEED", "MOST_WORDS", "Motion", "Part",
+    "PoseForm", "TIME", "TakeForm", "TakeRecordForm", "check_asked", "check_pins", "read_path", "read_pins",
+    "read_script", "script_json", "sequence_of", "stages_without",
+]  # fmt: skip
 
 
 MOST_SEEDS = 8

@@ -17,7 +17,7 @@ from typing import Any, NotRequired, TypedDict, cast
 
 from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.studio.store import NotThere, Store
-from bunraku.studio.worker import sentence_of, work
+from bunraku.studio.worker import page_sentence, work
 
 __all__ = ["About", "Changes", "Job", "Jobs", "QueueFull", "public"]
 
@@ -337,7 +337,7 @@ class Jobs:
             self._spawn()
         except Exception as error:  # one job must not end the queue
             _log.exception("what the worker said could not be taken in")
-            self._end(job, "failed", {"error": sentence_of(error), "kind": type(error).__name__})
+            self._end(job, "failed", {"error": page_sentence(error), "kind": type(error).__name__})
 
     def _warmed(self) -> None:
         with self._lock:
@@ -373,7 +373,7 @@ class Jobs:
         except Exception as wrong:
             if not isinstance(wrong, BunrakuError):
                 _log.exception("a result could not be taken in")
-            state, error = "failed", sentence_of(wrong)
+            state, error = "failed", page_sentence(wrong)
         if state in ("done", "cancelled"):
             self.store.drop("jobs", job["id"])
         elif job["id"] in {record["id"] for record in self.store.all("jobs")}:

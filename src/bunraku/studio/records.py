@@ -15,18 +15,9 @@ from bunraku.studio.forms import MOST_PARTS, MOST_SEED, TIME, Motion, PoseForm, 
 from bunraku.studio.workspace import Settings
 
 __all__ = [
-    "CHARACTER_FACTS",
-    "LARGEST",
-    "RECORD",
-    "Record",
-    "TAKE_FACTS",
-    "View",
-    "check_facts",
-    "checked_view",
-    "read_record",
-    "read_view",
-    "written",
-]
+    "CHARACTER_FACTS", "LARGEST", "RECORD", "Record", "TAKE_FACTS", "View", "check_facts", "checked_view",
+    "read_record", "read_view", "written",
+]  # fmt: skip
 
 
 Record = dict[str, Any]

@@ -14,7 +14,7 @@ from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import atomic_write
 from bunraku.core.motion import HandleMotion, resample
-from bunraku.core.request import Progress as Report
+from bunraku.core.request import Progress
 from bunraku.errors import OptionError
 from bunraku.generation.features import decode, encode
 from bunraku.generation.library import clip as find_clip
@@ -31,32 +31,16 @@ from bunraku.studio.wire import Take, body_of, packed_clip
 from bunraku.studio.workspace import PREVIEWS, Workspace
 
 __all__ = [
-    "Animate",
-    "Bend",
-    "DRAFT_STAGES",
-    "Dress",
-    "Edit",
-    "Known",
-    "Mirror",
-    "Partly",
-    "Play",
-    "Preview",
-    "Report",
-    "Task",
-    "Transfer",
-    "Trim",
-    "finish_take",
-    "handle_animation_of",
-]
-
-
+    "Animate", "Bend", "DRAFT_STAGES", "Dress", "Edit", "Known", "Mirror", "Partly", "Play", "Preview",
+    "Task", "Transfer", "Trim", "finish_take", "handle_animation_of",
+]  # fmt: skip
 Partly = Callable[[dict[str, Any]], None]
 
 
 class Task(Protocol):
     """Something that the worker does."""
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         """Do it; give what its record learns."""
 
 
@@ -111,7 +95,7 @@ class Animate:
     request: object
     draft: bool = True
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.pipelines.animator import Animator, own_rig
 
         body = shop.body(self.character)
@@ -166,7 +150,7 @@ class Edit:
     parent: str
     request: object
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.pipelines.animate import edited
         from bunraku.pipelines.animator import Animator
         from bunraku.pipelines.apply import GENERATED_STAGES
@@ -220,7 +204,7 @@ class Bend(DressForm):
     parent: str
     constraints: tuple[object, ...]
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.retarget.pins import meet_pins
 
         parent = handle_animation_of(shop.take(self.parent, self.character))
@@ -241,7 +225,7 @@ class Mirror(DressForm):
     takes: tuple[str]
     parent: str
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.generation.features import decode, encode, mirror
         from bunraku.pipelines.apply import apply_motion, reference_of
 
@@ -265,7 +249,7 @@ class Trim(DressForm):
     parent: str
     trim: tuple[float, float]
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         parent = body_of(shop.take(self.parent, self.character))
         start, stop = (round(second * parent.fps) for second in self.trim)
         if stop - start < 2 or start >= len(parent.motion):
@@ -286,7 +270,7 @@ class Dress(DressForm):
     in_place: bool = False
     without: tuple[str, ...] = ()
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         parent, (_, handles) = shop.take(self.parent, self.character), shop.character(self.character)
         made = redress_take(
             parent, self.apparel_request, handles, in_place=self.in_place,
@@ -306,7 +290,7 @@ class Transfer(DressForm):
     file: str
     onto: Literal["auto", "handles"] = "handles"
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.pipelines.animator import Animator
         from bunraku.pipelines.requests import TransferRequest
         from bunraku.pipelines.transfer import Source, transferred
@@ -358,7 +342,7 @@ class Play(DressForm):
     pieces: tuple[Piece, ...]
     constraints: tuple[object, ...] = ()
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         body = shop.body(self.character)
         character, handles, anatomy = body.character, body.anatomy.handles, body.anatomy
         apparel, constraints = self.apparel_request, Constraints.from_json(self.constraints)
@@ -412,7 +396,7 @@ class Preview:
     character: str
     clips: tuple[str, ...]
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         anatomy = shop.body(self.character).anatomy
         folder = shop.folder_of("characters", self.character) / PREVIEWS
         for number, name in enumerate(self.clips):

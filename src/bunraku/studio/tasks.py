@@ -11,10 +11,22 @@ from typing import Any
 
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.character import Character
-from bunraku.core.request import from_json
+from bunraku.core.request import Progress, from_json
 from bunraku.errors import OptionError
 from bunraku.studio.dressing import WORN, chain_facts, chains_of
-from bunraku.studio.takes import Animate, Bend, Dress, Edit, Mirror, Partly, Play, Preview, Report, Task, Transfer, Trim
+from bunraku.studio.takes import (
+    Animate,
+    Bend,
+    Dress,
+    Edit,
+    Mirror,
+    Partly,
+    Play,
+    Preview,
+    Task,
+    Transfer,
+    Trim,
+)
 from bunraku.studio.wire import Dressed, save_handles
 from bunraku.studio.workspace import PREVIEWS, Settings, Workspace, apparel_facts, character_facts, opened_character
 
@@ -33,7 +45,7 @@ class Open:
     file: str
     settings: Settings = field(default_factory=Settings)
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.files import save_character
         from bunraku.pipelines.animate import rig
 
@@ -57,7 +69,7 @@ class FindApparel:
 
     character: str
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         body = shop.body(self.character)
         report("look", 0.1)
         worn = shop.folder_of("characters", self.character) / WORN
@@ -71,7 +83,7 @@ class LayChains:
 
     character: str
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.apparel.chains.avatars import vrm_avatar
         from bunraku.files import save_character
 
@@ -109,7 +121,7 @@ class Export:
     take: str
     fps: float = 30.0
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.files import check_writer
 
         target = shop.folder_of("exports", self.export) / self.file
@@ -138,7 +150,7 @@ class ExportClips:
     preset: str = ""
     title: str = "clips"
 
-    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.files import preset_named, save_clips, save_for
 
         target = shop.folder_of("exports", self.export) / self.file
@@ -200,7 +212,7 @@ TASKS: dict[str, type[Task]] = {
 }
 
 
-def run_task(shop: Workspace, task: str, params: object, report: Report, partly: Partly) -> dict[str, Any]:
+def run_task(shop: Workspace, task: str, params: object, report: Progress, partly: Partly) -> dict[str, Any]:
     """Run a task of `TASKS`.
 
     Args:

@@ -13,14 +13,13 @@ import time
 from multiprocessing.connection import Connection
 from typing import Any
 
-from bunraku.errors import BunrakuError
+from bunraku.errors import FULL_DISK, BunrakuError, sentence_of
 
-__all__ = ["Cancelled", "is_full", "sentence_of", "work"]
+__all__ = ["Cancelled", "is_full", "page_sentence", "work"]
 
 
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _SHUT = {errno.EROFS, errno.EACCES}
-_FULL_WORDS = tuple(os.strerror(number).lower() for number in (*_FULL, *_SHUT))
+_FULL_WORDS = tuple(os.strerror(number).lower() for number in (*FULL_DISK, *_SHUT))
 _FOLDER = re.compile(r"(?<![\w.])/(?:[^\s:/]+/)+(?=[^\s:/]+)")
 
 
@@ -28,24 +27,12 @@ def is_full(error: Exception) -> bool:
     """Whether the disk takes nothing more: it is full, or can only be read."""
     if isinstance(error, BunrakuError):
         return any(word in str(error) for word in _FULL_WORDS)
-    return isinstance(error, OSError) and error.errno in (*_FULL, *_SHUT)
+    return isinstance(error, OSError) and error.errno in (*FULL_DISK, *_SHUT)
 
 
-def sentence_of(error: Exception) -> str:
-    """The sentence of the library, or one for what it did not foresee; folders are left out of file names."""
-    if isinstance(error, BunrakuError):
-        text = str(error)
-    elif isinstance(error, MemoryError) or "not enough memory" in str(error) or "can't allocate memory" in str(error):
-        text = "the memory is not enough for this; close other programs, or give a smaller mesh or fewer seconds"
-    elif isinstance(error, OSError) and error.errno in _FULL:
-        text = "the disk is full; free some space, or start the studio with another --folder"
-    elif isinstance(error, OSError):
-        text = f"a file cannot be used ({(error.strerror or str(error)).lower()}); check the studio's folder"
-    else:
-        text = (
-            f"this is a fault of Bunraku, not yours: {type(error).__name__}: {error}; start the studio with "
-            "BUNRAKU_DEBUG=1 and report what it prints"
-        )
+def page_sentence(error: Exception) -> str:
+    """The sentence of an exception without the folders of file names."""
+    text = sentence_of(error, "start the studio with another --folder", "start the studio with BUNRAKU_DEBUG=1")
     return " ".join(_FOLDER.sub("", text).split())
 
 
@@ -116,4 +103,4 @@ def _explained(error: Exception) -> dict[str, Any]:
         import traceback
 
         traceback.print_exception(error, file=sys.stderr)
-    return {"error": sentence_of(error), "kind": type(error).__name__, "full": is_full(error)}
+    return {"error": page_sentence(error), "kind": type(error).__name__, "full": is_full(error)}

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.orientation import ResolvedAxes, resolve_axes
+from bunraku.anatomy.handles.orientation import resolve_axes
 from bunraku.core.animation import RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import MAX_BYTES, atomic_write
@@ -73,18 +73,9 @@ def opened_character(path: Path, settings: Settings) -> tuple[Character, dict[st
     suffix = str(getattr(standing.source, "suffix", ""))
     unit = resolve_unit(standing.height, suffix, settings.unit)
     character, _ = in_metres(standing, settings.unit, "+y")
-    return character, {"axes": _axes(found), "unit": {"unit": unit.unit, "likely": unit.likely, "note": unit.note}}
-
-
-def _axes(found: ResolvedAxes) -> dict[str, Any]:
-    """The axes that were taken, how sure that is, and what else it could be."""
-    guess, taken = found.guess, (found.up, found.front)
-    out: dict[str, Any] = {"up": found.up, "front": found.front, "sure": 1.0, "other": None}
-    if guess is None:
-        return out
-    out["sure"] = round(guess.probability(*taken), 3)
-    out["other"] = list((guess.up, guess.front) if taken != (guess.up, guess.front) else guess.next_best(*taken))
-    return out
+    other = None if found.other is None else list(found.other)
+    axes = {"up": found.up, "front": found.front, "sure": round(found.sure, 3), "other": other}
+    return character, {"axes": axes, "unit": {"unit": unit.unit, "likely": unit.likely, "note": unit.note}}
 
 
 def _has_skeleton(character: Character) -> bool:

@@ -45,11 +45,6 @@ class Motions:
     where it has an index.csv.
     """
 
-    report: bool = False
-    """Print what there is of each action when it is built: clips, minutes, turn, speed, height, contacts, what was
-    dropped and why, and whom to credit.
-    """
-
     def run(self) -> None:
         _check(self.source, self.output, self.jobs)
         for folder in (self.characters, self.creatures):
@@ -81,14 +76,6 @@ class Motions:
         for reason in failed.values():
             print(f"left out {reason}", file=sys.stderr)
         print(f"wrote {index}")
-        if self.report:
-            from bunraku_lab.datasets.motions.clips import load_index
-            from bunraku_lab.datasets.motions.sources import credit_lines, motion_report, report_text
-
-            with stages() as report:
-                rows = motion_report(self.output, report)
-            print(report_text(rows))
-            print("\ncredits:", *credit_lines(load_index(self.output)), sep="\n")
 
 
 @dataclass(frozen=True)
@@ -178,10 +165,10 @@ class MeshBank:
         check_folder(self.output.parent)
         from bunraku.core.nn.checkpoints import shipped_checkpoint
         from bunraku_lab.datasets.characters.build import HELD_OUT, load_characters, reference_characters
-        from bunraku_lab.nn.handles import load_predictor
+        from bunraku_lab.nn.handles import HandlePredictor
         from bunraku_lab.training.handles import write_mesh_bank
 
-        model = load_predictor(self.checkpoint or shipped_checkpoint("handles"))
+        model = HandlePredictor.load(self.checkpoint or shipped_checkpoint("handles"))
         train, held = load_characters(self.cache)
         characters = [*train, *held, *reference_characters()]
         with stages() as report:

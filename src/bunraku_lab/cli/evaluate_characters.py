@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from bunraku.cli.outputs import check_input, check_output, check_range, check_source, stages
+from bunraku.cli.outputs import check_input, check_range, check_source, stages
 from bunraku.core.parallel import parse_jobs
 from bunraku.errors import FormatError, OptionError
 from bunraku_lab.cli.evaluate_motion import Printed
@@ -146,10 +146,6 @@ class EvaluateTransfer(Printed):
     """Folder of MMD models and VMD files with leg IK, for the rows of soles; left out without it."""
     work: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Where rows of characters are kept, so that the same command goes on where it was stopped."""
-    results: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
-    """Another method's results, an animated file for each row of what --pairs-to writes, named by its column file."""
-    pairs_to: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
-    """Write the pairs of character and motion for another method (.csv), and measure nothing."""
     no_speed: bool = False
     """Leave out the times, which say little on a busy machine."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
@@ -157,21 +153,17 @@ class EvaluateTransfer(Printed):
 
     def run(self) -> None:
         check_range("--limit", self.limit, 1, 100_000)
-        for folder in (self.characters, self.motions, self.mmd, self.results):
+        for folder in (self.characters, self.motions, self.mmd):
             if folder is not None and not folder.is_dir():
                 raise FormatError(folder, "there is no such folder")
-        if self.pairs_to is not None:
-            check_output(self.pairs_to, [".csv"])
         jobs = parse_jobs(self.jobs)
-        from bunraku_lab.evaluation.transfer.table import evaluate_transfer, write_transfer_pairs
+        from bunraku_lab.evaluation.transfer.table import evaluate_transfer
 
-        if self.pairs_to is not None:
-            print(f"wrote {write_transfer_pairs(self.pairs_to, self.characters, self.motions, self.limit)}")
-            return
         with stages() as report:
-            how: dict[str, Any] = {"mmd": self.mmd, "limit": self.limit, "work": self.work, "speed": not self.no_speed}
-            how |= {"jobs": jobs, "results": self.results}
-            result = evaluate_transfer(self.characters, self.motions, progress=report, **how)
+            result = evaluate_transfer(
+                self.characters, self.motions, mmd=self.mmd, limit=self.limit, work=self.work, speed=not self.no_speed,
+                jobs=jobs, progress=report,
+            )  # fmt: skip
         self.show(result, _transfer_report)
 
 

@@ -6,11 +6,11 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
-from bunraku.cli.outputs import check_folder, check_input, check_output, check_range, check_source, stages
+from bunraku.cli.outputs import check_folder, check_input, check_range, check_source, stages
 from bunraku.errors import OptionError
 from bunraku_lab.evaluation.report import Report, Table, bar_table
 
@@ -39,10 +39,6 @@ class Printed:
             print(made.markdown() if self.markdown else made.text())
 
 
-if TYPE_CHECKING:
-    pass
-
-
 _COLUMNS = (
     ("r_precision_1", "R-Prec. 1"), ("r_precision_2", "R-Prec. 2"), ("r_precision_3", "R-Prec. 3"), ("fid", "FID"),
     ("mm_dist", "MM-Dist"), ("diversity", "Diversity"), ("multimodality", "MModality"),
@@ -50,7 +46,7 @@ _COLUMNS = (
 _NAMES = {
     "real": "Real", "tapmo": "TapMo (ours)",
     "tapmo_distilled": "- four steps", "tapmo_guided": "- guided",
-    "tapmo_led": "- from examples", "tapmo_chosen": "- as chosen", "others": "Others",
+    "tapmo_led": "- from examples", "tapmo_chosen": "- as chosen",
 }  # fmt: skip
 
 
@@ -69,10 +65,6 @@ class EvaluateMotion(Printed):
     """Folder of rigged characters (the archive), for what is measured on characters. Left out without it."""
     checkpoint: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Weights of the diffusion model. Default: the shipped ones."""
-    motions: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """Folder of another method's motions, one file for each row of what --prompts-to writes, for a row of their own."""
-    prompts_to: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """Write the sentences of the table's windows with their seconds (.csv) for another method, and measure nothing."""
     extractor: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Weights of the feature extractor. Default: the shipped ones."""
     work: Path = Path("runs/evaluation")
@@ -117,21 +109,17 @@ class EvaluateMotion(Printed):
         check_range("--seed", self.seed, 0, 2**31)
         check_source(self.data, "make it with `bunraku data motions`")
         check_source(self.characters, "give one with rigged characters")
-        check_source(self.motions, "give one with the motions of another method")
-        if self.prompts_to is not None:
-            check_output(self.prompts_to, [".csv"])
         for path in (self.checkpoint, self.extractor):
             if path is not None:
                 check_input(path)
         from bunraku_lab.evaluation.motion.blocks import add_blocks
-        from bunraku_lab.evaluation.motion.samples import write_prompts
-        from bunraku_lab.evaluation.motion.table import MotionEvalConfig, evaluate_motion, table_windows
+        from bunraku_lab.evaluation.motion.table import MotionEvalConfig, evaluate_motion
         from bunraku_lab.evaluation.motion.viewer_prompts import viewer_figures
 
         pool = self.pool or max(256 if self.quick else 1600, self.clips or 0)
         config = MotionEvalConfig(
             data=self.data, characters=self.characters, checkpoint=self.checkpoint,
-            motions=self.motions, extractor=self.extractor, work=self.work,
+            extractor=self.extractor, work=self.work,
             split=self.split, pool=pool, clips=min(self.clips or (200 if self.quick else 1000), pool),
             runs=self.runs or (3 if self.quick else 20),
             references=1000 if self.quick else 3000, prompts=8 if self.quick else 20, repeats=4 if self.quick else 10,
@@ -140,11 +128,6 @@ class EvaluateMotion(Printed):
             classifier_guidance=self.classifier_guidance,
             seed=self.seed,
         )  # fmt: skip
-        if self.prompts_to is not None:
-            with stages() as report:
-                windows = table_windows(config, report)[1]
-            print(f"wrote {write_prompts(self.prompts_to, windows)}, {len(windows)} sentences")
-            return
         with stages() as report:
             result = {} if self.only == "viewer" else evaluate_motion(config, report)
             if self.only is None:
@@ -212,7 +195,7 @@ class EvaluateTables(Printed):
     kept in --work by what they depend on, so a second run, or one that was stopped, does only what is new.
 
     Example: bunraku evaluate tables --paper tapmo --table 2 --characters archive
-    --baselines benchmarks/weights
+    --baselines runs/baselines
     """
 
     paper: Literal["tapmo", "mmdmc"] = "tapmo"
@@ -228,8 +211,8 @@ class EvaluateTables(Printed):
     bodies: tuple[Path, ...] = ()
     """Body networks of MMDMC's table 4. Default: the shipped one, and those of --baselines."""
     baselines: Path | None = None
-    """Folder of the other methods' weights (benchmarks/weights of the repository); without it their rows are left
-    out. Their trainings are named beside them."""
+    """Folder of the other methods' weights, which the commands in `benchmarks/baselines.md` make; without it their
+    rows are left empty."""
     work: Path = Path("runs/tables")
     """Folder that keeps what was measured."""
     quick: bool = False

@@ -1,14 +1,12 @@
-"""What evaluations share: figures beside the bars that they should reach, as text or Markdown; parts of a long
-measurement that are kept one by one; and tables of what another method should make.
+"""What evaluations share: figures beside the bars that they should reach, as text or Markdown, and parts of a long
+measurement that are kept one by one.
 """
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +25,6 @@ __all__ = [
     "measured_in",
     "percent",
     "reached_bars",
-    "write_requests",
 ]
 
 
@@ -204,18 +201,3 @@ class KeptParts:
         with atomic_write(path) as file:
             file.write(text.encode())
         return json.loads(text)
-
-
-def write_requests(path: str | Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
-    """Write a CSV, whole or not at all.
-
-    Raises:
-        FormatError: The file cannot be written.
-    """
-    out = io.StringIO()
-    table = csv.writer(out)
-    table.writerow(columns)
-    table.writerows(rows)
-    with atomic_write(Path(path)) as file:
-        file.write(out.getvalue().encode())
-    return Path(path)

@@ -4,9 +4,8 @@ head that cannot drift and its recurrent part.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -26,8 +25,7 @@ from bunraku.apparel.learned.network import (
     DisplacementConfig,
 )
 from bunraku.apparel.learned.segmentation import POINT_FEATURES, SampledMesh, SegmentationConfig
-from bunraku.core.nn.checkpoints import config_of
-from bunraku_lab.nn.checkpoints import load_network, save_network
+from bunraku_lab.nn.checkpoints import SavedNetwork
 from bunraku_lab.nn.graph import EdgeBlock, NodeGraph, node_graph
 
 __all__ = [
@@ -38,13 +36,9 @@ __all__ = [
     "Past",
     "RecurrentPart",
     "SegmentationNetwork",
-    "load_displacement",
-    "load_segmentation",
     "mesh_block",
     "node_state",
     "past_of_states",
-    "save_displacement",
-    "save_segmentation",
 ]
 
 
@@ -248,12 +242,15 @@ class RecurrentPart(nn.Module):
         return moved, Past(torch.cat([rest[None], past.rest[:2]]), whole, torch.cat([now[None], past.positions[:1]]))
 
 
-class DisplacementNetwork(nn.Module):
+class DisplacementNetwork(SavedNetwork):
     """The head that cannot drift, and the recurrent part about it.
 
     Args:
         config: Its shape.
     """
+
+    kind = "apparel"
+    shape = DisplacementConfig
 
     def __init__(self, config: DisplacementConfig | None = None):
         super().__init__()
@@ -262,29 +259,6 @@ class DisplacementNetwork(nn.Module):
         self.recurrent = (
             RecurrentPart(config.recurrent, config.blocks, config.frame == "world") if config.recurrent else None
         )
-
-
-def save_displacement(
-    path: str | Path, model: DisplacementNetwork, note: Mapping[str, object] | None = None, half: bool = False
-) -> Path:
-    """Write the weights with their config as a checkpoint of kind "apparel".
-
-    Args:
-        path: The file.
-        model: The network.
-        note: Anything else to carry.
-        half: Store the matrices as float16.
-    """
-    return save_network(path, model, "apparel", note, half)
-
-
-def load_displacement(path: str | Path) -> DisplacementNetwork:
-    """Read a checkpoint of kind "apparel", ready to use.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
-    """
-    return load_network(path, "apparel", lambda shape: DisplacementNetwork(config_of(DisplacementConfig, shape)))
 
 
 def normalize_inputs(model: DisplacementNetwork, nodes: torch.Tensor) -> None:
@@ -296,12 +270,11 @@ def normalize_inputs(model: DisplacementNetwork, nodes: torch.Tensor) -> None:
             part.encoder.std[: len(std)] = std
 
 
-class SegmentationNetwork(nn.Module):
-    """The network.
+class SegmentationNetwork(SavedNetwork):
+    """The network."""
 
-    Args:
-        config: Its shape.
-    """
+    kind = "apparel-mask"
+    shape = SegmentationConfig
 
     mean: torch.Tensor
     std: torch.Tensor
@@ -342,19 +315,3 @@ def mesh_block(meshes: Sequence[SampledMesh]) -> tuple[torch.Tensor, NodeGraph]:
     """Features and graph of several meshes as one block."""
     features = torch.cat([torch.from_numpy(mesh.features) for mesh in meshes])
     return features, node_graph([mesh.neighbours for mesh in meshes], [mesh.part for mesh in meshes])
-
-
-def save_segmentation(
-    path: str | Path, model: SegmentationNetwork, note: Mapping[str, object] | None = None, half: bool = False
-) -> Path:
-    """Write the weights with their config as a checkpoint of kind "apparel-mask"."""
-    return save_network(path, model, "apparel-mask", note, half)
-
-
-def load_segmentation(path: str | Path) -> SegmentationNetwork:
-    """Read a checkpoint of kind "apparel-mask", ready to use.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
-    """
-    return load_network(path, "apparel-mask", lambda shape: SegmentationNetwork(config_of(SegmentationConfig, shape)))

@@ -4,17 +4,14 @@ that they use (MeshCNN, Hanocka et al. 2019) and linear blend skinning in torch.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
 from torch import nn
 
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
-from bunraku.core.nn.checkpoints import config_of
-from bunraku_lab.nn.checkpoints import load_network, save_network
+from bunraku_lab.nn.checkpoints import SavedNetwork
 
 __all__ = [
     "BlendShapes",
@@ -24,10 +21,8 @@ __all__ = [
     "NbsNetwork",
     "edge_mesh",
     "hinted",
-    "load_nbs",
     "local_rotations",
     "moved_by",
-    "save_nbs",
     "vertex_means",
 ]
 
@@ -214,12 +209,11 @@ class BlendShapes(nn.Module):
         return torch.einsum("vj,pjs,vsa->pva", takes, each, shapes)
 
 
-class NbsNetwork(nn.Module):
-    """The network.
+class NbsNetwork(SavedNetwork):
+    """The network."""
 
-    Args:
-        config: Its shape.
-    """
+    kind = KIND
+    shape = NbsConfig
 
     def __init__(self, config: NbsConfig | None = None):
         super().__init__()
@@ -257,17 +251,3 @@ def local_rotations(turns: torch.Tensor) -> torch.Tensor:
     """
     above = [max(parent, 0) for parent in JOINT_PARENTS]
     return turns[:, above].transpose(2, 3) @ turns
-
-
-def save_nbs(path: str | Path, model: NbsNetwork, note: Mapping[str, object] | None = None, half: bool = False) -> Path:
-    """Write the weights with their config as a checkpoint of kind "nbs"."""
-    return save_network(path, model, KIND, note, half)
-
-
-def load_nbs(path: str | Path) -> NbsNetwork:
-    """Read a checkpoint of kind "nbs", ready to use.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
-    """
-    return load_network(path, KIND, lambda shape: NbsNetwork(config_of(NbsConfig, shape)))

@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, ClassVar, Self, TypeVar, cast
 
 import numpy as np
 import torch
@@ -18,10 +18,11 @@ from safetensors.torch import save
 
 from bunraku.core.files import weights_file
 from bunraku.core.nn import checkpoints as files
-from bunraku.core.nn.checkpoints import FORMAT, fitting_config, read_tensors, write_tensors
+from bunraku.core.nn.checkpoints import FORMAT, config_of, fitting_config, read_tensors, write_tensors
 from bunraku.errors import WeightsError
 
 __all__ = [
+    "SavedNetwork",
     "TrainingState",
     "fitted_network",
     "lab_checkpoint",
@@ -146,6 +147,34 @@ def load_network(
     with fitting_config(path):
         model = fitted_network(lambda: build(config[key]), state)
     return model.eval().requires_grad_(False)
+
+
+class SavedNetwork(torch.nn.Module):
+    """A network with a `config` that makes it, and a kind of checkpoint."""
+
+    kind: ClassVar[str]
+    shape: ClassVar[type]
+    """Of its config, a dataclass."""
+    key: ClassVar[str] = "network"
+    """Under which the config stands."""
+
+    @classmethod
+    def config_from(cls, fields: dict[str, object]) -> Any:
+        """The config of what a checkpoint carries."""
+        return config_of(cls.shape, fields)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a checkpoint, ready to use.
+
+        Raises:
+            WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+        """
+        return load_network(path, cls.kind, lambda fields: cls(cls.config_from(fields)), key=cls.key)
+
+    def save(self, path: str | Path, note: Mapping[str, object] | None = None, half: bool = False) -> Path:
+        """Write the weights with their config (`save_network`)."""
+        return save_network(path, self, self.kind, note, half, key=self.key)
 
 
 @dataclass

@@ -4,7 +4,6 @@ which way up a character belongs and which way it faces.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,9 +12,8 @@ from torch import nn
 
 from bunraku.anatomy.handles.networks import TOKEN, OrientationConfig, PredictorConfig, predictor_config
 from bunraku.core.geometry.axes import right_angle_rotations
-from bunraku.core.nn.checkpoints import config_of
 from bunraku.errors import WeightsError
-from bunraku_lab.nn.checkpoints import load_checkpoint, load_network, save_network
+from bunraku_lab.nn.checkpoints import SavedNetwork, load_checkpoint
 from bunraku_lab.nn.graph import GraphLayer, MeshGraph
 
 __all__ = [
@@ -23,11 +21,7 @@ __all__ = [
     "HandlePredictor",
     "OrientationPredictor",
     "grow_predictor",
-    "load_orientation_predictor",
-    "load_predictor",
     "rotated_tokens",
-    "save_orientation_predictor",
-    "save_predictor",
 ]
 
 
@@ -45,12 +39,21 @@ class HandlePrediction(NamedTuple):
     features: torch.Tensor
 
 
-class HandlePredictor(nn.Module):
+class HandlePredictor(SavedNetwork):
     """Three graph layers and a three-layer MLP with softmax (A.2).
 
     f_phi is the three levels pooled over the mesh and joined, 64 + 128 + 256 = 448 numbers: the first half of each
     level's channels by their largest value, the second half by their mean over the surface.
     """
+
+    kind = "handles"
+    shape = PredictorConfig
+    key = "predictor"
+
+    @classmethod
+    def config_from(cls, fields: dict[str, object]) -> PredictorConfig:
+        """See `SavedNetwork.config_from`."""
+        return predictor_config(fields)
 
     def __init__(self, config: PredictorConfig | None = None):
         super().__init__()
@@ -78,23 +81,6 @@ class HandlePredictor(nn.Module):
         hidden = self.local(torch.cat([*levels, graph.inputs], dim=-1)) + self.overall(features)
         logits = self.head(hidden).float()
         return HandlePrediction(logits, logits.softmax(-1), features)
-
-
-def save_predictor(
-    path: str | Path, model: HandlePredictor, note: Mapping[str, object] | None = None, half: bool = False
-) -> Path:
-    """Write the weights with their config as a checkpoint of kind "handles"."""
-    return save_network(path, model, "handles", note, half, key="predictor")
-
-
-def load_predictor(path: str | Path) -> HandlePredictor:
-    """Read a checkpoint of kind "handles", ready to predict.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
-    """
-
-    return load_network(path, "handles", lambda shape: HandlePredictor(predictor_config(shape)), key="predictor")
 
 
 def grow_predictor(model: HandlePredictor, path: str | Path) -> None:
@@ -154,8 +140,12 @@ class _Layer(nn.Module):
         return out
 
 
-class OrientationPredictor(nn.Module):
+class OrientationPredictor(SavedNetwork):
     """A transformer over the tokens of a mesh, and one number at its end: how upright and forward the mesh stands."""
+
+    kind = "orientation"
+    shape = OrientationConfig
+    key = "predictor"
 
     rotations: torch.Tensor
 
@@ -193,21 +183,3 @@ class OrientationPredictor(nn.Module):
         turned = rotated_tokens(tokens, self.rotations)
         scores = self(torch.cat([turned, turned * mirror])).reshape(2, -1).mean(dim=0)
         return (scores / self.config.temperature).softmax(-1)
-
-
-def save_orientation_predictor(
-    path: str | Path, model: OrientationPredictor, note: Mapping[str, object] | None = None, half: bool = False
-) -> Path:
-    """Write the weights with their config as a checkpoint of kind "orientation"."""
-    return save_network(path, model, "orientation", note, half, key="predictor")
-
-
-def load_orientation_predictor(path: str | Path) -> OrientationPredictor:
-    """Read a checkpoint of kind "orientation", ready to predict.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
-    """
-    return load_network(
-        path, "orientation", lambda shape: OrientationPredictor(config_of(OrientationConfig, shape)), key="predictor"
-    )

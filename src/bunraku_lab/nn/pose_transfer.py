@@ -4,17 +4,15 @@ the convolution on them, and the parts of a mesh with their codes of pose and sh
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
 from torch import nn
 
 from bunraku.core.geometry.rotations import matrix_from_quaternion
-from bunraku.core.nn.checkpoints import config_of
-from bunraku_lab.nn.checkpoints import load_network, save_network
+from bunraku_lab.nn.checkpoints import SavedNetwork
 
 __all__ = [
     "GraphUnit",
@@ -23,11 +21,9 @@ __all__ = [
     "TransferNetwork",
     "affine_of",
     "dense",
-    "load_transfer",
     "part_centres",
     "part_graph",
     "per_mesh_max",
-    "save_transfer",
     "shares_of",
 ]
 
@@ -218,12 +214,15 @@ class PartEncoder(nn.Module):
         return out.unflatten(0, parts.shape[:2])
 
 
-class TransferNetwork(nn.Module):
+class TransferNetwork(SavedNetwork):
     """The network: predictor, one encoder for shape and pose, decoder.
 
     Args:
         config: Its shape.
     """
+
+    kind = KIND
+    shape = TransferConfig
 
     def __init__(self, config: TransferConfig | None = None):
         super().__init__()
@@ -304,19 +303,3 @@ def affine_of(centres: torch.Tensor, transforms: torch.Tensor) -> torch.Tensor:
     turns = matrix_from_quaternion(transforms[..., 3:].roll(-1, dims=-1))
     shifts = centres + transforms[..., :3] - (turns @ centres[..., None])[..., 0]
     return torch.cat([turns, shifts[..., None]], dim=-1)
-
-
-def save_transfer(
-    path: str | Path, model: TransferNetwork, note: Mapping[str, object] | None = None, half: bool = False
-) -> Path:
-    """Write the weights with their config as a checkpoint of kind "transfer"."""
-    return save_network(path, model, KIND, note, half)
-
-
-def load_transfer(path: str | Path) -> TransferNetwork:
-    """Read a checkpoint of kind "transfer", ready to use.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
-    """
-    return load_network(path, KIND, lambda shape: TransferNetwork(config_of(TransferConfig, shape)))

@@ -13,20 +13,9 @@ import numpy as np
 import scipy.sparse as sp
 
 __all__ = [
-    "Field",
-    "Lump",
-    "ball",
-    "bar",
-    "field_mesh",
-    "grid_surface",
-    "limb",
-    "marched",
-    "marching_cubes",
-    "mirror_mesh",
-    "mirrored",
-    "neighbour_average",
-    "thinned",
-]
+    "Field", "Lump", "ball", "bar", "field_mesh", "grid_surface", "limb", "marched", "marching_cubes", "mirror_mesh",
+    "mirrored", "neighbour_average", "thinned",
+]  # fmt: skip
 
 
 Vector = Sequence[float] | np.ndarray
@@ -96,14 +85,9 @@ def bar(
 
 
 def ball(
-    centre: Vector,
-    radii: float | Vector,
-    joint: str = "",
-    *,
-    turn: np.ndarray | None = None,
-    blend: float = 0.02,
+    centre: Vector, radii: float | Vector, joint: str = "", *, turn: np.ndarray | None = None, blend: float = 0.02,
     carve: bool = False,
-) -> Lump:
+) -> Lump:  # fmt: skip
     """An ellipsoid with these radii [m]."""
     if isinstance(radii, (int, float)):
         return bar(centre, centre, radii, joint, blend=blend, carve=carve)

@@ -202,15 +202,9 @@ class Figure:
         return np.asarray((near @ ways).max(axis=0))
 
     def profile(
-        self,
-        height: float,
-        angles: np.ndarray,
-        *,
-        center: np.ndarray,
-        band: float,
-        spread: float = 0.3,
+        self, height: float, angles: np.ndarray, *, center: np.ndarray, band: float, spread: float = 0.3,
         points: np.ndarray | None = None,
-    ) -> np.ndarray:
+    ) -> np.ndarray:  # fmt: skip
         """How far the surface itself reaches in each direction, as `rim` but not convex: the farthest point in a
         sector.
         """
@@ -288,14 +282,9 @@ def _with_drawn_head(skin: Skin) -> Skin:
 
 
 def figure_of(
-    points: np.ndarray,
-    faces: np.ndarray,
-    joints: np.ndarray,
-    weights: np.ndarray,
-    linear: np.ndarray,
-    kind: str,
+    points: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, linear: np.ndarray, kind: str,
     eyes: np.ndarray | None = None,
-) -> Figure:
+) -> Figure:  # fmt: skip
     """A body brought to its rest pose.
 
     Args:

@@ -24,17 +24,9 @@ from bunraku.files import read_obj
 from bunraku_lab.synthetic.surfaces import nearest_shares
 
 __all__ = [
-    "BASE_VERTICES",
-    "BODY_VERTICES",
-    "MakeHumanBody",
-    "limb_rotations",
-    "pose_points",
-    "random_body",
-    "random_kind",
-    "random_proportions",
-    "random_rest",
-    "rest_linear",
-]
+    "BASE_VERTICES", "BODY_VERTICES", "MakeHumanBody", "limb_rotations", "pose_points", "random_body", "random_kind",
+    "random_proportions", "random_rest", "rest_linear",
+]  # fmt: skip
 
 
 BASE_VERTICES = 19158

@@ -9,20 +9,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 __all__ = [
-    "ball_mesh",
-    "box_mesh",
-    "curve_through",
-    "cylinder_mesh",
-    "nearest_shares",
-    "patch",
-    "plate_mesh",
-    "ring_mesh",
-    "sheet_faces",
-    "sheet_mesh",
-    "strand",
-    "tube_mesh",
-    "unit",
-]
+    "ball_mesh", "box_mesh", "curve_through", "cylinder_mesh", "nearest_shares", "patch", "plate_mesh", "ring_mesh",
+    "sheet_faces", "sheet_mesh", "strand", "tube_mesh", "unit",
+]  # fmt: skip
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -249,11 +238,9 @@ around: int = 32,
 
 
 def sheet_mesh(
-    profile: np.ndarray,
-    thickness: float,
-    around: int,
+    profile: np.ndarray, thickness: float, around: int,
     shape: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
-) -> Mesh:
+) -> Mesh:  # fmt: skip
     """A thin closed shell that hangs around +Y, such as a skirt: an outer and an inner wall joined at waist and hem.
 
     Args:

@@ -14,15 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import body_handle_motion
-from bunraku.anatomy.plan import lowest
+from bunraku.anatomy.anatomy import reference_anatomy
 from bunraku.core.body.joint_rotations import skeleton_from_handles
 from bunraku.core.body.reference import reference_body
 from bunraku.core.motion import SkeletalMotion
 from bunraku.core.nn.checkpoints import load_checkpoint, shipped_checkpoint
 from bunraku.generation.agreement import SIDES, Track, runs
 from bunraku.generation.extractor import RADIUS, Extractor, embed_motions, embed_sentences, load_ranker
-from bunraku.generation.features import FeatureStatistics, decode, encode, mirror
+from bunraku.generation.features import FeatureStatistics, body_handle_motion, decode, encode, mirror
 from bunraku.generation.pack import (
     BUSY,
     FPS,
@@ -198,9 +197,7 @@ class _Stretch(NamedTuple):
 
 
 def build_examples(
-    settings: ExampleSettings,
-    encoder: TextEncoder | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    settings: ExampleSettings, encoder: TextEncoder | None = None, progress: Callable[[str, float], None] | None = None
 ) -> ExamplePack:
     """Choose stretches and write them.
 
@@ -354,7 +351,7 @@ def _events(rows: ClipSet, seed: int) -> Iterator[_Stretch]:
 def _hovers(features: np.ndarray) -> bool:
     """Whether nothing of the body is near the ground in a quarter of the frames: a floor that was found too low."""
     body = reference_body()
-    heights = lowest(body.vertices, body.handle_weights, decode(features), body.handles.positions)
+    heights = reference_anatomy().surface_reach.lowest(decode(features).transforms(body.handles.positions))
     return bool((heights > HOVERS).mean() > 0.25)
 
 

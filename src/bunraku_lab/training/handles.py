@@ -29,7 +29,7 @@ from bunraku_lab.datasets.characters.training_character import (
 )
 from bunraku_lab.nn.checkpoints import TrainingState
 from bunraku_lab.nn.graph import MeshGraph, mesh_graph
-from bunraku_lab.nn.handles import HandlePredictor, grow_predictor, load_predictor, save_predictor
+from bunraku_lab.nn.handles import HandlePredictor, grow_predictor
 from bunraku_lab.training.losses import handles as losses
 from bunraku_lab.training.losses.handles import LossConfig
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, TrainingNote, TrainingSettings
@@ -337,7 +337,7 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
         if config.start is not None:
             grow_predictor(model, config.start)
             if config.loss.feature > 0:
-                self.before = load_predictor(config.start).to(config.device).eval().requires_grad_(False)
+                self.before = HandlePredictor.load(config.start).to(config.device).eval().requires_grad_(False)
         average = HandlePredictor(config.predictor).to(config.device)
         super().__init__(config.out, model, average, torch.optim.Adam(model.parameters(), lr=config.rate))
         self.rng = np.random.default_rng(config.seed)
@@ -454,7 +454,7 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
 
     def write(self, note: TrainingNote) -> Path:
         """Write the checkpoint."""
-        return save_predictor(self.checkpoint, self.average, note | {"epochs": self.epoch})
+        return self.average.save(self.checkpoint, note | {"epochs": self.epoch})
 
     def extras(self) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
         """What the state has besides networks and time."""

@@ -18,7 +18,7 @@ from bunraku.core.geometry.axes import ORIENTATIONS
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.errors import OptionError
 from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter, augment
-from bunraku_lab.nn.handles import OrientationPredictor, load_orientation_predictor, save_orientation_predictor
+from bunraku_lab.nn.handles import OrientationPredictor
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
 
 __all__ = [
@@ -79,10 +79,7 @@ def _corrupted(
 
 @torch.no_grad()
 def validate_orientation(
-    model: OrientationPredictor,
-    characters: Sequence[TrainingCharacter],
-    variants: int = 2,
-    seed: int = 0,
+    model: OrientationPredictor, characters: Sequence[TrainingCharacter], variants: int = 2, seed: int = 0
 ) -> np.ndarray:
     """Log-probabilities of all orientations for characters that are upright, as they are and varied.
 
@@ -209,7 +206,7 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
     def _begin(self, model: OrientationPredictor) -> None:
         if self.config.start is None:
             return
-        given = load_orientation_predictor(self.config.start)
+        given = OrientationPredictor.load(self.config.start)
         if replace(given.config, temperature=1.0) != replace(self.config.predictor, temperature=1.0):
             raise OptionError(f"{self.config.start}: its network has another shape than this run; give its settings")
         model.load_state_dict(given.state_dict())
@@ -259,7 +256,7 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         """Write the checkpoint."""
         shipped = OrientationPredictor(replace(self.average.config, temperature=self.temperature))
         shipped.load_state_dict(self.average.state_dict())
-        return save_orientation_predictor(self.checkpoint, shipped, note, half=True)
+        return shipped.save(self.checkpoint, note, half=True)
 
 
 def _chances(names: Sequence[str]) -> np.ndarray:

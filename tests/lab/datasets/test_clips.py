@@ -1,4 +1,4 @@
-"""Training motions on disk: the bundle, sources, captions by time, and the report."""
+"""Training motions on disk: the bundle, sources, and captions by time."""
 
 import json
 import lzma
@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from bunraku.anatomy.anatomy import body_handle_motion
 from bunraku.cli.app import main
 from bunraku.core.body.joint_rotations import skeleton_from_handles
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.body.reference import reference_body
-from bunraku.core.geometry.rotations import matrix_from_axis_angle, matrix_y
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
 from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku.errors import FormatError, OptionError
+from bunraku.generation.features import body_handle_motion
 from bunraku_lab.datasets.motions.build import between_held_poses, checked, clip_weight
 from bunraku_lab.datasets.motions.clips import (
     KIND,
@@ -32,8 +32,6 @@ from bunraku_lab.datasets.motions.sources import (
     Stretch,
     credit_lines,
     load_watched,
-    motion_report,
-    report_text,
     source_of,
     subject_of,
 )
@@ -277,35 +275,3 @@ def test_without_the_file_there_are_none_and_a_broken_one_is_named(tmp_path):
     (tmp_path / "captions_watched.json").write_text("[1")
     with pytest.raises(FormatError, match=r"captions_watched\.json.*copy it again"):
         load_watched(tmp_path, {"one": 10})
-
-
-def body(frames, speed=0.0, turn=0.0, height=0.0):
-    """A reference body that stands, slides ahead at a speed [m/s] and turns by so many radians."""
-    path = np.zeros((frames, 3))
-    path[:, 2], path[:, 1] = np.arange(frames) / 20 * speed, height
-    still = np.tile(np.eye(3), (frames, HANDLE_COUNT, 1, 1))
-    return HandleMotion(np.zeros((frames, HANDLE_COUNT, 3)), still, path, matrix_y(np.linspace(0, turn, frames)), 20.0)
-
-
-def test_each_action_is_measured_and_what_is_dropped_is_named(tmp_path):
-    write_clip(tmp_path / "walk.npz", body(100, speed=1.5), np.zeros(100))
-    write_clip(tmp_path / "turn.npz", body(60, turn=np.pi / 2), np.full(60, 0.2))
-    entry = {"source": "", "licence": "", "split": "train", "weight": 1.0, "texts": []}
-    parts = [
-        {"start": 0, "stop": 60, "texts": ["a person walks forward"]},
-        {"start": 60, "stop": 100, "texts": ["a person walks on"], "fault": "frozen"},
-    ]
-    clips = {
-        "walk": entry | {"frames": 100, "stretches": parts},
-        "turn": entry | {"frames": 60, "texts": ["turn left"]},
-        "dog": entry | {"frames": 9, "species": "dog", "texts": ["a dog walks"]},
-    }
-    write_index(tmp_path, clips)
-    rows = motion_report(tmp_path)
-    assert set(rows) == {"walk", "turn"}
-    assert rows["walk"].seconds == [3.0] and rows["walk"].speed[0] == pytest.approx(1.5, abs=0.02)
-    assert rows["walk"].contact == [0.0] and rows["walk"].dropped == {"frozen": 1}  # its feet slide, so none stands
-    assert rows["turn"].turn[0] == pytest.approx(90, abs=3) and rows["turn"].contact[0] > 0.9
-    assert rows["turn"].floating == [1.0]
-    text = report_text(rows)
-    assert "walk" in text and "frozen" in text and text.index("walk") < text.index("dropped")

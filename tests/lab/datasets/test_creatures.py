@@ -167,9 +167,7 @@ def test_a_clip_goes_to_the_reference_body_and_back(archive):
     motion = reference_motion(body, vertices)
     bare = Stages(feet=False, smooth=False, floor=False)
     again = Animation(
-        body.character,
-        body.handles,
-        fit_motion(motion.of_own_body(), Anatomy.of(body.character, body.handles), bare),
+        body.character, body.handles, fit_motion(motion.of_own_body(), Anatomy.of(body.character, body.handles), bare)
     ).vertices()
     error = np.linalg.norm(again - vertices, axis=-1).mean() / body.character.height
     assert error < 0.02

@@ -1,4 +1,3 @@
-import csv
 import json
 import shutil
 from dataclasses import replace
@@ -12,11 +11,11 @@ from bunraku.cli import main
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_y
 from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint
-from bunraku.errors import FormatError, OptionError
+from bunraku.errors import OptionError
 from bunraku.generation import networks
 from bunraku.generation.denoiser import fingerprint
 from bunraku.generation.extractor import ExtractorConfig
-from bunraku.generation.features import decode, encode
+from bunraku.generation.features import encode
 from bunraku.generation.layers import DenoiserConfig
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion import samples as motion_samples
@@ -27,10 +26,8 @@ from bunraku_lab.evaluation.motion.samples import (
     SamplerSettings,
     Window,
     make_motions,
-    window_features,
-    write_prompts,
 )
-from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows, table_windows
+from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows
 from bunraku_lab.evaluation.motion.viewer_prompts import VIEWER_BARS
 from bunraku_lab.evaluation.report import KeptParts
 from bunraku_lab.evaluation.tables.tapmo import DistortionConfig, measure_handles
@@ -261,12 +258,7 @@ def test_the_command_prints_the_table_and_json(folder, tmp_path, capsys):
         "--steps",
         "2",
     ]
-    words += [
-        "--extractor",
-        str(folder / "extractor.safetensors"),
-        "--work",
-        str(tmp_path),
-    ]
+    words += ["--extractor", str(folder / "extractor.safetensors"), "--work", str(tmp_path)]
     words += ["--pool", "40", "--clips", "32", "--quick", "--only", "table", "--candidates", "4"]
     assert main([*words, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -297,21 +289,3 @@ def test_bad_options_are_one_sentence(tmp_path, capsys):
     assert "no such folder" in capsys.readouterr().err
     assert main(["evaluate", "motion", "--data", str(tmp_path), "--runs", "0"]) == 2
     assert "--runs" in capsys.readouterr().err
-
-
-def test_the_motions_of_others_get_a_row_on_the_same_windows(folder, tmp_path):
-    config = settings(folder, tmp_path / "work")
-    clips, windows = table_windows(config)
-    rows = list(csv.DictReader(write_prompts(tmp_path / "prompts.csv", windows).open()))
-    assert [row["text"] for row in rows] == [window.sentence for window in windows]
-    theirs = tmp_path / "theirs"
-    theirs.mkdir()
-    for row, window in zip(rows, windows, strict=True):
-        assert float(row["seconds"]) == pytest.approx(window.frames / 20)
-        decode(window_features(clips, window)).save(theirs / f"{row['file']}.npz")
-    found = evaluate_motion(replace(config, motions=theirs))["rows"]
-    assert found["others"]["fid"]["mean"] == pytest.approx(found["real"]["fid"]["mean"], rel=0.02)  # they are the same
-    assert found["others"]["r_precision_3"]["mean"] == pytest.approx(found["real"]["r_precision_3"]["mean"], abs=0.05)
-    (theirs / "0003.npz").unlink()
-    with pytest.raises(FormatError, match="1 of 24 motions are missing, first 0003"):
-        evaluate_motion(replace(config, motions=theirs))

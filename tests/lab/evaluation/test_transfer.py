@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 from pathlib import Path
@@ -33,7 +32,6 @@ from bunraku_lab.evaluation.transfer.table import (
     leg_reach,
     measure_soles,
     pick_motions,
-    write_transfer_pairs,
 )
 from bunraku_lab.synthetic.samples import make_sample
 
@@ -90,50 +88,6 @@ def test_the_table(tmp_path):
     assert (
         evaluate_transfer(tmp_path / "characters", tmp_path, work=tmp_path / "work", speed=False)["angle_rig"] < 5
     )  # another walk
-
-
-@pytest.fixture(scope="module")
-def waving(tmp_path_factory):
-    """Five motions in which an arm turns, and the reference body as a character."""
-    folder = tmp_path_factory.mktemp("waving")
-    body = reference_body()
-    turns = np.zeros((12, 22, 3))
-    turns[:, JOINT_NAMES.index("left_shoulder"), 2] = np.linspace(-1.2, 0.3, 12)
-    motion = SkeletalMotion(body.skeleton, matrix_from_axis_angle(turns), np.tile(body.joints[0], (12, 1)), 20.0)
-    for kind in KINDS:
-        write_bvh(motion, folder / f"{kind}.bvh")
-    (folder / "characters" / "set").mkdir(parents=True)
-    RigAnimation(body.character(), matrix_from_axis_angle(turns), np.zeros((12, 22, 3))).save(
-        folder / "characters" / "set" / "person.glb"
-    )
-    return folder, turns
-
-
-def test_another_method_s_results_stand_beside_ours(waving, tmp_path):
-    """One result does what the source does, one has the arm 30 degrees behind, one is broken, two are missing."""
-    folder, turns = waving
-    pairs = list(csv.reader(write_transfer_pairs(tmp_path / "pairs.csv", folder / "characters", folder).open()))
-    assert pairs[0] == ["file", "character", "motion"]
-    assert [row[0] for row in pairs[1:]] == [f"set/person/{kind}" for kind in KINDS]
-    there = tmp_path / "results" / "set" / "person"
-    there.mkdir(parents=True)
-    late = turns.copy()
-    late[:, JOINT_NAMES.index("left_shoulder"), 2] -= np.pi / 6
-    for kind, own in (("walk", turns), ("dance", late)):
-        RigAnimation(reference_body().character(), matrix_from_axis_angle(own), np.zeros((12, 22, 3)), 20.0).save(
-            there / f"{kind}.glb"
-        )
-    (there / "kick.glb").write_bytes(b"glTF")
-    found = evaluate_transfer(folder / "characters", folder, results=tmp_path / "results", speed=False)
-    assert found["results"] == pytest.approx(2 / 5) and list(found["failed"]) == ["result set/person/kick"]
-    assert found["angle_results"] == pytest.approx(0.5 * 2 * 30 / 8, abs=0.3)  # two of eight limbs, in one of two
-    assert found["angle_rig_there"] == pytest.approx(found["angle_rig"])
-
-
-def test_a_folder_without_results_is_refused(waving, tmp_path):
-    folder, _ = waving
-    with pytest.raises(FormatError, match="pairs-to"):
-        evaluate_transfer(folder / "characters", folder, results=tmp_path, speed=False)
 
 
 def test_processes_give_the_same_table_of_transfer(tmp_path):

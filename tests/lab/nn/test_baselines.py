@@ -11,10 +11,8 @@ from bunraku_lab.nn.blend_shapes import (
     NbsNetwork,
     edge_mesh,
     hinted,
-    load_nbs,
     local_rotations,
     moved_by,
-    save_nbs,
     shape_joints,
     vertex_means,
 )
@@ -24,11 +22,9 @@ from bunraku_lab.nn.pose_transfer import (
     TransferConfig,
     TransferNetwork,
     affine_of,
-    load_transfer,
     part_centres,
     part_graph,
     per_mesh_max,
-    save_transfer,
     shares_of,
 )
 
@@ -127,7 +123,7 @@ def test_networks_come_back_from_their_files(tmp_path):
     for config in (NbsConfig(skinning=(4, 5)), NbsConfig(skinning=(4,), geometry=(4,), mixed=3, shapes=2)):
         torch.manual_seed(0)
         network = NbsNetwork(config).eval()
-        again = load_nbs(save_nbs(tmp_path / "nbs.safetensors", network))
+        again = NbsNetwork.load(network.save(tmp_path / "nbs.safetensors"))
         mesh, points = edge_mesh(FACES, EDGES, 4), torch.rand(4, 3)
         assert again.config == config and torch.equal(again(points, mesh), network(points, mesh))
         torch.testing.assert_close(network(points, mesh).sum(dim=1), torch.ones(4))
@@ -228,7 +224,7 @@ def test_transfer_networks_come_back_from_their_files(tmp_path):
     for config in (SMALL, TransferConfig(parts=3, predictor=True, tied=2, levels=(4, 5), code=6)):
         torch.manual_seed(0)
         network = TransferNetwork(config).eval()
-        again = load_transfer(save_transfer(tmp_path / "transfer.safetensors", network))
+        again = TransferNetwork.load(network.save(tmp_path / "transfer.safetensors"))
         assert again.config == config
         if config.predictor:
             found = again.weights(graph())

@@ -10,16 +10,7 @@ from bunraku.anatomy.handles.networks import OrientationConfig, PredictorConfig,
 from bunraku.core.geometry.axes import right_angle_rotations
 from bunraku.errors import WeightsError
 from bunraku_lab.nn.graph import EdgeConv, edge_conv_reference, mesh_graph
-from bunraku_lab.nn.handles import (
-    HandlePredictor,
-    OrientationPredictor,
-    grow_predictor,
-    load_orientation_predictor,
-    load_predictor,
-    rotated_tokens,
-    save_orientation_predictor,
-    save_predictor,
-)
+from bunraku_lab.nn.handles import HandlePredictor, OrientationPredictor, grow_predictor, rotated_tokens
 
 SMALL = PredictorConfig(levels=(8, 12, 16), hidden=(16, 16), anchors=10)
 
@@ -71,7 +62,7 @@ def test_predictor_shapes_and_that_order_does_not_matter():
 
 def test_checkpoint_carries_its_config(tmp_path):
     model = HandlePredictor(SMALL).eval()
-    again = load_predictor(save_predictor(tmp_path / "handles.safetensors", model, {"results": {"held_accuracy": 0.5}}))
+    again = HandlePredictor.load(model.save(tmp_path / "handles.safetensors", {"results": {"held_accuracy": 0.5}}))
     assert again.config == SMALL
     graph, _ = small_graph()
     assert torch.equal(again(graph).logits, model(graph).logits)
@@ -79,7 +70,7 @@ def test_checkpoint_carries_its_config(tmp_path):
 
 def test_a_deeper_predictor_begins_as_the_one_it_grew_from(tmp_path):
     shallow = HandlePredictor(replace(SMALL, depth=1)).eval()
-    path = save_predictor(tmp_path / "shallow.safetensors", shallow)
+    path = shallow.save(tmp_path / "shallow.safetensors")
     deep = HandlePredictor(replace(SMALL, depth=3)).eval()
     graph, _ = small_graph()
     grow_predictor(deep, path)
@@ -87,7 +78,7 @@ def test_a_deeper_predictor_begins_as_the_one_it_grew_from(tmp_path):
     with pytest.raises(WeightsError, match="do not fit"):
         grow_predictor(HandlePredictor(replace(SMALL, levels=(8, 12, 20))), path)
     with pytest.raises(WeightsError, match="do not fit"):
-        grow_predictor(shallow, save_predictor(tmp_path / "deep.safetensors", deep))
+        grow_predictor(shallow, deep.save(tmp_path / "deep.safetensors"))
 
 
 def test_training_draws_other_anchors_each_time():
@@ -185,11 +176,11 @@ def test_a_mirror_image_keeps_up_and_front():
 
 def test_checkpoints_come_back(tmp_path):
     model = tiny()
-    path = save_orientation_predictor(tmp_path / "o.safetensors", model)
-    again = load_orientation_predictor(path)
+    path = model.save(tmp_path / "o.safetensors")
+    again = OrientationPredictor.load(path)
     tokens = torch.from_numpy(shape_tokens(*cloud(), 32))
     with torch.no_grad():
         assert again.config == model.config and torch.equal(again.probabilities(tokens), model.probabilities(tokens))
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(WeightsError, match="damaged"):
-        load_orientation_predictor(path)
+        OrientationPredictor.load(path)

@@ -24,7 +24,7 @@ from bunraku.generation.extractor import RADIUS, ExtractorConfig
 from bunraku.generation.extractor import load_extractor as load_running_extractor
 from bunraku.generation.layers import DenoiserConfig
 from bunraku_lab.nn import graph as tensors
-from bunraku_lab.nn.apparel import SegmentationNetwork, mesh_block, save_segmentation
+from bunraku_lab.nn.apparel import SegmentationNetwork, mesh_block
 from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
 from bunraku_lab.nn.denoiser import Denoiser, RetrievedExamples, load_denoiser, save_denoiser
 from bunraku_lab.nn.handles import HandlePredictor, OrientationPredictor, rotated_tokens
@@ -177,7 +177,7 @@ def test_segmentation(tmp_path):
     body = reference_body()
     model = randomised(SegmentationNetwork(SegmentationConfig(16, 2)))
     mesh = sampled_mesh(body.vertices, body.faces, np.asarray(body.joints), 300, 0)
-    found = load_running_segmentation(save_segmentation(tmp_path / "mask.safetensors", model))
+    found = load_running_segmentation(model.save(tmp_path / "mask.safetensors"))
     np.testing.assert_allclose(found.scores(mesh), model.scores(*mesh_block([mesh])), atol=2e-5, rtol=1e-4)
 
 

@@ -16,7 +16,7 @@ from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.build import build_apparel
 from bunraku_lab.datasets.apparel.plan import choose_motions, motion_sources, plan_shards, wardrobe_sources
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
-from bunraku_lab.nn.apparel import DisplacementNetwork, load_displacement, load_segmentation
+from bunraku_lab.nn.apparel import DisplacementNetwork, SegmentationNetwork
 from bunraku_lab.nn.running import running_displacement
 from bunraku_lab.synthetic.stock_motions import stock_motion
 from bunraku_lab.training.apparel.body import (
@@ -37,9 +37,9 @@ from bunraku_lab.training.apparel.displacement import (
 from bunraku_lab.training.apparel.mesh_bank import build_meshes
 from bunraku_lab.training.apparel.refinement import (
     RefinementConfig,
+    RefinementNetwork,
     RefinementTrainConfig,
     RefinementTrainer,
-    load_refinement,
     seam_of,
     seam_sample,
 )
@@ -127,7 +127,7 @@ def test_displacement_goes_on_to_the_same_weights(bank, tmp_path):
     cut = DisplacementTrainer(replace(config, out=tmp_path / "b"), bank)
     for _ in range(3):
         cut.train_step()
-    head_only = load_displacement(cut.save({}))
+    head_only = DisplacementNetwork.load(cut.save({}))
     assert head_only.recurrent is None  # what has not learned is not handed on
     resumed = DisplacementTrainer(replace(config, out=tmp_path / "b"), bank)
     assert resumed.resume() and resumed.step == 3
@@ -135,7 +135,7 @@ def test_displacement_goes_on_to_the_same_weights(bank, tmp_path):
         resumed.train_step()
     for one, other in zip(whole.model.parameters(), resumed.model.parameters(), strict=True):
         assert torch.equal(one, other)
-    assert load_displacement(whole.save({})).recurrent is not None
+    assert DisplacementNetwork.load(whole.save({})).recurrent is not None
 
 
 def test_displacement_learns_one_clip(bank, tmp_path):
@@ -160,7 +160,7 @@ def test_the_mask_is_learned(meshes, tmp_path):
     results = trainer.validate()
     assert results["iou"] > max(before, 0.3)
     path = trainer.save(results)
-    assert torch.equal(load_segmentation(path).mean, trainer.average.mean)
+    assert torch.equal(SegmentationNetwork.load(path).mean, trainer.average.mean)
     again = SegmentationTrainer(config, meshes, meshes)
     assert again.resume() and again.step == 80
 
@@ -202,7 +202,7 @@ def test_the_recurrent_part_goes_about_a_trained_head(bank, tmp_path):
     for _ in range(3):
         first.train_step()
     path = first.save({})
-    head = load_displacement(path).anchor.state_dict()
+    head = DisplacementNetwork.load(path).anchor.state_dict()
     second = replace(
         config, out=tmp_path / "b", start=path, head=0.0, clips=1, shortest=5, longest=6,
         network=DisplacementConfig(8, 1, 8),
@@ -210,7 +210,7 @@ def test_the_recurrent_part_goes_about_a_trained_head(bank, tmp_path):
     trainer = DisplacementTrainer(second, bank)
     for _ in range(3):
         assert "recurrent_loss" in trainer.train_step()
-    done = load_displacement(trainer.save({}))
+    done = DisplacementNetwork.load(trainer.save({}))
     assert done.recurrent is not None
     for (
         name,
@@ -295,5 +295,5 @@ def test_the_refinement_is_learned(data, tmp_path):
         trainer.train_step()
     results = trainer.validate()
     assert results["vertices"] < 0.8 and results["edges"] < 0.7
-    assert load_refinement(trainer.save(results)).config.width == 16
+    assert RefinementNetwork.load(trainer.save(results)).config.width == 16
     assert RefinementTrainer(config, [sample]).resume()

@@ -14,9 +14,9 @@ from bunraku.core.body.layout import JOINT_COUNT
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.errors import WeightsError
-from bunraku_lab.nn.apparel import SegmentationNetwork, load_segmentation, mesh_block, save_segmentation
+from bunraku_lab.nn.apparel import SegmentationNetwork, mesh_block
 from bunraku_lab.nn.graph import node_graph
-from bunraku_lab.training.apparel.body import BodyConfig, BodyNetwork, load_body, save_body
+from bunraku_lab.training.apparel.body import BodyConfig, BodyNetwork
 from bunraku_lab.training.apparel.refinement import (
     BASIS,
     FREE,
@@ -24,9 +24,7 @@ from bunraku_lab.training.apparel.refinement import (
     INPUTS,
     RefinementConfig,
     RefinementNetwork,
-    load_refinement,
     refined,
-    save_refinement,
     seam_of,
 )
 from bunraku_lab.training.losses.motion import edge_loss, mask_loss, refinement_loss, smoothness_loss, vertex_loss
@@ -75,7 +73,7 @@ def test_weights_add_up(geodesics, tmp_path):
         weights = network(points, normals, torch.from_numpy(mesh.joints)[None], distances, graph)
     assert weights.shape == (len(mesh.points), JOINT_COUNT)
     np.testing.assert_allclose(weights.sum(dim=1), 1, atol=1e-5)
-    again = load_body(save_body(tmp_path / "body.safetensors", network))
+    again = BodyNetwork.load(network.save(tmp_path / "body.safetensors"))
     assert torch.equal(again(points, normals, torch.from_numpy(mesh.joints)[None], distances, graph), weights)
 
 
@@ -146,7 +144,7 @@ def test_probabilities_are_the_sigmoid_of_the_scores(tmp_path):
         likely, scores = network(features, graph), network.scores(features, graph)
     np.testing.assert_allclose(likely, 1 / (1 + np.exp(-scores[:, 0].numpy())), rtol=1e-5)
     np.testing.assert_allclose(likely[:150], likely[150:], rtol=1e-5)  # meshes do not hear of one another
-    again = load_segmentation(save_segmentation(tmp_path / "mask.safetensors", network))
+    again = SegmentationNetwork.load(network.save(tmp_path / "mask.safetensors"))
     assert torch.equal(again(features, graph), likely)
 
 
@@ -302,7 +300,7 @@ def test_its_losses_by_hand():
 
 def test_a_checkpoint_of_another_kind_is_not_read(tmp_path):
     network = RefinementNetwork(RefinementConfig(4))
-    path = save_refinement(tmp_path / "a.safetensors", network)
-    assert load_refinement(path).config.width == 4
+    path = network.save(tmp_path / "a.safetensors")
+    assert RefinementNetwork.load(path).config.width == 4
     with pytest.raises(WeightsError):
-        load_refinement(tmp_path / "b.safetensors")
+        RefinementNetwork.load(tmp_path / "b.safetensors")

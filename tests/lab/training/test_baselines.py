@@ -12,8 +12,8 @@ from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.geometry.simplify import network_mesh
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError, OptionError
-from bunraku_lab.nn.blend_shapes import NbsConfig, load_nbs
-from bunraku_lab.nn.pose_transfer import TransferConfig, load_transfer
+from bunraku_lab.nn.blend_shapes import NbsConfig, NbsNetwork
+from bunraku_lab.nn.pose_transfer import TransferConfig, TransferNetwork
 from bunraku_lab.training.baselines.banks import (
     ClothedSample,
     clothed_target,
@@ -69,7 +69,7 @@ def test_a_skinning_branch_learns(clothed, tmp_path):
     before = trainer.validate()["pmd"]
     trainer.learn()
     assert trainer.validate()["pmd"] < 0.6 * before
-    assert load_nbs(trainer.checkpoint).config == trainer.config.network
+    assert NbsNetwork.load(trainer.checkpoint).config == trainer.config.network
 
 
 def test_a_training_that_was_stopped_goes_on_as_if_it_had_not(clothed, tmp_path):
@@ -148,7 +148,7 @@ def test_every_preset_learns_and_comes_back(preset, clothed, tmp_path):
     assert again.resume() and again.step == 3
     for name, value in trainer.average.state_dict().items():
         assert torch.equal(again.average.state_dict()[name], value), name
-    assert load_transfer(trainer.checkpoint).config == config.network
+    assert TransferNetwork.load(trainer.checkpoint).config == config.network
 
 
 def test_parts_that_learn_alone_come_to_move_as_the_joints_do(clothed, tmp_path):

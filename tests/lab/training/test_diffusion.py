@@ -179,17 +179,6 @@ def test_without_tensorboard_one_line_says_so(settings, config, encoder, tmp_pat
     assert not (tmp_path / "run" / "events").exists()
 
 
-def test_several_processes_without_accelerate_are_an_error(settings, config, encoder, monkeypatch):
-    import sys
-
-    from bunraku.errors import MissingExtraError
-
-    monkeypatch.setenv("WORLD_SIZE", "2")
-    monkeypatch.setitem(sys.modules, "accelerate", None)
-    with pytest.raises(MissingExtraError, match=r"bunraku\[train\]"):
-        train_diffusion(settings(steps=1), config(), encoder)
-
-
 def test_the_checkpoint_says_that_creatures_were_trained(settings, config, encoder, swings):
     import json
 

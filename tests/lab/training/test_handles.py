@@ -20,7 +20,7 @@ from bunraku_lab.datasets.characters.training_character import (
     plain_mesh,
 )
 from bunraku_lab.nn.graph import mesh_graph
-from bunraku_lab.nn.handles import HandlePredictor, load_predictor, save_predictor
+from bunraku_lab.nn.handles import HandlePredictor
 from bunraku_lab.training.handles import (
     HandleTrainConfig,
     HandleTrainer,
@@ -142,7 +142,7 @@ def test_train_handles_writes_a_checkpoint_and_a_log(tmp_path):
         cache=tmp_path / "cache", out=tmp_path / "run", minutes=0, epochs=1, predictor=SMALL, reference_share=0.0
     )
     path = train_handles(config, rows.append)
-    assert load_predictor(path).config == SMALL
+    assert HandlePredictor.load(path).config == SMALL
     assert len((tmp_path / "run" / "log.csv").read_text().splitlines()) == 2 and rows[0]["epoch"] == 1
     assert train_handles(config, rows.append) == path and len(rows) == 1  # done is done
 
@@ -179,8 +179,8 @@ def test_mesh_bank_holds_each_character_and_its_variants(tmp_path):
 def test_a_run_that_goes_on_keeps_the_feature_where_it_is_told_to(tmp_path):
     """The same steps with and without the loss: with it, f_phi of a mesh stays nearer to what it was."""
     torch.manual_seed(0)
-    start = save_predictor(tmp_path / "start.safetensors", HandlePredictor(SMALL))
-    before = load_predictor(start)
+    start = HandlePredictor(SMALL).save(tmp_path / "start.safetensors")
+    before = HandlePredictor.load(start)
     mesh = plain_mesh(worm(), np.random.default_rng(0))
     graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, SMALL.anchors)
     moved = []

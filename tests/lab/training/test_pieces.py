@@ -1,10 +1,17 @@
+import importlib.util
 import json
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bunraku.errors import FormatError, OptionError
-from bunraku_lab.training.pieces import join_pieces, split_file
+
+SPEC = importlib.util.spec_from_file_location("gpu", Path(__file__).parents[3] / "tools" / "gpu.py")
+gpu = sys.modules["gpu"] = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(gpu)
+join_pieces, split_file = gpu.join_pieces, gpu.split_file
 
 
 @pytest.fixture

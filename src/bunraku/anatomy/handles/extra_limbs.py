@@ -327,26 +327,30 @@ def _hills(mesh: NetworkMesh, graph: csr_matrix, distance: np.ndarray, inside: n
     hills: dict[int, _Hill] = {}
     merged: dict[int, int] = {}  # a label of each vertex that was passed, and the label that it has become
 
-    def current(label: int) -> int:
-        while merged[label] != label:
-            label = merged[label]
-        return label
-
     order = np.flatnonzero(inside)
     for vertex in order[np.argsort(-distance[order], kind="stable")].tolist():
         level = float(distance[vertex])
         near = graph.indices[graph.indptr[vertex] : graph.indptr[vertex + 1]].tolist()
-        met = sorted({current(one) for one in near if one in merged}, key=lambda one: (-hills[one].tip, one))
-        slender = [hills[one] for one in met if hills[one].best is not None or hills[one].over]
-        hill = slender[0] if slender else hills[met[0]] if met else _Hill(level, 0.0, [])
-        if len(slender) > 1:
-            for one in slender:
-                if one.best is not None:
-                    yield one.best
-            hill = _Hill(hill.tip, hill.area, hill.members, over=True)
-        others = [hills[one] for one in met if hills[one].members is not hill.members]
-        hill.area += sum(one.area for one in others) + float(mesh.areas[vertex])
-        hill.members.extend(member for one in others for member in one.members)
+        labels = set()
+        for other in near:
+            if other in merged:
+                while merged[other] != other:
+                    other = merged[other]
+                labels.add(other)
+        met, area = list(labels), float(mesh.areas[vertex])
+        if len(met) > 1:
+            met.sort(key=lambda label: (-hills[label].tip, label))
+            slender = [hills[label] for label in met if hills[label].best is not None or hills[label].over]
+            hill = slender[0] if slender else hills[met[0]]
+            if len(slender) > 1:
+                yield from [one.best for one in slender if one.best is not None]
+                hill = _Hill(hill.tip, hill.area, hill.members, over=True)
+            others = [hills[label] for label in met if hills[label].members is not hill.members]
+            area = sum(one.area for one in others) + area
+            hill.members.extend(member for one in others for member in one.members)
+        else:
+            hill = hills[met[0]] if met else _Hill(level, 0.0, [])
+        hill.area += area
         hill.members.append(vertex)
         label = met[0] if met else vertex
         merged[vertex], hills[label] = label, hill
@@ -355,8 +359,8 @@ def _hills(mesh: NetworkMesh, graph: csr_matrix, distance: np.ndarray, inside: n
         length = hill.tip - level
         if not hill.over and hill.area < most and length > LONG and 2 * np.pi * length**2 > SLENDER * hill.area:
             hill.best = Appendage(np.array(hill.members), level, hill.tip)
-    for label in {current(one) for one in merged}:
-        best = hills[label].best
+    for label, above in merged.items():
+        best = hills[label].best if label == above else None
         if best is not None:
             yield best
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bunraku.anatomy.handles.orientation_evidence import evidence, has_rule, kind_weights, with_prior
+from bunraku.anatomy.handles.orientation_evidence import Combination, ShapeView, gathered, has_rule, kind_weights
 from bunraku.core.character import Character
 from bunraku.core.geometry.axes import AXES, ORIENTATIONS, axis_name, default_orientation, upright_rotation
 from bunraku.core.geometry.surface import surface_points
@@ -136,12 +136,13 @@ def guess_orientation(
     surface = surface_points(character.vertices, character.faces, _POINTS)
     used = character.surface
     paint = None if character.colors is None else (np.cumsum(used)[character.faces] - 1, character.colors[used])
-    others = evidence(character.vertices[used], surface, paint)
+    vertices, combined = character.vertices[used], Combination()
+    logs, worth = gathered(ShapeView(vertices, surface, paint)), combined.worth(vertices)
     looks = [_look(model, *surface)]
-    if with_prior(looks[0], *others).max() < ENOUGH:
+    if combined(looks[0], logs, worth).max() < ENOUGH:
         looks += [_look(model, *surface_points(character.vertices, character.faces, count)) for count in _AGAIN]
     mean = np.exp(np.log(looks).mean(axis=0))
-    return Orientation.of(with_prior(mean / mean.sum(), *others, prior, bones))
+    return Orientation.of(combined(mean / mean.sum(), logs, worth, prior, bones))
 
 
 def _look(model: OrientationPredictor, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -195,6 +196,19 @@ class ResolvedAxes:
     up: str
     front: str
     guess: Orientation | None = None
+
+    @property
+    def sure(self) -> float:
+        """How likely these axes are by the guess, 0 to 1; 1 where nothing was guessed."""
+        return 1.0 if self.guess is None else self.guess.probability(self.up, self.front)
+
+    @property
+    def other(self) -> tuple[str, str] | None:
+        """The likeliest other axes; None where nothing was guessed."""
+        if self.guess is None:
+            return None
+        likeliest, taken = (self.guess.up, self.guess.front), (self.up, self.front)
+        return likeliest if taken != likeliest else self.guess.next_best(*taken)
 
 
 def resolve_axes(

@@ -30,7 +30,7 @@ class SkeletonMap:
     Args:
         joints: Index of the joint of each of SMPL's 22, -1 where there is none.
         how: What each was found by: "given", "name", "rig", "hierarchy" or "structure"; "" where there is none.
-        convention: Who names joints like this, as far as that is plain; "" otherwise.
+        convention: Name of the program or data whose names these are, as far as that is plain; "" otherwise.
     """
 
     joints: tuple[int, ...]
@@ -97,7 +97,7 @@ SHORT_BONE = 0.55  # a first bone shorter than this share of the next one is a c
 def joints_by_structure(skeleton: Skeleton, mass: np.ndarray | None = None) -> dict[str, int]:
     """Joints by SMPL's names, as far as legs are found; without legs none.
 
-    Sides are those of who faces where the feet point in the rest pose, +Z where there are none.
+    The body faces where its feet point in the rest pose, +Z where it has none.
 
     Args:
         skeleton: Each joint after its parent.

@@ -28,7 +28,7 @@ __all__ = ["rest_is_a_pose", "to_smpl", "rotations_of_rest"]
 _J = {name: index for index, name in enumerate(JOINT_NAMES)}
 _CHILD = LIMB_CHILD | {3: 6, 6: 9, 9: 12, 12: 15, 7: 10, 8: 11, 13: 16, 14: 17}  # where a part points
 _UPRIGHT = np.cos(np.radians(35))  # a rest pose this near to upright is upright
-_AHEAD = np.cos(np.radians(12))  # who faces +Z as nearly as this faces +Z
+_AHEAD = np.cos(np.radians(12))  # a body that faces +Z as nearly as this faces +Z
 _BENDS = 0.15  # mean sine of the bend of an elbow or a knee from which on it says how the limb is rolled
 _TURNED_FOOT = np.cos(np.radians(50))  # a foot that points farther off than this rests in another pose
 

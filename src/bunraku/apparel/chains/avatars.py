@@ -17,7 +17,6 @@ from bunraku.core.geometry.rotations import matrix_from_axis_angle
 
 __all__ = ["VrmValues", "between_frames", "fitted_springs", "link_turns", "mmd_avatar", "vrm_avatar", "vrm_steps"]
 
-
 RATE = 60  # steps a second
 
 

@@ -20,18 +20,9 @@ from bunraku.core.files import atomic_write, read_bounded
 from bunraku.errors import FormatError
 
 __all__ = [
-    "Chain",
-    "ChainParameters",
-    "KINDS",
-    "SUFFIX",
-    "parameters_beside",
-    "parameters_from_file",
-    "parameters_of",
-    "parameters_of_laid",
-    "with_parameters",
-    "write_parameters",
-]
-
+    "Chain", "ChainParameters", "KINDS", "SUFFIX", "parameters_beside", "parameters_from_file", "parameters_of",
+    "parameters_of_laid", "with_parameters", "write_parameters",
+]  # fmt: skip
 
 KINDS = (*APPAREL_KINDS, "strand")
 """Kinds of chains; a strand is one of which nothing is known."""
@@ -83,7 +74,6 @@ _PARAMETERS = {
     "ribbon": ChainParameters(30 * _DEGREE, 0.5, 0.4, 0.93, mass=0.25),
     "strand": ChainParameters(18 * _DEGREE, 0.8, 0.8, 0.93),
 }
-
 
 # Of chains that are laid over a shape: what came nearest to the simulated wardrobe, kind by kind, on 18 characters for
 # training. There shape says nothing of limits and springs beyond the kind (a regression on length, width, place, number

@@ -197,18 +197,10 @@ def _ties(one: Chain, other: Chain, bodies: list[int], others: list[int]) -> lis
         none = np.zeros(3)
         out.append(
             MmdJoint(
-                f"{one.name} tie {row + 1}",
-                (bodies[row], others[row]),
-                corners.mean(axis=0),
-                frame,
-                -give,
-                give,
-                -turn,
-                turn,
-                none,
-                none,
+                f"{one.name} tie {row + 1}", (bodies[row], others[row]), corners.mean(axis=0), frame, -give, give,
+                -turn, turn, none, none,
             )
-        )
+        )  # fmt: skip
     return out
 
 

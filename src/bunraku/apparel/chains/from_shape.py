@@ -20,7 +20,6 @@ from bunraku.core.geometry.curves import smooth_step
 
 __all__ = ["part_kinds", "shape_chains", "with_parts_from_file"]
 
-
 LINK = 0.115
 """Length of a link over the size [m]."""
 WIDE = {"skirt": 0.17, "cape": 0.17, "sleeve": 0.2}

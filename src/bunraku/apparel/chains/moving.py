@@ -20,7 +20,6 @@ from bunraku.errors import CharacterError
 
 __all__ = ["check_apparel", "dialled", "moving_rig", "simulated", "steady_simulation", "with_apparel"]
 
-
 TRIES = 3
 """How often what flies off is simulated again."""
 STIFFER = 4.0
@@ -72,12 +71,9 @@ def dialled(rig: ApparelRig, stiffness: float = 1.0, gravity: float = 1.0) -> Ap
 
 
 def steady_simulation(
-    animation: RigAnimation,
-    rig: ApparelRig,
-    *,
-    settings: PhysicsSettings | None = None,
+    animation: RigAnimation, rig: ApparelRig, *, settings: PhysicsSettings | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Simulation:
+) -> Simulation:  # fmt: skip
     """`simulate` for chains that nobody has tuned: what flies off is simulated again, stiffer and in shorter steps, and
     what still does stays with the body.
 

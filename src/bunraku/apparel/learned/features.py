@@ -15,29 +15,10 @@ from bunraku.core.body.layout import JOINT_COUNT, JOINT_MIRROR, JOINT_PARENTS
 from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, quaternion_from_matrix, quaternion_slerp
 
 __all__ = [
-    "BASIS",
-    "FREQUENCIES",
-    "Frame",
-    "GLOBAL",
-    "LAGS",
-    "LEAD_IN",
-    "MotionFeatures",
-    "MotionFilters",
-    "OWN",
-    "OwnPendulum",
-    "PENDULUMS",
-    "Pendulums",
-    "RATE",
-    "STATIC_SCALARS",
-    "STATIC_VECTORS",
-    "VECTORS",
-    "clip_features",
-    "lead_in_transforms",
-    "mirror_global",
-    "rest_transforms",
-    "static_features",
-]
-
+    "BASIS", "FREQUENCIES", "Frame", "GLOBAL", "LAGS", "LEAD_IN", "MotionFeatures", "MotionFilters", "OWN",
+    "OwnPendulum", "PENDULUMS", "Pendulums", "RATE", "STATIC_SCALARS", "STATIC_VECTORS", "VECTORS", "clip_features",
+    "lead_in_transforms", "mirror_global", "rest_transforms", "static_features",
+]  # fmt: skip
 
 FREQUENCIES = (0.4, 0.7, 1.2, 2.0, 3.4)
 """Of the oscillators [1/s]: apparel swings at 0.6 on the average, stiff pieces at 4."""
@@ -477,13 +458,9 @@ class MotionFeatures:
             np.minimum(self.own.beyond[: len(nodes)], 1.0),
         ])  # fmt: skip
         return Frame(
-            vectors.astype(np.float32),
-            scalars.astype(np.float32),
-            _whole(transforms, float(size)),
-            turns,
-            positions,
+            vectors.astype(np.float32), scalars.astype(np.float32), _whole(transforms, float(size)), turns, positions,
             body,
-        )
+        )  # fmt: skip
 
     def _spin(self, joints: np.ndarray) -> np.ndarray:
         """How fast each joint turns [rad/s], shape (22, 3)."""

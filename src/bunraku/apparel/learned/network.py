@@ -15,25 +15,10 @@ from bunraku.core.nn.checkpoints import config_of, load_network
 from bunraku.core.nn.layers import Weights, gelu
 
 __all__ = [
-    "CHANGE",
-    "DisplacementConfig",
-    "DisplacementNetwork",
-    "DisplacementPart",
-    "FoldedNetwork",
-    "FoldedPast",
-    "KEEP",
-    "MOTION",
-    "MOTION_HIDDEN",
-    "NODE_INPUT",
-    "OWN_STATE",
-    "SET",
-    "SHARE",
-    "STILL",
-    "WORLD_STATE",
-    "load_displacement",
+    "CHANGE", "DisplacementConfig", "DisplacementNetwork", "DisplacementPart", "FoldedNetwork", "FoldedPast", "KEEP",
+    "MOTION", "MOTION_HIDDEN", "NODE_INPUT", "OWN_STATE", "SET", "SHARE", "STILL", "WORLD_STATE", "load_displacement",
     "past_of_states",
-]
-
+]  # fmt: skip
 
 STILL = 3 * STATIC_VECTORS + STATIC_SCALARS
 """Numbers of a node that never change."""

@@ -24,16 +24,8 @@ from bunraku.apparel.learned.network import DisplacementNetwork, FoldedNetwork, 
 from bunraku.apparel.nodes import ApparelNodes, NodeGraph, apparel_nodes
 
 __all__ = [
-    "ApparelPlayer",
-    "Carrier",
-    "NODES",
-    "Safety",
-    "SafetySettings",
-    "known_share",
-    "node_turns",
-    "polar_rotation",
-]
-
+    "ApparelPlayer", "Carrier", "NODES", "Safety", "SafetySettings", "known_share", "node_turns", "polar_rotation",
+]  # fmt: skip
 
 NEAR = 4
 RIGID = 0.03
@@ -160,7 +152,6 @@ _MINORS = np.array([
     (4, 5, 3, 7, 8, 6, 1, 2, 0), (8, 6, 7, 2, 0, 1, 5, 3, 4), (5, 3, 4, 8, 6, 7, 2, 0, 1), (7, 8, 6, 1, 2, 0, 4, 5, 3),
 ])  # fmt: skip
 """Elements whose products, the first two less the last two, are the cofactors of a matrix."""
-
 
 HELD = 0.02  # nodes as near to where their part is held do not move, over the character's size [m]
 BESIDE = 0.03  # how near to the way out through a node legs count, over the character's size [m]

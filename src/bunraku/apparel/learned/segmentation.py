@@ -20,20 +20,9 @@ from bunraku.core.nn.checkpoints import config_of, dated_checkpoint, load_networ
 from bunraku.core.nn.layers import Weights, gelu, one_thread
 
 __all__ = [
-    "FoundApparel",
-    "NEIGHBOURS",
-    "POINTS",
-    "POINT_FEATURES",
-    "SampledMesh",
-    "SegmentationConfig",
-    "SegmentationNetwork",
-    "find_apparel",
-    "joint_distances",
-    "load_segmentation",
-    "point_features",
-    "sampled_mesh",
-]
-
+    "FoundApparel", "NEIGHBOURS", "POINTS", "POINT_FEATURES", "SampledMesh", "SegmentationConfig",
+    "SegmentationNetwork", "find_apparel", "joint_distances", "load_segmentation", "point_features", "sampled_mesh",
+]  # fmt: skip
 
 POINTS = 1024
 POINT_FEATURES = 3 + 3 + 3 + 1 + JOINT_COUNT - 1 + 4

@@ -15,21 +15,9 @@ from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint
 from bunraku.core.character import Character
 
 __all__ = [
-    "Forest",
-    "Freedom",
-    "Link",
-    "Loop",
-    "add_rods",
-    "add_shape",
-    "apparel_forest",
-    "body_limbs",
-    "free_axes",
-    "freedoms",
-    "inertia",
-    "locked_axes",
-    "loss_rate",
-]
-
+    "Forest", "Freedom", "Link", "Loop", "add_rods", "add_shape", "apparel_forest", "body_limbs", "free_axes",
+    "freedoms", "inertia", "locked_axes", "loss_rate",
+]  # fmt: skip
 
 LEAST = 24  # vertices that a limb is made of at least
 # a bone whose vertices are all nearer to their middle than this share of the height gets none: fingers, eyes, teeth
@@ -144,12 +132,9 @@ def add_rods(owner: Any, body: MmdBody, position: np.ndarray, name: str, setting
     added = False
     for number, across in enumerate(np.linspace(thin - wide, wide - thin, count) if count > 1 else [0.0]):
         rod = replace(
-            body,
-            shape="capsule",
-            size=np.array([thin, 2 * (long - thin), 0.0]),
-            rotation=axes,
+            body, shape="capsule", size=np.array([thin, 2 * (long - thin), 0.0]), rotation=axes,
             position=body.position + across * axes[:, 0],
-        )
+        )  # fmt: skip
         added |= add_shape(owner, rod, position, f"{name}r{number}", settings)
     return added
 

@@ -214,16 +214,10 @@ class _Chains:
         shape = "capsule" if length > 1e-6 else "sphere"
         self.add(
             _still(
-                f"collider {len(self.bodies)}",
-                self.joint_of(collider.node),
-                shape,
-                size,
-                (start + end) / 2,
-                _along(end - start),
-                group,
-                1,
+                f"collider {len(self.bodies)}", self.joint_of(collider.node), shape, size, (start + end) / 2,
+                _along(end - start), group, 1,
             )
-        )
+        )  # fmt: skip
 
     def spring(self, spring: VrmSpring, mask: int) -> None:
         joints = spring.joints if spring.ends_free else spring.joints[:-1]

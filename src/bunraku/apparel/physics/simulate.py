@@ -17,17 +17,8 @@ from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, qu
 from bunraku.errors import CharacterError, MotionError, OptionError
 
 __all__ = [
-    "Drive",
-    "Recovery",
-    "Simulation",
-    "SimulationReport",
-    "joints_moved",
-    "lead_in",
-    "posed",
-    "simulate",
-    "stretched",
-]
-
+    "Drive", "Recovery", "Simulation", "SimulationReport", "joints_moved", "lead_in", "posed", "simulate", "stretched",
+]  # fmt: skip
 
 BLEND = 0.6  # share of the warm-up in which the pose changes; in the rest of it apparel settles
 
@@ -289,14 +280,9 @@ class Simulation:
 
 
 def simulate(
-    animation: RigAnimation,
-    rig: ApparelRig | None = None,
-    *,
-    warmup: float = 1.0,
-    substeps: int | None = None,
-    settings: PhysicsSettings | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Simulation:
+    animation: RigAnimation, rig: ApparelRig | None = None, *, warmup: float = 1.0, substeps: int | None = None,
+    settings: PhysicsSettings | None = None, progress: Callable[[float], None] | None = None,
+) -> Simulation:  # fmt: skip
     """Move the apparel of a character by physics.
 
     The same arguments give the same bytes.

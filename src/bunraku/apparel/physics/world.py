@@ -29,7 +29,6 @@ from bunraku.errors import CharacterError
 
 __all__ = ["MOST_CLASSES", "MOST_DYNAMIC", "World", "build_world", "collision_bits", "fit_contacts"]
 
-
 MOST_CLASSES = 31
 
 Kind = tuple[int, int, bool]
@@ -95,13 +94,9 @@ def fit_contacts(spec: Any, model: Any, settings: PhysicsSettings, step: float) 
         rough = max(spec.geom(name).condim for name in (first, second))
         friction = max(spec.geom(name).friction[0] for name in (first, second))
         spec.add_pair(
-            geomname1=first,
-            geomname2=second,
-            margin=depth - NEAR,
-            condim=rough,
-            friction=[friction, friction, 0, 0, 0],
-            **how,
-        )
+            geomname1=first, geomname2=second, margin=depth - NEAR, condim=rough,
+            friction=[friction, friction, 0, 0, 0], **how,
+        )  # fmt: skip
     for first, second, distance in _near_limbs(model, data, settings.nearby):
         spec.add_pair(
             geomname1=first, geomname2=second, margin=min(distance, KEPT) - SLACK, condim=1, friction=[0.0] * 5, **how
@@ -173,14 +168,9 @@ class World:
 
 
 def build_world(
-    rig: ApparelRig,
-    positions: np.ndarray,
-    parents: np.ndarray,
-    step: float,
-    settings: PhysicsSettings,
-    limbs: Sequence[MmdBody] = (),
-    reach: float = np.inf,
-) -> World:
+    rig: ApparelRig, positions: np.ndarray, parents: np.ndarray, step: float, settings: PhysicsSettings,
+    limbs: Sequence[MmdBody] = (), reach: float = np.inf,
+) -> World:  # fmt: skip
     """The world of a character at rest.
 
     Args:
@@ -205,15 +195,9 @@ def build_world(
 
 class _Builder:
     def __init__(
-        self,
-        rig: ApparelRig,
-        positions: np.ndarray,
-        parents: np.ndarray,
-        step: float,
-        settings: PhysicsSettings,
-        limbs: Sequence[MmdBody],
-        reach: float,
-    ):
+        self, rig: ApparelRig, positions: np.ndarray, parents: np.ndarray, step: float, settings: PhysicsSettings,
+        limbs: Sequence[MmdBody], reach: float,
+    ):  # fmt: skip
         import mujoco
 
         self.mj = mujoco
@@ -287,12 +271,9 @@ class _Builder:
                 self.shape(self.root(body.bone), body, index, self.place_of_root(body.bone))
         for number, limb in enumerate(self.limbs):
             add_rods(
-                self.root(limb.bone),
-                limb,
-                self.place_of_root(limb.bone),
-                f"limb {number} ",
+                self.root(limb.bone), limb, self.place_of_root(limb.bone), f"limb {number} ",
                 {"contype": 0, "conaffinity": 0},
-            )
+            )  # fmt: skip
         for link in self.forest.links:
             self.hang(link)
         for index, mover in self.forest.carried.items():
@@ -318,13 +299,9 @@ class _Builder:
             return self.spec.worldbody
         if bone not in self.roots:
             node = self.spec.worldbody.add_body(
-                name=f"r{bone}",
-                pos=self.positions[bone],
-                gravcomp=1.0,
-                mass=self.weight,
-                ipos=np.zeros(3),
+                name=f"r{bone}", pos=self.positions[bone], gravcomp=1.0, mass=self.weight, ipos=np.zeros(3),
                 inertia=[self.weight] * 3,
-            )
+            )  # fmt: skip
             node.explicitinertial = True
             node.add_freejoint()
             self.roots[bone] = node
@@ -351,13 +328,9 @@ class _Builder:
             self.spec.add_exclude(bodyname1=f"b{link.parent}", bodyname2=f"b{link.body}")
         own = self.gravity is not None
         node = above.add_body(
-            name=f"b{link.body}",
-            pos=body.position - origin,
-            mass=body.mass,
-            ipos=np.zeros(3),
-            inertia=inertia(body),
+            name=f"b{link.body}", pos=body.position - origin, mass=body.mass, ipos=np.zeros(3), inertia=inertia(body),
             gravcomp=float(own),
-        )
+        )  # fmt: skip
         node.explicitinertial = True
         if np.linalg.norm(body.position - anchor) > self.reach:
             self.notes.append(

@@ -21,16 +21,9 @@ if TYPE_CHECKING:
     from bunraku.anatomy.anatomy import Anatomy
 
 __all__ = [
-    "as_skeletal",
-    "check_character",
-    "humanoid_motion",
-    "write_character_vmd",
-    "write_humanoid_bvh",
-    "write_humanoid_vrma",
-    "write_motion_bvh",
-    "write_motion_npz",
-    "write_motion_vrma",
-]
+    "as_skeletal", "check_character", "humanoid_motion", "write_character_vmd", "write_humanoid_bvh",
+    "write_humanoid_vrma", "write_motion_bvh", "write_motion_npz", "write_motion_vrma",
+]  # fmt: skip
 
 
 def as_skeletal(motion: HandleMotion | SkeletalMotion) -> SkeletalMotion:

@@ -9,14 +9,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.joints import Joints, attach_joints
-from bunraku.anatomy.legs import Leg, move_feet
+from bunraku.anatomy.legs import Leg
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
-from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian, running_most, smooth_step
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.stages.stage import Fitting, Stage
+from bunraku.retarget.stages.stage import Fitting, Stage, with_feet_moved
 
 __all__ = ["BodySurface", "Hands", "HandsClear"]
 
@@ -72,26 +70,15 @@ class Hands(Stage):
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         return fitting.moved(self.kept(fitting.source, fitting.motion, anatomy))
 
-    def kept(
-        self,
-        motion: HandleMotion,
-        fitted: HandleMotion,
-        anatomy: Anatomy,
-    ) -> HandleMotion:
-        """The fitted motion with hands where the reference body's hands touch it.
-
-        Args:
-            motion: Of the reference body.
-            fitted: Of the character.
-            anatomy: Of the character.
-        """
-        character, handles, joints, scale = anatomy.mesh, anatomy.mesh_handles, anatomy.joints, anatomy.scale
+    def kept(self, motion: HandleMotion, fitted: HandleMotion, anatomy: Anatomy) -> HandleMotion:
+        """The fitted motion with hands where the reference body's hands touch it."""
+        character, handles, scale = anatomy.mesh, anatomy.mesh_handles, anatomy.scale
         arms = [arm for arm in anatomy.arms if int(handles.played[arm.foot[0]]) in _WRISTS]
         if not arms:
             return fitted
         body = reference_body()
         known = self._parts(body.vertices, body.handle_weights, np.arange(len(HANDLE_NAMES)))
-        stance = _stance(handles, joints, anatomy.rotations)
+        stance = anatomy.stance_transforms.astype(np.float64)
         world, theirs = (
             fitted.transforms(handles.positions).astype(np.float64),
             motion.transforms(body.handles.positions).astype(np.float64),
@@ -136,7 +123,7 @@ class Hands(Stage):
             smooth = gaussian(shifts[:, number], self.blend * fitted.fps)
             far = np.linalg.norm(smooth, axis=1, keepdims=True) / (self.most * arm.length)
             shifts[:, number] = smooth * np.tanh(far) / np.maximum(far, 1e-9)
-        return move_feet(fitted, handles, joints, arms, shifts)
+        return with_feet_moved(fitted, anatomy, arms, shifts)
 
     def _joined(
         self,
@@ -181,13 +168,6 @@ def _placed(local: np.ndarray, part: _Box, there: _Box, scale: float) -> np.ndar
     away = local - part.middle
     inside = np.clip(away, -part.half, part.half)
     return np.asarray(there.middle + inside * (there.half / np.maximum(part.half, 1e-6)) + (away - inside) * scale)
-
-
-def _stance(handles: Handles, joints: Joints, to_reference: np.ndarray) -> np.ndarray:
-    """Transforms of the handles from the rest pose into the stance, shape (K, 3, 4)."""
-    rotations, translations = attach_joints(to_reference[None].astype(np.float64), handles, joints)
-    still = HandleMotion(translations, rotations, np.zeros((1, 3)), np.eye(3)[None])
-    return still.transforms(handles.positions)[0].astype(np.float64)
 
 
 def _palm(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -327,18 +307,13 @@ class HandsClear(Stage):
         return fitting.moved(self.cleared(fitting.motion, anatomy))
 
     def cleared(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
-        """The motion with hands outside of the body.
-
-        Args:
-            motion: Of the character.
-            anatomy: Of the character.
-        """
+        """The motion with hands outside of the body."""
         surface = BodySurface(anatomy)
         scale, first = anatomy.scale, motion
         for arm in anatomy.arms:
             shift = np.zeros((len(motion), 3))
             for _ in range(self.rounds):
-                moved = move_feet(first, anatomy.handles, anatomy.joints, [arm], shift[:, None])
+                moved = with_feet_moved(first, anatomy, [arm], shift[:, None])
                 depth, out = surface.depths(moved, self.hand(moved, arm, anatomy), self.near * arm.length)
                 deepest = depth.argmax(axis=1)
                 rows = np.arange(len(depth))
@@ -351,7 +326,7 @@ class HandsClear(Stage):
                 far = np.linalg.norm(shift, axis=1, keepdims=True) / (self.most * arm.length)
                 shift = shift * np.tanh(far) / np.maximum(far, 1e-9)
             if shift.any():
-                first = move_feet(first, anatomy.handles, anatomy.joints, [arm], shift[:, None])
+                first = with_feet_moved(first, anatomy, [arm], shift[:, None])
         return first
 
     def hand(self, motion: HandleMotion, arm: Leg, anatomy: Anatomy) -> np.ndarray:

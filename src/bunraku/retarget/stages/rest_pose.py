@@ -9,12 +9,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, has_extra_legs, limb_handles
-from bunraku.anatomy.joints import Joints, attach_joints, downwards, reference_joints
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
+from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
+from bunraku.anatomy.joints import Joints, downwards, reference_joints
 from bunraku.anatomy.rest_pose import WHOLE_LIMBS, pieces
 from bunraku.core.body.layout import HANDLE_NAMES
-from bunraku.core.body.reference import capped, reference_body
+from bunraku.core.body.reference import capped
 from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian
 from bunraku.core.geometry.rotations import (
@@ -81,13 +81,13 @@ class Attach(Stage):
     name: ClassVar[str] = "attach"
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        source, handles, joints = fitting.source, anatomy.handles, anatomy.joints
-        rotations, translations = attach_joints(fitting.rotations, handles, joints)
+        source, handles = fitting.source, anatomy.handles
+        rotations, translations = anatomy.attached(fitting.rotations)
         if handles.rigid:
             return replace(fitting, rotations=rotations, translations=translations)
-        stiff = attach_joints(source.rotations.astype(np.float64), reference_body().handles, reference_joints())[1]
+        stiff = reference_anatomy().attached(source.rotations.astype(np.float64))[1]
         residual = capped(source.translations - stiff, source.soft)
-        translations += residual[:, handles.played] * anatomy.scale * joints.present[:, None]
+        translations += residual[:, handles.played] * anatomy.scale * anatomy.joints.present[:, None]
         return replace(fitting, rotations=rotations, translations=translations)
 
 
@@ -180,7 +180,7 @@ class Fins(Stage):
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         if not fitting.source.own_kind or anatomy.upright:
             return False
-        return not anatomy.legs or has_extra_legs(anatomy.handles) or not self.drawn(fitting.source.rotations)
+        return not anatomy.legs or anatomy.has_extra_legs or not self.drawn(fitting.source.rotations)
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         drawn = self.drawn(fitting.source.rotations)

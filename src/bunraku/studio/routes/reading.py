@@ -22,22 +22,9 @@ from bunraku.studio.projects import copy_entry, open_archive
 from bunraku.studio.state import State
 
 __all__ = [
-    "CHARACTERS",
-    "MOST_BYTES",
-    "MOTIONS",
-    "PROJECTS",
-    "TooLarge",
-    "beside",
-    "body_of",
-    "choice",
-    "number",
-    "plain_name",
-    "ready_character",
-    "receive",
-    "studio_state",
-    "text",
-    "unpack",
-]
+    "CHARACTERS", "MOST_BYTES", "MOTIONS", "PROJECTS", "TooLarge", "beside", "body_of", "choice", "number",
+    "plain_name", "ready_character", "receive", "studio_state", "text", "unpack",
+]  # fmt: skip
 
 
 MOST_BYTES = 200 << 20

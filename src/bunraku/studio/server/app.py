@@ -37,7 +37,7 @@ from bunraku.studio.routes import general as library
 from bunraku.studio.routes.reading import TooLarge
 from bunraku.studio.state import State
 from bunraku.studio.store import NotThere, Store
-from bunraku.studio.worker import is_full, sentence_of
+from bunraku.studio.worker import is_full, page_sentence
 
 __all__ = ["Guard", "Keys", "STATIC", "document_of", "schema_of", "studio_app"]
 
@@ -306,4 +306,4 @@ def _answer(error: Exception) -> Response:
     else:
         logging.getLogger(__name__).error("a request failed", exc_info=error)
         status = 500
-    return JSONResponse({"error": sentence_of(error), "kind": type(error).__name__}, status)
+    return JSONResponse({"error": page_sentence(error), "kind": type(error).__name__}, status)

@@ -22,14 +22,7 @@ five seconds, which is uvicorn's own bound.
 """
 
 
-def serve(
-    folder: Path,
-    *,
-    port: int = 8734,
-    host: str = "127.0.0.1",
-    password: str = "",
-    browser: bool = True,
-) -> None:
+def serve(folder: Path, *, port: int = 8734, host: str = "127.0.0.1", password: str = "", browser: bool = True) -> None:
     """Serve the studio until Ctrl-C.
 
     Args:

@@ -330,14 +330,7 @@ def creature_body(path: Path, name: str) -> CreatureBody:
     turn = facing_rotation(name, character.rig.names, character.rig.positions)
     character = replace(character, vertices=character.vertices @ turn.T.astype(np.float32), rig=None, source=None)
     handles = predict_handles(character).top(4)
-    return CreatureBody(
-        path,
-        character,
-        handles,
-        turn,
-        character.areas,
-        Anatomy.of(character, handles),
-    )
+    return CreatureBody(path, character, handles, turn, character.areas, Anatomy.of(character, handles))
 
 
 def clip_vertices(body: CreatureBody, label: str) -> np.ndarray:

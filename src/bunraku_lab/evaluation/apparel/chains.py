@@ -4,19 +4,19 @@ of their file's physics.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from bunraku.apparel.chains.body_collisions import over_legs, push_out_of_body
+from bunraku.apparel.chains.body_collisions import CHAIN_REPAIRS
 from bunraku.apparel.chains.chain_rig import LaidChains, with_chains
-from bunraku.apparel.chains.cloth_repairs import smooth_neighbours
+from bunraku.apparel.chains.cloth_repairs import DressedChains
 from bunraku.apparel.chains.from_bones import bone_chains
 from bunraku.apparel.chains.from_shape import shape_chains
 from bunraku.apparel.chains.moving import steady_simulation
-from bunraku.apparel.clothed import FREE, GRAVITY
+from bunraku.apparel.clothed import GRAVITY
 from bunraku.apparel.physics.clothed_from_file import NEWTON_METRE, bending_limits, body_springs
 from bunraku.apparel.physics.rig import apparel_rig
 from bunraku.core.animation import RigAnimation
@@ -25,31 +25,18 @@ from bunraku.core.character import Character, Rig, top_influences
 from bunraku_lab.evaluation.apparel.clips import RATE, TrueClip, edge_score, insides, point_distance
 
 __all__ = [
-    "FACTS",
     "FileChain",
     "chain_parameters_from_file",
     "chain_row",
     "chain_summary",
     "chained_clip",
     "chains_from_file",
-    "file_chain_table",
-    "kind_priors",
-    "prior_errors",
 ]
 
 
 LOCKED = np.radians(1.0)
 """A joint that turns less far counts as locked [rad]."""
 NARROWEST, WIDEST = np.radians(0.2), 1.4  # limits of a link of chains that are laid over a shape [rad]
-FACTS = (
-    "links",
-    "length [% of the height]",
-    "limit [degrees]",
-    "all links [degrees]",
-    "stiffness",
-    "damping",
-    "mass [kg]",
-)
 
 
 @dataclass(frozen=True)
@@ -160,122 +147,6 @@ def chain_parameters_from_file(laid: LaidChains, character: Character) -> LaidCh
     return replace(laid, chains=tuple(chains))
 
 
-def _facts(chain: FileChain) -> tuple[float, ...]:
-    whole = np.degrees(min(sum(chain.limits), FREE))
-    return (chain.links, 100 * chain.length, float(np.degrees(chain.limit)), float(whole), chain.stiffness,
-            chain.damping, chain.mass)  # fmt: skip
-
-
-def _weights(chains: Sequence[FileChain]) -> np.ndarray:
-    """All characters count alike, however many chains they have, shape (C,)."""
-    counts: dict[str, int] = {}
-    for chain in chains:
-        counts[chain.file] = counts.get(chain.file, 0) + 1
-    return np.array([1 / counts[chain.file] for chain in chains])
-
-
-def _quantiles(values: np.ndarray, weights: np.ndarray, shares: Sequence[float]) -> np.ndarray:
-    order = np.argsort(values, kind="stable")
-    total = np.cumsum(weights[order]) / weights.sum()
-    return np.asarray(values[order][np.minimum(np.searchsorted(total, shares), len(values) - 1)])
-
-
-def file_chain_table(groups: Mapping[str, Sequence[FileChain]]) -> str:
-    """Lines for each kind of the 10th, 50th and 90th percentile of each fact in each group, all characters alike."""
-    kinds = sorted({chain.kind for chains in groups.values() for chain in chains})
-    lines = []
-    for kind in (None, *kinds):
-        some = {name: [chain for chain in chains if kind in (None, chain.kind)] for name, chains in groups.items()}
-        if not all(some.values()):
-            continue
-        heads = (f"{name}: {len(own)} chains of {len({one.file for one in own})}" for name, own in some.items())
-        lines.append(f"{kind or 'all'} ({'; '.join(heads)})")
-        for column, fact in enumerate(FACTS):
-            cells = []
-            for own in some.values():
-                values = np.array([_facts(chain)[column] for chain in own], float)
-                cells.append("".join(f"{value:9.3g}" for value in _quantiles(values, _weights(own), (0.1, 0.5, 0.9))))
-            lines.append(f"  {fact:<26}" + "  |".join(cells))
-        for label, test in (("first link locked [%]", _is_locked), ("without springs [%]", _is_springless)):
-            shares = [100 * float(_weights(own) @ [test(one) for one in own] / _weights(own).sum())
-                      for own in some.values()]  # fmt: skip
-            lines.append(f"  {label:<26}" + "  |".join(f"{'':9}{share:9.3g}{'':9}" for share in shares))
-    return "\n".join(lines)
-
-
-def _is_locked(chain: FileChain) -> bool:
-    return chain.locked
-
-
-def _is_springless(chain: FileChain) -> bool:
-    return chain.stiffness <= 0
-
-
-def _targets(chain: FileChain) -> np.ndarray:
-    """What is guessed of a chain: log2 of its limit [rad], of its stiffness, and of what damping leaves."""
-    return np.log2([max(chain.limit, LOCKED), max(chain.stiffness, 0.01), max(1 - chain.damping, 1e-3)])
-
-
-def kind_priors(chains: Sequence[FileChain]) -> dict[str, np.ndarray]:
-    """Median limit [rad], stiffness, and damping of each kind, all files alike, shape (3,) each; of all chains under
-    "".
-
-    Args:
-        chains: Of files.
-    """
-    out = {}
-    for kind in ("", *sorted({chain.kind for chain in chains})):
-        own = [chain for chain in chains if kind in ("", chain.kind)]
-        values, weights = np.array([_targets(chain) for chain in own]), _weights(own)
-        limit, stiffness, left = (2.0 ** _quantiles(column, weights, (0.5,))[0] for column in values.T)
-        out[kind] = np.array([limit, stiffness, 1 - left])
-    return out
-
-
-def prior_errors(chains: Sequence[FileChain]) -> dict[str, np.ndarray]:
-    """How far guesses are off on files that they were not fitted to, in factors of two: mean absolute error of log2 of
-    limit, stiffness, and 1 - damping, all files alike, shape (3,); by one guess for all chains, by the kind, and by the
-    kind with a line over the logarithm of the length and over the number of links.
-
-    Args:
-        chains: Of several files.
-    """
-    errors: dict[str, list[np.ndarray]] = {"one for all": [], "by kind": [], "by kind and size": []}
-    for file in sorted({chain.file for chain in chains}):
-        rest, own = [one for one in chains if one.file != file], [one for one in chains if one.file == file]
-        priors, true = kind_priors(rest), np.array([_targets(one) for one in own])
-        guess = {
-            "one for all": np.array([_logs(priors[""]) for _ in own]),
-            "by kind": np.array([_logs(priors.get(one.kind, priors[""])) for one in own]),
-        }
-        base = np.array([_logs(priors.get(one.kind, priors[""])) for one in rest])
-        guess["by kind and size"] = guess["by kind"] + _ridge(
-            rest, np.array([_targets(one) for one in rest]) - base, own
-        )
-        for name, found in guess.items():
-            errors[name].append(np.abs(found - true).mean(axis=0))
-    return {name: np.mean(rows, axis=0) for name, rows in errors.items()}
-
-
-def _logs(prior: np.ndarray) -> np.ndarray:
-    return np.log2([prior[0], max(prior[1], 0.01), max(1 - prior[2], 1e-3)])
-
-
-def _ridge(chains: Sequence[FileChain], left: np.ndarray, others: Sequence[FileChain]) -> np.ndarray:
-    """What a ridge regression on length and links says of what a guess leaves, shape (C, 3)."""
-
-    def inputs(some: Sequence[FileChain]) -> np.ndarray:
-        return np.array([[1.0, np.log2(one.length + 0.01), one.links] for one in some])
-
-    x, weights = inputs(chains), _weights(chains)
-    mean, std = np.average(x, axis=0, weights=weights), x.std(axis=0) + 1e-9
-    mean[0], std[0] = 0.0, 1.0
-    x = (x - mean) / std
-    square = x.T @ (x * weights[:, None]) + 0.5 * np.diag([0.0, 1.0, 1.0])
-    line = np.linalg.solve(square, x.T @ (left * weights[:, None]))
-    return np.asarray((inputs(others) - mean) / std @ line)
-
-
 STRIDE = 10  # frames from one whose edges are measured to the next
 
 
@@ -299,9 +170,9 @@ def chained_clip(clip: TrueClip, told: Character | None = None) -> tuple[np.ndar
     if not made.chains:
         return body.vertices(), 0
     found = steady_simulation(made.on(body), made.rig(tied=False))
-    moved = smooth_neighbours(found.animation, made.chains, made.near)
-    moved = over_legs(moved, made.chains, made.near, clothed, np.arange(JOINT_COUNT), rig)
-    moved = push_out_of_body(moved, made.chains, clothed, np.arange(JOINT_COUNT))
+    moved, dressed = found.animation, DressedChains(made, clothed, np.arange(JOINT_COUNT), rig)
+    for repair in CHAIN_REPAIRS:
+        moved = repair(moved, dressed)
     return moved.vertices(), sum(one.frame >= 0 for one in found.report.recoveries)
 
 

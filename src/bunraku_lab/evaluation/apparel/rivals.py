@@ -28,10 +28,10 @@ from bunraku.core.skinning import skin
 from bunraku.errors import WeightsError
 from bunraku_lab.baselines.pose_transfer import ROOM, TransferTarget
 from bunraku_lab.evaluation.apparel.clips import TrueClip, edge_score, point_distance
-from bunraku_lab.nn.blend_shapes import NbsConfig, NbsNetwork, edge_mesh, load_nbs, local_rotations
+from bunraku_lab.nn.blend_shapes import NbsConfig, NbsNetwork, edge_mesh, local_rotations
 from bunraku_lab.nn.checkpoints import lab_checkpoint
-from bunraku_lab.nn.pose_transfer import TransferConfig, TransferNetwork, load_transfer
-from bunraku_lab.training.apparel.body import body_weights, clothed_by_mask, load_body, tiled
+from bunraku_lab.nn.pose_transfer import TransferConfig, TransferNetwork
+from bunraku_lab.training.apparel.body import BodyNetwork, body_weights, clothed_by_mask, tiled
 from bunraku_lab.training.apparel.refinement import RefinementNetwork, refined, seam_of
 
 __all__ = [
@@ -304,7 +304,7 @@ def rivals_of(folder: Path | None) -> list[Rival]:
     for name, file in FILES.items():
         path = folder / file
         if path.is_file():
-            network = load_nbs(path) if name in (NBS, NBS_SHAPES) else load_transfer(path)
+            network = NbsNetwork.load(path) if name in (NBS, NBS_SHAPES) else TransferNetwork.load(path)
             found.append(Rival(name, hashlib.sha256(path.read_bytes()).hexdigest()[:16], network))
     known = {one.name for one in found}
     torch.manual_seed(0)
@@ -424,7 +424,9 @@ def body_table(clips: Sequence[TrueClip], bodies: Sequence[Path]) -> dict[str, d
         rows = []
         for clip in {clip.name: clip for clip in clips}.values():
             rows.append(_body_row(clip, path))
-        out[load_body(path).config.geodesics] = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
+        out[BodyNetwork.load(path).config.geodesics] = {
+            key: float(np.mean([row[key] for row in rows])) for key in rows[0]
+        }
     return out
 
 

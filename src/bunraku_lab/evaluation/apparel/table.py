@@ -29,7 +29,7 @@ from bunraku_lab.evaluation.apparel.clips import (
 from bunraku_lab.evaluation.apparel.rivals import body_table, mask_scores, module_row, rival_rows, rivals_of
 from bunraku_lab.evaluation.report import Bar, Parts, at_once, figure, measured_in, reached_bars
 from bunraku_lab.nn.checkpoints import lab_checkpoint
-from bunraku_lab.training.apparel.refinement import load_refinement
+from bunraku_lab.training.apparel.refinement import RefinementNetwork
 
 __all__ = ["APPAREL_BARS", "ApparelEvalConfig", "evaluate_apparel"]
 
@@ -139,7 +139,7 @@ def evaluate_apparel(
     refinement = config.refinement
     if refinement is None and _ships("apparel-refinement"):
         refinement = lab_checkpoint("apparel-refinement")
-    merging = None if refinement is None else load_refinement(refinement)
+    merging = None if refinement is None else RefinementNetwork.load(refinement)
 
     def apart(number: int, clip: TrueClip) -> dict[str, Any]:
         """What the displacement network and the mask are worth, each by itself."""

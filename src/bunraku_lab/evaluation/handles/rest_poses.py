@@ -5,7 +5,6 @@ animation.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
 
 import numpy as np
 
@@ -146,74 +145,47 @@ def true_handles(one: Subject, vertices: np.ndarray) -> Handles:
 
 def rest_pose_transfer(
     subjects: Iterable[Subject],
-    motions: Mapping[str, HandleMotion] | None = None,
+    motions: Mapping[str, HandleMotion],
     predict: Predict | None = None,
     stages: Stages | None = None,
-) -> dict[str, Any]:
-    """Mean distance between a character animated from another rest pose and from its T-pose, over its height.
-
-    Positions along the floor are compared relative to the first frame's mean vertex, heights relative to the floor of
-    the rest pose.
+) -> dict[str, float]:
+    """Mean distance between a character animated from a rest pose and from its T-pose, over its height, by pose and as
+    "mean"; "in place" without each frame's position on the floor, and "ground" of the lowest vertex.
 
     Args:
-        subjects: Rigged humanoids; others are passed over.
-        motions: Motions of the reference body by name; `code_made_motions` when None.
-        predict: Handles of a character in a rest pose; those of its bones' names, the same in every pose, when None.
-        stages: Which stages fit the motions; all when None.
-
-    Returns:
-        `rest_pose_transfer`, the mean over characters, poses and motions; `poses`, `motions` and `characters`, the
-        means of each; `in_place`, the mean where each frame's position on the floor is taken away, so that longer or
-        shorter strides do not count; `ground`, the mean difference of the lowest vertex' height; all as fractions of
-        the height.
+        subjects: Rigged humanoids.
+        motions: Motions of the reference body by name.
+        predict: Handles of a character in a rest pose; None takes those of its bones' names, the same in every pose.
+        stages: Which stages fit the motions; None takes all.
     """
-    motions = motions or code_made_motions()
-    rows = []
+    rows: dict[str, list[float]] = {}
     for one in subjects:
-        if not one.humanoid:
-            continue
-        want = _animated(one, "T", motions, predict, stages)
+        wanted = _animated(one, "T", motions, predict, stages)
         for pose in TRANSFER_POSES:
-            got = _animated(one, pose, motions, predict, stages)
-            for name in motions:
-                far = np.linalg.norm(got[name] - want[name], axis=-1).mean() / one.height
-                drift = ((got[name] - want[name]).mean(axis=1) * [1, 0, 1])[:, None]
-                shape = np.linalg.norm(got[name] - want[name] - drift, axis=-1).mean() / one.height
-                low = np.abs(got[name][..., 1].min(axis=1) - want[name][..., 1].min(axis=1)).mean() / one.height
-                rows.append((one.name, pose, name, float(far), float(low), float(shape)))
-
-    def means(column: int) -> dict[str, float]:
-        keys = dict.fromkeys(str(row[column]) for row in rows)
-        return {key: float(np.mean([row[3] for row in rows if row[column] == key])) for key in keys}
-
-    mean, ground, shape = (float(np.mean([row[column] for row in rows])) if rows else None for column in (3, 4, 5))
-    return {
-        "rest_pose_transfer": mean,
-        "in_place": shape,
-        "ground": ground,
-        "poses": means(1),
-        "motions": means(2),
-        "characters": means(0),
-    }
+            for got, want in zip(_animated(one, pose, motions, predict, stages), wanted, strict=True):
+                away, drift = got - want, (got - want).mean(axis=1, keepdims=True) * [1, 0, 1]
+                low = np.abs(got[..., 1].min(axis=1) - want[..., 1].min(axis=1)).mean()
+                far, shape = (np.linalg.norm(part, axis=-1).mean() for part in (away, away - drift))
+                for key, value in ((pose, far), ("mean", far), ("in place", shape), ("ground", low)):
+                    rows.setdefault(key, []).append(float(value) / one.height)
+    return {key: float(np.mean(values)) for key, values in rows.items()}
 
 
 def _animated(
     one: Subject, pose: str, motions: Mapping[str, HandleMotion], predict: Predict | None, stages: Stages | None
-) -> dict[str, np.ndarray]:
+) -> list[np.ndarray]:
     """Surface vertices of each motion, shape (N, V, 3): floor at 0, the first frame's mean over the origin."""
     vertices = posed_limbs(one.truth, pose)
     character = Character(one.name, vertices, one.character.faces)
     handles = predict(character) if predict is not None else true_handles(one, vertices)
-    legs = one.surface & (
-        one.truth.target[:, _LEGS].sum(axis=1) > 0.5
-    )  # what stands: a weapon in a hand may hang lower
+    legs = one.surface & (one.truth.target[:, _LEGS].sum(axis=1) > 0.5)  # a weapon in a hand may hang lower
     floor = float(vertices[legs if legs.any() else one.surface, 1].min())
-    out = {}
-    for name, motion in motions.items():
-        fitted = fit_motion(motion, Anatomy.of(character, handles), stages)
+    anatomy, out = Anatomy.of(character, handles), []
+    for motion in motions.values():
         frames = np.unique(np.linspace(0, len(motion) - 1, FRAMES).astype(int))
+        fitted = fit_motion(motion, anatomy, stages)
         moved = Animation(character, handles, fitted).vertices(frames)[:, one.surface]
-        out[name] = moved - [moved[0, :, 0].mean(), floor, moved[0, :, 2].mean()]
+        out.append(moved - [moved[0, :, 0].mean(), floor, moved[0, :, 2].mean()])
     return out
 
 

@@ -342,9 +342,7 @@ BARS: dict[str, Bar] = {
     "pose_error_together": Bar("  of the handles, their motions fitted to one another", show=percent(2)),
     "pose_error_bone_heat_together": Bar("  of bone heat, fitted so", show=percent(2)),
     "resolution_l1": Bar(
-        "resolution: L1 difference of weights at 1k, 5k and 50k vertices",
-        most=0.05,
-        show=measured_in("", 3),
+        "resolution: L1 difference of weights at 1k, 5k and 50k vertices", most=0.05, show=measured_in("", 3)
     ),
     "rest_pose_agreement": Bar(
         "rest pose: main handle unchanged in A, arms down and sitting", least=0.9, show=percent(1)

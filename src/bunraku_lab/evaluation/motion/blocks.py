@@ -25,15 +25,7 @@ from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Report
 from bunraku_lab.evaluation.report import Bar
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips, people
 
-__all__ = [
-    "BARS",
-    "add_blocks",
-    "arap_block",
-    "foot_block",
-    "handle_fid_block",
-    "seam_block",
-    "speed_block",
-]
+__all__ = ["BARS", "add_blocks", "arap_block", "foot_block", "handle_fid_block", "seam_block", "speed_block"]
 
 Clips = Mapping[str, ClipEntry]
 Progress = Callable[[float], None]

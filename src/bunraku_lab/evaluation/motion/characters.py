@@ -187,12 +187,7 @@ def measure_adaptation(
         frames = max(1, round(seconds * model.config.fps))
         with one_thread():
             found = sample(
-                model,
-                text,
-                frames,
-                Solver(STEPS if steps is None else steps, GUIDANCE),
-                mesh_features=mesh,
-                seed=seed,
+                model, text, frames, Solver(STEPS if steps is None else steps, GUIDANCE), mesh_features=mesh, seed=seed
             )
         figures, anatomy = [], Anatomy.of(character, handles)
         for values, offset in zip(found.values, found.adaptation, strict=True):

@@ -1,5 +1,5 @@
-"""The motions that the table compares: windows of captioned clips, motions made and kept in a folder so that a stopped
-evaluation can go on, and motions of any other method.
+"""The motions that the table compares: windows of captioned clips, and motions made and kept in a folder so that a
+stopped evaluation can go on.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bunraku.core.files import atomic_write, weights_file
-from bunraku.errors import FormatError, OptionError
+from bunraku.errors import OptionError
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, mirror
-from bunraku.language.captions import caption_group, caption_variants, mirror_words, normalise_label
-from bunraku_lab.datasets.takes import Take, take_motion
-from bunraku_lab.evaluation.report import write_requests
+from bunraku.language.captions import mirror_words
+from bunraku_lab.description.captions import caption_group, caption_variants, normalise_label
 from bunraku_lab.training.rows.clips import ClipEntry
 
 if TYPE_CHECKING:
@@ -37,10 +36,8 @@ __all__ = [
     "choose_motions",
     "draw_windows",
     "make_motions",
-    "read_results",
     "window_features",
     "window_meaning",
-    "write_prompts",
 ]
 
 
@@ -372,11 +369,7 @@ def _batches(requests: Sequence[Request]) -> list[list[int]]:
 
 
 def _key(
-    digest: str,
-    requests: Sequence[Request],
-    sampling: SamplerSettings,
-    mesh: np.ndarray | None,
-    adapt: bool,
+    digest: str, requests: Sequence[Request], sampling: SamplerSettings, mesh: np.ndarray | None, adapt: bool
 ) -> str:
     wanted = [[request.sentence, request.frames] for request in requests]
     how: list[object] = [sampling.steps, sampling.guidance, sampling.seed, adapt, BATCH]
@@ -395,51 +388,3 @@ def _stored(path: Path, shape: tuple[int, int, int]) -> np.ndarray | None:
     except Exception:  # a cache is made again, whatever is wrong with it
         return None
     return values if values.shape == shape and bool(np.isfinite(values).all()) else None
-
-
-def write_prompts(path: str | Path, windows: Sequence[Window]) -> Path:
-    """Write what another method is to make: columns file, text and seconds.
-
-    Raises:
-        FormatError: The file cannot be written.
-    """
-    rows = ([_name(at), window.sentence, f"{window.frames / 20:.2f}"] for at, window in enumerate(windows))
-    return write_requests(path, ("file", "text", "seconds"), rows)
-
-
-def read_results(
-    folder: str | Path, windows: Sequence[Window], progress: Callable[[float], None] | None = None
-) -> list[np.ndarray]:
-    """Features (N, 271) of the motions that another method made of the windows' sentences, each at most as long as its
-    window.
-
-    Args:
-        folder: A file for each window.
-        windows: Those that `write_prompts` wrote.
-        progress: Called with the share done.
-
-    Raises:
-        FormatError: A file is missing, cannot be read, or is too short.
-        MotionError: A skeleton is nobody's that goes on two legs.
-    """
-    folder = Path(folder)
-    files = {file.stem: file for file in sorted(folder.iterdir()) if file.is_file() and file.suffix != ".csv"}
-    missing = [_name(number) for number in range(len(windows)) if _name(number) not in files]
-    if missing:
-        raise FormatError(
-            folder,
-            f"{len(missing)} of {len(windows)} motions are missing, first {missing[0]}; make one for each row of "
-            "the CSV that --prompts-to writes",
-        )
-    out = []
-    for number, window in enumerate(windows):
-        name = _name(number)
-        motion = take_motion(Take(name, files[name], (window.sentence,), "test", "another method"))
-        out.append(encode(motion)[: window.frames])
-        if progress is not None:
-            progress((number + 1) / len(windows))
-    return out
-
-
-def _name(number: int) -> str:
-    return f"{number:04d}"

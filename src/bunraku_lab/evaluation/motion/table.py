@@ -39,13 +39,12 @@ from bunraku_lab.evaluation.motion.samples import (
     choose_motions,
     draw_windows,
     make_motions,
-    read_results,
     window_features,
 )
 from bunraku_lab.nn.checkpoints import lab_checkpoint
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips, people
 
-__all__ = ["MotionEvalConfig", "Report", "Row", "evaluate_motion", "measure_rows", "table_windows"]
+__all__ = ["MotionEvalConfig", "Report", "Row", "evaluate_motion", "measure_rows"]
 
 Report = Callable[[str, float], None]
 
@@ -58,7 +57,6 @@ class MotionEvalConfig:
         data: Folder that `bunraku data motions` wrote.
         characters: Folder of rigged characters, for the ARAP-Loss and the creatures; None leaves these out.
         checkpoint: Weights of the denoiser; None takes the shipped ones.
-        motions: Folder of another method's motions of the windows' sentences (`others`); None leaves their row out.
         extractor: Weights of the feature extractor; None takes the shipped ones.
         work: Folder in which generated motions are kept.
         split: Split of the clips, of the data's index.
@@ -81,7 +79,6 @@ class MotionEvalConfig:
     data: Path = Path("runs/data/motions")
     characters: Path | None = None
     checkpoint: Path | None = None
-    motions: Path | None = None
     extractor: Path | None = None
     work: Path = Path("runs/evaluation")
     split: str = "test"
@@ -183,19 +180,6 @@ def _distinct(windows: Sequence[Window], count: int) -> list[Window]:
     return list(seen.values())[:count]
 
 
-def table_windows(config: MotionEvalConfig, report: Report | None = None) -> tuple[dict[str, ClipEntry], list[Window]]:
-    """The held-out clips, and the windows that all rows of the table see.
-
-    Raises:
-        FormatError: The data are missing or damaged.
-    """
-    told = report or (lambda stage, done: None)
-    clips = people(
-        load_clips(config.data, lambda done, total: told("clips", done / total), {config.split}), config.split
-    )
-    return clips, draw_windows(clips, config.pool, np.random.default_rng([config.seed, 11]))
-
-
 def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> dict[str, Any]:
     """The table.
 
@@ -224,7 +208,10 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     extractor = load_extractor(config.extractor or lab_checkpoint("extractor"))
     checkpoint = config.checkpoint or shipped_checkpoint("diffusion")
     model, own_encoder = load_generator(checkpoint)
-    clips, windows = table_windows(config, report)
+    clips = people(
+        load_clips(config.data, lambda done, total: report("clips", done / total), {config.split}), config.split
+    )
+    windows = draw_windows(clips, config.pool, np.random.default_rng([config.seed, 11]))
     elsewhere = draw_windows(clips, config.references, np.random.default_rng([config.seed, 12]))
     named = _distinct(windows, config.prompts)
     sampling = config.sampler()
@@ -253,9 +240,6 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
             folder=config.work, progress=partial(_report_stage, report, f"motions of {name}"),
         )  # fmt: skip
         rows[name] = Row(embed_motions(extractor, found))
-    if config.motions is not None:
-        others = read_results(config.motions, windows, lambda done: report("motions of others", done))
-        rows["others"] = Row(embed_motions(extractor, others))
     measure_rows(rows, references, windows, clips, sentences, config, report)
 
     result = _summary(rows)

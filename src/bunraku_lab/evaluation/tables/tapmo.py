@@ -58,7 +58,7 @@ from bunraku_lab.evaluation.motion.samples import (
 from bunraku_lab.evaluation.report import Parts, at_once
 from bunraku_lab.evaluation.tables.paper_table import EITHER_WAY, PaperRow, PaperTable, half_interval
 from bunraku_lab.nn.denoiser import adapted_denoiser
-from bunraku_lab.nn.pose_transfer import TransferConfig, TransferNetwork, load_transfer
+from bunraku_lab.nn.pose_transfer import TransferConfig, TransferNetwork
 from bunraku_lab.training.rows.clips import load_clips, people
 
 if TYPE_CHECKING:
@@ -217,7 +217,7 @@ def transfers_of(weights: Path | None) -> dict[str, TransferNetwork]:
     if weights is None:
         return {}
     torch.manual_seed(0)
-    return {SFR: load_transfer(weights), f"{SFR}, untrained": TransferNetwork(TransferConfig()).eval()}
+    return {SFR: TransferNetwork.load(weights), f"{SFR}, untrained": TransferNetwork(TransferConfig()).eval()}
 
 
 def transferred_motion(

@@ -31,9 +31,6 @@ from bunraku_lab.evaluation.transfer.character import (
     Source,
     facing_character,
     measure_character,
-    measure_results,
-    pairs_of,
-    write_pairs,
 )
 from bunraku_lab.evaluation.transfer.quadrupeds import measure_quadrupeds
 
@@ -48,7 +45,6 @@ __all__ = [
     "pick_motions",
     "sole_gaps",
     "times",
-    "write_transfer_pairs",
 ]
 
 
@@ -282,9 +278,6 @@ def _bar(title: str, unit: str, least: float | None = None, most: float | None =
 BARS: dict[str, Bar] = {
     "finished": _bar("pairs of character and motion that finished", "", least=1.0),
     "angle_rig": _bar("limb directions on rigs, mean", " deg", most=5.0),
-    "results": _bar("another method: pairs that came back and play", ""),
-    "angle_results": _bar("the same: limb directions on rigs, mean", " deg"),
-    "angle_rig_there": _bar("ours on the same characters", " deg"),
     "angle_handles": _bar("limb directions on handles, mean", " deg", most=8.0),
     "quadruped_limbs_degrees": _bar("captured animals on four-legged handles: limbs, mean", " deg", most=15.0),
     "quadruped_ground": _bar("the same: lowest point off the ground, over the height, mean", ""),
@@ -351,7 +344,6 @@ def evaluate_transfer(
     mmd: str | Path | None = None,
     limit: int | None = None,
     work: str | Path | None = None,
-    results: str | Path | None = None,
     speed: bool = True,
     jobs: int | str = 1,
     progress: Progress | None = None,
@@ -365,7 +357,6 @@ def evaluate_transfer(
         limit: How many characters to take, spread over all; all when None.
         work: Where what was measured of each character is kept, so that a second call goes on where the first was
             stopped.
-        results: Folder of another method's results (`results.measure_results`).
         speed: Whether to measure times too.
         jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
         progress: Called with a stage's name and the share done.
@@ -408,9 +399,6 @@ def evaluate_transfer(
     result |= measure_quadrupeds({names[path]: path for path in files}, progress=progress)
     failed |= {f"{row['target']} as {row['source']}": row["failed"] for row in result["quadrupeds"] if "failed" in row}
     result |= measure_soles(mmd, failed)
-    result |= dict.fromkeys(("results", "angle_results", "angle_rig_there"))
-    if results is not None:
-        result |= measure_results(results, pairs_of(names, picked), sources, rows, failed, progress)
     if speed:
         humanoids = [
             (abs(row["vertices"] - MANY), path) for row, path in zip(rows, files, strict=True) if row.get("humanoid")
@@ -431,21 +419,6 @@ def evaluate_transfer(
         "failed": failed,
         "rows": rows,
     }
-
-
-def write_transfer_pairs(
-    path: str | Path, characters: str | Path, motions: str | Path, limit: int | None = None
-) -> Path:
-    """Write which pairs of character and motion another method is to make, and how each result is to be named.
-
-    Args:
-        path: The CSV.
-        characters, motions, limit: As `evaluate_transfer` takes them.
-
-    Raises:
-        FormatError: There is no character, a motion of some kind is missing, or the file cannot be written.
-    """
-    return write_pairs(path, pairs_of(_names(Path(characters), limit), pick_motions(motions)))
 
 
 def _names(folder: Path, limit: int | None) -> dict[Path, str]:

@@ -88,12 +88,9 @@ def ears(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Pie
     pieces = []
     for side in (1, -1):
         out = np.array([side * np.sin(angle), np.cos(angle), 0])
-        curve = (
-            center
-            + half * out * 0.92
-            + length * t * (out + [0, 0, -lean])
-            + length * bend * t * t * np.array([side * 0.6, 0.3, 0.4])
-        )
+        curve = center + half * out * 0.92 + length * t * (out + [0, 0, -lean]) + length * bend * t * t * np.array([
+            side * 0.6, 0.3, 0.4,
+        ])  # fmt: skip
         points, faces = _tube(curve, wide * np.sin(np.pi * (0.35 + 0.63 * t[:, 0])), 8)
         pieces.append(_rigid(points, faces, "head", "head_top"))
     return joined(pieces)
@@ -146,10 +143,8 @@ def _back(wardrobe: Wardrobe, figure: BodyShape, heights: np.ndarray) -> np.ndar
 def cape(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
     """A cape down the back: it hangs from the chest, and its halves are the two wings."""
     shoulder, neck, floor = (
-        figure.joints[_J["left_shoulder"]],
-        figure.joints[_J["neck"]],
-        figure.vertices[:BODY_VERTICES, 1].min(),
-    )
+        figure.joints[_J["left_shoulder"]], figure.joints[_J["neck"]], figure.vertices[:BODY_VERTICES, 1].min(),
+    )  # fmt: skip
     u, v = np.meshgrid(np.linspace(-1, 1, 25), np.linspace(0, 1, 24))
     length = (shoulder[1] - floor) * rng.uniform(0.35, 0.97)
     y = shoulder[1] + 0.6 * (neck[1] - shoulder[1]) * (1 - u**2) - v * length
@@ -198,11 +193,8 @@ def tail(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Pie
     start = np.array([0, pelvis[1] - 0.02, _back(wardrobe, figure, pelvis[1:2])[0] + 0.03])
     t = np.linspace(0, 1, 14)
     length, pitch, curl, sway = (
-        size * rng.uniform(0.25, 0.7),
-        rng.uniform(-1.2, 0.5),
-        rng.uniform(-0.5, 2.2),
-        rng.normal(0, 0.5),
-    )
+        size * rng.uniform(0.25, 0.7), rng.uniform(-1.2, 0.5), rng.uniform(-0.5, 2.2), rng.normal(0, 0.5),
+    )  # fmt: skip
     step = np.stack([np.sin(sway * t), np.sin(pitch + curl * t), -np.cos(pitch + curl * t)], axis=1) * length / len(t)
     radii = size * rng.uniform(0.012, 0.04) * (1 - rng.uniform(0.3, 0.95) * t)
     points, faces = _tube(start + np.cumsum(step, axis=0), radii)

@@ -20,17 +20,9 @@ from bunraku.files import read_obj
 from bunraku_lab.synthetic.makehuman import MakeHumanBody
 
 __all__ = [
-    "BodyShape",
-    "Clothes",
-    "Garment",
-    "Piece",
-    "Wardrobe",
-    "fit",
-    "fit_weights",
-    "joined",
-    "read_mhclo",
+    "BodyShape", "Clothes", "Garment", "Piece", "Wardrobe", "fit", "fit_weights", "joined", "read_mhclo",
     "skirt_weights",
-]
+]  # fmt: skip
 
 
 MAX_TEXT = 64 << 20

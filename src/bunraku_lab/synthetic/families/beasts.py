@@ -27,15 +27,7 @@ _KINDS: dict[str, tuple[tuple[float, float], ...]] = {
 }  # fmt: skip
 
 
-def tail(
-    m: Model,
-    root: np.ndarray,
-    length: float,
-    radius: float,
-    lift: float,
-    curl: float,
-    count: int,
-) -> None:
+def tail(m: Model, root: np.ndarray, length: float, radius: float, lift: float, curl: float, count: int) -> None:
     """A tail backwards from a place, with a bone for each of its pieces."""
     points = [np.asarray(root, float)]
     angle = lift
@@ -63,24 +55,17 @@ def beast_head(m: Model, at: np.ndarray, size: float, snout: float, dip: float, 
     if snout > 0.05:
         start = centre + direction * size * 0.4 - [0, 0.2 * size, 0]
         m.limb(
-            [start, start + direction * (0.4 + snout) * size],
-            [size * u(0.5, 0.75), size * u(0.22, 0.55)],
-            "Head",
-            region,
-            stretch=(u(0.8, 1.3), 1, 1),
-            blend=0.7,
-        )
+            [start, start + direction * (0.4 + snout) * size], [size * u(0.5, 0.75), size * u(0.22, 0.55)], "Head",
+            region, stretch=(u(0.8, 1.3), 1, 1), blend=0.7,
+        )  # fmt: skip
         if m.chance(0.3):
             m.limb(
                 [
                     start - [0, 0.3 * size, 0],
                     start - [0, 0.35 * size, 0] + unit(direction - [0, 0.25, 0]) * (0.2 + snout) * size,
                 ],
-                [size * 0.3, size * 0.2],
-                "Head",
-                region,
-                loose=m.chance(0.5),
-            )
+                [size * 0.3, size * 0.2], "Head", region, loose=m.chance(0.5),
+            )  # fmt: skip
         if m.chance(0.4):
             m.lump(start + direction * (0.4 + snout) * size * 1.08, size * u(0.1, 0.25), "Head", "nose", loose=True)
     eyes(m, centre, radii, "Head")
@@ -101,12 +86,9 @@ def _animal_ears(m: Model, centre: np.ndarray, size: float) -> None:
             direction = unit(np.array([s * 0.3, 1, 0.05]) if kind == "up" else np.array([s, -0.3, 0]))
             m.limb(
                 [root, root + 0.55 * tall * direction, root + tall * direction],
-                [0.22 * size, 0.26 * size, 0.04 * size],
-                name,
-                f"ear {side}",
-                stretch=(1, 1, 0.45),
+                [0.22 * size, 0.26 * size, 0.04 * size], name, f"ear {side}", stretch=(1, 1, 0.45),
                 loose=m.style.mode == "pieces",
-            )
+            )  # fmt: skip
         elif kind == "round":
             m.lump(root, size * np.array([0.35, 0.35, 0.15]), "Head", f"ear {side}")
     if m.chance(0.22):
@@ -212,13 +194,9 @@ def quadruped(m: Model, kind: str | None = None, neck_scale: float = 1.0) -> Non
     rump, belly, chest = radius * u(0.75, 1.1), radius * u(0.75, 1.15), radius * u(0.85, 1.2)
     flat = (u(0.75, 1.05), 1.0, 1.0)
     m.limb(
-        [(0, y, back + 0.7 * rump), (0, y - 0.1 * radius, 0), (0, y + rise, front - 0.7 * chest)],
-        [rump, belly, chest],
-        trunk,
-        "trunk",
-        stretch=flat,
-        blend=1.5,
-    )
+        [(0, y, back + 0.7 * rump), (0, y - 0.1 * radius, 0), (0, y + rise, front - 0.7 * chest)], [rump, belly, chest],
+        trunk, "trunk", stretch=flat, blend=1.5,
+    )  # fmt: skip
     _four_legs(m, kind, 1.0, leg, radius, back + 0.75 * rump, front - 0.75 * chest, y)
     base = np.array([0, y + rise + 0.25 * chest, front - 0.35 * chest])
     direction = np.array([0, np.sin(lift), np.cos(lift)])
@@ -228,11 +206,8 @@ def quadruped(m: Model, kind: str | None = None, neck_scale: float = 1.0) -> Non
     thick = min(u(0.7, 1.1) * head, chest) if kind != "giraffe" else head * u(0.6, 0.9)
     m.limb(
         [base - direction * 0.2 * chest, base + direction * reach * 0.5, top],
-        [chest * u(0.6, 0.85), min((thick + 0.5 * chest) / 2, 1.15 * thick), thick * 0.85],
-        "Neck",
-        "neck",
-        blend=0.9,
-    )
+        [chest * u(0.6, 0.85), min((thick + 0.5 * chest) / 2, 1.15 * thick), thick * 0.85], "Neck", "neck", blend=0.9,
+    )  # fmt: skip
     centre = beast_head(m, top, head, snout, u(0.0, 0.9) if lift > 0.5 else u(-0.1, 0.4))
     if kind == "elephant":
         points = [
@@ -244,11 +219,9 @@ def quadruped(m: Model, kind: str | None = None, neck_scale: float = 1.0) -> Non
         for side, s in SIDES:
             m.bone(f"{side}Ear", "Head", centre + [s * 0.8 * head, 0, -0.2 * head])
             m.lump(
-                centre + [s * 1.3 * head, 0, -0.3 * head],
-                head * np.array([0.7, u(0.7, 1.2), 0.12]),
-                f"{side}Ear",
+                centre + [s * 1.3 * head, 0, -0.3 * head], head * np.array([0.7, u(0.7, 1.2), 0.12]), f"{side}Ear",
                 f"ear {side}",
-            )
+            )  # fmt: skip
     elif kind != "crocodile":
         _animal_ears(m, centre, head)
     if m.chance(0.9):
@@ -261,23 +234,15 @@ def quadruped(m: Model, kind: str | None = None, neck_scale: float = 1.0) -> Non
             lift = u(-1.2, -0.1)
         count = 2 if tail_long < 0.25 else int(m.rng.integers(3, 6))
         tail(
-            m,
-            np.array([0, y + 0.4 * rump, back + 0.15 * rump]),
-            tail_long,
-            min(tail_fat, rump * 0.8),
-            lift,
-            curl,
+            m, np.array([0, y + 0.4 * rump, back + 0.15 * rump]), tail_long, min(tail_fat, rump * 0.8), lift, curl,
             count,
-        )
+        )  # fmt: skip
     if kind not in ("horse", "giraffe") and m.chance(0.1):  # a shell, or a fleece
         if m.chance(0.5):
             m.lump(
-                (0, y + 0.35 * radius, 0),
-                (radius * u(1.0, 1.4), radius * u(0.8, 1.2), 0.55),
-                trunk,
-                "shell",
+                (0, y + 0.35 * radius, 0), (radius * u(1.0, 1.4), radius * u(0.8, 1.2), 0.55), trunk, "shell",
                 loose=True,
-            )
+            )  # fmt: skip
         else:
             for _ in range(14):
                 direction = unit(m.rng.normal(size=3) * [1, 1, 1.6] + [0, 0.5, 0])
@@ -285,22 +250,14 @@ def quadruped(m: Model, kind: str | None = None, neck_scale: float = 1.0) -> Non
     if m.chance(0.12):
         for z in np.linspace(back + 0.1, front, int(m.rng.integers(4, 9))):
             m.limb(
-                [(0, y + 0.7 * radius, z), (0, y + radius * u(1.2, 1.8), z - 0.05)],
-                [0.25 * radius, 0.02],
-                trunk,
-                "spikes",
-                stretch=(0.4, 1, 1),
-                loose=True,
-            )
+                [(0, y + 0.7 * radius, z), (0, y + radius * u(1.2, 1.8), z - 0.05)], [0.25 * radius, 0.02], trunk,
+                "spikes", stretch=(0.4, 1, 1), loose=True,
+            )  # fmt: skip
     if kind in ("horse", "toy") and m.chance(0.4):
         m.limb(
-            [base + [0, 0.3 * chest, 0], top + [0, 0.6 * head, -0.3 * head]],
-            [0.25 * head + 0.02, 0.3 * head],
-            "Neck",
-            "mane",
-            stretch=(0.35, 1, 1.3),
-            loose=True,
-        )
+            [base + [0, 0.3 * chest, 0], top + [0, 0.6 * head, -0.3 * head]], [0.25 * head + 0.02, 0.3 * head], "Neck",
+            "mane", stretch=(0.35, 1, 1.3), loose=True,
+        )  # fmt: skip
 
 
 def dragon(m: Model) -> None:
@@ -320,24 +277,17 @@ def frog(m: Model) -> None:
     for name, parent, at in zip(names, ["", *names], positions, strict=False):
         m.bone(name, parent, at)
     m.limb(
-        [(0, y - 0.08, -0.3), (0, y, 0.1)],
-        [wide * 0.75, wide],
-        Chain(names, positions),
-        "trunk",
-        stretch=(1, high / wide, 1),
-        blend=1.5,
-    )
+        [(0, y - 0.08, -0.3), (0, y, 0.1)], [wide * 0.75, wide], Chain(names, positions), "trunk",
+        stretch=(1, high / wide, 1), blend=1.5,
+    )  # fmt: skip
     head = m.bone("Head", "Neck", (0, y + 0.06, 0.3))
     radii = np.array([wide * u(0.85, 1.15), high * u(0.6, 0.9), u(0.2, 0.35)])
     m.lump(head + [0, 0.04, 0.12], radii, "Head", "head", blend=1.0)
     for _, s in SIDES:
         m.lump(
-            head + [s * 0.6 * radii[0], radii[1] * 0.95, 0.1],
-            radii[1] * u(0.3, 0.5),
-            "Head",
-            f"eye {s}",
+            head + [s * 0.6 * radii[0], radii[1] * 0.95, 0.1], radii[1] * u(0.3, 0.5), "Head", f"eye {s}",
             loose=m.chance(0.5),
-        )
+        )  # fmt: skip
     r = high * u(0.18, 0.32)
     for side, s in SIDES:
         m.bone(f"{side}Shoulder", "Spine", (s * 0.6 * wide, y - 0.05, 0.15))
@@ -347,26 +297,19 @@ def frog(m: Model) -> None:
         m.limb([a, b, c], [r * 1.3, r, r * 0.8], [f"{side}Arm", f"{side}ForeArm"], f"front {side}")
         for turn in (-0.6, 0.0, 0.6):
             m.limb(
-                [c, c + 0.13 * np.array([np.sin(turn + 0.3 * s), -0.02, np.cos(turn)])],
-                [r * 0.6, r * 0.45],
-                f"{side}Hand",
-                f"front {side}",
-            )
+                [c, c + 0.13 * np.array([np.sin(turn + 0.3 * s), -0.02, np.cos(turn)])], [r * 0.6, r * 0.45],
+                f"{side}Hand", f"front {side}",
+            )  # fmt: skip
         hip = m.bone(f"{side}UpLeg", "Hips", (s * 0.5 * wide, y - 0.08, -0.38))
         knee = m.bone(f"{side}Leg", f"{side}UpLeg", (s * (wide + u(0.1, 0.3)), y * u(0.6, 1.0), u(-0.1, 0.1)))
         hock = m.bone(f"{side}Foot", f"{side}Leg", (s * (wide + u(0.0, 0.2)), r * 1.1, -0.45))
         toe = m.bone(f"{side}ToeBase", f"{side}Foot", (s * (wide + u(0.15, 0.35)), r * 0.6, u(-0.2, 0.0)))
         m.limb(
-            [hip, knee, hock, toe],
-            [r * 1.9, r * 1.3, r, r * 0.7],
-            [f"{side}UpLeg", f"{side}Leg", f"{side}Foot"],
-            f"hind {side}",
-            blend=0.6,
-        )
+            [hip, knee, hock, toe], [r * 1.9, r * 1.3, r, r * 0.7], [f"{side}UpLeg", f"{side}Leg", f"{side}Foot"],
+            f"hind {side}", blend=0.6,
+        )  # fmt: skip
         for turn in (-0.5, 0.1, 0.7):
             m.limb(
-                [toe, toe + 0.18 * np.array([np.sin(turn * s + 0.3 * s), -0.01, np.cos(turn)])],
-                [r * 0.5, r * 0.4],
-                f"{side}ToeBase",
-                f"hind {side}",
-            )
+                [toe, toe + 0.18 * np.array([np.sin(turn * s + 0.3 * s), -0.01, np.cos(turn)])], [r * 0.5, r * 0.4],
+                f"{side}ToeBase", f"hind {side}",
+            )  # fmt: skip

@@ -19,10 +19,8 @@ def _claws(
     for turn in np.linspace(-0.6, 0.6, count):
         m.limb(
             [at, at + reach * np.array([np.sin(turn), 0, np.cos(turn)]) - [0, at[1] - 0.6 * radius, 0]],
-            [radius, radius * 0.55],
-            share,
-            region,
-        )
+            [radius, radius * 0.55], share, region,
+        )  # fmt: skip
     if back:
         m.limb([at, at - [0, at[1] - 0.5 * radius, 0.6 * reach]], [radius * 0.8, radius * 0.4], share, region)
 
@@ -40,13 +38,9 @@ def dinosaur(m: Model) -> None:
     trunk = Chain(names, positions)
     chest = hips + direction * 0.65
     m.limb(
-        [hips, hips + direction * 0.35, chest],
-        [radius, radius * u(0.85, 1.15), radius * u(0.6, 0.9)],
-        trunk,
-        "trunk",
-        stretch=(u(0.65, 1.0), 1, 1),
-        blend=1.5,
-    )
+        [hips, hips + direction * 0.35, chest], [radius, radius * u(0.85, 1.15), radius * u(0.6, 0.9)], trunk, "trunk",
+        stretch=(u(0.65, 1.0), 1, 1), blend=1.5,
+    )  # fmt: skip
     reach, lift, head = u(0.1, 0.45), tilt + u(-0.1, 0.7), u(0.14, 0.26)
     m.bone("Neck", "Spine2", chest)
     top = m.bone("Head", "Neck", chest + reach * np.array([0, np.sin(lift), np.cos(lift)]))
@@ -54,20 +48,13 @@ def dinosaur(m: Model) -> None:
     centre = beast_head(m, top, head, u(0.3, 1.6), u(-0.1, 0.4))
     if m.chance(0.2):
         m.limb(
-            [centre + [0, 0.4 * head, 0], centre + [0, 1.0 * head, -u(0.6, 1.6) * head]],
-            [0.3 * head, 0.12 * head],
-            "Head",
-            "crest",
-        )
+            [centre + [0, 0.4 * head, 0], centre + [0, 1.0 * head, -u(0.6, 1.6) * head]], [0.3 * head, 0.12 * head],
+            "Head", "crest",
+        )  # fmt: skip
     tail(
-        m,
-        hips - direction * 0.1,
-        u(0.6, 1.4),
-        radius * u(0.55, 0.85),
-        u(-0.35, 0.15),
-        u(-0.1, 0.5),
+        m, hips - direction * 0.1, u(0.6, 1.4), radius * u(0.55, 0.85), u(-0.35, 0.15), u(-0.1, 0.5),
         int(m.rng.integers(4, 7)),
-    )
+    )  # fmt: skip
     thick, arm, claws = radius * u(0.3, 0.45), u(0.12, 0.4), m.chance(0.6)
     hock, three = u(0.15, 0.3) if m.chance(0.5) else 0.0, m.pick(3, 2)
     wide, step = radius * u(0.55, 0.9), u(-0.12, 0.12) * float(m.chance(0.4))
@@ -76,36 +63,28 @@ def dinosaur(m: Model) -> None:
         hip = m.bone(f"{side}UpLeg", "Hips", hips + [s * wide, -0.05, 0.03])
         foot_y = thick * 0.7
         knee = m.bone(
-            f"{side}Leg",
-            f"{side}UpLeg",
+            f"{side}Leg", f"{side}UpLeg",
             (
-                hip[0] + s * 0.02,
-                foot_y + 0.52 * (hip[1] - foot_y),
+                hip[0] + s * 0.02, foot_y + 0.52 * (hip[1] - foot_y),
                 u(0.08, 0.14) if s > 0 else m.at("LeftLeg")[2] + step,
             ),
-        )
+        )  # fmt: skip
         if hock:
             mid = m.bone(
                 f"{side}Foot", f"{side}Leg", (hip[0] + s * 0.02, foot_y + hock * (hip[1] - foot_y), knee[2] - 0.22)
             )
             at = m.bone(f"{side}ToeBase", f"{side}Foot", (hip[0] + s * 0.02, foot_y, knee[2] - 0.08))
             m.limb(
-                [hip, knee, mid, at],
-                [thick * 2.1, thick * 1.25, thick * 0.8, thick * 0.7],
-                [f"{side}UpLeg", f"{side}Leg", f"{side}Foot"],
-                f"leg {side}",
-                blend=0.7,
-            )
+                [hip, knee, mid, at], [thick * 2.1, thick * 1.25, thick * 0.8, thick * 0.7],
+                [f"{side}UpLeg", f"{side}Leg", f"{side}Foot"], f"leg {side}", blend=0.7,
+            )  # fmt: skip
             share = f"{side}ToeBase"
         else:
             at = m.bone(f"{side}Foot", f"{side}Leg", (hip[0] + s * 0.02, foot_y, knee[2] - u(0.08, 0.16)))
             m.limb(
-                [hip, knee, at],
-                [thick * 2.1, thick * 1.2, thick * 0.8],
-                [f"{side}UpLeg", f"{side}Leg"],
-                f"leg {side}",
+                [hip, knee, at], [thick * 2.1, thick * 1.2, thick * 0.8], [f"{side}UpLeg", f"{side}Leg"], f"leg {side}",
                 blend=0.7,
-            )
+            )  # fmt: skip
             share = f"{side}Foot"
         _claws(m, at, share, f"leg {side}", thick * 0.65, 3, thick * u(2.0, 3.2))
         m.bone(f"{side}Shoulder", "Spine2", chest + [s * 0.35 * radius, -0.2 * radius, -0.06])
@@ -119,22 +98,16 @@ def dinosaur(m: Model) -> None:
         m.limb([a, b, c], [r * 1.5, r, r * 0.8], [f"{side}Arm", f"{side}ForeArm"], f"arm {side}")
         for i in range(three if claws else 1):
             m.limb(
-                [c, c + unit(np.array([(i - 0.5) * 0.6, -0.5, 0.8])) * arm * 0.22],
-                [r * 0.8, r * 0.3 if claws else r],
-                f"{side}Hand",
-                f"arm {side}",
-            )
+                [c, c + unit(np.array([(i - 0.5) * 0.6, -0.5, 0.8])) * arm * 0.22], [r * 0.8, r * 0.3 if claws else r],
+                f"{side}Hand", f"arm {side}",
+            )  # fmt: skip
     if m.chance(0.25):
         for z in np.linspace(0, 0.6, 6):
             at = hips + direction * z + np.array([0, np.cos(tilt), -np.sin(tilt)]) * radius
             m.limb(
-                [at, at + radius * 0.7 * np.array([0, np.cos(tilt), -np.sin(tilt)])],
-                [0.25 * radius, 0.02],
-                trunk,
-                "plates",
-                stretch=(0.35, 1, 1),
-                loose=True,
-            )
+                [at, at + radius * 0.7 * np.array([0, np.cos(tilt), -np.sin(tilt)])], [0.25 * radius, 0.02], trunk,
+                "plates", stretch=(0.35, 1, 1), loose=True,
+            )  # fmt: skip
 
 
 def bird(m: Model) -> None:
@@ -145,21 +118,15 @@ def bird(m: Model) -> None:
     direction = np.array([0, np.sin(tilt), np.cos(tilt)])
     body = np.array([0, leg + 0.7 * round_, 0])
     hips, spine, base = (
-        body - direction * 0.5 * round_,
-        body + direction * u(-0.05, 0.15) * round_,
-        body + direction * 0.8 * round_,
-    )
+        body - direction * 0.5 * round_, body + direction * u(-0.05, 0.15) * round_, body + direction * 0.8 * round_,
+    )  # fmt: skip
     m.bone("Hips", "", hips)
     m.bone("Spine", "Hips", spine)
     trunk = Chain(["Hips", "Spine"], [hips, spine])
     m.limb(
         [body - direction * 0.45 * round_, body + direction * 0.35 * round_],
-        [round_ * u(0.65, 1.0), round_ * u(0.75, 1.0)],
-        trunk,
-        "trunk",
-        stretch=(u(0.75, 1.1), 1, 1),
-        blend=1.2,
-    )
+        [round_ * u(0.65, 1.0), round_ * u(0.75, 1.0)], trunk, "trunk", stretch=(u(0.75, 1.1), 1, 1), blend=1.2,
+    )  # fmt: skip
     neck, head = u(0.0, 0.25) if m.chance(0.6) else u(0.25, 0.9), u(0.13, 0.34)
     lift = u(0.9, 1.6)
     m.bone("Neck", "Spine", base)
@@ -171,21 +138,14 @@ def bird(m: Model) -> None:
     long = head * u(0.4, 1.8)
     m.limb(
         [centre + [0, -0.1 * head, 0.7 * head], centre + [0, -u(0.1, 0.5) * head, 0.8 * head + long]],
-        [head * u(0.25, 0.45), head * u(0.03, 0.3)],
-        "Head",
-        "beak",
-        stretch=(u(0.8, 1.4), 1, 1),
-        loose=m.chance(0.6),
-    )
+        [head * u(0.25, 0.45), head * u(0.03, 0.3)], "Head", "beak", stretch=(u(0.8, 1.4), 1, 1), loose=m.chance(0.6),
+    )  # fmt: skip
     eyes(m, centre, np.full(3, head), "Head")
     if m.chance(0.25):
         m.limb(
-            [centre + [0, 0.7 * head, 0.2 * head], centre + [0, 1.3 * head, -0.5 * head]],
-            [0.3 * head, 0.1 * head],
-            "Head",
-            "comb",
-            stretch=(0.4, 1, 1),
-        )
+            [centre + [0, 0.7 * head, 0.2 * head], centre + [0, 1.3 * head, -0.5 * head]], [0.3 * head, 0.1 * head],
+            "Head", "comb", stretch=(0.4, 1, 1),
+        )  # fmt: skip
     if m.chance(0.75):
         root = hips - direction * 0.3 * round_
         end = u(0.3, 1.2) * round_
@@ -197,13 +157,9 @@ def bird(m: Model) -> None:
         names = [f"Tail{i + 1}" for i in range(count + 1)]
         points = [m.at(n) for n in names]
         m.limb(
-            [root + direction * 0.3 * round_, root + back * end],
-            [round_ * 0.4, round_ * u(0.2, 0.5)],
-            Chain(names, points),
-            "tail",
-            stretch=(u(0.9, 1.6), u(0.2, 0.5), 1),
-            blend=0.8,
-        )
+            [root + direction * 0.3 * round_, root + back * end], [round_ * 0.4, round_ * u(0.2, 0.5)],
+            Chain(names, points), "tail", stretch=(u(0.9, 1.6), u(0.2, 0.5), 1), blend=0.8,
+        )  # fmt: skip
     if m.chance(0.8):
         if m.chance(0.55):  # small folded wings that lie on the sides
             for side, s in SIDES:
@@ -211,13 +167,9 @@ def bird(m: Model) -> None:
                 m.bone(f"{side}Wing", "Spine", at)
                 wing_tip = at + unit(np.array([s * 0.15, -0.5, -1.0])) * round_ * u(0.9, 1.5)
                 m.limb(
-                    [at, wing_tip],
-                    [round_ * 0.45, round_ * 0.15],
-                    f"{side}Wing",
-                    f"wing {side}",
-                    stretch=(0.35, 1, 1),
+                    [at, wing_tip], [round_ * 0.45, round_ * 0.15], f"{side}Wing", f"wing {side}", stretch=(0.35, 1, 1),
                     loose=m.chance(0.3),
-                )
+                )  # fmt: skip
         else:
             wings(m, body + [0.7 * round_, 0.3 * round_, 0.2 * round_], u(0.5, 1.6), "Spine")
     r = u(0.015, 0.05)
@@ -253,10 +205,8 @@ def mech(m: Model) -> None:
     head = u(0.1, 0.3)
     m.limb(
         [(0, y + body[1] * (1 + 0.3 * upper), 0), (0, y + body[1] * (1.05 + 0.4 * upper) + 0.4 * head, 0.02)],
-        [head * 0.5, head * 0.5],
-        "Neck",
-        "head",
-    )
+        [head * 0.5, head * 0.5], "Neck", "head",
+    )  # fmt: skip
     at = np.array([0, y + body[1] * (1.05 + 0.4 * upper) + 0.7 * head, 0.05])
     m.lump(at, head * np.array([u(0.7, 1.3), u(0.6, 1.0), u(0.7, 1.3)]), "Head", "head")
     eyes(m, at, np.full(3, head), "Head")
@@ -272,11 +222,9 @@ def mech(m: Model) -> None:
             hock = m.bone(f"{side}Foot", f"{side}Leg", (x, leg * 0.38, -back * 0.7))
             foot = m.bone(f"{side}ToeBase", f"{side}Foot", (x, r * 0.8, back * 0.2))
             m.limb(
-                [hip, knee, hock, foot],
-                [r * 1.4, r, r * 1.1, r * 0.7],
-                [f"{side}UpLeg", f"{side}Leg", f"{side}Foot"],
+                [hip, knee, hock, foot], [r * 1.4, r, r * 1.1, r * 0.7], [f"{side}UpLeg", f"{side}Leg", f"{side}Foot"],
                 f"leg {side}",
-            )
+            )  # fmt: skip
             share = f"{side}ToeBase"
         else:
             knee = m.bone(f"{side}Leg", f"{side}UpLeg", (x, leg * 0.5, -back))

@@ -23,15 +23,7 @@ class _LegShape:
     radius: float
 
 
-def _leg(
-    m: Model,
-    side: str,
-    word: str,
-    root: np.ndarray,
-    yaw: float,
-    shape: _LegShape,
-    parent: str = "Hips",
-) -> None:
+def _leg(m: Model, side: str, word: str, root: np.ndarray, yaw: float, shape: _LegShape, parent: str = "Hips") -> None:
     """A leg of three segments: out and up, out and down, and to the ground; the word in its bones' names says which leg
     it is.
     """
@@ -44,12 +36,9 @@ def _leg(
     for name, above, at in zip(names, [parent, *names], (root, knee, mid), strict=False):
         m.bone(name, above, at)
     m.limb(
-        [root, knee, mid, tip],
-        [radius * 1.1, radius, radius * 0.8, radius * m.u(0.2, 0.7)],
-        names,
-        f"{word} {side}",
+        [root, knee, mid, tip], [radius * 1.1, radius, radius * 0.8, radius * m.u(0.2, 0.7)], names, f"{word} {side}",
         blend=0.4,
-    )
+    )  # fmt: skip
 
 
 def _legs(
@@ -69,15 +58,11 @@ def _antennae(m: Model, at: np.ndarray, size: float) -> None:
         direction = unit(np.array([s * 0.4, m.u(0.4, 1.0), 0.6]))
         m.limb(
             [
-                at + size * np.array([s * 0.3, 0.6, 0.4]),
-                at + size * 1.2 * direction,
+                at + size * np.array([s * 0.3, 0.6, 0.4]), at + size * 1.2 * direction,
                 at + size * (1.2 * direction + m.u(0.4, 1.2) * unit(direction * [1, 0.3, 1])),
             ],
-            [0.08 * size, 0.06 * size, 0.05 * size],
-            "Head",
-            f"antenna {s}",
-            loose=True,
-        )
+            [0.08 * size, 0.06 * size, 0.05 * size], "Head", f"antenna {s}", loose=True,
+        )  # fmt: skip
 
 
 def _abdomen(m: Model, root: np.ndarray, length: float, radius: float, dip: float, curl: float, sting: bool) -> None:
@@ -91,12 +76,9 @@ def _abdomen(m: Model, root: np.ndarray, length: float, radius: float, dip: floa
         m.bone(name.replace("Abdomen", "Tail"), parent.replace("Abdomen", "Tail"), at)
     chain = Chain(["Tail1", "Tail2", "Tail3"], points[:3])
     m.limb(
-        points,
-        [radius * m.u(0.3, 0.8), radius, radius * m.u(0.75, 1.0), radius * m.u(0.2, 0.6)],
-        chain,
-        "abdomen",
+        points, [radius * m.u(0.3, 0.8), radius, radius * m.u(0.75, 1.0), radius * m.u(0.2, 0.6)], chain, "abdomen",
         blend=1.0,
-    )
+    )  # fmt: skip
     if sting:
         direction = unit(points[3] - points[2])
         m.limb([points[3], points[3] + direction * radius * 1.2], [radius * 0.25, 0.008], "Tail3", "abdomen")
@@ -133,10 +115,8 @@ def insect(m: Model) -> None:
                     centre + [s * 0.7 * head, -0.3 * head, 1.5 * head],
                     centre + [s * 0.1 * head, -0.3 * head, 1.9 * head],
                 ],
-                [0.2 * head, 0.15 * head, 0.03],
-                "Head",
-                f"jaw {s}",
-            )
+                [0.2 * head, 0.15 * head, 0.03], "Head", f"jaw {s}",
+            )  # fmt: skip
 
 
 def spider(m: Model) -> None:
@@ -146,22 +126,14 @@ def spider(m: Model) -> None:
     centre = _body(m, y, radius, head, u(-0.05, 0.02))
     scorpion = m.chance(0.25)
     _abdomen(
-        m,
-        np.array([0, y, -0.6 * radius]),
-        u(0.3, 0.7) * (2.0 if scorpion else 1),
-        u(0.2, 0.42) * (0.3 if scorpion else 1),
-        -0.3 if scorpion else u(-0.4, 0.2),
-        -2.6 if scorpion else u(-0.2, 0.4),
+        m, np.array([0, y, -0.6 * radius]), u(0.3, 0.7) * (2.0 if scorpion else 1),
+        u(0.2, 0.42) * (0.3 if scorpion else 1), -0.3 if scorpion else u(-0.4, 0.2), -2.6 if scorpion else u(-0.2, 0.4),
         scorpion,
-    )
+    )  # fmt: skip
     _legs(
-        m,
-        ("FrontLeg", "MidFrontLeg", "MidBackLeg", "BackLeg"),
-        y - 0.2 * radius,
-        (0.7 * radius, -0.7 * radius),
-        radius,
-        0.0,
-    )
+        m, ("FrontLeg", "MidFrontLeg", "MidBackLeg", "BackLeg"), y - 0.2 * radius, (0.7 * radius, -0.7 * radius),
+        radius, 0.0,
+    )  # fmt: skip
     if m.chance(0.6):
         for _, s in SIDES:
             m.limb(
@@ -169,10 +141,8 @@ def spider(m: Model) -> None:
                     centre + [s * 0.35 * head, -0.4 * head, 0.6 * head],
                     centre + [s * 0.35 * head, -1.0 * head, 1.0 * head],
                 ],
-                [0.25 * head, 0.05 * head],
-                "Head",
-                f"fang {s}",
-            )
+                [0.25 * head, 0.05 * head], "Head", f"fang {s}",
+            )  # fmt: skip
 
 
 def bee(m: Model) -> None:
@@ -198,11 +168,9 @@ def bee(m: Model) -> None:
         for pair in range(pairs):
             t, v = np.linspace(0, 1, 11)[:, None, None], np.linspace(-0.5, 0.5, 5)[None, :, None]
             direction = np.array([s * np.cos(lift), np.sin(lift), -sweep - 0.7 * pair]) * (1 - 0.3 * pair)
-            grid = (
-                root
-                + t * span * direction
-                + v * chord * np.sin(np.pi * (0.06 + 0.9 * t**0.7)) * np.array([0, -0.3, 1.0])
-            )
+            grid = root + t * span * direction + v * chord * np.sin(np.pi * (0.06 + 0.9 * t**0.7)) * np.array([
+                0, -0.3, 1.0,
+            ])  # fmt: skip
             m.sheet(grid, f"{side}Wing", f"wing {side}", u(0.005, 0.02))
     if m.chance(0.7):
         _antennae(m, centre, head)
@@ -231,11 +199,9 @@ def crab(m: Model) -> None:
         m.lump(c + [0, 0, 0.5 * claw], claw * np.array([0.6, 0.4, 0.7]), f"{side}Hand", f"arm {side}")
         for i in (-1, 1):
             m.limb(
-                [c + [i * 0.3 * claw, 0, 0.9 * claw], c + [i * 0.1 * claw, 0, 1.7 * claw]],
-                [0.25 * claw, 0.08 * claw],
-                f"{side}Hand",
-                f"arm {side}",
-            )
+                [c + [i * 0.3 * claw, 0, 0.9 * claw], c + [i * 0.1 * claw, 0, 1.7 * claw]], [0.25 * claw, 0.08 * claw],
+                f"{side}Hand", f"arm {side}",
+            )  # fmt: skip
     words = ("ALeg", "BLeg", "CLeg", "DLeg")[: int(m.rng.integers(2, 5))]
     reach, rise, thick = u(0.25, 0.6), u(0.0, 0.25), u(0.02, 0.06)
     for side, s in SIDES:
@@ -252,12 +218,9 @@ def snake(m: Model) -> None:
     if m.chance(0.5):  # raised: pelvis at the bend, tail behind
         high, lean = u(0.35, 0.8), u(-0.15, 0.15)
         points = [
-            np.array([0, radius, 0.0]),
-            np.array([0, 0.3 * high, 0.06]),
-            np.array([0, 0.55 * high, 0.02]),
-            np.array([0, 0.78 * high, lean]),
-            np.array([0, high, lean + 0.02]),
-        ]
+            np.array([0, radius, 0.0]), np.array([0, 0.3 * high, 0.06]), np.array([0, 0.55 * high, 0.02]),
+            np.array([0, 0.78 * high, lean]), np.array([0, high, lean + 0.02]),
+        ]  # fmt: skip
         names = ["Hips", "Spine", "Spine1", "Neck"]
     else:
         wave, turns = u(0.0, 0.14), u(0.5, 1.5)
@@ -275,12 +238,9 @@ def snake(m: Model) -> None:
     eyes(m, top + [0, 0.2 * size, 0.5 * size], np.full(3, size * 0.9), "Head")
     if m.chance(0.3):
         m.limb(
-            [top + [0, 0, 1.5 * size], top + [0, 0, 2.5 * size]],
-            [0.1 * size, 0.05 * size],
-            "Head",
-            "tongue",
+            [top + [0, 0, 1.5 * size], top + [0, 0, 2.5 * size]], [0.1 * size, 0.05 * size], "Head", "tongue",
             loose=True,
-        )
+        )  # fmt: skip
     long, curve, count = u(0.4, 1.2), u(0.0, 0.2), int(m.rng.integers(3, 6))
     back = [points[0]]
     for i in range(count):

@@ -209,11 +209,9 @@ def build_body(m: Model, h: Human) -> None:
             m.limb([collar, shoulder], [h.arm * 1.25, h.arm * 1.12], f"{side}Shoulder", "trunk", blend=1.0)
         m.limb([shoulder, elbow], [h.arm * 1.1, h.arm * slim], f"{side}Arm", f"arm {side}", blend=0.5)
         m.limb(
-            [elbow, wrist],
-            [h.arm * slim * (1.15 if swell > 1 else 1.0), h.arm * slim * 0.8 * swell],
-            f"{side}ForeArm",
+            [elbow, wrist], [h.arm * slim * (1.15 if swell > 1 else 1.0), h.arm * slim * 0.8 * swell], f"{side}ForeArm",
             f"arm {side}",
-        )
+        )  # fmt: skip
         if ball_joint:
             m.lump(elbow, h.arm * 1.15, f"{side}ForeArm", f"arm {side}")
             m.lump(shoulder, h.arm * 1.5, f"{side}Arm", f"arm {side}")
@@ -248,68 +246,43 @@ def _trunk(m: Model, h: Human) -> None:
     m.lump(hips, (h.pelvis, max(0.16 * h.trunk, 0.6 * h.thigh), max(h.pelvis * h.deep, 0.9 * h.thigh)), seat, "trunk")
     low, mid, high = base + 0.08 * h.trunk, base + 0.42 * h.trunk, base + u(0.7, 0.8) * h.trunk
     m.limb(
-        [(0, low, 0), (0, mid, 0.4 * z)],
-        [h.pelvis * 0.9, h.waist],
-        seat,
-        "trunk",
-        stretch=shape * [1, 0.3, 1],
+        [(0, low, 0), (0, mid, 0.4 * z)], [h.pelvis * 0.9, h.waist], seat, "trunk", stretch=shape * [1, 0.3, 1],
         blend=1.0,
-    )
+    )  # fmt: skip
     m.limb(
         [(0, mid, 0.4 * z), (0, high, z)], [h.waist, h.chest], h.torso, "trunk", stretch=shape * [1, 0.4, 1], blend=1.0
     )
     m.limb(
-        [(0, high, z), (0, top - 0.08 * h.trunk, z)],
-        [h.chest * 0.98, h.chest * 0.55],
-        h.torso,
-        "trunk",
-        stretch=shape * [1, 0.5, 0.9],
-        blend=1.0,
-    )
+        [(0, high, z), (0, top - 0.08 * h.trunk, z)], [h.chest * 0.98, h.chest * 0.55], h.torso, "trunk",
+        stretch=shape * [1, 0.5, 0.9], blend=1.0,
+    )  # fmt: skip
     if belly:
         m.lump(
-            (0, base + u(0.25, 0.45) * h.trunk, h.waist * h.deep * belly),
-            h.waist * np.array([0.95, 0.95, 0.9]),
-            h.torso,
-            "trunk",
-            blend=1.0,
-        )
+            (0, base + u(0.25, 0.45) * h.trunk, h.waist * h.deep * belly), h.waist * np.array([0.95, 0.95, 0.9]),
+            h.torso, "trunk", blend=1.0,
+        )  # fmt: skip
     if h.kind != "robot" and m.chance(0.35):
         bust = h.chest * u(0.32, 0.5)
         for _, s in SIDES:
             m.lump(
                 (s * h.chest * 0.45, base + 0.68 * h.trunk, z + h.chest * h.deep * 0.75),
-                bust * np.array([1, 0.95, 0.9]),
-                h.torso,
-                "trunk",
-                blend=0.8,
-            )
+                bust * np.array([1, 0.95, 0.9]), h.torso, "trunk", blend=0.8,
+            )  # fmt: skip
     neck, head = m.at("Neck"), m.at("Head")
     if h.neck > 0.008:
-        thick = (
-            min(u(0.2, 0.42) * h.head, 0.55 * h.chest)
-            if h.kind != "realistic"
-            else u(0.22, 0.32) * h.head * h.girth**0.4
-        )
+        thick = min(u(0.2, 0.42) * h.head, 0.55 * h.chest) if h.kind != "realistic" else u(
+            0.22, 0.32,
+        ) * h.head * h.girth**0.4  # fmt: skip
         m.limb(
-            [neck - [0, 0.03 * h.trunk, 0], head + [0, 0.06 * h.head, 0]],
-            [thick * 1.1, thick * 0.9],
-            "Neck",
-            "trunk",
+            [neck - [0, 0.03 * h.trunk, 0], head + [0, 0.06 * h.head, 0]], [thick * 1.1, thick * 0.9], "Neck", "trunk",
             blend=0.6,
-        )
+        )  # fmt: skip
 
 
 def _foot(
-    m: Model,
-    h: Human,
-    side: str,
-    s: float,
-    ankle: np.ndarray,
-    radius: float,
-    size: tuple[float, float, float],
+    m: Model, h: Human, side: str, s: float, ankle: np.ndarray, radius: float, size: tuple[float, float, float],
     toes: bool,
-) -> None:
+) -> None:  # fmt: skip
     heel, wide, length = size
     high = max(h.heel * 0.55, 0.012)
     floor = ankle[1] - h.heel
@@ -349,10 +322,8 @@ def _hand(m: Model, h: Human, side: str, kind: str, radius: float) -> None:
         m.lump(wrist + along * size * 0.75, (size * 0.35, thick * 0.9, wide * 0.9), name, region, turn=turn, blend=0.8)
         m.limb(
             [wrist + along * palm * 0.35 + thumb * wide * 0.6, wrist + along * palm * 0.85 + thumb * wide * 1.5],
-            [thick * 0.8, thick * 0.6],
-            name,
-            region,
-        )
+            [thick * 0.8, thick * 0.6], name, region,
+        )  # fmt: skip
         return
     count, longer = {"fingers": 4, "three": 3, "claw": 3}[kind], h.long_fingers
     fat = thick * 0.9 if kind == "claw" else wide * 1.1 / count
@@ -364,22 +335,15 @@ def _hand(m: Model, h: Human, side: str, kind: str, radius: float) -> None:
         direction = unit(along + thumb * 0.15 * across / wide)
         m.limb(
             [bone - along * 0.1 * size, bone + direction * reach * 0.5, bone + direction * reach],
-            [fat, fat * 0.9, fat * (0.25 if kind == "claw" else 0.75)],
-            f"{side}Hand{words[i]}1",
-            region,
-            blend=0.2,
-        )
+            [fat, fat * 0.9, fat * (0.25 if kind == "claw" else 0.75)], f"{side}Hand{words[i]}1", region, blend=0.2,
+        )  # fmt: skip
     root = wrist + along * palm * 0.3 + thumb * wide * 0.7
     bone = m.bone(f"{side}HandThumb1", name, root)
     direction = unit(along * 0.7 + thumb * 0.8)
     m.limb(
         [
-            bone,
-            bone + direction * size * 0.2,
+            bone, bone + direction * size * 0.2,
             bone + direction * size * 0.2 + unit(along + 0.3 * thumb) * size * 0.22 * longer,
         ],
-        [fat * 1.1, fat, fat * 0.8],
-        f"{side}HandThumb1",
-        region,
-        blend=0.4,
-    )
+        [fat * 1.1, fat, fat * 0.8], f"{side}HandThumb1", region, blend=0.4,
+    )  # fmt: skip

@@ -42,30 +42,22 @@ def build_head(m: Model, h: Human) -> None:
         long = half * u(0.3, 0.9)
         m.limb(
             [centre + [0, -0.25 * half, 0.4 * size[2]], centre + [0, -u(0.25, 0.45) * half, size[2] * 0.8 + long]],
-            [half * u(0.4, 0.6), half * u(0.18, 0.4)],
-            "Head",
-            "head",
-            blend=0.8,
-        )
+            [half * u(0.4, 0.6), half * u(0.18, 0.4)], "Head", "head", blend=0.8,
+        )  # fmt: skip
     elif m.chance(0.6):
         m.limb(
             [centre + [0, 0, 0.85 * size[2]], centre + [0, -0.2 * half, size[2] * u(0.95, 1.25)]],
-            [0.07 * half, 0.13 * half],
-            "Head",
-            "head",
-        )
+            [0.07 * half, 0.13 * half], "Head", "head",
+        )  # fmt: skip
     eyes(m, centre, size, "Head")
     if shape != "beast" and m.chance(0.5):
         for _, s in SIDES:
             m.lump(centre + [s * size[0] * 0.98, 0, 0], half * np.array([0.1, 0.22, 0.14]), "Head", "head")
     if shape == "beast" or m.chance(0.55 if h.kind == "chibi" else 0.3):
         ears_and_horns(
-            m,
-            centre,
-            size,
-            "Head",
+            m, centre, size, "Head",
             ("cat", "long", "long", "long", "round", "horn", "antenna") if h.kind == "chibi" else EARS,
-        )
+        )  # fmt: skip
     worn = str(
         m.pick(
             "hair",
@@ -91,11 +83,8 @@ def build_head(m: Model, h: Human) -> None:
         m.lump(centre + [0, 0.05 * half, -0.15 * size[2]], size * [1.18, 1.12, 1.15], "Head", "hood", loose=True)
         m.limb(
             [centre + [0, 0.5 * half, -0.7 * size[2]], centre + [0, u(0.2, 0.9) * half, -u(1.2, 1.7) * size[2]]],
-            [0.5 * half, 0.12 * half],
-            "Head",
-            "hood",
-            loose=True,
-        )
+            [0.5 * half, 0.12 * half], "Head", "hood", loose=True,
+        )  # fmt: skip
         if m.chance(0.5):
             wide = h.shoulder * 0.9
             m.mesh(
@@ -109,26 +98,17 @@ def build_head(m: Model, h: Human) -> None:
         long = half * u(0.3, 1.4)
         m.limb(
             [centre + [0, -0.55 * half, 0.7 * size[2]], centre + [0, -0.7 * half - long, u(0.6, 1.0) * size[2]]],
-            [half * u(0.3, 0.45), half * u(0.05, 0.35)],
-            "Head",
-            "beard",
-            loose=True,
-            stretch=(1.25, 1, 0.6),
-        )
+            [half * u(0.3, 0.45), half * u(0.05, 0.35)], "Head", "beard", loose=True, stretch=(1.25, 1, 0.6),
+        )  # fmt: skip
     if m.chance(0.08):
         for _, s in SIDES:
             m.mesh(
                 ring_mesh(
-                    centre + [s * 0.38 * size[0], 0.05 * half, size[2] * 1.02],
-                    0.26 * half,
-                    0.035 * half,
-                    14,
-                    5,
+                    centre + [s * 0.38 * size[0], 0.05 * half, size[2] * 1.02], 0.26 * half, 0.035 * half, 14, 5,
                     np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
                 ),
-                "Head",
-                "glasses",
-            )
+                "Head", "glasses",
+            )  # fmt: skip
 
 
 def eyes(m: Model, centre: np.ndarray, size: np.ndarray, share: str) -> None:
@@ -147,26 +127,17 @@ def ears_and_horns(m: Model, centre: np.ndarray, size: np.ndarray, share: str, k
     """Two of a kind on top of a head."""
     kind = m.pick(*kinds)
     tall, tilt, out, fat, flat, tip = (
-        m.u(0.35, 0.9),
-        m.u(-0.3, 0.3),
-        m.u(0.35, 0.75),
-        m.u(0.6, 1.7),
-        m.u(0.4, 1.0),
-        m.u(0.1, 0.25),
-    )
+        m.u(0.35, 0.9), m.u(-0.3, 0.3), m.u(0.35, 0.75), m.u(0.6, 1.7), m.u(0.4, 1.0), m.u(0.1, 0.25),
+    )  # fmt: skip
     loose = m.chance(0.5)
     for _, s in SIDES:
         root = centre + size * [s * out, 0.7, -0.05]
         direction = unit(np.array([s * m.u(0.2, 0.7) if s > 0 else -out, 1.0, tilt]))
         if kind == "cat":
             m.limb(
-                [root, root + direction * size[1] * tall],
-                [0.36 * size[0], 0.05 * size[0]],
-                share,
-                f"ear {s}",
-                stretch=(1, 1, 0.4),
-                loose=m.chance(0.5),
-            )
+                [root, root + direction * size[1] * tall], [0.36 * size[0], 0.05 * size[0]], share, f"ear {s}",
+                stretch=(1, 1, 0.4), loose=m.chance(0.5),
+            )  # fmt: skip
         elif kind == "long":
             m.limb(
                 [root, root + direction * size[1] * tall, root + direction * size[1] * 2.2 * tall],
@@ -184,19 +155,13 @@ def ears_and_horns(m: Model, centre: np.ndarray, size: np.ndarray, share: str, k
             mid = root + unit(np.array([s, 0.4, 0.1])) * size[0] * 0.4
             m.limb(
                 [root, mid, mid + unit(np.array([s * 0.2, 1, 0.2])) * size[1] * tall],
-                [0.2 * size[0], 0.16 * size[0], 0.03 * size[0]],
-                share,
-                f"horn {s}",
-                loose=True,
-            )
+                [0.2 * size[0], 0.16 * size[0], 0.03 * size[0]], share, f"horn {s}", loose=True,
+            )  # fmt: skip
         else:
             m.limb(
-                [root, root + direction * size[1] * tall * 1.2],
-                [0.04 * size[0], 0.03 * size[0]],
-                share,
-                f"ear {s}",
+                [root, root + direction * size[1] * tall * 1.2], [0.04 * size[0], 0.03 * size[0]], share, f"ear {s}",
                 loose=True,
-            )
+            )  # fmt: skip
             m.lump(root + direction * size[1] * tall * 1.2, np.full(3, 0.1 * size[0]), share, f"ear {s}", loose=True)
 
 
@@ -213,12 +178,8 @@ def _hair(m: Model, h: Human, centre: np.ndarray, size: np.ndarray) -> None:
         low = centre[1] - half * down
         m.limb(
             [centre + [0, 0.2 * half, -0.45 * size[2]], [0, low, centre[2] - size[2] * u(0.6, 1.0)]],
-            [size[0] * 0.85, size[0] * u(0.4, 0.95)],
-            "Head",
-            "hair",
-            loose=loose,
-            stretch=(1.1, 1, 0.55),
-        )
+            [size[0] * 0.85, size[0] * u(0.4, 0.95)], "Head", "hair", loose=loose, stretch=(1.1, 1, 0.55),
+        )  # fmt: skip
         if m.chance(0.6):
             for _, s in SIDES:
                 m.limb(
@@ -226,42 +187,30 @@ def _hair(m: Model, h: Human, centre: np.ndarray, size: np.ndarray) -> None:
                         centre + [s * size[0] * 0.95, 0.2 * half, 0.1],
                         [s * size[0] * u(0.8, 1.1), low + u(0, 0.4) * half, centre[2] + 0.2 * size[2]],
                     ],
-                    [0.26 * half, 0.12 * half],
-                    "Head",
-                    "hair",
-                    loose=loose,
-                )
+                    [0.26 * half, 0.12 * half], "Head", "hair", loose=loose,
+                )  # fmt: skip
     elif kind == "spikes":
         for _ in range(int(m.rng.integers(5, 13))):
             direction = unit(np.array([u(-1, 1), u(0.1, 1), u(-1, 0.6)]))
             m.limb(
                 [centre + direction * size * 0.85, centre + direction * size * u(1.25, 1.8)],
-                [0.32 * half, 0.02 * half],
-                "Head",
-                "hair",
-                loose=loose,
-            )
+                [0.32 * half, 0.02 * half], "Head", "hair", loose=loose,
+            )  # fmt: skip
     elif kind == "tail":
         root = centre + [0, u(0, 0.7) * half, -size[2] * 1.1]
         long = half * u(0.8, 3.5)
         m.limb(
             [root, root + [0, -0.1 * half, -0.45 * half], root + [0, -long, -u(0.1, 0.6) * half]],
-            [0.16 * half, u(0.25, 0.4) * half, 0.06 * half],
-            "Head",
-            "ponytail",
-            loose=loose,
-        )
+            [0.16 * half, u(0.25, 0.4) * half, 0.06 * half], "Head", "ponytail", loose=loose,
+        )  # fmt: skip
     elif kind == "twin":
         long = half * u(0.8, 3.0)
         for _, s in SIDES:
             root = centre + [s * size[0] * 1.1, 0.3 * half, -0.2 * size[2]]
             m.limb(
                 [root, root + [s * 0.4 * half, -0.1 * half, 0], root + [s * u(0.3, 0.7) * half, -long, 0]],
-                [0.12 * half, 0.28 * half, 0.05 * half],
-                "Head",
-                f"twin {s}",
-                loose=loose,
-            )
+                [0.12 * half, 0.28 * half, 0.05 * half], "Head", f"twin {s}", loose=loose,
+            )  # fmt: skip
     elif kind == "bun":
         m.lump(
             centre + [0, u(0.3, 1.2) * half, -size[2] * u(0.5, 1.1)], half * u(0.25, 0.5), "Head", "bun", loose=loose
@@ -273,11 +222,8 @@ def _hair(m: Model, h: Human, centre: np.ndarray, size: np.ndarray) -> None:
             x = u(-0.7, 0.7)
             m.limb(
                 [centre + size * [x, 0.85, 0.55], centre + size * [x * 1.2, u(0.2, 0.55), 1.0]],
-                [0.22 * half, 0.06 * half],
-                "Head",
-                "hair",
-                loose=loose,
-            )
+                [0.22 * half, 0.06 * half], "Head", "hair", loose=loose,
+            )  # fmt: skip
 
 
 def _hat(m: Model, centre: np.ndarray, size: np.ndarray) -> None:

@@ -314,14 +314,9 @@ class Model:
         self.parts.append(_Part(ball(centre, radii, turn=turn, blend=width), share, region, loose))
 
     def block(
-        self,
-        centre: Vector,
-        half: Vector,
-        share: Share,
-        region: str,
-        turn: np.ndarray | None = None,
+        self, centre: Vector, half: Vector, share: Share, region: str, turn: np.ndarray | None = None,
         exponent: float = 8.0,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """A loose box with rounded edges; `half` are half its edge lengths [m]."""
         self.mesh(block_mesh(ball(centre, half, turn=turn), exponent, max(self.style.cells, 3)), share, region)
 
@@ -384,11 +379,9 @@ class Model:
                         continue
                     short = 0.5 * style.gap * (lump.end - lump.start)
                     mesh = block_mesh(
-                        replace(lump, start=lump.start + short, end=lump.end - short),
-                        style.exponent,
-                        style.cells,
+                        replace(lump, start=lump.start + short, end=lump.end - short), style.exponent, style.cells,
                         style.cap,
-                    )
+                    )  # fmt: skip
                     near = parts if soft > 0 else [parts[own]]
                     out.append((mesh, self._weigh(mesh, near, soft, own if soft > 0 else None)))
                 continue

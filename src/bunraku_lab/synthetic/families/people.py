@@ -61,12 +61,9 @@ def _skirt(m: Model, h: Human, long: bool) -> None:
     radii = start + (max(flare, stance, h.hip + 1.1 * h.thigh) - start) * share ** u(0.4, 1.1)
     grid = _round(m, h, heights, radii, int(m.rng.integers(10, 40)), folds=u(0, 0.1) if m.chance(0.5) else 0.0)
     m.sheet(
-        grid,
-        _leg_share(m, h.leg + 0.1 * h.trunk, hem, u(0.75, 1.0), u(0.015, 0.07)),
-        "skirt",
-        u(0.004, 0.015),
+        grid, _leg_share(m, h.leg + 0.1 * h.trunk, hem, u(0.75, 1.0), u(0.015, 0.07)), "skirt", u(0.004, 0.015),
         wrap=True,
-    )
+    )  # fmt: skip
 
 
 def _coat(m: Model, h: Human) -> None:
@@ -177,28 +174,20 @@ def build_clothes(m: Model, h: Human) -> None:
             y = h.leg + h.trunk * (0.3 + 0.15 * i)
             m.lump(
                 (0, y, 0.5 * m.at("Spine2")[2] + float(h.half_width(y)) * h.deep),
-                h.trunk * np.array([0.03, 0.03, 0.015]),
-                h.torso,
-                f"button {i}",
-                loose=True,
-            )
+                h.trunk * np.array([0.03, 0.03, 0.015]), h.torso, f"button {i}", loose=True,
+            )  # fmt: skip
     if chance(0.12):
         for side, s in SIDES[: m.pick(1, 2)]:  # pouches
             half = h.trunk * np.array([u(0.06, 0.12), u(0.08, 0.16), u(0.06, 0.1)])
             m.block(
-                (s * (h.pelvis + 0.6 * half[0]), h.leg + u(-0.05, 0.1) * h.trunk, 0),
-                half,
-                "Hips" if chance(0.5) else f"{side}UpLeg",
-                "pouch",
-                exponent=5.0,
-            )
+                (s * (h.pelvis + 0.6 * half[0]), h.leg + u(-0.05, 0.1) * h.trunk, 0), half,
+                "Hips" if chance(0.5) else f"{side}UpLeg", "pouch", exponent=5.0,
+            )  # fmt: skip
     if chance(0.12):
         m.block(
             (0, h.leg + 0.68 * h.trunk, m.at("Spine2")[2] + 0.15 * h.chest),
-            (h.chest * 1.12, 0.22 * h.trunk, h.chest * h.deep),
-            h.torso,
-            "armour",
-        )
+            (h.chest * 1.12, 0.22 * h.trunk, h.chest * h.deep), h.torso, "armour",
+        )  # fmt: skip
     if chance(0.05):
         length, droop = u(0.3, 0.7) * h.leg, u(-0.6, 0.4)
         points = [
@@ -259,55 +248,38 @@ def build_items(m: Model, h: Human) -> None:
             _sword(m, grip, direction, length, thick, share)
         elif what == "staff":
             m.limb(
-                [grip - direction * length * 0.6, grip + direction * length],
-                [thick * 0.6, thick * 0.6],
-                share,
-                f"item {side}",
-                loose=True,
-            )
+                [grip - direction * length * 0.6, grip + direction * length], [thick * 0.6, thick * 0.6], share,
+                f"item {side}", loose=True,
+            )  # fmt: skip
             m.lump(grip + direction * length, np.full(3, thick * u(1.2, 3.0)), share, f"item {side}", loose=True)
         elif what == "shield":
             wide = u(0.1, 0.24)
             out = unit(np.array([s, 0, 0.4]))
             turn = np.stack([np.cross([0, 1.0, 0], out), [0, 1.0, 0], out], axis=1)
             m.block(
-                grip + out * 0.03,
-                (wide, wide * u(0.9, 1.5), u(0.008, 0.03)),
-                share,
-                f"item {side}",
-                turn,
+                grip + out * 0.03, (wide, wide * u(0.9, 1.5), u(0.008, 0.03)), share, f"item {side}", turn,
                 exponent=m.pick(2.0, 4.0, 10.0),
-            )
+            )  # fmt: skip
         elif what == "gun":
             m.block(
-                grip + direction * 0.3 * length,
-                (thick, 0.5 * length, thick * 1.4),
-                share,
-                f"item {side}",
+                grip + direction * 0.3 * length, (thick, 0.5 * length, thick * 1.4), share, f"item {side}",
                 np.stack(
                     [
-                        unit(np.cross(direction, along)),
-                        direction,
+                        unit(np.cross(direction, along)), direction,
                         np.cross(unit(np.cross(direction, along)), direction),
                     ],
                     1,
                 ),
-            )
+            )  # fmt: skip
             m.limb(
-                [grip, grip - along * 0.1 * length - np.array([0, 0.1 * length, 0])],
-                [thick, thick],
-                share,
-                f"item {side}",
-                loose=True,
-            )
+                [grip, grip - along * 0.1 * length - np.array([0, 0.1 * length, 0])], [thick, thick], share,
+                f"item {side}", loose=True,
+            )  # fmt: skip
         else:
             m.limb(
-                [grip - direction * length * 0.3, grip + direction * length * 0.7],
-                [thick * 0.6, thick * 0.6],
-                share,
-                f"item {side}",
-                loose=True,
-            )
+                [grip - direction * length * 0.3, grip + direction * length * 0.7], [thick * 0.6, thick * 0.6], share,
+                f"item {side}", loose=True,
+            )  # fmt: skip
             m.block(grip + direction * length * 0.7, np.array([1, 1, 1.8]) * thick * u(1.5, 3), share, f"item {side}")
     if m.chance(0.06):
         at = np.array([0, h.leg + 0.5 * h.trunk, m.at("Spine2")[2] - h.chest * h.deep - 0.03])

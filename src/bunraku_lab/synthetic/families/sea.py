@@ -45,32 +45,23 @@ def fish(m: Model) -> None:
     if m.chance(0.1):
         high, wide = wide * 0.8, high
     nose, peak, root = u(0.02, 0.12), u(0.25, 0.45), u(0.68, 0.82)
-    marks = (
-        (0.1, u(0.28, 0.38), u(0.46, 0.54), u(0.57, 0.63), 0.1)
-        if toy
-        else (0.1, u(0.18, 0.25), u(0.33, 0.42), u(0.5, 0.58), 0.05)
-    )
+    marks = (0.1, u(0.28, 0.38), u(0.46, 0.54), u(0.57, 0.63), 0.1) if toy else (
+        0.1, u(0.18, 0.25), u(0.33, 0.42), u(0.5, 0.58), 0.05,
+    )  # fmt: skip
     body = _spine(m, marks, int(m.rng.integers(3, 5)))
     stem = high * u(0.15, 0.35)
     z = [0.5 - nose - high * 0.4, 0.5 - peak, 0.5 - root, -0.42]
     radii = [high * u(0.4, 0.8), high, high * u(0.35, 0.6), stem]
     rise = u(-0.3, 0.3) * high
     m.limb(
-        [(0, rise * 0.5, z[0]), (0, 0, z[1]), (0, 0, z[2]), (0, 0, z[3])],
-        radii,
-        body,
-        "body",
-        stretch=(wide / high, 1, 1),
-        blend=1.2,
-    )
+        [(0, rise * 0.5, z[0]), (0, 0, z[1]), (0, 0, z[2]), (0, 0, z[3])], radii, body, "body",
+        stretch=(wide / high, 1, 1), blend=1.2,
+    )  # fmt: skip
     if m.chance(0.3):
         m.limb(
-            [(0, rise * 0.5, z[0]), (0, rise * 0.5, 0.5 + u(0.0, 0.2))],
-            [radii[0] * 0.7, u(0.01, 0.05)],
-            body,
-            "body",
+            [(0, rise * 0.5, z[0]), (0, rise * 0.5, 0.5 + u(0.0, 0.2))], [radii[0] * 0.7, u(0.01, 0.05)], body, "body",
             stretch=(wide / high, 1, 1),
-        )
+        )  # fmt: skip
     bulge = u(0.6, 1.4) if toy else 0.5
     if m.chance(0.85):
         position, size = (
@@ -86,23 +77,14 @@ def fish(m: Model) -> None:
     m.sheet(grid, body, "tail fin", u(0.006, 0.03))
     if m.chance(0.85):
         _fin(
-            m,
-            np.array([0, 0.85 * high, 0.5 - peak + u(-0.05, 0.1)]),
-            np.array([0, -0.15 * high, -u(0.15, 0.45)]),
-            np.array([0, high * u(0.3, 1.2), 0]),
-            body,
-            "dorsal",
-            u(0, 0.5),
-        )
+            m, np.array([0, 0.85 * high, 0.5 - peak + u(-0.05, 0.1)]), np.array([0, -0.15 * high, -u(0.15, 0.45)]),
+            np.array([0, high * u(0.3, 1.2), 0]), body, "dorsal", u(0, 0.5),
+        )  # fmt: skip
     if m.chance(0.5):
         _fin(
-            m,
-            np.array([0, -0.8 * high, 0.5 - peak - 0.1]),
-            np.array([0, 0.2 * high, -u(0.1, 0.3)]),
-            np.array([0, -high * u(0.3, 0.9), 0]),
-            body,
-            "anal",
-        )
+            m, np.array([0, -0.8 * high, 0.5 - peak - 0.1]), np.array([0, 0.2 * high, -u(0.1, 0.3)]),
+            np.array([0, -high * u(0.3, 0.9), 0]), body, "anal",
+        )  # fmt: skip
     if m.chance(0.85):
         long, down, back = high * u(0.4, 1.2), u(0.0, 0.9), u(0.2, 1.2)
         loose = m.chance(0.25)  # fins with bones, as of sharks
@@ -117,12 +99,9 @@ def fish(m: Model) -> None:
             _fin(m, at, np.array([0, -0.05 * high, -u(0.05, 0.16)]), direction * long, share, f"fin {side}")
     if m.chance(0.06):
         m.limb(
-            [(0, high * 0.9, 0.3), (0, high * 1.7, 0.45), (0, high * 1.4, 0.6)],
-            [0.015, 0.012, 0.012],
-            body,
-            "lure",
+            [(0, high * 0.9, 0.3), (0, high * 1.7, 0.45), (0, high * 1.4, 0.6)], [0.015, 0.012, 0.012], body, "lure",
             loose=True,
-        )
+        )  # fmt: skip
         m.lump((0, high * 1.4, 0.6), 0.05, body, "lure", loose=True)
 
 
@@ -133,13 +112,9 @@ def whale(m: Model) -> None:
     body = _spine(m, (0.08, u(0.17, 0.24), u(0.33, 0.4), u(0.48, 0.56), 0.06), 3)
     radii = [high * u(0.5, 0.95), high, high * u(0.4, 0.7), high * 0.2]
     m.limb(
-        [(0, 0, 0.48 - high), (0, 0, 0.15), (0, 0, -0.25), (0, u(0, 0.3) * high, -0.46)],
-        radii,
-        body,
-        "body",
-        stretch=(wide, 1, 1),
-        blend=1.2,
-    )
+        [(0, 0, 0.48 - high), (0, 0, 0.15), (0, 0, -0.25), (0, u(0, 0.3) * high, -0.46)], radii, body, "body",
+        stretch=(wide, 1, 1), blend=1.2,
+    )  # fmt: skip
     if m.chance(0.4):
         m.limb(
             [(0, -0.2 * high, 0.45), (0, -0.3 * high, 0.5 + u(0.02, 0.12))], [high * 0.35, high * 0.2], "Head", "body"
@@ -159,20 +134,13 @@ def whale(m: Model) -> None:
             m.bone(name, parent, position)
         m.limb(
             [points[0] - 0.1 * direction * long, points[1], at + long * direction],
-            [0.3 * high, 0.25 * high, 0.08 * high],
-            Chain(names, points),
-            f"flipper {side}",
-            stretch=(1, 0.35, 1),
-        )
+            [0.3 * high, 0.25 * high, 0.08 * high], Chain(names, points), f"flipper {side}", stretch=(1, 0.35, 1),
+        )  # fmt: skip
     if m.chance(0.6):
         _fin(
-            m,
-            np.array([0, 0.85 * high, 0.0]),
-            np.array([0, -0.1 * high, -0.12]),
-            np.array([0, high * u(0.4, 1.2), -0.05]),
-            body,
-            "dorsal",
-        )
+            m, np.array([0, 0.85 * high, 0.0]), np.array([0, -0.1 * high, -0.12]),
+            np.array([0, high * u(0.4, 1.2), -0.05]), body, "dorsal",
+        )  # fmt: skip
 
 
 def ray(m: Model) -> None:
@@ -184,13 +152,9 @@ def ray(m: Model) -> None:
     m.bone("Head", "Spine", (0, 0, 0.25))
     body = Chain(["Hips", "Spine", "Head"], [m.at("Hips"), m.at("Spine"), m.at("Head")])
     m.limb(
-        [(0, 0, -0.25), (0, 0, 0.1), (0, 0, 0.35)],
-        [thick * 0.7, thick * 1.6, thick],
-        body,
-        "body",
-        stretch=(u(1.2, 2.5), 1, 1),
-        blend=1.0,
-    )
+        [(0, 0, -0.25), (0, 0, 0.1), (0, 0, 0.35)], [thick * 0.7, thick * 1.6, thick], body, "body",
+        stretch=(u(1.2, 2.5), 1, 1), blend=1.0,
+    )  # fmt: skip
     eyes(m, np.array([0, 0.3 * thick, 0.28]), np.array([2.2, 1, 1]) * thick, "Head")
     front, back, sweep, droop = u(0.25, 0.4), u(-0.45, -0.25), u(-0.2, 0.15), u(-0.2, 0.25)
     power = u(0.8, 2.2)
@@ -220,13 +184,9 @@ def seahorse(m: Model) -> None:
         m.bone(name, parent, at)
     fat, head = u(0.06, 0.14), u(0.07, 0.14)
     m.limb(
-        [(0, 0.42, -0.02), (0, 0.58, 0.03), (0, 0.75, 0.0)],
-        [fat * 0.7, fat, fat * 0.7],
-        Chain(names[:4], positions[:4]),
-        "body",
-        stretch=(0.8, 1, 1),
-        blend=1.0,
-    )
+        [(0, 0.42, -0.02), (0, 0.58, 0.03), (0, 0.75, 0.0)], [fat * 0.7, fat, fat * 0.7],
+        Chain(names[:4], positions[:4]), "body", stretch=(0.8, 1, 1), blend=1.0,
+    )  # fmt: skip
     top = m.bone("Head", "Neck", (0, 0.86, 0.02))
     m.limb([positions[4] - [0, 0.03, 0], top], [fat * 0.6, head * 0.6], "Neck", "body")
     m.lump(top + [0, 0.04, 0.02], head, "Head", "head")
@@ -245,10 +205,6 @@ def seahorse(m: Model) -> None:
     m.limb(points, list(np.linspace(fat * 0.65, 0.02, count + 1)), joints, "tail", blend=0.5)
     if m.chance(0.7):
         _fin(
-            m,
-            np.array([0, 0.7, -0.5 * fat]),
-            np.array([0, -0.2, 0]),
-            np.array([0, 0, -u(0.06, 0.16)]),
-            "Spine1",
+            m, np.array([0, 0.7, -0.5 * fat]), np.array([0, -0.2, 0]), np.array([0, 0, -u(0.06, 0.16)]), "Spine1",
             "dorsal",
-        )
+        )  # fmt: skip

@@ -33,13 +33,9 @@ def mascot(m: Model) -> None:
         m.lump((0, y, 0), half * 0.85, body, "body")
     elif shape == "pear":
         m.limb(
-            [(0, low + half[0] * 0.9, 0), (0, y + half[1] * 0.6, 0)],
-            [half[0], half[0] * u(0.35, 0.75)],
-            body,
-            "body",
-            stretch=(1, 1, half[2] / half[0]),
-            blend=1.0,
-        )
+            [(0, low + half[0] * 0.9, 0), (0, y + half[1] * 0.6, 0)], [half[0], half[0] * u(0.35, 0.75)], body, "body",
+            stretch=(1, 1, half[2] / half[0]), blend=1.0,
+        )  # fmt: skip
     elif shape == "tall":
         bend = u(-0.2, 0.2)
         points = [(0, low + 0.15, -bend), (0, y, 0.3 * bend), (0, y + half[1] * 0.9, -bend)]
@@ -53,25 +49,17 @@ def mascot(m: Model) -> None:
     elif m.chance(0.6):  # a stalk or a leaf
         tip = m.bone("HeadTop_End", "Head", (0, y + half[1] * 0.97, 0))
         m.limb(
-            [tip - [0, 0.05, 0], tip + [u(-0.1, 0.1), u(0.08, 0.25), u(-0.1, 0.1)]],
-            [u(0.02, 0.06), u(0.01, 0.06)],
-            "HeadTop_End",
-            "stalk",
-            loose=m.chance(0.5),
-        )
+            [tip - [0, 0.05, 0], tip + [u(-0.1, 0.1), u(0.08, 0.25), u(-0.1, 0.1)]], [u(0.02, 0.06), u(0.01, 0.06)],
+            "HeadTop_End", "stalk", loose=m.chance(0.5),
+        )  # fmt: skip
         if m.chance(0.5):
             for _, s in SIDES:
                 m.lump(tip + [s * 0.1, 0.1, 0], (0.12, 0.05, 0.06), "HeadTop_End", f"leaf {s}", loose=True)
     if m.chance(0.2):
         tail(
-            m,
-            np.array([0, low + 0.25 * half[1], -0.8 * depth]),
-            u(0.2, 0.5),
-            u(0.03, 0.09),
-            u(-0.2, 0.8),
-            u(-0.3, 1),
+            m, np.array([0, low + 0.25 * half[1], -0.8 * depth]), u(0.2, 0.5), u(0.03, 0.09), u(-0.2, 0.8), u(-0.3, 1),
             3,
-        )
+        )  # fmt: skip
     arm, thick = u(0.15, 0.45), u(0.02, 0.07)
     drop, bend = u(-0.3, 1.2) if m.chance(0.6) else u(-0.1, 0.15), u(0, 0.7)
     foot, glove, stance = u(1.2, 2.4), u(1.0, 2.2), half[0] * u(0.25, 0.6)
@@ -85,12 +73,9 @@ def mascot(m: Model) -> None:
         direction = np.array([s * np.cos(drop), -np.sin(drop), 0.1])
         m.bone(f"{side}Shoulder", "Spine2", (s * 0.6 * side_at, y + high, 0))
         m.lump(
-            (s * 0.72 * side_at, y + high, 0),
-            np.array([0.22 * side_at, 0.35 * half[1], 0.5 * depth]),
-            f"{side}Shoulder",
-            "body",
-            blend=1.0,
-        )
+            (s * 0.72 * side_at, y + high, 0), np.array([0.22 * side_at, 0.35 * half[1], 0.5 * depth]),
+            f"{side}Shoulder", "body", blend=1.0,
+        )  # fmt: skip
         a = m.bone(f"{side}Arm", f"{side}Shoulder", (s * side_at, y + high, 0))
         b = m.bone(f"{side}ForeArm", f"{side}Arm", a + direction * 0.45 * arm)
         c = m.bone(f"{side}Hand", f"{side}ForeArm", b + unit(direction + [0, 0, bend]) * 0.45 * arm)
@@ -104,34 +89,25 @@ def mascot(m: Model) -> None:
                     f"{side}HandIndex{i}" if i else f"{side}HandThumb1", f"{side}Hand", c + direction * thick * glove
                 )
                 m.limb(
-                    [bone, bone + unit(direction + [0, 0, i - 1]) * thick * glove * 1.4],
-                    [thick * 0.6, thick * 0.45],
-                    f"{side}HandIndex{i}" if i else f"{side}HandThumb1",
-                    f"arm {side}",
-                )
+                    [bone, bone + unit(direction + [0, 0, i - 1]) * thick * glove * 1.4], [thick * 0.6, thick * 0.45],
+                    f"{side}HandIndex{i}" if i else f"{side}HandThumb1", f"arm {side}",
+                )  # fmt: skip
         hip = m.bone(f"{side}UpLeg", "Hips", (s * stance, leg + 0.05, 0))
         m.lump(
-            (s * stance, low + 0.16 * half[1], 0),
-            np.array([0.3 * half[0], 0.14 * half[1], 0.55 * depth]),
-            f"{side}UpLeg",
-            "body",
-            blend=1.0,
-        )
+            (s * stance, low + 0.16 * half[1], 0), np.array([0.3 * half[0], 0.14 * half[1], 0.55 * depth]),
+            f"{side}UpLeg", "body", blend=1.0,
+        )  # fmt: skip
         knee = m.bone(f"{side}Leg", f"{side}UpLeg", (s * stance, leg * 0.55, u(0, 0.03)))
         flat = thick * foot * 0.5
         ankle = m.bone(f"{side}Foot", f"{side}Leg", (s * stance, flat, 0))
         m.limb(
-            [hip + [0, 0.05, 0], knee, ankle],
-            [thick * 1.2, thick * 1.05, thick],
-            [f"{side}UpLeg", f"{side}Leg"],
+            [hip + [0, 0.05, 0], knee, ankle], [thick * 1.2, thick * 1.05, thick], [f"{side}UpLeg", f"{side}Leg"],
             f"leg {side}",
-        )
+        )  # fmt: skip
         m.lump(
-            ankle + [0, 0, 0.5 * thick * foot],
-            (thick * foot * 0.8, flat * 0.98, thick * foot * 1.3),
-            f"{side}Foot",
+            ankle + [0, 0, 0.5 * thick * foot], (thick * foot * 0.8, flat * 0.98, thick * foot * 1.3), f"{side}Foot",
             f"leg {side}",
-        )
+        )  # fmt: skip
 
 
 def blob(m: Model) -> None:
@@ -157,20 +133,14 @@ def blob(m: Model) -> None:
     top = 2 * half[1]
     if kind == "slime":
         m.limb(
-            [(0, half[0] * 0.45, 0), (0, max(top - half[0], half[0] * 0.5), 0)],
-            [half[0], half[0] * u(0.55, 1)],
-            body,
-            "body",
-            stretch=(1, 1, half[2] / half[0]),
-        )
+            [(0, half[0] * 0.45, 0), (0, max(top - half[0], half[0] * 0.5), 0)], [half[0], half[0] * u(0.55, 1)], body,
+            "body", stretch=(1, 1, half[2] / half[0]),
+        )  # fmt: skip
     elif kind == "ghost":
         m.limb(
             [(0, 0.1, 0), (0, half[1], 0), (0, top - half[0] * 0.8, 0)],
-            [half[0] * u(0.15, 1.2), half[0], half[0] * u(0.8, 1.1)],
-            body,
-            "body",
-            blend=1.0,
-        )
+            [half[0] * u(0.15, 1.2), half[0], half[0] * u(0.8, 1.1)], body, "body", blend=1.0,
+        )  # fmt: skip
     elif kind == "mushroom":
         m.limb([(0, half[0] * 0.5, 0), (0, half[1] * 1.1, 0)], [half[0], half[0] * u(0.5, 0.9)], body, "body")
         wide = half[0] * u(1.5, 3.0)
@@ -227,11 +197,9 @@ def flyer(m: Model) -> None:
             ):
                 m.bone(f"{side}{name}", f"{side}{parent}" if parent else "Spine", at)
             m.limb(
-                points,
-                [r * 1.4, r, r * 0.6, r * 0.9],
-                [f"{side}{n}" for n in ("Shoulder", "Arm", "ForeArm")],
+                points, [r * 1.4, r, r * 0.6, r * 0.9], [f"{side}{n}" for n in ("Shoulder", "Arm", "ForeArm")],
                 f"arm {side}",
-            )
+            )  # fmt: skip
             m.lump(points[-1] + [s * r, 0, 0], r * np.array([1.4, 1.2, 1.6]), f"{side}Hand", f"arm {side}")
         return
     names = ["Hips", "Spine", "Neck", "Head"]

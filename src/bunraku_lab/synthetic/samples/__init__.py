@@ -41,13 +41,9 @@ def make_sample(name: str, detail: float = 1.0, *, rigged: bool = False) -> Char
     from bunraku_lab.synthetic.samples import creatures, people
 
     build = {
-        "person": people.build_person,
-        "dancer": people.build_dancer,
-        "robot": people.build_robot,
-        "dog": creatures.build_dog,
-        "dragon": creatures.build_dragon,
-        "mushroom": creatures.build_mushroom,
-    }
+        "person": people.build_person, "dancer": people.build_dancer, "robot": people.build_robot,
+        "dog": creatures.build_dog, "dragon": creatures.build_dragon, "mushroom": creatures.build_mushroom,
+    }  # fmt: skip
     return build[name](detail, rigged)
 
 
@@ -84,13 +80,10 @@ def write_sample(name: str, path: Path) -> Path:
             },
         }  # fmt: skip
         indices = character.faces[start:stop].reshape(-1, 1).astype("<u2")
-        primitives.append(
-            {
-                "attributes": attributes,
-                "indices": builder.array(indices, ELEMENT_ARRAY_BUFFER),
-                "material": builder.add("materials", material),
-            }
-        )
+        primitives.append({
+            "attributes": attributes, "indices": builder.array(indices, ELEMENT_ARRAY_BUFFER),
+            "material": builder.add("materials", material),
+        })  # fmt: skip
     builder.add("meshes", {"name": name, "primitives": primitives})
     with atomic_write(path) as file:
         builder.write(file)

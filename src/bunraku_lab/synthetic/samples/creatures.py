@@ -248,11 +248,9 @@ def _membrane(detail: float) -> Piece:
     first, second = np.clip((x - 0.34) / 0.16, 0, 1), np.clip((x - 0.70) / 0.16, 0, 1)
     chest = np.clip((0.22 - x) / 0.12, 0, 1)
     weights = {
-        "Chest": chest * (1 - first),
-        "LeftWing": (1 - chest) * (1 - first),
-        "LeftWing1": first * (1 - second),
+        "Chest": chest * (1 - first), "LeftWing": (1 - chest) * (1 - first), "LeftWing1": first * (1 - second),
         "LeftWing2": second,
-    }
+    }  # fmt: skip
     return solid((vertices, faces), MEMBRANE, weights)
 
 
@@ -329,20 +327,15 @@ def build_dragon(detail: float, rigged: bool) -> Character:
     ]  # fmt: skip
     for x, z, joint in ((0.168, 0.315, "LeftHand"), (0.178, -0.155, "LeftFoot")):
         for side in (-0.036, 0.0, 0.036):
-            path = np.array(
-                [
-                    (x + side, 0.035, z - 0.025 - 8 * side * side),
-                    (x + side * 1.1, 0.03, z + 0.005),
-                    (x + side * 1.15, 0.016, z + 0.03),
-                ]
-            )
+            path = np.array([
+                (x + side, 0.035, z - 0.025 - 8 * side * side), (x + side * 1.1, 0.03, z + 0.005),
+                (x + side * 1.15, 0.016, z + 0.03),
+            ])  # fmt: skip
             left.append(solid(tube_mesh(path, [0.017, 0.014, 0.004], 8), CLAW, joint))
     pieces = [
-        clay(field, int(3500 * detail), _DRAGON_BONES, SCALES, paints, half=True, softness=0.03),
-        *left,
-        *(mirror_piece(piece) for piece in left),
-        *_spikes(),
-    ]
+        clay(field, int(3500 * detail), _DRAGON_BONES, SCALES, paints, half=True, softness=0.03), *left,
+        *(mirror_piece(piece) for piece in left), *_spikes(),
+    ]  # fmt: skip
     return assemble("dragon", pieces, _DRAGON_BONES, rigged)
 
 
@@ -415,11 +408,9 @@ def build_mushroom(detail: float, rigged: bool) -> Character:
         return np.minimum(np.minimum(out - 0.185, points[:, 1] - 0.53), 0.665 - points[:, 1])
 
     paints = [
-        Paint(CAP, rim),
-        Paint(SPOT, either(*(bump(spot, radius, both_sides=True) for spot, radius in _spots()))),
-        Paint(GILLS, gills),
-        Paint(FEET, slab(1, -1, 0.115)),
-    ]
+        Paint(CAP, rim), Paint(SPOT, either(*(bump(spot, radius, both_sides=True) for spot, radius in _spots()))),
+        Paint(GILLS, gills), Paint(FEET, slab(1, -1, 0.115)),
+    ]  # fmt: skip
     field = _mushroom_field()
     across = np.linspace(-1, 1, 11)
     smile = np.stack([0.04 * across, 0.468 + 0.018 * across**2, np.full(11, 0.18)], axis=1)

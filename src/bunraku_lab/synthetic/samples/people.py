@@ -178,11 +178,9 @@ DANCER_SKIN, DRESS, SASH, DANCER_SHOES, DANCER_HAIR, DRESS_TRIM = (
 )
 
 _DANCER_BONES: Bones = {
-    **HUMAN_BONES,
-    "Ponytail1": ("Head", (0, 1.60, -0.175)),
-    "Ponytail2": ("Ponytail1", (0, 1.46, -0.275)),
+    **HUMAN_BONES, "Ponytail1": ("Head", (0, 1.60, -0.175)), "Ponytail2": ("Ponytail1", (0, 1.46, -0.275)),
     "Ponytail3": ("Ponytail2", (0, 1.28, -0.30)),
-}
+}  # fmt: skip
 
 
 def _dancer_body() -> Field:

@@ -14,26 +14,9 @@ from bunraku_lab.synthetic.fields import Field, field_mesh, neighbour_average
 from bunraku_lab.synthetic.surfaces import ball_mesh, tube_mesh
 
 __all__ = [
-    "Bones",
-    "Paint",
-    "Piece",
-    "Region",
-    "assemble",
-    "both",
-    "bump",
-    "button",
-    "clay",
-    "either",
-    "eye",
-    "mirror_bones",
-    "mirror_piece",
-    "onto_surface",
-    "paint_mesh",
-    "rgb",
-    "slab",
-    "solid",
-    "stroke",
-]
+    "Bones", "Paint", "Piece", "Region", "assemble", "both", "bump", "button", "clay", "either", "eye", "mirror_bones",
+    "mirror_piece", "onto_surface", "paint_mesh", "rgb", "slab", "solid", "stroke",
+]  # fmt: skip
 
 
 Region = Callable[[np.ndarray], np.ndarray]
@@ -59,13 +42,9 @@ def rgb(color: str) -> tuple[int, int, int]:
 
 
 def slab(
-    axis: int,
-    low: float = -np.inf,
-    high: float = np.inf,
-    *,
-    both_sides: bool = False,
+    axis: int, low: float = -np.inf, high: float = np.inf, *, both_sides: bool = False,
     tilt: Sequence[float] = (0, 0, 0),
-) -> Region:
+) -> Region:  # fmt: skip
     """Points between two values of a coordinate [m]; `both_sides` takes |coordinate|, `tilt` leans the planes by the
     others.
     """

@@ -94,11 +94,9 @@ class Chains:
             across = np.zeros(len(along))
         left = np.floor(across).astype(np.int64)
         aside = across - left
-        left, right = (
-            (left % count, (left + 1) % count)
-            if self.closed
-            else (np.clip(left, 0, count - 1), np.clip(left + 1, 0, count - 1))
-        )
+        left, right = (left % count, (left + 1) % count) if self.closed else (
+            np.clip(left, 0, count - 1), np.clip(left + 1, 0, count - 1),
+        )  # fmt: skip
         bones = np.stack([table[left, low], table[left, low + 1], table[right, low], table[right, low + 1]], axis=1)
         shares = np.stack([(1 - aside) * (1 - down), (1 - aside) * down, aside * (1 - down), aside * down], axis=1)
         return bones, shares
@@ -173,13 +171,9 @@ def _varied(hang: Hang, random: np.random.Generator) -> Hang:
     angles = {name: min(getattr(hang, name) * hold, WIDEST) for name in ("out", "inward", "side")}
     damping = tuple(float(np.clip(1 - (1 - value) * loss, 0.05, 0.997)) for value in hang.damping)
     return replace(
-        hang,
-        spring=hang.spring * float(stiff),
-        mass=hang.mass * float(heavy),
-        damping=(damping[0], damping[1]),
-        locked=bool(locked),
-        **angles,
-    )
+        hang, spring=hang.spring * float(stiff), mass=hang.mass * float(heavy), damping=(damping[0], damping[1]),
+        locked=bool(locked), **angles,
+    )  # fmt: skip
 
 
 def _gaps(nodes: np.ndarray, closed: bool) -> np.ndarray:
@@ -224,14 +218,9 @@ def _joint(
 
 
 def _cross(
-    costume: Costume,
-    names: list[str],
-    nodes: np.ndarray,
-    outward: np.ndarray,
-    bodies: np.ndarray,
-    hang: Hang,
+    costume: Costume, names: list[str], nodes: np.ndarray, outward: np.ndarray, bodies: np.ndarray, hang: Hang,
     closed: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Ties between links of the same row, in every second row from the last up: enough to keep cloth in order, and half
     the work.
     """

@@ -35,14 +35,8 @@ from bunraku_lab.synthetic.wardrobe.skirts import add_cape, add_coat, add_skirt,
 from bunraku_lab.synthetic.wardrobe.trimmings import Bow, add_bow, add_ears, add_little_pieces, add_scarf, add_tail
 
 __all__ = [
-    "Closet",
-    "INDEX",
-    "build_wardrobe",
-    "makehuman_figure",
-    "open_closet",
-    "wardrobe_character",
-    "wardrobe_costume",
-]
+    "Closet", "INDEX", "build_wardrobe", "makehuman_figure", "open_closet", "wardrobe_character", "wardrobe_costume",
+]  # fmt: skip
 
 
 _ARMS = [J[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
@@ -283,18 +277,11 @@ def _plan(style: str, rng: np.random.Generator) -> _Plan:
     legs = None if kind else float(rng.choice([u(0.1, 0.4), u(1.3, 1.7)]))
     return _Plan(
         Outfit(
-            2.5,
-            4.95,
-            False,
-            float(rng.choice([u(1.2, 1.7), u(2.5, 2.95)])),
-            legs,
-            socks if legs is None or legs > 1 else None,
-            shoes,
-            gloves,
+            2.5, 4.95, False, float(rng.choice([u(1.2, 1.7), u(2.5, 2.95)])), legs,
+            socks if legs is None or legs > 1 else None, shoes, gloves,
         ),
-        kind,
-        scarf=True,
-    )
+        kind, scarf=True,
+    )  # fmt: skip
 
 
 def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generator) -> None:
@@ -337,25 +324,15 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
         if kind != "rabbit":
             lift = max(0.0, waist - figure.at("left_hip")[1] - 0.005 * h) if plan.skirt or plan.coat else 0.0
             add_tail(
-                costume,
-                figure,
-                rng,
-                kind="wolf" if kind == "fox" and chance() < 0.3 else kind,
-                colors=("fur", "fur tip"),
-                lift=lift,
-            )
+                costume, figure, rng, kind="wolf" if kind == "fox" and chance() < 0.3 else kind,
+                colors=("fur", "fur tip"), lift=lift,
+            )  # fmt: skip
     _bows(costume, figure, scalp, plan, hair, rng, waist)
     add_little_pieces(costume, figure, scalp, rng, hair)
 
 
 def _bows(
-    costume: Costume,
-    figure: Figure,
-    scalp: Scalp,
-    plan: _Plan,
-    hair: str,
-    rng: np.random.Generator,
-    waist: float,
+    costume: Costume, figure: Figure, scalp: Scalp, plan: _Plan, hair: str, rng: np.random.Generator, waist: float
 ) -> None:
     """Bows at the collar, at the back of the waist, in the hair."""
     u, chance, h = rng.uniform, rng.random, figure.height
@@ -364,28 +341,18 @@ def _bows(
         y = figure.at("neck")[1] - 0.035 * h
         z = float(figure.profile(y, np.array([0.0]), center=np.zeros(2), band=0.015 * h)[0])
         bow = Bow(
-            "胸リボン",
-            "上半身2",
-            np.array([0, y, z + 0.012 * h]),
-            np.array([0, 0, 1.0]),
-            0.035 * h * u(0.8, 1.4),
-            0.06 * h,
-            0,
-        )
+            "胸リボン", "上半身2", np.array([0, y, z + 0.012 * h]), np.array([0, 0, 1.0]), 0.035 * h * u(0.8, 1.4),
+            0.06 * h, 0,
+        )  # fmt: skip
         add_bow(costume, figure, bow)
         costume.words.append("bow")
     if plan.skirt and not plan.cape and hair != "long" and chance() < 0.3:
         back = float(figure.rim(waist, np.array([np.pi]), center=figure.at("pelvis")[[0, 2]], band=0.012 * h)[0])
         center = np.array([0, waist, figure.at("pelvis")[2] - back - 0.02 * h])
         bow = Bow(
-            "腰リボン",
-            "下半身",
-            center,
-            np.array([0, 0, -1.0]),
-            0.075 * h * u(0.8, 1.4),
-            0.17 * h * u(0.7, 1.3),
+            "腰リボン", "下半身", center, np.array([0, 0, -1.0]), 0.075 * h * u(0.8, 1.4), 0.17 * h * u(0.7, 1.3),
             SOLID["legs"],
-        )
+        )  # fmt: skip
         add_bow(costume, figure, bow)
         costume.words.append("sash")
     if hair in ("bob", "long", "short") and chance() < 0.3:
@@ -396,14 +363,9 @@ def _bows(
     elif hair == "ponytail" and chance() < 0.5:
         center = scalp.at(np.pi, 1.0, 1.2 * scalp.thick)
         bow = Bow(
-            "髪リボン",
-            "頭",
-            center + [0, 0.1 * size, 0],
-            np.array([0, 0.3, -1.0]),
-            0.7 * size * u(0.8, 1.4),
-            1.3 * size,
-            0,
-        )
+            "髪リボン", "頭", center + [0, 0.1 * size, 0], np.array([0, 0.3, -1.0]), 0.7 * size * u(0.8, 1.4),
+            1.3 * size, 0,
+        )  # fmt: skip
         add_bow(costume, figure, bow)
         costume.words.append("ribbon")
 
@@ -412,14 +374,9 @@ INDEX = "wardrobe.json"
 
 
 def build_wardrobe(
-    folder: str | Path,
-    count: int,
-    seed: int = 0,
-    *,
-    clothes: str | Path | None = None,
-    body_data: str | Path | None = None,
-    progress: Callable[[int, int, str], None] | None = None,
-) -> list[Path]:
+    folder: str | Path, count: int, seed: int = 0, *, clothes: str | Path | None = None,
+    body_data: str | Path | None = None, progress: Callable[[int, int, str], None] | None = None,
+) -> list[Path]:  # fmt: skip
     """Write wardrobe characters as `wardrobe-<seed>.pmx`, and `wardrobe.json`, which says what each wears.
 
     Args:
@@ -446,12 +403,9 @@ def build_wardrobe(
         files.append(target)
         dynamic = sum(body.dynamic for body in costume.bodies)
         index[target.name] = {
-            "seed": seed + number,
-            "wears": costume.words,
-            "bodies": len(costume.bodies),
-            "dynamic": dynamic,
+            "seed": seed + number, "wears": costume.words, "bodies": len(costume.bodies), "dynamic": dynamic,
             "joints": len(costume.joints),
-        }
+        }  # fmt: skip
         if progress:
             progress(number + 1, count, costume.name)
     with atomic_write(out / INDEX) as stream:

@@ -141,15 +141,9 @@ def _fringe(costume: Costume, figure: Figure, scalp: Scalp, bone: int, rng: np.r
 
 
 def _tail(
-    costume: Costume,
-    figure: Figure,
-    scalp: Scalp,
-    rng: np.random.Generator,
-    name: str,
-    turn: float,
-    fall: float,
+    costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generator, name: str, turn: float, fall: float,
     colors: tuple[str, str],
-) -> None:
+) -> None:  # fmt: skip
     """A tail of hair bound on the dome that falls behind or beside the head, clear of the body."""
     u, size = rng.uniform, float(scalp.half[0])
     root = scalp.at(turn, fall, -0.2 * scalp.thick)
@@ -176,18 +170,9 @@ def _tail(
     whole = curve_through(np.array(positions), 65)
     curve = curve_through(whole[round(64 * begin) :], links + 1)
     hang = Hang(
-        mass=0.8,
-        damping=(0.9, 0.99),
-        out=55,
-        inward=40,
-        side=45,
-        twist=0,
-        spring=float(u(0.1, 0.35)),
-        thick=0.55 * fat,
-        box=False,
-        group=HAIR,
-        meets=_MEETS,
-    )
+        mass=0.8, damping=(0.9, 0.99), out=55, inward=40, side=45, twist=0, spring=float(u(0.1, 0.35)),
+        thick=0.55 * fat, box=False, group=HAIR, meets=_MEETS,
+    )  # fmt: skip
     chains = add_chains(costume, [name], curve[None], drop[None], costume.bone_index("頭"), hang, cross=False)
     rows = max(round(3.2 * links / (1 - begin) * costume.fine), links + 3)
     fine_curve = curve_through(np.array(positions), rows)
@@ -220,18 +205,9 @@ def _side_locks(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.G
         hung = np.concatenate([top[-1:], np.array(drops)])
         out = np.array([np.sin(turn), 0, np.cos(turn)])
         hang = Hang(
-            mass=0.4,
-            damping=(0.88, 0.975),
-            out=40,
-            inward=25,
-            side=40,
-            twist=0,
-            spring=0.06,
-            thick=0.7 * fat,
-            box=False,
-            group=HAIR,
-            meets=_MEETS,
-        )
+            mass=0.4, damping=(0.88, 0.975), out=40, inward=25, side=40, twist=0, spring=0.06, thick=0.7 * fat,
+            box=False, group=HAIR, meets=_MEETS,
+        )  # fmt: skip
         chain = curve_through(hung, links + 1)
         chains = add_chains(
             costume, [f"{mark}横髪"], chain[None], out[None], costume.bone_index("頭"), hang, cross=False

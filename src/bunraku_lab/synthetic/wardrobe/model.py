@@ -16,18 +16,9 @@ from bunraku.files import LIGHT, MmdFile, MmdMaterial, mmd_character, pmx_bytes,
 from bunraku_lab.synthetic.figures import Figure, J
 
 __all__ = [
-    "ARMS",
-    "Costume",
-    "HEAD",
-    "LEGS",
-    "Part",
-    "SOLID",
-    "TRUNK",
-    "add_skeleton",
-    "body_weights",
-    "bone_frame",
+    "ARMS", "Costume", "HEAD", "LEGS", "Part", "SOLID", "TRUNK", "add_skeleton", "body_weights", "bone_frame",
     "capsule_of",
-]
+]  # fmt: skip
 
 
 _MIRROR = np.array([1.0, 1, -1])
@@ -114,13 +105,9 @@ class Costume:
         return next(index for index, body in enumerate(self.bodies) if body.bone == bone and not body.dynamic)
 
     def add(
-        self,
-        points: np.ndarray,
-        faces: np.ndarray,
-        bones: np.ndarray | int,
-        shares: np.ndarray | int,
+        self, points: np.ndarray, faces: np.ndarray, bones: np.ndarray | int, shares: np.ndarray | int,
         material: str | np.ndarray,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Add a surface, less the vertices that it does not use.
 
         Args:
@@ -349,49 +336,29 @@ def _colliders(costume: Costume, figure: Figure) -> None:
     chin = float(figure.head[:, 1].min())
     jaw = 0.62 * float(half[0])
     put(
-        "頭2",
-        "頭",
-        center + [0, -0.4 * half[1], 0.3 * half[2]],
-        np.array([0, chin + 1.1 * jaw, center[2] + 0.35 * half[2]]),
-        jaw,
-        HEAD,
-    )
+        "頭2", "頭", center + [0, -0.4 * half[1], 0.3 * half[2]],
+        np.array([0, chin + 1.1 * jaw, center[2] + 0.35 * half[2]]), jaw, HEAD,
+    )  # fmt: skip
     put("首", "首", figure.at("neck"), figure.at("head"), _girth(figure, ["neck"], "neck", "head", 60), TRUNK)
     for side, mark in _SIDES:
         shoulder, elbow, wrist = (figure.at(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist"))
         put(
-            f"{mark}肩",
-            f"{mark}肩",
-            0.5 * (figure.at(f"{side}_collar") + shoulder),
-            shoulder,
-            _girth(figure, [f"{side}_shoulder"], f"{side}_shoulder", f"{side}_elbow", 60),
-            TRUNK,
-        )
+            f"{mark}肩", f"{mark}肩", 0.5 * (figure.at(f"{side}_collar") + shoulder), shoulder,
+            _girth(figure, [f"{side}_shoulder"], f"{side}_shoulder", f"{side}_elbow", 60), TRUNK,
+        )  # fmt: skip
         put(
-            f"{mark}腕",
-            f"{mark}腕",
-            shoulder,
-            elbow,
-            _girth(figure, [f"{side}_shoulder"], f"{side}_shoulder", f"{side}_elbow", 55),
-            ARMS,
-        )
+            f"{mark}腕", f"{mark}腕", shoulder, elbow,
+            _girth(figure, [f"{side}_shoulder"], f"{side}_shoulder", f"{side}_elbow", 55), ARMS,
+        )  # fmt: skip
         put(
-            f"{mark}ひじ",
-            f"{mark}ひじ",
-            elbow,
-            wrist,
-            _girth(figure, [f"{side}_elbow"], f"{side}_elbow", f"{side}_wrist", 55),
-            ARMS,
-        )
+            f"{mark}ひじ", f"{mark}ひじ", elbow, wrist,
+            _girth(figure, [f"{side}_elbow"], f"{side}_elbow", f"{side}_wrist", 55), ARMS,
+        )  # fmt: skip
         hand = figure.skin.points[figure.skin.weights[:, J[f"{side}_wrist"]] > 0.6].mean(axis=0)
         put(
-            f"{mark}手首",
-            f"{mark}手首",
-            wrist,
-            hand,
-            0.9 * _girth(figure, [f"{side}_elbow"], f"{side}_elbow", f"{side}_wrist", 40),
-            ARMS,
-        )
+            f"{mark}手首", f"{mark}手首", wrist, hand,
+            0.9 * _girth(figure, [f"{side}_elbow"], f"{side}_elbow", f"{side}_wrist", 40), ARMS,
+        )  # fmt: skip
         hip, knee, ankle = (figure.at(f"{side}_{part}") for part in ("hip", "knee", "ankle"))
         thigh = _girth(figure, [f"{side}_hip"], f"{side}_hip", f"{side}_knee", 50)
         put(f"{mark}足", f"{mark}足", hip + 0.12 * (knee - hip), knee, thigh, LEGS)
@@ -401,13 +368,9 @@ def _colliders(costume: Costume, figure: Figure) -> None:
         put(f"{mark}ひざ", f"{mark}ひざ", knee, ankle, shin, LEGS)
         foot = figure.at(f"{side}_foot")
         put(
-            f"{mark}足首",
-            f"{mark}足首",
-            ankle + [0, -0.3 * ankle[1], 0],
-            foot + [0, 0.15 * ankle[1], 0],
-            max(0.4 * ankle[1], 0.015),
-            LEGS,
-        )
+            f"{mark}足首", f"{mark}足首", ankle + [0, -0.3 * ankle[1], 0], foot + [0, 0.15 * ankle[1], 0],
+            max(0.4 * ankle[1], 0.015), LEGS,
+        )  # fmt: skip
 
 
 def _girth(figure: Figure, joints: list[str], start: str, end: str, share: float) -> float:
@@ -425,11 +388,9 @@ def _girth(figure: Figure, joints: list[str], start: str, end: str, share: float
 def _trunk(figure: Figure, put) -> None:  # type: ignore[no-untyped-def]
     """Capsules across the trunk, one above the other, as wide and deep as it is at their heights."""
     hip, waist, chest, neck = (
-        figure.at("left_hip")[1],
-        0.5 * (figure.at("spine1") + figure.at("pelvis"))[1],
-        figure.at("spine3")[1],
+        figure.at("left_hip")[1], 0.5 * (figure.at("spine1") + figure.at("pelvis"))[1], figure.at("spine3")[1],
         figure.at("neck")[1],
-    )
+    )  # fmt: skip
     skin = figure.skin
     limbs = [
         J[f"{side}_{part}"]

@@ -178,12 +178,9 @@ def add_skirt(
         bones, shares = chains.weights(along, across)
         border = layer == 0 and rng.random() < 0.5 and faces.max(axis=1) >= (rows - max(2, rows // 8)) * columns
         costume.add(
-            points.reshape(-1, 3),
-            faces,
-            bones,
-            shares,
+            points.reshape(-1, 3), faces, bones, shares,
             np.where(border, colors[1], material) if layer == 0 else material,
-        )
+        )  # fmt: skip
         if layer == 0:
             outer = points.reshape(-1, 3)
     if what == "skirt":
@@ -275,13 +272,7 @@ def _sheet(
 
 
 def add_coat(
-    costume: Costume,
-    figure: Figure,
-    rng: np.random.Generator,
-    *,
-    waist: float,
-    colors: tuple[str, str],
-    thick: float,
+    costume: Costume, figure: Figure, rng: np.random.Generator, *, waist: float, colors: tuple[str, str], thick: float
 ) -> np.ndarray:
     """A long coat: a jacket with sleeves, its skirts open in front below the waist; returns its points but those of the
     sleeves.
@@ -325,15 +316,9 @@ def add_cape(costume: Costume, figure: Figure, rng: np.random.Generator, *, colo
     hem = float(np.interp(u(0.1, 0.9), [0, 1], [hip, ankle + 0.05 * h]))
     center = figure.at("neck")[[0, 2]] + [0, 0.01 * h]
     drape = hanging_rings(
-        figure,
-        top,
-        hem,
-        Outline(float(u(0.02, 0.2)), 1.0, 0.022 * h),
-        rings=24,
-        center=center,
-        convex=False,
+        figure, top, hem, Outline(float(u(0.02, 0.2)), 1.0, 0.022 * h), rings=24, center=center, convex=False,
         points=figure.torso,
-    )
+    )  # fmt: skip
     span = np.array([np.pi + np.array([-1, 1]) * u(1.7, 2.2), np.pi + np.array([-1, 1]) * u(0.95, 1.15)])
     links = int(np.clip(round((top - hem) / (0.085 * h)), 4, 7))
     hang = Hang(
@@ -394,13 +379,9 @@ def add_sleeves(costume: Costume, figure: Figure, rng: np.random.Generator, *, c
             meets=0,
         )  # fmt: skip
         chains = add_chains(
-            costume,
-            [f"{mark}袖{number}" for number in range(count)],
-            nodes,
-            np.tile(normal, (count, 1)),
-            costume.bone_index(f"{mark}ひじ"),
-            hang,
-        )
+            costume, [f"{mark}袖{number}" for number in range(count)], nodes, np.tile(normal, (count, 1)),
+            costume.bone_index(f"{mark}ひじ"), hang,
+        )  # fmt: skip
         columns = max(round(12 * costume.fine), 7)
         share = np.linspace(begin, 1.0 + 0.03 / max(length, 0.1), columns)
         half, over = max(round(9 * costume.fine), 6), max(round(6 * costume.fine), 4)

@@ -64,26 +64,14 @@ def add_bow(costume: Costume, figure: Figure, bow: Bow) -> None:
             continue
         links = 1 if ends < 0.09 * figure.height else 2  # short ends of several links are as stiff as light to simulate
         low = center + np.array([0, -ends, 0]) + 0.42 * ends * sign * side + 0.12 * ends * outward
-        path = np.array(
-            [
-                center + 0.02 * size * outward,
-                0.6 * center + 0.4 * low + 0.05 * ends * sign * side + 0.06 * ends * outward,
-                low,
-            ]
-        )
+        path = np.array([
+            center + 0.02 * size * outward,
+            0.6 * center + 0.4 * low + 0.05 * ends * sign * side + 0.06 * ends * outward, low,
+        ])  # fmt: skip
         hang = Hang(
-            mass=0.3,
-            damping=(0.95, 0.99),
-            out=60,
-            inward=20,
-            side=45,
-            twist=0,
-            spring=0.03,
-            thick=0.014,
-            box=False,
-            group=TRIM,
-            meets=bow.meets,
-        )
+            mass=0.3, damping=(0.95, 0.99), out=60, inward=20, side=45, twist=0, spring=0.03, thick=0.014, box=False,
+            group=TRIM, meets=bow.meets,
+        )  # fmt: skip
         label = f"{bow.name}{'左' if sign > 0 else '右'}"
         chains = add_chains(
             costume, [label], curve_through(path, links + 1)[None], outward[None], holder, hang, cross=False
@@ -149,14 +137,9 @@ def add_scarf(costume: Costume, figure: Figure, rng: np.random.Generator, *, col
             meets=SOLID["trunk"],
         )  # fmt: skip
         chains = add_chains(
-            costume,
-            [f"マフラー{number}"],
-            curve_through(path, links + 1)[None],
-            direction[None],
-            chest,
-            hang,
+            costume, [f"マフラー{number}"], curve_through(path, links + 1)[None], direction[None], chest, hang,
             cross=False,
-        )
+        )  # fmt: skip
         t = np.linspace(0, 1, max(round(14 * costume.fine), 9))
         points, faces, at = strand(
             curve_through(path, len(t)), direction, fat * np.interp(t, [0, 0.2, 1], [1.0, 1.5, 1.7]), 0.32 * fat, sides
@@ -205,13 +188,7 @@ def add_ears(costume: Costume, scalp: Scalp, rng: np.random.Generator, *, kind: 
 
 
 def add_tail(
-    costume: Costume,
-    figure: Figure,
-    rng: np.random.Generator,
-    *,
-    kind: str,
-    colors: tuple[str, str],
-    lift: float,
+    costume: Costume, figure: Figure, rng: np.random.Generator, *, kind: str, colors: tuple[str, str], lift: float
 ) -> None:
     """A tail from the end of the spine: "cat", "fox" or "wolf".
 
@@ -236,15 +213,10 @@ def add_tail(
     )
     z = hips[2] - max(clear, back) - 1.3 * fat
     out = min(z, root[2] - 0.3 * long)
-    path = np.array(
-        [
-            root,
-            [0, height + 0.02 * h, 0.5 * (root[2] + out)],
-            [0, height - 0.18 * long, out],
-            [0, low, out - 0.1 * long],
-            [0, low + 0.16 * long, out - 0.38 * long],
-        ]
-    )
+    path = np.array([
+        root, [0, height + 0.02 * h, 0.5 * (root[2] + out)], [0, height - 0.18 * long, out], [0, low, out - 0.1 * long],
+        [0, low + 0.16 * long, out - 0.38 * long],
+    ])  # fmt: skip
     links = 6
     hang = Hang(
         mass=0.6, damping=(0.85, 0.95), out=28, inward=28, side=28, twist=0, spring=float(u(0.8, 2.0)), thick=0.8 * fat,
@@ -252,14 +224,9 @@ def add_tail(
         meets=SOLID["legs"],
     )  # fmt: skip
     chains = add_chains(
-        costume,
-        ["尻尾"],
-        curve_through(path, links + 1)[None],
-        np.array([[0, 0, -1.0]]),
-        costume.bone_index("下半身"),
-        hang,
-        cross=False,
-    )
+        costume, ["尻尾"], curve_through(path, links + 1)[None], np.array([[0, 0, -1.0]]), costume.bone_index("下半身"),
+        hang, cross=False,
+    )  # fmt: skip
     t = np.linspace(0, 1, max(round(24 * costume.fine), 14))
     shape = {"cat": [0.9, 1, 1, 1, 0.15], "fox": [0.3, 0.65, 1.0, 0.95, 0.08], "wolf": [0.4, 0.85, 1.05, 0.8, 0.08]}[
         kind
@@ -291,11 +258,9 @@ def add_little_pieces(costume: Costume, figure: Figure, scalp: Scalp, rng: np.ra
     likely = 0.3 if costume.quiet else 0.22
     before = len(costume.bodies)
     makers: list[Callable[[], None]] = [
-        lambda: _tie(costume, figure, rng),
-        lambda: _tassels(costume, figure, rng),
-        lambda: _bell(costume, figure, rng),
+        lambda: _tie(costume, figure, rng), lambda: _tassels(costume, figure, rng), lambda: _bell(costume, figure, rng),
         lambda: _on_the_head(costume, scalp, rng),
-    ]
+    ]  # fmt: skip
     if hair in ("short", "bob"):
         makers.append(lambda: _locks(costume, figure, scalp, rng))
     for make in makers:
@@ -353,15 +318,10 @@ def _tie(costume: Costume, figure: Figure, rng: np.random.Generator) -> None:
     positions[:, 2] = np.maximum.accumulate(positions[:, 2]) + 0.012 * h
     size = 0.016 * h * float(rng.uniform(0.7, 1.4))
     _hung(
-        costume,
-        "ネクタイ",
-        "上半身2",
+        costume, "ネクタイ", "上半身2",
         _Strip(positions, np.array([0, 0, 1.0]), size * np.array([0.5, 0.7, 1.0, 1.2, 0.1]), 0.003 * h),
-        int(rng.integers(1, 4)),
-        _small(0.05, 0.008, meets=SOLID["trunk"]),
-        "trim",
-        float(rng.uniform(0.1, 0.5)),
-    )
+        int(rng.integers(1, 4)), _small(0.05, 0.008, meets=SOLID["trunk"]), "trim", float(rng.uniform(0.1, 0.5)),
+    )  # fmt: skip
     costume.words.append("tie")
 
 
@@ -377,14 +337,9 @@ def _tassels(costume: Costume, figure: Figure, rng: np.random.Generator) -> None
         root = np.array([hips[0], y, hips[2]]) + far * out
         nodes = root + np.linspace(0, 1, 4)[:, None] * length * (_DOWN + 0.12 * out)
         _hung(
-            costume,
-            f"飾り{number}",
-            "下半身",
-            _Strip(nodes, out, 0.007 * h, 0.005 * h),
-            1,
-            _small(0.04, 0.006 * h),
+            costume, f"飾り{number}", "下半身", _Strip(nodes, out, 0.007 * h, 0.005 * h), 1, _small(0.04, 0.006 * h),
             "trim",
-        )
+        )  # fmt: skip
     costume.words.append("tassels")
 
 
@@ -395,14 +350,10 @@ def _bell(costume: Costume, figure: Figure, rng: np.random.Generator) -> None:
     length = float(rng.uniform(0.03, 0.05)) * h
     nodes = root + np.linspace(0, 1, 3)[:, None] * length * _DOWN
     _hung(
-        costume,
-        "鈴",
-        "上半身2",
-        _Strip(nodes, np.array([0, 0, 1.0]), 0.014 * h * np.array([0.2, 1.0, 1.0, 0.3]), 0.012 * h),
-        1,
-        _small(0.12, 0.01 * h),
-        "hair tie",
-    )
+        costume, "鈴", "上半身2",
+        _Strip(nodes, np.array([0, 0, 1.0]), 0.014 * h * np.array([0.2, 1.0, 1.0, 0.3]), 0.012 * h), 1,
+        _small(0.12, 0.01 * h), "hair tie",
+    )  # fmt: skip
     costume.words.append("bell")
 
 
@@ -419,14 +370,9 @@ def _on_the_head(costume: Costume, scalp: Scalp, rng: np.random.Generator) -> No
         positions = root + np.linspace(0, 1, 3)[:, None] * length * direction
         out = away if rings else unit(np.cross(direction, [0, 0, 1.0]))
         _hung(
-            costume,
-            f"{mark}髪飾り",
-            "頭",
-            _Strip(positions, out, 0.1 * size * np.array([0.4, 1.0, 0.6]), 0.04 * size),
-            1,
-            _small(0.02 if rings else 0.3, 0.06 * size),
-            "trim",
-        )
+            costume, f"{mark}髪飾り", "頭", _Strip(positions, out, 0.1 * size * np.array([0.4, 1.0, 0.6]), 0.04 * size),
+            1, _small(0.02 if rings else 0.3, 0.06 * size), "trim",
+        )  # fmt: skip
     costume.words.append("ear-rings" if rings else "hair pins")
 
 
@@ -442,13 +388,7 @@ def _locks(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Genera
         drops = np.stack([last + length * share * (_DOWN + 0.15 * out) for share in (0.3, 0.65, 1.0)])
         wide = 2.4 * scalp.half[0] / count * np.array([0.5, 1.0, 1.0, 0.6, 0.05])
         _hung(
-            costume,
-            f"襟髪{number}",
-            "頭",
-            _Strip(np.concatenate([top, drops]), out, wide, 0.35 * scalp.thick),
-            links,
-            _small(0.05, 0.01, HAIR, SOLID["head"] | SOLID["trunk"] if links > 1 else 0),
-            "hair",
-            begin,
-        )
+            costume, f"襟髪{number}", "頭", _Strip(np.concatenate([top, drops]), out, wide, 0.35 * scalp.thick), links,
+            _small(0.05, 0.01, HAIR, SOLID["head"] | SOLID["trunk"] if links > 1 else 0), "hair", begin,
+        )  # fmt: skip
     costume.words.append("locks")

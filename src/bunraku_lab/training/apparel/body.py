@@ -4,7 +4,7 @@ apparel put together (tile(A, B) of section 4.4), and its training.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -21,14 +21,14 @@ from bunraku.apparel.learned.network import DisplacementNetwork
 from bunraku.apparel.learned.player import ApparelPlayer
 from bunraku.apparel.learned.segmentation import find_apparel, joint_distances, sampled_mesh
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
-from bunraku.core.nn.checkpoints import config_of, dated
+from bunraku.core.nn.checkpoints import dated
 from bunraku.core.skinning import skin
 from bunraku.errors import OptionError
-from bunraku_lab.nn.checkpoints import lab_checkpoint, load_network, save_network
+from bunraku_lab.nn.checkpoints import SavedNetwork, lab_checkpoint
 from bunraku_lab.nn.graph import EdgeBlock, NodeGraph, node_graph
 from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku_lab.training.losses.motion import edge_loss, smoothness_loss, vertex_loss
-from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
+from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
 __all__ = [
     "BodyConfig",
@@ -37,10 +37,8 @@ __all__ = [
     "BodyTrainer",
     "body_weights",
     "clothed_by_mask",
-    "load_body",
     "pose_bank",
     "posed_joints",
-    "save_body",
     "tiled",
     "train_body",
 ]
@@ -71,12 +69,11 @@ class BodyConfig:
     geodesics: Literal["attention", "none", "sorted"] = "attention"
 
 
-class BodyNetwork(nn.Module):
-    """The network.
+class BodyNetwork(SavedNetwork):
+    """The network."""
 
-    Args:
-        config: Its shape.
-    """
+    kind = "apparel-body"
+    shape = BodyConfig
 
     def __init__(self, config: BodyConfig | None = None):
         super().__init__()
@@ -153,25 +150,9 @@ class BodyNetwork(nn.Module):
         return torch.softmax(prior + out, dim=1)
 
 
-def save_body(
-    path: str | Path, model: BodyNetwork, note: Mapping[str, object] | None = None, half: bool = False
-) -> Path:
-    """Write the weights with their config as a checkpoint of kind "apparel-body"."""
-    return save_network(path, model, "apparel-body", note, half)
-
-
-def load_body(path: str | Path) -> BodyNetwork:
-    """Read a checkpoint of kind "apparel-body", ready to use.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
-    """
-    return load_network(path, "apparel-body", lambda shape: BodyNetwork(config_of(BodyConfig, shape)))
-
-
 @lru_cache(maxsize=4)
 def _model(path: Path, changed: int) -> BodyNetwork:
-    return load_body(path)
+    return BodyNetwork.load(path)
 
 
 def body_weights(
@@ -378,10 +359,6 @@ class BodyTrainer(AveragedRun[BodyNetwork]):
             found.append([gap.mean(), gap[~one.apparel].mean(), gap[one.apparel].mean() if one.apparel.any() else 0.0])
         whole, body, cloth = 100 * np.mean(found, axis=0)
         return {"pmd": float(whole), "pmd_body": float(body), "pmd_apparel": float(cloth)}
-
-    def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
-        return save_body(self.checkpoint, self.average, note, half=True)
 
 
 def train_body(config: BodyTrainConfig, report: Report | None = None, progress: Progress | None = None) -> Path:

@@ -24,14 +24,7 @@ from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.checks import standing_out
 from bunraku_lab.datasets.apparel.shards import ApparelCharacter, ApparelClip
-from bunraku_lab.nn.apparel import (
-    DisplacementNetwork,
-    Inputs,
-    load_displacement,
-    normalize_inputs,
-    past_of_states,
-    save_displacement,
-)
+from bunraku_lab.nn.apparel import DisplacementNetwork, Inputs, normalize_inputs, past_of_states
 from bunraku_lab.nn.graph import NodeGraph, node_graph
 from bunraku_lab.training.losses.motion import edge_loss, vertex_loss
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
@@ -264,7 +257,7 @@ def take_head(model: DisplacementNetwork, path: Path) -> None:
         OptionError: The checkpoint's head has another shape.
         WeightsError: It is missing or broken.
     """
-    start = load_displacement(path)
+    start = DisplacementNetwork.load(path)
     try:
         model.anchor.load_state_dict(start.anchor.state_dict())
     except RuntimeError as error:
@@ -438,7 +431,7 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
         if self.progress() <= self.config.head:  # what has not learned is not handed on
             whole = DisplacementNetwork(replace(self.config.network, recurrent=0))
             whole.anchor.load_state_dict(self.average.anchor.state_dict())
-        return save_displacement(self.checkpoint, whole, note, half=True)
+        return whole.save(self.checkpoint, note, half=True)
 
 
 def train_displacement(

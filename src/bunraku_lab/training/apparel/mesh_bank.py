@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,8 @@ import numpy as np
 from bunraku.apparel.learned.segmentation import SampledMesh, joint_distances, sampled_mesh
 from bunraku.apparel.physics.clothed_from_file import clothed_from_file
 from bunraku.core.character import Character
-from bunraku.core.files import atomic_write, remove_leftovers
-from bunraku.errors import BunrakuError, FormatError
 from bunraku_lab.datasets.apparel.plan import character_split
+from bunraku_lab.training.rows.banks import kept_arrays
 
 __all__ = ["MeshSample", "build_meshes", "mesh_sample"]
 
@@ -79,43 +79,22 @@ def build_meshes(
         count: How many characters.
         first: Seed of the first.
         progress: Called with the share done.
-    """
-    from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
-    folder.mkdir(parents=True, exist_ok=True)
-    remove_leftovers(folder)
+    Raises:
+        FormatError: A file of the folder is damaged.
+    """
+    makers = {f"wardrobe_{seed:06d}": partial(_arrays, seed) for seed in range(first, first + count)}
     out: dict[str, list[MeshSample]] = {"train": [], "val": [], "test": []}
-    for done, seed in enumerate(range(first, first + count), 1):
-        name = f"wardrobe_{seed:06d}"
-        path = folder / f"{name}.npz"
-        if not path.is_file():
-            try:
-                sample = mesh_sample(wardrobe_character(seed), name, seed)
-            except BunrakuError:
-                continue
-            _write(path, sample)
-        out[character_split(name)].append(_read(path))
-        if progress:
-            progress(done / count)
+    empty = np.zeros(0, np.int64)
+    for name, arrays in kept_arrays(folder, makers, progress):
+        mesh = SampledMesh(**{key: arrays.pop(key) for key in _MESH}, index=empty, nearest=empty, shares=empty)
+        out[character_split(name)].append(MeshSample(name, mesh, **arrays))
     return out
 
 
-def _write(path: Path, sample: MeshSample) -> None:
-    mesh = {
-        name: getattr(sample.mesh, name) for name in ("clean", "points", "joints", "features", "part", "neighbours")
-    }
-    own = {name: getattr(sample, name) for name in ("apparel", "stiffness", "damping", "weights", "geodesics")}
-    with atomic_write(path) as file:
-        np.savez(file, **mesh, **own)  # type: ignore[arg-type]
+def _arrays(seed: int) -> dict[str, np.ndarray]:
+    from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
-
-def _read(path: Path) -> MeshSample:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        empty = np.zeros(0, np.int64)
-        own = {name: arrays.pop(name) for name in _MESH}
-        mesh = SampledMesh(**own, index=empty, nearest=empty, shares=empty)
-        return MeshSample(path.stem, mesh, **arrays)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FormatError(path, f"this is no sampled mesh ({error}); remove it and train again") from None
+    sample = mesh_sample(wardrobe_character(seed), "", seed)
+    arrays = {key: value for key, value in vars(sample).items() if key not in ("name", "mesh")}
+    return {key: getattr(sample.mesh, key) for key in _MESH} | arrays

@@ -4,8 +4,10 @@ modules say, and its training.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +19,17 @@ from torch import nn
 from bunraku.apparel.body import eq4_transforms
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.learned.network import DisplacementNetwork, load_displacement
-from bunraku.core.files import atomic_write, remove_leftovers
 from bunraku.core.geometry.graph import clean_mesh, unique_edges
-from bunraku.core.nn.checkpoints import config_of, shipped_checkpoint
+from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.core.skinning import skin
-from bunraku.errors import BunrakuError, FormatError, OptionError
+from bunraku.errors import FormatError, OptionError
 from bunraku_lab.datasets.apparel import ApparelData
-from bunraku_lab.nn.checkpoints import load_network, save_network
+from bunraku_lab.nn.checkpoints import SavedNetwork
 from bunraku_lab.training.apparel.body import clothed_by_mask, tiled
 from bunraku_lab.training.apparel.displacement import truly_clothed
 from bunraku_lab.training.losses.motion import edge_loss, refinement_loss, vertex_loss
-from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
+from bunraku_lab.training.rows.banks import kept_arrays
+from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
 __all__ = [
     "BASIS",
@@ -39,9 +41,7 @@ __all__ = [
     "Seam",
     "SeamFrame",
     "SeamSample",
-    "load_refinement",
     "refined",
-    "save_refinement",
     "seam_of",
     "seam_sample",
     "train_refinement",
@@ -203,12 +203,11 @@ class RefinementConfig:
     width: int = 48
 
 
-class RefinementNetwork(nn.Module):
-    """The network.
+class RefinementNetwork(SavedNetwork):
+    """The network."""
 
-    Args:
-        config: Its shape.
-    """
+    kind = "apparel-refinement"
+    shape = RefinementConfig
 
     def __init__(self, config: RefinementConfig | None = None):
         super().__init__()
@@ -252,22 +251,6 @@ def refined(network: RefinementNetwork, seam: Seam, positions: np.ndarray, affin
         world = np.einsum("sab,sb->sa", frame.turns, change) * np.float32(seam.scale)
         out[seam.copies] += world[seam.rows]
     return out
-
-
-def save_refinement(
-    path: str | Path, model: RefinementNetwork, note: Mapping[str, object] | None = None, half: bool = False
-) -> Path:
-    """Write the weights with their config as a checkpoint of kind "apparel-refinement"."""
-    return save_network(path, model, "apparel-refinement", note, half)
-
-
-def load_refinement(path: str | Path) -> RefinementNetwork:
-    """Read a checkpoint of kind "apparel-refinement", ready to use.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
-    """
-    return load_network(path, "apparel-refinement", lambda shape: RefinementNetwork(config_of(RefinementConfig, shape)))
 
 
 FRAMES = (8, 16, 28, 40)
@@ -409,40 +392,26 @@ class RefinementTrainer(AveragedRun[RefinementNetwork]):
                 found[1] += self.losses(RefinementNetwork(self.config.network), one, frame).numpy()
         return {"vertices": float(found[0, 0] / found[1, 0]), "edges": float(found[0, 1] / found[1, 1])}
 
-    def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
-        return save_refinement(self.checkpoint, self.average, note, half=True)
-
 
 def _samples(config: RefinementTrainConfig, split: str, most: int, folder: Path) -> list[SeamSample]:
     """One clip of each character, computed once."""
     data = ApparelData(config.data, split)  # type: ignore[arg-type]
     network = load_displacement(config.weights or shipped_checkpoint("apparel-guessed"))
-    folder.mkdir(parents=True, exist_ok=True)
-    remove_leftovers(folder)
-    out: list[SeamSample] = []
-    names = ("inputs", "vectors", "turns", "positions", "truth", "edges")
-    for name in data.characters:
-        if len(out) == most:
-            break
-        path = folder / f"{name}.npz"
+
+    def arrays(name: str) -> dict[str, np.ndarray]:
         clip = next(clip for clip in data.clips if clip.character == name)
         frames = np.array([frame for frame in FRAMES if frame < clip.frames])
-        if not path.is_file() and len(frames):
-            try:
-                true = truly_clothed(data.character(clip))
-                transforms = data.shard(clip.shard).frames("transforms", clip.first, clip.first + int(frames[-1]) + 1)
-                moved = data.window(clip, 0, int(frames[-1]) + 1).vertices[frames]
-                guessed, weights = clothed_by_mask(true, config.masks, config.body)
-                sample = seam_sample(guessed, weights, transforms, moved, frames, network)
-            except BunrakuError:
-                continue
-            with atomic_write(path) as file:
-                np.savez(file, **{key: getattr(sample, key) for key in names})  # type: ignore[arg-type]
-        if path.is_file():
-            with np.load(path, allow_pickle=False) as stored:
-                out.append(SeamSample(**{key: stored[key] for key in names}))
-    return out
+        if not len(frames):
+            raise FormatError(config.data, f"the first clip of {name} is too short")
+        last = int(frames[-1]) + 1
+        guessed, weights = clothed_by_mask(truly_clothed(data.character(clip)), config.masks, config.body)
+        transforms = data.shard(clip.shard).frames("transforms", clip.first, clip.first + last)
+        return vars(
+            seam_sample(guessed, weights, transforms, data.window(clip, 0, last).vertices[frames], frames, network)
+        )
+
+    found = kept_arrays(folder, {name: partial(arrays, name) for name in data.characters})
+    return [SeamSample(**stored) for _, stored in islice(found, most)]
 
 
 def train_refinement(

@@ -15,10 +15,10 @@ from scipy.spatial import cKDTree
 from bunraku.apparel.learned.segmentation import SegmentationConfig, point_features
 from bunraku.apparel.nodes import part_neighbours
 from bunraku.errors import OptionError
-from bunraku_lab.nn.apparel import SegmentationNetwork, load_segmentation, mesh_block, save_segmentation
+from bunraku_lab.nn.apparel import SegmentationNetwork, mesh_block
 from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku_lab.training.losses.motion import mask_loss
-from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
+from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
 __all__ = ["SegmentationTrainConfig", "SegmentationTrainer", "mask_iou", "train_segmentation", "varied", "welded_parts"]
 
@@ -129,20 +129,17 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
     kind = "apparel-mask"
 
     def __init__(
-        self,
-        config: SegmentationTrainConfig,
-        characters: Sequence[MeshSample],
-        held_out: Sequence[MeshSample] = (),
+        self, config: SegmentationTrainConfig, characters: Sequence[MeshSample], held_out: Sequence[MeshSample] = ()
     ):
         if not characters:
             raise OptionError("there are no characters to train on; ask for more with --characters")
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
-        shape = config.network if config.start is None else load_segmentation(config.start).config
+        shape = config.network if config.start is None else SegmentationNetwork.load(config.start).config
         self.set_up(lambda: SegmentationNetwork(shape), self._units)
 
     def _units(self, model: SegmentationNetwork) -> None:
         if self.config.start is not None:
-            model.load_state_dict(load_segmentation(self.config.start).state_dict())
+            model.load_state_dict(SegmentationNetwork.load(self.config.start).state_dict())
             return
         features = torch.from_numpy(np.concatenate([one.mesh.features for one in self.characters[:64]]))
         model.mean[:], model.std[:] = features.mean(dim=0), features.std(dim=0).clamp(min=1e-3)
@@ -182,10 +179,6 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
         return {
             "iou": float(np.mean(found)), "least_iou": float(np.min(found)), "stiffness": float(np.mean(errors)),
         }  # fmt: skip
-
-    def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
-        return save_segmentation(self.checkpoint, self.average, note, half=True)
 
 
 def _mirrored_bones() -> list[int]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,9 @@ import numpy as np
 from bunraku.apparel.body import UnifiedBody, eq4_transforms
 from bunraku.core.body.reference import reference_body, reference_shapes
 from bunraku.core.character import Character
-from bunraku.core.files import atomic_write, remove_leftovers
 from bunraku.core.geometry.simplify import NetworkMesh, network_mesh
 from bunraku.core.motion import HandleMotion
-from bunraku.errors import BunrakuError, FormatError
+from bunraku.errors import FormatError
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.to_rig import fit_rig
 from bunraku_lab.baselines.pose_transfer import (
@@ -34,6 +34,7 @@ from bunraku_lab.datasets.apparel.shards import ApparelClip
 from bunraku_lab.datasets.characters.build import HELD_OUT, RIGGED, no_characters, rigged_files
 from bunraku_lab.datasets.characters.training_character import facing_rotation
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
+from bunraku_lab.training.rows.banks import kept_arrays
 
 __all__ = [
     "BankPlan",
@@ -208,24 +209,11 @@ def build_clothed_bank(
         progress: Called with the share done.
         most: How many characters at the most.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    remove_leftovers(folder)
-    out = []
-    names = data.characters[:most]
-    for number, name in enumerate(names):
-        path = folder / f"{name}.npz"
-        if not path.is_file():
-            try:
-                _write_clothed(path, _sampled(data, name, vertices, frames))
-            except BunrakuError:
-                continue
-        out.append(_read_clothed(path))
-        if progress is not None:
-            progress((number + 1) / len(names))
-    return out
+    makers = {name: lambda name=name: _sampled(data, name, vertices, frames) for name in data.characters[:most]}
+    return [ClothedSample(name, **arrays) for name, arrays in kept_arrays(folder, makers, progress)]
 
 
-def _sampled(data: ApparelData, name: str, vertices: int, frames: int) -> ClothedSample:
+def _sampled(data: ApparelData, name: str, vertices: int, frames: int) -> dict[str, np.ndarray]:
     clips = [clip for clip in data.clips if clip.character == name]
     character = data.character(clips[0])
     seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:4], "big")
@@ -233,21 +221,8 @@ def _sampled(data: ApparelData, name: str, vertices: int, frames: int) -> Clothe
     room = round(ROOM * vertices * random.uniform(0.75, 1.25))
     x, y, z = random.random(3)
     mesh = network_mesh(character.rest, character.faces, room, offset=(x, y, z))
-    return clothed_sample(data, clips, mesh, frames, seed)
-
-
-def _write_clothed(path: Path, sample: ClothedSample) -> None:
-    arrays = {name: value for name, value in vars(sample).items() if name != "name"}
-    with atomic_write(path) as file:
-        np.savez(file, **arrays)
-
-
-def _read_clothed(path: Path) -> ClothedSample:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return ClothedSample(path.stem, **{name: file[name] for name in file.files})
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FormatError(path, f"this is no sampled character ({error}); remove it and train again") from None
+    sample = clothed_sample(data, clips, mesh, frames, seed)
+    return {key: value for key, value in vars(sample).items() if key != "name"}
 
 
 def clothed_target(sample: ClothedSample, weights: np.ndarray) -> Target:
@@ -374,23 +349,17 @@ def build_posed_bank(
     Raises:
         FormatError: There are no rigged characters, or no people's clips.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    remove_leftovers(folder)
     poses = pose_frames(plan.motions, plan.poses, plan.seed)
-    makers = _makers(plan)
+
+    def arrays(name: str, make: Callable[[], Character]) -> dict[str, np.ndarray]:
+        sample = posed_sample(make(), name, poses, plan.vertices)
+        return vars(sample.mesh) | {"skinning": sample.skinning, "truth": sample.truth}
+
     out: dict[str, list[Target]] = {"train": [], "val": []}
-    for number, (name, make) in enumerate(makers.items()):
-        path = folder / f"{name.replace('/', '__')}.npz"
-        if not path.is_file():
-            try:
-                sample = posed_sample(make(), name, poses, plan.vertices)
-            except BunrakuError:
-                continue
-            with atomic_write(path) as file:
-                np.savez(file, **vars(sample.mesh), skinning=sample.skinning, truth=sample.truth)
-        out["val" if name in HELD_OUT else "train"].append(_read_posed(path, name))
-        if progress is not None:
-            progress((number + 1) / len(makers))
+    makers = {name: partial(arrays, name, make) for name, make in _makers(plan).items()}
+    for name, own in kept_arrays(folder, makers, progress):
+        skinning, truth = own.pop("skinning"), own.pop("truth")
+        out["val" if name in HELD_OUT else "train"].append(Target(name, PartMesh(**own), skinning, truth))
     return out
 
 
@@ -423,13 +392,3 @@ def _facing(file: Path, name: str) -> Character:
     transforms[:, :3] = turn @ transforms[:, :3]
     vertices = character.vertices @ turn.T.astype(np.float32)
     return replace(character, vertices=vertices, rig=replace(character.rig, transforms=transforms), source=None)
-
-
-def _read_posed(path: Path, name: str) -> Target:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            own = {key: file[key] for key in file.files}
-            mesh = PartMesh(**{key: own[key] for key in ("rest", "faces", "edges", "weights")})
-            return Target(name, mesh, own["skinning"], own["truth"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FormatError(path, f"this is no posed character ({error}); remove it and train again") from None

@@ -11,18 +11,9 @@ import torch
 
 from bunraku.errors import OptionError
 from bunraku_lab.datasets.apparel import ApparelData
-from bunraku_lab.nn.blend_shapes import (
-    EdgeMesh,
-    NbsConfig,
-    NbsNetwork,
-    edge_mesh,
-    load_nbs,
-    local_rotations,
-    moved_by,
-    save_nbs,
-)
+from bunraku_lab.nn.blend_shapes import EdgeMesh, NbsConfig, NbsNetwork, edge_mesh, local_rotations, moved_by
 from bunraku_lab.training.baselines.banks import ClothedSample, build_clothed_bank
-from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
+from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
 __all__ = ["NbsTrainConfig", "NbsTrainer", "train_nbs"]
 
@@ -81,7 +72,7 @@ class NbsTrainer(AveragedRun[NbsNetwork]):
 
     def _begun(self, model: NbsNetwork) -> None:
         if self.config.start is not None:
-            model.skinning.load_state_dict(load_nbs(self.config.start).skinning.state_dict())
+            model.skinning.load_state_dict(NbsNetwork.load(self.config.start).skinning.state_dict())
 
     def posed(self, model: NbsNetwork, one: ClothedSample, poses: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         """Where the network puts a character in some of its poses, and where it is, (P, M, 3) each, over its height."""
@@ -120,10 +111,6 @@ class NbsTrainer(AveragedRun[NbsNetwork]):
             found.append([gap.mean(), gap[~cloth].mean(), gap[cloth].mean() if cloth.any() else 0.0])
         whole, body, apparel = 100 * np.mean(found, axis=0)
         return {"pmd": float(whole), "pmd_body": float(body), "pmd_apparel": float(apparel)}
-
-    def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
-        return save_nbs(self.checkpoint, self.average, note, half=True)
 
 
 def train_nbs(config: NbsTrainConfig, report: Report | None = None, progress: Progress | None = None) -> Path:

@@ -17,14 +17,7 @@ from bunraku.errors import OptionError
 from bunraku_lab.baselines.pose_transfer import graph_of, part_transforms
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.nn.blend_shapes import moved_by
-from bunraku_lab.nn.pose_transfer import (
-    PartGraph,
-    TransferConfig,
-    TransferNetwork,
-    affine_of,
-    part_centres,
-    save_transfer,
-)
+from bunraku_lab.nn.pose_transfer import PartGraph, TransferConfig, TransferNetwork, affine_of, part_centres
 from bunraku_lab.training.baselines.banks import (
     BankPlan,
     Pair,
@@ -35,7 +28,7 @@ from bunraku_lab.training.baselines.banks import (
     drawn_pairs,
 )
 from bunraku_lab.training.losses.handles import skinning_loss, skinning_pairs
-from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
+from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
 __all__ = [
     "PRESETS",
@@ -374,10 +367,6 @@ class TransferTrainer(AveragedRun[TransferNetwork]):
                 found.append([float((one - truth).norm(dim=1).mean()) for one in (moved, floor)])
         own, plain = 100 * np.mean(found, axis=0)
         return {"pmd": float(own), "pmd_floor": float(plain)}
-
-    def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
-        return save_transfer(self.checkpoint, self.average, note, half=True)
 
 
 def _stretch(moved: torch.Tensor, rest: torch.Tensor, edges: np.ndarray) -> torch.Tensor:

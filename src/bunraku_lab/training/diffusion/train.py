@@ -41,7 +41,7 @@ from bunraku_lab.training.diffusion.trainer import (
 from bunraku_lab.training.rows.banks import TextBank, load_mesh_bank
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips, rehearsal_clips
-from bunraku_lab.training.runs.processes import forking, open_processes
+from bunraku_lab.training.runs.processes import forking
 from bunraku_lab.training.runs.run import EventLog, Stop, TrainingRun, logged_columns
 
 __all__ = ["TrainingConfig", "rescaled", "start_from", "train_diffusion", "training_card", "write_card"]
@@ -194,10 +194,6 @@ def _pack(config: TrainingConfig) -> ExamplePack:
     return pack
 
 
-def _sentences(clips: list[ClipSet]) -> list[str]:
-    return sorted({sentence for part in clips for sentence in part.sentences()})
-
-
 def train_diffusion(
     config: TrainingConfig, network: DenoiserConfig | None = None, encoder: TextEncoder | None = None
 ) -> Path:
@@ -232,8 +228,7 @@ def train_diffusion(
     shipped = load_denoiser(shipped_checkpoint("diffusion")) if config.start == SHIPPED else None
     config.prepare()
     remove_leftovers(config.out)
-    processes = open_processes(config.device)
-    console = Console(quiet=not processes.main)
+    console = Console()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("clips", total=None)
@@ -258,14 +253,13 @@ def train_diffusion(
         if encoder is None:
             encoder = text_encoder(f"{'clip' if config.text_folder else MiniLMEncoder.name}+cues", config.text_folder)
         task = bar.add_task("captions", total=None)
-        with processes.main_first():  # the others read what it has encoded
-            bank = TextBank(
-                encoder,
-                _sentences([train, val]),
-                config.out / "captions.safetensors",
-                lambda done, total: bar.update(task, completed=done, total=total),
-                config.workers,
-            )
+        bank = TextBank(
+            encoder,
+            sorted({sentence for part in (train, val) for sentence in part.sentences()}),
+            config.out / "captions.safetensors",
+            lambda done, total: bar.update(task, completed=done, total=total),
+            config.workers,
+        )
     if network is None:
         sizes: dict[str, Any] = {
             "text_encoder": encoder.name,
@@ -273,10 +267,7 @@ def train_diffusion(
             "pooled_size": encoder.pooled_size,
         }
         network = replace(
-            PRESETS[config.preset],
-            **sizes,
-            adaptation_mesh=config.adaptation_mesh,
-            examples=config.examples,
+            PRESETS[config.preset], **sizes, adaptation_mesh=config.adaptation_mesh, examples=config.examples
         )
     mesh_bank = config.mesh_bank
     if mesh_bank is None and config.data.is_file() and read_bundle(config.data).meshes is not None:
@@ -288,7 +279,7 @@ def train_diffusion(
         raise OptionError(
             f"{config.character_bank}: {sizes_differ}; write the bank again with 'bunraku data character-bank'"
         )
-    trainer = Trainer(config, network, statistics, meshes, characters, processes, notes)
+    trainer = Trainer(config, network, statistics, meshes, characters, notes)
     state = config.out / "state.safetensors"
     if state.is_file():
         trainer.restore(state, network)
@@ -298,11 +289,11 @@ def train_diffusion(
     sources = Sources(bank)
     if network.examples:
         sources = Sources(bank, example_bank(network, statistics, _pack(config), encoder))
-    examples = _validation(trainer, val, sources) if processes.main else []
+    examples = _validation(trainer, val, sources)
     console.print(
         f"{len(train.clips)} training and {len(val.clips)} validation clips, {len(bank)} sentences, "
         f"{sum(value.numel() for value in trainer.model.parameters()) / 1e6:.1f} M parameters, {trainer.device}, "
-        f"{processes.count} process{'es' if processes.count > 1 else ''}, from step {trainer.step}"
+        f"from step {trainer.step}"
     )
     source = (PooledBatches if config.workers else BatchesAhead)(trainer, train, sources)
     run = _Run(trainer, network, source, examples, console)
@@ -310,12 +301,10 @@ def train_diffusion(
         path = run.learn(run.tell)
     finally:
         source.close()
-    if processes.main:
-        write_card(path, card)
+    write_card(path, card)
     console.print(
         f"saved {config.out} at step {trainer.step}" + ("; the same command goes on" if trainer.progress() < 1 else "")
     )
-    processes.close()
     return path
 
 
@@ -356,22 +345,16 @@ class _Run(TrainingRun):
     flush = True
 
     def __init__(
-        self,
-        trainer: Trainer,
-        network: DenoiserConfig,
-        source: BatchSource,
-        examples: list[Example],
-        console: Any,
+        self, trainer: Trainer, network: DenoiserConfig, source: BatchSource, examples: list[Example], console: Any
     ):
         self.trainer, self.network, self.source, self.console = trainer, network, source, console
         self.config, self.out, self.stop, self.held_out = trainer.config, trainer.config.out, Stop(), examples
-        self.main, self.first = trainer.processes.main, trainer.step
+        self.first = trainer.step
         self.begin = self.last = time.monotonic()
         log = self.out / "log.csv"
-        if self.main and not log.is_file():
+        if not log.is_file():
             log.write_text(",".join(_COLUMNS) + "\n", encoding="utf-8")
-        if self.main:  # a run that goes on writes no other columns
-            self.log_columns = tuple(logged_columns(log))
+        self.log_columns = tuple(logged_columns(log))  # a run that goes on writes no other columns
 
     @property
     def checkpoint(self) -> Path:
@@ -382,12 +365,6 @@ class _Run(TrainingRun):
     def ticks(self) -> int:
         """Steps."""
         return self.trainer.step
-
-    @property
-    def ended(self) -> bool:
-        """Of several processes all stop after the same step, and so by what they told each other."""
-        alone = self.trainer.processes.count == 1
-        return self.trainer.stopped or (alone and self.stop.asked) or self.progress() >= 1
 
     @property
     def save_every(self) -> float:
@@ -402,20 +379,15 @@ class _Run(TrainingRun):
         """One step on the next batch, with the time since the one before."""
         trainer = self.trainer
         example = self.source.next()
-        trainer.asked = self.stop.asked
-        told = trainer.update(example)
+        losses = trainer.update(example)
         now = time.monotonic()
         trainer.seconds += now - self.last
         self.last, self.step = now, trainer.step
-        return told
-
-    def due(self) -> bool:
-        """Whether it is time to validate; the first process does."""
-        return self.main and super().due()
+        return losses
 
     def tells(self) -> bool:
         """Whether the log gets a row of this step: the first one comes early."""
-        return self.main and self.trainer.step == self.first + 20
+        return self.trainer.step == self.first + 20
 
     def begun(self) -> dict[str, float]:
         """The first columns of a row of the log, and how fast it goes."""
@@ -427,7 +399,7 @@ class _Run(TrainingRun):
 
     def event_log(self) -> EventLog:
         """Where curves go."""
-        return EventLog(self.out / "events" if self.main else None, self.console.print)
+        return EventLog(self.out / "events", self.console.print)
 
     def validate(self) -> dict[str, float]:
         """Loss with the right sentences and with those of other rows."""
@@ -435,9 +407,8 @@ class _Run(TrainingRun):
         return {"validation": right, "validation_wrong_text": wrong}
 
     def save(self, results: dict[str, float]) -> Path:
-        """Write the state and the checkpoint; the first process does."""
-        if self.main:
-            self.trainer.save(self.out, self.network)
+        """Write the state and the checkpoint."""
+        self.trainer.save(self.out, self.network)
         return self.checkpoint
 
     def tell(self, row: dict[str, float]) -> None:

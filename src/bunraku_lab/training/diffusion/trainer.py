@@ -28,7 +28,7 @@ from bunraku_lab.training.losses.motion import contact_loss, motion_losses
 from bunraku_lab.training.rows.banks import MeshBank, TextBank
 from bunraku_lab.training.rows.clip_rows import ClipSet, MotionBatch
 from bunraku_lab.training.rows.workers import DrawnRows, FedPool, RowMaker, RowPool, RowWorkers
-from bunraku_lab.training.runs.processes import Ahead, Processes
+from bunraku_lab.training.runs.processes import Ahead
 from bunraku_lab.training.runs.run import RunSettings, bf16_is_fast, careful_step, follow_weights, learning_rate
 
 __all__ = ["BatchSource", "BatchesAhead", "Example", "PooledBatches", "SHIPPED", "Sources", "Trainer", "TrainingConfig"]
@@ -174,7 +174,6 @@ class Trainer:
         statistics: Units of the network.
         mesh_bank: f_phi of many characters; None trains with the null mesh only.
         character_bank: Characters for the spring and the adversarial loss; None trains without them.
-        processes: The processes that train together; this one alone when None.
         notes: What the checkpoint says of the run beside its own figures.
     """
 
@@ -185,15 +184,11 @@ class Trainer:
         statistics: FeatureStatistics,
         mesh_bank: MeshBank | None = None,
         character_bank: CharacterBank | None = None,
-        processes: Processes | None = None,
         notes: Mapping[str, object] | None = None,
     ):
         self.config = config
-        self.processes = processes or Processes()
         self.notes = notes or {}
-        self.device = self.processes.device or torch.device(
-            config.device or ("cuda" if torch.cuda.is_available() else "cpu")
-        )
+        self.device = torch.device(config.device or ("cuda" if torch.cuda.is_available() else "cpu"))
         torch.manual_seed(config.seed)
         self.model = Denoiser(network).to(self.device)
         self.model.mean.copy_(torch.from_numpy(statistics.mean))
@@ -215,8 +210,6 @@ class Trainer:
             )
         self.step = 0
         self.seconds = 0.0
-        self.asked = False  # this process was asked to stop
-        self.stopped = False  # some process was, before the last step
 
     def example(
         self,
@@ -300,9 +293,7 @@ class Trainer:
         return learning_rate(config.learning_rate, self.step, config.warmup, into)
 
     def update(self, example: Example) -> dict[str, float]:
-        """One optimiser step of L_m + nu_h L_h + nu_a L_a [TapMo 9] on the batch of this process; the losses by name,
-        means over all processes.
-        """
+        """One optimiser step of L_m + nu_h L_h + nu_a L_a [TapMo 9] on a batch; the losses by name."""
         config, learning = self.config, self.learning
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate()
@@ -323,36 +314,15 @@ class Trainer:
             total = total + config.spring_weight * spring + config.adversarial_weight * adversarial
             reported |= {"spring": spring, "adversarial": adversarial}
         total.backward()
-        score = 0.0
+        score = {}
         if learning is not None and samples is not None:
-            reported["discriminator"], score = learning.learn(samples[0], samples[1], learns)
-        numbers = [self.seconds, float(self.asked), score, *(float(value.detach()) for value in reported.values())]
-        self.seconds, stops, score, *means = self.processes.mean(self._gradients(learns), *numbers)
-        self.stopped = stops > 0
-        self._step(learns and samples is not None)
-        if learning is not None and samples is not None:
-            learning.score = score
-        return dict(zip(reported, means, strict=True)) | ({"score": score} if samples is not None else {})
-
-    def _gradients(self, learns: bool) -> list[Tensor]:
-        """Gradients of all that learns, for the exchange between processes."""
-        if self.processes.count == 1:
-            return []
-        values = list(self.model.parameters())
-        if learns and self.learning is not None:
-            values += list(self.learning.discriminator.parameters())
-        for value in values:
-            if value.grad is None:
-                value.grad = torch.zeros_like(value)
-        return [value.grad for value in values if value.grad is not None]
-
-    def _step(self, learns: bool) -> None:
+            reported["discriminator"], learning.score = learning.learn(samples[0], samples[1], learns)
+            score = {"score": learning.score}
         careful_step(self.model, self.optimizer)
         self.optimizer.zero_grad(set_to_none=True)
-        if learns and self.learning is not None:
-            self.learning.step()
         self.step += 1
-        follow_weights(self.average, self.model, min(self.config.ema, (1 + self.step) / (10 + self.step)))
+        follow_weights(self.average, self.model, min(config.ema, (1 + self.step) / (10 + self.step)))
+        return {name: float(value.detach()) for name, value in reported.items()} | score
 
     @torch.no_grad()
     def validate(self, examples: list[Example]) -> tuple[float, float]:
@@ -380,11 +350,7 @@ class Trainer:
         if self.learning is not None:
             self.learning.add_to(state)
         save_training_state(folder / "state.safetensors", state)
-        notes = {
-            "steps": self.step,
-            "minutes": round(self.seconds / 60, 1),
-            "batch": self.config.batch * self.processes.count,
-        }
+        notes = {"steps": self.step, "minutes": round(self.seconds / 60, 1), "batch": self.config.batch}
         known = max(
             0 if self.mesh_bank is None else len(self.mesh_bank),
             0 if self.learning is None else len(self.learning.bank),
@@ -443,8 +409,7 @@ class BatchSource(Protocol):
 
 
 class BatchesAhead:
-    """Batches from the trainer's step on, made ahead by a thread: a pure function of the seed. Of P processes, number i
-    takes batch P * step + i.
+    """Batches from the trainer's step on, made ahead by a thread: a pure function of the seed.
 
     Args:
         trainer: Adds noise.
@@ -457,8 +422,8 @@ class BatchesAhead:
         self._ahead = Ahead(self._made(trainer.step), 3)
 
     def _made(self, first: int) -> Iterator[tuple[int, MotionBatch, TextBatch, RetrievedExamples | None]]:
-        processes, config = self.trainer.processes, self.trainer.config
-        for number in itertools.count(processes.count * first + processes.index, processes.count):
+        config = self.trainer.config
+        for number in itertools.count(first):
             batch = self.clips.batch(config.seed, number, config.batch, config.compose)
             yield number, batch, *self.sources(batch)
 
@@ -484,15 +449,14 @@ class PooledBatches:
     """
 
     def __init__(self, trainer: Trainer, clips: ClipSet, sources: Sources):
-        config, processes = trainer.config, trainer.processes
-        self.trainer = trainer
+        config, self.trainer = trainer.config, trainer
         maker = RowMaker(
             clips, sources.text, config.seed, config.compose, trainer.mesh_bank, config.cross, sources.examples
         )
-        workers = RowWorkers(maker, config.workers, processes.count * trainer.step + processes.index, processes.count)
+        workers = RowWorkers(maker, config.workers, trainer.step)
         self._least = min(config.pool, 8 * config.batch)
         self.fed = FedPool(RowPool(config.pool, clips.frames, trainer.device, trainer.mesh_bank), workers)
-        seed = np.random.SeedSequence([config.seed, trainer.step, processes.index]).generate_state(1, np.uint64)[0]
+        seed = np.random.SeedSequence([config.seed, trainer.step, 0]).generate_state(1, np.uint64)[0]
         self._random = torch.Generator(trainer.device).manual_seed(int(seed >> 1))
 
     def next(self) -> Example:

@@ -459,22 +459,17 @@ class MeshLearning:
         return spring, adversarial, skeleton_driven(fitted, bank, draw.picked), fake.detach()
 
     def learn(self, real: Tensor, fake: Tensor, learns: bool) -> tuple[Tensor, float]:
-        """Gradients of the discriminator on real and fake arms, where it has its turn; its loss and the mean score of
-        the fakes.
-
-        The caller steps the optimiser (`step`), so that several processes can average the gradients first.
+        """A step of the discriminator on real and fake arms, where it has its turn; its loss and the mean score of the
+        fakes.
         """
         with torch.set_grad_enabled(learns):
             fakes = self.discriminator(fake)
             loss = discriminator_loss(self.discriminator(real), fakes)
         if learns:
             loss.backward()
+            self.optimizer.step()
+            self.optimizer.zero_grad(set_to_none=True)
         return loss.detach(), float(torch.sigmoid(fakes.detach()).mean())
-
-    def step(self) -> None:
-        """One step of the discriminator's optimiser."""
-        self.optimizer.step()
-        self.optimizer.zero_grad(set_to_none=True)
 
     def add_to(self, state: TrainingState) -> None:
         """Add the discriminator to what a run goes on from."""

@@ -1,18 +1,22 @@
-"""What training rows look up: the mesh features f_phi of many characters, and all sentences of a run, encoded once."""
+"""What trainings look up: arrays of many samples, computed once; the mesh features f_phi of many characters; and all
+sentences of a run, encoded once.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from bunraku.errors import FormatError, WeightsError
+from bunraku.core.files import atomic_write, remove_leftovers
+from bunraku.errors import BunrakuError, FormatError, WeightsError
 from bunraku.language import encoders
 from bunraku.language.encoders import TextEncoder
 from bunraku_lab.datasets.motions.clips import read_bundle
@@ -20,7 +24,47 @@ from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku_lab.nn.text import TextBatch, tensors_of
 from bunraku_lab.training.runs.processes import forking
 
-__all__ = ["MeshBank", "TextBank", "load_mesh_bank"]
+__all__ = ["MeshBank", "TextBank", "kept_arrays", "load_mesh_bank"]
+
+
+Arrays = dict[str, Any]
+
+
+def kept_arrays(
+    folder: Path,
+    makers: Mapping[str, Callable[[], Arrays]],
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[tuple[str, Arrays]]:
+    """The arrays of each sample by its name, from an NPZ of the folder; those that are not there yet are made, and
+    samples that cannot be made are left out.
+
+    Args:
+        folder: Where they are kept.
+        makers: What makes them, by name.
+        progress: Called with the share done.
+
+    Raises:
+        FormatError: A file is damaged.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    remove_leftovers(folder)
+    for done, (name, make) in enumerate(makers.items(), 1):
+        path = folder / f"{name.replace('/', '__')}.npz"
+        if not path.is_file():
+            try:
+                arrays = make()
+            except BunrakuError:
+                continue
+            with atomic_write(path) as file:
+                np.savez(file, **arrays)
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {key: file[key] for key in file.files}
+        except (OSError, ValueError) as error:
+            raise FormatError(path, f"these arrays cannot be read ({error}); remove the file and train again") from None
+        yield name, arrays
+        if progress is not None:
+            progress(done / len(makers))
 
 
 @dataclass(frozen=True, eq=False)

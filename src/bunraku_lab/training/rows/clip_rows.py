@@ -14,7 +14,8 @@ from bunraku.core.motion import HandleMotion
 from bunraku.generation.agreement import Phrase, Track
 from bunraku.generation.features import FeatureStatistics, decode, feature_weights, mirror
 from bunraku.generation.splicing import FEWEST, Joins, join_point, splice, standing_stretches
-from bunraku.language.captions import caption_group, conjugate, is_stative, mirror_words
+from bunraku.language.captions import conjugate, mirror_words
+from bunraku_lab.description.captions import caption_group, is_stative
 from bunraku_lab.description.events import find_punches, find_seats
 from bunraku_lab.description.wording import (
     borrowed_sentence,

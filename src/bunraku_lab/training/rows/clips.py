@@ -20,9 +20,10 @@ from bunraku.errors import FormatError, OptionError
 from bunraku.generation.features import FeatureStatistics, encode, feature_weights, is_rotation
 from bunraku.generation.pack import ExamplePack
 from bunraku.generation.splicing import END, held, join_point, played, rests
-from bunraku.language.captions import caption_clauses, caption_group, caption_variants, mirror_words, sentence_forms
+from bunraku.language.captions import mirror_words
 from bunraku.language.lexicon import is_cyclic, lexicon, main_actions
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, read_bundle
+from bunraku_lab.description.captions import caption_clauses, caption_group, caption_variants, sentence_forms
 from bunraku_lab.description.wording import all_variants, clauses
 
 __all__ = [

@@ -161,16 +161,15 @@ class RowWorkers:
         maker: What they make.
         count: How many.
         first: Number of the first batch.
-        step: What comes between the numbers.
 
     Raises:
         OptionError: This system cannot fork processes.
     """
 
-    def __init__(self, maker: RowMaker, count: int, first: int = 0, step: int = 1):
+    def __init__(self, maker: RowMaker, count: int, first: int = 0):
         context = forking()
         maker.prepare()
-        self._next, self._by = first, step
+        self._next = first
         self._pipes: list[Connection] = []
         self._processes = []
         for _ in range(count):
@@ -185,7 +184,7 @@ class RowWorkers:
 
     def _ask(self, pipe: Connection) -> None:
         pipe.send(self._next)
-        self._next += self._by
+        self._next += 1
 
     def __iter__(self) -> Iterator[MadeRows]:
         """Batches without end.

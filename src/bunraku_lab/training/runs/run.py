@@ -21,7 +21,7 @@ import torch
 
 from bunraku.core.files import remove_leftovers
 from bunraku.errors import OptionError
-from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
+from bunraku_lab.nn.checkpoints import SavedNetwork, TrainingState, load_training_state, save_training_state
 
 __all__ = [
     "AveragedRun",
@@ -459,8 +459,9 @@ class AveragedRun(TrainingRun, Generic[Network]):
         raise NotImplementedError
 
     def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
-        raise NotImplementedError
+        """Write the checkpoint, with matrices in half precision."""
+        assert isinstance(self.average, SavedNetwork)
+        return self.average.save(self.checkpoint, note, half=True)
 
     @contextmanager
     def timed(self) -> Iterator[None]:
