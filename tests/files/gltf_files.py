@@ -38,6 +38,11 @@ class Maker:
         self.binary = b""
         self.accessors, self.views = [], []
 
+    def cube(self, kind=np.uint8, attributes=None):
+        """A primitive of the cube."""
+        attributes = attributes or {"POSITION": self.add(CUBE)}
+        return {"attributes": attributes, "indices": self.add(CUBE_FACES.reshape(-1).astype(kind))}
+
     def view(self, data, **extra):
         self.views.append({"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data), **extra})
         self.binary += data + bytes(-len(data) % 4)

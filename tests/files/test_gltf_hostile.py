@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gltf_files import CUBE, CUBE_FACES, Maker, cube_glb
+from gltf_files import CUBE, Maker, cube_glb
 from PIL import Image
 
 from bunraku.files import load_character
@@ -43,7 +43,7 @@ for line in sys.stdin:
 
 
 def cube(maker):
-    return {"attributes": {"POSITION": maker.add(CUBE)}, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint16))}
+    return maker.cube(np.uint16)
 
 
 def text(tree):

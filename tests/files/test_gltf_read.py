@@ -84,9 +84,7 @@ def test_sparse_quantised_and_interleaved_accessors(load):
     attributes = {"POSITION": 0}
     data = maker.glb(
         nodes=[{"mesh": 0, "scale": [327.67] * 3}],
-        meshes=[
-            {"primitives": [{"attributes": attributes, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint32))}]}
-        ],
+        meshes=[{"primitives": [maker.cube(np.uint32, attributes)]}],
         extensionsUsed=["KHR_mesh_quantization"],
         extensionsRequired=["KHR_mesh_quantization"],
     )
@@ -95,10 +93,7 @@ def test_sparse_quantised_and_interleaved_accessors(load):
 
 def test_the_default_scene_is_the_character(load):
     maker = Maker()
-    primitive = {
-        "attributes": {"POSITION": maker.add(CUBE)},
-        "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8)),
-    }
+    primitive = maker.cube()
     scenes = [{"nodes": [0]}, {"nodes": [1]}]
     cube = load(
         maker.glb(
@@ -135,7 +130,7 @@ def test_broken_weights_are_mended(load):
     joints[2:4, 0] = 1
     joints[0] = 9  # a joint that does not exist, but without weight
     attributes = {"POSITION": maker.add(CUBE), "JOINTS_0": maker.add(joints), "WEIGHTS_0": maker.add(weights)}
-    primitive = {"attributes": attributes, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8))}
+    primitive = maker.cube(attributes=attributes)
     thing = load(
         maker.glb(
             nodes=[{"mesh": 0, "skin": 0, "children": [1, 2]}, {}, {}],
@@ -159,7 +154,7 @@ def test_eight_influences(load):
     for name, first in (("0", 0), ("1", 4)):
         attributes[f"JOINTS_{name}"] = maker.add(np.tile(np.arange(first, first + 4), (8, 1)).astype(np.uint16))
         attributes[f"WEIGHTS_{name}"] = maker.add(quarter, normalized=True)
-    primitive = {"attributes": attributes, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8))}
+    primitive = maker.cube(attributes=attributes)
     nodes = [{"mesh": 0, "skin": 0}, *({"translation": [k, 0, 0]} for k in range(8))]
     scenes = [{"nodes": list(range(9))}]
     thing = load(
@@ -224,10 +219,7 @@ def test_colours_are_texture_times_factor_times_vertex_colour(load):
 
 def test_gltf_with_files_beside_it_and_inside_it(tmp_path):
     maker = Maker()
-    primitive = {
-        "attributes": {"POSITION": maker.add(CUBE)},
-        "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8)),
-    }
+    primitive = maker.cube()
     tree = maker.tree(nodes=[{"mesh": 0}], meshes=[{"primitives": [primitive]}], images=[{"uri": "missing.png"}])
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "my cube.bin").write_bytes(maker.binary)
@@ -276,10 +268,7 @@ def test_required_extensions_are_named(load, name):
 
 def test_an_old_vrm_is_turned_to_the_front(load):
     maker = Maker()
-    primitive = {
-        "attributes": {"POSITION": maker.add(CUBE)},
-        "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8)),
-    }
+    primitive = maker.cube()
     parts = {"nodes": [{"mesh": 0, "translation": [0, 0, 1]}], "meshes": [{"primitives": [primitive]}]}
     old = load(maker.glb(**parts, extensions={"VRM": {}}, extensionsUsed=["VRM"]), "a.vrm")
     new = load(maker.glb(**parts, extensions={"VRMC_vrm": {}}, extensionsUsed=["VRMC_vrm"]), "b.vrm")

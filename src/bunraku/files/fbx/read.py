@@ -286,8 +286,9 @@ def _node_transform(local: np.ndarray) -> dict[str, Any]:
 
 
 def read_fbx(path: Path, data: bytes, *, rest: str = "bind", clip_fps: float | None = None) -> Character:
-    """Read an FBX file. The character rests as in `load_character`; with `clip_fps` [1/s] its document has the file's
-    clips.
+    """Read an FBX file of version 7.1 to 7.7, binary or text. The vertices are the control points of all meshes in the
+    order of the file, in our frame and unit; hidden meshes are left out where others are not, and blend shapes are not
+    read. The character rests as in `load_character`; with `clip_fps` [1/s] its document has the file's clips.
 
     Raises:
         FormatError: The file is broken, of a version that is not read, or holds no mesh.
@@ -298,8 +299,7 @@ def read_fbx(path: Path, data: bytes, *, rest: str = "bind", clip_fps: float | N
 
 
 def fbx_facts(path: Path, data: bytes) -> dict[str, Any]:
-    """What an FBX file says of itself, for people: version, program, clips, and the unit and axes that reading turns
-    into ours.
+    """Facts about an FBX file: version, program, clips, unit and axes.
 
     Raises:
         FormatError: The file is broken, or of a version that is not read.
