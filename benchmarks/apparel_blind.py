@@ -25,7 +25,7 @@ from bunraku import transfer
 from bunraku.anatomy.handles.orientation import resolve_axes
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
-from bunraku.files import in_metres, load_character, turned
+from bunraku.files import in_metres, load_character, rotated
 from bunraku.generation.library import all_clips, clip
 from bunraku.pipelines.animate import rig
 from bunraku.pipelines.apparel import dressed
@@ -125,7 +125,7 @@ def bare(kind: str, what: str, archive: Path) -> Character:
         _, blob, name = what.split(" ", 2)
         found = load_character(archive / "files" / f"{blob}_{name}", unit="m")
         stands = resolve_axes(found)
-        found, _ = in_metres(turned(found, stands.up, stands.front), "auto", "+y")
+        found, _ = in_metres(rotated(found, stands.up, stands.front), "auto", "+y")
     return replace(found, rig=None, avatar=None, source=None)
 
 

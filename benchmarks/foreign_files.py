@@ -22,7 +22,7 @@ from bunraku.anatomy.handles.orientation import SURE, resolve_axes, upright
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.errors import BunrakuError
-from bunraku.files import load_character, turned
+from bunraku.files import load_character, rotated
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.requests import Request, Sampling
 from bunraku_lab.evaluation.handles.measures import edge_error
@@ -43,7 +43,7 @@ def stood(character: Character, row: dict[str, Any]) -> tuple[str, bool, bool]:
 
 def walk(character: Character, row: dict[str, Any], animator: Animator, pictures: Path | None) -> float:
     """The edge error of a walk on 30 handles; a strip of its frames is drawn where a folder for it is given."""
-    character = turned(character, row["up"], row["front"][0]) if row["front"] else upright(character)
+    character = rotated(character, row["up"], row["front"][0]) if row["front"] else upright(character)
     request = Request("walks forward", Sampling(3.0, 1, candidates=1), rig="handles")
     animation = animator(character, request)
     assert isinstance(animation, Animation)

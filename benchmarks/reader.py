@@ -65,7 +65,7 @@ def rules(sentence: str) -> Frames:
 def _frames_of(clause: Any) -> Frames:
     from bunraku.language.posing import Posing
 
-    posing = clause.told if isinstance(clause.told, Posing) else None
+    posing = clause.detail if isinstance(clause.detail, Posing) else None
     stance = clause.stance or (posing.stance if posing else None)
     side = "left" if "left go" in clause.cues else "right" if "right go" in clause.cues else ""
     along = "backward" if "backwards" in clause.cues else "forward" if "forward" in clause.cues else ""
@@ -78,7 +78,7 @@ def _frames_of(clause: Any) -> Frames:
         direction = "circle" if action == "circle" else "-".join(filter(None, (along, side)))
         if direction:
             frame["direction"] = direction
-        if clause.turn is not None and action != "circle":
+        if clause.turn is not None and (action != "circle" or clause.turn.side):
             angles = {"quarter": "90", "half": "180", "full": "360"}
             said = [angle for cue, angle in angles.items() if cue in clause.cues]
             degrees = "180" if action == "turn around" else said[0] if said else "?"

@@ -159,6 +159,31 @@ def test_no_modules_import_each_other_in_a_circle():
     assert circles(arrows(SOURCES)) == []
 
 
+def test_all_others_import_files_by_its_face():
+    past = [
+        f"{name} -> {other}"
+        for name, others in arrows(SOURCES).items()
+        if not name.startswith("bunraku.files")
+        for other in sorted(others)
+        if other.startswith("bunraku.files.")
+    ]
+    assert past == []
+
+
+def test_the_face_of_files_names_what_type_checkers_see():
+    import bunraku.files
+
+    tree = ast.parse(Path(bunraku.files.__file__).read_text(encoding="utf-8"))
+    seen = {
+        alias.name: node.module
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("bunraku.files.")
+        for alias in node.names
+    }
+    assert seen == bunraku.files._HOME
+    assert all(hasattr(bunraku.files, name) for name in bunraku.files.__all__)
+
+
 def test_nothing_that_a_user_runs_names_the_laboratory():
     found = arrows(SOURCES)
     assert [

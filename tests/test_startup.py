@@ -24,8 +24,8 @@ def test_modules_wait_and_are_whole_once_they_are_touched():
     names = sorted(LAZY_MODULES)
     code = f"""
 import importlib, sys
-from bunraku.__main__ import hurry
-hurry(["animate"])
+from bunraku.__main__ import lazy_imports
+lazy_imports(["animate"])
 import numpy, scipy.spatial
 assert type(scipy.spatial).__name__ == "Waiting"
 scipy.spatial.Delaunay
@@ -55,8 +55,8 @@ for name in {names!r}:
 def test_parts_are_had_without_their_packages_and_are_the_same():
     code = f"""
 import importlib, sys
-from bunraku.__main__ import hurry
-hurry(["animate"])
+from bunraku.__main__ import lazy_imports
+lazy_imports(["animate"])
 import scipy.sparse
 places = [name.rpartition(".")[::2] for name in {list(LAZY_PARTS)!r}]
 early = {{place: getattr(importlib.import_module(place[0]), place[1]) for place in places}}
@@ -74,15 +74,15 @@ for (package, name), one in early.items():
 
 def test_a_name_that_is_not_there_is_an_attribute_error():
     assert run(
-        "from bunraku.__main__ import hurry; hurry(['rig'])\nimport scipy.spatial\n"
+        "from bunraku.__main__ import lazy_imports; lazy_imports(['rig'])\nimport scipy.spatial\n"
         "try: scipy.spatial.transform.nothing_of_the_kind\nexcept AttributeError as error: print(error)"
     ).endswith("no attribute 'nothing_of_the_kind'")
 
 
 @pytest.mark.parametrize("words", [["train", "handles"], ["evaluate", "motion"], ["--help"], []])
 def test_other_commands_load_all(words):
-    before = "import sys; print(len(sys.meta_path)); from bunraku.__main__ import hurry; "
-    assert len(set(run(f"{before}hurry({words!r}); print(len(sys.meta_path))").split())) == 1
+    before = "import sys; print(len(sys.meta_path)); from bunraku.__main__ import lazy_imports; "
+    assert len(set(run(f"{before}lazy_imports({words!r}); print(len(sys.meta_path))").split())) == 1
 
 
 @pytest.mark.parametrize("words, status", [(["inspect", "nowhere.glb"], 2), (["samples", "--help"], 0)])

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
-from bunraku.anatomy.anatomy import body_handle_motion
 from bunraku.core.character import Character
 from bunraku.files import sample_character, sample_names
+from bunraku.generation.features import body_handle_motion
 from bunraku.gestures.catalogue import gestures as all_gestures
 from bunraku.gestures.play import gesture_motion
 from bunraku.pipelines.animate import animate, rig

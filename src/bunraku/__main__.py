@@ -1,5 +1,5 @@
-"""`python -m bunraku`, and what the command `bunraku` calls: parts of numpy and scipy wait until they are used, and
-Ctrl-C ends the process with one line from its first moment.
+"""`python -m bunraku`, and what the command `bunraku` calls. Parts of numpy and scipy are loaded when they are first
+used, and Ctrl-C ends the process with one line from its first moment.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["LAZY_MODULES", "LAZY_PARTS", "QUICK", "exit_fast", "lazy_imports", "
 
 
 QUICK = ("animate", "edit", "inspect", "render", "rig", "samples", "transfer")
-"""Commands of some seconds."""
+"""Commands that take seconds, so that the time of loading counts."""
 LAZY_MODULES = frozenset({
     "numpy.ctypeslib", "numpy.f2py", "numpy.fft", "numpy.ma", "numpy.polynomial", "numpy.testing",
     "scipy.sparse.csgraph", "scipy.spatial", "scipy.spatial.transform",
@@ -30,21 +30,19 @@ LAZY_PARTS = {
     "scipy.sparse.csgraph.dijkstra": "scipy.sparse.csgraph._shortest_path",
     "scipy.spatial.cKDTree": "scipy.spatial._ckdtree",
 }
-"""Names of packages that wait, and the modules in them that have these: such a name is had without the package, which
-would load all of `scipy.linalg` and `scipy.special`. Where a version of scipy has it elsewhere, the package runs.
+"""Names of lazy packages, and the modules inside that define them: such a name is loaded without the package, which
+would load all of `scipy.linalg` and `scipy.special`. Where a version of scipy has it elsewhere, the package is loaded.
 """
 OBJECTS = 50_000
-"""New objects after which Python looks for garbage. The million that imports make would have it look a hundred times,
-for nothing.
-"""
+"""New objects after which Python collects garbage. Imports make a million objects, and none of them is garbage."""
 _status: int | None = None
 
 
 def lazy_imports(words: Sequence[str]) -> None:
-    """Make the end of every command quick, and the start of some: let modules wait.
+    """Make every command end quickly, and those of `QUICK` start quickly: their modules are loaded when they are used.
 
     Args:
-        words: The command line behind the program's name.
+        words: The command line after the program's name.
     """
     import atexit
 
@@ -54,15 +52,15 @@ def lazy_imports(words: Sequence[str]) -> None:
     import gc
     import os
 
-    # Products of a few thousand numbers are too short to share, threads that wait for them take half of the processor
-    # from who works, and one thread adds in one order on every machine.
+    # Products of a few thousand numbers are too short to share among threads, whose waiting takes half of the
+    # processor from the thread that works; and one thread adds in the same order on every machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(OBJECTS)
     sys.meta_path.insert(0, _finder())
 
 
 def exit_fast(status: int) -> NoReturn:
-    """Leave with an exit status, without taking modules apart, which takes 0.2 s and more the longer a command ran."""
+    """Leave with an exit status, without Python's own clean-up, which takes 0.2 s or more."""
     global _status
     _status = status
     sys.exit(status)
@@ -74,13 +72,13 @@ def _exit_now() -> None:
 
     if _status is not None:
         for stream in (sys.stdout, sys.stderr):
-            with suppress(OSError, ValueError, AttributeError):  # there is none, or who reads it is gone
+            with suppress(OSError, ValueError, AttributeError):  # there is no stream, or its reader is gone
                 stream.flush()
         os._exit(_status)
 
 
 def _finder() -> Any:
-    """What finds the modules that may wait; classes are made here, since few processes need them."""
+    """The finder of lazy modules; its classes are made here, since few processes need them."""
     from importlib import import_module
     from importlib.machinery import PathFinder
     from threading import RLock
@@ -88,27 +86,27 @@ def _finder() -> Any:
 
     lock = RLock()
     running: set[str] = set()
-    apart: list[str] = []  # packages of which a part is loaded without them
+    apart: list[str] = []  # packages of which a part is being loaded without them
 
-    class Waiting(ModuleType):
+    class Lazy(ModuleType):
         def __getattr__(self, name: str) -> Any:
             if name.startswith("__") and name != "__all__":
                 raise AttributeError(f"module '{self.__name__}' has no attribute '{name}'")
-            found = part(self.__name__, name)
-            if found is None:
+            value = part(self.__name__, name)
+            if value is None:
                 run(self)
                 return ModuleType.__getattribute__(self, name)
-            return found
+            return value
 
         def __dir__(self) -> list[str]:
             run(self)
             return list(ModuleType.__dir__(self))
 
     def run(module: ModuleType) -> None:
-        """Run a module that waits, once; who asks from another thread waits for its end."""
+        """Run a lazy module, once; other threads wait until it has run."""
         spec = module.__spec__
         with lock:
-            if type(module) is not Waiting or spec is None or module.__name__ in running:
+            if type(module) is not Lazy or spec is None or module.__name__ in running:
                 return
             running.add(module.__name__)
             try:
@@ -119,40 +117,40 @@ def _finder() -> Any:
                 running.discard(module.__name__)
 
     def part(package: str, name: str) -> Any:
-        """What a part of a package that waits has by a name; None where the package is needed for it."""
-        place = LAZY_PARTS.get(f"{package}.{name}")
-        if place is None:
+        """A name of a lazy package from the module that defines it; None where the package itself is needed."""
+        module = LAZY_PARTS.get(f"{package}.{name}")
+        if module is None:
             return None
         with lock:
             apart.append(package)
             try:
-                return getattr(import_module(place), name, None)
+                return getattr(import_module(module), name, None)
             except ImportError:
                 return None
             finally:
                 apart.remove(package)
 
-    class Later:
+    class Loader:
         def __init__(self, real: Any):
             self.real = real
 
         def create_module(self, spec: ModuleSpec) -> ModuleType:
-            return Waiting(spec.name)
+            return Lazy(spec.name)
 
         def exec_module(self, module: ModuleType) -> None:
-            """Nothing yet."""
+            """The module runs when it is used."""
 
     class Finder:
         @staticmethod
         def find_spec(name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> Any:
             parent = sys.modules.get(name.rpartition(".")[0])
-            if type(parent) is Waiting and parent.__name__ not in apart:  # a package runs before its parts
+            if type(parent) is Lazy and parent.__name__ not in apart:  # a package runs before its parts
                 run(parent)
             if name not in LAZY_MODULES:
                 return None
             spec = PathFinder.find_spec(name, path, target)
             if spec is not None and spec.loader is not None:
-                spec.loader = Later(spec.loader)  # type: ignore[assignment]
+                spec.loader = Loader(spec.loader)  # type: ignore[assignment]
             return spec
 
     return Finder
@@ -168,9 +166,9 @@ def run() -> NoReturn:
         if watched:
             signal.signal(signal.SIGINT, interrupt)
         status = main()
-        if watched:  # all is done, and what is left is taking modules apart
+        if watched:  # all is done, and only the clean-up is left
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except KeyboardInterrupt:  # in the moment before `main` looks after it, or after
+    except KeyboardInterrupt:  # in the moment before `main` handles it, or after
         exit_interrupted(signal.SIGINT, None)
     exit_fast(status)
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 __all__ = [
-    "BunrakuError",
-    "CharacterError",
-    "FormatError",
-    "MissingExtraError",
-    "MotionError",
-    "OptionError",
-    "WeightsError",
-]
+    "BunrakuError", "CharacterError", "FULL_DISK", "FormatError", "MissingExtraError", "MotionError", "OptionError",
+    "WeightsError", "is_fault", "sentence_of",
+]  # fmt: skip
 
 
 class BunrakuError(Exception):
@@ -53,3 +50,42 @@ class MissingExtraError(BunrakuError):
 
     def __init__(self, package: str, extra: str, purpose: str):
         super().__init__(f"{purpose} needs {package}; install it with: pip install 'bunraku[{extra}]'")
+
+
+FULL_DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+"""Numbers of system errors that say that a disk, a quota or a file is full."""
+_FAULT = "this is a fault of Bunraku, not yours"
+_NO_MEMORY = ("not enough memory", "can't allocate memory", "out of memory")
+"""What torch says in a RuntimeError when the memory of the processor or of a graphics card is full."""
+
+
+def sentence_of(
+    error: Exception, elsewhere: str = "write to another folder", debug: str = "run again with --debug"
+) -> str:
+    """One sentence for any exception.
+
+    Args:
+        error: What was raised.
+        elsewhere: What else can be done where the disk is full.
+        debug: How to see the traceback of a fault.
+    """
+    if isinstance(error, BunrakuError):
+        return str(error)
+    if isinstance(error, ModuleNotFoundError) and error.name == "torch":
+        return str(MissingExtraError("PyTorch", "lab", "what trains, measures and builds data"))
+    no_memory = isinstance(error, RuntimeError) and any(words in str(error) for words in _NO_MEMORY)
+    if no_memory or isinstance(error, MemoryError):
+        return "the memory is not enough for this; close other programs, or give a smaller mesh or fewer seconds"
+    if isinstance(error, OSError):
+        where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
+        if error.errno in FULL_DISK:
+            return f"{where}the disk is full; free some space or {elsewhere}"
+        if isinstance(error, PermissionError):
+            return f"{where}permission denied; choose a file or folder that you may use"
+        return f"{where}{error.strerror or error}"
+    return f"{_FAULT}: {type(error).__name__}: {error}; {debug} and report what it prints"
+
+
+def is_fault(error: Exception) -> bool:
+    """Whether an exception is a fault of Bunraku itself, which no user can fix."""
+    return not isinstance(error, BunrakuError) and sentence_of(error).startswith(_FAULT)

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.joints import by_limb, find_joints, limb_views, reference_joints, refined_joints
+from bunraku.anatomy.legs import BodyPlan
 from bunraku.anatomy.names.bone_names import handle_of_joints, rig_handles
-from bunraku.anatomy.plan import BodyPlan
 from bunraku.anatomy.rest_pose import rest_rotations
 from bunraku.core.animation import Animation
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES, handle_names
@@ -103,7 +103,7 @@ def test_what_reaches_the_ground_is_the_lowest_of_all_that_may_stand():
     turns[:, 1:, 1:] = [[[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]] for a in angles]  # falls on its face
     still = np.tile(np.eye(3), (4, HANDLE_COUNT, 1, 1))
     motion = HandleMotion(np.zeros((4, HANDLE_COUNT, 3)), still, np.zeros((4, 3)), turns, 20.0)
-    seen = found.reach.lowest(motion, found.handles.positions)
+    seen = found.reach.lowest(motion.transforms(found.handles.positions))
     points, root = found.mesh.vertices[found.stands], found.handles.positions[0]
     true = ((points - root) @ turns.swapaxes(1, 2))[..., 1].min(axis=1) + root[1]
     assert (seen >= true - 1e-5).all() and (seen <= true + 0.01).all()

@@ -35,11 +35,9 @@ def joint(a, b, position, **changes):
         "spring": none,
     }
     return MmdJoint(
-        name=f"{a}-{b}",
-        bodies=(a, b),
-        position=np.array(position, float),
+        name=f"{a}-{b}", bodies=(a, b), position=np.array(position, float),
         **(values | {"angle_spring": none} | changes),
-    )
+    )  # fmt: skip
 
 
 def character(heads, parents):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from bunraku.apparel.chains.body_collisions import _beyond, _least_rotation, over_legs, push_out_of_body
+from bunraku.apparel.chains.body_collisions import PushOutOfBody, SkirtsOverLegs, _beyond, _least_rotation
 from bunraku.apparel.chains.chain import Chain, parameters_of_laid
-from bunraku.apparel.chains.chain_rig import with_chains
-from bunraku.apparel.chains.cloth_repairs import free_shares, mend_tears, smooth_neighbours, torn_parts, torn_shares
+from bunraku.apparel.chains.chain_rig import Chained, with_chains
+from bunraku.apparel.chains.cloth_repairs import DressedChains, MendTears, SmoothNeighbours, on_skin
 from bunraku.apparel.chains.from_shape import shape_chains
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.core.animation import RigAnimation
@@ -18,6 +18,7 @@ from bunraku.core.character import Character, Rig, top_influences
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 
 FRAMES = 40
+JOINTS = np.arange(JOINT_COUNT)
 HIP, KNEE = (JOINT_NAMES.index(f"left_{part}") for part in ("hip", "knee"))
 
 
@@ -72,15 +73,9 @@ def dressed():
         *top_influences(held, 4),
     )  # fmt: skip
     chain = Chain(
-        "skirt_0_0",
-        "skirt",
-        JOINT_COUNT + np.arange(2),
-        line,
-        0,
-        np.full(2, 0.06),
-        0.01,
+        "skirt_0_0", "skirt", JOINT_COUNT + np.arange(2), line, 0, np.full(2, 0.06), 0.01,
         parameters_of_laid("skirt", 0.4),
-    )
+    )  # fmt: skip
     return clothed, Character("dressed", rest, faces, rig), chain, bare
 
 
@@ -90,7 +85,8 @@ def moved(raised: float):
     rotations = np.tile(np.eye(3), (FRAMES, JOINT_COUNT + 2, 1, 1))
     rotations[:, HIP] = matrix_from_axis_angle(np.array([-raised, 0.0, 0.0]))
     given = RigAnimation(character, rotations, np.zeros((FRAMES, JOINT_COUNT + 2, 3)), 20.0)
-    found = over_legs(given, [chain], [], clothed, np.arange(JOINT_COUNT), bare)
+    made = Chained(character, (chain,), (), (), ())
+    found = SkirtsOverLegs()(given, DressedChains(made, clothed, JOINTS, bare))
     return tuple(one.vertices()[:, clothed.apparel] for one in (given, found))
 
 
@@ -111,7 +107,6 @@ def test_a_raised_thigh_lifts_the_panel_before_it(raised):
     assert np.linalg.norm(np.diff(after, axis=0), axis=-1).max() < 1e-3  # and is still
 
 
-JOINTS = np.arange(JOINT_COUNT)
 RADIUS, OUTSIDE_FRAMES = 0.3, 20
 
 
@@ -153,7 +148,7 @@ def swung(made, body, angle):
 def test_a_strip_leaves_the_ball():
     clothed, made, body = worn()
     before = swung(made, body, 1.2)
-    after = push_out_of_body(before, made.chains, clothed, JOINTS)
+    after = PushOutOfBody()(before, DressedChains(made, clothed, JOINTS, body.rig))
     deep = [
         (RADIUS - np.linalg.norm(one.vertices()[:, clothed.apparel], axis=-1)).max(axis=1) for one in (before, after)
     ]
@@ -169,7 +164,7 @@ def test_a_strip_leaves_the_ball():
 def test_what_is_outside_stays():
     clothed, made, body = worn()
     before = swung(made, body, -0.3)
-    assert push_out_of_body(before, made.chains, clothed, JOINTS) is before
+    assert PushOutOfBody()(before, DressedChains(made, clothed, JOINTS, body.rig)) is before
 
 
 def test_a_strip_leaves_a_limb_that_comes_near():
@@ -198,7 +193,7 @@ def test_a_strip_leaves_a_limb_that_comes_near():
     translations[:, hand] = centre - away
     still = RigAnimation(body, np.tile(np.eye(3), (OUTSIDE_FRAMES, JOINT_COUNT, 1, 1)), translations, 30.0)
     before = made.on(still)
-    after = push_out_of_body(before, made.chains, both, JOINTS)
+    after = PushOutOfBody()(before, DressedChains(made, both, JOINTS, body.rig))
     depths = [
         (0.1 - np.linalg.norm(one.vertices()[:, both.apparel] - centre, axis=-1)).max() for one in (before, after)
     ]
@@ -240,7 +235,8 @@ def turned(angles):
     rotations = np.tile(np.eye(3), (SEAM_FRAMES, COLUMNS + 1, 1, 1))
     rotations[:, 1:] = matrix_from_axis_angle(angles[:, None] * axes)
     given = RigAnimation(character, rotations, np.zeros((SEAM_FRAMES, COLUMNS + 1, 3)))
-    found = axis_angle_from_matrix(smooth_neighbours(given, chains, near).rotations[:, 1:].astype(float))
+    made = DressedChains(Chained(character, tuple(chains), (), (), (), tuple(near)), None, None, None)
+    found = axis_angle_from_matrix(SmoothNeighbours()(given, made).rotations[:, 1:].astype(float))
     return (found * axes).sum(axis=-1), np.linalg.norm(found, axis=-1)
 
 
@@ -285,17 +281,17 @@ def test_a_torn_part_is_told_from_a_whole_one():
     shown = still.copy()
     shown[:, clothed.part == 0] += [0, 3, 0]  # moves whole
     shown[5:, (clothed.part == 1) & (clothed.rest[:, 1] > 2)] += [0, 4, 0]  # breaks in the midst in half of the frames
-    share = torn_shares(clothed, shown.__getitem__, still.__getitem__, TEAR_FRAMES)
+    share = MendTears().torn_shares(clothed, shown.__getitem__, still.__getitem__, TEAR_FRAMES)
     # five edges along, and four across the squares of that row, of 56, are too long
     np.testing.assert_allclose([share[0], share[1]], [0, 0.5 * 9 / 56], atol=1e-6)
-    assert set(torn_parts(clothed, shown.__getitem__, still.__getitem__, TEAR_FRAMES)) == {1}
+    assert MendTears().torn_parts(clothed, shown.__getitem__, still.__getitem__, TEAR_FRAMES) == {1}
 
 
 def test_what_the_body_tears_alone_does_not_count():
     clothed = sheets()
     moved = np.tile(clothed.rest, (TEAR_FRAMES, 1, 1))
     moved[:, (clothed.part == 1) & (clothed.rest[:, 1] > 2)] += [0, 4, 0]
-    assert not torn_parts(clothed, moved.__getitem__, moved.__getitem__, TEAR_FRAMES)
+    assert not MendTears().torn_parts(clothed, moved.__getitem__, moved.__getitem__, TEAR_FRAMES)
 
 
 def test_torn_places_go_over_to_the_skin_and_what_is_far_goes_its_own_way():
@@ -303,7 +299,7 @@ def test_torn_places_go_over_to_the_skin_and_what_is_far_goes_its_own_way():
     still = np.tile(clothed.rest, (TEAR_FRAMES, 1, 1))
     shown = still.copy()
     shown[:, (clothed.part == 1) & (clothed.rest[:, 1] > 2)] += [0, 4, 0]
-    own = free_shares(clothed, shown.__getitem__, still.__getitem__, TEAR_FRAMES, {1})
+    own = MendTears().free_shares(clothed, shown.__getitem__, still.__getitem__, TEAR_FRAMES, {1})
     rows = clothed.part == 1
     np.testing.assert_array_equal(own[~rows], 1)
     np.testing.assert_array_equal(own[rows & np.isin(clothed.rest[:, 1], (2, 3))], 0)
@@ -320,11 +316,9 @@ def test_eased_vertices_go_with_the_rig_that_is_given():
     translations = np.zeros((TEAR_FRAMES, 2, 3))
     translations[:, 1] = [0, 0, 1]
     moved = RigAnimation(
-        Character("sheets", clothed.rest, clothed.faces, grown),
-        np.tile(np.eye(3), (TEAR_FRAMES, 2, 1, 1)),
-        translations,
-        30.0,
-    )
+        Character("sheets", clothed.rest, clothed.faces, grown), np.tile(np.eye(3), (TEAR_FRAMES, 2, 1, 1)),
+        translations, 30.0,
+    )  # fmt: skip
     own = np.linspace(0, 1, count, dtype=np.float32)
-    up = mend_tears(moved, bare, own).vertices()[0, :, 2] - clothed.rest[:, 2]
+    up = on_skin(moved, bare, own).vertices()[0, :, 2] - clothed.rest[:, 2]
     np.testing.assert_allclose(up, own, atol=1e-6)

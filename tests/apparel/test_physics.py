@@ -369,12 +369,9 @@ def test_limbs_stand_in_where_a_file_has_no_colliders():
     ball = around + [0.45, 1.7, 0]
     rig = doll.rig
     whole = Rig(
-        rig.names,
-        rig.parents,
-        rig.transforms,
-        np.concatenate([rig.indices, np.full((400, 1), 2)]),
+        rig.names, rig.parents, rig.transforms, np.concatenate([rig.indices, np.full((400, 1), 2)]),
         np.concatenate([rig.weights, np.ones((400, 1))]),
-    )
+    )  # fmt: skip
     doll = Character("doll", np.concatenate([doll.vertices, ball]).astype(np.float32), doll.faces, whole)
     falls = body("falls", 1, [0.5, 2, 0], angular_damping=0.9, size=np.array([0.05, 0, 0]), mask=1)
     apparel = ApparelRig((body("root", 0, [0, 2, 0], 0), falls), (joint(0, 1, [0, 2, 0]),))

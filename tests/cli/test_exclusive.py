@@ -19,9 +19,9 @@ ROOT = Path(__file__).resolve().parents[2]
 HOLDER = """
 import sys, time
 from pathlib import Path
-from bunraku.cli.manifest import alone
+from bunraku.cli.manifest import exclusive_output
 kind, *paths = sys.argv[1:]
-with alone(**{kind: [Path(path) for path in paths]}):
+with exclusive_output(**{kind: [Path(path) for path in paths]}):
     print("held", flush=True)
     time.sleep(600)
 """

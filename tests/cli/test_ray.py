@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from bunraku.cli import main
-from bunraku.cli.transfer import Pair, run_pairs
+from bunraku.cli.outputs import run_results
+from bunraku.cli.transfer import Pair
 from bunraku.files.clips import load_animation
 from bunraku_lab.synthetic.stock_motions import stock_motion
 
@@ -23,11 +24,11 @@ CLIPS = int(os.environ.get("BUNRAKU_RAY_CLIPS", "12"))
 """Real clips in the second test; 200 take some minutes."""
 
 
-def slow_batch(settings: object, batch: list[Pair]) -> list[str]:
+def slow_batch(batch: list[Pair]) -> list[str]:
     """In the place of transfers: a moment's work that notes who did it."""
     for pair in batch:
         time.sleep(0.5)
-        with open(pair.output, "ab") as file:
+        with open(pair.path, "ab") as file:
             file.write(b"x")
     return [""] * len(batch)
 
@@ -48,21 +49,22 @@ def cluster(monkeypatch):
     found.shutdown()
 
 
-def test_a_node_that_goes_away_loses_nothing(cluster, tmp_path, monkeypatch):
+def test_a_node_that_goes_away_loses_nothing(cluster, tmp_path):
     """The transfers are stood in for, so that this is about the cluster; the transfers themselves have their tests."""
     found, second = cluster
     ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # its workers do not know the tests' folder
-    monkeypatch.setattr("bunraku.cli.transfer._run_batch", slow_batch)
-    pairs = [Pair(Path("c.glb"), Path("m.bvh"), tmp_path / f"{number}.out") for number in range(PAIRS)]
+    pairs = [Pair(tmp_path / f"{number}.out", (Path("c.glb"), Path("m.bvh"))) for number in range(PAIRS)]
     said: Counter[Path] = Counter()
-    for done, (pair, reason) in enumerate(run_pairs(pairs, None, "ray")):
+    for done, (pair, reason) in enumerate(
+        run_results(slow_batch, [pairs[start : start + 4] for start in range(0, PAIRS, 4)], "ray")
+    ):
         assert reason == ""
-        said[pair.output] += 1
+        said[pair.path] += 1
         if done == 8:
             assert len(ray.nodes()) == 2
             found.remove_node(second, allow_graceful=False)
-    assert said == Counter({pair.output: 1 for pair in pairs})
-    assert all(pair.output.stat().st_size >= 1 for pair in pairs)
+    assert said == Counter({pair.path: 1 for pair in pairs})
+    assert all(pair.path.stat().st_size >= 1 for pair in pairs)
 
 
 def test_real_clips_are_all_there_once_where_a_node_goes_away(cluster, tmp_path):

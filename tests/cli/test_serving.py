@@ -63,10 +63,13 @@ def test_a_sentence_from_a_client_to_a_moving_character(tmp_path):
         ("animate", {"character": "mushroom.glb", "sentence": "waves", "apparel": {"motion": "/etc/passwd"}}),
         ("animate", {"character": "mushroom.glb", "sentence": "waves", "sampling": {"seconds": 9e9}}),
         ("render", {"file": "wave.fbx", "output": "wave.gif"}),
+        ("transfer", {"character": "mushroom.glb", "motion": "clip:walk-slowly", "output": "walk.glb"}),
+        ("transfer", {"character": "mushroom.glb", "motion": "wave.fbx", "apparel": {"motion": "/etc/passwd"}}),
+        ("rig", {"character": "mushroom.glb"}),
     )  # fmt: skip
     assert set(tools) == {"files", "animate", "transfer", "rig", "inspect", "render", "clips"}
     assert "sentence" in tools["animate"].input_schema["required"]
-    files, inspected, clips, made, again, outside, out, mask, long, drawn = answers
+    files, inspected, clips, made, again, outside, out, mask, long, drawn, walked, masked, rigged = answers
     assert facts_of(files)["files"] == ["mushroom.glb"]
     assert facts_of(inspected)["vertices"] == len(load_character(folder / "mushroom.glb").vertices)
     assert picture_of(inspected).width > 100
@@ -76,9 +79,17 @@ def test_a_sentence_from_a_client_to_a_moving_character(tmp_path):
     assert len(load_animation(folder / "wave.fbx", 0, 30.0).motion) == 29  # 20 frames at 20 a second
     for refused, says in (
         (again, "there already"), (outside, "in the folder"), (out, "in the folder"), (mask, "apparel is one of"),
-        (long, "seconds"),
+        (long, "seconds"), (masked, "apparel is one of"),
     ):  # fmt: skip
         assert refused.is_error and says in refused.content[0].text
     assert facts_of(drawn)["file"] == "wave.gif" and picture_of(drawn).width > 100
+    assert facts_of(walked)["file"] == "walk.glb" and picture_of(walked).width > 100
+    assert facts_of(rigged)["file"] == "mushroom-rigged.glb" and picture_of(rigged).width > 100
     assert sorted(path.name for path in tmp_path.iterdir()) == ["secret.glb", "served"]
-    assert sorted(path.name for path in folder.iterdir()) == ["mushroom.glb", "wave.fbx", "wave.gif"]
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "mushroom-rigged.glb",
+        "mushroom.glb",
+        "walk.glb",
+        "wave.fbx",
+        "wave.gif",
+    ]

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import shutil
 import signal
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,9 @@ from mmd_bytes import Bone, plank, pmx
 from bunraku import transfer
 from bunraku.cli import main
 from bunraku.cli.animate import characters_of, clips_of, passes
-from bunraku.cli.manifest import note_done, unfinished
-from bunraku.cli.transfer import Settings, holds_character, marks_of, pairs_of, run_pairs
+from bunraku.cli.manifest import note_done
+from bunraku.cli.outputs import run_results, unfinished_results
+from bunraku.cli.transfer import Transfer, batches, pairs_of, transfer_pairs
 from bunraku.core.animation import RigAnimation
 from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.body.reference import reference_body
@@ -25,12 +27,14 @@ from bunraku.core.files import weights_file
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import FormatError
-from bunraku.files import load_character
+from bunraku.files import holds_character, load_character
 from bunraku.files.clips import load_clip
 from bunraku.files.mmd.vmd import load_vmd
 from bunraku.files.motions.bvh import write_bvh
 from bunraku.pipelines.motions.read import load_motion
 from bunraku.retarget.mmd_motion import mmd_animation, standard_model
+
+SETTINGS = Transfer(())
 
 
 def waving(skeleton=None, frames=8):
@@ -133,8 +137,8 @@ def test_a_batch_in_another_format(files, doll, fails, capsys):
 def test_a_process_that_is_killed_takes_no_other_pair_along(files):
     for name in ("third", "fourth", "fifth", "sixth"):
         shutil.copy2(files / "wave.bvh", files / f"{name}.bvh")
-    pairs = pairs_of([files / "person.glb"], sorted(files.glob("*.bvh")), files)
-    results = run_pairs(pairs, Settings(), 2)
+    pairs = pairs_of([files / "person.glb"], sorted(files.glob("*.bvh")), files, ".glb", SETTINGS)
+    results = run_results(partial(transfer_pairs, SETTINGS), batches(pairs, 2), 2)
     done = dict([next(results)])
     victim = multiprocessing.active_children()[0]
     os.kill(victim.pid, signal.SIGKILL)  # as the system does where memory runs out
@@ -142,8 +146,8 @@ def test_a_process_that_is_killed_takes_no_other_pair_along(files):
         assert pair not in done
         done[pair] = reason
     assert set(done) == set(pairs)
-    assert [pair.motion.name for pair in pairs if done[pair]] == ["bad.bvh"]
-    assert all(pair.output.is_file() for pair in pairs if pair.motion.name != "bad.bvh")
+    assert [pair.inputs[1].name for pair in pairs if done[pair]] == ["bad.bvh"]
+    assert all(pair.path.is_file() for pair in pairs if pair.inputs[1].name != "bad.bvh")
 
 
 def test_many_pairs(files, capsys):
@@ -206,8 +210,10 @@ def test_what_is_wrong_is_one_sentence(fails, files):
 
 
 def test_names_of_pairs(tmp_path):
-    pairs = pairs_of([tmp_path / "a" / "x.glb", tmp_path / "b" / "x.glb"], [tmp_path / "walk.bvh"], tmp_path)
-    assert [pair.output.name for pair in pairs] == ["x-walk.glb", "x-walk-2.glb"]
+    pairs = pairs_of(
+        [tmp_path / "a" / "x.glb", tmp_path / "b" / "x.glb"], [tmp_path / "walk.bvh"], tmp_path, ".glb", SETTINGS
+    )
+    assert [pair.path.name for pair in pairs] == ["x-walk.glb", "x-walk-2.glb"]
 
 
 def test_ray(files, fails):
@@ -217,7 +223,8 @@ def test_ray(files, fails):
         from bunraku.errors import MissingExtraError
 
         with pytest.raises(MissingExtraError, match=r"bunraku\[ray\]"):
-            list(run_pairs(pairs_of([files / "person.glb"], [files / "wave.bvh"], files), Settings(), "ray"))
+            pairs = pairs_of([files / "person.glb"], [files / "wave.bvh"], files, ".glb", SETTINGS)
+            list(run_results(partial(transfer_pairs, SETTINGS), [pairs], "ray"))
         pytest.skip("ray is not installed; only its absence is tested")
     assert run(files / "person.glb", files / "wave.bvh", files / "again.bvh", "-o", files / "out", "--jobs", "ray") == 0
     assert run(files / "person.glb", files / "wave.bvh", files / "again.bvh", "-o", files / "plain") == 0
@@ -243,13 +250,13 @@ def test_another_file_of_the_same_name_size_and_time_is_another(files):
     other.parent.mkdir()
     shutil.copy2(files / "wave.bvh", other)
     folder, person = files / "out", files / "person.glb"
-    first, second = (pairs_of([person], [path], folder) for path in (files / "wave.bvh", other))
+    first, second = (pairs_of([person], [path], folder, ".glb", SETTINGS) for path in (files / "wave.bvh", other))
     folder.mkdir()
-    first[0].output.write_bytes(b"done")
-    note_done(*next(iter(marks_of(first, Settings()).items())))
-    assert unfinished(marks_of(first, Settings())) == []
+    first[0].path.write_bytes(b"done")
+    note_done(first[0].path, first[0].mark)
+    assert unfinished_results(first, False, "files") == []
     with pytest.raises(FormatError, match="--overwrite"):
-        unfinished(marks_of(second, Settings()))
+        unfinished_results(second, False, "files")
 
 
 def test_a_batch_never_replaces_a_file_that_it_did_not_write(files, fails, capsys):

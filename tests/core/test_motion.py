@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from oracles import skin_reference
 from scipy.spatial.transform import Rotation
 
 from bunraku import RigAnimation
@@ -11,7 +12,6 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Handles, Rig, top_influences
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, line_up, local_rotations
-from bunraku.core.skinning import skin_reference
 from bunraku.core.travel import GroundPath, bent_to_path
 from bunraku.errors import CharacterError, MotionError, OptionError
 

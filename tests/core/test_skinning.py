@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from oracles import skin_reference
 from scipy.spatial.transform import Rotation
 
 from bunraku.core.character import FEW, Handles, top_influences
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
-from bunraku.core.skinning import decomposed, skin, skin_basis, skin_reference
+from bunraku.core.skinning import decomposed, skin, skin_basis
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from gltf_player import Player
 from scipy.spatial.transform import Rotation
 
 from bunraku.errors import CharacterError, FormatError, OptionError
-from bunraku.files import load_character, save_animation, save_character
+from bunraku.files import load_character, save, save_character
 from bunraku.files.clips import load_animation
 
 
@@ -494,7 +494,7 @@ def test_what_is_written_stands_in_the_bind_pose(write, tmp_path):
     again = load_character(save_character(arm, tmp_path / "out.glb"))
     assert np.allclose(again.vertices, arm.vertices, atol=1e-5) and np.array_equal(again.faces, arm.faces)
     animation = load_animation(write(arm_glb(ARMATURE)), fps=4.0)
-    played = load_animation(save_animation(animation, tmp_path / "played.glb", fps=4.0), fps=4.0)
+    played = load_animation(save(animation, tmp_path / "played.glb", fps=4.0), fps=4.0)
     assert np.allclose(played.vertices(), animation.vertices(), atol=1e-4)
 
 

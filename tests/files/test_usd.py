@@ -154,7 +154,7 @@ def test_a_folder_in_the_way_of_the_textures(pxr, textured, tmp_path):
 
 
 def test_without_usd(animation, tmp_path, monkeypatch):
-    from bunraku.files.registry import check_writer
+    from bunraku.files import check_writer
 
     monkeypatch.setitem(sys.modules, "pxr", None)
     for name in ("Gf", "Sdf", "Usd"):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
-from bunraku.anatomy.anatomy import body_handle_motion
 from bunraku.core.body.layout import HANDLE_NAMES, PARTS, kept_handles
 from bunraku.core.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
@@ -18,7 +17,7 @@ from bunraku.core.travel import follow, placed_at, put_back
 from bunraku.errors import MotionError, OptionError, WeightsError
 from bunraku.generation.candidates import STANDING
 from bunraku.generation.composition import STRENGTH, overlaid, steadied, straightened, turned_as_asked
-from bunraku.generation.features import FEATURE_SIZE, decode, encode
+from bunraku.generation.features import FEATURE_SIZE, body_handle_motion, decode, encode
 from bunraku.generation.generate import (
     adapt,
     continue_motion,
@@ -277,11 +276,9 @@ def test_differences_at_the_edges_fade_out():
 
 def test_loops_close(checkpoint):
     one, long = generate_motions(
-        [clauses_of([("walks", 2.0)]), clauses_of([("walks", 1.0), ("runs", 6.0)])],
-        loop=True,
-        steps=3,
+        [clauses_of([("walks", 2.0)]), clauses_of([("walks", 1.0), ("runs", 6.0)])], loop=True, steps=3,
         checkpoint=checkpoint,
-    )
+    )  # fmt: skip
     assert len(one) == 41 and len(long) == 141
     for motion in (one, long):
         assert same_frames(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bunraku
-from bunraku.anatomy.plan import lowest
+from bunraku.anatomy.anatomy import reference_anatomy
 from bunraku.cli import main
 from bunraku.core.body.reference import reference_body
 from bunraku.generation.library import all_clips, clip, search
@@ -79,7 +79,7 @@ def test_a_clip_stands_on_the_ground_and_lasts_as_long_as_is_asked():
     for name in ("wave", "run", "bow"):
         motion = clip(name).motion()
         assert len(motion) == round(20 * clip(name).seconds)
-        heights = lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
+        heights = reference_anatomy().surface_reach.lowest(motion.transforms(body.handles.positions))
         assert np.quantile(heights, 0.05) == pytest.approx(0, abs=0.03)
         long, short = clip(name).motion(12), clip(name).motion(1)
         assert len(long) == 240 and len(short) == 20

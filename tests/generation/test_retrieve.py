@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bunraku.anatomy.anatomy import body_handle_motion
 from bunraku.core.body.joint_rotations import skeleton_from_handles
 from bunraku.core.body.layout import JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.body.reference import reference_body
@@ -16,7 +15,7 @@ from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import WeightsError
 from bunraku.generation.attended import ExampleBank, take_of
 from bunraku.generation.extractor import ExtractorConfig
-from bunraku.generation.features import FeatureStatistics, decode, encode, mirror
+from bunraku.generation.features import FeatureStatistics, body_handle_motion, decode, encode, mirror
 from bunraku.generation.pack import (
     Example,
     ExamplePack,
@@ -360,8 +359,9 @@ def test_takes():
 def test_the_sampler_retrieves_for_the_sentence_from_the_shipped_examples(running):
     """Motions of a network that attends to examples differ from those that it makes where none is usable."""
     from bunraku.generation import attended
-    from bunraku.generation.sampler import Solver, sample
+    from bunraku.generation.sampler import Solver
     from bunraku.language.encoders import text_encoder
+    from bunraku_lab.evaluation.motion.samples import sample
 
     name = "all-MiniLM-L6-v2+cues"
     encoder = text_encoder(name)

@@ -91,11 +91,9 @@ def test_a_batch_of_plans_is_what_each_is_alone(model, encoder):
 def test_progress_counts_every_step(model, encoder):
     calls = []
     sample_plans(
-        model,
-        encoder.encode(["walks"]),
-        [plan_windows([100], 60)],
+        model, encoder.encode(["walks"]), [plan_windows([100], 60)],
         Solver(3, progress=lambda done, total: calls.append((done, total))),
-    )
+    )  # fmt: skip
     assert calls == [(1, 3), (2, 3), (3, 3)]
 
 

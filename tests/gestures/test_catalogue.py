@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from palms import palms as both_palms
 
-from bunraku.anatomy.anatomy import body_handle_motion
-from bunraku.anatomy.plan import lowest
+from bunraku.anatomy.anatomy import reference_anatomy
 from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.errors import FormatError
+from bunraku.generation.features import body_handle_motion
 from bunraku.gestures.catalogue import STANDING, at_part, gesture_of, gestures, part_in, read_gestures, read_parts
 from bunraku.gestures.perform import performed
 from bunraku.gestures.play import gesture_motion
@@ -165,7 +165,7 @@ def test_both_hands_hold_the_club():
 def lowest_of(motion):
     """Height of what is nearest to the ground in each frame, shape (N,) [m]."""
     body = reference_body()
-    return lowest(body.vertices, body.handle_weights, body_handle_motion(motion), body.handles.positions)
+    return reference_anatomy().surface_reach.lowest(body_handle_motion(motion).transforms(body.handles.positions))
 
 
 @pytest.mark.parametrize("name", ["march in place", "zombie", "push-up", "sit-up", "crawl", "box", "throw", "tennis"])

@@ -7,31 +7,16 @@ from palms import palms
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import SkeletalMotion
 from bunraku.gestures.catalogue import STANDING, read_places, things_file
-from bunraku.gestures.interactions import (
-    contact_gesture,
-    gaze_gesture,
-    object_gesture,
-    read_terrain_gaits,
-    walk_gesture,
-)
+from bunraku.gestures.interactions import interaction_gesture, read_terrain_gaits
 from bunraku.gestures.perform import performed
 from bunraku.gestures.play import Tracks, gesture_motion, posed
 from bunraku.gestures.standing import AT, swaying
-from bunraku.language.interactions import (
-    Contact,
-    Handling,
-    HandlingStep,
-    Place,
-    Terrain,
-    contact_of,
-    gaze_of,
-    handling_of,
-)
+from bunraku.language.interactions import Contact, Gaze, Handling, HandlingStep, Place, Terrain, read_as
 from bunraku.language.lexicon import lexicon
 
 
 def made(text):
-    return gesture_motion(contact_gesture(contact_of(text)))
+    return gesture_motion(interaction_gesture(read_as(Contact, text)))
 
 
 def busy(text, side=1):
@@ -43,7 +28,7 @@ def busy(text, side=1):
 @pytest.mark.parametrize("deed", things_file()["deeds"])
 @pytest.mark.parametrize("hands", ["one", "both", "left"])
 def test_every_deed_begins_and_ends_at_rest_and_no_hand_flies(deed, hands):
-    motion = gesture_motion(contact_gesture(Contact(deed, hands, 1.0, "grip")))
+    motion = gesture_motion(interaction_gesture(Contact(deed, hands, 1.0, "grip")))
     there = palms(motion)
     ends = [0] if deed == "sip" else [0, -1]  # a cup is held to the end
     np.testing.assert_allclose(there[ends, :, 1], 0.845, atol=0.06)
@@ -73,7 +58,7 @@ def test_a_window_is_wiped_across_and_up_and_a_table_across_and_ahead():
 
 def test_a_drawer_comes_near_and_goes_away_a_blind_comes_down_and_a_lid_goes_up():
     def way(text):
-        moves = contact_gesture(contact_of(text)).keys
+        moves = interaction_gesture(read_as(Contact, text)).keys
         first, last = (round(20 * moment) for moment in (moves[1][0], moves[-2][0]))
         return np.subtract(*palms(made(text))[[last, first], 1])
 
@@ -122,13 +107,13 @@ def test_the_left_hand_does_what_the_right_one_does_in_the_mirror():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_things_are_reached_however_it_is_performed(seed):
-    motion = performed(contact_gesture(contact_of("strokes a cat")), 120, (), np.random.default_rng(seed))
+    motion = performed(interaction_gesture(read_as(Contact, "strokes a cat")), 120, (), np.random.default_rng(seed))
     assert 0.3 < np.median(np.sort(palms(motion)[:, 1, 1])[:40]) < 0.65
 
 
-def at_stations(text, motion=None):
-    """Both palms in the middle of the stay at each station of a sentence, shape (S, 2, 3)."""
-    gesture = object_gesture(handling_of(text))
+def at_steps(text, motion=None):
+    """Both palms in the middle of the stay at each step of a sentence, shape (S, 2, 3)."""
+    gesture = interaction_gesture(read_as(Handling, text))
     there = palms(gesture_motion(gesture) if motion is None else motion)
     keys = gesture.keys
     stays = [(a[0] + b[0]) / 2 for a, b in zip(keys, keys[1:], strict=False) if a[1] == b[1]]
@@ -146,7 +131,7 @@ HEIGHTS = {
 @pytest.mark.parametrize("hands", ["both", "left", "right"])
 def test_hands_reach_every_place(height, way, hands):
     put = Handling((HandlingStep("hold", Place("chest")), HandlingStep("put", Place(height, way))), hands, True)
-    gesture = object_gesture(put)
+    gesture = interaction_gesture(put)
     there = palms(gesture_motion(gesture))[round(20 * (gesture.keys[2][0] + 0.15))]
     used = {"both": [0, 1], "left": [0], "right": [1]}[hands]
     low, high = HEIGHTS[height]
@@ -158,35 +143,35 @@ def test_hands_reach_every_place(height, way, hands):
 
 
 def test_a_box_goes_from_the_floor_to_the_left_and_over_the_head():
-    floor, chest, left = at_stations("picks up a box from the floor and puts it on a table to the left")
+    floor, chest, left = at_steps("picks up a box from the floor and puts it on a table to the left")
     assert floor[:, 1].max() < 0.3 and abs(floor[:, 0].mean()) < 0.1
     assert left[:, 0].mean() > 0.3 and left[:, 1].min() > 0.85
     for both in (floor, chest, left):  # held between the palms
         assert 0.25 < np.linalg.norm(both[0] - both[1]) < 0.45
-    *_, over = at_stations("picks up a box with two hands and lifts it over the head")
+    *_, over = at_steps("picks up a box with two hands and lifts it over the head")
     assert over[:, 1].min() > 1.9
 
 
 def test_one_hand_does_it_and_the_other_stays_down():
-    *_, high = at_stations("a person takes a cup with the left hand and puts it on a shelf")
+    *_, high = at_steps("a person takes a cup with the left hand and puts it on a shelf")
     assert high[0, 1] > 1.6 and high[1, 1] < 1.0
 
 
 def test_what_is_held_is_held_to_the_end_and_what_is_put_down_is_let_go_of():
-    held = palms(gesture_motion(object_gesture(handling_of("picks up a box with two hands"))))
+    held = palms(gesture_motion(interaction_gesture(read_as(Handling, "picks up a box with two hands"))))
     assert held[-1, :, 1].min() > 1.1 > held[0, :, 1].max()
-    gone = palms(gesture_motion(object_gesture(handling_of("puts a box on the floor"))))
+    gone = palms(gesture_motion(interaction_gesture(read_as(Handling, "puts a box on the floor"))))
     assert gone[0, :, 1].min() > 1.1 and gone[-1, :, 1].max() < 1.0
 
 
 def test_weights_go_up_again_and_again():
-    height = palms(gesture_motion(object_gesture(handling_of("lifts heavy weights"))))[..., 1].mean(axis=1)
+    height = palms(gesture_motion(interaction_gesture(read_as(Handling, "lifts heavy weights"))))[..., 1].mean(axis=1)
     assert ((height[1:] > 0.8) & (height[:-1] <= 0.8)).sum() >= 3
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_places_are_reached_however_it_is_performed(seed):
-    gesture = object_gesture(handling_of("moves a box from the floor on the left to the shelf"))
+    gesture = interaction_gesture(read_as(Handling, "moves a box from the floor on the left to the shelf"))
     there = palms(performed(gesture, 120, (), np.random.default_rng(seed)))
     low = there[there[..., 1].mean(axis=1).argmin()]
     assert low[:, 1].max() < 0.3 and low[:, 0].mean() > 0.28
@@ -195,7 +180,7 @@ def test_places_are_reached_however_it_is_performed(seed):
 
 def gaze(text):
     """How far the gaze is up and to the left [degrees], shape (N, 2), and the lean of the chest ahead."""
-    rotations, _ = gesture_motion(gaze_gesture(gaze_of(text))).world()
+    rotations, _ = gesture_motion(interaction_gesture(read_as(Gaze, text))).world()
     ahead, up = rotations[:, AT["head"], :, 2], rotations[:, AT["spine3"], :, 1]
     angles = [np.degrees(np.arcsin(ahead[:, 1])), np.degrees(np.arctan2(ahead[:, 0], ahead[:, 2]))]
     return np.stack(angles, axis=1), np.degrees(np.arctan2(up[:, 2], up[:, 1]))
@@ -212,7 +197,7 @@ def test_the_gaze_goes_up_down_and_along():
 def test_who_looks_over_a_cliff_leans_over_it():
     depth, lean = gaze("looks over the cliff")
     assert np.median(depth[:, 0]) < -30 and np.median(lean) > 15
-    pelvis = gesture_motion(gaze_gesture(gaze_of("looks under the bed"))).world()[1][:, 0, 1]
+    pelvis = gesture_motion(interaction_gesture(read_as(Gaze, "looks under the bed"))).world()[1][:, 0, 1]
     assert pelvis[0] - np.median(pelvis) > 0.2 and np.median(gaze("looks under the bed")[1]) > 45
 
 
@@ -224,13 +209,15 @@ def test_who_looks_at_the_ground_by_himself_looks_up_as_far_as_anybody():
     bent = SkeletalMotion(level.skeleton, rotations, level.root_translation, level.fps)
     ups = []
     for idle in (level, bent):
-        motion = performed(gaze_gesture(gaze_of("gazes at the stars")), 120, (idle,), np.random.default_rng(0))
+        motion = performed(
+            interaction_gesture(read_as(Gaze, "gazes at the stars")), 120, (idle,), np.random.default_rng(0)
+        )
         ups.append(np.degrees(np.arcsin(np.median(motion.world()[0][40:80, AT["head"], 1, 2]))))
     assert ups[0] > 20 and abs(ups[0] - ups[1]) < 8
 
 
 def walk(ground, height=0.0):
-    return gesture_motion(walk_gesture(Terrain(ground, height)))
+    return gesture_motion(interaction_gesture(Terrain(ground, height)))
 
 
 def of(motion, joint):

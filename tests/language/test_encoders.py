@@ -14,8 +14,7 @@ import bunraku
 import bunraku.language
 from bunraku.core.nn.layers import unit
 from bunraku.errors import OptionError, WeightsError
-from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder, text_encoder
-from bunraku.language.lexicon import CUES
+from bunraku.language.encoders import CUES, TEXT_LENGTH, MiniLMEncoder, text_encoder
 from bunraku.language.prompts import check_prompt
 from bunraku.language.tokenizer import WordPieces, encoder_file, read_header
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bunraku.language.interactions import contact_of, gaze_of, handling_of, terrain_of
+from bunraku.language.interactions import Contact, Gaze, Handling, Terrain, read_as
 from bunraku.language.parse import parse
 from bunraku.language.understood import understood
 
@@ -40,7 +40,7 @@ from bunraku.language.understood import understood
     ],
 )
 def test_what_is_done_and_how_high_follows_from_the_thing(text, deed, lowest, highest):
-    found = contact_of(text)
+    found = read_as(Contact, text)
     assert found.deed == deed and lowest < found.height < highest
 
 
@@ -61,12 +61,12 @@ def test_what_is_done_and_how_high_follows_from_the_thing(text, deed, lowest, hi
     ],
 )
 def test_hands_are_those_that_are_named_or_that_the_thing_takes(text, deed, hands):
-    assert contact_of(text)[:2] == (deed, hands)
+    assert read_as(Contact, text)[:2] == (deed, hands)
 
 
 def test_a_thing_is_on_the_side_that_is_said():
-    assert contact_of("presses the button on the left").way == "left"
-    assert contact_of("presses the button with the left hand").way == ""
+    assert read_as(Contact, "presses the button on the left").way == "left"
+    assert read_as(Contact, "presses the button with the left hand").way == ""
 
 
 @pytest.mark.parametrize(
@@ -94,21 +94,21 @@ def test_a_thing_is_on_the_side_that_is_said():
     ],
 )
 def test_what_is_no_deed_at_a_thing_or_not_all_that_is_done_is_none(text):
-    assert contact_of(text) is None
+    assert read_as(Contact, text) is None
 
 
 def test_it_is_what_was_named_before():
     first, second = parse("a person walks to the door, then opens it").clauses
-    assert first.told is None and second.told.deed == "swing open"
+    assert first.detail is None and second.detail.deed == "swing open"
     (clause,) = parse("walks over to the horse and strokes its mane").clauses
-    assert [part.told and part.told.deed for part in clause.parts] == [None, "stroke"]
+    assert [part.detail and part.detail.deed for part in clause.parts] == [None, "stroke"]
     (clause,) = parse("a person lifts a box and throws it").clauses
     assert clause.text.endswith("throws it")
 
 
 def test_who_walks_and_sips_has_two_voices():
     (clause,) = parse("walks while sipping tea").clauses
-    assert clause.body.text == "a person walks" and clause.meanwhile.told.deed == "sip"
+    assert clause.body.text == "a person walks" and clause.meanwhile.detail.deed == "sip"
 
 
 def test_words_of_things_are_understood_where_something_is_done_with_them():
@@ -153,7 +153,7 @@ def test_words_of_things_are_understood_where_something_is_done_with_them():
     ],
 )
 def test_the_ground_is_read(text, ground):
-    assert terrain_of(text).ground == ground
+    assert read_as(Terrain, text).ground == ground
 
 
 @pytest.mark.parametrize(
@@ -174,18 +174,18 @@ def test_the_ground_is_read(text, ground):
     ],
 )
 def test_other_ways_and_what_nobody_walks_on_are_none(text):
-    assert terrain_of(text) is None
+    assert read_as(Terrain, text) is None
 
 
 def test_who_waves_on_the_way_through_snow_does_both():
     (clause,) = parse("a person walks through the snow while waving").clauses
-    assert clause.body.told.ground == "deep" and clause.meanwhile.actions == ("wave",)
+    assert clause.body.detail.ground == "deep" and clause.meanwhile.actions == ("wave",)
 
 
 def told(text):
     """Hands and stations as words: "take floor", "put table left"."""
-    found = handling_of(text)
-    return found and (found.hands, [" ".join((one.does, *one.place)).strip() for one in found.stations])
+    found = read_as(Handling, text)
+    return found and (found.hands, [" ".join((one.does, *one.place)).strip() for one in found.steps])
 
 
 @pytest.mark.parametrize(
@@ -227,20 +227,20 @@ def test_what_is_no_thing_or_not_all_that_is_done_is_not_handled(text):
 
 
 def test_only_what_says_more_than_the_floor_is_more_than_picking_up():
-    assert not handling_of("a person picks up a box from the floor").said
-    assert not handling_of("a person carries a box").said
+    assert not read_as(Handling, "a person picks up a box from the floor").said
+    assert not read_as(Handling, "a person carries a box").said
     for text in (
         "picks up a cup",
         "picks up a box with one hand",
         "picks up a box and puts it down",
         "takes a box from the shelf",
     ):
-        assert handling_of(text).said
+        assert read_as(Handling, text).said
 
 
 def test_a_thing_that_is_not_let_go_of_makes_one_clause():
     (one,) = parse("a person picks up a box, then places it on the shelf").clauses
-    assert [station.does for station in one.told.stations] == ["take", "hold", "put"]
+    assert [station.does for station in one.detail.steps] == ["take", "hold", "put"]
     assert one.seconds == pytest.approx(6)
     assert len(parse("a person puts a box down, then picks up a cup").clauses) == 2
 
@@ -286,22 +286,22 @@ def test_back_and_forth_is_no_second_voice():
 
 def test_where_somebody_looks_follows_from_what_is_seen():
     for text in ("a child gazes at a skyscraper", "gazes at the stars"):
-        assert gaze_of(text).pitch < -20
+        assert read_as(Gaze, text).pitch < -20
     for text in ("a person gazes at the ocean", "watches the sunset", "looks into the distance"):
-        seen = gaze_of(text)
+        seen = read_as(Gaze, text)
         assert abs(seen.pitch) < 5 and seen.sweep > 10 and not seen.lean
     for text in ("looks down into a canyon", "peers into a well", "stands at a precipice and looks down"):
-        seen = gaze_of(text)
+        seen = read_as(Gaze, text)
         assert seen.pitch > 20 and seen.lean > 10
-    assert gaze_of("looks down at the feet").pitch > 20
-    assert gaze_of("gazes across the valley").pitch < 5 < 20 < gaze_of("looks into the valley").pitch
-    assert abs(gaze_of("stares at a painting on the wall").pitch) < 5
+    assert read_as(Gaze, "looks down at the feet").pitch > 20
+    assert read_as(Gaze, "gazes across the valley").pitch < 5 < 20 < read_as(Gaze, "looks into the valley").pitch
+    assert abs(read_as(Gaze, "stares at a painting on the wall").pitch) < 5
 
 
 def test_what_hands_meet_is_as_low_as_that_and_what_is_not_known_is_straight_ahead():
-    pitches = [gaze_of(f"looks at the {thing}").pitch for thing in ("statue", "vase", "box")]
+    pitches = [read_as(Gaze, f"looks at the {thing}").pitch for thing in ("statue", "vase", "box")]
     assert pitches == sorted(pitches) and pitches[0] < 20 < 40 < pitches[2]
-    assert abs(gaze_of("looks at the contraption").pitch) < 5
+    assert abs(read_as(Gaze, "looks at the contraption").pitch) < 5
 
 
 @pytest.mark.parametrize(
@@ -320,11 +320,11 @@ def test_what_hands_meet_is_as_low_as_that_and_what_is_not_known_is_straight_ahe
     ],
 )
 def test_gestures_of_looking_and_what_is_done_beside_it_are_none(text):
-    assert gaze_of(text) is None
+    assert read_as(Gaze, text) is None
 
 
 def test_what_limbs_do_beside_a_ground_is_a_voice_of_its_own_and_a_look_down_at_a_cliff_is_none():
     (clause,) = parse("stands at a precipice and looks down").clauses
-    assert clause.told.lean > 10 and not clause.voices
+    assert clause.detail.lean > 10 and not clause.voices
     (clause,) = parse("walks through the snow with the arms raised").clauses
-    assert clause.body.told.ground == "deep" and clause.meanwhile.text == "the arms raised"
+    assert clause.body.detail.ground == "deep" and clause.meanwhile.text == "the arms raised"

@@ -9,9 +9,8 @@ from bunraku.gestures.catalogue import things_file
 from bunraku.gestures.interactions import read_terrain_gaits
 from bunraku.language.captions import mirror_words
 from bunraku.language.clauses import as_parsed, as_present, parts_of, subject_of
-from bunraku.language.encoders import CuedEncoder
+from bunraku.language.encoders import CUES, CuedEncoder, sentence_cues
 from bunraku.language.lexicon import (
-    CUES,
     actions_of,
     goes_ahead,
     in_known_words,
@@ -20,7 +19,6 @@ from bunraku.language.lexicon import (
     main_actions,
     said_cues,
     said_otherwise,
-    sentence_cues,
 )
 from bunraku.language.parse import clause_of, for_body, parse
 from bunraku.language.things import named_in, things
@@ -195,7 +193,7 @@ def test_several_hundred_things_stand_where_people_of_that_height_meet_them():
 
 def test_the_longest_noun_counts():
     words = ["a", "steering", "wheel", "of", "a", "car"]
-    found = [(one.start, one.stop, one.means.name) for one in named_in(things().kinds, words, 0, len(words))]
+    found = [(one.start, one.stop, one.means.name) for one in named_in(things().kinds, words, range(len(words)))]
     assert found == [(1, 3, "wheel"), (5, 6, "vehicle")]
 
 

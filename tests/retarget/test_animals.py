@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from gaits import gait_of
 
-from bunraku.anatomy.anatomy import Anatomy, body_handle_motion
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.joints import further_limbs
 from bunraku.anatomy.names.bone_names import rig_handles
 from bunraku.core.animation import Animation
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
@@ -16,6 +17,7 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Handles
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.generation.features import body_handle_motion
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.stages.animals import Gait, Swings, pairs_of
 from bunraku.retarget.stages.stage import Fitting
@@ -61,14 +63,17 @@ def test_the_cycle_is_that_of_left_against_right(cycle):
 
 
 def test_six_legs_stand_on_tripods_and_slow_ones_lift_one_after_the_other():
-    fast, slow = Gait().phases(legs(3), 0.8), Gait().phases(legs(3), 2.0)
+    fast, slow = (
+        Gait().phases(legs(3), further_limbs(legs(3)), 0.8),
+        Gait().phases(legs(3), further_limbs(legs(3)), 2.0),
+    )
     assert [fast[H[name]] for name in SPARE["left"]] == [0.5, 0.0]
     assert [slow[H[name]] for name in SPARE["right"]] == pytest.approx([1 / 3, 2 / 3])
 
 
 def test_a_further_leg_is_half_a_cycle_behind():
     handles, motion = legs(2), walk(1.0)
-    turned = axis_angle_from_matrix(Gait().stepping(motion, handles))[..., 0]
+    turned = axis_angle_from_matrix(Gait().stepping(motion, handles, further_limbs(handles)))[..., 0]
     first, second = turned[:, H["left_hip"]], turned[:, H["left_wing"]]
     assert second == pytest.approx(-first, abs=0.02)  # of a sine, half a cycle later
     assert turned[:, H["right_wing"]] == pytest.approx(first, abs=0.02)
@@ -76,10 +81,12 @@ def test_a_further_leg_is_half_a_cycle_behind():
 
 def test_what_is_done_together_stays_so():
     handles, motion = legs(2), walk(1.0, both=1.0)
-    turned = Gait().stepping(motion, handles)
+    turned = Gait().stepping(motion, handles, further_limbs(handles))
     assert np.array_equal(turned[:, H["left_wing"]], turned[:, H["left_hip"]])
     plain = Handles(handles.positions, handles.weights)
-    assert np.array_equal(Gait().stepping(walk(1.0), plain), walk(1.0).rotations.astype(np.float64))
+    assert np.array_equal(
+        Gait().stepping(walk(1.0), plain, further_limbs(plain)), walk(1.0).rotations.astype(np.float64)
+    )
 
 
 PLAIN = Stages(ground=False, feet=False, smooth=False, floor=False, support=False)

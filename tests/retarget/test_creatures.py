@@ -10,8 +10,8 @@ import pytest
 import bunraku
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import attach_joints
+from bunraku.anatomy.legs import BodyPlan, check_plans
 from bunraku.anatomy.names.bone_names import handle_of_joints
-from bunraku.anatomy.plan import BodyPlan, check_plans
 from bunraku.core.animation import Animation
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.core.body.reference import reference_body
@@ -214,7 +214,7 @@ def test_two_legs_under_a_level_trunk_go_from_stance_to_stance_and_onto_people_b
         for part in ("hip", "knee", "ankle", "foot"):
             angles[:, HANDLE_NAMES.index(f"{name}_{part}"), 0] = sign * swing
     turns, still = matrix_from_axis_angle(angles), np.zeros((count, 3))
-    turns, moves = attach_joints(turns, parts.handles, parts.joints)
+    turns, moves = attach_joints(turns, parts.handles.positions, parts.joints)
     motion = HandleMotion(moves, turns, still, np.tile(np.eye(3), (count, 1, 1)), 20.0)
     source = bunraku.Animation(body, parts.handles, motion)
     found = creature_motion(source, fps=20.0)

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from bunraku.anatomy.anatomy import Anatomy, decimated, reference_anatomy
 from bunraku.anatomy.joints import attach_joints, find_joints, reference_joints
-from bunraku.anatomy.legs import find_arms, find_legs, foot_points, move_feet
+from bunraku.anatomy.legs import find_arms, find_legs
+from bunraku.anatomy.rest_pose import upright
 from bunraku.core.animation import Animation
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.core.body.reference import handle_positions, reference_body
@@ -27,6 +28,7 @@ from bunraku.retarget.stages.animals import Support
 from bunraku.retarget.stages.feet import Feet
 from bunraku.retarget.stages.ground import Ground, Soles, enough
 from bunraku.retarget.stages.shape import Smooth
+from bunraku.retarget.stages.stage import sole_points, with_feet_moved
 from bunraku.retarget.to_reference import handle_motion_of_body
 from bunraku_lab.datasets.motions.clips import load_clip
 from bunraku_lab.synthetic.samples import make_sample
@@ -38,7 +40,7 @@ LEFT, RIGHT = HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")
 def person():
     body = reference_body()
     character, joints = body.character(), reference_joints()
-    return character, body.handles, joints, find_legs(character, body.handles, joints)
+    return character, body.handles, joints, find_legs(character, body.handles, joints, True)
 
 
 def still(frames=30):
@@ -67,9 +69,9 @@ def posed(frames, axis=(1, 0, 0), **angles):
 
 
 def soles(motion, person):
-    character, handles, _, legs = person
+    _, handles, _, legs = person
     transforms = motion.transforms(handles.positions)
-    return [foot_points(leg, character, handles, transforms) for leg in legs]
+    return [sole_points(leg, reference_anatomy(), transforms) for leg in legs]
 
 
 def test_a_person_has_two_legs_and_two_arms(person):
@@ -106,7 +108,7 @@ def table():
 
 def test_who_lies_along_its_spine_stands_on_all_that_reaches_the_ground():
     character, handles = table()
-    legs = find_legs(character, handles, find_joints(character, handles))
+    legs = find_legs(character, handles, find_joints(character, handles), upright(handles))
     assert [HANDLE_NAMES[leg.upper] for leg in legs] == ["left_hip", "right_hip", "left_shoulder", "right_shoulder"]
     for leg in legs:
         np.testing.assert_allclose(leg.joints[:, 1], [0.9, 0.6, 0.3], atol=0.01)
@@ -119,7 +121,7 @@ def test_who_lies_along_its_spine_stands_on_all_that_reaches_the_ground():
         character.faces,
     )
     assert (
-        len(find_legs(short, handles, find_joints(short, handles))) == 2
+        len(find_legs(short, handles, find_joints(short, handles), upright(handles))) == 2
     )  # front legs that do not reach the ground are arms
 
 
@@ -130,18 +132,18 @@ def test_who_has_no_legs_is_lifted_and_otherwise_left_alone():
     weights[:, 0] += weights[:, legs].sum(axis=1)
     weights[:, legs] = 0
     ghost, handles = body.character(), Handles(body.handles.positions, weights)
-    assert find_legs(ghost, handles, Anatomy.of(ghost, handles).joints) == []
+    assert Anatomy.of(ghost, handles).legs == []
     motion = replace(still(20), root_translation=np.linspace(0, 1, 20)[:, None] * [0.3, 0, 0])
     with_stage, without = (fit_motion(motion, Anatomy.of(ghost, handles), Stages(feet=feet)) for feet in (True, False))
     np.testing.assert_array_equal(with_stage.root_translation, without.root_translation)
 
 
 def test_a_moved_foot_is_where_it_should_be_and_bones_keep_their_length(person):
-    _, handles, joints, legs = person
+    _, handles, _, legs = person
     motion = posed(5, left_hip=-40, left_knee=60)
     shift = np.zeros((5, 2, 3))
     shift[:, 0] = [0.05, 0.08, -0.1]
-    moved = move_feet(motion, handles, joints, legs, shift)
+    moved = with_feet_moved(motion, reference_anatomy(), legs, shift)
     before, after = soles(motion, person), soles(moved, person)
     np.testing.assert_allclose(
         after[0] - before[0], np.broadcast_to(shift[:, :1], after[0].shape), atol=0.01
@@ -170,13 +172,14 @@ def test_a_moved_foot_is_where_it_should_be_and_bones_keep_their_length(person):
 
 
 def test_no_shift_changes_nothing_and_a_straight_leg_is_not_stretched(person):
-    _, handles, joints, legs = person
+    legs = person[3]
     motion = posed(4, left_hip=-30, left_knee=20)
     tiny = np.full((4, 2, 3), 1e-8)
-    np.testing.assert_allclose(move_feet(motion, handles, joints, legs, tiny).rotations, motion.rotations, atol=2e-4)
+    same = with_feet_moved(motion, reference_anatomy(), legs, tiny)
+    np.testing.assert_allclose(same.rotations, motion.rotations, atol=2e-4)
     down = np.zeros((4, 2, 3))
     down[..., 1] = -0.3
-    moved = move_feet(still(4), handles, joints, legs, down)
+    moved = with_feet_moved(still(4), reference_anatomy(), legs, down)
     drop = soles(still(4), (person))[0][..., 1].min() - soles(moved, person)[0][..., 1].min()
     assert -1e-6 < drop < 0.02
 
@@ -448,7 +451,7 @@ def test_long_feet_are_held_flatter_and_do_not_sink():
     leg = anatomy.legs[0]
     for motion, sunk in ((off, True), (on, False)):
         world = motion.transforms(anatomy.handles.positions)
-        low = foot_points(leg, anatomy.mesh, anatomy.mesh_handles, world)[..., 1].min() - anatomy.floor
+        low = sole_points(leg, anatomy, world)[..., 1].min() - anatomy.floor
         assert (low < -1.05 * Soles().sinks * leg.length) == sunk
     np.testing.assert_array_equal(on.root_translation, off.root_translation)
 
@@ -477,7 +480,7 @@ def folded(dog, seconds: float, pitch: float = 0.0, heading: float = 0.0, part: 
     for side in ("left", "right"):
         for name in (part, *(("elbow", "wrist") if part == "shoulder" else ("knee", "ankle", "foot"))):
             angles[20 : 20 + round(seconds * FPS), H[f"{side}_{name}"], 0] = -1.2
-    rotations, translations = attach_joints(matrix_from_axis_angle(angles), handles, joints)
+    rotations, translations = attach_joints(matrix_from_axis_angle(angles), handles.positions, joints)
     tilt = np.zeros((frames, 3))
     tilt[20 : 20 + round(seconds * FPS), 0] = -pitch
     root = matrix_y(np.array(heading)) @ matrix_from_axis_angle(tilt)
@@ -485,21 +488,26 @@ def folded(dog, seconds: float, pitch: float = 0.0, heading: float = 0.0, part: 
     return HandleMotion(translations, rotations, path, root, FPS)
 
 
+def named(dog):
+    """Its anatomy, with the joints of its rig and no rotations of its rest pose."""
+    character, handles, joints = dog
+    return Anatomy.of(character, handles, (np.tile(np.eye(3), (len(HANDLE_NAMES), 1, 1)), joints))
+
+
 def low(dog, motion, front: bool):
     """Height of the lowest foot of one end, over the leg's length, shape (N,)."""
-    character, handles, joints = dog
-    legs = find_legs(character, handles, joints)
+    character, handles, _ = dog
+    anatomy = named(dog)
     floor, world = float(character.vertices[:, 1].min()), motion.transforms(handles.positions)
     arms = {H["left_shoulder"], H["right_shoulder"]}
-    own = [leg for leg in legs if (leg.upper in arms) == front]
+    own = [leg for leg in anatomy.legs if (leg.upper in arms) == front]
     assert len(own) == 2
-    heights = [foot_points(leg, character, handles, world)[..., 1].min(axis=1) - floor for leg in own]
+    heights = [sole_points(leg, anatomy, world)[..., 1].min(axis=1) - floor for leg in own]
     return np.max(heights, axis=0) / own[0].length
 
 
 def kept(dog, motion):
-    character, handles, joints = dog
-    anatomy = Anatomy.of(character, handles, (np.tile(np.eye(3), (len(HANDLE_NAMES), 1, 1)), joints))
+    anatomy = named(dog)
     return Support().kept(motion, anatomy), Support().unsupported(motion, anatomy)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from look import hands_in_body
 
-from bunraku.anatomy.anatomy import Anatomy, body_handle_motion
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.names.bone_names import rig_handles
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.core.body.reference import handle_positions, reference_body
@@ -16,6 +16,7 @@ from bunraku.core.geometry.surface import vertex_areas
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import OptionError
 from bunraku.files.samples import sample_character
+from bunraku.generation.features import body_handle_motion
 from bunraku.pipelines.animate import rig
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.pins import PINNED, Pin, end_positions, limb_ends, meet_pins, spread

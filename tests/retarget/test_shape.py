@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from oracles import skin_reference
 from scipy.optimize import minimize
 
 from bunraku.anatomy.anatomy import Anatomy
@@ -17,7 +18,7 @@ from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import skin, skin_reference
+from bunraku.core.skinning import skin
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.stages.animals import Front
@@ -286,7 +287,7 @@ def bowed(angle: float) -> HandleMotion:
 
 def head_heights(dog, motion: HandleMotion, rotations: np.ndarray) -> np.ndarray:
     """Of the lowest point of the head over the ground, over the height, shape (N,)."""
-    turned, translations = attach_joints(rotations, dog.handles, dog.joints)
+    turned, translations = attach_joints(rotations, dog.handles.positions, dog.joints)
     posed = HandleMotion(translations, turned, np.zeros((FRONT_FRAMES, 3)), motion.root_rotation, 20.0)
     held = dog.handles.weights[:, HANDLE_NAMES.index("head")] > 0.5
     character = dog.character

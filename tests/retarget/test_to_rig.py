@@ -8,7 +8,7 @@ import pytest
 
 import bunraku
 from bunraku import CharacterError, SkeletalMotion
-from bunraku.anatomy.anatomy import Anatomy, body_handle_motion
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.core.body.reference import LIMB_CHILD, reference_body
@@ -22,6 +22,7 @@ from bunraku.files.gltf.document import mesh_document
 from bunraku.files.gltf.nodes import read_nodes, read_skins
 from bunraku.files.gltf.open import open_document
 from bunraku.files.gltf.read import character_from_document
+from bunraku.generation.features import body_handle_motion
 from bunraku.pipelines.requests import Request, Sampling
 from bunraku.retarget.engine_skeleton import carried, on_skeleton
 from bunraku.retarget.fit import Stages

@@ -193,5 +193,5 @@ def test_a_tail_is_turned_up_where_it_would_sink():
 
 
 def attached(motion: HandleMotion, parts: RigParts) -> HandleMotion:
-    rotations, translations = attach_joints(motion.rotations.astype(float), parts.handles, parts.joints)
+    rotations, translations = attach_joints(motion.rotations.astype(float), parts.handles.positions, parts.joints)
     return replace(motion, rotations=rotations, translations=translations)

@@ -13,9 +13,9 @@ import pytest
 
 from bunraku import save_character
 from bunraku.cli import main
+from bunraku.files import READERS
 from bunraku.files.clips import load_animation
 from bunraku.files.presets import preset_named
-from bunraku.files.registry import FORMATS
 from bunraku.files.samples import sample_character
 
 SCRIPT = """
@@ -271,7 +271,7 @@ def test_it_asks_what_the_studio_answers(client):
         assert set(re.findall(r'"(\w+)":', body)) <= set(schema["properties"])
     assert preset_named("godot").suffix == ".glb" and '"preset": "godot"' in text
     reads = set(json.loads("[" + re.search(r"READS: Array\[String\] = \[(.+)\]", text)[1] + "]"))
-    assert reads <= {suffix[1:] for one in FORMATS if one.character for suffix in one.suffixes}
+    assert reads <= {suffix[1:] for suffix in READERS["character"]}
 
 
 def test_a_sentence_from_godot_to_a_moving_character(studio, tmp_path):

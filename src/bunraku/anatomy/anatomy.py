@@ -1,6 +1,4 @@
-"""What a body is: its joints, legs and plan, and how it stands, worked out once from a character and its handles; and
-motions of SMPL's 22 joints as handle motions of the reference body.
-"""
+"""What a body is: its joints, legs and plan, and how it stands, worked out once from a character and its handles."""
 
 from __future__ import annotations
 
@@ -10,7 +8,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from bunraku.anatomy.handles.limbs import LIMB_HANDLES
+from bunraku.anatomy.handles.limbs import LIMB_HANDLES, has_extra_legs
 from bunraku.anatomy.joints import (
     Joints,
     LimbView,
@@ -22,17 +20,16 @@ from bunraku.anatomy.joints import (
     reference_joints,
     refined_joints,
 )
-from bunraku.anatomy.legs import Leg, find_arms, find_legs, find_stumps
-from bunraku.anatomy.plan import BodyPlan, Reach, plan_of, reference_reach, standing, stride_scale
+from bunraku.anatomy.legs import BodyPlan, Leg, Reach, find_arms, find_legs, plan_of, standing, stride_scale
 from bunraku.anatomy.rest_pose import block_rest, rest_of_limbs, stance_of, upright
-from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES
-from bunraku.core.body.reference import leg_length, reference_body
+from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.surface import extreme_points, part_extremes, vertex_areas
-from bunraku.core.motion import HandleMotion, SkeletalMotion
-from bunraku.errors import CharacterError, MotionError
+from bunraku.core.motion import HandleMotion
+from bunraku.errors import CharacterError
 
-__all__ = ["Anatomy", "body_handle_motion", "decimated", "reference_anatomy", "stiff"]
+__all__ = ["Anatomy", "decimated", "reference_anatomy"]
 
 
 CELLS = 8000  # about how many vertices the surface is left with
@@ -52,11 +49,8 @@ def decimated(character: Character, handles: Handles) -> tuple[Character, Handle
     vertices, used = character.vertices, np.flatnonzero(character.surface)
     low = vertices[used].min(axis=0)
     some = character.faces[:: max(1, len(character.faces) // MANY)]
-    area = (
-        float(vertex_areas(vertices[some.ravel()], np.arange(some.size).reshape(-1, 3)).sum())
-        * len(character.faces)
-        / len(some)
-    )
+    of_some = float(vertex_areas(vertices[some.ravel()], np.arange(some.size).reshape(-1, 3)).sum())
+    area = of_some * len(character.faces) / len(some)
     cell = max(float(np.sqrt(SPREAD * area / CELLS)), 1e-4 * float(np.ptp(vertices[used], axis=0).max()))
     corner = ((vertices[used] - low) / cell).astype(np.int64)
     wide = corner.max(axis=0) + 1
@@ -81,9 +75,8 @@ def decimated(character: Character, handles: Handles) -> tuple[Character, Handle
     again[kept] = np.arange(len(kept))
     light = Character(character.name, ((mean @ vertices[used]) / total)[kept], again[faces[first]])
     shares = ((mean @ weights) / total)[kept]
-    return light, Handles(
-        handles.positions, shares / shares.sum(axis=1, keepdims=True), handles.features, handles.roles, handles.rigid
-    )
+    shares = shares / shares.sum(axis=1, keepdims=True)
+    return light, Handles(handles.positions, shares, handles.features, handles.roles, handles.rigid)
 
 
 _FRONT = ("neck", "head", "head_top", "face")
@@ -134,13 +127,23 @@ class Anatomy:
 
     def measured(self) -> Anatomy:
         """The same, with all worked out that the stages of fitting ask of every body."""
-        _ = self.plan, self.upright, self.arms, self.scale, self.floor
+        _ = self.plan, self.arms, self.scale, self.floor, self.reach, self.has_extra_legs
         return self
 
     @cached_property
     def upright(self) -> bool:
         """Whether the head is over the hips rather than before them."""
         return upright(self.handles)
+
+    @cached_property
+    def has_extra_legs(self) -> bool:
+        """Whether it has limbs beyond those of a person."""
+        return has_extra_legs(self.handles)
+
+    @property
+    def is_person(self) -> bool:
+        """Whether it is upright, with two arms and two legs."""
+        return self.plan.kind == "person" and not self.has_extra_legs
 
     @cached_property
     def further(self) -> list[list[int]]:
@@ -161,6 +164,13 @@ class Anatomy:
         return np.asarray(self.joints.present & (played == np.arange(len(played))))
 
     @cached_property
+    def extra_limbs(self) -> list[list[int]]:
+        """The handles beside those of a person, limb by limb, by the weights of all vertices; appendages are among
+        them.
+        """
+        return further_limbs(self.handles)
+
+    @cached_property
     def _beyond(self) -> list[list[int]]:
         return further_limbs(self.mesh_handles) if self.handles.roles is not None else []
 
@@ -179,12 +189,9 @@ class Anatomy:
         if self.known is not None:
             return self.known
         found = iter(self._estimates)
-        if self._views:
-            turns, joints = by_limb(
-                self.mesh_handles, lambda some: rest_of_limbs(self.mesh, some, next(found)), self._views
-            )
-        else:
-            turns, joints = rest_of_limbs(self.mesh, self.mesh_handles, next(found))
+        turns, joints = by_limb(
+            self.mesh_handles, lambda some: rest_of_limbs(self.mesh, some, next(found)), self._views
+        )
         for array in (turns, joints.positions, joints.parents, joints.present):
             array.setflags(write=False)
         return turns, joints
@@ -213,28 +220,50 @@ class Anatomy:
 
     @cached_property
     def legs(self) -> list[Leg]:
-        """The limbs that it stands on; none of who has no legs."""
-        return find_legs(self.mesh, self.mesh_handles, self.joints)
+        """The limbs that it stands on; empty where it has no legs."""
+        return find_legs(self.mesh, self.mesh_handles, self.joints, self.upright)
 
     @cached_property
-    def arms(self) -> list[Leg]:
-        """The arms that are not among its legs."""
+    def _all_arms(self) -> list[Leg]:
         return find_arms(self.mesh, self.mesh_handles, self.joints, self.legs)
 
     @cached_property
+    def arms(self) -> list[Leg]:
+        """The arms with hands that are not among its legs."""
+        return [arm for arm in self._all_arms if arm.foot]
+
+    @cached_property
     def stumps(self) -> list[Leg]:
-        """The arms without a hand of their own that are not among its legs."""
-        return find_stumps(self.mesh, self.mesh_handles, self.joints, self.legs)
+        """The arms that are not among its legs and have no hand of their own, such as those of one rigid block, which
+        end in what may be a fist.
+        """
+        return [arm for arm in self._all_arms if not arm.foot]
 
     @cached_property
     def plan(self) -> BodyPlan:
         """What it stands and moves with."""
-        return plan_of(self.mesh, self.mesh_handles, self.joints, self.legs, self.further)
+        return plan_of(self.mesh, self.mesh_handles, self.joints, self.legs, self.further, self.upright)
+
+    def attached(self, rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Local rotations (N, K, 3, 3) and translations (N, K, 3) [m] in which every joint holds (`attach_joints`)."""
+        return attach_joints(rotations, self.handles.positions, self.joints)
+
+    @cached_property
+    def _to_stance(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rotations (1, K, 3, 3) and translations (1, K, 3) from the rest pose into the reference body's stance."""
+        return self.attached(self.rotations[None].astype(np.float64))
+
+    @cached_property
+    def stance_transforms(self) -> np.ndarray:
+        """Transforms of the handles from the rest pose into the reference body's stance, shape (K, 3, 4)."""
+        rotations, translations = self._to_stance
+        motion = HandleMotion(translations, rotations, np.zeros((1, 3)), np.eye(3)[None])
+        return motion.transforms(self.handles.positions)[0]
 
     @cached_property
     def stance(self) -> tuple[Character, Handles]:
         """The body in the reference body's stance, and its handles there."""
-        return stance_of(self.mesh, self.mesh_handles, self.joints, self.rotations)
+        return stance_of(self.mesh, self.mesh_handles, self.stance_transforms, self._to_stance[1][0])
 
     @cached_property
     def stands(self) -> np.ndarray:
@@ -244,7 +273,16 @@ class Anatomy:
     @cached_property
     def reach(self) -> Reach:
         """The extreme points of what may stand on the ground."""
-        return Reach.of(self.mesh.vertices[self.stands], self.mesh_handles.weights[self.stands])
+        return self.reach_of(self.stands)
+
+    @cached_property
+    def surface_reach(self) -> Reach:
+        """The extreme points of the whole surface."""
+        return self.reach_of(self.mesh.surface)
+
+    def reach_of(self, vertices: np.ndarray) -> Reach:
+        """The extreme points of some vertices of `mesh`: a mask of shape (V,), or their numbers."""
+        return Reach.of(self.mesh.vertices[vertices], self.mesh_handles.weights[vertices])
 
     @cached_property
     def scale(self) -> float:
@@ -258,7 +296,7 @@ class Anatomy:
 
     @cached_property
     def rise(self) -> float:
-        """How much higher the floor is in the rest pose than in the stance [m]: who sits in the rest pose stands up."""
+        """How much higher the floor is in the rest pose than in the stance [m]: a body that sits at rest stands up."""
         return self.floor - float(self.stance[0].vertices[self.stands, 1].min())
 
     @cached_property
@@ -270,12 +308,12 @@ class Anatomy:
 
     @cached_property
     def front(self) -> np.ndarray:
-        """Extreme vertices of the neck and the head, shape (n,); none of who has hardly any."""
+        """Extreme vertices of the neck and the head, shape (n,); none where there are hardly any."""
         return self._extremes(_FRONT)
 
     @cached_property
     def tail(self) -> np.ndarray:
-        """Extreme vertices of the tail, shape (n,); none of who has hardly any."""
+        """Extreme vertices of the tail, shape (n,); none where there are hardly any."""
         return self._extremes(_TAIL)
 
     def _extremes(self, names: tuple[str, ...]) -> np.ndarray:
@@ -285,53 +323,17 @@ class Anatomy:
             return held[:0]
         return np.asarray(held[extreme_points(self.mesh.vertices[held].astype(np.float64))])
 
-    def path(self, motion: HandleMotion) -> np.ndarray:
-        """The root's path of a motion of the reference body on this body [m], shape (N, 3)."""
-        path = motion.root_translation * self.scale + np.array([0, self.rise, 0])
-        return np.asarray(path + (motion.root_rotation - np.eye(3)) @ self.lever)
+    def path(self, translation: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+        """The root's path on this body [m], shape (N, 3), from that of the reference body [m], shape (N, 3), and the
+        root's rotation, shape (N, 3, 3).
+        """
+        path = translation * self.scale + np.array([0, self.rise, 0])
+        return np.asarray(path + (rotation - np.eye(3)) @ self.lever)
 
 
 @lru_cache(maxsize=1)
 def reference_anatomy() -> Anatomy:
     """The anatomy of the reference body, whose true joints are known and whose rest pose is its stance."""
     body = reference_body()
-    still = np.tile(np.eye(3), (len(body.handles.positions), 1, 1))
-    return Anatomy.of(body.character(), body.handles, (still, reference_joints()))
-
-
-STANDS = 0.05  # share of frames whose lowest point may be under the ground
-
-
-def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:
-    """Handle motion of the reference body, which stands on y = 0.
-
-    Args:
-        motion: Of SMPL's 22 joints, relative to the reference body's T-pose (`bodies.to_smpl`).
-
-    Raises:
-        MotionError: It has other joints.
-    """
-    if motion.skeleton.names != JOINT_NAMES:
-        raise MotionError("the reference body takes motions of SMPL's 22 joints only; map the skeleton first")
-    body, joints = reference_body(), reference_joints()
-    world = motion.world()[0].astype(np.float64)
-    root = world[:, 0]
-    rotations = np.tile(np.eye(3), (len(motion), HANDLE_COUNT, 1, 1))
-    rotations[:, 1:JOINT_COUNT] = np.swapaxes(root, -1, -2)[:, None] @ world[:, 1:]
-    for handle in range(JOINT_COUNT, HANDLE_COUNT):
-        rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
-    rotations, translations = attach_joints(rotations, body.handles, joints)
-    scale = leg_length(body.joints) / max(leg_length(motion.skeleton.positions), 1e-9)
-    pelvis, position = body.joints[0].astype(np.float64), body.handles.positions[0].astype(np.float64)
-    path = motion.root_translation * scale + np.einsum("nij,j->ni", root, position - pelvis) - position
-    out = HandleMotion(translations, rotations, path, root, motion.fps)
-    path[:, 1] -= np.quantile(reference_reach().lowest(out, body.handles.positions), STANDS)
-    return replace(out, root_translation=path)
-
-
-def stiff(motion: HandleMotion) -> HandleMotion:
-    """A motion of the reference body with all joints held, as bones hold them."""
-    rotations, translations = attach_joints(
-        motion.rotations.astype(np.float64), reference_body().handles, reference_joints()
-    )
-    return replace(motion, rotations=rotations, translations=translations)
+    character, still = body.character(), np.tile(np.eye(3), (len(body.handles.positions), 1, 1))
+    return Anatomy(character, body.handles, character, body.handles, (still, reference_joints()))

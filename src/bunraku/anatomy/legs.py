@@ -1,21 +1,29 @@
-"""The legs and arms of a body, and how a foot or a hand is moved by bending its limb, a chain of two bones."""
+"""What a body stands and moves with: its legs and arms, how a foot or a hand is moved by bending its limb, the ground
+under it, the length of its strides, and its kind (a person, an animal, ...).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.anatomy.joints import Joints
 from bunraku.anatomy.rest_pose import upright
+from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
-from bunraku.core.geometry.surface import extreme_points
-from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import posed_points, skin
+from bunraku.core.geometry.surface import extreme_points, part_extremes
+from bunraku.core.skinning import skin
+from bunraku.errors import CharacterError
 
-__all__ = ["Leg", "NEAR", "carry", "find_arms", "find_legs", "find_stumps", "foot_points", "local_motion", "move_feet"]
+__all__ = [
+    "BodyPlan", "Leg", "NEAR", "Reach", "carry", "check_plans", "find_arms", "find_legs", "move_feet", "plan_of",
+    "standing", "stride_scale",
+]  # fmt: skip
 
 
 NEAR = 0.15  # a limb of a lying body is a leg if it ends so near to the lowest point, over the height
@@ -60,23 +68,25 @@ class Leg:
         return self.foot[0] if self.foot else self.lower
 
 
-def find_legs(character: Character, handles: Handles, joints: Joints) -> list[Leg]:
-    """The limbs that a character stands on: two legs of who is upright; of others every limb, and that may be an arm of
-    the reference body, that reaches the ground in the rest pose. None of who has no legs.
+def find_legs(character: Character, handles: Handles, joints: Joints, stands: bool) -> list[Leg]:
+    """The limbs that a character stands on, none where it has fewer than two.
+
+    An upright body stands on its two legs, any other on every limb that reaches the ground in the rest pose, those with
+    the handles of arms included.
 
     Args:
         character: In its rest pose.
         handles: Its handles.
         joints: Where they meet.
+        stands: Whether it is upright.
     """
     out = []
-    played, stands = handles.played, upright(handles)
     seen, heights = character.surface, character.vertices[:, 1]
     floor, height = float(heights[seen].min()), character.height
     for number, parts in enumerate(_PARTS):
         if stands and number >= _LEGS:
             continue
-        for chain in _chains(parts, played, joints):
+        for chain in _chains(parts, handles.played, joints):
             leg = _leg(character, handles, joints, chain)
             if leg is None or leg.length < SHORTEST * height:
                 continue
@@ -86,20 +96,9 @@ def find_legs(character: Character, handles: Handles, joints: Joints) -> list[Le
 
 
 def find_arms(character: Character, handles: Handles, joints: Joints, legs: list[Leg]) -> list[Leg]:
-    """The arms of a character that are not among its legs, in the words for legs: a shoulder, an elbow and a wrist with
-    a hand.
+    """The arms of a character that are not among its legs, in the words for legs: a shoulder, an elbow and a wrist. The
+    hand is the foot; arms of one rigid block may have none.
     """
-    return [arm for arm in _arms(character, handles, joints, legs) if arm.foot]
-
-
-def find_stumps(character: Character, handles: Handles, joints: Joints, legs: list[Leg]) -> list[Leg]:
-    """The arms of a character that are not among its legs and have no hand of their own, such as those of one rigid
-    block: they end in what may be a fist.
-    """
-    return [arm for arm in _arms(character, handles, joints, legs) if not arm.foot]
-
-
-def _arms(character: Character, handles: Handles, joints: Joints, legs: list[Leg]) -> list[Leg]:
     known = {leg.upper for leg in legs}
     limbs = (
         _leg(character, handles, joints, chain)
@@ -147,48 +146,41 @@ def _leg(character: Character, handles: Handles, joints: Joints, chain: list[int
     return Leg(upper, lower, tuple(foot), found, own[extreme_points(points)], own, length)
 
 
-def foot_points(leg: Leg, character: Character, handles: Handles, transforms: np.ndarray) -> np.ndarray:
-    """Where the sole of a leg is in each frame [m], shape (N, m, 3), by the transforms of the handles (N, K, 3, 4)."""
-    return skin(character.vertices[leg.sole], handles.weights[leg.sole], transforms).astype(np.float64)
-
-
 STRAIGHT = 0.99  # how far a leg is stretched at the most, over its length
 SOFT = 0.94  # from where on stretching slows down, so that knees do not snap
+LEAST_SHIFT = 1e-9  # of an ankle [m]: legs whose feet move less are left bit for bit
 
 
 def move_feet(
-    motion: HandleMotion,
-    handles: Handles,
+    world: np.ndarray,
+    root: np.ndarray,
     joints: Joints,
     legs: list[Leg],
     shifts: np.ndarray,
     slopes: np.ndarray | None = None,
-) -> HandleMotion:
-    """The motion with feet moved by bending their legs; feet keep their slope unless slopes are given.
+) -> None:
+    """Move feet by bending their legs, in place; feet keep their slope unless slopes are given.
 
     A leg is a chain of two bones: its knee stays in the plane in which it was bent. It is never stretched beyond its
     length, so a foot may stop short of where it should be. A leg of one rigid block points to where its foot should be.
 
     Args:
-        motion: Of the character.
-        handles: Its handles.
-        joints: Where they meet.
+        world: Transforms of the handles, shape (N, K, 3, 4), float64.
+        root: Rotations of the root, shape (N, 3, 3): what a knee usually does in its frame says how a straight leg
+            bends.
+        joints: Where the handles meet.
         legs: The legs whose feet are moved, L.
         shifts: How far each ankle moves [m], shape (N, L, 3).
         slopes: How each foot turns about its ankle, in the world, shape (N, L, 3, 3); None for not at all.
     """
-    moved = [number for number in range(len(legs)) if np.abs(shifts[:, number]).max() > 1e-9]
-    if not moved:
-        return motion
-    world = motion.transforms(handles.positions).astype(np.float64)
-    for number in moved:
-        slope = np.tile(np.eye(3), (len(world), 1, 1)) if slopes is None else slopes[:, number]
-        _move_foot(world, legs[number], joints, shifts[:, number], slope, motion)
-    return local_motion(world, motion, handles)
+    for number, leg in enumerate(legs):
+        if np.abs(shifts[:, number]).max() > LEAST_SHIFT:
+            slope = np.tile(np.eye(3), (len(world), 1, 1)) if slopes is None else slopes[:, number]
+            _move_foot(world, root, leg, joints, shifts[:, number], slope)
 
 
 def _move_foot(
-    world: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, slope: np.ndarray, motion: HandleMotion
+    world: np.ndarray, root: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, slope: np.ndarray
 ) -> None:
     """Bend one leg, in place."""
     hip, knee, ankle = (
@@ -214,7 +206,7 @@ def _move_foot(
     bent = (
         hip
         + toward * along[:, None]
-        + _unit(np.einsum("nij,nj->ni", swing, aside + more * _bend(aside, line, motion))) * out
+        + _unit(np.einsum("nij,nj->ni", swing, aside + more * _bend(aside, line, root))) * out
     )
     for handle, pivot, target, before_turn, after_turn in (
         (leg.upper, hip, hip, knee - hip, bent - hip),
@@ -246,20 +238,20 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     return np.asarray(vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-12))
 
 
-def _bend(aside: np.ndarray, line: np.ndarray, motion: HandleMotion) -> np.ndarray:
+def _bend(aside: np.ndarray, line: np.ndarray, root: np.ndarray) -> np.ndarray:
     """Where the knee points, square to the line from hip to ankle, shape (N, 3); where it is straight, as in the clip's
     bent frames.
 
     Args:
         aside: From the line to the knee [m], shape (N, 3).
         line: From hip to ankle, shape (N, 3).
-        motion: For the root's rotation: what a knee does in its frame is usual for it.
+        root: Rotations of the root, shape (N, 3, 3): what a knee does in its frame is usual for it.
     """
-    own = np.einsum("nji,nj->ni", motion.root_rotation, aside)
+    own = np.einsum("nji,nj->ni", root, aside)
     size = np.linalg.norm(own, axis=1)
     mean = own.mean(axis=0)
     usual = mean / np.linalg.norm(mean) if np.linalg.norm(mean) > 0.3 * size.mean() else np.array([0, 0, 1.0])
-    helps = np.einsum("nij,j->ni", motion.root_rotation, usual)
+    helps = np.einsum("nij,j->ni", root, usual)
     helps -= (helps * line).sum(axis=1, keepdims=True) * line
     return _unit(aside + 0.3 * size.mean() * np.exp(-((size / max(0.5 * size.mean(), 1e-9)) ** 2))[:, None] * helps)
 
@@ -271,12 +263,221 @@ def _between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return np.asarray(matrix_from_axis_angle(axis / np.maximum(sine, 1e-12)[:, None] * angle[:, None]))
 
 
-def local_motion(world: np.ndarray, motion: HandleMotion, handles: Handles) -> HandleMotion:
-    """A motion with the same root and other world transforms of its handles."""
-    h = handles.positions.astype(np.float64)
-    root = motion.root_rotation.astype(np.float64)
-    rotations = root.transpose(0, 2, 1)[:, None] @ world[..., :3]
-    centres = posed_points(world, h)
-    translations = np.einsum("nji,nkj->nki", root, centres - h[0] - motion.root_translation[:, None]) + h[0] - h
-    rotations[:, 0], translations[:, 0] = np.eye(3), 0
-    return replace(motion, rotations=rotations, translations=translations)
+CHUNK = 500  # frames posed at once to find the lowest point: bounds memory
+_LEG_HANDLES = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee", "ankle", "foot"))]
+_HANGING = [
+    i
+    for i, name in enumerate(HANDLE_NAMES)
+    if name.endswith(("shoulder", "elbow", "wrist", "fingers", "wing", "tail", "tail_tip"))
+]
+
+
+def standing(character: Character, handles: Handles) -> np.ndarray:
+    """Vertices that may stand on the ground, shape (V,), bool: the surface, but of an upright body on legs not what may
+    hang lower than the feet, such as a weapon in a hand, long arms or a tail.
+
+    Args:
+        character: In the reference body's stance (`stance_of`), so that one that sits has its legs below it.
+        handles: Its handles there.
+    """
+    seen, heights = character.surface, character.vertices[:, 1]
+    legs = seen & (handles.weights[:, np.isin(handles.played, _LEG_HANDLES)].sum(axis=1) > 0.5)
+    if not upright(handles) or not legs.any() or heights[legs].min() - heights[seen].min() > 0.2 * character.height:
+        return seen
+    return seen & (handles.weights[:, np.isin(handles.played, _HANGING)].sum(axis=1) < 0.5)
+
+
+def stride_scale(character: Character, handles: Handles, stands: np.ndarray) -> float:
+    """How long the character's strides are over the reference body's: the height of the root handle over the floor, as
+    a ratio.
+
+    Args:
+        character: In the reference body's stance.
+        handles: Its handles there.
+        stands: What may stand on the ground, shape (V,).
+    """
+    over_floor = float(handles.positions[0, 1]) - float(character.vertices[stands, 1].min())
+    return max(over_floor, 0.02 * character.height) / float(reference_body().handles.positions[0, 1])
+
+
+class Reach(NamedTuple):
+    """The extreme points of every part of a body, among which is the lowest one in any pose.
+
+    Args:
+        vertices: Rest positions [m], shape (n, 3).
+        weights: Of the handles, shape (n, K).
+    """
+
+    vertices: np.ndarray
+    weights: np.ndarray
+
+    @classmethod
+    def of(cls, vertices: np.ndarray, weights: np.ndarray) -> Reach:
+        """That of a body, or of some of its vertices, shapes (V, 3) and (V, K)."""
+        pick = part_extremes(vertices, weights)
+        return cls(vertices[pick], weights[pick])
+
+    def lowest(self, transforms: np.ndarray) -> np.ndarray:
+        """Height of the lowest point in each frame [m], shape (N,), by the transforms of the handles (N, K, 3, 4)."""
+        parts = [transforms[start : start + CHUNK] for start in range(0, len(transforms), CHUNK)]
+        return np.concatenate([skin(self.vertices, self.weights, part)[..., 1].min(axis=1) for part in parts])
+
+
+_HIND = [handle for side in SIDES for handle in limb_handles(side, FAMILIES[0])]
+_ARMS = [HANDLE_NAMES.index(f"{side}_{part}") for side in SIDES for part in ("shoulder", "elbow")]
+_WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in SIDES]
+_CHEST = HANDLE_NAMES.index("spine3")
+LONG = (3.5, 1.0)  # length over height, lying and with the head up, from which on a body is a snake and no fish
+SPREAD = 0.15  # wings lie so far from the chest, over the height; a person's are the halves of the upper back
+_TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
+
+
+@dataclass(frozen=True)
+class BodyPlan:
+    """What a body stands and moves with.
+
+    Args:
+        hind: How many legs play those of a person.
+        front: How many legs play the arms of a person.
+        upright: Whether the head is over the hips.
+        arms: Whether two arms are there, standing or not.
+        wings: Whether two wings are there.
+        tail: Whether a tail is there.
+        long: Whether it is longer than fish are, for its height.
+        further: How many legs it has beside these that stand without a knee of their own: of a spider's and a crab's.
+    """
+
+    hind: int
+    front: int
+    upright: bool
+    arms: bool
+    wings: bool
+    tail: bool
+    long: bool = False
+    further: int = 0
+
+    @property
+    def legs(self) -> int:
+        """How many legs it stands on."""
+        return self.hind + self.front + self.further
+
+    @property
+    def slithers(self) -> bool:
+        """Whether it moves over the ground as snakes do; what is as long and has fins at its sides is a ray."""
+        return self._tailed and self.long and not self.arms
+
+    @property
+    def swims(self) -> bool:
+        """Whether it moves through water as fish do."""
+        return self._tailed and not self.slithers
+
+    @property
+    def _tailed(self) -> bool:
+        """Whether it has a tail and neither legs nor wings; an upright body with arms wears a gown."""
+        return self.tail and not self.legs and not self.wings and not (self.upright and self.arms)
+
+    @property
+    def kind(self) -> str:
+        """ "person", "two legs", "four legs", "many legs" or "no legs"."""
+        if self.legs > 4:
+            return "many legs"
+        if self.legs > 2 and not self.upright:
+            return "four legs"
+        if self.upright and self.arms:
+            return "person"
+        return "two legs" if self.legs else "no legs"
+
+    @property
+    def words(self) -> str:
+        """The same in words."""
+        known = {
+            "person": "an upright body with arms",
+            "two legs": "a body on two legs",
+            "four legs": "a body on four legs",
+            "many legs": f"a body on {self.legs} legs",
+            "no legs": "a body without legs",
+        }
+        more = [name for name, there in (("wings", self.wings), ("a tail", self.tail)) if there]
+        return known[self.kind] + (f", with {' and '.join(more)}" if more else "")
+
+
+def plan_of(
+    character: Character, handles: Handles, joints: Joints, legs: list[Leg], further: list[list[int]], stands: bool
+) -> BodyPlan:
+    """The plan of a body in the pose that it stands in.
+
+    Args:
+        character: In its rest pose, facing +Z.
+        handles: Its handles, K = 30 with the reference body's meaning.
+        joints: Where they meet.
+        legs: The limbs that it stands on.
+        further: The handles of each limb beyond those of a person.
+        stands: Whether it is upright.
+    """
+    found = {leg.upper for leg in legs}
+    stiff = [
+        limb
+        for limb in _all_limbs(handles, joints, further)
+        if not found & set(limb) and _on_ground(character, handles, limb)
+    ]
+    hind = sum(int(handles.played[leg.upper]) in _HIND for leg in legs)
+    own = joints.present & (handles.played == np.arange(len(handles.positions)))
+    arms = _ARMS[::2] if handles.rigid else _ARMS  # an arm of one block has no elbow
+    there = {name: bool(own[parts].all()) for name, parts in (("arms", arms), ("wings", _WINGS))}
+    away = np.linalg.norm(handles.positions[_WINGS] - handles.positions[_CHEST], axis=1)
+    there["wings"] &= bool((away > SPREAD * character.height).all())
+    extent = np.ptp(character.vertices[character.surface], axis=0)
+    return BodyPlan(
+        hind=hind, front=len(legs) - hind, upright=stands, tail=bool(own[_TAIL].any()),
+        arms=there["arms"], wings=there["wings"], long=bool(extent[2] > LONG[stands] * extent[1]), further=len(stiff),
+    )  # fmt: skip
+
+
+def _all_limbs(handles: Handles, joints: Joints, further: list[list[int]]) -> list[list[int]]:
+    """The handles of each limb of a body that has more than people have; none of others."""
+    if not further:
+        return []
+    own = joints.present & (handles.played == np.arange(len(handles.positions)))
+    plain = ([part for part in limb_handles(side, family) if own[part]] for side in SIDES for family in FAMILIES)
+    return [limb for limb in plain if limb] + further
+
+
+def _on_ground(character: Character, handles: Handles, limb: list[int]) -> bool:
+    """Whether a limb reaches the ground at rest."""
+    held = character.surface & (handles.weights[:, limb].sum(axis=1) > 0.5)
+    heights = character.vertices[:, 1]
+    floor = float(heights[character.surface].min())
+    return bool(held.any() and heights[held].min() < floor + NEAR * character.height)
+
+
+def check_plans(source: BodyPlan, target: BodyPlan, name: str, flies: bool = False) -> None:
+    """Refuse a motion that the limbs of a character cannot make.
+
+    Args:
+        source: Of the body that moves.
+        target: Of the character.
+        name: Of the character.
+        flies: Whether the motion is carried by wings; then only these are needed.
+
+    Raises:
+        CharacterError: What carries the source is missing, or what carries the character would not be moved.
+    """
+    if flies:
+        if not target.wings:
+            raise CharacterError(
+                f"{name}: the motion is flown, and no wings are found on this character; give it the motion of a body "
+                "of its own kind, or look at `bunraku inspect` if it was set up wrongly"
+            )
+        return
+    has, needs = target.kind, source.kind
+    if needs in ("four legs", "many legs") and has not in ("four legs", "many legs"):
+        seen = "no legs" if has == "no legs" else "two legs, and no front legs that reach the ground"
+        raise CharacterError(
+            f"{name}: the motion is of {source.words}, and {seen} are found on this character; give it the motion of "
+            "a body of its own kind, or look at `bunraku inspect` if it was set up wrongly"
+        )
+    if needs == "no legs" and has != "no legs":
+        raise CharacterError(
+            f"{name}: the motion is of {source.words}, and nothing in it moves the {max(target.legs, 2)} legs that "
+            "this character stands on; give it the motion of a body with legs"
+        )

@@ -10,13 +10,12 @@ import numpy as np
 
 from bunraku.anatomy.handles.blocks import away_from, joint_parents
 from bunraku.anatomy.handles.limbs import has_extra_legs
-from bunraku.anatomy.joints import Joints, attach_joints, estimated_reference_joints, reference_joints, refined_joints
+from bunraku.anatomy.joints import Joints, estimated_reference_joints, reference_joints, refined_joints
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle, rotation_between
 from bunraku.core.geometry.surface import surface_points, vertex_areas
-from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 
 __all__ = [
@@ -37,10 +36,8 @@ _FOLLOWERS = {f"{side}_{part}": f"{side}_elbow" for side in ("left", "right") fo
 _BUILT_BENT = ([30, 45, 70, 80], [1, 0, 0, 1])  # how far a bent leg is straightened, by its angle [degrees]
 _KNEE = ([20, 40], [0, 1])  # how far the parts of a leg turn on their own, by the bend of the knee [degrees]
 _ELBOW = ([30, 60], [0, 1])  # the same of an arm, by the bend of the elbow; short upper arms are found less exactly
-_SITS, _CROUCHES = (
-    ([55, 65], [0, 1]),
-    ([30, 40], [0, 1]),
-)  # how far a thigh takes its shin with it; without arms and with them
+_SITS, _CROUCHES = ([55, 65], [0, 1]), ([30, 40], [0, 1])
+"""How far a thigh takes its shin with it, by its angle [degrees]; without arms and with them."""
 WIDE = 30.0  # legs that point farther outwards are turned down [degrees]
 ALL_FOURS = 0.5  # arms that end lower than this share of the hips' height over the legs' ends stand, as front legs do
 SHORTEST = 0.02  # limbs shorter than this share of the height have no direction worth a turn
@@ -62,27 +59,19 @@ def rest_rotations(
     """
     out = np.tile(np.eye(3), (len(handles.positions), 1, 1))
     stands = upright(handles)
-    armed = bool(
-        joints.present[
-            [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow")]
-        ].all()
-    )
+    arms = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("shoulder", "elbow"))]
+    armed = bool(joints.present[arms].all())
 
     def direction(part: str, side: str) -> _Limb | None:
         """Of a limb; None where it is absent or too short."""
         handle, child = HANDLE_NAMES.index(f"{side}_{part}"), HANDLE_NAMES.index(f"{side}_{_LIMB_ENDS[part]}")
         if not joints.present[handle]:
             return None
-        if joints.present[child]:
-            own, want = (
-                joints.positions[child] - joints.positions[handle],
-                reference_joints.positions[child] - reference_joints.positions[handle],
-            )
-        else:
-            own, want = (
-                handles.positions[handle] - joints.positions[handle],
-                reference.positions[handle] - reference_joints.positions[handle],
-            )
+        bodies = (joints, handles), (reference_joints, reference)
+        own, want = (
+            (joint.positions[child] if joints.present[child] else body.positions[handle]) - joint.positions[handle]
+            for joint, body in bodies
+        )
         return None if np.linalg.norm(own) < SHORTEST * height else (own, want)
 
     for side in ("left", "right"):
@@ -99,18 +88,11 @@ def rest_rotations(
         if stands:
             hip, knee, ankle = (HANDLE_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle"))
             thigh, leg = direction("hip", side), None
-            if (
-                thigh is not None and joints.present[knee]
-            ):  # a hip sits deep in the body: the middle of the thigh is found more surely
-                thigh = (
-                    joints.positions[knee] - handles.positions[hip],
-                    reference_joints.positions[knee] - reference.positions[hip],
-                )
+            ours, theirs = joints.positions, reference_joints.positions
+            if thigh is not None and joints.present[knee]:  # deep in the body, a hip is less sure than a thigh's middle
+                thigh = ours[knee] - handles.positions[hip], theirs[knee] - reference.positions[hip]
             if joints.present[[hip, ankle]].all():
-                leg = (
-                    joints.positions[ankle] - joints.positions[hip],
-                    reference_joints.positions[ankle] - reference_joints.positions[hip],
-                )
+                leg = ours[ankle] - ours[hip], theirs[ankle] - theirs[hip]
             out[[hip, knee]] = _leg_rotations(thigh, direction("knee", side), leg, armed)
     for name, lead in _FOLLOWERS.items():
         out[HANDLE_NAMES.index(name)] = out[HANDLE_NAMES.index(lead)]
@@ -142,8 +124,8 @@ def _as_one(limb: _Limb, arm: _Limb, bent: float) -> _Limb:
 
 
 def upright(handles: Handles) -> bool:
-    """Whether the head is over the hips rather than before them; never of who has further limbs, and so many legs to
-    stand on, nor of who carries the head high on a level trunk over four legs, as a llama does.
+    """Whether the head is over the hips rather than before them: never of a body with further limbs, nor of one that
+    carries the head high on a level trunk over four legs, as a llama does.
     """
     if has_extra_legs(handles):
         return False
@@ -166,11 +148,10 @@ def _leg_rotations(thigh: _Limb | None, shin: _Limb | None, leg: _Limb | None, a
     """Rotations of a thigh and a shin, shape (2, 3, 3), from where each and the whole leg point and where the reference
     body's do.
 
-    Standing wide is style and stays: legs turn about the axis from left to right. Who has arms stands on straight
-    thighs, so bent ones idle, sit or crouch and are straightened, with their shins. Legs without a body that has arms
-    may be built bent, as those of birds and walking machines are, so a thigh or a shin that is bent by more than an
-    idle pose and less than sitting stays. A leg whose knee is hardly bent turns as one, because estimates of single
-    joints are not exact enough to bend a knee by.
+    Standing wide is style and stays: legs turn about the axis from left to right. A body with arms stands on straight
+    thighs, so bent ones idle, sit or crouch and are straightened, with their shins. Without arms legs may be built
+    bent, as those of birds are, so what is bent by more than an idle pose and less than sitting stays. A leg whose knee
+    is hardly bent turns as one, because estimates of single joints are not exact enough to bend a knee by.
     """
     out = np.tile(np.eye(3), (2, 1, 1))
     for number, limb in enumerate((thigh, shin)):
@@ -230,23 +211,19 @@ def rest_of_limbs(character: Character, handles: Handles, found: Joints) -> tupl
 
 
 def stance_of(
-    character: Character, handles: Handles, joints: Joints, to_reference: np.ndarray
+    character: Character, handles: Handles, transforms: np.ndarray, translations: np.ndarray
 ) -> tuple[Character, Handles]:
-    """The character with every handle turned, every joint held and its root where it was, and its handles as they are
-    there.
+    """The character in another pose, and its handles as they are there.
 
     Args:
         character: In its rest pose.
         handles: Its handles.
-        joints: Where they meet.
-        to_reference: Rotation of each handle, the identity for the root, shape (K, 3, 3).
+        transforms: From the rest pose into the other, shape (K, 3, 4).
+        translations: How far each handle is moved [m], shape (K, 3).
     """
-    rotations, translations = attach_joints(to_reference[None].astype(np.float64), handles, joints)
-    still = np.zeros((1, 3)), np.eye(3)[None]
-    motion = HandleMotion(translations, rotations, *still)
-    vertices = skin(character.vertices, handles.weights, motion.transforms(handles.positions))[0]
+    vertices = skin(character.vertices, handles.weights, transforms[None])[0]
     if handles.rigid:
-        positions = (handles.positions + translations[0]).astype(np.float32)
+        positions = (handles.positions + translations).astype(np.float32)
     else:
         positions = handle_positions(vertices, handles.weights, vertex_areas(vertices, character.faces))
     return replace(character, vertices=vertices, rig=None, source=None, avatar=None), Handles(
@@ -255,11 +232,8 @@ def stance_of(
 
 
 def flat_feet(character: Character, handles: Handles, rotations: np.ndarray) -> np.ndarray:
-    """The turns with feet that go along with their shins where that, and not their rest pose, makes them stand flat,
-    shape (K, 3, 3).
-
-    Who crouches on the toes has feet that belong to the shins; who sits, or crouches on flat feet, has them on the
-    ground already.
+    """The rotations with feet that go along with their shins where that, and not their rest pose, makes them stand
+    flat, shape (K, 3, 3): so they do where a body crouches on its toes, but not where it sits.
     """
     out = rotations.copy()
     areas = character.areas
@@ -313,8 +287,8 @@ def pieces(limb: tuple[int, ...], joints: Joints) -> list[tuple[int, int]]:
 def block_rest(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
     """How the rest pose of rigid blocks differs from the reference body's.
 
-    Arms, and the front legs of animals, are turned wholly, as those of bodies that bend are; the legs of who stands
-    upright where they do not stand.
+    Arms, and the front legs of animals, are turned wholly, as those of bodies that bend are; the legs of an upright
+    body where they do not stand.
 
     Args:
         character: In its rest pose.

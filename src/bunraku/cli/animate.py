@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from bunraku.cli.manifest import exclusive_output, fingerprint, note_begun, note_done, note_written, unfinished
+from bunraku.cli.manifest import exclusive_output, fingerprint
 from bunraku.cli.options import (
     ApparelOptions,
     DirectingOptions,
     GeneratingOptions,
     ProgramOption,
     SkeletonOption,
-    stand_up,
 )
 from bunraku.cli.outputs import (
-    Report,
+    Result,
     check_folder,
     check_input,
     check_mask,
@@ -30,16 +29,18 @@ from bunraku.cli.outputs import (
     check_sequence,
     check_written,
     fitting_stages,
+    make_results,
     save_all,
     save_clips_to,
     slug,
     stages,
+    unfinished_results,
+    written_files,
     written_path,
-    wrote,
 )
-from bunraku.core.parallel import parse_jobs, run_parallel
-from bunraku.core.request import SECONDS, TAKES
-from bunraku.errors import BunrakuError, FormatError, OptionError
+from bunraku.core.parallel import parse_jobs
+from bunraku.core.request import SECONDS, TAKES, Progress
+from bunraku.errors import FormatError, OptionError, sentence_of
 from bunraku.pipelines.requests import Request
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ if TYPE_CHECKING:
     from bunraku.language.sentence import Sentence
     from bunraku.pipelines.animator import Body
 
-__all__ = ["Animate", "Clip", "characters_of", "clips_of", "clips_to_do", "make_clips", "passes", "read_lines"]
+__all__ = ["Animate", "Clip", "characters_of", "clips_of", "passes", "read_lines"]
 
 
 LIMIT = 10_000
@@ -82,16 +83,14 @@ def read_lines(path: Path, seconds: float, force: bool, named: bool = False) -> 
 
 
 def characters_of(folder: Path) -> dict[Path, str]:
-    """The characters of a folder, by their suffixes, each with the name of its own folder of results.
-
-    Raises:
-        FormatError: There is none, or the folder cannot be read.
+    """The characters of a folder, by their suffixes, each with the name of its own folder of results; FormatError where
+    there is none, or the folder cannot be read.
     """
-    from bunraku.files import FORMATS
+    from bunraku.files import READERS
 
-    suffixes = {suffix for kind in FORMATS if kind.character for suffix in kind.suffixes} - {".txt"}  # beside an OBJ
+    known = READERS["character"]
     try:
-        found = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
+        found = sorted(path for path in folder.iterdir() if path.suffix.lower() in known and path.is_file())
     except OSError as error:
         raise FormatError(folder, f"this folder cannot be read ({error.strerror}); name another") from None
     if not found:
@@ -101,23 +100,17 @@ def characters_of(folder: Path) -> dict[Path, str]:
 
 
 @dataclass(frozen=True)
-class Clip:
-    """A file to write.
+class Clip(Result):
+    """A clip of one prompt; the character is the first of its `inputs`.
 
     Args:
-        path: Of the file.
-        character: The file of who is shown.
         number: Which of the prompts of its pass it shows.
         beside: All prompts of that pass, which are generated along, so that a clip has the same bytes whether those
             beside it are wanted or not.
-        mark: The fingerprint of what it is made of.
     """
 
-    path: Path
-    character: Path
-    number: int
-    beside: tuple[str, ...]
-    mark: str
+    number: int = 0
+    beside: tuple[str, ...] = ()
 
 
 def clips_of(
@@ -127,8 +120,8 @@ def clips_of(
 
     Args:
         folder: Of all files.
-        character: Who is shown.
-        prompts: What is to be shown.
+        character: The file of the character.
+        prompts: What it does.
         at_once: Prompts in one pass of the network.
         mark: Gives the fingerprint of a character's clip of a prompt.
     """
@@ -137,22 +130,8 @@ def clips_of(
         first = number - number % at_once
         beside = tuple(prompts[first : first + at_once])
         path = folder / f"{number + 1:03d}-{slug(prompt)}.glb"
-        out.append(Clip(path, character, number - first, beside, mark(character, prompt)))
+        out.append(Clip(path, (character,), mark(character, prompt), number - first, beside))
     return out
-
-
-def clips_to_do(clips: list[Clip], overwrite: bool) -> list[Clip]:
-    """The clips of one folder that are not there yet.
-
-    Raises:
-        FormatError: The folder is a file, or cannot be written to, or another file has a clip's name.
-    """
-    folder = clips[0].path.parent
-    if folder.is_file():
-        raise FormatError(folder, "this is a file; name a folder with -o, where each prompt gets a file")
-    check_folder(folder)
-    left = set(unfinished({clip.path: clip.mark for clip in clips}, overwrite))
-    return [clip for clip in clips if clip.path in left]
 
 
 def passes(clips: list[Clip]) -> list[list[Clip]]:
@@ -160,71 +139,11 @@ def passes(clips: list[Clip]) -> list[list[Clip]]:
     out: list[list[Clip]] = []
     for clip in clips:
         last = out[-1][-1] if out else None
-        if last and (last.character, last.beside) == (clip.character, clip.beside) and last.number < clip.number:
+        if last and (last.inputs, last.beside) == (clip.inputs, clip.beside) and last.number < clip.number:
             out[-1].append(clip)
         else:
             out.append([clip])
     return out
-
-
-def make_clips(
-    clips: list[Clip], work: Callable[[list[Clip]], Iterator[str]], jobs: int | str, report: Report
-) -> dict[str, str]:
-    """Make them all.
-
-    Args:
-        clips: What is to do.
-        work: Makes the clips of a pass, and reports of each what went wrong, "" for nothing; what processes can be
-            handed. In this process it may raise what ends all.
-        jobs: How many processes, or "ray".
-        report: Called with a stage's name and the share done.
-
-    Returns:
-        What failed, by file, with the reason.
-    """
-    for folder in {clip.path.parent: None for clip in clips}:
-        folder.mkdir(exist_ok=True, parents=True)
-        note_begun({clip.path: clip.mark for clip in clips if clip.path.parent == folder})
-    failed: dict[str, str] = {}
-    for done, (clip, reason) in enumerate(_made(clips, work, jobs), 1):
-        if reason:
-            note_done(clip.path, "")  # nothing was made: what comes to lie there is another's
-            whose = str(clip.character) if reason.startswith(f"{clip.character}: ") else str(clip.path)
-            failed[whose] = reason.removeprefix(f"{whose}: ")
-        else:
-            note_done(clip.path, clip.mark)
-            wrote(clip.path)
-        report("clips", done / len(clips))
-    for name, reason in failed.items():
-        print(f"bunraku: failed: {name}: {' '.join(reason.split())}", file=sys.stderr)
-    return failed
-
-
-def _made(
-    clips: list[Clip], work: Callable[[list[Clip]], Iterator[str]], jobs: int | str
-) -> Iterator[tuple[Clip, str]]:
-    if jobs == 1:
-        for some in passes(clips):
-            yield from zip(some, work(some), strict=True)
-        return
-    own = {_resolved(clip) if jobs == "ray" else clip: clip for clip in clips}
-    for clip, reason in run_parallel(_All(work), passes(list(own)), jobs, str):
-        yield own[clip], reason
-
-
-def _resolved(clip: Clip) -> Clip:
-    """The same for workers that run in folders of their own."""
-    return replace(clip, path=clip.path.resolve(), character=clip.character.resolve())
-
-
-@dataclass(frozen=True)
-class _All:
-    """The work, done to its end before anything is reported."""
-
-    work: Callable[[list[Clip]], Iterator[str]]
-
-    def __call__(self, clips: list[Clip]) -> list[str]:
-        return list(self.work(clips))
 
 
 @dataclass(frozen=True)
@@ -351,9 +270,8 @@ class Animate(GeneratingOptions):
 
                 animator = Animator.shipped(report, _limits_said(self.character, body))
                 stretches = animator.stretches(body, replace(request, sentence=sentence))
-                written = write_stretches(stretches, named[0], fps=self.fps)
-        wrote(written)
-        note_written([written])
+                with written_files() as written:
+                    written.append(write_stretches(stretches, named[0], fps=self.fps))
         return 0
 
     def _one_file(self, sentences: list[Sentence]) -> int:
@@ -413,31 +331,27 @@ class Animate(GeneratingOptions):
         """Make the clips of a folder that are not there yet."""
         from bunraku.pipelines.animator import AT_ONCE
 
-        clips: list[Clip] = []
-        todo: list[Clip] = []
         if self.character.is_dir() and not folder.is_file():
             check_folder(folder)
-            folder.mkdir(exist_ok=True)  # in which each gets its own
+            folder.mkdir(exist_ok=True)  # each character gets a folder in it
+        clips: list[Clip] = []
         for character, name in characters.items():
-            own = clips_of(folder / name, character, prompts, AT_ONCE, self._mark)
-            todo += clips_to_do(own, self.overwrite)
-            clips += own
-        if len(todo) < len(clips):
-            print(f"{len(clips) - len(todo)} of {len(clips)} clips are there already")
-        if not todo:
-            return 0
+            target = folder / name
+            if target.is_file():
+                raise FormatError(target, "this is a file; name a folder with -o, where each prompt gets a file")
+            check_folder(target)
+            clips += clips_of(target, character, prompts, AT_ONCE, self._mark)
+        todo = unfinished_results(clips, self.overwrite, "clips")
+        mask = self.apparel.mask
+        here = self if mask is None else replace(self, apparel=replace(self.apparel, motion=str(mask.resolve())))
         with stages() as report:
-            if len(characters) == 1 and jobs == 1:  # what is wrong with it is said at once, and in its place
-                _kept(self, next(iter(characters)))
-            here = self
-            if jobs == "ray" and self.apparel.mask is not None:
-                here = replace(self, apparel=replace(self.apparel, motion=str(self.apparel.mask.resolve())))
-            failed = make_clips(todo, partial(_clips, here), jobs, report)
-        return 1 if failed else 0
+            if todo and len(characters) == 1 and jobs == 1:  # its faults end the command before any clip is begun
+                _kept(here, next(iter(characters)))
+            return make_results(partial(_clips, here), passes(todo), jobs, "clips", report)
 
     def _mark(self, character: Path, prompt: str) -> str:
         """What a clip is made of."""
-        same = ("output", "preview", "overwrite", "character", "prompt", "prompts", "jobs", "one_file", "add")
+        same = {"output", "preview", "overwrite", "character", "prompt", "prompts", "jobs", "one_file", "add"}
         options = {name: value for name, value in asdict(self).items() if name not in same}
         return fingerprint([character], "animate", prompt, options)
 
@@ -462,11 +376,11 @@ class Animate(GeneratingOptions):
 
 
 def _clips(verb: Animate, clips: list[Clip]) -> Iterator[str]:
-    """Make the clips of a pass; tell of each what went wrong, "" for nothing."""
+    """Make the clips of a pass, and give for each what went wrong, "" for nothing."""
     from bunraku.language.parse import parse
     from bunraku.pipelines.animator import Animator
 
-    path, prompts = clips[0].character, clips[0].beside
+    (path,), prompts = clips[0].inputs, clips[0].beside
     done = 0
     try:
         body, request = _kept(verb, path)
@@ -480,12 +394,8 @@ def _clips(verb: Animate, clips: list[Clip]) -> Iterator[str]:
             done += 1
             yield ""
         return
-    except BunrakuError as error:
-        reason = str(error)
-    except MemoryError:
-        reason = "the memory is not enough for this; simplify the mesh or shorten the clip"
-    except Exception as error:  # one bad file must not stop the others
-        reason = f"this is a fault of Bunraku, not yours: {type(error).__name__}: {error}"
+    except Exception as error:  # a bad file does not stop the others
+        reason = sentence_of(error)
     if reason.startswith(f"{path}: "):  # so all of its clips fail
         yield from [reason] * (len(clips) - done)
         return
@@ -500,15 +410,15 @@ def _kept(verb: Animate, path: Path) -> tuple[Body, Request]:
     return _ready(verb, verb._request(), path, lambda stage, done: None)
 
 
-def _ready(verb: Animate, request: Request, path: Path, report: Report) -> tuple[Body, Request]:
+def _ready(verb: Animate, request: Request, path: Path, report: Progress) -> tuple[Body, Request]:
     """A character as it is to be animated, and what is requested of it."""
-    from bunraku.files import check_writes, load_character
+    from bunraku.files import check_writer
 
     report("load", 0.0)
-    character = stand_up(load_character(path, unit="m", clips=verb.fps), path, verb.up, verb.front, verb.unit)
+    character = verb.standing.load(path, clips=verb.fps)
     for output in verb.output:
         if output.suffix:
-            check_writes(output, character)
+            check_writer(output, character)
     report("load", 1.0)
 
     from bunraku.pipelines.animator import Animator

@@ -1,9 +1,8 @@
-"""From the words of the command line to a verb, and from what it raises to one sentence and an exit status."""
+"""Run a command: from the words of the command line to a verb, and from an exception to a sentence and a status."""
 
 from __future__ import annotations
 
 import difflib
-import errno
 import importlib
 import inspect
 import io
@@ -15,62 +14,34 @@ from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from typing import Any, get_type_hints
 
-from bunraku.errors import BunrakuError, MissingExtraError, OptionError
+from bunraku.errors import OptionError, is_fault, sentence_of
 
 __all__ = ["VERBS", "Verbs", "all_verbs", "main"]
 
 Verbs = dict[tuple[str, ...], tuple[str, str, str]]
 """Words -> module, its attribute that is the verb, one line of help."""
 
-VERBS: Verbs = {
-    ("animate",): ("bunraku.cli.animate", "Animate", "make a character do what a sentence says"),
-    ("transfer",): (
-        "bunraku.cli.transfer",
-        "Transfer",
-        "put a motion that exists already on a character, or many on many",
-    ),
-    ("edit",): ("bunraku.cli.edit", "Edit", "keep a part of a clip and generate the rest"),
-    ("rig",): ("bunraku.cli.rig", "Rig", "give a character its 30 handles as a skin, without motion"),
-    ("merge",): ("bunraku.cli.edit", "Merge", "join the clips of one character from several files in one"),
-    ("inspect",): ("bunraku.cli.inspect", "Inspect", "tell what a file holds"),
-    ("render",): (
-        "bunraku.cli.render",
-        "Render",
-        "make a video or a picture of an animated file, a character or a motion",
-    ),
-    ("studio",): (
-        "bunraku.cli.studio",
-        "Studio",
-        "open a page: drop a character, type a sentence, watch it move",
-    ),
-    ("serve",): ("bunraku.cli.serving", "Serve", "let other programs call these tools, by MCP"),
-    ("comfyui-nodes",): (
-        "bunraku.cli.studio",
-        "ComfyuiNodes",
-        "write the nodes for ComfyUI, which ask the studio",
-    ),
-    ("godot-addon",): (
-        "bunraku.cli.studio",
-        "GodotAddon",
-        "write the add-on for Godot 4, which asks the studio",
-    ),
-    ("blender-addon",): (
-        "bunraku.cli.studio",
-        "BlenderAddon",
-        "write the add-on for Blender, which asks the studio",
-    ),
-    ("clips",): ("bunraku.cli.clips", "Clips", "list and search the clip library, or put a clip on a character"),
-    ("samples",): ("bunraku.cli.clips", "Samples", "write the sample characters"),
-    ("doctor",): (
-        "bunraku.cli.doctor",
-        "Doctor",
-        "tell what this installation has, what is missing, and what that costs",
-    ),
-}
+_TABLE = (
+    ("animate", "animate", "Animate", "make a character do what a sentence says"),
+    ("transfer", "transfer", "Transfer", "put a motion that exists already on a character, or many on many"),
+    ("edit", "edit", "Edit", "keep a part of a clip and generate the rest"),
+    ("rig", "rig", "Rig", "give a character its 30 handles as a skin, without motion"),
+    ("merge", "edit", "Merge", "join the clips of one character from several files in one"),
+    ("inspect", "inspect", "Inspect", "tell what a file holds"),
+    ("render", "render", "Render", "make a video or a picture of an animated file, a character or a motion"),
+    ("studio", "studio", "Studio", "open a page: drop a character, type a sentence, watch it move"),
+    ("serve", "serving", "Serve", "let other programs call these tools, by MCP"),
+    ("comfyui-nodes", "studio", "ComfyuiNodes", "write the nodes for ComfyUI, which ask the studio"),
+    ("godot-addon", "studio", "GodotAddon", "write the add-on for Godot 4, which asks the studio"),
+    ("blender-addon", "studio", "BlenderAddon", "write the add-on for Blender, which asks the studio"),
+    ("clips", "clips", "Clips", "list and search the clip library, or put a clip on a character"),
+    ("samples", "clips", "Samples", "write the sample characters"),
+    ("doctor", "doctor", "Doctor", "tell what this installation has, what is missing, and what that costs"),
+)
+VERBS: Verbs = {(word,): (f"bunraku.cli.{module}", name, summary) for word, module, name, summary in _TABLE}
 
 _GROUP = "bunraku.verbs"
 """Entry points by which other packages, the laboratory among them, add verbs."""
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def all_verbs() -> Verbs:
@@ -113,9 +84,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             traceback.print_exc()
-        status, sentence = _explain(error)
-        print(f"bunraku: error: {' '.join(sentence.split())}", file=sys.stderr)
-        return status
+        print(f"bunraku: error: {' '.join(sentence_of(error).split())}", file=sys.stderr)
+        return 1 if is_fault(error) else 2
 
 
 def _repair_streams() -> None:
@@ -170,8 +140,8 @@ def _parse(kind: type, verb: tuple[str, ...], words: list[str], text: str) -> An
 
 
 def _check_once(kind: type, words: Sequence[str]) -> None:
-    """Raise OptionError where a file or folder is named several times of which only the last would count; of other
-    options the last counts, as ever in a shell.
+    """Raise OptionError where an option that takes one path is given twice; of other options the last counts, as
+    usual in a shell.
     """
     given = [word.partition("=")[0].replace("_", "-") for word in words if word.startswith("-")]
     if len(set(given)) == len(given) and not {"-o", "--output"} <= set(given):
@@ -233,34 +203,4 @@ def _print_help(verbs: Verbs, group: str = "") -> None:
             '\nexample: bunraku animate dragon.glb "walks forward, then waves" --seconds 6 -o dragon-wave.glb '
             "--preview dragon-wave.mp4"
         )
-    print(f"\n`{prefix} COMMAND --help` tells the options of a command.")
-
-
-def _explain(error: Exception) -> tuple[int, str]:
-    """Exit status and sentence for an exception."""
-    if isinstance(error, BunrakuError):
-        return 2, str(error)
-    if isinstance(error, ModuleNotFoundError) and error.name == "torch":
-        return 2, str(MissingExtraError("PyTorch", "lab", "what trains, measures and builds data"))
-    if isinstance(error, MemoryError) or _is_allocation_failure(error):
-        return 2, "the memory is not enough for this; close other programs, or give a smaller mesh or fewer seconds"
-    if isinstance(error, OSError):
-        where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
-        if error.errno in _FULL:
-            return 2, f"{where}the disk is full; free some space or write to another folder"
-        if isinstance(error, PermissionError):
-            return 2, f"{where}permission denied; choose a file or folder that you may use"
-        return 2, f"{where}{error.strerror or error}"
-    return (
-        1,
-        f"this is a fault of Bunraku, not yours: {type(error).__name__}: {error}; run again with --debug and report "
-        "what it prints",
-    )
-
-
-def _is_allocation_failure(error: Exception) -> bool:
-    """Whether torch, which raises RuntimeError for it, ran out of memory on the CPU or on a GPU."""
-    text = str(error)
-    return isinstance(error, RuntimeError) and (
-        "not enough memory" in text or "can't allocate memory" in text or "out of memory" in text
-    )
+    print(f"\n`{prefix} COMMAND --help` shows the options of a command.")

@@ -4,27 +4,27 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from bunraku.cli.manifest import check_free, exclusive_output
-from bunraku.cli.options import AxisOption, UnitOption, check_axes, stand_up
+from bunraku.cli.options import StandingOptions
 from bunraku.cli.outputs import (
     OutputOption,
     PreviewOption,
-    Report,
     check_folder,
     check_input,
+    check_output,
     check_outputs,
     save_all,
     stages,
     written_path,
     wrote,
 )
-from bunraku.core.request import FPS, SECONDS
+from bunraku.core.request import FPS, SECONDS, Progress
 from bunraku.errors import OptionError
 
 if TYPE_CHECKING:
@@ -42,38 +42,34 @@ class Clips:
     """
 
     words: tyro.conf.Positional[tuple[str, ...]] = ()
-    """What is looked for: a name, or words of what is done; all clips by default."""
+    """A name, or words that say what the clip shows; all clips by default."""
     tag: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TAG"), tyro.conf.UseAppendAction] = ()
     """A tag that the clips have, such as dance. May be given more than once."""
     json: bool = False
     """Print JSON for programs."""
     character: Path | None = None
-    """The character that the first of them is put on; without it, --output gets the motion of the reference body."""
+    """Put the first clip that is found on this character; without it, --output gets the reference body's motion."""
     output: OutputOption = ()
-    """File that the first of them is written to. May be given more than once. Default with --character:
+    """File to write the first clip to. May be given more than once. Default with --character:
     CHARACTER-CLIP.glb in this folder.
     """
     seconds: float | None = None
-    """How long it is to last: one that loops is played on, others are held at their end. Default: its own length."""
+    """Length of the clip: one that loops is repeated, others are held at their end. Default: its own length."""
     loop: bool = False
-    """Write whole rounds of one that loops, so that its last frame goes on with its first."""
+    """Write full rounds of a clip that loops, so that its first frame follows its last."""
     fps: float = 30.0
     """Frames a second of the file, 1 to 240."""
-    up: AxisOption = "auto"
-    """The axis that is up in the character's file."""
-    front: AxisOption = "auto"
-    """The axis that the character faces in its file."""
-    unit: UnitOption = "auto"
-    """The unit of lengths in the character's file."""
     overwrite: bool = False
     """Replace files that are there already and that Bunraku did not write."""
     preview: PreviewOption = ()
     """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."""
+    standing: tyro.conf.OmitArgPrefixes[StandingOptions] = field(default_factory=StandingOptions)
+    """How the character's file is read."""
 
     def run(self) -> None:
         from bunraku.generation.library import search
 
-        check_axes(self.up, self.front)
+        self.standing.check()
         SECONDS.check(self.seconds, "--seconds")
         FPS.check(self.fps, "--fps")
         text = " ".join(self.words)
@@ -106,17 +102,17 @@ class Clips:
             save_all(self._animation(clip, report), outputs, self.preview, self.fps, report)
         print(f"{clip.name}: {clip.source.credit}; {clip.source.terms}", file=sys.stderr)
 
-    def _animation(self, clip: Clip, report: Report) -> AnimatedCharacter:
+    def _animation(self, clip: Clip, report: Progress) -> AnimatedCharacter:
         from bunraku.core.animation import Animation
         from bunraku.core.body.reference import reference_body
-        from bunraku.files import load_character
         from bunraku.pipelines.transfer import transfer
 
         if self.character is None:
             body, motion = reference_body(), clip.motion(self.seconds, self.loop)
             return Animation(body.character(), body.handles, motion, motion)
-        character = stand_up(load_character(self.character, unit="m"), self.character, self.up, self.front, self.unit)
-        return transfer(character, clip.motion(self.seconds, self.loop), fps=self.fps, progress=report)
+        return transfer(
+            self.standing.load(self.character), clip.motion(self.seconds, self.loop), fps=self.fps, progress=report
+        )
 
 
 def facts_of(clip: Clip) -> dict[str, object]:
@@ -137,14 +133,15 @@ class Samples:
     names: tyro.conf.Positional[tuple[str, ...]] = ()
     """Which ones; all of them by default."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path(".")
-    """Folder to write to, made when it is not there."""
+    """Folder to write to, made when it is missing; or the file of one sample, with the suffix .glb."""
     overwrite: bool = False
     """Replace other files that have a sample's name."""
     list: bool = False
     """Only print the names."""
 
     def run(self) -> None:
-        from bunraku.files import sample_names
+        from bunraku.core.files import atomic_write, read_bounded
+        from bunraku.files import sample_file, sample_names
 
         known = tuple(sample_names())
         for name in self.names:
@@ -153,24 +150,22 @@ class Samples:
         if self.list:
             print("\n".join(known))
             return
-        check_folder(self.output)
-
-        outputs = {name: self.output / f"{name}.glb" for name in self.names or known}
-        with exclusive_output(outputs.values()):
-            self._write(outputs)
-
-    def _write(self, outputs: dict[str, Path]) -> None:
-        """Write the samples that are not there yet."""
-        from bunraku.core.files import atomic_write, read_bounded
-        from bunraku.files import sample_file
-
-        todo = {name: read_bounded(sample_file(name)) for name in outputs}
-        there = [name for name, path in outputs.items() if path.is_file() and path.read_bytes() == todo[name]]
-        check_free([path for name, path in outputs.items() if name not in there], self.overwrite, ours=False)
-        if there:
-            print(f"{len(there)} of {len(todo)} samples are there already")
-        for name, path in outputs.items():
-            if name not in there:
-                with atomic_write(path) as file:
-                    file.write(todo[name])
-                wrote(path)
+        names = self.names or known
+        one_file = bool(self.output.suffix) and not self.output.is_dir()
+        if one_file:
+            if len(names) > 1:
+                raise OptionError(f"{len(names)} samples do not go into one file; name a folder, not {self.output}")
+            check_output(self.output, (".glb",))
+        else:
+            check_folder(self.output)
+        paths = {name: self.output if one_file else self.output / f"{name}.glb" for name in names}
+        with exclusive_output(paths.values()):
+            data = {name: read_bounded(sample_file(name)) for name in names}
+            todo = [name for name in names if not (paths[name].is_file() and paths[name].read_bytes() == data[name])]
+            check_free([paths[name] for name in todo], self.overwrite, ours=False)
+            if len(todo) < len(names):
+                print(f"{len(names) - len(todo)} of {len(names)} samples are there already")
+            for name in todo:
+                with atomic_write(paths[name]) as file:
+                    file.write(data[name])
+                wrote(paths[name])

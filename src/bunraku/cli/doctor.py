@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 from bunraku.cli.outputs import size_text
 
@@ -89,12 +88,8 @@ def _guarded(look: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
     try:
         yield from look()
     except Exception as error:
-        yield Finding(
-            look.__name__.strip("_"),
-            "missing",
-            f"{type(error).__name__}: {error}",
-            "this part of the installation is broken",
-        )
+        cost, reason = "this part of the installation is broken", f"{type(error).__name__}: {error}"
+        yield Finding(look.__name__.strip("_"), "missing", reason, cost)
 
 
 def _print(findings: list[Finding]) -> None:
@@ -166,28 +161,21 @@ def _weights() -> Iterator[Finding]:
 
 def _body() -> Iterator[Finding]:
     folder = Path(__file__).resolve().parents[1] / "core" / "body"
-    files = sorted(folder.glob("*.npz"))
-    if files:
-        yield Finding(
-            "reference body", "ok", ", ".join(f"{path.name}, {size_text(path.stat().st_size)}" for path in files)
-        )
+    found = ", ".join(f"{path.name}, {size_text(path.stat().st_size)}" for path in sorted(folder.glob("*.npz")))
+    if found:
+        yield Finding("reference body", "ok", found)
     else:
-        yield Finding(
-            "reference body", "missing", f"nothing in {folder}", "motions cannot be converted; install Bunraku again"
-        )
+        cost = "motions cannot be converted; install Bunraku again"
+        yield Finding("reference body", "missing", f"nothing in {folder}", cost)
 
 
 def _extras() -> Iterator[Finding]:
     for name, (extra, cost) in EXTRAS.items():
-        if importlib.util.find_spec(name) is not None:
-            yield Finding(name, "ok", _version(DISTRIBUTIONS.get(name, name)))
-        else:
+        if importlib.util.find_spec(name) is None:
             yield Finding(name, "optional", "not installed", f"{cost}; pip install 'bunraku[{extra}]'")
+            continue
+        try:
+            yield Finding(name, "ok", metadata.version(DISTRIBUTIONS.get(name, name)))
+        except metadata.PackageNotFoundError:
+            yield Finding(name, "ok", "of unknown version")
     yield Finding("FBX", "ok", "read and written by Bunraku itself")
-
-
-def _version(name: str) -> Any:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return "of unknown version"

@@ -12,23 +12,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from bunraku.cli.manifest import check_free, exclusive_output, note_written
-from bunraku.cli.options import EditSamplingOptions, GeneratingOptions, PinOption, parse_pin, stand_up
+from bunraku.cli.manifest import exclusive_output
+from bunraku.cli.options import EditSamplingOptions, GeneratingOptions, PinOption, parse_pin
 from bunraku.cli.outputs import (
     OutputOption,
-    Report,
-    check_different,
     check_input,
-    check_output,
     check_outputs,
     fitting_stages,
     save_all,
     slug,
     stages,
+    written_files,
     written_path,
-    wrote,
 )
-from bunraku.core.request import FPS
+from bunraku.core.request import FPS, Progress
 from bunraku.errors import OptionError
 from bunraku.pipelines.requests import Constraints, Keep, Pose, Request
 
@@ -108,10 +105,10 @@ class Edit(GeneratingOptions):
             stages=fitting_stages(self.without), force=self.force,
         )  # fmt: skip
 
-    def _animation(self, report: Report) -> Animation:
+    def _animation(self, report: Progress) -> Animation:
         from bunraku.core.animation import Animation
         from bunraku.core.body.reference import reference_body
-        from bunraku.files import load_character, load_clip, load_clip_animation
+        from bunraku.files import load_clip, load_clip_animation
 
         clip = load_clip(self.clip)
         if self.clip.suffix.lower() != ".npz":
@@ -131,7 +128,7 @@ class Edit(GeneratingOptions):
         from bunraku.pipelines.animate import rig
         from bunraku.pipelines.apply import apply_motion
 
-        character = stand_up(load_character(self.character, unit="m"), self.character, self.up, self.front, self.unit)
+        character = self.standing.load(self.character)
         handles = rig(character, handles=self.handles, progress=report)
         return clip.on(character, handles) or apply_motion(clip.of_the_reference_body(), Anatomy.of(character, handles))
 
@@ -156,44 +153,34 @@ def parse_span(text: str) -> tuple[float, float]:
 class Merge:
     """Join the clips of one character from several files in one GLB.
 
-    The first file is written as it is, with the clips of the others behind its own, onto the bones of the same names.
+    The first file is written as it is, with the clips of the others after its own, on the bones of the same names.
 
     Example: bunraku merge idle.glb walk.glb attack.glb -o knight.glb
     """
 
     files: tyro.conf.Positional[tuple[Path, ...]]
-    """Two GLB, glTF or VRM files of one character and more."""
+    """Two or more GLB, glTF or VRM files of one character."""
     output: OutputOption = ()
     """GLB to write. May be given more than once. Default: FIRST-merged.glb in this folder."""
     end_to_start: bool = False
-    """Write all clips in a row as one, each going on where the one before ends."""
+    """Write all clips in a row as one clip; each starts where the one before ends."""
     fps: float = 30.0
-    """Frames a second of that one, 1 to 240."""
+    """Frames a second of that clip, 1 to 240."""
     overwrite: bool = False
     """Replace files that are there already and that Bunraku did not write."""
 
     def run(self) -> None:
         FPS.check(self.fps, "--fps")
-        if len(self.files) < 2 and not self.end_to_start:
-            raise OptionError("name two files at the least, whose clips come into one")
-        if not self.files:
-            raise OptionError("name the files whose clips come into one")
+        if len(self.files) < (1 if self.end_to_start else 2):
+            raise OptionError("name the files whose clips are joined, two or more; one is enough with --end-to-start")
         for path in self.files:
             check_input(path)
         outputs = self.output or (Path(f"{self.files[0].stem}-merged.glb"),)
         with exclusive_output(outputs):
-            for path in outputs:
-                check_output(path, (".glb",), self.files)
-            check_different(outputs)
-            check_free(outputs, self.overwrite)
+            check_outputs(outputs, (), self.files, (".glb",), overwrite=self.overwrite)
 
             from bunraku.files import merge
 
-            written: list[Path] = []
-            try:
+            with written_files() as written:
                 for path in outputs:
                     written.append(merge(self.files, path, end_to_start=self.end_to_start, fps=self.fps))
-            finally:  # what is whole stays
-                for path in written:
-                    wrote(path)
-                note_written(written)

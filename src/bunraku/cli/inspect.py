@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,62 +19,64 @@ from bunraku.errors import CharacterError, WeightsError
 if TYPE_CHECKING:
     from bunraku.anatomy.anatomy import Anatomy
     from bunraku.apparel.chains.chain import Chain
-    from bunraku.core.motion import SkeletalMotion, Skeleton
+    from bunraku.core.motion import Skeleton
     from bunraku.files import Document
 
 __all__ = [
-    "Inspect",
-    "apparel_facts",
-    "describe",
-    "mmd_facts",
-    "say_chain",
-    "say_part",
-    "shape_facts",
-    "vmd_facts",
-    "vrm_facts",
-]
+    "Inspect", "apparel_facts", "avatar_facts", "describe", "say_chain", "say_part", "shape_facts", "vmd_facts",
+]  # fmt: skip
 
 
-def mmd_facts(character: Character) -> dict[str, Any]:
-    """Bones, morphs, physics and apparel of a character that was read from a PMX or PMD file; nothing of any other."""
+def avatar_facts(character: Character) -> dict[str, Any]:
+    """Bones, physics and apparel of a PMX, PMD or VRM file; nothing of any other character."""
     import numpy as np
 
-    from bunraku.apparel.mask import apparel_mask
-    from bunraku.core.avatars import mmd_model
+    from bunraku.apparel.mask import apparel_mask, artist_mask_file
+    from bunraku.core.avatars import mmd_model, vrm_model
 
-    model = mmd_model(character)
+    mmd, vrm = mmd_model(character), vrm_model(character)
+    model = mmd or vrm
     if model is None:
         return {}
-    mask = apparel_mask(character, model)
-    deforms = np.bincount(model.deforms, minlength=5)
+    mask, drawn = apparel_mask(character, model), artist_mask_file(character)
+    apparel = {"apparel_vertices": 0 if mask is None else int(mask.sum())}
+    shared = apparel if drawn is None else {**apparel, "apparel_mask": drawn.name}
+    warnings = {"warnings": list(model.warnings)}
+    if mmd is None:
+        assert vrm is not None
+        return {
+            "vrm_version": vrm.version,
+            "title": vrm.title,
+            "humanoid_bones": len(vrm.humanoid),
+            "spring_chains": len(vrm.springs),
+            "spring_joints": sum(len(spring.joints) for spring in vrm.springs),
+            "colliders": len(vrm.colliders),
+        } | shared | warnings  # fmt: skip
+    deforms = np.bincount(mmd.deforms, minlength=5)
     kinds = dict(zip(("BDEF1", "BDEF2", "BDEF4", "SDEF", "QDEF"), map(int, deforms), strict=True))
     return {
-        "model": " / ".join(dict.fromkeys(name for name in (model.name, model.english) if name)),
-        "version": model.version,
-        "bones": len(model.bones),
-        "bones_that_take_over": sum(bone.append is not None for bone in model.bones),
-        "inverse_kinematics": [bone.name for bone in model.bones if bone.ik is not None],
-        "morphs": len(model.morphs),
-        "rigid_bodies": len(model.bodies),
-        "rigid_bodies_dynamic": sum(body.dynamic for body in model.bodies),
-        "rigid_joints": len(model.joints),
-        "apparel_vertices": 0 if mask is None else int(mask.sum()),
-        **_drawn(character),
+        "model": " / ".join(dict.fromkeys(name for name in (mmd.name, mmd.english) if name)),
+        "version": mmd.version,
+        "bones": len(mmd.bones),
+        "bones_that_take_over": sum(bone.append is not None for bone in mmd.bones),
+        "inverse_kinematics": [bone.name for bone in mmd.bones if bone.ik is not None],
+        "morphs": len(mmd.morphs),
+        "rigid_bodies": len(mmd.bodies),
+        "rigid_bodies_dynamic": sum(body.dynamic for body in mmd.bodies),
+        "rigid_joints": len(mmd.joints),
+        **shared,
         "deforms": {kind: count for kind, count in kinds.items() if count},
-        "warnings": list(model.warnings),
+        **warnings,
     }
 
 
 def vmd_facts(path: Path) -> dict[str, Any]:
-    """What a VMD file holds.
-
-    Raises:
-        FormatError: The file cannot be read.
-    """
+    """What a VMD file holds; FormatError where the file cannot be read."""
     from bunraku.anatomy.names.skeleton_map import mmd_skeleton_map
     from bunraku.files import VMD_FPS, load_vmd
 
     motion = load_vmd(path)
+    switched_off = {name for _, states in motion.switches for name, on in states.items() if not on}
     return {
         "kind": "MMD motion",
         "model": motion.model,
@@ -85,40 +87,8 @@ def vmd_facts(path: Path) -> dict[str, Any]:
         "morphs": sorted(motion.morphs),
         "keys": sum(len(track.frames) for track in motion.bones.values()),
         "convention": "MikuMikuDance" if mmd_skeleton_map(list(motion.bones)) is not None else "unknown",
-        "inverse_kinematics_off": sorted(
-            {name for _, states in motion.switches for name, on in states.items() if not on}
-        ),
+        "inverse_kinematics_off": sorted(switched_off),
     }
-
-
-def vrm_facts(character: Character) -> dict[str, Any]:
-    """The person's bones, springs and colliders of a VRM avatar; nothing of any other character."""
-    from bunraku.apparel.mask import apparel_mask
-    from bunraku.core.avatars import vrm_model
-
-    model = vrm_model(character)
-    if model is None:
-        return {}
-    mask = apparel_mask(character, model)
-    return {
-        "vrm_version": model.version,
-        "title": model.title,
-        "humanoid_bones": len(model.humanoid),
-        "spring_chains": len(model.springs),
-        "spring_joints": sum(len(spring.joints) for spring in model.springs),
-        "colliders": len(model.colliders),
-        "apparel_vertices": 0 if mask is None else int(mask.sum()),
-        **_drawn(character),
-        "warnings": list(model.warnings),
-    }
-
-
-def _drawn(character: Character) -> dict[str, Any]:
-    """The file of a mask that somebody made by hand."""
-    from bunraku.apparel.mask import artist_mask_file
-
-    path = artist_mask_file(character)
-    return {} if path is None else {"apparel_mask": path.name}
 
 
 def apparel_facts(character: Character) -> dict[str, Any]:
@@ -135,8 +105,8 @@ def apparel_facts(character: Character) -> dict[str, Any]:
 
 
 def shape_facts(anatomy: Anatomy) -> dict[str, Any]:
-    """What the networks find on a person's mesh: the parts of its apparel, and the chains that are laid over them, as
-    `apparel_facts` tells those of bones; nothing where none is found.
+    """What the networks find on a person's mesh: the parts of its apparel, and the chains that are laid over them;
+    nothing where there are none.
     """
     from bunraku.pipelines.clothes import clothed_of, rig_with_chains
 
@@ -163,7 +133,7 @@ def _part_facts(character: Character, clothed: Any) -> list[dict[str, Any]]:
 
     kinds = part_kinds(clothed, shape_chains(clothed))
     clothed = with_parts_from_file(clothed, parameters_beside(character))
-    whole = max(float(character.areas.sum()), 1e-30)
+    area = max(float(character.areas.sum()), 1e-30)
     out = []
     for number, kind in enumerate(kinds):
         rows = np.flatnonzero(clothed.part == number)
@@ -173,7 +143,7 @@ def _part_facts(character: Character, clothed: Any) -> list[dict[str, Any]]:
         out.append(
             {
                 "part": number, "kind": kind or "unknown", "vertices": len(rows),
-                "area": round(float(character.areas[rows].sum()) / whole, 4), "hangs_on": JOINT_NAMES[joint],
+                "area": round(float(character.areas[rows].sum()) / area, 4), "hangs_on": JOINT_NAMES[joint],
                 "stiffness": float(f"{10.0**ratio:.3g}"), "limit": round(float(np.degrees(turn)), 1),
                 "damping": round(float(clothed.damping[number]), 3),
             }
@@ -199,19 +169,18 @@ def _chain_facts(chains: Sequence[Chain], names: Sequence[str]) -> dict[str, Any
 
 def say_chain(chain: dict[str, Any]) -> str:
     """A chain in words: what it was taken for."""
-    return f"{chain['name']} ({chain['kind']}, {chain['links']} links on {chain['hangs_on']}, {_manner(chain)})"
+    return f"{chain['name']} ({chain['kind']}, {chain['links']} links on {chain['hangs_on']}, {_parameters(chain)})"
 
 
 def say_part(part: dict[str, Any]) -> str:
     """A part in words."""
-    return f"{part['kind']} on {part['hangs_on']} ({part['vertices']:,} vertices, {_manner(part)})"
+    return f"{part['kind']} on {part['hangs_on']} ({part['vertices']:,} vertices, {_parameters(part)})"
 
 
-def _manner(one: dict[str, Any]) -> str:
-    return f"turns {one['limit']:g} degrees, stiffness {one['stiffness']:g}, damping {one['damping']:g}"
+def _parameters(facts: dict[str, Any]) -> str:
+    return f"turns {facts['limit']:g} degrees, stiffness {facts['stiffness']:g}, damping {facts['damping']:g}"
 
 
-_USUAL = {"up": "+y", "front": "+z", "taken_up": "+y", "taken_front": "+z"}
 GLTF = (".glb", ".gltf", ".vrm")
 
 
@@ -293,11 +262,12 @@ def describe(path: Path, unit: str = "auto") -> dict[str, Any]:
     facts: dict[str, Any] = {"file": str(path), "bytes": path.stat().st_size}
     if path.suffix.lower() in (".npz", ".npy", ".bvh", ".vrma"):
         return facts | _motion(path)
-    from bunraku.files import load_character
+    from bunraku.core.files import read_bounded
+    from bunraku.files import fbx_facts, load_character
 
     if path.suffix.lower() == ".vmd":
         return facts | vmd_facts(path)
-    fbx = _fbx(path) if path.suffix.lower() == ".fbx" else {}
+    fbx = fbx_facts(path, read_bounded(path)) if path.suffix.lower() == ".fbx" else {}
     if fbx and not fbx["meshes"]:  # clips without a character
         return facts | _motion(path) | fbx
     character = load_character(path, unit="m" if unit == "auto" else unit)
@@ -308,44 +278,32 @@ def describe(path: Path, unit: str = "auto") -> dict[str, Any]:
     if suffix not in GLTF:
         facts.pop("generator", None)  # the document stands for a file of another format
     up, front = facts["orientation"]["taken_up"], facts["orientation"]["taken_front"]
-    return facts | _body(character, up, front) | fbx | mmd_facts(character) | vrm_facts(character)
+    return facts | _body(character, up, front) | fbx | avatar_facts(character)
 
 
 def _body(character: Character, up: str, front: str) -> dict[str, Any]:
     """What handles make of it: what it stands on, which parts are found and how clearly, and what it cannot do."""
     from bunraku.anatomy.anatomy import Anatomy
     from bunraku.anatomy.handles.predict import predict_handles
-    from bunraku.files import turned
+    from bunraku.apparel.chains.moving import moving_rig
+    from bunraku.files import rotated
     from bunraku.pipelines.bodies import body_facts
 
     try:
-        standing = turned(character, up, front)
+        standing = rotated(character, up, front)
         anatomy = Anatomy.of(standing, predict_handles(standing))
         found = body_facts(anatomy)
     except (WeightsError, CharacterError) as error:
         return {"body": None, "body_note": str(error)}
     parts = [{"name": part.name, "area": round(part.area, 4), "clear": round(part.sure, 3)} for part in found.parts]
     facts = {"body": found.plan.words, "parts": parts, "cannot": list(found.cannot)}
-    return facts if _says_apparel(character) else facts | shape_facts(anatomy)
-
-
-def _says_apparel(character: Character) -> bool:
-    """Whether its file says what of it is apparel, by bones or physics."""
-    from bunraku.apparel.chains.moving import moving_rig
-
-    return moving_rig(character) is not None
-
-
-def _fbx(path: Path) -> dict[str, Any]:
-    from bunraku.core.files import read_bounded
-    from bunraku.files import fbx_facts
-
-    return fbx_facts(path, read_bounded(path))
+    return facts if moving_rig(character) is not None else facts | shape_facts(anatomy)  # the file has no apparel
 
 
 def _motion(path: Path) -> dict[str, Any]:
     from bunraku.core.motion import HandleMotion, SkeletalMotion
     from bunraku.files import read_motion
+    from bunraku.pipelines.to_reference import creature_motion
 
     motion = read_motion(path)
     facts: dict[str, Any] = {"kind": "handle motion" if isinstance(motion, HandleMotion) else "skeletal motion"}
@@ -354,17 +312,10 @@ def _motion(path: Path) -> dict[str, Any]:
         facts["handles"] = motion.translations.shape[1]
     elif isinstance(motion, SkeletalMotion):
         facts["joints"] = len(motion.skeleton.names)
-        facts |= _mapping(motion.skeleton) | _animal(motion)
+        creature = creature_motion(motion)
+        facts |= _mapping(motion.skeleton) | ({} if creature is None else {"body": creature.plan.words})
     travel = motion.root_translation[-1] - motion.root_translation[0]
     return facts | {"root_travel": [round(float(x), 3) for x in travel]}
-
-
-def _animal(motion: SkeletalMotion) -> dict[str, Any]:
-    """What stands in the motion, where that is no person."""
-    from bunraku.pipelines.to_reference import creature_motion
-
-    found = creature_motion(motion)
-    return {} if found is None else {"body": found.plan.words}
 
 
 def _mapping(skeleton: Skeleton) -> dict[str, Any]:
@@ -438,7 +389,8 @@ def _orientation(character: Character) -> dict[str, Any]:
     try:
         resolved, note = resolve_file(character)
     except WeightsError as error:
-        return {**_USUAL, "up_confidence": None, "front_confidence": None, "note": f"assumed: {error}"}
+        axes = {"up": "+y", "front": "+z", "taken_up": "+y", "taken_front": "+z"}
+        return {**axes, "up_confidence": None, "front_confidence": None, "note": f"assumed: {error}"}
     guess = resolved.guess
     assert guess is not None
     return {
@@ -463,31 +415,29 @@ def _unit(height: float, suffix: str, unit: str) -> dict[str, str]:
 
 
 def _document(document: Document) -> dict[str, Any]:
-    animations = []
-    for number, animation in enumerate(document.items("animations")):
-        ends = [
-            float(document.accessor(sampler.get("input"), ("SCALAR",)).max(initial=0))
-            for sampler in document.objects(animation, "samplers")
+    def named(kind: str) -> list[tuple[str, dict[str, Any]]]:
+        """Entries of a kind, those without a name numbered."""
+        return [
+            (str(entry.get("name") or f"{kind[:-1]} {number}"), entry)
+            for number, entry in enumerate(document.items(kind))
         ]
-        name = str(animation.get("name") or f"animation {number}")
-        animations.append(
-            {
-                "name": name,
-                "seconds": round(max(ends, default=0.0), 3),
-                "channels": len(document.objects(animation, "channels")),
-            }
-        )
+
+    def seconds(animation: dict[str, Any]) -> float:
+        samplers = document.objects(animation, "samplers")
+        ends = [float(document.accessor(sampler.get("input"), ("SCALAR",)).max(initial=0)) for sampler in samplers]
+        return round(max(ends, default=0.0), 3)
+
     return {
         "generator": str(document.tree["asset"].get("generator", "")),
         "meshes": len(document.items("meshes")),
         "primitives": sum(len(document.objects(mesh, "primitives")) for mesh in document.items("meshes")),
-        "materials": [
-            str(material.get("name") or f"material {number}")
-            for number, material in enumerate(document.items("materials"))
-        ],
+        "materials": [name for name, _ in named("materials")],
         "textures": len(document.items("textures")),
         "skins": len(document.items("skins")),
-        "animations": animations,
+        "animations": [
+            {"name": name, "seconds": seconds(entry), "channels": len(document.objects(entry, "channels"))}
+            for name, entry in named("animations")
+        ],
         "extensions": sorted(str(name) for name in document.tree.get("extensionsUsed", [])),
     }
 
@@ -501,56 +451,60 @@ def _print(facts: dict[str, object]) -> None:
     table.add_column(style="bold")
     table.add_column(overflow="fold")
     for key, value in facts.items():
-        table.add_row(Text(key.replace("_", " ")), Text(_say(key, value)))
+        table.add_row(Text(key.replace("_", " ")), Text(_WORDS.get(key, _plain)(value)))
     Console().print(table)
 
 
-def _say(key: str, value: Any) -> str:
-    if key == "bytes":
-        return size_text(value)
-    if key in ("height", "seconds"):
-        return f"{value:g} {'m' if key == 'height' else 's'}"
-    if key in ("extent", "lowest_corner", "root_travel"):
-        return (
-            " x ".join(f"{x:g}" for x in value) + " m" if key == "extent" else ", ".join(f"{x:g}" for x in value) + " m"
-        )
-    if key == "orientation":
-        up, front = (f"{value[which].upper()} ({_sure(value[which + '_confidence'])})" for which in ("up", "front"))
-        return value["note"] or f"up {up}, front {front}"
-    if key == "unit":
-        return value["note"] or value["name"]
-    if key == "rig":
-        return (
-            "none"
-            if value is None
-            else f"{value['joints']} joints, up to {value['influences']} influences a vertex: {_short(value['names'])}"
-        )
-    if key == "mapping":
-        return (
-            ", ".join(f"{name} = {own}" for name, own in value.items())
-            or "none found; a person has a pelvis and two legs"
-        )
-    if key == "parts":
-        return ", ".join(f"{part['name']} ({100 * part['clear']:.0f} % clear)" for part in value)
-    if key == "apparel":
-        return _short([say_part(part) for part in value])
-    if key == "chains":
-        return _short([say_chain(chain) for chain in value])
-    if key == "cannot":
-        return "; ".join(value) or "nothing is known that it cannot do"
-    if key == "animations":
-        return _short([f"{clip['name']} ({clip['seconds']:g} s)" for clip in value]) if value else "none"
-    if key == "deforms":
-        return ", ".join(f"{kind} {count:,}" for kind, count in value.items())
+def _plain(value: Any) -> str:
     if isinstance(value, list):
         return f"{len(value)}: {_short(value)}" if value else "none"
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def _sure(share: float) -> str:
-    return f"{100 * min(share, 0.99):.0f} % sure"
+def _orientation_words(value: Any) -> str:
+    up, front = (
+        f"{value[which].upper()} ({100 * min(value[which + '_confidence'], 0.99):.0f} % sure)"
+        for which in ("up", "front")
+    )
+    return value["note"] or f"up {up}, front {front}"
+
+
+def _rig_words(value: Any) -> str:
+    if value is None:
+        return "none"
+    return f"{value['joints']} joints, up to {value['influences']} influences a vertex: {_short(value['names'])}"
+
+
+def _mapping_words(value: Any) -> str:
+    pairs = ", ".join(f"{name} = {joint}" for name, joint in value.items())
+    return pairs or "none found; a person has a pelvis and two legs"
+
+
+def _point_words(value: Any) -> str:
+    return ", ".join(f"{x:g}" for x in value) + " m"
 
 
 def _short(names: list[str], limit: int = 12) -> str:
     more = f", and {len(names) - limit} more" if len(names) > limit else ""
     return ", ".join(names[:limit]) + more
+
+
+_WORDS: dict[str, Callable[[Any], str]] = {
+    "bytes": size_text,
+    "height": lambda value: f"{value:g} m",
+    "seconds": lambda value: f"{value:g} s",
+    "extent": lambda value: " x ".join(f"{x:g}" for x in value) + " m",
+    "lowest_corner": _point_words,
+    "root_travel": _point_words,
+    "orientation": _orientation_words,
+    "unit": lambda value: value["note"] or value["name"],
+    "rig": _rig_words,
+    "mapping": _mapping_words,
+    "parts": lambda value: ", ".join(f"{part['name']} ({100 * part['clear']:.0f} % clear)" for part in value),
+    "apparel": lambda value: _short([say_part(part) for part in value]),
+    "chains": lambda value: _short([say_chain(chain) for chain in value]),
+    "cannot": lambda value: "; ".join(value) or "nothing is known that it cannot do",
+    "animations": lambda value: _short([f"{clip['name']} ({clip['seconds']:g} s)" for clip in value]) or "none",
+    "deforms": lambda value: ", ".join(f"{kind} {count:,}" for kind, count in value.items()),
+}
+"""How a fact is printed; all others as numbers, texts or lists."""

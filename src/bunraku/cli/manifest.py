@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bunraku.core.files import remove_leftovers
-from bunraku.core.request import from_json
+from bunraku.core.request import from_json, to_json
 from bunraku.errors import BunrakuError, FormatError
 
 __all__ = ["check_free", "exclusive_output", "fingerprint", "note_begun", "note_done", "note_written", "unfinished"]
@@ -26,11 +26,11 @@ _MOST_JSON = 64 << 20  # of a GLB whose maker is looked up [bytes]
 
 
 def fingerprint(inputs: Iterable[Path], *facts: Any) -> str:
-    """What a result is made of, as a short text: its inputs by place, size and time, the facts, and the version.
+    """A short text that changes with the path, size or time of an input, with the facts, and with the version.
 
     Args:
         inputs: Files, or folders of files.
-        *facts: All options that change the result, of types that JSON knows.
+        *facts: All options that change the result, of types that JSON has.
     """
     from bunraku import __version__
 
@@ -46,17 +46,18 @@ def unfinished(marks: Mapping[Path, str], overwrite: bool = False) -> list[Path]
 
     Args:
         marks: The fingerprint of each result, a file or a folder of files; all lie in one folder.
-        overwrite: Make those too whose place is taken by something else.
+        overwrite: Also make those in whose path something else lies.
 
     Raises:
-        FormatError: Something else is in the place of a result.
+        FormatError: Something else lies in the path of a result.
     """
+    if not marks:
+        return []
+    folder = next(iter(marks)).parent
+    known = _entries(folder)
+    remove_leftovers(folder)
     todo: list[Path] = []
     taken: list[Path] = []
-    folder = next(iter(marks)).parent if marks else None
-    known = {} if folder is None else _entries(folder)
-    if folder is not None:
-        remove_leftovers(folder)
     for path, mark in marks.items():
         made, state = known.get(path.name, ("", None))
         here = _state(path)
@@ -81,16 +82,16 @@ def note_done(path: Path, mark: str) -> None:
 
 
 def check_free(paths: Iterable[Path], overwrite: bool, ours: bool = True) -> None:
-    """Make sure that single results lose nothing: their places are free, or hold what Bunraku wrote. What killed runs
-    left half-done beside them goes.
+    """Make sure that single results replace nothing but what Bunraku wrote. What killed runs left half-done beside them
+    is removed.
 
     Args:
         paths: Files, or folders of files.
-        overwrite: Whether anything may be written over.
+        overwrite: Whether anything may be replaced.
         ours: Whether what Bunraku wrote may be.
 
     Raises:
-        FormatError: Something else is in the place of a result.
+        FormatError: Something else lies in the path of a result.
     """
     paths = list(paths)
     for folder in {path.parent for path in paths}:
@@ -101,7 +102,7 @@ def check_free(paths: Iterable[Path], overwrite: bool, ours: bool = True) -> Non
 
 
 def note_written(paths: Iterable[Path]) -> None:
-    """Note single results, but for those that say themselves who wrote them."""
+    """Note single results, except those that name Bunraku as their generator."""
     for path in paths:
         if not _says_bunraku(path):
             note_done(path, "single")
@@ -112,7 +113,7 @@ def _refuse(taken: list[Path]) -> None:
     raise FormatError(
         taken[0],
         f"this is there already{more}, and not what this command left with these inputs and options; choose another "
-        "place with -o, or replace it with --overwrite",
+        "path with -o, or replace it with --overwrite",
     )
 
 
@@ -146,7 +147,7 @@ def _says_bunraku(path: Path) -> bool:
 
 
 def _entries(folder: Path) -> dict[str, tuple[str, list[int] | None]]:
-    """What the ledger of a folder says last of each name; lines that a stopped run left in half do not count."""
+    """The last entry of the manifest for each name; lines that a stopped run left in half do not count."""
     try:
         lines = (folder / MANIFEST).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -164,11 +165,8 @@ def _entries(folder: Path) -> dict[str, tuple[str, list[int] | None]]:
 
 def _append(entries: Mapping[Path, tuple[str, list[int] | None]]) -> None:
     for folder in dict.fromkeys(path.parent for path in entries):
-        lines = [
-            json.dumps([path.name, mark, state]) + "\n"
-            for path, (mark, state) in entries.items()
-            if path.parent == folder
-        ]
+        here = {path.name: entry for path, entry in entries.items() if path.parent == folder}
+        lines = [json.dumps([name, *entry]) + "\n" for name, entry in here.items()]
         try:
             with (folder / MANIFEST).open("a", encoding="utf-8") as file:
                 file.write("\n" * (file.tell() > 0 and not _ends_whole(folder / MANIFEST)) + "".join(lines))
@@ -206,11 +204,11 @@ class _Run:
     folders: tuple[str, ...] = ()
 
     def meets(self, other: _Run) -> str:
-        """A place that both write, "" for none."""
-        for one, two in ((self, other), (other, self)):
-            for path in (*one.files, *one.folders):
-                inside = any(Path(folder) in Path(path).parents for folder in two.folders)
-                if inside or path in (*two.files, *two.folders):
+        """A path that both write, "" for none."""
+        for run, beside in ((self, other), (other, self)):
+            for path in (*run.files, *run.folders):
+                inside = any(Path(folder) in Path(path).parents for folder in beside.folders)
+                if inside or path in (*beside.files, *beside.folders):
                     return path
         return ""
 
@@ -222,37 +220,28 @@ class _Run:
 
 @contextmanager
 def exclusive_output(files: Iterable[Path] = (), folders: Iterable[Path] = ()) -> Iterator[None]:
-    """While this lasts, no other run writes to these places.
-
-    Args:
-        files: Files that are written.
-        folders: Folders that are filled, with all in them.
-
-    Raises:
-        FormatError: Another run writes there.
+    """While this lasts, no other run writes to these files, nor into these folders; FormatError where another run
+    writes there.
     """
-    texts = [tuple(os.path.realpath(path) for path in paths) for paths in (files, folders)]
-    own = _Run(os.getpid(), _born(os.getpid()), texts[0], texts[1])
+    written, filled = (tuple(os.path.realpath(path) for path in paths) for paths in (files, folders))
+    run = _Run(os.getpid(), _born(os.getpid()), written, filled)
     lock = _lock_folder()
     if lock is None:  # a machine without a temporary folder has bigger troubles
         yield
         return
-    mark = lock / f"{own.process}-{time.monotonic_ns()}.json"
+    mark = lock / f"{run.process}-{time.monotonic_ns()}.json"
     with _guarded(lock):
         for file in lock.glob("*.json"):
             other = _read(file)
             if other is None or not other.alive:
                 file.unlink(missing_ok=True)
-            elif other.process != own.process and (met := own.meets(other)):
+            elif other.process != run.process and (met := run.meets(other)):
                 raise FormatError(
                     met,
                     f"another run of Bunraku (process {other.process}) is writing here; wait until it is done, or "
                     "choose another path with -o",
                 )
-        mark.write_text(
-            json.dumps({"process": own.process, "born": own.born, "files": own.files, "folders": own.folders}),
-            encoding="utf-8",
-        )
+        mark.write_text(json.dumps(to_json(run)), encoding="utf-8")
     try:
         yield
     finally:
@@ -261,13 +250,13 @@ def exclusive_output(files: Iterable[Path] = (), folders: Iterable[Path] = ()) -
 
 
 def _lock_folder() -> Path | None:
-    """The folder of the files, which only this user may read."""
+    """The folder of the runs' files, which only this user may read."""
     try:
         folder = Path(tempfile.gettempdir()) / f"bunraku-runs-{getpass.getuser()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         mine = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
         return folder if mine and not folder.is_symlink() and os.access(folder, os.W_OK) else None
-    except (OSError, KeyError, ImportError):  # nobody's name is known
+    except (OSError, KeyError, ImportError):  # the user has no name
         return None
 
 
@@ -319,7 +308,7 @@ def _runs(process: int) -> bool:
 
 
 def _born(process: int) -> str:
-    """When a process began, in the system's ticks; "" where the system does not tell."""
+    """When a process began, in the system's ticks; "" where the system does not say."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[19]
     except (OSError, IndexError, UnicodeDecodeError):

@@ -23,24 +23,10 @@ if TYPE_CHECKING:
     from bunraku.retarget.pins import Pin
 
 __all__ = [
-    "ApparelOptions",
-    "AxisOption",
-    "DirectingOptions",
-    "EditSamplingOptions",
-    "GeneratingOptions",
-    "PinOption",
-    "ProgramOption",
-    "SamplingOptions",
-    "SkeletonOption",
-    "UnitOption",
-    "check_axes",
-    "parse_path",
-    "parse_pin",
-    "resolve_file",
-    "said_axes",
-    "stand_up",
-    "stands_line",
-]
+    "ApparelOptions", "AxisOption", "DirectingOptions", "EditSamplingOptions", "GeneratingOptions", "PinOption",
+    "ProgramOption", "SamplingOptions", "SkeletonOption", "StandingOptions", "UnitOption", "check_axes",
+    "parse_path", "parse_pin", "resolve_file", "said_axes", "stand_up", "stands_line",
+]  # fmt: skip
 
 
 SkeletonOption = Annotated[Literal["mixamo", "vrm", "unreal"] | None, tyro.conf.arg(help_behavior_hint="")]
@@ -78,23 +64,49 @@ def stand_up(character: Character, path: Path, up: str = "auto", front: str = "a
     Args:
         character: As the file has it.
         path: The file.
-        up, front, unit: What the options say.
+        up, front, unit: The values of the options.
 
     Raises:
         OptionError: The unit of the file cannot be changed.
         WeightsError: Something is to be guessed and the weights are missing or broken.
     """
-    from bunraku.files import in_metres, turned
+    from bunraku.files import in_metres, rotated
 
     resolved, line = resolve_file(character, up, front)
     if line:
         print(f"{path}: {line}", file=sys.stderr)
     if (resolved.up, resolved.front) != ("+y", "+z"):
-        character = turned(character, resolved.up, resolved.front)
+        character = rotated(character, resolved.up, resolved.front)
     character, note = in_metres(character, unit, "+y")
     if note:
         print(f"{path}: {note}. Type --unit m to keep its numbers.", file=sys.stderr)
     return character
+
+
+@dataclass(frozen=True)
+class StandingOptions:
+    """How a character's file is read."""
+
+    up: AxisOption = "auto"
+    """The axis that is up in the character's file. "auto" goes by the rule of the format, and by the shape where it has
+    none.
+    """
+    front: AxisOption = "auto"
+    """The axis that the character faces in its file."""
+    unit: UnitOption = "auto"
+    """The unit of lengths in the character's file. "auto" goes by the rule of the format, and by the height where it
+    has none.
+    """
+
+    def check(self) -> None:
+        """Raise OptionError unless up and front are axes at a right angle, or "auto"."""
+        check_axes(self.up, self.front)
+
+    def load(self, path: Path, clips: float | None = None) -> Character:
+        """The character of a file, upright and in metres, with its clips where a rate [1/s] is given."""
+        from bunraku.files import load_character
+
+        return stand_up(load_character(path, unit="m", clips=clips), path, self.up, self.front, self.unit)
 
 
 def resolve_file(character: Character, up: str = "auto", front: str = "auto") -> tuple[ResolvedAxes, str]:
@@ -110,39 +122,32 @@ def stands_line(character: Character, up: str = "auto", front: str = "auto") -> 
 
     Args:
         character: As the file has it.
-        up, front: What the options say.
+        up, front: The values of the options.
     """
     resolved, note = resolve_file(character, up, front)
     taken = f"stands with {resolved.up.upper()} up, facing {resolved.front.upper()}"
-    guess = resolved.guess
-    if guess is None:
-        return f"{taken}, as told"
-    sure = _percent(guess.probability(resolved.up, resolved.front))
-    return f"{taken} ({sure} sure)" + (f" - {note}" if note else "")
+    if resolved.guess is None:
+        return f"{taken}, as the options say"
+    return f"{taken} ({_percent(resolved.sure)} sure)" + (f" - {note}" if note else "")
 
 
 def said_axes(resolved: ResolvedAxes, up: str = "auto", front: str = "auto") -> str:
-    """What to tell about a guess: what was taken, how sure that is, and what to type to set it.
-
-    Nothing where nothing was guessed, and nothing where it is at least 85 % sure.
+    """A sentence about a guess: what was taken, how sure that is, and what to type to set it. Empty where nothing was
+    guessed, or the guess is at least 85 % sure.
 
     Args:
         resolved: How the character is taken to stand.
-        up, front: What the options say.
+        up, front: The values of the options.
     """
     from bunraku.anatomy.handles.orientation import SURE
 
-    guess = resolved.guess
-    if guess is None:
+    guess, other = resolved.guess, resolved.other
+    if guess is None or other is None or resolved.sure >= SURE:
         return ""
     given = [value.strip().lower() != "auto" for value in (up, front)]
     taken = (resolved.up, resolved.front)
-    chance = guess.probability(*taken)
-    if chance >= SURE:
-        return ""
-    other = (guess.up, guess.front) if taken != (guess.up, guess.front) else guess.next_best(*taken)
     return (
-        f"taken as {_listed(taken, given)} ({_percent(chance)} sure), perhaps {_listed(other, given)} "
+        f"taken as {_listed(taken, given)} ({_percent(resolved.sure)} sure), perhaps {_listed(other, given)} "
         f"({_percent(guess.probability(*other))}). To set it, type {_typed(taken, given)}, or else "
         f"{_typed(other, given)}; `bunraku inspect FILE --views views.png` shows which."
     )
@@ -213,27 +218,18 @@ class GeneratingOptions:
     by their names.
     """
     overwrite: bool = False
-    """Replace files that are there already and that Bunraku did not write, or made of something else."""
-    up: AxisOption = "auto"
-    """The axis that is up in the character's file. "auto" goes by the rule of the format, and by the shape where it has
-    none.
-    """
-    front: AxisOption = "auto"
-    """The axis that the character faces in its file."""
-    unit: UnitOption = "auto"
-    """The unit of lengths in the character's file. "auto" goes by the rule of the format, and by the height where it
-    has none.
-    """
+    """Replace files that Bunraku did not write, or made of something else."""
     without: WithoutOption = ()
-
     force: bool = False
-    """Go on where no movement of the sentence is understood; the network then makes some motion."""
+    """Go on where no movement of the sentence is understood; the network then makes any motion."""
+    standing: tyro.conf.OmitArgPrefixes[StandingOptions] = field(default_factory=StandingOptions)
+    """How the character's file is read."""
 
     def check(self) -> None:
         """Raise OptionError unless a motion can be made with these."""
         self.sampling.check("--")
         FPS.check(self.fps, "--fps")
-        check_axes(self.up, self.front)
+        self.standing.check()
 
 
 PinOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="PART@TIME=X,Y,Z"), tyro.conf.UseAppendAction]
@@ -262,11 +258,7 @@ class DirectingOptions:
     """
 
     def constraints(self) -> Constraints:
-        """The constraints; what is followed is named by its file.
-
-        Raises:
-            OptionError: A text is no path or no pin.
-        """
+        """The constraints, with the file of a clip to follow; OptionError where a text is not a path or a pin."""
         return Constraints.of(
             loop=self.loop, in_place=self.in_place, after=None if self.after is None else str(self.after),
             path=parse_path(self.path), pins=[parse_pin(pin) for pin in self.pin],

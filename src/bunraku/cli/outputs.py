@@ -11,14 +11,16 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Self, TypeVar
 
 import tyro
 
-from bunraku.cli.manifest import check_free, note_written
-from bunraku.core.request import WHOLE, Limit
+from bunraku.cli.manifest import check_free, note_begun, note_done, note_written, unfinished
+from bunraku.core.parallel import run_parallel
+from bunraku.core.request import WHOLE, Limit, Progress
 from bunraku.errors import FormatError, OptionError
 from bunraku.language.prompts import check_prompt, split_name
 from bunraku.pipelines.requests import Apparel
@@ -30,65 +32,30 @@ if TYPE_CHECKING:
     from bunraku.language.sentence import Sentence
 
 __all__ = [
-    "OutputOption",
-    "PREVIEWS",
-    "PreviewOption",
-    "Report",
-    "WithoutOption",
-    "check_different",
-    "check_folder",
-    "check_input",
-    "check_mask",
-    "check_output",
-    "check_outputs",
-    "check_range",
-    "check_seconds",
-    "check_sequence",
-    "check_source",
-    "check_stages",
-    "check_written",
-    "fitting_stages",
-    "make_folder",
-    "save_all",
-    "save_clips_to",
-    "size_text",
-    "slug",
-    "stages",
-    "written_path",
-    "wrote",
-]
-
-
-Report = Callable[[str, float], None]
-"""Called with the name of a stage and the share of it that is done, 0 to 1."""
+    "OutputOption", "PREVIEWS", "PreviewOption", "Result", "WithoutOption", "check_different", "check_folder",
+    "check_input", "check_mask", "check_output", "check_outputs", "check_range", "check_sequence", "check_source",
+    "check_stages", "check_written", "fitting_stages", "make_results", "run_results", "save_all", "save_clips_to",
+    "say_failed", "size_text", "slug", "stages", "unfinished_results", "written_files", "written_path", "wrote",
+]  # fmt: skip
 SHORT = 0.5
-"""Stages that are over in less [s] are not worth a line."""
+"""Stages that are over in less [s] get no line where lines are printed; chosen by eye."""
 
 
 @contextmanager
-def stages() -> Iterator[Report]:
-    """A callback `(stage, share done from 0 to 1)` that shows where a run stands; each stage gets its own line."""
-    if sys.stderr.isatty():
-        with _bars() as report:
-            yield report
-    else:
-        with _lines() as report:
-            yield report
-
-
-@contextmanager
-def _bars() -> Iterator[Report]:
+def stages() -> Iterator[Progress]:
+    """A callback that shows how far a run is: bars on a terminal, elsewhere a line for each stage that is over."""
+    if not sys.stderr.isatty():
+        yield _line_printer()
+        return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bars
 
+    percent = TextColumn("{task.percentage:>3.0f}%")
     columns = (
-        TextColumn("{task.description:<12}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f}%"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+        TextColumn("{task.description:<12}"), BarColumn(), percent, TimeElapsedColumn(), TimeRemainingColumn()
+    )  # fmt: skip
+    with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
         tasks: dict[str, TaskID] = {}
 
         def report(stage: str, done: float) -> None:
@@ -101,8 +68,7 @@ def _bars() -> Iterator[Report]:
         yield report
 
 
-@contextmanager
-def _lines() -> Iterator[Report]:
+def _line_printer() -> Progress:
     started: dict[str, float] = {}
     finished: set[str] = set()
 
@@ -114,22 +80,22 @@ def _lines() -> Iterator[Report]:
             if took >= SHORT:
                 print(f"{stage}: {took:.1f} s", file=sys.stderr)
 
-    yield report
+    return report
 
 
 SEQUENCES = (".obj", ".ply")
 """Outputs that are folders with one mesh a frame."""
 NEEDY = (".usd", ".usda", ".usdc", ".usdz")
-"""Outputs that need an optional library or program."""
+"""Outputs that need an optional library."""
 
 
 def check_written(apparel: Apparel, outputs: Iterable[Path]) -> None:
     """Raise FormatError where apparel is to be learned and a file of its kind cannot hold what moves so."""
-    from bunraku.files import check_points_writer
+    from bunraku.files import check_writer
 
     if apparel.learns:
         for path in outputs:
-            check_points_writer(path)
+            check_writer(path, points=True)
 
 
 def check_mask(apparel: Apparel) -> None:
@@ -143,24 +109,21 @@ def check_range(option: str, value: float | None, low: float, high: float) -> No
     Limit(option, low, high).check(value)
 
 
-def check_seconds(seconds: float) -> None:
-    """Raise OptionError unless a clip of this length [s] can be made."""
-    WHOLE.check(seconds, "--seconds")
-
-
 def check_sequence(prompt: str, seconds: float, force: bool, named: bool = False) -> Sentence:
-    """The sentence of a prompt, or of several in a row; one that is not understood is taken where it is to be made
-    `force`, and the name of a clip may stand before one that is `named`.
+    """The sentence of a prompt, or of several in a row.
+
+    Args:
+        prompt: What is typed; the name of a clip may stand before it where it is `named`.
+        seconds: Length of the clip [s].
+        force: Take a prompt that is not understood.
 
     Raises:
-        OptionError: It is none, or no clip of this length can be made.
+        OptionError: The prompt is refused, or no clip of this length can be made.
     """
     from bunraku.language.parse import parse
 
-    check_seconds(seconds)
+    WHOLE.check(seconds, "--seconds")
     if named:
-        from dataclasses import replace
-
         return replace(check_sequence(split_name(prompt)[1], seconds, force), prompt=prompt)
     if not prompt.strip() or ";" not in prompt:
         check_prompt(prompt)
@@ -168,9 +131,7 @@ def check_sequence(prompt: str, seconds: float, force: bool, named: bool = False
 
 
 def check_input(path: Path) -> None:
-    """Raise FormatError unless this is a plain file that can be opened, holds something, and is not too large to
-    read.
-    """
+    """Raise FormatError unless this is a plain file that can be opened, is not empty, and is not too large."""
     from bunraku.core import files
 
     files.check_input(path)
@@ -179,12 +140,7 @@ def check_input(path: Path) -> None:
 
 
 def check_source(folder: Path | None, advice: str) -> None:
-    """Raise FormatError unless this is a folder, or None.
-
-    Args:
-        folder: That is read from.
-        advice: What to do where it is not there, after a semicolon.
-    """
+    """Raise FormatError unless this is a folder, or None; the message ends with the advice."""
     if folder is not None and not folder.is_dir():
         raise FormatError(folder, f"there is no such folder; {advice}")
 
@@ -233,10 +189,10 @@ def check_different(paths: Iterable[Path]) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise FormatError unless files can be made in this folder, or the folder in the one above it; remove what killed
-    runs left half-done there.
+    """Raise FormatError unless files can be made in this folder, or the folder in the one above it. What killed runs
+    left half-done there is removed.
 
-    It is tried, not guessed from permissions, which say little on network drives and to root.
+    Writing is tried: permissions say little on network drives, and nothing to root.
     """
     from bunraku.core.files import remove_leftovers, temporary_prefix
 
@@ -255,27 +211,16 @@ def check_folder(folder: Path) -> None:
     remove_leftovers(nearest)
 
 
-def make_folder(path: Path) -> None:
-    """Make the folder of an output where only its last level is missing.
-
-    Raises:
-        FormatError: It cannot be made.
-    """
-    from bunraku.core.files import check_output_folder
-
-    check_output_folder(path)
-
-
 def slug(text: str, length: int = 40) -> str:
     """Words of a sentence as a part of a file name: "Walks forward, then waves!" -> "walks-forward-then-waves".
 
-    What is longer is cut at a word and gets six letters that tell it from others that begin alike.
+    A longer text is cut at a word and gets six letters that tell it from others with the same beginning.
     """
     words = re.findall(r"\w+", text.lower())
-    whole, out = "-".join(words), ""
-    if len(whole) <= length:
-        return whole or "motion"
-    mark = hashlib.sha256(whole.encode()).hexdigest()[:6]
+    joined, out = "-".join(words), ""
+    if len(joined) <= length:
+        return joined or "motion"
+    mark = hashlib.sha256(joined.encode()).hexdigest()[:6]
     length -= len(mark) + 1
     for word in words:
         if out and len(out) + 1 + len(word) > length:
@@ -298,22 +243,7 @@ _log = logging.getLogger(__name__)
 USUAL_FPS = 30.0
 """Frames a second where nothing else is said [1/s]."""
 PREVIEWS = (".mp4", ".webp", ".gif", ".png")
-OUTPUTS = (
-    ".glb",
-    ".npz",
-    ".bvh",
-    ".vrma",
-    ".vmd",
-    ".usd",
-    ".usda",
-    ".usdc",
-    ".usdz",
-    ".fbx",
-    ".obj",
-    ".ply",
-    ".html",
-    *PREVIEWS,
-)
+OUTPUTS = (".glb", ".npz", ".bvh", ".vrma", ".vmd", *NEEDY, ".fbx", ".obj", ".ply", ".html", *PREVIEWS)
 
 OutputOption = Annotated[tuple[Path, ...], tyro.conf.arg(aliases=["-o"]), tyro.conf.UseAppendAction]
 PreviewOption = Annotated[tuple[Path, ...], tyro.conf.UseAppendAction]
@@ -336,14 +266,8 @@ def check_outputs(
     *,
     overwrite: bool,
 ) -> None:
-    """Raise FormatError or OptionError unless all files can be written.
-
-    Args:
-        outputs: The animation's.
-        previews: Videos and contact sheets.
-        inputs: Files that must not be overwritten.
-        suffixes: Those that an output may have.
-        overwrite: Whether files that Bunraku did not write may be replaced.
+    """Raise FormatError or OptionError unless all files can be written, with suffixes that each may have, over no
+    input, and over no foreign file without `overwrite`.
     """
     for path in outputs:
         check_output(path, suffixes, inputs)
@@ -353,15 +277,23 @@ def check_outputs(
     check_free(map(written_path, (*outputs, *previews)), overwrite)
 
 
+@contextmanager
+def written_files(note: Callable[[Path], str] = lambda path: "") -> Iterator[list[Path]]:
+    """A list of files that are written: at the end each gets a line and is noted, even where a later one failed."""
+    written: list[Path] = []
+    try:
+        yield written
+    finally:
+        for path in written:
+            wrote(path, note(path))
+        note_written(written)
+
+
 def save_all(
-    animation: AnimatedCharacter,
-    outputs: Sequence[Path],
-    previews: Sequence[Path],
-    fps: float,
-    report: Report,
+    animation: AnimatedCharacter, outputs: Sequence[Path], previews: Sequence[Path], fps: float, report: Progress,
     options: Mapping[str, str] | None = None,
-) -> None:
-    """Write an animation and its previews, and name what was written, whatever became of the rest.
+) -> None:  # fmt: skip
+    """Write an animation and its previews, and print what was written.
 
     Args:
         animation: What to write.
@@ -371,8 +303,7 @@ def save_all(
         report: Called with a stage's name and the share done.
         options: Those of the files' formats; the animation then keeps its own rate.
     """
-    written: list[Path] = []
-    try:
+    with written_files() as written:
         for number, path in enumerate(outputs):
             report("write", number / len(outputs))
             rate = {} if path.suffix.lower() in (".npz", ".vmd") else {"fps": fps}
@@ -380,9 +311,10 @@ def save_all(
         report("write", 1.0)
         for path in previews:
             from bunraku.core.animation import Animation, PointAnimation
+            from bunraku.core.files import check_output_folder
             from bunraku.render import save_preview
 
-            make_folder(path)
+            check_output_folder(path)
             shown = (
                 animation if isinstance(animation, PointAnimation)
                 else Animation(animation.character, animation.handles, animation.motion)
@@ -390,61 +322,158 @@ def save_all(
             written.append(
                 save_preview(shown, path, fps=fps, progress=lambda done, total: report("preview", done / total))
             )
-    finally:  # what is whole stays
-        for path in written:
-            wrote(path)
-        note_written(written)
 
 
 def _fitting(animation: AnimatedCharacter, path: Path) -> AnimatedCharacter:
     """The animation, or, where its apparel moves by itself and a file of this kind cannot hold that, the body alone."""
     from bunraku.core.animation import PointAnimation
-    from bunraku.files import check_points_writer
+    from bunraku.files import WRITERS
 
-    if not isinstance(animation, PointAnimation):
+    if not isinstance(animation, PointAnimation) or path.suffix.lower() in WRITERS["points"]:
         return animation
-    try:
-        check_points_writer(path)
-    except FormatError:
-        _log.warning("%s: files of this kind have no place for apparel; it holds the body's motion alone", path)
-        return animation.animation
-    return animation
+    _log.warning("%s: files of this kind cannot hold apparel; this one holds the body's motion alone", path)
+    return animation.animation
 
 
 def save_clips_to(
-    clips: Mapping[str, AnimatedCharacter],
-    outputs: Sequence[Path],
-    fps: float,
-    add: bool,
-    report: Report,
+    clips: Mapping[str, AnimatedCharacter], outputs: Sequence[Path], fps: float, add: bool, report: Progress,
     preset: Preset | None = None,
-) -> None:
-    """Write clips of one character into each of some files, and name what was written, whatever became of the rest.
+) -> None:  # fmt: skip
+    """Write clips of one character into each of several files, and print what was written.
 
     Args:
         clips: By their names.
         outputs: The files.
         fps: Frames a second [1/s].
-        add: Whether the clips of files that are there are kept.
+        add: Whether the clips of files that exist are kept.
         report: Called with a stage's name and the share done.
         preset: What the program wants that the files are for; its rate holds where `fps` is the usual one.
     """
     from bunraku.files import save_clips, save_for
 
-    written: dict[Path, list[str]] = {}
-    try:
+    names: dict[Path, list[str]] = {}
+    with written_files(lambda path: ", ".join(names[path])) as written:
         for number, path in enumerate(outputs):
             report("write", number / len(outputs))
-            if preset is not None:
+            if preset is None:
+                names[save_clips(clips, path, fps=fps, add=add)] = list(clips)
+            else:
                 save_for(preset, clips, path, fps=None if fps == USUAL_FPS else fps)
-                written |= preset.files(path, clips)
-                continue
-            written[save_clips(clips, path, fps=fps, add=add)] = list(clips)
+                names |= preset.files(path, clips)
+            written[:] = names
         report("write", 1.0)
-    finally:  # what is whole stays
-        for path, names in written.items():
-            wrote(path, ", ".join(names))
-        note_written(list(written))
+
+
+@dataclass(frozen=True)
+class Result:
+    """One of many files that a run makes.
+
+    Args:
+        path: The file.
+        inputs: Files that it is made of.
+        mark: The fingerprint of everything that it is made of.
+    """
+
+    path: Path
+    inputs: tuple[Path, ...]
+    mark: str = ""
+
+    @property
+    def written(self) -> Path:
+        """What exists when it is done: the file, or the folder of a sequence of meshes."""
+        return written_path(self.path)
+
+    def resolved(self) -> Self:
+        """The same for workers that run in folders of their own."""
+        return replace(self, path=self.path.resolve(), inputs=tuple(path.resolve() for path in self.inputs))
+
+
+AnyResult = TypeVar("AnyResult", bound=Result)
+Work = Callable[[list[AnyResult]], Iterable[str]]
+"""Makes the results of a batch and gives for each what went wrong, "" for nothing."""
+
+
+def unfinished_results(results: Sequence[AnyResult], overwrite: bool, what: str) -> list[AnyResult]:
+    """The results that still have to be made, a line saying how many there are already.
+
+    Args:
+        results: All of them, in one folder or several.
+        overwrite: Whether files that something else wrote may be replaced.
+        what: What they are called.
+
+    Raises:
+        FormatError: Something else is in the path of a result.
+    """
+    left: set[Path] = set()
+    for folder in dict.fromkeys(result.written.parent for result in results):
+        marks = {result.written: result.mark for result in results if result.written.parent == folder}
+        left.update(unfinished(marks, overwrite))
+    todo = [result for result in results if result.written in left]
+    if len(todo) < len(results):
+        print(f"{len(results) - len(todo)} of {len(results)} {what} are there already")
+    return todo
+
+
+def make_results(
+    work: Work[AnyResult], batches: Sequence[list[AnyResult]], jobs: int | str, what: str, report: Progress
+) -> int:
+    """Make results, a line for each on standard output, or on standard error where it failed.
+
+    Args:
+        work: A function of a module, or a `functools.partial` of one. In this process it may raise what ends all.
+        batches: What each of its calls makes, all of it unfinished.
+        jobs: How many processes, or "ray" for a cluster, whose machines must see the same files.
+        what: The stage for `report`.
+        report: Called with a stage's name and the share done.
+
+    Returns:
+        The exit status: 1 where a result failed.
+
+    Raises:
+        MissingExtraError: ray is not installed.
+    """
+    results = [result for batch in batches for result in batch]
+    for folder in dict.fromkeys(result.written.parent for result in results):
+        folder.mkdir(exist_ok=True, parents=True)
+    note_begun({result.written: result.mark for result in results})
+    failed: dict[str, str] = {}
+    for number, (result, reason) in enumerate(run_results(work, batches, jobs), 1):
+        if reason:
+            note_done(result.written, "")  # nothing was made: a file that comes to lie there is another's
+            culprit = next((path for path in result.inputs if reason.startswith(f"{path}: ")), result.path)
+            failed[str(culprit)] = reason
+        else:
+            note_done(result.written, result.mark)
+            wrote(result.written)
+        report(what, number / len(results))
+    say_failed(failed)
+    return 1 if failed else 0
+
+
+def say_failed(reasons: Mapping[str, str]) -> None:
+    """Print a line on standard error for each file that failed."""
+    for path, reason in reasons.items():
+        print(f"bunraku: failed: {path}: {' '.join(reason.removeprefix(f'{path}: ').split())}", file=sys.stderr)
+
+
+def run_results(
+    work: Work[AnyResult], batches: Sequence[list[AnyResult]], jobs: int | str
+) -> Iterator[tuple[AnyResult, str]]:
+    """Each result with what went wrong, "" for nothing, as soon as it is done; arguments as of `make_results`."""
+    if jobs == 1:
+        for batch in batches:
+            yield from zip(batch, work(batch), strict=True)
+        return
+    given = [[result.resolved() if jobs == "ray" else result for result in batch] for batch in batches]
+    known = {
+        there: here for some, batch in zip(given, batches, strict=True) for there, here in zip(some, batch, strict=True)
+    }
+    for result, reason in run_parallel(partial(_worked, work), given, jobs, str):
+        yield known[result], reason
+
+
+def _worked(work: Work[AnyResult], batch: list[AnyResult]) -> list[str]:
+    return list(work(batch))
 
 
 def check_stages(without: tuple[str, ...]) -> None:
@@ -455,7 +484,7 @@ def check_stages(without: tuple[str, ...]) -> None:
 
 
 def fitting_stages(without: tuple[str, ...], shape: bool = False) -> Stages | None:
-    """The stages of fitting but those named, or None for the default; `shape` is one of them where motions are made."""
+    """The stages of fitting except those named, or None for the default; `shape` is one where motions are made."""
     check_stages(without)
     if not without:
         return None

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from bunraku.cli.manifest import check_free, exclusive_output, note_written
-from bunraku.cli.options import AxisOption, UnitOption, check_axes, stand_up
-from bunraku.cli.outputs import PREVIEWS, Report, check_input, check_output, check_range, stages, wrote
-from bunraku.core.request import FPS
+from bunraku.cli.manifest import check_free, exclusive_output
+from bunraku.cli.options import StandingOptions
+from bunraku.cli.outputs import PREVIEWS, check_input, check_output, check_range, stages, written_files
+from bunraku.core.request import FPS, Progress
 from bunraku.errors import FormatError, OptionError
 
 if TYPE_CHECKING:
@@ -48,15 +48,11 @@ class Render:
     """The character's own colours, or one for each handle or joint."""
     overwrite: bool = False
     """Replace a file that is there already and that Bunraku did not write."""
-    up: AxisOption = "auto"
-    """The axis that is up in a character without a clip, or in that of --character."""
-    front: AxisOption = "auto"
-    """The axis that it faces."""
-    unit: UnitOption = "auto"
-    """The unit of lengths in its file."""
+    standing: tyro.conf.OmitArgPrefixes[StandingOptions] = field(default_factory=StandingOptions)
+    """How the file of a character without a clip is read, or that of --character."""
 
     def run(self) -> None:
-        check_axes(self.up, self.front)
+        self.standing.check()
         FPS.check(self.fps, "--fps")
         for side in self.size:
             check_range("--size", side, 16, 4096)
@@ -82,11 +78,11 @@ class Render:
             with exclusive_output([output]):
                 check_output(output, PREVIEWS, [self.file])
                 check_free([output], self.overwrite)
-                self._draw(animation, output, report)
-                note_written([output])
-        wrote(output)
+                with written_files() as written:
+                    self._draw(animation, output, report)
+                    written.append(output)
 
-    def _draw(self, animation: Animation | None, output: Path, report: Report) -> None:
+    def _draw(self, animation: Animation | None, output: Path, report: Progress) -> None:
         if animation is None:
             self._still(output)
             return
@@ -101,10 +97,10 @@ class Render:
             progress=lambda done, total: report("preview", done / total),
         )
 
-    def _motion(self, report: Report) -> Animation:
+    def _motion(self, report: Progress) -> Animation:
         from bunraku.core.animation import Animation
         from bunraku.core.motion import HandleMotion
-        from bunraku.files import load_character, read_motion
+        from bunraku.files import read_motion
         from bunraku.pipelines.animate import rig
 
         assert self.character is not None
@@ -114,7 +110,7 @@ class Render:
                 self.file,
                 "this is no handle motion, whatever its suffix says; write one with `bunraku animate -o motion.npz`",
             )
-        character = stand_up(load_character(self.character, unit="m"), self.character, self.up, self.front, self.unit)
+        character = self.standing.load(self.character)
         return Animation(character, rig(character, progress=report), motion)
 
     def _clip(self) -> Animation | None:
@@ -126,7 +122,6 @@ class Render:
         return load_animation(self.file, self.clip, self.fps)
 
     def _still(self, output: Path) -> None:
-        from bunraku.files import load_character
         from bunraku.render import save_still
 
         if output.suffix.lower() != ".png":
@@ -135,5 +130,4 @@ class Render:
             )
         if self.color == "handles":
             raise OptionError("the handles of a character without a clip are shown by `bunraku rig --preview`")
-        character = load_character(self.file, unit="m")
-        save_still(stand_up(character, self.file, self.up, self.front, self.unit), output, size=self.size)
+        save_still(self.standing.load(self.file), output, size=self.size)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from bunraku.cli.manifest import check_free, exclusive_output, note_written
-from bunraku.cli.options import AxisOption, SkeletonOption, UnitOption, check_axes, stand_up
-from bunraku.cli.outputs import OutputOption, check_different, check_input, check_output, make_folder, stages, wrote
+from bunraku.cli.manifest import check_free, exclusive_output
+from bunraku.cli.options import SkeletonOption, StandingOptions, stand_up
+from bunraku.cli.outputs import OutputOption, check_different, check_input, check_output, stages, written_files
 from bunraku.core.request import GRAVITY, STIFFNESS
 from bunraku.pipelines.requests import Apparel
 
@@ -105,15 +105,11 @@ class Rig:
     """How strongly apparel is drawn downwards, as a factor, 0 to 10."""
     overwrite: bool = False
     """Replace files that are there already and that Bunraku did not write."""
-    up: AxisOption = "auto"
-    """The axis that is up in the file. "auto" goes by the rule of the format, and by the shape where it has none."""
-    front: AxisOption = "auto"
-    """The axis that the character faces in the file."""
-    unit: UnitOption = "auto"
-    """The unit of lengths in the file. "auto" goes by the rule of the format, and by the height where it has none."""
+    standing: tyro.conf.OmitArgPrefixes[StandingOptions] = field(default_factory=StandingOptions)
+    """How the character's file is read."""
 
     def run(self) -> None:
-        check_axes(self.up, self.front)
+        self.standing.check()
         check_input(self.character)
         outputs = self.output or (Path(f"{self.character.stem}-rigged.glb"),)
         previews = () if self.preview is None else (self.preview,)
@@ -135,11 +131,10 @@ class Rig:
         """Make the handles and write the files."""
         from bunraku.files import load_character, save_character
 
-        written: list[Path] = []
         with stages() as report:
             report("load", 0.0)
             given = load_character(self.character, unit="m")
-            character = stand_up(given, self.character, self.up, self.front, self.unit)
+            character = stand_up(given, self.character, **vars(self.standing))
             report("load", 1.0)
 
             from bunraku.anatomy.anatomy import Anatomy
@@ -148,7 +143,7 @@ class Rig:
 
             handles = rig(character, handles=self.handles, progress=report)
             anatomy = Anatomy.of(character, handles)
-            facts, joints = body_facts(anatomy), ""
+            facts = body_facts(anatomy)
             skeletons = {path: self.skeleton or _SKELETONS.get(path.suffix.lower()) for path in outputs}
             mask = None
             if self.apparel not in ("none", "auto"):
@@ -157,24 +152,24 @@ class Rig:
                 mask = read_artist_mask(self.apparel, character)
             made = {name: _Shown.of(anatomy, name, self.apparel != "none", mask, self.stiffness, self.gravity)
                     for name in dict.fromkeys(skeletons.values())}  # fmt: skip
-            try:
+            notes = {path: f"{made[skeletons[path]].words}, {facts.plan.words}" for path in outputs}
+            with written_files(lambda path: notes.get(path, "")) as written:
                 for number, path in enumerate(outputs):
                     report("write", number / len(outputs))
                     shown = made[skeletons[path]]
-                    joints = shown.words
-                    own = handles if shown.bare else None
-                    avatar = shown.avatar(path.suffix.lower())
-                    written.append(save_character(shown.character, path, own, rig=not shown.bare, avatar=avatar))
+                    written.append(
+                        save_character(
+                            shown.character, path, handles if shown.bare else None, rig=not shown.bare,
+                            avatar=shown.avatar(path.suffix.lower()),
+                        )
+                    )  # fmt: skip
                 report("write", 1.0)
                 if self.preview is not None:
                     from bunraku.cli.options import stands_line
+                    from bunraku.core.files import check_output_folder
                     from bunraku.render import save_still
 
-                    make_folder(self.preview)
-                    lines = [stands_line(given, self.up, self.front), f"height: {character.height:.3g} m", *facts.lines]
+                    check_output_folder(self.preview)
+                    stands = stands_line(given, self.standing.up, self.standing.front)
+                    lines = [stands, f"height: {character.height:.3g} m", *facts.lines]
                     written.append(save_still(character, self.preview, handles, views=2, lines=lines))
-            finally:  # what is whole stays
-                note = f"{joints}, {facts.plan.words}"
-                for path in written:
-                    wrote(path, note if path in outputs else "")
-                note_written(written)

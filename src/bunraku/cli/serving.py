@@ -7,7 +7,7 @@ import functools
 import os
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import tyro
 
 from bunraku.core.files import path_inside
-from bunraku.core.request import from_json
 from bunraku.errors import BunrakuError, FormatError, MissingExtraError, OptionError
 from bunraku.pipelines.requests import Apparel, Constraints, Request, Sampling, TransferRequest
 
@@ -25,16 +24,16 @@ if TYPE_CHECKING:
 __all__ = ["Answer", "Serve", "Tools", "mcp_server"]
 
 
-Progress = Callable[[str, float], None]
-
 PICTURE_FRAMES = 6
 """Moments that the picture of an animation shows."""
 APPAREL = ("none", "rigid", "simulate", "learn", "auto")
-"""How apparel moves that no file says."""
+"""Ways in which apparel moves that name no file."""
 ALONE = ("path", "pin", "loop", "in_place")
 """Constraints that name no other clip."""
 MOST_FOUND = 50
 """Clips that a search gives."""
+MOST_FILES = 1000
+"""Files that are listed."""
 
 
 @dataclass(frozen=True)
@@ -50,107 +49,128 @@ class Answer:
     picture: bytes = b""
 
 
-def _silent(stage: str, done: float) -> None:
-    """Progress that nobody looks at."""
-
-
 @dataclass(frozen=True)
 class Tools:
-    """Tools over one folder.
+    """Tools over one folder; their docstrings are what clients read.
 
     Args:
-        folder: Where files are read and written; nothing outside it is.
-        progress: Called with a stage's name and the share done.
+        folder: Where files are read and written; no file outside it is.
     """
 
     folder: Path
-    progress: Progress = field(default=_silent)
 
     @cached_property
     def _root(self) -> Path:
         root = self.folder.expanduser().resolve()
         if not root.is_dir():
-            raise FormatError(self.folder, "this is no folder; name one that is there")
+            raise FormatError(self.folder, "this is not a folder; name one that exists")
         return root
 
     def path(self, name: str) -> Path:
-        """The file that a name says.
-
-        Raises:
-            FormatError: It lies elsewhere than in the folder.
-        """
+        """The file of a name; FormatError where it lies outside the folder."""
         found = path_inside(self._root, name) if name.strip() else None
         if found is None:
             raise FormatError(name or "a file without a name", "name a file in the folder that is served, or below it")
         return found
 
     def files(self) -> Answer:
-        """The files of the folder, at most 1,000."""
+        """The files of the served folder, at most 1,000."""
         names: list[str] = []
         for here, folders, files in os.walk(self._root):
-            folders[:] = sorted(one for one in folders if not one.startswith("."))
-            names += [str(Path(here, one).relative_to(self._root)) for one in sorted(files) if not one.startswith(".")]
-            if len(names) >= 1000:
+            folders[:] = sorted(name for name in folders if not name.startswith("."))
+            shown = [name for name in sorted(files) if not name.startswith(".")]
+            names += [str(Path(here, name).relative_to(self._root)) for name in shown]
+            if len(names) >= MOST_FILES:
                 break
-        return Answer({"files": names[:1000]})
+        return Answer({"files": names[:MOST_FILES]})
 
-    def animate(self, character: str, request: Request, output: str = "", fps: float = 30.0) -> Answer:
-        """Make a character do what a request says, and write it.
+    def animate(
+        self,
+        character: str,
+        sentence: str,
+        output: str = "",
+        fps: float = 30.0,
+        sampling: Sampling = Sampling(),  # noqa: B008  frozen
+        constraints: list[dict[str, Any]] = [],  # noqa: B006  only read
+        apparel: Apparel = Apparel(),  # noqa: B008  frozen
+        rig: Literal["auto", "own", "handles"] = "auto",
+        force: bool = False,
+    ) -> Answer:
+        """Make a character do what a sentence says and write it (.glb, .fbx, .usdc, .bvh, .vrma, ...); gives a picture
+        of six moments.
 
         Args:
-            character: The mesh, a file of the folder.
-            request: What it does.
-            output: The file to write; NAME-PROMPT.glb where it is empty.
-            fps: Frames a second [1/s].
+            character: Its file in the folder: any mesh, with or without a rig.
+            sentence: What it does: "walks forward, then waves"; or several in a row with their seconds, "walks:4;
+                jumps:2".
+            output: The file to write; named by itself where empty.
+            fps: Frames a second.
+            sampling: Seconds, seed and how the motion is drawn.
+            constraints: What it must meet, such as {"kind": "loop"}, {"kind": "in_place"}.
+            apparel: How hair and clothes move.
+            rig: What moves: the bones of its own rig, 30 handles, or what fits.
+            force: Go on where no movement of the sentence is understood.
         """
         from bunraku.files import load_character
         from bunraku.pipelines.animator import Animator
 
-        _check_files(request.apparel, request.constraints)
+        found = Constraints.from_json(constraints)
+        _check_files(apparel, found)
+        request = Request(sentence, sampling, found, apparel, force=force, rig=rig)
         request.check()
         request = request.with_parsed()
         target = self._target(output, character, request.prompt)
         notes: list[str] = []
-        made = Animator.shipped(self.progress, notes.append)(load_character(self.path(character)), request)
+        made = Animator.shipped(note=notes.append)(load_character(self.path(character)), request)
         return self._written(made, target, fps, list(dict.fromkeys(notes)))
 
     def transfer(
-        self, character: str, motion: str, request: TransferRequest, output: str = "", fps: float = 30.0
+        self,
+        character: str,
+        motion: str,
+        output: str = "",
+        fps: float = 30.0,
+        onto: Literal["auto", "handles", "rig"] = "auto",
+        apparel: Apparel = Apparel(),  # noqa: B008  frozen
+        clip: str = "0",
+        names: dict[str, str] = {},  # noqa: B006  only read
     ) -> Answer:
-        """Put the motion of a file on a character, and write it.
+        """Put a motion on a character and write it; gives a picture of six moments.
 
         Args:
-            character: The mesh, a file of the folder.
-            motion: The motion, a file of the folder, or `clip:NAME` of the library.
-            request: How it is put there.
-            output: The file to write; NAME-MOTION.glb where it is empty.
-            fps: Frames a second [1/s].
+            character: Its file in the folder.
+            motion: A file in the folder (.bvh, .fbx, .glb, .vrma, .vmd, AMASS .npz), or "clip:NAME" of the library.
+            output: The file to write; named by itself where empty.
+            fps: Frames a second.
+            onto: What moves: the bones of its own rig, 30 handles, or what fits.
+            apparel: How hair and clothes move.
+            clip: Number or name of the clip of a motion file with several.
+            names: Joints of the motion's skeleton by SMPL's names, such as {"left_hip": "LeftUpLeg"}.
         """
         from bunraku.files import load_character
+        from bunraku.generation.library import clip as find_clip
         from bunraku.pipelines.animator import Animator
         from bunraku.pipelines.transfer import Source, transferred
 
-        _check_files(request.apparel)
+        _check_files(apparel)
+        request = TransferRequest(
+            onto, apparel, None, "predict", fps, names or None, int(clip) if clip.isdecimal() else clip
+        )
         request.check()
         kind, _, name = motion.partition(":")
         target = self._target(output, character, name if kind == "clip" else Path(motion).stem)
-        animator, mesh = Animator.shipped(self.progress), load_character(self.path(character))
-        if kind == "clip":
-            from bunraku.generation.library import clip
-
-            given: Any = clip(name).motion()
-        else:
-            given = self.path(motion)
-        made = transferred(animator, mesh, Source(given, request.fps, request.names, request.clip), request)
+        given = find_clip(name).motion() if kind == "clip" else self.path(motion)
+        source = Source(given, request.fps, request.names, request.clip)
+        made = transferred(Animator.shipped(), load_character(self.path(character)), source, request)
         return self._written(made, target, fps, [])
 
-    def rig(self, character: str, output: str = "", skeleton: str = "") -> Answer:
-        """Give a character its 30 handles as a skin, or a skeleton with an engine's names, and write it.
+    def rig(self, character: str, output: str = "", skeleton: Literal["", "mixamo", "vrm", "unreal"] = "") -> Answer:
+        """Give a character its 30 handles as a skin, or the skeleton of an engine; gives a picture of both sides.
 
         Args:
-            character: The mesh, a file of the folder.
-            output: The file to write; NAME-rigged.glb where it is empty.
-            skeleton: "mixamo", "vrm" or "unreal", for persons; "" for handles.
+            character: Its file in the folder.
+            output: The file to write; named by itself where empty.
+            skeleton: Whose joints a person gets in place of handles.
         """
         from bunraku.files import load_character, save_character
         from bunraku.pipelines.animate import rig, with_skeleton
@@ -158,9 +178,9 @@ class Tools:
 
         target = self._target(output, character, "rigged")
         mesh = load_character(self.path(character))
-        handles = rig(mesh, progress=self.progress)
+        handles = rig(mesh)
         if skeleton:
-            mesh = with_skeleton(mesh, skeleton, handles=handles)  # type: ignore[arg-type]  # it checks the name
+            mesh = with_skeleton(mesh, skeleton, handles=handles)
             save_character(mesh, target, rig=True)
         else:
             save_character(mesh, target, handles)
@@ -168,10 +188,10 @@ class Tools:
         return Answer({"file": self._name(target), "height_m": round(mesh.height, 4)}, picture)
 
     def inspect(self, file: str) -> Answer:
-        """Tell what a character's file holds, with a picture.
+        """Tell what a character's file holds: size, height, bones, clips; gives a picture of both sides.
 
         Args:
-            file: A file of the folder.
+            file: A file in the folder.
         """
         from bunraku.files import Source, clip_names, load_with_clips
         from bunraku.render.preview import save_still
@@ -186,14 +206,13 @@ class Tools:
         return Answer(facts, _png(lambda path: save_still(mesh, path, views=2)))
 
     def render(self, file: str, output: str = "", clip: str = "", fps: float = 30.0) -> Answer:
-        """Draw a clip of a file: a picture of some moments, and a video where one is asked for.
+        """Show a clip of a file as a picture of six moments, and write a video where one is named.
 
         Args:
-            file: A GLB or FBX with a clip, in the folder.
-            output: A video to write (.mp4, .webp, .gif) or a contact sheet (.png); nothing is written where it is
-                empty.
-            clip: Number or name of the clip; the first where it is empty.
-            fps: Frames a second of the video [1/s].
+            file: A GLB or FBX with a clip.
+            output: A video (.mp4, .webp, .gif) or contact sheet (.png) to write; none where empty.
+            clip: Number or name of the clip; the first where empty.
+            fps: Frames a second.
         """
         from bunraku.files import load_animation
         from bunraku.render.preview import save_preview
@@ -205,17 +224,15 @@ class Tools:
         return Answer(facts, _png(lambda path: save_preview(found, path, frames=PICTURE_FRAMES)))
 
     def clips(self, text: str = "") -> Answer:
-        """Clips of the library by words.
+        """Search the library of captured and made clips; `transfer` puts one on a character as "clip:NAME".
 
         Args:
-            text: Words; all clips where it is empty.
+            text: Words, such as "zombie walk"; all where empty.
         """
         from bunraku.generation.library import search
 
-        found = search(text)[:MOST_FOUND]
-        return Answer({
-            "clips": [{"name": one.name, "sentence": one.sentence, "tags": list(one.tags)} for one in found],
-        })  # fmt: skip
+        found = [{"name": clip.name, "sentence": clip.sentence, "tags": list(clip.tags)} for clip in search(text)]
+        return Answer({"clips": found[:MOST_FOUND]})
 
     def _target(self, output: str, character: str, said: str) -> Path:
         from bunraku.pipelines.requests import clip_names
@@ -223,11 +240,7 @@ class Tools:
         return self._output(output or f"{Path(character).stem}-{next(iter(clip_names([said])))}.glb")
 
     def _output(self, name: str) -> Path:
-        """A file to write.
-
-        Raises:
-            OptionError: A file of this name is there.
-        """
+        """A file to write; OptionError where a file of this name exists."""
         target = self.path(name)
         if target.exists():
             raise OptionError(f"{self._name(target)} is there already; name another file with `output`")
@@ -243,9 +256,7 @@ class Tools:
         rate = {} if target.suffix.lower() in (".npz", ".vmd") else {"fps": fps}
         written = made.save(target, **rate)
         shown = made if isinstance(made, PointAnimation) else Animation(made.character, made.handles, made.motion)
-        facts = {
-            "file": self._name(written), "seconds": round(len(made.motion) / made.fps, 3), "notes": notes,
-        }  # fmt: skip
+        facts = {"file": self._name(written), "seconds": round(len(made.motion) / made.fps, 3), "notes": notes}
         return Answer(facts, _png(lambda path: save_preview(shown, path, frames=PICTURE_FRAMES)))
 
 
@@ -253,7 +264,7 @@ def _check_files(apparel: Apparel, constraints: Constraints | None = None) -> No
     """Raise OptionError where a request names files, which may lie anywhere."""
     if apparel.motion not in APPAREL:
         raise OptionError(f"apparel is one of {', '.join(APPAREL)} here, not '{apparel.motion}'")
-    if constraints is not None and any(one.kind not in ALONE for one in constraints):
+    if constraints is not None and any(constraint.kind not in ALONE for constraint in constraints):
         raise OptionError(f"constraints are of the kinds {', '.join(ALONE)} here")
 
 
@@ -274,14 +285,7 @@ INSTRUCTIONS = (
 
 
 def mcp_server(folder: Path) -> Any:
-    """The server.
-
-    Args:
-        folder: Where files are read and written.
-
-    Raises:
-        MissingExtraError: The SDK is not installed.
-    """
+    """The server of the tools over a folder; MissingExtraError where the SDK is not installed."""
     try:
         from mcp.server.mcpserver import Image, MCPServer
         from mcp.server.mcpserver.exceptions import ToolError
@@ -290,122 +294,24 @@ def mcp_server(folder: Path) -> Any:
     from bunraku import __version__
 
     server, tools = MCPServer("bunraku", instructions=INSTRUCTIONS, version=__version__), Tools(folder)
-    turn = asyncio.Lock()  # networks and renderer are made for one call at a time
+    in_order = asyncio.Lock()  # networks and renderer are made for one call at a time
 
-    async def answered(work: Callable[[], Answer]) -> Any:
-        """What a tool gives, as facts and a picture; its errors as sentences."""
-        try:
-            async with turn:
-                found = await asyncio.to_thread(work)
-        except BunrakuError as error:
-            raise ToolError(str(error)) from None
-        return [found.facts, *([Image(data=found.picture, format="png")] if found.picture else [])]
+    def as_tool(work: Callable[..., Answer]) -> Callable[..., Any]:
+        """A tool that gives facts and a picture, and its errors as sentences."""
 
-    @server.tool(structured_output=False)
-    async def files() -> Any:
-        """The files of the served folder."""
-        return await answered(tools.files)
+        @functools.wraps(work)
+        async def tool(**arguments: Any) -> Any:
+            try:
+                async with in_order:
+                    answer = await asyncio.to_thread(work, **arguments)
+            except BunrakuError as error:
+                raise ToolError(str(error)) from None
+            return [answer.facts, *([Image(data=answer.picture, format="png")] if answer.picture else [])]
 
-    @server.tool(structured_output=False)
-    async def animate(
-        character: str,
-        sentence: str,
-        output: str = "",
-        fps: float = 30.0,
-        sampling: Sampling = Sampling(),  # noqa: B008  frozen
-        constraints: list[dict[str, Any]] = [],  # noqa: B006  only read
-        apparel: Apparel = Apparel(),  # noqa: B008  frozen
-        rig: Literal["auto", "own", "handles"] = "auto",
-        force: bool = False,
-    ) -> Any:
-        """Make a character do what a sentence says and write it (.glb, .fbx, .usdc, .bvh, .vrma, ...); gives a picture
-        of six moments.
+        return tool
 
-        Args:
-            character: Its file in the folder: any mesh, with or without a rig.
-            sentence: What it does: "walks forward, then waves"; or several in a row with their seconds, "walks:4;
-                jumps:2".
-            output: The file to write; named by itself where empty.
-            fps: Frames a second.
-            sampling: Seconds, seed and how the motion is drawn.
-            constraints: What it must meet, such as {"kind": "loop"}, {"kind": "in_place"}.
-            apparel: How hair and clothes move.
-            rig: What moves: the bones of its own rig, 30 handles, or what fits.
-            force: Go on where no movement of the sentence is understood.
-        """
-
-        def work() -> Answer:
-            found = Constraints.from_json(constraints)
-            return tools.animate(
-                character, Request(sentence, sampling, found, apparel, force=force, rig=rig), output, fps
-            )
-
-        return await answered(work)
-
-    @server.tool(structured_output=False)
-    async def transfer(
-        character: str,
-        motion: str,
-        output: str = "",
-        fps: float = 30.0,
-        request: dict[str, Any] = {},  # noqa: B006
-    ) -> Any:
-        """Put a motion on a character and write it; gives a picture of six moments.
-
-        Args:
-            character: Its file in the folder.
-            motion: A file in the folder (.bvh, .fbx, .glb, .vrma, .vmd, AMASS .npz), or "clip:NAME" of the library.
-            output: The file to write; named by itself where empty.
-            fps: Frames a second.
-            request: How: `onto` ("auto", "handles", "rig"), `apparel`, `clip`, `names`.
-        """
-
-        def work() -> Answer:
-            return tools.transfer(character, motion, from_json(TransferRequest, request, "request"), output, fps)
-
-        return await answered(work)
-
-    @server.tool(structured_output=False)
-    async def rig(character: str, output: str = "", skeleton: Literal["", "mixamo", "vrm", "unreal"] = "") -> Any:
-        """Give a character its 30 handles as a skin, or the skeleton of an engine; gives a picture of both sides.
-
-        Args:
-            character: Its file in the folder.
-            output: The file to write; named by itself where empty.
-            skeleton: Whose joints a person gets in place of handles.
-        """
-        return await answered(functools.partial(tools.rig, character, output, skeleton))
-
-    @server.tool(structured_output=False)
-    async def inspect(file: str) -> Any:
-        """Tell what a character's file holds: size, height, bones, clips; gives a picture of both sides.
-
-        Args:
-            file: A file in the folder.
-        """
-        return await answered(functools.partial(tools.inspect, file))
-
-    @server.tool(structured_output=False)
-    async def render(file: str, output: str = "", clip: str = "", fps: float = 30.0) -> Any:
-        """Show a clip of a file as a picture of six moments, and write a video where one is named.
-
-        Args:
-            file: A GLB or FBX with a clip.
-            output: A video (.mp4, .webp, .gif) or contact sheet (.png) to write; none where empty.
-            clip: Number or name of the clip.
-            fps: Frames a second.
-        """
-        return await answered(functools.partial(tools.render, file, output, clip, fps))
-
-    @server.tool(structured_output=False)
-    async def clips(text: str = "") -> Any:
-        """Search the library of captured and made clips; `transfer` puts one on a character as "clip:NAME".
-
-        Args:
-            text: Words, such as "zombie walk"; all where empty.
-        """
-        return await answered(functools.partial(tools.clips, text))
-
+    for work in (tools.files, tools.animate, tools.transfer, tools.rig, tools.inspect, tools.render, tools.clips):
+        server.tool(structured_output=False)(as_tool(work))
     return server
 
 
@@ -414,8 +320,8 @@ class Serve:
     """Let other programs call Bunraku by the Model Context Protocol, over standard input and output: animate, transfer,
     rig, inspect, render and clips, each with a picture of what it made.
 
-    All files lie in FOLDER or below it; nothing else is read or written, and nothing is replaced. What a program of
-    yours starts it with: bunraku serve FOLDER
+    All files lie in FOLDER or below it; nothing else is read or written, and nothing is replaced. A program of yours
+    starts it with: bunraku serve FOLDER
 
     Example: bunraku serve ~/characters
     """
@@ -425,6 +331,6 @@ class Serve:
 
     def run(self) -> None:
         if not self.folder.is_dir():
-            raise FormatError(self.folder, "this is no folder; name one that is there")
+            raise FormatError(self.folder, "this is not a folder; name one that exists")
 
         mcp_server(self.folder).run("stdio")

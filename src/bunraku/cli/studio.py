@@ -14,27 +14,27 @@ from bunraku.cli.manifest import check_free
 from bunraku.cli.outputs import check_folder, check_output, check_range, wrote
 from bunraku.core.files import atomic_write, writing
 
-__all__ = ["BlenderAddon", "ComfyuiNodes", "GodotAddon", "Studio", "write_pack"]
+__all__ = ["BlenderAddon", "ComfyuiNodes", "GodotAddon", "Studio", "write_addon"]
 
 
 @dataclass(frozen=True)
 class Studio:
     """Open the studio: drop a character, type a sentence, watch it move, take it away.
 
-    A page of this machine, with a server that only this machine reaches; nothing leaves it. What is made is kept in a
-    folder and is there again the next time.
+    The server is reached from this machine only, and nothing leaves it. What is made is kept in a folder for the next
+    time.
 
     Example: bunraku studio
     """
 
     port: int = 8734
-    """Where it listens; the next free one where that is taken, any for 0."""
+    """Port to listen at; the next free one where it is taken, any free one for 0."""
     folder: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Where characters, takes and projects are kept. Default: bunraku/studio in the user's data folder."""
     no_browser: bool = False
     """Only print the address."""
     host: str = "127.0.0.1"
-    """Address to listen at. All but this machine's own needs a password, in the variable BUNRAKU_STUDIO_PASSWORD."""
+    """Address to listen at. Any but this machine's own needs a password, in the variable BUNRAKU_STUDIO_PASSWORD."""
 
     def run(self) -> None:
         check_range("--port", self.port, 0, 65535)
@@ -47,29 +47,32 @@ class Studio:
         )  # fmt: skip
 
 
-def write_pack(name: str, folder: Path, overwrite: bool) -> None:
-    """Write the files of a pack; one that is there already and is the same is no reason to stop.
+def write_addon(name: str, output: Path, overwrite: bool) -> None:
+    """Write an add-on; files that are there already and are the same are kept.
 
     Args:
-        name: Its folder beside the studio's add-ons.
-        folder: Where it goes.
+        name: A file or folder among the studio's add-ons.
+        output: The file or folder to write.
         overwrite: Whether other files of these names are replaced.
 
     Raises:
-        FormatError: A file is there and is another one, or cannot be written.
+        FormatError: Another file is there, or it cannot be written.
     """
     source = files("bunraku.studio").joinpath("addon", name)
-    contents = {
-        folder / one.name: one.read_bytes()
-        for one in sorted(source.iterdir(), key=lambda one: one.name)
-        if one.is_file() and not one.name.endswith(".pyc")
-    }
-    check_folder(folder if folder.parent.exists() else folder.parent)
+    if source.is_file():
+        contents = {output: source.read_bytes()}
+    else:
+        contents = {
+            output / entry.name: entry.read_bytes()
+            for entry in sorted(source.iterdir(), key=lambda entry: entry.name)
+            if entry.is_file() and not entry.name.endswith(".pyc")
+        }
+        check_folder(output if output.parent.exists() else output.parent)
     other = [path for path, data in contents.items() if not (path.is_file() and path.read_bytes() == data)]
     check_free(other, overwrite, ours=False)
-    with writing(folder, "folder"):
-        folder.mkdir(parents=True, exist_ok=True)
     for path, data in contents.items():
+        with writing(path.parent, "folder"):
+            path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as file:
             file.write(data)
         wrote(path)
@@ -87,18 +90,11 @@ class BlenderAddon:
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("bunraku_addon.py")
     """File to write."""
     overwrite: bool = False
-    """Replace a file that is there already and is another one."""
+    """Replace another file of this name."""
 
     def run(self) -> None:
-        from bunraku.cli.manifest import check_free
-
         check_output(self.output, (".py",), [])
-        data = (files("bunraku.studio") / "addon" / "bunraku_addon.py").read_bytes()
-        if not (self.output.is_file() and self.output.read_bytes() == data):
-            check_free([self.output], self.overwrite, ours=False)
-        with atomic_write(self.output) as file:
-            file.write(data)
-        wrote(self.output)
+        write_addon("bunraku_addon.py", self.output, self.overwrite)
 
 
 @dataclass(frozen=True)
@@ -113,10 +109,10 @@ class ComfyuiNodes:
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("bunraku-comfyui")
     """Folder to write."""
     overwrite: bool = False
-    """Replace a pack that is there already and is another one."""
+    """Replace other files of these names."""
 
     def run(self) -> None:
-        write_pack("comfyui", self.output, self.overwrite)
+        write_addon("comfyui", self.output, self.overwrite)
 
 
 @dataclass(frozen=True)
@@ -132,7 +128,7 @@ class GodotAddon:
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("bunraku-godot")
     """Folder to write."""
     overwrite: bool = False
-    """Replace an add-on that is there already and is another one."""
+    """Replace other files of these names."""
 
     def run(self) -> None:
-        write_pack("godot", self.output, self.overwrite)
+        write_addon("godot", self.output, self.overwrite)

@@ -1,4 +1,4 @@
-"""Animations: a character moved by its handles, by the bones of its own rig, or with vertices that move on their
+"""Animations: a character moved by its handles, by the bones of its own rig, or with vertices that also move on their
 own.
 """
 
@@ -13,11 +13,11 @@ from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from bunraku.core.character import Character, Handles
+from bunraku.core.character import Character, Handles, Rig, frozen_array
 from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.rotations import Resampling, axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
-from bunraku.core.motion import HandleMotion, resample
-from bunraku.core.saving import Shown, save
+from bunraku.core.motion import HandleMotion, check_rate, resample
+from bunraku.core.saving import Shown
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, MotionError
 
@@ -32,8 +32,8 @@ class Animation(Shown):
         character: The character.
         handles: Its K handles.
         motion: Their motion.
-        reference: The motion of the reference body that `motion` was fitted from, where it is known; it is what
-            `bunraku.edit` edits.
+        reference: The reference body's motion that `motion` was fitted from, where it is known; `bunraku.edit` edits
+            it.
 
     Raises:
         CharacterError: The handles weigh another number of vertices than the character has.
@@ -65,8 +65,8 @@ class Animation(Shown):
     def vertices(
         self, frames: slice | list[int] | np.ndarray | None = None, *, chosen: np.ndarray | None = None
     ) -> np.ndarray:
-        """Posed vertices [m], shape (N, V, 3), float32, of all frames or of those named (Eq. 3); of all vertices or of
-        those chosen.
+        """Posed vertices [m], shape (N, V, 3), float32, of all or some frames (Eq. 3), and of all or only the `chosen`
+        vertices.
         """
         transforms = self.motion.transforms(self.handles.positions)
         rest, weights = self.character.vertices, self.handles.weights
@@ -75,38 +75,30 @@ class Animation(Shown):
         return skin(rest, weights, transforms if frames is None else transforms[frames])
 
     def at(self, fps: float) -> Animation:
-        """The same at another rate [1/s]; the motion that it was fitted from is left out, as it stays at its own."""
+        """The same at another rate [1/s], without `reference`, which stays at its own rate."""
         return self if fps == self.motion.fps else Animation(self.character, self.handles, resample(self.motion, fps))
 
     def take(self, frames: slice) -> Animation:
-        """Some of its frames, and of the motion that it was fitted from where that has as many."""
+        """Some of the frames, and of `reference` where it has as many."""
         known = self.reference
         known = known.take(frames) if known is not None and len(known) == len(self.motion) else None
         return Animation(self.character, self.handles, self.motion.take(frames), known)
-
-    def save(self, path: str | Path, **options: object) -> Path:
-        """Write the animation in the format that the file's suffix names and return the path.
-
-        Raises:
-            FormatError: The suffix is unknown, or the file cannot be written.
-        """
-        return save(self, path, **options)
 
 
 @dataclass(frozen=True, eq=False)
 class RigAnimation(Shown):
     """A character driven by the J bones of its own rig.
 
-    A bone's rotation is counted from the rest pose, in axes that are the world's there, as in `SkeletalMotion`:
-    identities and zeros put the character into its rest pose.
+    A bone's rotation counts from the rest pose, in axes that are the world's there, as in `SkeletalMotion`: identities
+    and zeros give the rest pose.
 
     Args:
         character: The character, with its rig.
         rotations: Rotation of each bone in its parent's frame, shape (N, J, 3, 3).
-        translations: How far each bone's head leaves its rest position, in its parent's frame [m], shape (N, J, 3);
-            zero where bones keep their lengths. For a bone without a parent it is in the world.
+        translations: How far each bone's head leaves its rest position, in its parent's frame [m] (the world for a bone
+            without a parent), shape (N, J, 3); zero where bones keep their lengths.
         fps: Frames a second [1/s].
-        reference: The motion of the reference body that this was fitted from, where it is known.
+        reference: As in `Animation`.
 
     Raises:
         CharacterError: The character has no rig.
@@ -124,18 +116,12 @@ class RigAnimation(Shown):
             raise CharacterError(f"{self.character.name}: there is no rig in this file to animate")
         joints = len(self.character.rig.names)
         for name, tail in (("rotations", (joints, 3, 3)), ("translations", (joints, 3))):
-            array = np.ascontiguousarray(getattr(self, name), np.float32)
-            if array.shape[1:] != tail or len(array) != len(self.rotations):
-                raise MotionError(f"bone {name} must have shape (N, {', '.join(map(str, tail))}), not {array.shape}")
-            if not np.isfinite(array).all():
-                raise MotionError(f"bone {name} hold values that are not numbers")
-            array = array.view()
-            array.flags.writeable = False
+            shape = len(self.rotations), *tail
+            array = frozen_array(getattr(self, name), np.float32, shape, f"bone {name}", MotionError)
             object.__setattr__(self, name, array)
         if not len(self.rotations):
             raise MotionError("a motion needs at least one frame")
-        if not 0 < self.fps < np.inf:
-            raise MotionError("frames a second must be positive and finite")
+        check_rate(self.fps)
 
     @classmethod
     def of_world(
@@ -146,15 +132,7 @@ class RigAnimation(Shown):
         fps: float = 20.0,
         reference: HandleMotion | None = None,
     ) -> RigAnimation:
-        """From what `world` gives.
-
-        Args:
-            character: With a rig.
-            world_rotations: World rotation of each bone from its rest pose, shape (N, J, 3, 3).
-            positions: Where its head is [m], shape (N, J, 3).
-            fps: Frames a second [1/s].
-            reference: As above.
-        """
+        """The animation whose `world` gives these rotations (N, J, 3, 3) and positions of heads [m] (N, J, 3)."""
         if character.rig is None:
             raise CharacterError(f"{character.name}: there is no rig in this file to animate")
         rig, rest = character.rig, character.rig.positions
@@ -171,17 +149,21 @@ class RigAnimation(Shown):
         return len(self.rotations)
 
     @property
+    def rig(self) -> Rig:
+        """The character's rig."""
+        assert self.character.rig is not None
+        return self.character.rig
+
+    @property
     def duration(self) -> float:
         """Length [s]."""
         return len(self) / self.fps
 
     def world(self) -> tuple[np.ndarray, np.ndarray]:
-        """Forward kinematics: world rotation of each bone from its rest pose (N, J, 3, 3), and where its head is [m]
-        (N, J, 3), float64.
+        """Forward kinematics: world rotation of each bone from its rest pose (N, J, 3, 3), and the position of its head
+        [m] (N, J, 3), float64.
         """
-        rig = self.character.rig
-        assert rig is not None
-        rest = rig.positions
+        rig, rest = self.rig, self.rig.positions
         rotations, positions = self.rotations.astype(np.float64), rest + self.translations.astype(np.float64)
         for bone in bone_order(rig.parents):
             parent = int(rig.parents[bone])
@@ -194,8 +176,7 @@ class RigAnimation(Shown):
     @cached_property
     def _affine(self) -> np.ndarray:
         rotations, positions = self.world()
-        assert self.character.rig is not None
-        shift = positions - np.einsum("njab,jb->nja", rotations, self.character.rig.positions)
+        shift = positions - np.einsum("njab,jb->nja", rotations, self.rig.positions)
         return np.concatenate([rotations, shift[..., None]], axis=-1).astype(np.float32)
 
     def transforms(self) -> np.ndarray:
@@ -204,31 +185,22 @@ class RigAnimation(Shown):
 
     @cached_property
     def handles(self) -> Handles:
-        """Bones as handles: a first one that stands still and holds nothing, then one for each bone that holds
-        something.
-        """
-        rig = self.character.rig
-        assert rig is not None
-        dense = rig.dense_weights()
+        """The bones as handles: a first one that stands still and holds nothing, then each bone that holds vertices."""
+        dense = self.rig.dense_weights()
         weights = np.concatenate([np.zeros((len(dense), 1), np.float32), dense[:, self._used]], axis=1)
         weights[:, 0] = np.maximum(1 - weights[:, 1:].sum(axis=1), 0)
-        return Handles(
-            np.concatenate([np.zeros((1, 3)), rig.positions[self._used]]), weights / weights.sum(axis=1, keepdims=True)
-        )
+        positions = np.concatenate([np.zeros((1, 3)), self.rig.positions[self._used]])
+        return Handles(positions, weights / weights.sum(axis=1, keepdims=True))
 
     @cached_property
     def _used(self) -> np.ndarray:
-        rig = self.character.rig
-        assert rig is not None
-        return np.unique(rig.indices[rig.weights > 0])
+        return np.unique(self.rig.indices[self.rig.weights > 0])
 
     @cached_property
     def motion(self) -> HandleMotion:
-        """The motion of `handles`, so that all that plays or writes an `Animation` plays and writes this."""
-        affine, positions = (
-            self._affine[:, self._used].astype(np.float64),
-            self.handles.positions[1:].astype(np.float64),
-        )
+        """The motion of `handles`, so that whatever plays or writes an `Animation` can use this."""
+        affine = self._affine[:, self._used].astype(np.float64)
+        positions = self.handles.positions[1:].astype(np.float64)
         frames = len(affine)
         rotations = np.tile(np.eye(3), (frames, len(positions) + 1, 1, 1))
         rotations[:, 1:] = affine[..., :3]
@@ -243,12 +215,11 @@ class RigAnimation(Shown):
         return Animation(self.character, self.handles, self.motion)
 
     def vertices(self, frames: slice | list[int] | np.ndarray | None = None) -> np.ndarray:
-        """Posed vertices [m], shape (N, V, 3), float32, of all frames or of those named."""
-        transforms = self.motion.transforms(self.handles.positions)
-        return skin(self.character.vertices, self.handles.weights, transforms if frames is None else transforms[frames])
+        """Posed vertices [m], shape (N, V, 3), float32, of all or some frames."""
+        return self.animation().vertices(frames)
 
     def at(self, fps: float) -> RigAnimation:
-        """The same at another rate [1/s]; the motion that it was fitted from is left out, as it stays at its own."""
+        """The same at another rate [1/s], without `reference`, which stays at its own rate."""
         if abs(fps - self.fps) < 1e-6:
             return self
         between = Resampling.of(len(self.rotations), self.fps, fps)
@@ -256,21 +227,10 @@ class RigAnimation(Shown):
         return RigAnimation(self.character, between.rotations(self.rotations), moved, fps)
 
     def take(self, frames: slice) -> RigAnimation:
-        """Some of its frames, and of the motion that it was fitted from where that has as many."""
+        """Some of the frames, and of `reference` where it has as many."""
         known = self.reference
         known = known.take(frames) if known is not None and len(known) == len(self) else None
         return RigAnimation(self.character, self.rotations[frames], self.translations[frames], self.fps, known)
-
-    def save(self, path: str | Path, **options: object) -> Path:
-        """Write the animation: a .glb keeps the file's own nodes, skins and materials, a .vmd the bones of an MMD
-        model.
-
-        Other formats are those of `Animation.save`.
-
-        Raises:
-            FormatError: The suffix is unknown, or the file cannot be written.
-        """
-        return save(self, path, **options)
 
 
 def bone_order(parents: np.ndarray) -> list[int]:
@@ -287,7 +247,7 @@ def bone_order(parents: np.ndarray) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class PointAnimation(Shown):
-    """A skinned animation, and how far each vertex is from where its skin takes it.
+    """A skinned animation, and the distance of each vertex from where the skin takes it.
 
     Args:
         animation: The skinned part, N frames.
@@ -301,19 +261,12 @@ class PointAnimation(Shown):
     offsets: np.ndarray
 
     def __post_init__(self) -> None:
-        offsets = np.ascontiguousarray(self.offsets, np.float32)
         shape = (len(self.animation.motion), len(self.animation.character.vertices), 3)
-        if offsets.shape != shape:
-            raise MotionError(f"offsets must have shape {shape}, not {offsets.shape}")
-        if not np.isfinite(offsets).all():
-            raise MotionError("offsets hold values that are not numbers")
-        offsets = offsets.view()
-        offsets.flags.writeable = False
-        object.__setattr__(self, "offsets", offsets)
+        object.__setattr__(self, "offsets", frozen_array(self.offsets, np.float32, shape, "offsets", MotionError))
 
     @classmethod
     def of_vertices(cls, animation: Animation, vertices: np.ndarray) -> PointAnimation:
-        """From where all vertices are in each frame [m], shape (N, V, 3)."""
+        """The animation whose vertices are in these positions [m], shape (N, V, 3)."""
         if np.shape(vertices) != (len(animation.motion), len(animation.character.vertices), 3):
             raise MotionError(
                 f"vertices must be those of {len(animation.motion)} frames of the animation, not of shape "
@@ -338,7 +291,7 @@ class PointAnimation(Shown):
 
     @property
     def reference(self) -> HandleMotion | None:
-        """The motion of the reference body that the skinned part was fitted from, where it is known."""
+        """As in `Animation`, of the skinned part."""
         return self.animation.reference
 
     @property
@@ -347,117 +300,79 @@ class PointAnimation(Shown):
         return self.motion.fps
 
     def vertices(self, frames: slice | list[int] | np.ndarray | None = None) -> np.ndarray:
-        """Posed vertices [m], shape (N, V, 3), float32, of all frames or of those named."""
+        """Posed vertices [m], shape (N, V, 3), float32, of all or some frames."""
         return np.asarray(self.animation.vertices(frames) + (self.offsets if frames is None else self.offsets[frames]))
 
     def at(self, fps: float) -> PointAnimation:
-        """The same at another rate [1/s]: offsets move in straight lines between frames."""
+        """The same at another rate [1/s]; offsets move in straight lines between frames."""
         moved = self.animation.at(fps)
         if moved.motion is self.motion:
             return self
         return PointAnimation(moved, Resampling.of(len(self.offsets), self.motion.fps, fps).linear(self.offsets))
 
     def take(self, frames: slice) -> PointAnimation:
-        """Some of its frames."""
+        """Some of the frames."""
         return PointAnimation(self.animation.take(frames), self.offsets[frames])
-
-    def save(self, path: str | Path, **options: object) -> Path:
-        """Write the animation in the format that the file's suffix names and return the path.
-
-        A .glb has the skin, and morph targets for what moves on its own; .usd, .usdc, .usda and .usdz have the points
-        of every frame; .obj and .ply are a sequence of meshes.
-
-        Raises:
-            FormatError: The suffix is unknown, or the file cannot be written.
-        """
-        return save(self, path, **options)
 
 
 FADE = 0.3
-"""How long the difference of two poses at a join takes to fade out [s]."""
+"""How long the difference between the two poses at a join takes to fade out [s]."""
 
 
 def end_to_start(animations: Sequence[RigAnimation]) -> RigAnimation:
-    """One animation of all in a row.
+    """Join animations of the same rig into one, at the rate of the first.
 
-    Each is moved over the ground and turned about +Y until its first pose lies on the last of the one before as closely
-    as can be, by least squares over the heads of all bones. What is left of the difference fades out.
-
-    Args:
-        animations: Of the same rig, at least one; the rate is that of the first.
+    Each is moved over the ground and rotated about +Y so that its first pose lies as close as possible to the last pose
+    of the one before, by least squares over the heads of all bones. The remaining difference fades out.
 
     Raises:
-        MotionError: They are of several rigs.
+        MotionError: They are of several characters.
     """
     first = animations[0]
-    rest = first.character.rig
-    assert rest is not None
     rotations, translations = [first.rotations], [first.translations]
-    _, places = first.world()
-    last = places[-1]
-    for some in animations[1:]:
-        if some.character is not first.character:
+    last = first.world()[1][-1]
+    for following in animations[1:]:
+        if following.character is not first.character:
             raise MotionError("animations of several characters cannot be joined; put them on one with `transfer`")
-        one = _placed(some.at(first.fps), last)
-        share = smooth_step(1 - np.arange(len(one)) / max(round(FADE * first.fps), 1))[:, None, None]
-        off = axis_angle_from_matrix(rotations[-1][-1].astype(float) @ np.swapaxes(one.rotations[0], -1, -2))
-        rotations.append(matrix_from_axis_angle(share * off) @ one.rotations.astype(float))
-        translations.append(one.translations + share * (translations[-1][-1] - one.translations[0]))
+        clip = _aligned(following.at(first.fps), last)
+        share = smooth_step(1 - np.arange(len(clip)) / max(round(FADE * first.fps), 1))[:, None, None]
+        off = axis_angle_from_matrix(rotations[-1][-1].astype(float) @ np.swapaxes(clip.rotations[0], -1, -2))
+        rotations.append(matrix_from_axis_angle(share * off) @ clip.rotations.astype(float))
+        translations.append(clip.translations + share * (translations[-1][-1] - clip.translations[0]))
         rotations[-1], translations[-1] = rotations[-1][1:], translations[-1][1:]  # its first pose is there already
         if len(rotations[-1]):
             last = RigAnimation(first.character, rotations[-1][-1:], translations[-1][-1:]).world()[1][0]
     return RigAnimation(first.character, np.concatenate(rotations), np.concatenate(translations), first.fps)
 
 
-def _placed(animation: RigAnimation, goal: np.ndarray) -> RigAnimation:
-    """The animation moved over the ground so that its first pose lies on another.
-
-    Args:
-        animation: N frames of J bones.
-        goal: Where the heads of the bones are [m], shape (J, 3).
+def _aligned(animation: RigAnimation, goal: np.ndarray) -> RigAnimation:
+    """The animation moved over the ground so that the heads of its bones in the first frame come closest to a goal [m],
+    shape (J, 3).
     """
-    turns, places = animation.world()
-    start, middle = places[0].mean(axis=0), goal.mean(axis=0)
-    own, theirs = (places[0] - start)[:, [0, 2]], (goal - middle)[:, [0, 2]]
-    cross = float((own[:, 1] * theirs[:, 0] - own[:, 0] * theirs[:, 1]).sum())
-    angle = math.atan2(cross, float((own * theirs).sum()))
-    turn = matrix_y(np.array([angle]))[0]
-    places = (places - start) @ turn.T + start + (middle - start) * [1, 0, 1]
-    return RigAnimation.of_world(animation.character, turn @ turns, places, animation.fps)
+    rotations, heads = animation.world()
+    start, middle = heads[0].mean(axis=0), goal.mean(axis=0)
+    before, after = (heads[0] - start)[:, [0, 2]], (goal - middle)[:, [0, 2]]
+    cross = float((before[:, 1] * after[:, 0] - before[:, 0] * after[:, 1]).sum())
+    about_y = matrix_y(np.array([math.atan2(cross, float((before * after).sum()))]))[0]
+    heads = (heads - start) @ about_y.T + start + (middle - start) * [1, 0, 1]
+    return RigAnimation.of_world(animation.character, about_y @ rotations, heads, animation.fps)
 
 
 @runtime_checkable
 class AnimatedCharacter(Protocol):
-    """A character that moves: an `Animation` of handles or a `RigAnimation` of bones."""
+    """A character that moves: an `Animation`, a `RigAnimation` or a `PointAnimation`, which document these members."""
 
     @property
-    def character(self) -> Character:
-        """The character in its rest pose."""
-
+    def character(self) -> Character: ...
     @property
-    def handles(self) -> Handles:
-        """What moves it: its handles, or its bones as handles."""
-
+    def handles(self) -> Handles: ...
     @property
-    def motion(self) -> HandleMotion:
-        """How these move."""
-
+    def motion(self) -> HandleMotion: ...
     @property
-    def reference(self) -> HandleMotion | None:
-        """The motion of the reference body that this was fitted from, where it is known."""
-
+    def reference(self) -> HandleMotion | None: ...
     @property
-    def fps(self) -> float:
-        """Frames a second [1/s]."""
-
-    def vertices(self, frames: slice | list[int] | np.ndarray | None = None) -> np.ndarray:
-        """Posed vertices [m], shape (N, V, 3), float32, of all frames or of those named."""
-
-    def at(self, fps: float) -> Self:
-        """The same at another rate [1/s]."""
-
-    def take(self, frames: slice) -> Self:
-        """Some of its frames."""
-
-    def save(self, path: str | Path, **options: object) -> Path:
-        """Write the animation in the format that the file's suffix names and return the path."""
+    def fps(self) -> float: ...
+    def vertices(self, frames: slice | list[int] | np.ndarray | None = None) -> np.ndarray: ...
+    def at(self, fps: float) -> Self: ...
+    def take(self, frames: slice) -> Self: ...
+    def save(self, path: str | Path, **options: object) -> Path: ...

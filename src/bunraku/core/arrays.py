@@ -1,4 +1,4 @@
-"""NumPy arrays from untrusted files, read within bounds and without pickle, and integer columns stored in few bytes."""
+"""NumPy arrays from untrusted files, read within bounds and without pickle; integer columns packed into few bytes."""
 
 from __future__ import annotations
 
@@ -16,23 +16,15 @@ import numpy as np
 from bunraku.errors import FormatError
 
 __all__ = [
-    "MAX_ARRAY_BYTES",
-    "lzma_filters",
-    "npz_names",
-    "open_npz",
-    "pack_steps",
-    "read_member",
-    "read_npy",
-    "refuse_objects",
-    "unpack_steps",
-]
-
+    "MAX_ARRAY_BYTES", "lzma_filters", "npz_names", "open_npz", "pack_steps", "read_member", "read_npy",
+    "refuse_objects", "unpack_steps",
+]  # fmt: skip
 
 MAX_ARRAY_BYTES = 1 << 30
 MAX_GROWTH = 200
 """An array may unpack to this many times the size of its file; motion packs to a half or a third."""
 FREE_BYTES = 16 << 20
-"""What any file may unpack to: a long clip of zeros packs well."""
+"""Any file may unpack to this size, whatever its own [bytes]: a long clip of zeros packs well."""
 
 
 def read_npy(path: Path, data: bytes) -> np.ndarray:
@@ -52,7 +44,7 @@ def open_npz(path: Path, data: bytes) -> Iterator[zipfile.ZipFile]:
     """The archive of an .npz file.
 
     Raises:
-        FormatError: It is broken, or what is done with it in the block finds it so.
+        FormatError: It is broken, or the code in the block finds it so.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -81,11 +73,7 @@ def npz_names(archive: zipfile.ZipFile) -> frozenset[str]:
 
 
 def refuse_objects(path: Path, archive: zipfile.ZipFile) -> None:
-    """Make sure that no array of an .npz file holds objects, whether it is used or not.
-
-    Raises:
-        FormatError: One holds pickled objects.
-    """
+    """Raise FormatError if any array of an .npz file holds pickled objects, whether it is used or not."""
     for name in sorted(npz_names(archive)):
         with archive.open(f"{name}.npy") as file:
             header = io.BytesIO(file.read(65536))
@@ -102,9 +90,9 @@ def read_member(path: Path, archive: zipfile.ZipFile, name: str, data_size: int)
 
     Args:
         path: The file.
-        archive: It, opened.
+        archive: Its archive.
         name: The array's name.
-        data_size: Size of the whole file [bytes]; the array may be larger by a fixed factor.
+        data_size: Size of the whole file [bytes], which bounds that of the array.
 
     Raises:
         FormatError: The array is too large, or does not hold plain numbers.
@@ -152,17 +140,17 @@ def _plain(path: Path, data: bytes, name: str) -> np.ndarray:
 
 
 def lzma_filters(preset: int, window: int) -> list[dict[str, Any]]:
-    """How LZMA packs without a header: its preset, and the bytes that it looks back over."""
+    """The settings for LZMA without a header: its preset and how many bytes it looks back."""
     return [{"id": lzma.FILTER_LZMA2, "preset": preset, "dict_size": window}]
 
 
 def pack_steps(values: np.ndarray, order: int, filters: Sequence[dict[str, object]]) -> bytes:
-    """Numbers, packed.
+    """Pack columns of integers: differences of some order, small numbers of either sign, high bytes together, LZMA.
 
     Args:
-        values: Whole numbers, rounded where they are not, shape (N, C).
+        values: Integers, or numbers to be rounded, shape (N, C).
         order: How often differences are taken.
-        filters: Of `lzma_filters`.
+        filters: From `lzma_filters`.
     """
     steps = np.rint(values).astype(np.int64)
     for _ in range(order):
@@ -173,10 +161,10 @@ def pack_steps(values: np.ndarray, order: int, filters: Sequence[dict[str, objec
 
 
 def unpack_steps(data: bytes, rows: int, columns: int, order: int, filters: Sequence[dict[str, object]]) -> np.ndarray:
-    """What `pack_steps` packed, in bounded memory, shape (rows, columns), int64.
+    """Undo `pack_steps` in bounded memory, shape (rows, columns), int64.
 
     Raises:
-        ValueError: The bytes are none of that, or are of another shape.
+        ValueError: The bytes were not packed so, or have another shape.
     """
     size = 4 * rows * columns
     try:

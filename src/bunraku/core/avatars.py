@@ -1,6 +1,4 @@
-"""What the files of avatars hold beside their meshes: the model of MikuMikuDance, and the humanoid and springs of
-VRM.
-"""
+"""What avatar files hold besides their meshes: the model of MikuMikuDance (MMD), the humanoid and springs of VRM."""
 
 from __future__ import annotations
 
@@ -10,30 +8,15 @@ from typing import Any
 import numpy as np
 
 __all__ = [
-    "MMD_METRE",
-    "MmdAppend",
-    "MmdBody",
-    "MmdBone",
-    "MmdIk",
-    "MmdIkLink",
-    "MmdJoint",
-    "MmdModel",
-    "MmdMorph",
-    "MmdSdef",
-    "VrmCollider",
-    "VrmModel",
-    "VrmSpring",
-    "VrmSpringJoint",
-    "mmd_angles",
-    "mmd_model",
-    "mmd_points",
-    "mmd_turn",
-    "vrm_model",
-]
-
+    "MMD_METRE", "MmdAppend", "MmdBody", "MmdBone", "MmdIk", "MmdIkLink", "MmdJoint", "MmdModel", "MmdMorph", "MmdSdef",
+    "VrmCollider", "VrmModel", "VrmSpring", "VrmSpringJoint", "mmd_angles", "mmd_model", "mmd_points", "mmd_rotation",
+    "vrm_model", "warning_sentences",
+]  # fmt: skip
 
 MMD_METRE = 0.08
-"""What one unit of MMD is taken for [m]."""
+"""Length of one MMD unit [m]. MMD defines none; its first character, Hatsune Miku, is 158 cm tall by her makers, and
+about 20 units in her model.
+"""
 BODY_SHAPES = ("sphere", "box", "capsule")
 BODY_MODES = ("follows its bone", "dynamic", "dynamic, held at its bone")
 _MIRROR = np.array([1.0, 1, -1])
@@ -41,14 +24,13 @@ _MIRROR = np.array([1.0, 1, -1])
 
 @dataclass(frozen=True)
 class MmdAppend:
-    """What a bone takes over of another bone's motion ("grant").
+    """What a bone takes over from another bone's motion ("grant").
 
     Args:
         bone: The bone that it takes from.
-        ratio: Which share; it may be negative.
-        rotation: Whether it takes rotation.
-        translation: Whether it takes translation.
-        local: Whether it takes how the other bone stands against its parent, and not what its keys say.
+        ratio: The share, which may be negative.
+        rotation, translation: What is taken over.
+        local: Whether the other bone's transform relative to its parent is taken, instead of its keys.
     """
 
     bone: int
@@ -60,12 +42,11 @@ class MmdAppend:
 
 @dataclass(frozen=True)
 class MmdIkLink:
-    """A bone that inverse kinematics turn.
+    """A bone that inverse kinematics rotate.
 
     Args:
         bone: The bone.
-        lower: Smallest angles about x, y, z [rad], shape (3,), or None where it turns freely.
-        upper: Largest angles [rad], shape (3,), or None.
+        lower, upper: Limits of its angles about x, y, z [rad], shape (3,), or None where it rotates freely.
     """
 
     bone: int
@@ -75,13 +56,13 @@ class MmdIkLink:
 
 @dataclass(frozen=True)
 class MmdIk:
-    """Inverse kinematics: the bone that has them is where the target shall be.
+    """Inverse kinematics: the bone that has them is the goal for the target.
 
     Args:
-        target: The bone that is brought to it, such as an ankle.
-        loops: How often the links are gone through.
+        target: The bone that is brought to the goal, such as an ankle.
+        loops: Iterations.
         limit: Largest rotation of a link in one step [rad].
-        links: The bones that turn, from the target up.
+        links: The bones that rotate, from the target up.
     """
 
     target: int
@@ -101,12 +82,11 @@ class MmdBone:
         parent: Index of its parent, -1 for none.
         layer: Bones of higher layers are deformed later.
         after_physics: Whether it is deformed after the rigid bodies have moved.
-        rotates: Whether motions may turn it.
-        moves: Whether motions may move it.
+        rotates, moves: Whether motions may rotate and move it.
         tail: Where it points, from its position [m], shape (3,).
-        append: What it takes over of another bone's motion.
-        fixed_axis: The only axis that it turns about, shape (3,), or None.
-        local_axes: Rows x, y, z for handles of editors, shape (3, 3), or None.
+        append: What it takes over from another bone's motion.
+        fixed_axis: The only axis that it rotates about, shape (3,), or None.
+        local_axes: Rows x, y, z for the handles of editors, shape (3, 3), or None.
         ik: Inverse kinematics whose goal it is.
     """
 
@@ -127,12 +107,12 @@ class MmdBone:
 
 @dataclass(frozen=True)
 class MmdMorph:
-    """A morph, without its offsets.
+    """A morph without its offsets.
 
     Args:
         name: Japanese name.
         kind: "group", "vertex", "bone", "uv", "material", "flip" or "impulse".
-        count: How many offsets it has.
+        count: Number of its offsets.
     """
 
     name: str
@@ -148,16 +128,14 @@ class MmdBody:
         name: Its name.
         bone: The bone that it goes with, -1 for none.
         shape: "sphere", "box" or "capsule".
-        size: Radius for a sphere, half extents of a box, radius and length between the ends' centres of a capsule along
-            y [m], shape (3,).
+        size: Radius of a sphere; half extents of a box; radius and distance between the ends' centres of a capsule
+            along y [m], shape (3,).
         position: Its centre in the rest pose [m], shape (3,).
         rotation: Its axes in the rest pose, columns, shape (3, 3).
         mass: As in the file, 0 or more.
-        linear_damping: Share of the velocity that is lost in a second, as Bullet means it.
-        angular_damping: The same of the angular velocity.
-        restitution: From 0 to 1 as a rule.
-        friction: Coefficient.
-        mode: 0 follows its bone, 1 is moved by physics, 2 is turned by physics and held at its bone.
+        linear_damping, angular_damping: Share of the velocity that is lost in a second, as Bullet defines it.
+        restitution, friction: Coefficients, 0 to 1 as a rule.
+        mode: 0 follows its bone, 1 is moved by physics, 2 is rotated by physics and held at its bone.
         group: Collision group, 0 to 15.
         mask: Groups that it collides with, bit g for group g.
     """
@@ -192,12 +170,11 @@ class MmdJoint:
         bodies: The two bodies, A and B.
         position: Its position in the rest pose [m], shape (3,).
         rotation: Its axes in the rest pose, columns, shape (3, 3).
-        lower: Smallest displacement of B along the axes [m], shape (3,).
-        upper: Largest one [m], shape (3,); a range that is empty (lower > upper) is free, as Bullet means it.
-        angle_lower: Smallest angles about the axes [rad], shape (3,).
-        angle_upper: Largest ones [rad], shape (3,).
+        lower, upper: Limits of B's displacement along the axes [m], shape (3,); an empty range (lower > upper) is free,
+            as Bullet defines it.
+        angle_lower, angle_upper: Limits of its angles about the axes [rad], shape (3,).
         spring: Stiffness against displacement, as in the file (force over MMD's unit), shape (3,).
-        angle_spring: Stiffness against turning, as in the file, shape (3,).
+        angle_spring: Stiffness against rotation, as in the file, shape (3,).
     """
 
     name: str
@@ -219,8 +196,7 @@ class MmdSdef:
     Args:
         vertices: Their indices, shape (S,).
         center: C of each [m], shape (S, 3).
-        r0: R0 of each, of its first bone [m], shape (S, 3).
-        r1: R1 of each, of its second bone [m], shape (S, 3).
+        r0, r1: R0 and R1 of each, of its two bones [m], shape (S, 3).
     """
 
     vertices: np.ndarray
@@ -231,16 +207,13 @@ class MmdSdef:
 
 @dataclass(frozen=True, eq=False)
 class MmdModel:
-    """What a PMX or PMD file holds beside its mesh.
+    """What a PMX or PMD file holds besides its mesh.
 
     Args:
-        name: The model's own name.
-        english: Its English name, often empty.
+        name, english: Names of the model; the English one is often empty.
         version: "PMX 2.0", "PMX 2.1" or "PMD".
         bones: Its bones, in the order of the rig's joints.
-        morphs: Its morphs.
-        bodies: Its rigid bodies.
-        joints: Their joints.
+        morphs, bodies, joints: Its morphs, rigid bodies and their joints.
         deforms: How each vertex deforms: 0 BDEF1, 1 BDEF2, 2 BDEF4, 3 SDEF, 4 QDEF; shape (V,).
         sdef: Constants of those that are SDEF.
         warnings: What of the file was broken and left out or repaired, a sentence each.
@@ -285,7 +258,7 @@ class MmdModel:
 
 
 def mmd_model(character: Any) -> MmdModel | None:
-    """The model that a character was read from, None where it comes from no PMX or PMD file."""
+    """The model that a character was read from, or None if it comes from no PMX or PMD file."""
     return character.avatar if isinstance(character.avatar, MmdModel) else None
 
 
@@ -294,10 +267,8 @@ def mmd_points(values: Any) -> np.ndarray:
     return np.asarray(np.asarray(values, float) * _MIRROR * MMD_METRE + 0.0)  # no negative zeros
 
 
-def mmd_turn(angles: Any) -> np.ndarray:
-    """The rotation that MMD's angles about x, y, z [rad] stand for (about z first, then x, then y), in our frame, shape
-    (3, 3).
-    """
+def mmd_rotation(angles: Any) -> np.ndarray:
+    """The rotation of MMD's angles about x, y, z [rad] (applied about z, then x, then y) in our frame, shape (3, 3)."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
     x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
@@ -306,7 +277,7 @@ def mmd_turn(angles: Any) -> np.ndarray:
 
 
 def mmd_angles(lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Limits of angles about x, y, z [rad] in our frame: those about x and y change sign and places."""
+    """Limits of angles about x, y, z [rad] in our frame: those about x and y swap and change sign."""
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     turned = np.array([True, True, False])
     return np.where(turned, 0 - high, low), np.where(turned, 0 - low, high)
@@ -318,7 +289,7 @@ class VrmSpringJoint:
 
     Args:
         node: Its index.
-        stiffness: How strongly it goes back to its rest pose.
+        stiffness: How strongly it returns to its rest pose.
         gravity: How strongly it is drawn along `gravity_direction`.
         gravity_direction: In the world, shape (3,).
         drag: Share of its speed that it loses in a step, from 0 to 1.
@@ -359,7 +330,7 @@ class VrmCollider:
     Args:
         node: The node that carries it.
         shape: "sphere", "capsule" or "plane".
-        offset: Its centre, one end or a point of the plane, in the node's axes [m], shape (3,).
+        offset: Its centre, one end, or a point of the plane, in the node's axes [m], shape (3,).
         radius: In metres; 0 for a plane.
         tail: The other end of a capsule, or the normal of a plane, in the node's axes, shape (3,); None for a sphere.
         inside: Whether springs are kept inside.
@@ -375,14 +346,13 @@ class VrmCollider:
 
 @dataclass(frozen=True, eq=False)
 class VrmModel:
-    """What a VRM file holds beside its meshes.
+    """What a VRM file holds besides its meshes.
 
     Args:
         version: "0.x" or "1.0".
         title: Name of the avatar.
         humanoid: Node of each bone that VRM names ("hips", "leftUpperLeg" ...).
-        springs: The chains that swing.
-        colliders: All colliders.
+        springs, colliders: The chains that swing, and all colliders.
         groups: Colliders of each group.
         warnings: What of the file was broken and left out, a sentence each.
     """
@@ -397,5 +367,15 @@ class VrmModel:
 
 
 def vrm_model(character: Any) -> VrmModel | None:
-    """What the VRM file of a character holds beside its meshes, None where it comes from no VRM file."""
+    """What the VRM file of a character holds besides its meshes, or None if it comes from no VRM file."""
     return character.avatar if isinstance(character.avatar, VrmModel) else None
+
+
+def warning_sentences(warnings: dict[str, list[str]]) -> tuple[str, ...]:
+    """One line for each problem of a file, with the first names of its subjects."""
+    out = []
+    for problem, names in warnings.items():
+        some = ", ".join(" ".join(name.split())[:40] for name in names[:3] if name)
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        out.append(f"{problem}: {some}{more}" if some else problem)
+    return tuple(out)

@@ -1,4 +1,4 @@
-"""Characters: a rest-pose mesh, the rig its file may hold, and the handles that move it."""
+"""Characters: a rest-pose mesh, the rig that its file may hold, and the handles that move it."""
 
 from __future__ import annotations
 
@@ -10,19 +10,28 @@ import numpy as np
 
 from bunraku.core.avatars import MmdModel, VrmModel
 from bunraku.core.geometry.surface import vertex_areas
-from bunraku.errors import CharacterError
+from bunraku.errors import CharacterError, MotionError
 
-__all__ = ["Character", "Handles", "Rig", "top_influences"]
+__all__ = ["Character", "Handles", "Rig", "frozen_array", "top_influences"]
 
 
-def _frozen(array: Any, dtype: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
-    """The array as a read-only one of this type and shape; None in the shape stands for any length."""
+def frozen_array(
+    array: Any, dtype: Any, shape: tuple[int | None, ...], what: str, error: type[MotionError] | None = None
+) -> np.ndarray:
+    """The array as a read-only one of this type and shape; None in the shape stands for any length.
+
+    Raises:
+        CharacterError: It has another shape.
+        error: The same, or a value is not finite, where an error of motions is given.
+    """
     out = np.ascontiguousarray(array, dtype=dtype)
     wrong = out.ndim != len(shape)
     for have, want in zip(out.shape, shape, strict=False):
         wrong = wrong or (want is not None and have != want)
     if wrong:
-        raise CharacterError(f"{what} must have shape {shape} with None for any length, not {out.shape}")
+        raise (error or CharacterError)(f"{what} must have shape {shape} with None for any length, not {out.shape}")
+    if error is not None and not np.isfinite(out).all():
+        raise error(f"{what} holds values that are not numbers")
     if out is array:
         out = out.view()
     out.flags.writeable = False
@@ -31,17 +40,16 @@ def _frozen(array: Any, dtype: Any, shape: tuple[int | None, ...], what: str) ->
 
 @dataclass(frozen=True)
 class Rig:
-    """The skeleton and skin that a file brings.
+    """The skeleton and skin of a file.
 
     Args:
         names: Joint names, length J.
-        parents: Parent of each joint, shape (J,); -1 for a root. Any order.
+        parents: Parent of each joint, -1 for a root, in any order, shape (J,).
         transforms: World transform of each joint in the rest pose [m], shape (J, 4, 4).
-        indices: Joints that move each vertex, shape (V, M).
-        weights: Their shares, shape (V, M), each row sums to 1.
+        indices, weights: Joints that move each vertex and their shares, shape (V, M); rows sum to 1.
 
     Raises:
-        CharacterError: Shapes disagree, or an index points at no joint.
+        CharacterError: Shapes disagree, or a joint does not exist.
     """
 
     names: tuple[str, ...]
@@ -53,10 +61,12 @@ class Rig:
     def __post_init__(self) -> None:
         count = len(self.names)
         object.__setattr__(self, "names", tuple(self.names))
-        object.__setattr__(self, "parents", _frozen(self.parents, np.int64, (count,), "rig parents"))
-        object.__setattr__(self, "transforms", _frozen(self.transforms, np.float64, (count, 4, 4), "rig transforms"))
-        object.__setattr__(self, "indices", _frozen(self.indices, np.int32, (None, None), "rig indices"))
-        object.__setattr__(self, "weights", _frozen(self.weights, np.float32, self.indices.shape, "rig weights"))
+        object.__setattr__(self, "parents", frozen_array(self.parents, np.int64, (count,), "rig parents"))
+        object.__setattr__(
+            self, "transforms", frozen_array(self.transforms, np.float64, (count, 4, 4), "rig transforms")
+        )
+        object.__setattr__(self, "indices", frozen_array(self.indices, np.int32, (None, None), "rig indices"))
+        object.__setattr__(self, "weights", frozen_array(self.weights, np.float32, self.indices.shape, "rig weights"))
         if count and (self.parents.max(initial=-1) >= count or self.parents.min(initial=-1) < -1):
             raise CharacterError("a rig joint names a parent that does not exist")
         if self.indices.size and (self.indices.min() < 0 or self.indices.max() >= count):
@@ -84,10 +94,9 @@ class Character:
         faces: Vertex indices of each triangle, shape (F, 3).
         rig: The file's own skeleton and skin.
         colors: Colour of each vertex for previews, sRGB, shape (V, 3), uint8.
-        source: The document that the mesh came from, owned by `bunraku.files`; it lets a writer give the user's
-            materials, textures, UVs and vertex order back untouched.
-        avatar: What an MMD or VRM file holds beside its mesh: bones with their dependencies, rigid bodies, springs,
-            the bones of the person.
+        source: The document that the mesh came from, owned by `bunraku.files`; a writer needs it to give back the
+            user's materials, textures, UVs and vertex order untouched.
+        avatar: What an MMD or VRM file holds besides its mesh.
 
     Raises:
         CharacterError: No vertices, no faces, a coordinate that is not finite, an index outside the vertices, or no
@@ -103,8 +112,8 @@ class Character:
     avatar: MmdModel | VrmModel | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", _frozen(self.vertices, np.float32, (None, 3), "vertices"))
-        object.__setattr__(self, "faces", _frozen(self.faces, np.int64, (None, 3), "faces"))
+        object.__setattr__(self, "vertices", frozen_array(self.vertices, np.float32, (None, 3), "vertices"))
+        object.__setattr__(self, "faces", frozen_array(self.faces, np.int64, (None, 3), "faces"))
         count = len(self.vertices)
         if count == 0:
             raise CharacterError(f"{self.name}: the mesh is empty; export it again with its vertices")
@@ -126,7 +135,7 @@ class Character:
         if float(np.ptp(self.vertices, axis=0).max()) <= 0:
             raise CharacterError(f"{self.name}: all vertices are at one point; there is nothing to animate")
         if self.colors is not None:
-            object.__setattr__(self, "colors", _frozen(self.colors, np.uint8, (count, 3), "colors"))
+            object.__setattr__(self, "colors", frozen_array(self.colors, np.uint8, (count, 3), "colors"))
         if self.rig is not None and len(self.rig.indices) != count:
             raise CharacterError(
                 f"{self.name}: the rig weights {len(self.rig.indices)} vertices but the mesh has {count}"
@@ -134,8 +143,8 @@ class Character:
 
     @cached_property
     def surface(self) -> np.ndarray:
-        """Which vertices have faces, shape (V,), bool. Files bring stray ones; nobody sees them, so nothing is measured
-        by them.
+        """Which vertices have faces, shape (V,), bool. Files bring stray vertices, which are not seen and count in no
+        measurement.
         """
         used = np.zeros(len(self.vertices), bool)
         used[self.faces] = True
@@ -151,7 +160,7 @@ class Character:
 
     @property
     def height(self) -> float:
-        """Extent of the surface along +Y [m]; the largest extent for something flat."""
+        """Extent of the surface along +Y [m], or the largest extent of something flat."""
         extent = np.ptp(self.vertices[self.surface], axis=0)
         return float(extent[1] if extent[1] > 1e-3 * extent.max() else extent.max())
 
@@ -170,8 +179,8 @@ class Handles:
             their parents.
 
     Raises:
-        CharacterError: Shapes disagree, a value is not finite, rows do not sum to 1, or a role is that of no handle or
-            the root's.
+        CharacterError: Shapes disagree, a value is not finite, rows do not sum to 1, or a role does not exist or is the
+            root's.
     """
 
     positions: np.ndarray
@@ -181,9 +190,9 @@ class Handles:
     rigid: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "positions", _frozen(self.positions, np.float32, (None, 3), "handle positions"))
+        object.__setattr__(self, "positions", frozen_array(self.positions, np.float32, (None, 3), "handle positions"))
         object.__setattr__(
-            self, "weights", _frozen(self.weights, np.float32, (None, len(self.positions)), "handle weights")
+            self, "weights", frozen_array(self.weights, np.float32, (None, len(self.positions)), "handle weights")
         )
         if not np.isfinite(self.weights).all() or not np.isfinite(self.positions).all():
             raise CharacterError("handles must be finite")
@@ -193,7 +202,7 @@ class Handles:
             raise CharacterError("of a body that does not bend each vertex is of one handle")
         if self.roles is not None:
             count = len(self.positions)
-            object.__setattr__(self, "roles", _frozen(self.roles, np.int64, (count,), "handle roles"))
+            object.__setattr__(self, "roles", frozen_array(self.roles, np.int64, (count,), "handle roles"))
             if count and (self.roles[0] != 0 or self.roles[1:].min(initial=1) < 1 or self.roles.max() >= count):
                 raise CharacterError(
                     "handle 0 plays the root, and every other handle the part of one that exists and is not the root"
@@ -201,13 +210,11 @@ class Handles:
 
     @property
     def played(self) -> np.ndarray:
-        """The handle whose part each handle plays, shape (K,): its own where `roles` says nothing."""
+        """The handle whose part each handle plays, shape (K,); without `roles` its own."""
         return np.arange(len(self.positions)) if self.roles is None else self.roles
 
     def top(self, count: int = 4) -> Handles:
-        """The same handles with only the largest `count` weights of each vertex kept and renormalised, as viewers read
-        them.
-        """
+        """The same handles with the largest `count` weights of each vertex, renormalised, as viewers read them."""
         indices, shares = top_influences(self.weights, count)
         kept = np.zeros_like(self.weights)
         rows, places = np.nonzero(shares)
@@ -216,19 +223,15 @@ class Handles:
 
 
 FEW = 10_000
-"""Vertices of which the largest weights of all are looked for at once."""
+"""Vertices whose largest weights are looked for at once."""
 
 
 def top_influences(weights: np.ndarray, count: int = 4) -> tuple[np.ndarray, np.ndarray]:
-    """The largest weights of each vertex, renormalised, largest first.
-
-    Args:
-        weights: Skinning weights, shape (V, K).
-        count: How many to keep, C.
+    """The largest `count` weights of each vertex (V, K), renormalised, largest first.
 
     Returns:
-        Indices (V, C) int64 and shares (V, C) float32 whose rows sum to 1; shares of 0 may be of any index, even of one
-        that is there already. Where K < C, both have K columns.
+        Indices (V, C) int64 and shares (V, C) float32 whose rows sum to 1, C = min(count, K). A share of 0 may have any
+            index, even one that occurs already.
     """
     count = min(count, weights.shape[1])
     many = (weights != 0).sum(axis=1) > count
@@ -249,6 +252,6 @@ def top_influences(weights: np.ndarray, count: int = 4) -> tuple[np.ndarray, np.
 
 
 def _largest(weights: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of the largest weights of each row, and these, in no order."""
+    """Indices of the largest weights of each row, and these weights, unordered."""
     indices = np.argpartition(weights, weights.shape[1] - count, axis=1)[:, weights.shape[1] - count :]
     return indices, np.take_along_axis(weights, indices, axis=1)

@@ -1,6 +1,4 @@
-"""Files as the formats see them: bounded reading, paths that stay in their folder, and writing that leaves nothing
-half-done.
-"""
+"""Reading files within bounds, paths that stay in their folder, and writing that leaves nothing half-done."""
 
 from __future__ import annotations
 
@@ -21,27 +19,15 @@ from urllib.parse import unquote
 from bunraku.errors import FormatError
 
 __all__ = [
-    "MAX_BYTES",
-    "MAX_TEXT_BYTES",
-    "atomic_write",
-    "check_input",
-    "check_output_folder",
-    "check_text",
-    "path_inside",
-    "open_input",
-    "open_once",
-    "share_file",
-    "read_bounded",
-    "remove_leftovers",
-    "temporary_prefix",
-    "writing",
-]
+    "MAX_BYTES", "MAX_TEXT_BYTES", "atomic_write", "check_input", "check_output_folder", "check_text", "path_inside",
+    "open_input", "open_once", "share_file", "read_bounded", "remove_leftovers", "temporary_prefix", "writing",
+]  # fmt: skip
 
 MAX_BYTES = 2 << 30
 """Largest file that is read [bytes]."""
 
 STALE = 3600.0
-"""After this a file that is being written has been given up [s]."""
+"""Seconds after which a temporary file counts as abandoned."""
 _TEMPORARY = re.compile(r"\..+\.(?P<machine>[0-9a-f]{6})-(?P<process>\d{1,10})-[a-z0-9_]{8}\.tmp", re.DOTALL)
 
 MAX_TEXT_BYTES = 400 << 20
@@ -53,7 +39,9 @@ _open: ContextVar[tuple[ExitStack, dict[Path, BinaryIO]] | None] = ContextVar("o
 
 @contextmanager
 def open_once() -> Iterator[None]:
-    """Files that are read within are opened once and closed at the end, so that what is told apart is what is read."""
+    """Within the block each file is opened once and closed at the end, so that the bytes that name a format are those
+    that are read.
+    """
     with ExitStack() as stack:
         before = _open.set((stack, {}))
         try:
@@ -64,7 +52,7 @@ def open_once() -> Iterator[None]:
 
 @contextmanager
 def open_input(path: Path) -> Iterator[BinaryIO]:
-    """A file to be read from its beginning; the one that is open already within `open_once`."""
+    """A file to be read from its beginning; within `open_once` the one that is open already."""
     known = _open.get()
     if known is None:
         with path.open("rb") as file:
@@ -107,11 +95,7 @@ def check_input(path: Path) -> int:
 
 
 def check_text(path: Path, data: bytes) -> None:
-    """Refuse a text mesh that is too large to be taken apart.
-
-    Raises:
-        FormatError: It has more than `MAX_TEXT_BYTES`.
-    """
+    """Raise FormatError for a text mesh of more than `MAX_TEXT_BYTES`."""
     if len(data) > MAX_TEXT_BYTES:
         raise FormatError(
             path,
@@ -135,9 +119,8 @@ def read_bounded(path: Path) -> bytes:
 
 
 def path_inside(folder: Path, uri: str) -> Path | None:
-    """The file that a relative URI names in a folder or below it, or None where it points anywhere else.
-
-    URLs, absolute paths, `..` and links that lead out of the folder are all elsewhere.
+    """The file that a relative URI names in a folder or below it, or None where it points elsewhere: URLs, absolute
+    paths, `..`, and links that lead out of the folder.
     """
     name = unquote(uri).replace("\\", "/")
     if (
@@ -159,7 +142,7 @@ def check_output_folder(path: Path) -> None:
     """Make sure that the folder of an output exists, creating its last level where only that is missing.
 
     Raises:
-        FormatError: The folder cannot be made, or the path is a folder itself.
+        FormatError: The folder cannot be created, or the path is a folder itself.
     """
     if "\0" in str(path):
         raise FormatError(path, "the path holds a zero byte; choose another name")
@@ -208,7 +191,7 @@ def share_file(path: Path, most: int = 0o666) -> None:
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
-    """A binary file beside the target that takes its place when the block ends, and vanishes when the block fails.
+    """A binary file beside the target that replaces it when the block ends, and vanishes when the block fails.
 
     Raises:
         FormatError: The folder is missing or cannot be written, or the disk is full.
@@ -231,9 +214,9 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
 
 
 def remove_leftovers(folder: Path) -> int:
-    """Remove what `atomic_write` left half-done in a folder when its process was killed, and say how many files.
+    """Remove what killed processes left half-done with `atomic_write` in a folder, and return how many files.
 
-    These are files of processes of this machine that are gone, and any that nobody has changed for an hour.
+    These are files of processes of this machine that are gone, and any that have not changed for an hour.
     """
     removed = 0
     with suppress(OSError):  # no folder, nothing left
@@ -250,7 +233,9 @@ def remove_leftovers(folder: Path) -> int:
 
 
 def temporary_prefix(name: str) -> str:
-    """How a temporary file of this process begins that ends with .tmp, so that `sweep` knows it."""
+    """How the name of a temporary file of this process begins, by which `remove_leftovers` knows it; the name ends with
+    .tmp.
+    """
     return f".{name[:100]}.{_machine()}-{os.getpid()}-"
 
 
@@ -259,7 +244,7 @@ def _machine() -> str:
 
 
 def _alive(process: int) -> bool:
-    """Whether a process of this machine runs. One that has ended, but that nobody has asked after, does not."""
+    """Whether a process of this machine runs. One that has ended, but whose parent has not collected it, does not."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -276,15 +261,13 @@ def _reason(error: Exception) -> str:
 
 
 PACKAGE_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
-"""Where the checkpoints lie that Bunraku brings."""
+"""The folder of the checkpoints that come with Bunraku."""
 
 
 def weights_file(name: str) -> Path:
-    """Where a file of weights lies: in the package, or in the folders that the environment variable BUNRAKU_WEIGHTS
-    names, parted as those of PATH are, of which the first that has it counts; an empty part is the package's own.
-
-    Args:
-        name: The file, for example "diffusion.safetensors".
+    """Path of a file of weights, such as "diffusion.safetensors": in the package, or in the first folder that has it of
+    those that the environment variable BUNRAKU_WEIGHTS names, separated as in PATH; an empty entry is the package's own
+    folder.
     """
     named = os.environ.get("BUNRAKU_WEIGHTS")
     folders = (

@@ -1,4 +1,4 @@
-"""Ctrl-C while a command line or torch is being loaded: one line, as later, and no traceback."""
+"""Ctrl-C while the command line or torch is being loaded: one line, as later, and no traceback."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def is_command_line() -> bool:
 
 
 def watch_interrupts() -> bool:
-    """Let Ctrl-C end the process with one line, unless somebody else looks after it (a shell that runs it in the
-    background has it ignored).
+    """Let Ctrl-C end the process with one line, unless the signal has another handler (or is ignored, as in the
+    background).
 
     Returns:
-        Whether that is so now.
+        Whether it now does.
     """
     try:
         if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
@@ -38,13 +38,14 @@ def watch_interrupts() -> bool:
 
 
 def exit_interrupted(number: int, frame: FrameType | None) -> NoReturn:
+    """End the process at once."""
     os.write(2, b"bunraku: interrupted\n")
     os._exit(130)
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise `KeyboardInterrupt`. While torch is being loaded leave at once: its C++ calls Python in places where any
-    exception ends the process with an abort, and what a command has half done then is repaired by its next run.
+    """Raise `KeyboardInterrupt`, but exit at once while torch is being loaded: its C++ calls Python where any exception
+    aborts the process. The next run of a command repairs what is half done.
     """
     if getattr(getattr(sys.modules.get("torch"), "__spec__", None), "_initializing", False):
         exit_interrupted(number, frame)

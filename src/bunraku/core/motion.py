@@ -5,52 +5,39 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
+from bunraku.core.character import frozen_array
 from bunraku.core.geometry.rotations import Resampling
-from bunraku.core.saving import save
-from bunraku.core.skinning import handle_offsets
+from bunraku.core.saving import Saved
+from bunraku.core.skinning import handle_offsets, posed_points
 from bunraku.errors import MotionError, OptionError
 
 __all__ = [
-    "HandleMotion",
-    "MeshMotion",
-    "SkeletalMotion",
-    "Skeleton",
-    "checked_fps",
-    "cut_motion",
-    "line_up",
-    "local_rotations",
-    "resample",
-    "resample_motion",
-]
+    "HandleMotion", "MeshMotion", "SkeletalMotion", "Skeleton", "check_rate", "checked_fps", "line_up",
+    "local_rotations", "resample", "resample_motion",
+]  # fmt: skip
 
 
 def _array(value: Any, shape: tuple[int | None, ...], what: str, dtype: Any = np.float32) -> np.ndarray:
-    out = np.ascontiguousarray(value, dtype=dtype)
-    wrong = out.ndim != len(shape)
-    for have, want in zip(out.shape, shape, strict=False):
-        wrong = wrong or (want is not None and have != want)
-    if wrong:
-        raise MotionError(f"{what} must have shape {shape} with None for any length, not {out.shape}")
-    if not np.isfinite(out).all():
-        raise MotionError(f"{what} holds values that are not numbers")
-    if out is value:
-        out = out.view()
-    out.flags.writeable = False
-    return out
+    return frozen_array(value, dtype, shape, what, MotionError)
+
+
+def check_rate(fps: float) -> None:
+    """Raise MotionError unless frames a second [1/s] are positive and finite."""
+    if not 0 < fps < math.inf:
+        raise MotionError("frames a second must be positive and finite")
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """Joints with their parents before them.
+    """Joints, each after its parent.
 
     Args:
         names: Joint names, length J.
-        parents: Parent of each joint, shape (J,); -1 for the root, which is joint 0.
+        parents: Parent of each joint, -1 for the root, which is joint 0, shape (J,).
         offsets: Rest position of each joint from its parent's [m], shape (J, 3).
     """
 
@@ -80,7 +67,7 @@ class Skeleton:
 
 
 def line_up(joint: int, parents: Sequence[int] | np.ndarray) -> list[int]:
-    """A joint and those above it, the root last."""
+    """A joint and all above it, the root last."""
     out = [joint]
     while parents[out[-1]] >= 0:
         out.append(int(parents[out[-1]]))
@@ -88,11 +75,8 @@ def line_up(joint: int, parents: Sequence[int] | np.ndarray) -> list[int]:
 
 
 def local_rotations(world: np.ndarray, parents: np.ndarray) -> np.ndarray:
-    """Rotations in the frames of the parents from those in the world, shape (N, J, 3, 3).
-
-    Args:
-        world: Of all joints, shape (N, J, 3, 3).
-        parents: Of a `Skeleton`, shape (J,); the root is joint 0.
+    """Rotations in the frames of the parents from those in the world, shape (N, J, 3, 3), by the parents of a
+    `Skeleton`, shape (J,).
     """
     out = world.copy()
     out[:, 1:] = np.swapaxes(world[:, parents[1:]], -1, -2) @ world[:, 1:]
@@ -100,7 +84,7 @@ def local_rotations(world: np.ndarray, parents: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class SkeletalMotion:
+class SkeletalMotion(Saved):
     """Local joint rotations and a root translation per frame.
 
     Args:
@@ -121,8 +105,7 @@ class SkeletalMotion:
         object.__setattr__(
             self, "root_translation", _array(self.root_translation, (len(self.rotations), 3), "root translation")
         )
-        if not 0 < self.fps < math.inf:
-            raise MotionError("frames a second must be positive and finite")
+        check_rate(self.fps)
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -138,15 +121,9 @@ class SkeletalMotion:
             positions[:, joint] = positions[:, parent] + rotations[:, parent] @ self.skeleton.offsets[joint]
         return rotations, positions
 
-    def save(self, path: str | Path, **options: object) -> Path:
-        """Write the motion in the format that the file's suffix names, .bvh or .vrma, and return the path (see
-        `bunraku.files.save_motion`).
-        """
-        return save(self, path, **options)
-
 
 @dataclass(frozen=True)
-class HandleMotion:
+class HandleMotion(Saved):
     """Motion of K mesh handles: x0 = {tau_l, r_l, tau_g, r_g} of TapMo, section 3.1.
 
     What it does to a vertex is Eq. 3 (`core.skinning`): handle 0 has the identity as its local transform.
@@ -157,12 +134,11 @@ class HandleMotion:
         root_translation: Global translation t_g [m], shape (N, 3).
         root_rotation: Global rotation R_g, shape (N, 3, 3).
         fps: Frames a second [1/s].
-        own_kind: Of the reference body's: its rotations were made for a body of the kind that takes it, by weights that
-            know creatures or by such a body. A lying body keeps the pelvis' tilt, and its fins, tail and head are
-            looked after.
-        own_height: Of the reference body's: its height over the floor is that of the body that takes it, which is only
-            set down where it hovers.
-        soft: Of the reference body's: its parts may leave their joints farther than those of people.
+        own_kind: Of a motion of the reference body: its rotations were made for a body of the kind that takes it. A
+            lying body then keeps the pelvis' tilt, and its fins, tail and head are adapted.
+        own_height: Likewise: its height over the floor is that of the body that takes it, which is only set down where
+            it hovers.
+        soft: Likewise: its parts may leave their joints farther than those of people.
 
     Raises:
         MotionError: Shapes disagree, a value is not finite, or handle 0 moves locally.
@@ -178,7 +154,7 @@ class HandleMotion:
     soft: bool = False
 
     arrays: ClassVar[tuple[str, ...]] = ("translations", "rotations", "root_translation", "root_rotation")
-    """Names of what has a value for each frame."""
+    """Names of the fields with a value for each frame."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "translations", _array(self.translations, (None, None, 3), "handle translations"))
@@ -188,8 +164,7 @@ class HandleMotion:
         object.__setattr__(self, "root_rotation", _array(self.root_rotation, (frames, 3, 3), "root rotation"))
         if frames == 0:
             raise MotionError("a motion needs at least one frame")
-        if not 0 < self.fps < math.inf:
-            raise MotionError("frames a second must be positive and finite")
+        check_rate(self.fps)
         if np.abs(self.translations[:, 0]).max() > 1e-5 or np.abs(self.rotations[:, 0] - np.eye(3)).max() > 1e-5:
             raise MotionError("handle 0 is the root: its local transform must be the identity")
 
@@ -202,7 +177,7 @@ class HandleMotion:
         return len(self) / self.fps
 
     def of_own_body(self, own: bool = True) -> HandleMotion:
-        """The motion as one that was made for the body that takes it, in kind, height and softness, or for none."""
+        """The motion marked as made for the body that takes it, in kind, height and softness, or for none."""
         return replace(self, own_kind=own, own_height=own, soft=own)
 
     def with_arrays(self, arrays: Mapping[str, np.ndarray]) -> HandleMotion:
@@ -211,7 +186,7 @@ class HandleMotion:
         return replace(self, **changed)
 
     def take(self, frames: slice | np.ndarray) -> HandleMotion:
-        """The motion of some of the frames: a slice, or indices of shape (M,)."""
+        """The motion of some frames: a slice, or indices of shape (M,)."""
         return replace(self, **{name: getattr(self, name)[frames] for name in self.arrays})
 
     @classmethod
@@ -238,12 +213,20 @@ class HandleMotion:
         )
         return out
 
-    def save(self, path: str | Path, **options: object) -> Path:
-        """Write a motion of the reference body in the format that the file's suffix names, and return the path.
+    def with_transforms(self, transforms: np.ndarray, positions: np.ndarray) -> HandleMotion:
+        """The motion with the same root and other world transforms of its handles.
 
-        .npz holds it as it is; .bvh and .vrma hold what the body's 22 joints do (see `bunraku.files.save_motion`).
+        Args:
+            transforms: As `transforms` gives them, shape (N, K, 3, 4), float64.
+            positions: Handle positions h [m], shape (K, 3).
         """
-        return save(self, path, **options)
+        h = positions.astype(np.float64)
+        root = self.root_rotation.astype(np.float64)
+        rotations = root.transpose(0, 2, 1)[:, None] @ transforms[..., :3]
+        away = posed_points(transforms, h) - h[0] - self.root_translation[:, None]
+        translations = np.einsum("nji,nkj->nki", root, away) + h[0] - h
+        rotations[:, 0], translations[:, 0] = np.eye(3), 0
+        return replace(self, rotations=rotations, translations=translations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,7 +237,7 @@ class MeshMotion:
         vertices: Positions, +Y up and facing +Z in the first frame [m], shape (N, V, 3).
         faces: Triangles, shape (F, 3).
         fps: Frames a second [1/s].
-        name: What it is called.
+        name: Its name.
 
     Raises:
         MotionError: Shapes disagree, a value is not finite, or there is no frame.
@@ -279,8 +262,7 @@ class MeshMotion:
             raise MotionError("a moving mesh needs triangles of shape (F, 3) that name its vertices")
         if not np.isfinite(vertices).all():
             raise MotionError("a moving mesh has coordinates that are not numbers")
-        if not 0 < self.fps < np.inf:
-            raise MotionError("frames a second must be positive and finite")
+        check_rate(self.fps)
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
 
@@ -289,41 +271,18 @@ class MeshMotion:
 
 
 def resample_motion(motion: SkeletalMotion, fps: float) -> SkeletalMotion:
-    """A skeletal motion at another rate: rotations turn the short way between frames, the root moves in straight lines.
-
-    Args:
-        motion: At least one frame.
-        fps: Frames a second of the result [1/s].
-
-    Returns:
-        The frames that lie within the duration; the motion itself where the rate is the same.
+    """A skeletal motion of at least one frame at another rate [1/s], as far as it lasts: rotations take the short way
+    between frames, the root moves in straight lines.
 
     Raises:
         MotionError: The rate is not positive.
     """
-    if not 0 < fps < math.inf:
-        raise MotionError("frames a second must be positive and finite")
+    check_rate(fps)
     if abs(motion.fps - fps) < 1e-6 * fps:
         return motion
     between = Resampling.of(len(motion), motion.fps, fps)
     return SkeletalMotion(
         motion.skeleton, between.rotations(motion.rotations), between.linear(motion.root_translation.astype(float)), fps
-    )
-
-
-def cut_motion(motion: SkeletalMotion, start: float, end: float) -> SkeletalMotion:
-    """The frames from one time to another [s]; what lies outside the motion is left out.
-
-    Raises:
-        MotionError: No frame is left.
-    """
-    first, stop = max(round(start * motion.fps), 0), min(round(end * motion.fps), len(motion))
-    if stop <= first:
-        raise MotionError(
-            f"no frame lies between {start:g} s and {end:g} s of a motion of {len(motion) / motion.fps:.2f} s"
-        )
-    return SkeletalMotion(
-        motion.skeleton, motion.rotations[first:stop], motion.root_translation[first:stop], motion.fps
     )
 
 
@@ -345,11 +304,8 @@ def checked_fps(fps: float | None, default: float) -> float:
 
 
 def resample(motion: HandleMotion, fps: float) -> HandleMotion:
-    """The motion at another frame rate: translations linear, rotations along the shortest arc.
-
-    Args:
-        motion: The motion, frame n at n / motion.fps seconds.
-        fps: Frames a second of the result [1/s]; frame m is at m / fps seconds, as far as the motion reaches.
+    """A handle motion at another rate [1/s]: translations linear, rotations along the shortest arc. Frame m of the
+    result is at m / fps seconds, as far as the motion lasts.
     """
     if abs(fps - motion.fps) < 1e-6 or len(motion) == 1:
         return motion if len(motion) > 1 else replace(motion, fps=fps)

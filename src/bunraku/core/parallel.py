@@ -23,9 +23,8 @@ from bunraku.errors import MissingExtraError, OptionError
 
 __all__ = ["MOST_JOBS", "Pool", "THREADS", "one_thread_each", "parse_jobs", "run_parallel"]
 
-
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Variables that say how many threads libraries take; they read them when they are loaded."""
+"""Variables that set how many threads libraries use; libraries read them when they are loaded."""
 _PR_SET_PDEATHSIG = 1
 _Given = ParamSpec("_Given")
 _Result = TypeVar("_Result")
@@ -34,13 +33,12 @@ _Result = TypeVar("_Result")
 class Pool:
     """Worker processes, started as they are needed.
 
-    As a context it waits for all work at its end, but ends the workers where it is left by an error or an interrupt;
-    what they had not finished is lost, what had not begun never begins.
+    As a context it waits for all work at its end. Where an error or an interrupt leaves it, it kills the workers; work
+    that is unfinished is lost, and work that has not begun never begins.
 
     Args:
-        jobs: How many processes at most.
-        start: Called in each worker before its work.
-        args: What with.
+        jobs: Largest number of processes.
+        start, args: A function that each worker calls before its work, and its arguments.
     """
 
     def __init__(self, jobs: int, start: Callable[..., object] | None = None, args: tuple[Any, ...] = ()):
@@ -51,12 +49,12 @@ class Pool:
         )
 
     def submit(self, work: Callable[_Given, _Result], *args: _Given.args, **kwargs: _Given.kwargs) -> Future[_Result]:
-        """Have a function of a module called by a worker."""
+        """Have a worker call a function of a module."""
         with one_thread_each(), _interrupts_held():  # a worker that is started now inherits both
             return self._pool.submit(work, *args, **kwargs)
 
     def kill(self) -> None:
-        """End all workers now, and forget what waits."""
+        """End all workers now and forget what waits."""
         with _interrupts_held():
             for worker in list((self._pool._processes or {}).values()):
                 with suppress(OSError, ValueError):  # it has ended by itself
@@ -107,7 +105,7 @@ def _interrupts_held() -> Iterator[None]:
 
 
 def _begin(parent: int, begin: bytes) -> None:
-    """Tie this worker to its parent, then do what it is to begin with."""
+    """Tie this worker to its parent, then start."""
     tied = False
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):
@@ -133,7 +131,7 @@ _Item = TypeVar("_Item")
 
 
 def parse_jobs(text: str) -> int | str:
-    """The value of an option that says how much is done at once: a number, or "ray".
+    """The value of the option for parallel work: a number, or "ray".
 
     Raises:
         OptionError: It is neither.
@@ -151,16 +149,16 @@ def run_parallel(
     jobs: int | str,
     lost: Callable[[str], _Result],
 ) -> Iterator[tuple[_Item, _Result]]:
-    """Do all of it; give each thing with its result as it is done.
+    """Do the work of all batches; yield each item with its result as soon as it is done.
 
-    Even one job has a process of its own with one thread: sums of several threads come in another order, and bytes
-    would differ. Things whose worker died are tried once more, each by itself, so that only what is at fault fails.
+    Even one job gets its own process with one thread: several threads add in another order, so bytes would differ.
+    Items whose worker died are tried once more, each by itself, so that only the faulty ones fail.
 
     Args:
-        work: A function of a module, or a `functools.partial` of one: called with a batch, it gives a result for each
-            of its things. It may be called twice for the same.
-        batches: What to call it with, in the order of beginning.
-        jobs: How many processes, or "ray" for a cluster of the package ray, whose machines must see the same files.
+        work: A function of a module, or a `functools.partial` of one, from a batch to a result for each of its items.
+            It may be called twice for the same batch.
+        batches: The batches in order.
+        jobs: Number of processes, or "ray" for a cluster of the package ray, whose machines must see the same files.
         lost: Makes a result of the sentence that says why there is none.
 
     Raises:
@@ -178,7 +176,7 @@ def _on_processes(
     jobs: int,
     lost: Callable[[str], _Result],
 ) -> Iterator[tuple[_Item, _Result]]:
-    """Each process has a pool of its own, so that one which is killed takes only its own batch along."""
+    """Each process is a pool of its own, so that a killed one takes only its own batch along."""
     waiting, alone = deque(batches), deque[list[_Item]]()
     idle: list[Pool] = []
     running: dict[Future[list[_Result]], tuple[Pool, list[_Item]]] = {}

@@ -1,4 +1,4 @@
-"""What every request has: limits of its numbers, a JSON form that is read strictly, and constraints with a kind."""
+"""What all requests share: limits of numbers, a JSON form that is read strictly, and constraints with a kind."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 import re
 import types
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, ClassVar, Literal, NoReturn, Self, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
@@ -15,72 +15,49 @@ import numpy as np
 from bunraku.errors import OptionError
 
 __all__ = [
-    "CANDIDATES",
-    "Constraint",
-    "FPS",
-    "GRAVITY",
-    "GUIDANCE",
-    "Limit",
-    "SECONDS",
-    "SEED",
-    "STEPS",
-    "STIFFNESS",
-    "TAKES",
-    "WHOLE",
-    "from_json",
-    "option",
-    "read_json",
-    "to_json",
-]
+    "CANDIDATES", "Constraint", "FPS", "GRAVITY", "GUIDANCE", "Limit", "Progress", "SECONDS", "SEED", "STEPS",
+    "STIFFNESS", "TAKES", "WHOLE", "from_json", "no_constant", "option", "read_json", "to_json",
+]  # fmt: skip
+
+Progress = Callable[[str, float], None]
+"""Called with the name of a stage and the share of it that is done, 0 to 1."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """The range of a number.
-
-    Args:
-        name: What the number is, as in a sentence of Python.
-        low: The least.
-        high: The most.
-    """
+    """The range of a number: its name in messages, the least and the largest value."""
 
     name: str
     low: float
     high: float
 
     def check(self, value: float | None, name: str = "") -> None:
-        """Whether a number is in the range; None, which stands for a default, always is.
-
-        Args:
-            value: The number.
-            name: What it is called in the message.
-
-        Raises:
-            OptionError: It is outside, or not finite.
+        """Raise OptionError, under another name if one is given, unless a number is finite and in the range; None,
+        which stands for a default, passes.
         """
         if value is not None and not (math.isfinite(value) and self.low <= value <= self.high):
             raise OptionError(f"{name or self.name} must be from {self.low:g} to {self.high:g}, not {value:g}")
 
 
 SECONDS = Limit("seconds", 0.5, 120.0)
-"""Length of a clip that is made in one pass [s]; longer ones are made stretch by stretch."""
+"""Length of a clip that is generated in one pass [s]; longer ones are generated in stretches."""
 WHOLE = Limit("seconds", 0.5, 36_000.0)
 """Length of a clip, and of each of its parts [s]."""
 FPS = Limit("frames a second", 1, 240)
-"""Rate of a clip, of a file and of a video [1/s]."""
+"""Rate of a clip, a file or a video [1/s]."""
 SEED = Limit("seed", 0, 2**63 - 1)
 STEPS = Limit("steps", 1, 1000)
 """Steps of the sampler."""
 GUIDANCE = Limit("guidance", 0, 20)
 """Scale of classifier-free guidance."""
 CANDIDATES = Limit("candidates", 1, 16)
-"""Motions that are drawn for one that is given back."""
+"""Motions that are drawn for one result."""
 TAKES = Limit("takes", 1, 100)
 """Takes of one sentence in one run."""
 STIFFNESS = Limit("stiffness", 0.001, 1000)
-"""Factor on how stiff apparel is."""
+"""Factor on the stiffness of apparel."""
 GRAVITY = Limit("gravity", 0, 10)
-"""Factor on the gravity of apparel that is simulated."""
+"""Factor on the gravity of simulated apparel."""
 
 
 Kind = TypeVar("Kind")
@@ -93,22 +70,22 @@ MOST_BYTES = 4 << 20
 MOST_VALUES = 400_000
 """Values of a JSON text; each takes some 60 to 100 bytes of memory once it is parsed."""
 DEEPEST = 16
-"""Lists and objects within each other."""
+"""Depth of nested lists and objects."""
 _STRING = re.compile(rb'"(?:[^"\\]++|\\.)*+"?', re.DOTALL)
 _SIGNS = bytes(sign for sign in range(256) if sign not in b"[]{}")
 _COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
 def read_json(data: bytes, name: str, most: int = MOST_BYTES) -> Any:
-    """The value of a JSON text that nobody vouches for. How much it would become is counted before it is parsed.
+    """The value of an untrusted JSON text. Its size in memory is bounded before it is parsed.
 
     Args:
         data: The text in UTF-8.
-        name: What it is called in messages.
-        most: Bytes that are read.
+        name: Its name in messages.
+        most: Largest number of bytes.
 
     Raises:
-        OptionError: It is no JSON, too large, or nested too deeply.
+        OptionError: It is not JSON, too large, or nested too deeply.
     """
     if len(data) > most:
         raise OptionError(f"{name} has more than {most >> 20} MiB of JSON; leave out what is not needed")
@@ -121,17 +98,18 @@ def read_json(data: bytes, name: str, most: int = MOST_BYTES) -> Any:
     if brackets:
         raise OptionError(f"{name} is no JSON, or is nested more than {DEEPEST} deep; write it again")
     try:
-        return json.loads(data.decode("utf-8-sig"), parse_constant=_no_constant)
+        return json.loads(data.decode("utf-8-sig"), parse_constant=no_constant)
     except (ValueError, RecursionError):
         raise OptionError(f"{name} is no JSON; write it again") from None
 
 
-def _no_constant(name: str) -> NoReturn:
+def no_constant(name: str) -> NoReturn:
+    """Refuse NaN and Infinity, which Python's parser of JSON accepts."""
     raise ValueError(f"{name} is not JSON")
 
 
 def to_json(thing: object) -> Any:
-    """A dataclass as an object of JSON, a field a key; arrays and tuples are lists.
+    """A dataclass as a JSON object with a key for each field; arrays and tuples become lists.
 
     Raises:
         OptionError: A value has no such form.
@@ -150,15 +128,15 @@ def to_json(thing: object) -> Any:
 
 
 def from_json(kind: type[Kind], data: object, name: str = "") -> Kind:
-    """The dataclass of an object of JSON.
+    """The dataclass of a JSON object.
 
     Args:
         kind: The dataclass. Its fields are numbers, texts, arrays, tuples of these, other dataclasses, or unions.
         data: What `json.loads` gave.
-        name: What it is called in messages.
+        name: Its name in messages.
 
     Raises:
-        OptionError: A key is unknown or missing, or a value is of another type, not finite, or too large; or the class
+        OptionError: A key is unknown or missing; a value is of another type, not finite, or too large; or the class
             refuses the values.
     """
     name = name or kind.__name__.lower()
@@ -176,7 +154,7 @@ def from_json(kind: type[Kind], data: object, name: str = "") -> Kind:
 
 
 def _value(hint: Any, value: Any, name: str) -> Any:
-    """A value of JSON as a field's type wants it."""
+    """A JSON value as a field's type wants it."""
     if hint is object:  # read by a class of its own
         return value
     origin, inner = get_origin(hint), get_args(hint)
@@ -248,7 +226,7 @@ def _shown(value: Any) -> str:
 
 
 def option(name: str, dashes: str = "") -> str:
-    """An option's name in a message: of Python, or of the command line where `dashes` stand before it."""
+    """An option's name in a message: that of Python, or with `dashes` before it that of the command line."""
     return f"{dashes}{name.replace('_', '-') if dashes else name}"
 
 
@@ -256,21 +234,17 @@ class Constraint:
     """Something that a motion must meet; subclasses are frozen dataclasses."""
 
     kind: ClassVar[str] = ""
-    """Its name in a JSON form, and what options call it."""
+    """Its name in JSON and among the options."""
     alone: ClassVar[tuple[tuple[str, ...], str]] = ((), "")
-    """Kinds that it does not go with, and the sentence that says why; "{}" in it stands for the names of options."""
+    """Kinds that it cannot be combined with, and the sentence that says why; "{}" in it stands for the names of
+    options.
+    """
     several: ClassVar[bool] = False
     """Whether a request may have more than one."""
 
     def check(self, others: Sequence[Constraint], dashes: str = "") -> None:
-        """Whether it goes together with other constraints.
-
-        Args:
-            others: All of a request, this one included.
-            dashes: What stands before the names of options in messages.
-
-        Raises:
-            OptionError: It does not.
+        """Raise OptionError unless it can be combined with the other constraints of a request; `dashes` stand before
+        the names of options in the message.
         """
         kinds, why = self.alone
         if any(other.kind in kinds for other in others):
@@ -284,7 +258,7 @@ class Constraint:
 
     @classmethod
     def from_json(cls, data: object) -> Self:
-        """The constraint of a JSON form, its kind already looked at.
+        """The constraint of a JSON object of this kind.
 
         Raises:
             OptionError: It is none.

@@ -1,6 +1,4 @@
-"""Functions of rooms above that the types and the files call by name, `.save()` of all types, and how animations show
-themselves in a notebook.
-"""
+"""Functions of rooms above that rooms below call by name, `.save()` of all types, and animations in a notebook."""
 
 from __future__ import annotations
 
@@ -14,59 +12,57 @@ from typing import Any
 
 from bunraku.errors import BunrakuError
 
-__all__ = ["Shown", "provide", "provided", "save"]
+__all__ = ["Saved", "Shown", "provide", "provided"]
 
 _provided: dict[str, str] = {}
 
 
 def provide(**functions: str) -> None:
-    """Name functions of rooms above that rooms below call, so that nothing below imports them.
-
-    Args:
-        **functions: "module:function" by the name that the rooms below use.
+    """Register functions of rooms above, "module:function" by the name that rooms below use, so that nothing below
+    imports them.
     """
     _provided.update(functions)
 
 
 def provided(name: str) -> Callable[..., Any]:
-    """The function that was provided under a name; its module is imported now."""
+    """The function of a name; its module is imported now."""
     module, _, function = _provided[name].partition(":")
     found: Callable[..., Any] = getattr(import_module(module), function)
     return found
 
 
-def save(thing: object, path: str | Path, **options: object) -> Path:
-    """Write a motion or an animation in the format that the file's suffix names and return the path.
+class Saved:
+    """What is written to files: motions and animations."""
 
-    Raises:
-        FormatError: The suffix is unknown, or the file cannot be written.
-    """
-    written: Path = provided("save")(thing, path, **options)
-    return written
+    def save(self, path: str | Path, **options: object) -> Path:
+        """Write this in the format that the file's suffix names and return the path; `bunraku.files.save` says what
+        each format holds and which options it has.
+
+        Raises:
+            FormatError: The suffix is unknown, or the file cannot be written.
+            OptionError: The format has no such option, or its value makes no sense.
+        """
+        written: Path = provided("save")(self, path, **options)
+        return written
 
 
 LARGEST_VIEW = 8 << 20
 """Bytes of a model that a notebook gets as a view; of larger ones it gets a picture."""
 
 
-class Shown:
-    """What shows itself in a notebook: as a view to turn, and where that would be large as a picture."""
+class Shown(Saved):
+    """What appears in a notebook: as a view that can be rotated, or, where that would be large, as a picture."""
 
     def sheet(self, frames: int = 8, columns: int | None = None) -> bytes:
-        """A contact sheet as a PNG: pictures of moments from the first frame to the last.
-
-        Args:
-            frames: How many, 1 to 400.
-            columns: How many stand in a row.
-        """
+        """A contact sheet as a PNG: `frames` pictures (1 to 400) from first to last frame, `columns` in a row."""
         options = {} if columns is None else {"columns": columns}
         with tempfile.TemporaryDirectory() as folder:
-            return save(self, Path(folder, "sheet.png"), frames=frames, **options).read_bytes()
+            return self.save(Path(folder, "sheet.png"), frames=frames, **options).read_bytes()
 
     def _repr_html_(self) -> str:
         try:
             with tempfile.TemporaryDirectory() as folder:
-                path = save(self, Path(folder, "animation.html"), most=LARGEST_VIEW, name="animation")
+                path = self.save(Path(folder, "animation.html"), most=LARGEST_VIEW, name="animation")
                 page = path.read_text(encoding="utf-8")
         except BunrakuError as error:
             picture = base64.b64encode(self.sheet()).decode()

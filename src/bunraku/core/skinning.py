@@ -1,6 +1,4 @@
-"""Linear blend skinning (Eq. 3 of TapMo) and its inverse: rigid registration, and a few bones for a moving point
-set.
-"""
+"""Linear blend skinning (Eq. 3 of TapMo) and its inverses: rigid registration, a few bones for a moving point set."""
 
 from __future__ import annotations
 
@@ -10,20 +8,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "EMPTY",
-    "PULL",
-    "RigidBones",
-    "decomposed",
-    "handle_offsets",
-    "part_means",
-    "posed_points",
-    "register",
-    "register_reference",
-    "skin",
-    "skin_reference",
-]
-
+__all__ = ["RigidBones", "decomposed", "handle_offsets", "part_means", "posed_points", "register", "skin"]
 
 Array = Any  # numpy.ndarray, or a tensor
 
@@ -35,29 +20,20 @@ def _product(matrices: Array, points: Array) -> Array:
 
 
 def handle_offsets(positions: Array, translations: Array, rotations: Array) -> Array:
-    """What a handle's local transform adds to a rotated vertex, `R (v - h) + h + t = R v + (h + t - R h)`; numpy arrays
-    or tensors.
+    """What a handle's local transform adds to a rotated vertex, `R (v - h) + h + t = R v + (h + t - R h)`, shape (...,
+    K, 3); numpy arrays or tensors.
 
     Args:
         positions: Rest positions h of the handles [m], shape (..., K, 3).
         translations: Local translations t [m], shape (..., K, 3).
         rotations: Local rotations R, shape (..., K, 3, 3).
-
-    Returns:
-        Shape (..., K, 3).
     """
     return positions + translations - _product(rotations, positions)
 
 
 def posed_points(transforms: Array, points: Array) -> Array:
-    """Where affine transforms take a point each, `A p + b`; numpy arrays or tensors.
-
-    Args:
-        transforms: [A | b], shape (..., K, 3, 4).
-        points: Rest positions [m], shape (..., K, 3).
-
-    Returns:
-        Shape (..., K, 3).
+    """Where affine transforms [A | b], shape (..., K, 3, 4), take one point each [m], `A p + b`, shape (..., K, 3);
+    numpy arrays or tensors.
     """
     return _product(transforms[..., :3], points) + transforms[..., 3]
 
@@ -71,8 +47,8 @@ def skin(vertices: np.ndarray, weights: np.ndarray, transforms: np.ndarray) -> n
         transforms: Affine transform of each handle, shape (N, K, 3, 4).
 
     Returns:
-        Posed positions [m], shape (N, V, 3), float32: a view with coordinates apart, `result[n]` is cheap to make
-        contiguous.
+        Posed positions [m], shape (N, V, 3), float32: a view with coordinates apart; `result[n]` is cheap to make
+            contiguous.
     """
     frames, count = transforms.shape[:2]
     basis = skin_basis(vertices, weights)
@@ -90,20 +66,12 @@ def skin_basis(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return basis.reshape(-1, len(vertices))
 
 
-def skin_reference(vertices: np.ndarray, weights: np.ndarray, transforms: np.ndarray) -> np.ndarray:
-    """`skin` as its definition reads, one frame and one handle at a time, in double precision."""
-    out = np.zeros((len(transforms), len(vertices), 3))
-    for frame, handles in enumerate(np.asarray(transforms, float)):
-        for handle, transform in enumerate(handles):
-            moved = vertices @ transform[:, :3].T + transform[:, 3]
-            out[frame] += weights[:, handle, None] * moved
-    return out
-
-
 PULL = 1e-8
-"""Share of the part's own variance by which the covariance is pulled to the identity."""
+"""Share of the part's own variance by which the covariance is pulled towards the identity, small enough not to change a
+rotation that the points determine.
+"""
 EMPTY = 1e-9
-"""Mean weight under which a part counts as empty."""
+"""Mean weight below which a part counts as empty."""
 
 
 def _shares(weights: np.ndarray) -> np.ndarray:
@@ -115,14 +83,12 @@ def _shares(weights: np.ndarray) -> np.ndarray:
 
 
 def part_means(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Weighted means of the vertices: the centres of the parts, which section 3.1 of TapMo takes for handle positions.
+    """Weighted means of the vertices [m], shape (K, 3), float64: the centres of the parts, which section 3.1 of TapMo
+    takes for handle positions. A part without weight has the mean of all vertices.
 
     Args:
         vertices: Rest positions [m], shape (V, 3).
         weights: Skinning weights, shape (V, K).
-
-    Returns:
-        Means h [m], shape (K, 3), float64. A part without weight has the mean of all vertices.
     """
     return _shares(weights).T @ np.asarray(vertices, np.float64)
 
@@ -136,12 +102,12 @@ def register(
         source: Rest vertices x [m], shape (V, 3).
         targets: Moved vertices of each frame [m], shape (N, V, 3).
         weights: Skinning weights, not negative, shape (V, K).
-        handles: Positions h [m] about which the motions are expressed, shape (K, 3); the weighted means of the source
-            (`part_means`) when not given.
+        handles: Positions h [m] about which the motions are expressed, shape (K, 3); `part_means` of the source by
+            default.
 
     Returns:
         Rotations R (N, K, 3, 3) and translations t (N, K, 3) [m], float64: a point x of part k goes to `R (x - h_k) +
-        h_k + t`.
+            h_k + t`.
     """
     source = np.asarray(source, np.float64)
     frames, count = len(targets), weights.shape[1]
@@ -171,33 +137,11 @@ def register(
     return rotations, translations
 
 
-def register_reference(
-    source: np.ndarray, target: np.ndarray, weight: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`register` of one part in one frame as the paper has it.
-
-    Args:
-        source: Rest vertices [m], shape (V, 3).
-        target: Moved vertices [m], shape (V, 3).
-        weight: The part's weights, shape (V,), not all zero; the points must not lie on one line.
-
-    Returns:
-        Handle h (3,), rotation R (3, 3) and translation t (3,).
-    """
-    handle = np.average(source, axis=0, weights=weight)
-    middle = np.average(target, axis=0, weights=weight)
-    covariance = np.zeros((3, 3))
-    for x, y, w in zip(source, target, weight, strict=True):
-        covariance += w * np.outer(y - middle, x - handle)
-    u, _, vt = np.linalg.svd(covariance)
-    rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
-    return handle, rotation, middle - handle
-
-
 INFLUENCES = 4
 CANDIDATES = 5
 CLUSTERING, ROUNDS = 4, 4
-FEW_FRAMES = 120  # that bones are chosen and weights are fitted by
+FEW_FRAMES = 120
+"""Frames by which bones are chosen and weights are fitted."""
 _CHUNK = 2048
 
 
@@ -206,10 +150,9 @@ class RigidBones:
     """B bones and the weights of M points.
 
     Args:
-        rotations: Shape (N, B, 3, 3).
-        translations: A point goes to `R p + t` [m], shape (N, B, 3).
-        weights: At most four a point over 0, rows sum to 1, shape (M, B).
-        error: Farthest that a point is from where it should be in any frame [m].
+        rotations, translations: A point goes to `R p + t` [m], shapes (N, B, 3, 3) and (N, B, 3).
+        weights: At most four per point above 0, rows sum to 1, shape (M, B).
+        error: Largest distance of a point from its goal in any frame [m].
     """
 
     rotations: np.ndarray
@@ -219,7 +162,7 @@ class RigidBones:
 
 
 def decomposed(rest: np.ndarray, posed: np.ndarray, bones: int) -> RigidBones:
-    """The skin of so many bones that is nearest to a movement.
+    """The skin of a number of bones that comes closest to a movement (Le and Deng 2012).
 
     Args:
         rest: Points in the rest pose [m], shape (M, 3).
@@ -249,7 +192,7 @@ def _skinned(rest: np.ndarray, weights: np.ndarray, turns: np.ndarray, moves: np
 
 
 def _clusters(rest: np.ndarray, posed: np.ndarray, bones: int) -> np.ndarray:
-    """Each point with one bone, that whose rigid movement is nearest to its own, shape (M, B)."""
+    """Assign each point to the bone whose rigid movement comes closest to its own, as weights (M, B)."""
     seeds, gap = [int(np.square(rest - rest.mean(axis=0)).sum(axis=1).argmax())], np.full(len(rest), np.inf)
     while len(seeds) < bones:  # spread in the rest pose, and where points move apart
         moved = posed[:: max(1, len(posed) // 8)]
@@ -281,7 +224,7 @@ def _rigid(rest: np.ndarray, posed: np.ndarray, weights: np.ndarray) -> tuple[np
 
 
 def _rotations(matrices: np.ndarray) -> np.ndarray:
-    """The rotation nearest to each matrix, the identity for those of nothing."""
+    """The rotation nearest to each matrix; the identity for a zero matrix."""
     size = np.abs(matrices).max(axis=(-2, -1), keepdims=True)
     u, _, vt = np.linalg.svd(matrices / np.maximum(size, 1e-30) + 1e-6 * np.eye(3))
     u[..., 2] *= np.linalg.det(u @ vt)[..., None]
@@ -290,24 +233,24 @@ def _rotations(matrices: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Products:
-    """Products of where each bone alone takes points and of where these go, over all frames: with them square errors of
-    any mixture are known without another look at the frames.
+    """Products of where each bone alone takes the points and of where these go, summed over all frames: they give the
+    squared error of any mixture without another look at the frames.
 
     Args:
-        whole: Points with a 1 behind, shape (M, 4).
+        points: Homogeneous points, shape (M, 4).
         square: Of where the points go, shape (M,).
         cross: With where each bone takes them, shape (M, B).
         bones: Of the bones with one another, shape (B, B, 4, 4).
     """
 
-    whole: np.ndarray
+    points: np.ndarray
     square: np.ndarray
     cross: np.ndarray
     bones: np.ndarray
 
     @classmethod
     def of(cls, rest: np.ndarray, posed: np.ndarray, turns: np.ndarray, moves: np.ndarray) -> _Products:
-        """Of bones in frames, seen from the middle of the points in each frame."""
+        """From bones in frames, seen from the mean of the points in each frame."""
         middle = posed.mean(axis=1)
         flat = (posed - middle[:, None]).transpose(1, 0, 2).reshape(len(rest), -1)
         whole = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
@@ -319,24 +262,24 @@ class _Products:
         return cls(whole, np.square(flat).sum(axis=1), cross, np.ascontiguousarray(bones))
 
     def errors(self) -> np.ndarray:
-        """Square distance of each point from where each bone alone takes it, over all frames, shape (M, B)."""
+        """Squared distance of each point from where each bone alone takes it, over all frames, shape (M, B)."""
         every = np.arange(len(self.bones))
-        pairs = (self.whole[:, :, None] * self.whole[:, None]).reshape(-1, 16)
+        pairs = (self.points[:, :, None] * self.points[:, None]).reshape(-1, 16)
         own = pairs @ self.bones[every, every].reshape(-1, 16).T
         return np.asarray(own - 2 * self.cross + self.square[:, None])
 
     def grams(self, rows: slice, columns: np.ndarray) -> np.ndarray:
-        """Of some points, products of how far each of C bones of theirs is off with how far each other is, shape (m, C,
-        C): with weights w of a sum of 1 the square error is w' G w.
+        """For some points, products G of the errors of their C bones, shape (m, C, C): weights w that sum to 1 have the
+        squared error w' G w.
         """
-        whole, cross = self.whole[rows], np.take_along_axis(self.cross[rows], columns, axis=1)
+        points, cross = self.points[rows], np.take_along_axis(self.cross[rows], columns, axis=1)
         blocks = self.bones[columns[:, :, None], columns[:, None]]
-        own = ((blocks @ whole[:, None, None, :, None])[..., 0] * whole[:, None, None]).sum(axis=-1)
+        own = ((blocks @ points[:, None, None, :, None])[..., 0] * points[:, None, None]).sum(axis=-1)
         return np.asarray(own - cross[:, :, None] - cross[:, None] + self.square[rows, None, None])
 
 
 def _best_weights(rest: np.ndarray, posed: np.ndarray, turns: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """The weights that are best for the bones, not below 0 and with a sum of 1, at most four a point, shape (M, B)."""
+    """The best weights for the bones, at least 0, rows sum to 1, at most four per point, shape (M, B)."""
     bones = turns.shape[1]
     out = np.zeros((len(rest), bones))
     products = _Products.of(rest, posed, turns, moves)
@@ -365,7 +308,7 @@ def _best_weights(rest: np.ndarray, posed: np.ndarray, turns: np.ndarray, moves:
 def _refined(
     rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, turns: np.ndarray, moves: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Bones one after the other, each the best for what the others leave (Le and Deng 2012, Eq. 8)."""
+    """Update the bones one after the other, each to what the others leave (Le and Deng 2012, Eq. 8)."""
     turns, moves = turns.copy(), moves.copy()
     left = posed - _skinned(rest, weights, turns, moves)
     for bone in range(weights.shape[1]):

@@ -1,4 +1,4 @@
-"""How a motion moves over the ground: a drawn path, one motion after another, loops, and motion on the spot."""
+"""How a motion moves over the ground: along a drawn path, one motion after another, in loops, and on the spot."""
 
 from __future__ import annotations
 
@@ -16,26 +16,18 @@ from bunraku.core.request import Constraint
 from bunraku.errors import OptionError
 
 __all__ = [
-    "GroundPath",
-    "bent_to_path",
-    "closed_loop",
-    "follow",
-    "in_place",
-    "moved",
-    "placed_at",
-    "put_back",
-    "put_back_runs",
-    "repeated",
-]
-
+    "GroundPath", "bent_to_path", "closed_loop", "follow", "in_place", "moved", "placed_at", "put_back",
+    "put_back_runs", "repeated",
+]  # fmt: skip
 
 MOST = 200
+"""Points of a path."""
 DENSE = 64
-"""Places that stand for the curve between two points."""
+"""Samples that stand for the curve between two points."""
 LONGEST = 500.0
-"""Metres of a path, and from the origin along an axis."""
+"""Length of a path [m]."""
 PATH_SWAY = 0.3
-"""Seconds: what a root does faster than this is its own, not the path's."""
+"""What a root does faster than this is kept as its own sway; the rest follows the path [s]."""
 ASIDE = 0.05
 """How far the root may sway off the path, over the height of the root handle."""
 
@@ -46,7 +38,7 @@ class GroundPath(Constraint):
 
     Args:
         points: x and z of each [m], at least two that differ.
-        times: When it passes each [s], rising from 0; None goes the whole way evenly, setting off and arriving softly.
+        times: When it passes each [s], rising from 0; None passes all at an even speed with a soft start and end.
 
     Raises:
         OptionError: Fewer than two points, times that do not rise, or numbers that make no sense.
@@ -88,7 +80,7 @@ class GroundPath(Constraint):
         return GroundPath(tuple((x * scale, z * scale) for x, z in self.points), self.times)
 
     def positions(self, frames: int, fps: float) -> np.ndarray:
-        """Where the root is in each frame [m], shape (N, 2).
+        """Position of the root in each frame [m], shape (N, 2).
 
         Raises:
             OptionError: The path's last time is after the end of the clip.
@@ -117,8 +109,8 @@ class GroundPath(Constraint):
         return np.column_stack([np.interp(velocity, length, column) for column in curve.T])
 
     def headings(self, frames: int, fps: float, backwards: bool = False) -> np.ndarray:
-        """Where who follows the path looks in each frame [rad], shape (N,): along it, or back; 0 is +Z, positive turns
-        towards +X.
+        """Heading of a character that follows the path, forwards or backwards, in each frame [rad], shape (N,); 0 is
+        +Z, positive angles go towards +X.
         """
         positions = self.positions(frames, fps)
         velocity = np.gradient(positions, axis=0) if frames > 1 else np.zeros_like(positions)
@@ -132,13 +124,13 @@ class GroundPath(Constraint):
 def bent_to_path(
     motion: HandleMotion, path: GroundPath, start: Sequence[float] = (0.0, 0.0), size: float = 1.0
 ) -> HandleMotion:
-    """The motion whose root, but for its sway, is on the path at its time.
+    """The motion of a character with its root on a path, but for its sway.
 
     Args:
-        motion: Of the character, N frames.
-        path: In its metres.
-        start: What of the path is at the root of a character that stands at the origin [m].
-        size: Height of its root handle [m], for how far it may sway.
+        motion: N frames.
+        path: In the character's metres.
+        start: The path's point that the root of a character at the origin stands on [m].
+        size: Height of its root handle [m], which bounds the sway.
     """
     want = path.positions(len(motion), motion.fps) + np.asarray(start, float)
     root = motion.root_translation.astype(float)
@@ -150,22 +142,19 @@ def bent_to_path(
     return replace(motion, root_translation=root)
 
 
-SWAY = 0.5  # s; what the root does faster than this stays in a motion on the spot
+SWAY = 0.5
+"""What the root does faster than this stays in a motion on the spot [s]."""
 
 
-def _turn(first: np.ndarray, last: np.ndarray) -> float:
-    """The turn about +Y [rad] that comes closest to taking one rotation to another."""
+def _yaw(first: np.ndarray, last: np.ndarray) -> float:
+    """The rotation about +Y [rad] that comes closest to taking one rotation to another."""
     between = last.astype(float) @ first.astype(float).T
     return math.atan2(between[0, 2] - between[2, 0], between[0, 0] + between[2, 2])
 
 
 def moved(motion: HandleMotion, angle: float, position: np.ndarray) -> HandleMotion:
-    """The motion turned about +Y through the origin and then moved.
-
-    Args:
-        motion: N frames.
-        angle: Turn [rad], +Z towards +X.
-        position: Way [m], shape (3,).
+    """The motion rotated about +Y through the origin by an angle [rad] (+Z towards +X), then moved by a position [m],
+    shape (3,).
     """
     turn = matrix_y(np.array([angle]))[0]
     path = motion.root_translation @ turn.T + position
@@ -173,30 +162,25 @@ def moved(motion: HandleMotion, angle: float, position: np.ndarray) -> HandleMot
 
 
 def placed_at(motion: HandleMotion, frame: int, like: HandleMotion, there: int) -> HandleMotion:
-    """The motion moved over the ground and turned so that in one frame its root is, and faces, as that of another in a
-    frame of its own.
+    """The motion moved over the ground and rotated about +Y so that its root in one frame stands and faces as that of
+    another motion does in a frame of its own.
     """
-    turned = moved(motion, _turn(motion.root_rotation[frame], like.root_rotation[there]), np.zeros(3))
+    turned = moved(motion, _yaw(motion.root_rotation[frame], like.root_rotation[there]), np.zeros(3))
     displacement = like.root_translation[there].astype(float) - turned.root_translation[frame]
     displacement[1] = 0
     return moved(turned, 0.0, displacement)
 
 
 def repeated(motion: HandleMotion, before: int, after: int) -> HandleMotion:
-    """A loop with frames of other rounds before its first and after its last, each round going on where the one before
-    ended.
-
-    Args:
-        motion: N + 1 frames of which the last is the first of the next round.
-        before: Frames to add at the start.
-        after: Frames to add at the end.
+    """A loop with frames of other rounds `before` its first and `after` its last frame; each round goes on where the
+    one before ended. The last of the loop's N + 1 frames is the first of the next round.
     """
     last = len(motion) - 1
     if last < 1:
         return motion
     whole = np.arange(-before, last + after + 1)
     rounds, frames = np.divmod(whole, last)
-    step = matrix_y(np.array([_turn(motion.root_rotation[0], motion.root_rotation[-1])]))[0]
+    step = matrix_y(np.array([_yaw(motion.root_rotation[0], motion.root_rotation[-1])]))[0]
     displacement = motion.root_translation[-1].astype(float) - step @ motion.root_translation[0]
     positions, turns = {0: np.zeros(3)}, {0: np.eye(3)}
     for index in range(1, max(int(rounds.max()), 0) + 1):
@@ -217,16 +201,17 @@ def repeated(motion: HandleMotion, before: int, after: int) -> HandleMotion:
 
 
 def closed_loop(motion: HandleMotion, like: HandleMotion, fade: int = 8) -> HandleMotion:
-    """A nearly closed loop, closed: the last pose is the first one, moved as a round of another loop moves it.
+    """A nearly closed loop of N + 1 frames, closed: its last pose becomes its first, moved as a round of another loop
+    moves.
 
     Args:
-        motion: N + 1 frames.
+        motion: The loop.
         like: The loop that it was made from; where its round neither turns nor travels, neither does the result's.
         fade: Frames at the end over which the difference fades in.
     """
-    turns = abs(_turn(like.root_rotation[0], like.root_rotation[-1])) > 1e-4
+    turns = abs(_yaw(like.root_rotation[0], like.root_rotation[-1])) > 1e-4
     travels = bool(np.abs(like.root_translation[-1] - like.root_translation[0])[[0, 2]].max() > 1e-4)
-    angle = _turn(motion.root_rotation[0], motion.root_rotation[-1]) if turns else 0.0
+    angle = _yaw(motion.root_rotation[0], motion.root_rotation[-1]) if turns else 0.0
     goal_rotation = matrix_y(np.array([angle]))[0] @ motion.root_rotation[0]
     goal = motion.root_translation[-1 if travels else 0].astype(float)
     goal[1] = motion.root_translation[0, 1]
@@ -259,11 +244,8 @@ def closed_loop(motion: HandleMotion, like: HandleMotion, fade: int = 8) -> Hand
 
 
 def in_place(motion: HandleMotion, loop: bool = False) -> HandleMotion:
-    """The motion without its travel over the ground: the swaying of the root stays, the travelling goes.
-
-    Args:
-        motion: N frames.
-        loop: Whether the last frame is the first of the next round; then the result's is too.
+    """The motion without its travel over the ground, with the swaying of its root. With `loop` the last frame is the
+    first of the next round, and stays so.
     """
     if len(motion) < 3:
         return motion
@@ -280,11 +262,12 @@ def in_place(motion: HandleMotion, loop: bool = False) -> HandleMotion:
     return replace(motion, root_translation=out)
 
 
-FADE = 8  # frames over which a difference at the edge of a span fades out
+FADE = 8
+"""Frames over which a difference at the edge of a span fades out."""
 
 
 def follow(motion: HandleMotion, before: HandleMotion) -> HandleMotion:
-    """A motion that goes on from another nearly, moved and bent so that its first frame is the other's last, bit for
+    """A motion that nearly continues another, moved and bent so that its first frame equals the other's last, bit for
     bit.
     """
     still = before.take(np.full(len(motion), len(before) - 1))
@@ -295,16 +278,16 @@ def follow(motion: HandleMotion, before: HandleMotion) -> HandleMotion:
 def put_back(
     made: HandleMotion, original: HandleMotion, handles: np.ndarray, first: int, after: int, fade: int = FADE
 ) -> HandleMotion:
-    """The made motion with what is kept of the original, bit for bit.
+    """The generated motion with what is kept of the original, bit for bit.
 
     Args:
         made: N frames.
         original: N frames.
         handles: Handles that are kept in all frames, shape (K,), bool; handle 0 stands for the root's path.
-        first: First frame that was made; all before it are kept.
-        after: The frame after the last that was made.
-        fade: Frames at the edges of the span over which a difference between the two at the next kept frame fades out;
-            one in the root's position on the ground fades over the whole span, so that no foot slides for it. 0 leaves
+        first: First generated frame; all before it are kept.
+        after: The frame after the last generated one.
+        fade: Frames at the edges of the span over which a difference to the next kept frame fades out. A difference of
+            the root's position on the ground fades over the whole span, so that no foot slides for it. 0 leaves
             differences as they are.
     """
     count = len(original)
@@ -341,20 +324,10 @@ def put_back(
 
 
 def put_back_runs(
-    made: HandleMotion,
-    original: HandleMotion,
-    handles: np.ndarray,
-    runs: Sequence[tuple[int, int]],
-    fade: int = FADE,
+    made: HandleMotion, original: HandleMotion, handles: np.ndarray, runs: Sequence[tuple[int, int]], fade: int = FADE
 ) -> HandleMotion:
-    """`put_back` of several spans: frames outside of all of them are kept.
-
-    Args:
-        made: N frames.
-        original: N frames.
-        handles: Handles that are kept in all frames, shape (K,), bool.
-        runs: First frame of each span and the one after its last, in order.
-        fade: As in `put_back`.
+    """`put_back` of several spans, each given by its first frame and the one after its last, in order; frames outside
+    of all are kept.
     """
     whole = original
     for first, after in runs:

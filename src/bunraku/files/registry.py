@@ -20,186 +20,100 @@ from bunraku.core.geometry.axes import BARE, UNITS, axis_name, default_orientati
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.saving import provided
 from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionError, OptionError, WeightsError
-from bunraku.files.gltf.read import scaled
+from bunraku.files.gltf.read import rotated, scaled
 
 __all__ = [
-    "UNIT_CHOICES",
-    "FORMATS",
-    "Format",
-    "UNIT_NAMES",
-    "SettledUnit",
-    "check_points_writer",
-    "check_unit",
-    "check_writer",
-    "check_writes",
-    "detect",
-    "in_metres",
-    "load_character",
-    "load_with_clips",
-    "read_motion",
-    "resolve_unit",
-    "save",
-    "save_animation",
+    "READERS", "UNIT_CHOICES", "UNIT_NAMES", "WRITERS", "SettledUnit", "check_unit", "check_writer",
+    "holds_character", "in_metres", "load_character", "load_with_clips", "read_motion", "resolve_unit", "save",
     "save_character",
-    "save_motion",
-    "save_points",
-]
+]  # fmt: skip
 
+_USD = (".usd", ".usda", ".usdc", ".usdz")
 
-@dataclass(frozen=True)
-class Format:
-    """A file format.
+READERS: dict[str, dict[str, str]] = {
+    "character": {
+        ".glb": "bunraku.files.gltf.read:read_gltf",
+        ".vrm": "bunraku.files.gltf.read:read_gltf",
+        ".gltf": "bunraku.files.gltf.read:read_gltf",
+        ".ply": "bunraku.files.meshes.ply:read_ply",
+        ".obj": "bunraku.files.meshes.obj:read_obj",
+        ".stl": "bunraku.files.meshes.ply:read_stl",
+        ".fbx": "bunraku.files.fbx.read:read_fbx",
+        ".pmx": "bunraku.files.mmd.read:read_model",
+        ".pmd": "bunraku.files.mmd.read:read_model",
+    },
+    "motion": {
+        ".glb": "bunraku.files.gltf.vrma:read_glb_motion",
+        ".npz": "bunraku.files.motions.arrays:read_any_motion",
+        ".npy": "bunraku.files.motions.arrays:read_humanml3d",
+        ".bvh": "bunraku.files.motions.bvh:read_bvh",
+        ".vrma": "bunraku.files.gltf.vrma:read_vrma",
+        ".fbx": "bunraku.files.fbx.clips:read_motion",
+    },
+}
+"""What makes a character or a motion of a path and its bytes, by the suffix.
 
-    Functions are named as "module:function" and imported when a file is read or written. A name without a module is a
-    function of a room above, such as a renderer, which `core.saving.provide` makes known.
+Functions are named as "module:function" and imported when a file is read or written. A name without a module is a
+function of a room above, such as a renderer, which `core.saving.provide` makes known.
+"""
 
-    Args:
-        title: Its name in messages.
-        suffixes: Suffixes that name it, lower case.
-        magic: First bytes that name it whatever the suffix says.
-        character: Function that makes a character of a path and its bytes.
-        motion: Function that makes a motion of a path and its bytes.
-        animation: Function that writes an animation to a path.
-        moved: Function that writes a motion without a character to a path.
-        bones: Function that writes an animation of a character's own rig to a path, where that is another.
-        parts: It speaks of a person's parts: an animation of a rig is written as that of its 30 handles.
-        points: Function that writes an animation whose vertices also move on their own to a path.
-        rigged: Function that writes a character with or without handles to a path.
-        available: Function that raises MissingExtraError where what writes the format is not installed.
-        suits: Function that takes a character and a path, and raises FormatError where files of the format cannot hold
-            what the character does.
-        largest: Largest file that is opened at all [bytes].
-    """
+WRITERS: dict[str, dict[str, str]] = {
+    "animation": {
+        ".glb": "bunraku.files.gltf.write:write_animation",
+        ".ply": "bunraku.files.meshes.obj:write_ply_sequence",
+        ".obj": "bunraku.files.meshes.obj:write_obj_sequence",
+        **dict.fromkeys(_USD, "bunraku.files.usd:write_usd"),
+        ".npz": "bunraku.files.motions.arrays:write_animation",
+        ".bvh": "write_humanoid_bvh",
+        ".vrma": "write_humanoid_vrma",
+        ".fbx": "bunraku.files.fbx.export:write_fbx",
+        ".vmd": "write_character_vmd",
+        ".html": "write_html",
+        **dict.fromkeys((".mp4", ".webp", ".gif", ".png"), "save_preview"),
+    },
+    "rig animation": {
+        ".glb": "bunraku.files.gltf.write_rig:save_rig_animation",
+        **dict.fromkeys(_USD, "bunraku.files.usd:write_usd"),
+        ".fbx": "bunraku.files.fbx.export:write_fbx",
+        ".vmd": "write_character_vmd",
+        ".html": "write_html",
+    },
+    "points": {
+        ".glb": "bunraku.files.gltf.write_points:write_point_animation",
+        ".ply": "bunraku.files.meshes.obj:write_ply_sequence",
+        ".obj": "bunraku.files.meshes.obj:write_obj_sequence",
+        **dict.fromkeys(_USD, "bunraku.files.usd:write_points"),
+        ".fbx": "bunraku.files.fbx.export:write_points",
+        ".html": "write_html",
+        **dict.fromkeys((".mp4", ".webp", ".gif", ".png"), "save_preview"),
+    },
+    "motion": {".npz": "write_motion_npz", ".bvh": "write_motion_bvh", ".vrma": "write_motion_vrma"},
+    "character": {
+        ".glb": "bunraku.files.gltf.write_rig:write_character",
+        ".vrm": "bunraku.files.gltf.vrma:write_avatar",
+        ".fbx": "bunraku.files.fbx.export:write_character",
+        ".pmx": "bunraku.files.mmd.write:write_character",
+    },
+}
+"""What writes an animation of handles, one of a character's own rig, one whose vertices also move on their own, a
+motion without a character, and a character without motion to a path, by the suffix.
 
-    title: str
-    suffixes: tuple[str, ...]
-    magic: tuple[bytes, ...] = ()
-    character: str = ""
-    motion: str = ""
-    animation: str = ""
-    moved: str = ""
-    bones: str = ""
-    parts: bool = False
-    points: str = ""
-    rigged: str = ""
-    available: str = ""
-    suits: str = ""
-    largest: int = MAX_BYTES
+An animation of a rig whose suffix is not among its own goes to the writer of animations: as that of the 30 handles to
+`_OF_PARTS`, and to all others as the rig's bones move the mesh.
+"""
 
-
-FORMATS: tuple[Format, ...] = (
-    Format(
-        "GLB",
-        (".glb",),
-        (b"glTF",),
-        character="bunraku.files.gltf.read:read_gltf",
-        motion="bunraku.files.gltf.vrma:read_glb_motion",
-        animation="bunraku.files.gltf.write:write_animation",
-        bones="bunraku.files.gltf.write_rig:save_rig_animation",
-        points="bunraku.files.gltf.write_points:write_point_animation",
-        rigged="bunraku.files.gltf.write_rig:write_character",
-    ),
-    Format(
-        "VRM",
-        (".vrm",),
-        (b"glTF",),
-        character="bunraku.files.gltf.read:read_gltf",
-        rigged="bunraku.files.gltf.vrma:write_avatar",
-    ),
-    Format("glTF", (".gltf",), character="bunraku.files.gltf.read:read_gltf"),
-    Format(
-        "PLY",
-        (".ply",),
-        (b"ply\n", b"ply\r"),
-        character="bunraku.files.meshes.ply:read_ply",
-        animation="bunraku.files.meshes.obj:write_ply_sequence",
-        points="bunraku.files.meshes.obj:write_ply_sequence",
-    ),
-    Format(
-        "OBJ",
-        (".obj",),
-        character="bunraku.files.meshes.obj:read_obj",
-        animation="bunraku.files.meshes.obj:write_obj_sequence",
-        points="bunraku.files.meshes.obj:write_obj_sequence",
-    ),
-    Format(
-        "USD",
-        (".usd", ".usda", ".usdc", ".usdz"),
-        animation="bunraku.files.usd:write_usd",
-        bones="bunraku.files.usd:write_rig",
-        points="bunraku.files.usd:write_points",
-        available="bunraku.files.usd:check_available",
-    ),
-    Format("STL", (".stl",), character="bunraku.files.meshes.ply:read_stl"),
-    Format(
-        "handle motion",
-        (".npz",),
-        (b"PK\x03\x04",),
-        motion="bunraku.files.motions.arrays:read_any_motion",
-        animation="bunraku.files.motions.arrays:write_animation",
-        parts=True,
-        moved="write_motion_npz",
-    ),
-    Format("HumanML3D", (".npy",), (b"\x93NUMPY",), motion="bunraku.files.motions.arrays:read_humanml3d"),
-    Format(
-        "BVH",
-        (".bvh",),
-        (b"HIERARCHY",),
-        motion="bunraku.files.motions.bvh:read_bvh",
-        animation="write_humanoid_bvh",
-        parts=True,
-        moved="write_motion_bvh",
-        largest=MAX_TEXT_BYTES,
-    ),
-    Format(
-        "VRMA",
-        (".vrma",),
-        (b"glTF",),
-        motion="bunraku.files.gltf.vrma:read_vrma",
-        animation="write_humanoid_vrma",
-        parts=True,
-        moved="write_motion_vrma",
-    ),
-    Format(
-        "FBX",
-        (".fbx",),
-        (b"Kaydara FBX Binary", b"; FBX"),
-        character="bunraku.files.fbx.read:read_fbx",
-        motion="bunraku.files.fbx.clips:read_motion",
-        animation="bunraku.files.fbx.export:write_fbx",
-        bones="bunraku.files.fbx.export:write_fbx",
-        points="bunraku.files.fbx.export:write_points",
-        rigged="bunraku.files.fbx.export:write_character",
-    ),
-    Format(
-        "VMD",
-        (".vmd",),
-        (b"Vocaloid Motion Data",),
-        animation="write_character_vmd",
-        bones="write_character_vmd",
-        suits="check_mmd_character",
-    ),
-    Format(
-        "PMX",
-        (".pmx",),
-        (b"PMX ",),
-        character="bunraku.files.mmd.read:read_pmx",
-        rigged="bunraku.files.mmd.write:write_character",
-    ),
-    Format("PMD", (".pmd",), (b"Pmd",), character="bunraku.files.mmd.read:read_pmd"),
-    Format(
-        "HTML",
-        (".html",),
-        animation="write_html",
-        bones="write_html",
-        points="write_html",
-    ),
-    Format("MP4", (".mp4",), animation="save_preview", points="save_preview"),
-    Format("WEBP", (".webp",), animation="save_preview", points="save_preview"),
-    Format("GIF", (".gif",), animation="save_preview", points="save_preview"),
-    Format("PNG", (".png",), animation="save_preview", points="save_preview"),
-)
-
+_OF_PARTS = (".npz", ".bvh", ".vrma")
+"""Formats that hold the motion of a person's parts."""
+_MAGIC = {
+    b"glTF": ".glb", b"ply\n": ".ply", b"ply\r": ".ply", b"PK\x03\x04": ".npz", b"\x93NUMPY": ".npy",
+    b"HIERARCHY": ".bvh", b"Kaydara FBX Binary": ".fbx", b"; FBX": ".fbx", b"Vocaloid Motion Data": ".vmd",
+    b"PMX ": ".pmx", b"Pmd": ".pmd",
+}  # fmt: skip
+"""First bytes that name a format whatever the suffix says."""
+_MARKED = READERS["character"].keys() & {*_MAGIC.values(), ".vrm"}
+"""Suffixes of characters whose files are read only where they begin as they should."""
+_LARGEST = {".bvh": MAX_TEXT_BYTES}
+"""Largest file that is opened at all, where that is less than `MAX_BYTES` [bytes]."""
 
 UNIT_CHOICES = ("auto", "m", "cm", "mm", "in")
 UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "in": "inches", "": "unknown"}
@@ -207,12 +121,12 @@ UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "in": "in
 
 @dataclass(frozen=True)
 class SettledUnit:
-    """How long the unit of a file is taken to be.
+    """The unit that a file's lengths are taken to have.
 
     Args:
-        unit: One of `formats.frames.UNITS`.
-        likely: What the height makes likely; "" where it is so small that nothing is.
-        note: What to tell about it, without what to do; "" where there is nothing to tell.
+        unit: One of `core.geometry.axes.UNITS`.
+        likely: What the height makes likely; "" where it is too small to tell.
+        note: What to say about it; "" for nothing.
     """
 
     unit: str
@@ -227,12 +141,12 @@ def check_unit(unit: str, option: str = "unit") -> None:
 
 
 def resolve_unit(height: float, suffix: str, unit: str = "auto") -> SettledUnit:
-    """The unit of a character's file, from what is said about it, the rule of its format, and its height.
+    """The unit of a character's file, from what the user says, the rule of its format, and its height.
 
     Args:
         height: Its height as it was read, in metres where its format has a unit.
         suffix: The format; "" for a character of no file, which is in metres.
-        unit: One of `CHOICES`. All but "auto" is taken for the unit of lengths as they were read.
+        unit: One of `UNIT_CHOICES`. All but "auto" is the unit of lengths as they were read.
     """
     likely, bare = likely_unit(height), suffix in BARE
     if unit != "auto":
@@ -250,15 +164,15 @@ def resolve_unit(height: float, suffix: str, unit: str = "auto") -> SettledUnit:
 
 
 def in_metres(character: Character, unit: str = "auto", up: str | None = None) -> tuple[Character, str]:
-    """The character in metres, and what there is to tell about it.
+    """The character in metres, and a note about it.
 
     Args:
         character: As its file has it, lying or standing.
-        unit: One of `CHOICES`.
-        up: Its up axis where that is known. Where it is not, and the unit hangs on it, it is guessed from the shape.
+        unit: One of `UNIT_CHOICES`.
+        up: Its up axis where that is known. Otherwise it is guessed from the shape if the unit depends on it.
 
     Raises:
-        OptionError: It is none of them, or the unit of the file cannot be changed.
+        OptionError: There is no such unit, or that of the file cannot be changed.
     """
     check_unit(unit)
     suffix = str(getattr(character.source, "suffix", ""))
@@ -278,46 +192,42 @@ def _height(character: Character, up: str | None, suffix: str) -> float:
 
 
 _log = logging.getLogger(__name__)
-_ABILITIES = {
-    "character": "characters are read from",
-    "motion": "motions are read from",
-    "animation": "animations are written to",
-    "bones": "animations of rigs are written to",
-    "moved": "motions are written to",
-    "points": "vertices that move on their own are written to",
-    "rigged": "characters are written to",
+_PLURALS = {
+    "character": "characters",
+    "motion": "motions",
+    "animation": "animations",
+    "points": "vertices that move on their own",
 }
 
 
-def detect(path: Path, start: bytes, ability: str) -> Format:
-    """The format of a file, by its magic bytes first and its suffix second.
+def _suffix_of(path: Path, kind: str, start: bytes = b"") -> str:
+    """The suffix of a file's format, by its magic bytes first and its own suffix second.
 
     Args:
         path: The file.
-        start: Its first bytes, empty for a file that is to be written.
-        ability: What the format must be able to do: a field of `Format`.
+        kind: A key of `READERS`, or of `WRITERS` for a file that is to be written.
+        start: The first bytes of a file that is to be read.
 
     Raises:
-        FormatError: No format that can do this is recognised; the message lists those that can.
+        FormatError: No format of this kind is recognised; the message lists those that are.
     """
+    functions = READERS[kind] if start else WRITERS[kind]
     suffix = path.suffix.lower()
-    found = next((f for f in FORMATS if any(start.startswith(magic) for magic in f.magic)), None)
-    if found is None and start.lstrip()[:1] == b"{" and suffix in (".glb", ".vrm"):
+    found = next((known for magic, known in _MAGIC.items() if start.startswith(magic)), "")
+    if not found and start.lstrip()[:1] == b"{" and suffix in (".glb", ".vrm"):
         suffix = ".gltf"
-    found = found or next(
-        (f for f in FORMATS if suffix in f.suffixes and (not start or not f.magic or not f.character)), None
-    )
-    if found is not None and getattr(found, ability):
-        return found
-    if found is None and start and any(suffix in f.suffixes for f in FORMATS):
+    if not found and start and suffix in _MARKED:
         raise FormatError(
             path,
             f"its contents are not those of a {suffix} file; it is broken or has the wrong suffix, export it again",
         )
-    known = ", ".join(known_suffix for f in FORMATS if getattr(f, ability) for known_suffix in f.suffixes)
+    found = found or suffix
+    if found in functions:
+        return found
     what = f"'{suffix}'" if suffix else "a file without a suffix"
-    hint = "; export it as GLB, for example with Blender" if ability == "character" else ""
-    raise FormatError(path, f"{what} is not a format for this; {_ABILITIES[ability]} {known}{hint}")
+    hint = "; export it as GLB, for example with Blender" if start and kind == "character" else ""
+    done = f"{_PLURALS[kind]} are {'read from' if start else 'written to'}"
+    raise FormatError(path, f"{what} is not a format for this; {done} {', '.join(functions)}{hint}")
 
 
 def _resolve(target: str) -> Callable[..., Any]:
@@ -328,17 +238,49 @@ def _resolve(target: str) -> Callable[..., Any]:
     return function
 
 
-def _read(path: str | Path, ability: str, **options: object) -> Any:
+def holds_character(path: Path) -> bool:
+    """Whether a file holds a character, with or without clips, and not only a motion. Folders hold frames of a moving
+    mesh.
+
+    Raises:
+        FormatError: The file is missing, or its kind is unknown.
+    """
+    if path.is_dir():
+        return False
+    size = check_input(path)
+    with open_input(path) as file:
+        start = file.read(64)
+        try:
+            suffix = _suffix_of(path, "character", start)
+        except FormatError:
+            if path.suffix.lower() != ".vmd":
+                _suffix_of(path, "motion", start)
+            return False
+        if suffix not in (".glb", ".gltf", ".vrm", ".fbx"):
+            return True
+        file.seek(0)
+        data = file.read(size)
+    if suffix == ".fbx":
+        from bunraku.files.fbx.read import fbx_facts
+
+        return bool(fbx_facts(path, data)["meshes"])
+    from bunraku.files.gltf.open import open_document
+
+    return bool(open_document(path, data).items("meshes"))
+
+
+def _read(path: str | Path, kind: str, **options: object) -> Any:
     path = Path(path)
     size = check_input(path)
     try:
-        with open_input(path) as file:  # once, so that what is told apart is what is read
-            found = detect(path, file.read(64), ability)
-            if size > found.largest:
+        with open_input(path) as file:  # once, so that the bytes that name the format are those that are read
+            suffix = _suffix_of(path, kind, file.read(64))
+            most = _LARGEST.get(suffix, MAX_BYTES)
+            if size > most:
                 raise FormatError(
                     path,
-                    f"{size >> 20} MiB are too many for a {found.title} file, at most {found.largest >> 20} are read; "
-                    "cut it into parts",
+                    f"{size >> 20} MiB are too many for a {suffix} file, at most {most >> 20} are read; cut it into "
+                    "parts",
                 )
             file.seek(0)
             data = file.read(size)  # a larger number would be set aside in memory first
@@ -348,7 +290,7 @@ def _read(path: str | Path, ability: str, **options: object) -> Any:
         ) from None
     except MemoryError:
         raise FormatError(path, "it does not fit into memory; simplify the mesh first") from None
-    function = _resolve(getattr(found, ability))
+    function = _resolve(READERS[kind][suffix])
     try:
         with np.errstate(all="ignore"):  # broken numbers are found by what they lead to
             known = _parameters(function)
@@ -362,7 +304,7 @@ def _read(path: str | Path, ability: str, **options: object) -> Any:
     except MemoryError:
         raise FormatError(path, "it does not fit into memory; simplify the mesh first") from None
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
-        # The readers check what they use; this is the net below them for broken files that nobody thought of.
+        # The readers check what they use; this is the net below them for damage that no check expects.
         raise FormatError(
             path, f"the file is broken ({type(error).__name__}: {str(error)[:80]}); export it again"
         ) from error
@@ -377,30 +319,29 @@ def load_character(
     unit: str = "auto",
     clips: float | None = None,
 ) -> Character:
-    """Read a character from GLB, glTF, VRM, FBX, OBJ, PLY or STL.
+    """Read a character from GLB, glTF, VRM, FBX, PMX, PMD, OBJ, PLY or STL.
 
-    The vertices of GLB, glTF, VRM and FBX are in world space, those of FBX turned from the frame and unit that the file
-    states.
-    OBJ, PLY and STL name neither: they are taken as they are, +Y up and +Z forward, and in the unit that makes their
-    height a character's, which a warning of the log tells where it is not the metre.
+    Vertices are in world space, those of FBX in metres and +Y up by the frame and unit that the file states. OBJ, PLY
+    and STL state neither: they are taken as +Y up and +Z forward, in the unit that makes their height a character's;
+    the log warns where that is not the metre.
 
     Args:
         path: The file; its first bytes decide the format where they can, its suffix otherwise.
-        rest: The rest pose of a file with a skin: "bind", the pose that its meshes were skinned in (T or A for most),
-            or "default", that of its nodes, which may be the middle of a clip. Files whose bind pose makes no sense
-            take the default.
-        up: The axis that is up in the character as it would be read without this, such as "+z"; it is turned to stand
-            along +Y. `bunraku.upright` finds out by itself.
-        front: The axis that it faces; "-y" with "+z" up, "+z" otherwise, when only `up` is given.
-        unit: The unit of lengths as they would be read without this: "m", "cm", "mm" or "in". "auto" is the metre for
-            formats that have a unit, and for the others what the height makes likely (`formats.frames.likely_unit`).
-        clips: Frames a second at which the clips of an FBX file are read [1/s], so that what is written on its own
-            skeleton has them too; None leaves them out. Those of glTF are there in any case.
+        rest: The pose in which a file with a skin rests: "bind", in which its meshes were skinned (T or A for most), or
+            "default", that of its nodes, which may be the middle of a clip. A bind pose that makes no sense is replaced
+            by the default.
+        up: The axis that is up in the character as it would be read without this, such as "+z". `bunraku.upright` finds
+            out by itself.
+        front: The axis that it faces; when only `up` is given, "-y" with "+z" up, else "+z".
+        unit: The unit of lengths as they would be read without this: "m", "cm", "mm" or "in"; "auto" is the metre for
+            formats that have a unit, and for the others what the height makes likely.
+        clips: Frames a second at which the clips of an FBX file are read [1/s], so that they are kept when its own
+            skeleton is written; None leaves them out. Those of glTF are always there.
 
     Raises:
         FormatError: The file is missing, empty, too large, broken, or of no known format.
         CharacterError: It holds no usable mesh: points only, coordinates that are not numbers, no extent.
-        OptionError: `rest` is neither, `unit` is none of these, or `up` and `front` are not two axes at a right angle.
+        OptionError: An option is none of these, or `up` and `front` are not at a right angle.
     """
     if rest not in ("bind", "default"):
         raise OptionError(f"the rest pose of a file is 'bind' or 'default', not {rest!r}")
@@ -412,36 +353,20 @@ def load_character(
         character, note = in_metres(character, unit, None if standing is None else standing[0])
         if note:
             _log.warning('%s: %s; say unit="m" to keep its numbers', path, note)
-    if standing is None:
-        return character
-    from bunraku.files.gltf.read import turned
-
-    return turned(character, *standing)
+    return character if standing is None else rotated(character, *standing)
 
 
 def load_with_clips(path: str | Path, fps: float) -> Character:
-    """Read a character as `load_character` does, its document with all clips of the file.
-
-    Args:
-        path: The file.
-        fps: Frames a second of clips that the document cannot hold as the file has them, those of FBX [1/s].
-
-    Raises:
-        FormatError: As `load_character`.
-        CharacterError: As `load_character`.
+    """Read a character with all clips of its file; those of FBX at a rate [1/s]. Errors are those of
+    `load_character`.
     """
     character: Character = _read(path, "character", clip_fps=fps)
     return character
 
 
 def read_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
-    """Read a motion: a handle motion that `Animation.save` wrote to NPZ, or a skeletal one of BVH, VRMA, AMASS (.npz),
+    """Read a motion: a handle motion from NPZ, or a skeletal one with its own joints from BVH, VRMA, AMASS (.npz),
     HumanML3D (.npy), or the first clip of FBX.
-
-    Skeletal motions keep their own joints; `bunraku.anatomy.names.to_smpl` turns them into ones of SMPL's 22.
-
-    Args:
-        path: The file.
 
     Raises:
         FormatError: The file is missing, empty, too large, broken, or of no known format.
@@ -451,6 +376,14 @@ def read_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
     return motion
 
 
+_KINDS: tuple[tuple[type | tuple[type, ...], str], ...] = (
+    (RigAnimation, "rig animation"),
+    (PointAnimation, "points"),
+    (Animation, "animation"),
+    ((HandleMotion, SkeletalMotion), "motion"),
+)
+
+
 def save(
     thing: Animation | RigAnimation | PointAnimation | HandleMotion | SkeletalMotion,
     path: str | Path,
@@ -458,111 +391,53 @@ def save(
 ) -> Path:
     """Write a motion or an animation of any kind in the format that the suffix names; `.save()` of all types ends here.
 
-    An animation of a character's own rig goes to .glb with the file's own nodes, skins and materials, to .usd and .fbx
-    as its bones in their tree under their names, to .vmd as the bones of an MMD model, to the formats that speak of a
-    person's parts as that of its 30 handles, and to all others as its bones move the mesh.
-
-    Raises:
-        FormatError: The suffix is unknown, or the file cannot be written.
-        OptionError: The format has no such option, or its value makes no sense.
-    """
-    if isinstance(thing, RigAnimation):
-        return _save_rig_animation(thing, path, options)
-    if isinstance(thing, PointAnimation):
-        return save_points(thing, path, **options)
-    return (
-        save_motion(thing, path, **options)
-        if isinstance(thing, HandleMotion | SkeletalMotion)
-        else save_animation(thing, path, **options)
-    )
-
-
-def _save_rig_animation(animation: RigAnimation, path: str | Path, options: dict[str, object]) -> Path:
-    found = detect(Path(path), b"", "animation")
-    if found.bones:
-        return _write("bones", path, options, animation)
-    if found.parts:
-        return _write("animation", path, options, provided("handle_animation")(animation))
-    return _write("animation", path, options, animation.animation())
-
-
-def save_animation(animation: Animation, path: str | Path, **options: object) -> Path:
-    """Write an animation in the format that the suffix names.
-
-    .glb, .fbx, .usd, .usda, .usdc and .usdz hold the character with its skin and motion, .obj and .ply a sequence of
-    meshes, .bvh and .vrma what the humanoid skeleton does, .vmd the bones of an MMD model, .npz the handle motion,
-    .mp4, .webp and .gif a video, .png a contact sheet, .html a page that shows it.
+    .glb, .fbx and USD hold the character with its skin and motion, .obj and .ply a folder with one mesh a frame
+    (`walk.obj` becomes `walk/walk_0000.obj` and so on), .bvh and .vrma what the humanoid skeleton does, .vmd the bones
+    of an MMD model, .npz the handle motion, .mp4, .webp and .gif a video, .png a contact sheet, .html a page that shows
+    the animation. An animation of a character's own rig keeps the file's nodes, skins and materials in a .glb, and its
+    bones in their tree under their names in .fbx and USD. A motion goes to .bvh, .vrma or .npz; one of handles must be
+    that of the reference body.
 
     Args:
-        animation: The animation.
-        path: The file. `walk.obj` becomes a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on.
+        thing: What to write.
+        path: The file.
         **options: `fps`, frames a second of the output [1/s], for all but .npz and .vmd; `up` ("+y" or "+z") and `unit`
-            ("m", "cm", ...) for USD, .obj, .ply and .bvh; and what the writers of single formats have besides
-            (docs/files.md).
+            ("m", "cm", ...) for FBX, USD, .obj, .ply and .bvh; and those of single formats (docs/files.md).
 
     Returns:
         The file or folder that was written.
 
     Raises:
         FormatError: The suffix is unknown, or the file cannot be written.
-        OptionError: The format has no such option, or its value makes no sense.
-    """
-    return _write("animation", path, options, animation)
-
-
-def save_motion(motion: HandleMotion | SkeletalMotion, path: str | Path, **options: object) -> Path:
-    """Write a motion without a character: .bvh, .vrma, or .npz for a handle motion.
-
-    Args:
-        motion: A skeletal motion, or a handle motion of the reference body, which is written as that of its 22 joints.
-        path: The file.
-        **options: `fps`, frames a second of the output [1/s], for all but .npz; `unit`, `up` and `order` for .bvh, see
-            `bunraku.files.motions.bvh.write_bvh`; `name`, the clip's name, for .vrma.
-
-    Returns:
-        The file that was written.
-
-    Raises:
-        FormatError: The suffix is unknown, or the file cannot be written.
-        MotionError: A handle motion of fewer handles than the reference body has, or a skeleton that is no humanoid,
-            for .vrma.
+        MotionError: The motion has fewer handles than the reference body, or its skeleton is no humanoid.
         OptionError: The format has no such option, its value makes no sense, or the motion has no frame.
     """
-    return _write("moved", path, options, motion)
+    kind = next(name for types, name in _KINDS if isinstance(thing, types))
+    if isinstance(thing, RigAnimation):
+        suffix = _suffix_of(Path(path), "animation")
+        if suffix not in WRITERS[kind]:
+            kind = "animation"
+            thing = provided("handle_animation")(thing) if suffix in _OF_PARTS else thing.animation()
+    return _write(kind, path, options, thing)
 
 
-def check_writer(path: str | Path) -> None:
-    """Make sure that what writes animations to files of this suffix is installed, before anything is made that is to be
-    written.
+def check_writer(path: str | Path, character: Character | None = None, *, points: bool = False) -> None:
+    """Make sure, before anything is computed, that an animation can be written to a file.
 
-    Raises:
-        BunrakuError: An optional library or program is missing; the message says which.
-        FormatError: The suffix is unknown.
-    """
-    path = Path(path)
-    if check := detect(path, b"", "animation").available:
-        _resolve(check)()
-
-
-def check_writes(path: str | Path, character: Character) -> None:
-    """Make sure that files of this suffix can hold what a character does, before anything is made to be written.
+    Args:
+        path: The file.
+        character: Whose animation it is, where that is known: a VMD is of MMD models alone.
+        points: Whether vertices also move on their own, as learned apparel does.
 
     Raises:
-        FormatError: They cannot: a VMD is of MMD models alone; or the suffix is unknown.
+        BunrakuError: An optional library is missing; the message names it.
+        FormatError: The suffix is unknown, or such files cannot hold what the character does.
     """
-    path = Path(path)
-    if check := detect(path, b"", "animation").suits:
-        _resolve(check)(character, path)
-
-
-def check_points_writer(path: str | Path) -> None:
-    """Make sure that files of this suffix hold vertices that move on their own, as learned apparel does, before
-    anything is made that is to be written.
-
-    Raises:
-        FormatError: They do not; the message lists those that do.
-    """
-    detect(Path(path), b"", "points")
+    suffix = _suffix_of(Path(path), "points" if points else "animation")
+    if suffix in _USD:
+        _resolve("bunraku.files.usd:check_available")()
+    if suffix == ".vmd" and character is not None:
+        provided("check_mmd_character")(character, Path(path))
 
 
 def save_character(
@@ -573,17 +448,14 @@ def save_character(
     rig: bool = False,
     avatar: MmdModel | VrmModel | None = None,
 ) -> Path:
-    """Write a character to GLB, FBX, VRM or PMX, its handles as a skin, without motion.
+    """Write a character to GLB, FBX, VRM or PMX, without motion, and return the path.
 
     Args:
         character: The character.
         path: The file.
-        handles: Its handles; without them the mesh alone is written.
+        handles: The handles for its skin; without them the mesh alone is written.
         rig: Write the character's own rig as its skin, as `bunraku.with_skeleton` makes one, in place of handles.
-        avatar: What else is to be written, by the bones of that rig: springs for GLB and VRM, rigid bodies for PMX.
-
-    Returns:
-        The file that was written.
+        avatar: Springs of that rig's bones for GLB and VRM, their rigid bodies for PMX.
 
     Raises:
         FormatError: The suffix is unknown, or the file cannot be written.
@@ -592,32 +464,14 @@ def save_character(
     options: dict[str, object] = {"rig": True} if rig else {}
     if avatar is not None:
         options["avatar"] = avatar
-    return _write("rigged", path, options, character, handles)
+    return _write("character", path, options, character, handles)
 
 
-def save_points(animation: PointAnimation, path: str | Path, **options: object) -> Path:
-    """Write an animation whose vertices also move on their own: .glb, USD, or a sequence of .obj or .ply files.
-
-    Args:
-        animation: The animation.
-        path: The file.
-        **options: `fps`, frames a second of the output [1/s]; and those of the format.
-
-    Returns:
-        The file or folder that was written.
-
-    Raises:
-        FormatError: The suffix is unknown, or the file cannot be written.
-        OptionError: The format has no such option, or its value makes no sense.
-    """
-    return _write("points", path, options, animation)
-
-
-def _write(ability: str, path: str | Path, options: dict[str, object], *things: Any) -> Path:
+def _write(kind: str, path: str | Path, options: dict[str, object], *things: Any) -> Path:
     path = Path(path)
     if os.path.isdir(path):
         raise FormatError(path, "this is a folder; name a file inside it")
-    function = _resolve(getattr(detect(path, b"", ability), ability))
+    function = _resolve(WRITERS[kind][_suffix_of(path, kind)])
     known = {name for name, parameter in _parameters(function).items() if parameter.kind is parameter.KEYWORD_ONLY}
     for option in options:
         if option not in known:

@@ -1,4 +1,4 @@
-"""A handle motion as the numbers that the denoiser sees.
+"""A handle motion as the numbers that the denoiser sees, and motions of SMPL's 22 joints as handle motions.
 
 Each frame holds the root without its place and heading, then each other handle, D = 10 + 9 (K - 1) = 271 numbers:
 
@@ -16,33 +16,57 @@ a motion is put together, so any cut of a clip is a clip.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES
+from bunraku.core.body.reference import leg_length, reference_body
 from bunraku.core.geometry.rotations import heading, matrix_from_6d, matrix_to_6d, matrix_y
-from bunraku.core.motion import HandleMotion
+from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import MotionError
 
 __all__ = [
-    "decode",
-    "encode",
-    "feature_mask",
-    "FEATURE_SIZE",
-    "feature_weights",
-    "FeatureStatistics",
-    "HANDLE_SIZE",
-    "is_rotation",
-    "mirror",
-    "root_velocities",
-    "ROOT_SIZE",
-    "standing_legs",
-]
+    "body_handle_motion", "decode", "encode", "feature_mask", "FEATURE_SIZE", "feature_weights", "FeatureStatistics",
+    "HANDLE_SIZE", "mirror", "root_velocities", "ROOT_SIZE", "standing_legs",
+]  # fmt: skip
 
 ROOT_SIZE, HANDLE_SIZE = 10, 9
 FEATURE_SIZE = ROOT_SIZE + HANDLE_SIZE * (HANDLE_COUNT - 1)
 _SIX_SIGNS = np.array([1, -1, -1, -1, 1, 1], np.float32)
+
+
+STANDS = 0.05
+"""Share of the frames of `body_handle_motion` whose lowest point may be under the ground."""
+
+
+def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:
+    """Handle motion of the reference body, which stands on y = 0.
+
+    Args:
+        motion: Of SMPL's 22 joints, relative to the reference body's T-pose (`anatomy.names.to_smpl`).
+
+    Raises:
+        MotionError: It has other joints.
+    """
+    from bunraku.anatomy.anatomy import reference_anatomy
+
+    if motion.skeleton.names != JOINT_NAMES:
+        raise MotionError("the reference body takes motions of SMPL's 22 joints only; map the skeleton first")
+    body, anatomy = reference_body(), reference_anatomy()
+    world = motion.world()[0].astype(np.float64)
+    root = world[:, 0]
+    rotations = np.tile(np.eye(3), (len(motion), HANDLE_COUNT, 1, 1))
+    rotations[:, 1:JOINT_COUNT] = np.swapaxes(root, -1, -2)[:, None] @ world[:, 1:]
+    for handle in range(JOINT_COUNT, HANDLE_COUNT):
+        rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
+    rotations, translations = anatomy.attached(rotations)
+    scale = leg_length(body.joints) / max(leg_length(motion.skeleton.positions), 1e-9)
+    pelvis, position = body.joints[0].astype(np.float64), body.handles.positions[0].astype(np.float64)
+    path = motion.root_translation * scale + np.einsum("nij,j->ni", root, position - pelvis) - position
+    out = HandleMotion(translations, rotations, path, root, motion.fps)
+    path[:, 1] -= np.quantile(anatomy.surface_reach.lowest(out.transforms(body.handles.positions)), STANDS)
+    return replace(out, root_translation=path)
 
 
 def encode(motion: HandleMotion) -> np.ndarray:
@@ -70,11 +94,8 @@ def encode(motion: HandleMotion) -> np.ndarray:
 
 
 def decode(features: np.ndarray, fps: float = 20.0) -> HandleMotion:
-    """The handle motion of features: velocities are summed up from a canonical start at x = z = 0 that faces +Z.
-
-    Args:
-        features: Shape (N, 271).
-        fps: Frames a second [1/s].
+    """The handle motion of features (N, 271): velocities are summed up from a canonical start at x = z = 0 that faces
+    +Z.
 
     Raises:
         MotionError: The shape is another one, or a value is not finite.
@@ -98,12 +119,7 @@ def decode(features: np.ndarray, fps: float = 20.0) -> HandleMotion:
 
 
 def root_velocities(path: np.ndarray, fps: float) -> np.ndarray:
-    """The first three features of a root that goes a way, shape (N, 3).
-
-    Args:
-        path: Position (x, z) [m] and heading [rad] in each frame, shape (N, 3).
-        fps: Frames a second [1/s].
-    """
+    """The first three features of a root on a path of positions (x, z) [m] and headings [rad], both shape (N, 3)."""
     step, angle = np.diff(path[:, :2], axis=0, prepend=path[:1, :2]), path[:, 2]
     out = np.empty((len(path), 3))
     out[:, 0] = np.diff(angle, prepend=angle[:1]) * fps
@@ -129,7 +145,7 @@ _MIRROR_ORDER, _MIRROR_SIGN = _mirror_map()
 
 
 def mirror(features: np.ndarray) -> np.ndarray:
-    """Features of the motion seen in a mirror (x -> -x, left handles become right ones), shape [..., 271]."""
+    """Features of the motion in a mirror (x -> -x, left handles become right ones), shape [..., 271]."""
     return features[..., _MIRROR_ORDER] * _MIRROR_SIGN
 
 
@@ -141,7 +157,7 @@ def _groups() -> list[slice]:
 
 
 def feature_weights() -> np.ndarray:
-    """How much each feature counts in the motion loss, shape (271,), mean 1.
+    """Weight of each feature in the motion loss, shape (271,), mean 1.
 
     Fingers, head top, face and wings repeat their parents' motion on the reference body and its tail does not move, so
     they count less; the root moves everything, so it counts more.
@@ -156,12 +172,9 @@ def feature_weights() -> np.ndarray:
 
 @dataclass(frozen=True)
 class FeatureStatistics:
-    """Mean and deviation that bring features to about zero and one.
-
-    Args:
-        mean: Shape (271,).
-        std: Shape (271,), one value for each group of a kind (the three coordinates of a translation, the six numbers
-            of a rotation), with a floor of 3 cm and 0.12, so that a handle that hardly moves is not blown up.
+    """Mean and deviation that bring features to about zero and one, shape (271,) each. The deviation has one value for
+    each group of a kind (the three coordinates of a translation, the six numbers of a rotation), with a floor of 3 cm
+    and 0.12, so that a handle that hardly moves is not amplified.
     """
 
     mean: np.ndarray
@@ -195,23 +208,13 @@ class FeatureStatistics:
 
 
 def feature_mask(handles: np.ndarray) -> np.ndarray:
-    """Which features the handles decide, shape (271,), bool: ten numbers for the root and nine for each other (see
-    `features`).
-    """
+    """Which features these handles decide, shape (271,), bool: ten numbers for the root, nine for each other."""
     return np.concatenate([np.repeat(handles[:1], ROOT_SIZE), np.repeat(handles[1:], HANDLE_SIZE)])
 
 
-def is_rotation() -> np.ndarray:
-    """Which features are numbers of a rotation, shape (271,), bool."""
-    mask = np.zeros(FEATURE_SIZE, bool)
-    mask[4:ROOT_SIZE] = True
-    mask[ROOT_SIZE:].reshape(-1, HANDLE_SIZE)[:, 3:] = True
-    return mask
-
-
 def standing_legs() -> tuple[np.ndarray, np.ndarray]:
-    """Features of the reference body's rest pose, shape (271,), and which of them say how it stands: the height and
-    the tilt of its root, hips, knees and ankles, shape (271,), bool.
+    """Features of the reference body's rest pose, shape (271,), and which of them say how it stands: the height and the
+    tilt of its root, hips, knees and ankles, shape (271,), bool.
     """
     still = np.broadcast_to(np.eye(3, dtype=np.float32), (2, HANDLE_COUNT, 3, 3))
     nothing = np.zeros((2, HANDLE_COUNT, 3), np.float32)

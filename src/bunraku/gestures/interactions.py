@@ -1,12 +1,14 @@
 """Gestures of what a clause says is done with a thing: touching it, taking and putting it, looking at it, walking on
 it.
+
+Constants here were chosen by eye on the reference body, 1.84 m tall, unless they say otherwise.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,24 +25,21 @@ from bunraku.gestures.pose import (
     Key,
     Pose,
     Repeat,
-    again,
     foot_on,
     mirrored_pose,
+    repeated_gesture,
     vector,
 )
 from bunraku.gestures.standing import SIDES
-from bunraku.language.interactions import Contact, Handling, Interaction, Terrain
-from bunraku.language.things import Gaze
+from bunraku.language.interactions import Contact, Gaze, Handling, Interaction, Terrain
 
-__all__ = [
-    "TerrainGait",
-    "contact_gesture",
-    "gaze_gesture",
-    "interaction_gesture",
-    "object_gesture",
-    "read_terrain_gaits",
-    "walk_gesture",
-]
+__all__ = ["TerrainGait", "interaction_gesture", "read_terrain_gaits"]
+
+
+@functools.lru_cache(maxsize=512)
+def interaction_gesture(interaction: Interaction) -> Gesture:
+    """What a clause says is done with a thing, as a gesture between two rests; a walk goes on."""
+    return _GESTURES[type(interaction)](interaction)
 
 
 SURFACES = {
@@ -66,39 +65,29 @@ TIMES = 6
 """How often that is done."""
 
 
-@functools.lru_cache(maxsize=256)
-def contact_gesture(contact: Contact) -> Gesture:
-    """What hands do with a thing, as a gesture between two rests."""
+def _contact_gesture(contact: Contact) -> Gesture:
     row = things_file()["deeds"][contact.deed]
     if "path" not in row:
-        made = gesture_row({"texts": [], **row, "name": contact.deed}, _named(row), {})
-        return replace(made, keys=tuple((moment, _of_side(pose, contact.hands)) for moment, pose in made.keys))
+        shared: dict[str, dict[str, Any]] = {"hands": {}, "feet": {}, "poses": {"rest": {}}}
+        named = {kind: common | row.get(kind, {}) for kind, common in shared.items()}
+        gesture = gesture_row({"texts": [], **row, "name": contact.deed}, named, {})
+        if contact.hands != "left":
+            return gesture
+        return replace(gesture, keys=tuple((moment, mirrored_pose(pose)) for moment, pose in gesture.keys))
     hands = contact.hands if contact.hands in ("left", "right") else row.get("hands", contact.hands)
     contact = contact._replace(hands=hands, height=row.get("height", contact.height))
-    poses = _poses(row, contact)
+    poses = _contact_poses(row, contact)
     if "period" in row:
-        keys, repeat = again(poses, row["period"], TIMES, start=START, end=END)
-        return Gesture(contact.deed, (), keys, (repeat.start, repeat.stop - repeat.period), repeat=repeat)
-    moment, made_keys = 0.0, [(0.0, Pose())]
+        return repeated_gesture(contact.deed, poses, row["period"], TIMES, start=START, end=END)
+    moment, keys = 0.0, [(0.0, Pose())]
     for seconds, pose in zip(row["seconds"], poses, strict=True):
         moment += seconds
-        made_keys.append((moment, pose))
-    made_keys.append((moment + row["stays"], poses[-1]))
-    made_keys.append((moment + row["stays"] + END, Pose()))
-    return Gesture(contact.deed, (), tuple(made_keys))
+        keys.append((moment, pose))
+    keys += [(moment + row["stays"], poses[-1]), (moment + row["stays"] + END, Pose())]
+    return Gesture(contact.deed, (), tuple(keys))
 
 
-def _named(row: Mapping[str, Any]) -> dict[str, Any]:
-    shared: dict[str, dict[str, Any]] = {"hands": {}, "feet": {}, "poses": {"rest": {}}}
-    return {kind: {**common, **row.get(kind, {})} for kind, common in shared.items()}
-
-
-def _of_side(pose: Pose, hands: str) -> Pose:
-    """A pose of the right hand as one of the hand that is named."""
-    return mirrored_pose(pose) if hands == "left" else pose
-
-
-def _poses(row: Mapping[str, Any], contact: Contact) -> list[Pose]:
+def _contact_poses(row: Mapping[str, Any], contact: Contact) -> list[Pose]:
     """The body at each place of a deed's path."""
     base = place_pose(contact.height, contact.way, contact.hands)
     path, count = [np.array(one, float) for one in row["path"]], len(row["path"])
@@ -168,29 +157,24 @@ AGAIN = 3
 """How often something is done that is done again and again."""
 
 
-@functools.lru_cache(maxsize=64)
-def object_gesture(handling: Handling) -> Gesture:
-    """What a sentence says is done with a thing, as a gesture. What is held at its beginning is so from the first
-    moment, and what is held at its end stays there.
-    """
-    places = [(one.place, one.does == "hold") for one in handling.stations]
-    poses = [place_pose(place.height, place.way, handling.hands, held) for place, held in places]
+def _handling_gesture(handling: Handling) -> Gesture:
+    """What is held at the beginning is so from the first moment, and what is held at the end stays there."""
+    steps = handling.steps
+    poses = [place_pose(*step.place, handling.hands, step.does == "hold") for step in steps]
     if handling.repeated:
-        played, repeat = again(poses, 0.9 * len(poses), AGAIN, start=1.1, end=1.1)
-        return Gesture(NAME, (), played, (repeat.start, repeat.stop - repeat.period), repeat=repeat)
-    keys: list[Key] = [] if handling.stations[0].does == "hold" else [(0.0, Pose())]
+        return repeated_gesture(NAME, poses, 0.9 * len(poses), AGAIN, start=1.1, end=1.1)
+    keys: list[Key] = [] if steps[0].does == "hold" else [(0.0, Pose())]
     moment, before = 0.0, ""
-    for station, pose in zip(handling.stations, poses, strict=True):
-        low = max(LOW.get(height, 0.0) for height in (before, station.place.height))
-        moment += THERE[station.does] + low if keys else 0.0
+    for step, pose in zip(steps, poses, strict=True):
+        low = max(LOW.get(height, 0.0) for height in (before, step.place.height))
+        moment += THERE[step.does] + low if keys else 0.0
         keys.append((moment, pose))
-        moment += STAYS[station.does]
+        moment += STAYS[step.does]
         keys.append((moment, pose))
-        before = station.place.height
-    if handling.stations[-1].does == "put":
+        before = step.place.height
+    if steps[-1].does == "put":
         keys.append((moment + BACK + LOW.get(before, 0.0), Pose()))
-    cycle = (0.0, moment) if handling.only_held else None
-    return Gesture(NAME, (), tuple(keys), cycle)
+    return Gesture(NAME, (), tuple(keys), (0.0, moment) if handling.only_held else None)
 
 
 CHEST = 0.25
@@ -198,31 +182,27 @@ CHEST = 0.25
 PERIOD, GAZE_TIMES = 6.0, 3
 """Seconds of a gaze to both sides and back, and how often it goes so."""
 LEAST = 3.0
-"""How far it goes to both sides of who looks at one thing [degrees]."""
+"""How far the gaze goes to both sides of a single thing [degrees]."""
 GAZE_LEANS = 12.0
 """Lean of the trunk from which on arms keep the balance, and knees bend by so much again [degrees]."""
 BENT = 2.0
 """How often so from where on hands are on the knees."""
 OUT = Hand((0.36, 0.98, -0.04), (0.3, -0.9, 0.2), (-0.9, 0.0, 0.2), (0.35, 0.0, -1.0))
-"""A hand of who leans over a depth."""
+"""A hand of a body that leans over a depth."""
 
 
-@functools.lru_cache(maxsize=64)
-def gaze_gesture(sight: Gaze) -> Gesture:
-    """A look at something, as a gesture."""
-    ways = (0.0, 1.0, 1.0, 0.2, -0.9, -0.9)
-    poses = [_turned(sight, way * max(sight.sweep, LEAST)) for way in ways]
-    keys, repeat = again(poses, PERIOD, GAZE_TIMES, start=1.1, end=1.1)
-    return Gesture("look", (), keys, (repeat.start, repeat.stop - repeat.period), repeat=repeat)
+def _gaze_gesture(gaze: Gaze) -> Gesture:
+    poses = [_gaze_pose(gaze, way * max(gaze.sweep, LEAST)) for way in (0.0, 1.0, 1.0, 0.2, -0.9, -0.9)]
+    return repeated_gesture("look", poses, PERIOD, GAZE_TIMES, start=1.1, end=1.1)
 
 
-def _turned(sight: Gaze, aside: float) -> Pose:
-    share = CHEST if not sight.lean else 0.0
-    lean = (share * sight.pitch + sight.lean, CHEST * aside, 0.0)
-    head = ((1 - share) * sight.pitch - 0.3 * sight.lean, (1 - CHEST) * aside, 0.0)
-    if not sight.lean > GAZE_LEANS:
+def _gaze_pose(gaze: Gaze, aside: float) -> Pose:
+    share = CHEST if not gaze.lean else 0.0
+    lean = (share * gaze.pitch + gaze.lean, CHEST * aside, 0.0)
+    head = ((1 - share) * gaze.pitch - 0.3 * gaze.lean, (1 - CHEST) * aside, 0.0)
+    if not gaze.lean > GAZE_LEANS:
         return Pose(lean=lean, head=head)
-    low = max(sight.lean - GAZE_LEANS, 0.0) / GAZE_LEANS
+    low = (gaze.lean - GAZE_LEANS) / GAZE_LEANS
     hand = read_places()["low"].other if low > BENT else OUT
     return Pose(right=hand, left=hand, lean=lean, head=head, hips=(0.0, -0.08 * low, -0.08 - 0.02 * low))
 
@@ -232,7 +212,7 @@ STANCE = 0.62
 WALK_TIMES = 4
 """Cycles that are laid."""
 ROLL = 26.0
-"""How far the heel of who walks is up when the foot leaves the ground [degrees]."""
+"""How far the heel is up when the foot leaves the ground [degrees]."""
 STRIKE = 14.0
 """How far the toes are up when it comes down [degrees]."""
 ABOUT = 5.0
@@ -241,45 +221,25 @@ ABOUT = 5.0
 
 @dataclass(frozen=True)
 class TerrainGait:
-    """A row of `[grounds]`.
+    """A row of `[grounds]`."""
 
-    Args:
-        stride: How far a cycle of two steps goes [m].
-        period: How long it takes [s].
-        lift: How high an ankle is lifted over the ground [m].
-        width: Of a foot from the middle [m].
-        sinks: How much lower the pelvis is than in who stands [m].
-        lean: Of the trunk ahead [degrees].
-        sway: How far the pelvis goes to the foot that stands [m].
-        head: How far the head is bent [degrees].
-        flat: Whether feet are put down flat.
-        toes: How far heels are up all the time [degrees].
-        tips: How far the trunk tips to both sides, slowly, in who keeps the balance [degrees].
-        looks: How far the head turns to both sides [degrees].
-        knees: How far knees go outwards.
-        arms: Of both sides; hanging for none.
-        right: Of the right one, where it is another.
-        swing: How far hands go to and fro [m].
-        held: Whether hands stay where they are ahead of the pelvis, on what is pushed.
-    """
-
-    stride: float
-    period: float
-    lift: float
-    width: float
-    sinks: float
-    lean: float
-    sway: float
-    head: float = 0.0
-    flat: bool = False
-    toes: float = 0.0
-    tips: float = 0.0
-    looks: float = 0.0
-    knees: float = 0.15
-    arms: Hand = HANGING
-    right: Hand | None = None
-    swing: float = 0.0
-    held: bool = False
+    stride: float  # how far a cycle of two steps goes [m]
+    period: float  # how long it takes [s]
+    lift: float  # how high an ankle is lifted over the ground [m]
+    width: float  # Of a foot from the middle [m]
+    sinks: float  # how much lower the pelvis is than in standing [m]
+    lean: float  # of the trunk ahead [degrees]
+    sway: float  # how far the pelvis goes to the foot that stands [m]
+    head: float = 0.0  # how far the head is bent [degrees]
+    flat: bool = False  # whether feet are put down flat
+    toes: float = 0.0  # how far heels are up all the time [degrees]
+    tips: float = 0.0  # how far the trunk tips to both sides, slowly, to keep the balance [degrees]
+    looks: float = 0.0  # how far the head turns to both sides [degrees]
+    knees: float = 0.15  # how far knees go outwards
+    arms: Hand = HANGING  # Of both sides; hanging for none
+    right: Hand | None = None  # of the right one, where it is another
+    swing: float = 0.0  # how far hands go to and fro [m]
+    held: bool = False  # whether hands stay where they are ahead of the pelvis, on what is pushed
 
 
 @functools.cache
@@ -292,78 +252,71 @@ def read_terrain_gaits() -> dict[str, TerrainGait]:
     return found
 
 
-@functools.lru_cache(maxsize=64)
-def walk_gesture(footing: Terrain) -> Gesture:
-    """A walk as a gesture that goes on."""
-    tread = read_terrain_gaits()[footing.ground]
-    if footing.height:
-        out, _, ahead = tread.arms.palm
-        tread = replace(tread, arms=replace(tread.arms, palm=(out, footing.height, ahead)))
-    count = round(tread.period / STEP)
-    keys = tuple((round(STEP * number, 3), _pose(tread, number / count)) for number in range(WALK_TIMES * count + 1))
-    repeat = Repeat(0.0, STEP * count, WALK_TIMES, (0.0, 0.0, tread.stride))
-    return Gesture(footing.ground, (), keys, (0.0, STEP * count * (WALK_TIMES - 1)), steps=True, repeat=repeat)
+def _walk_gesture(terrain: Terrain) -> Gesture:
+    gait = read_terrain_gaits()[terrain.ground]
+    if terrain.height:
+        out, _, ahead = gait.arms.palm
+        gait = replace(gait, arms=replace(gait.arms, palm=(out, terrain.height, ahead)))
+    count = round(gait.period / STEP)
+    keys = tuple((round(STEP * at, 3), _walk_pose(gait, at / count)) for at in range(WALK_TIMES * count + 1))
+    repeat = Repeat(0.0, STEP * count, WALK_TIMES, (0.0, 0.0, gait.stride))
+    return Gesture(terrain.ground, (), keys, (0.0, STEP * count * (WALK_TIMES - 1)), steps=True, repeat=repeat)
 
 
-def _pose(tread: TerrainGait, phase: float) -> Pose:
+def _walk_pose(gait: TerrainGait, phase: float) -> Pose:
     """The body after so many cycles; at each whole one the left foot comes down."""
-    along = tread.stride * phase
-    feet = {"left": _foot(tread, phase), "right": _foot(tread, phase - 0.5)}
+    along = gait.stride * phase
     beat = math.cos(2 * math.pi * (phase - 0.3))  # 1 in the middle of the left foot's stance
     swing = math.cos(2 * math.pi * phase)  # 1 where the left foot is ahead
-    about = ABOUT * tread.stride * swing
-    bob = 0.018 * math.cos(4 * math.pi * (phase - 0.3)) * min(tread.stride, 1)
+    about = ABOUT * gait.stride * swing
+    bob = 0.018 * math.cos(4 * math.pi * (phase - 0.3)) * min(gait.stride, 1)
     slow = math.sin(math.pi * phase + 0.4)  # over two cycles
     hands = {}
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        hand = tread.right if side == "right" and tread.right is not None else tread.arms
+    for side, sign in SIDES:
+        hand = gait.right if side == "right" and gait.right is not None else gait.arms
         out, up, ahead = hand.palm
-        if tread.held:
+        if gait.held:
             hands[side] = replace(hand, palm=(out, up, ahead + along), on="ground")
             continue
-        goes = -sign * swing * tread.swing
-        tip = sign * tread.tips / 90 * slow
-        fixed = hand is tread.right
+        goes = -sign * swing * gait.swing
+        tip = sign * gait.tips / 90 * slow
+        fixed = hand is gait.right
         palm = (out, up - tip + (0 if fixed else 0.3 * abs(goes)), ahead + (0 if fixed else goes))
         hands[side] = replace(hand, palm=palm)
     return Pose(
         right=hands["right"], left=hands["left"],
-        lean=(tread.lean, about, -0.3 * tread.sway / 0.03 * beat - tread.tips * slow),
-        head=(tread.head, -about + tread.looks * math.sin(math.pi * phase), 0.5 * tread.tips * slow),
-        hips=(tread.sway * beat, bob - tread.sinks, along), turn=-about,
-        right_foot=feet["right"], left_foot=feet["left"],
+        lean=(gait.lean, about, -0.3 * gait.sway / 0.03 * beat - gait.tips * slow),
+        head=(gait.head, -about + gait.looks * math.sin(math.pi * phase), 0.5 * gait.tips * slow),
+        hips=(gait.sway * beat, bob - gait.sinks, along), turn=-about,
+        right_foot=_walk_foot(gait, phase - 0.5), left_foot=_walk_foot(gait, phase),
     )  # fmt: skip
 
 
-def _foot(tread: TerrainGait, phase: float) -> Foot:
+def _walk_foot(gait: TerrainGait, phase: float) -> Foot:
     """A foot that comes down at each whole cycle, so many cycles after one."""
     whole = math.floor(phase)
-    share, ahead = phase - whole, 0.5 * STANCE * tread.stride
-    strike, roll = (0.0, 6.0) if tread.flat else (-STRIKE, ROLL)
-    if tread.toes:
-        strike = roll = tread.toes
-    place = tread.stride * whole + ahead
-    knee = (tread.knees, 0.0, 1.0)
+    share, ahead = phase - whole, 0.5 * STANCE * gait.stride
+    strike, roll = (0.0, 6.0) if gait.flat else (-STRIKE, ROLL)
+    if gait.toes:
+        strike = roll = gait.toes
+    place = gait.stride * whole + ahead
+    knee = (gait.knees, 0.0, 1.0)
     if share < STANCE:
         at = share / STANCE
         pitch = strike * max(1 - at / 0.15, 0) + roll * max((at - 0.55) / 0.45, 0) ** 1.5
-        if tread.toes:
-            pitch = tread.toes
-        return replace(foot_on(tread.width, place, pitch), knee=knee)
+        if gait.toes:
+            pitch = gait.toes
+        return replace(foot_on(gait.width, place, pitch), knee=knee)
     at = (share - STANCE) / (1 - STANCE)
-    first, last = foot_on(tread.width, place, roll), foot_on(tread.width, place + tread.stride, strike)
+    first, last = foot_on(gait.width, place, roll), foot_on(gait.width, place + gait.stride, strike)
     smooth = at**3 * (10 - 15 * at + 6 * at * at)
-    up = tread.lift * math.sin(math.pi * min(at**0.8, 1)) ** 1.4
+    up = gait.lift * math.sin(math.pi * min(at**0.8, 1)) ** 1.4
     start, end = np.array(first.ankle), np.array(last.ankle)
     x, y, z = ((1 - smooth) * start + smooth * end).tolist()
-    pitch = (1 - smooth) * roll + smooth * strike + (18 * math.sin(math.pi * at) if not tread.flat else 0)
+    pitch = (1 - smooth) * roll + smooth * strike + (18 * math.sin(math.pi * at) if not gait.flat else 0)
     return Foot((x, y + up, z), pitch, knee=knee)
 
 
-def interaction_gesture(told: Interaction) -> Gesture:
-    """The gesture of one of the forms of `Told`."""
-    if isinstance(told, Handling):
-        return object_gesture(told)
-    if isinstance(told, Contact):
-        return contact_gesture(told)
-    return walk_gesture(told) if isinstance(told, Terrain) else gaze_gesture(told)
+_GESTURES: dict[type, Callable[[Any], Gesture]] = {
+    Contact: _contact_gesture, Handling: _handling_gesture, Gaze: _gaze_gesture, Terrain: _walk_gesture,
+}  # fmt: skip

@@ -1,7 +1,7 @@
 """Text encoders: a sentence as at most 30 tokens of the last layer but one, and one vector for the whole.
 
-TapMo takes the tokens of CLIP's penultimate layer (section 3.2). Nobody ships CLIP's text weights, so the default is
-all-MiniLM-L6-v2; `CLIPEncoder` reads the user's own CLIP folder. A checkpoint names the encoder it was trained with.
+TapMo takes the tokens of CLIP's penultimate layer (section 3.2). No package ships CLIP's text weights, so the default
+is all-MiniLM-L6-v2; `CLIPEncoder` reads the user's own CLIP folder. A checkpoint names the encoder it was trained with.
 """
 
 from __future__ import annotations
@@ -20,21 +20,13 @@ import numpy as np
 from bunraku.core.nn.checkpoints import dated, halves_of
 from bunraku.core.nn.layers import Linear, Norm, PostNorm, unit
 from bunraku.errors import MissingExtraError, WeightsError
-from bunraku.language.lexicon import CUES, sentence_cues
+from bunraku.language.lexicon import lexicon, said_cues
 from bunraku.language.tokenizer import WordPieces, encoder_file, read_header
 
 __all__ = [
-    "TEXT_LENGTH",
-    "RARE",
-    "SCALES",
-    "CLIPEncoder",
-    "CuedEncoder",
-    "MiniLMEncoder",
-    "TextBatch",
-    "TextEncoder",
-    "encoder_of",
-    "text_encoder",
-]
+    "CLIPEncoder", "CUES", "CuedEncoder", "MiniLMEncoder", "RARE", "SCALES", "TEXT_LENGTH", "TextBatch", "TextEncoder",
+    "encoder_of", "sentence_cues", "text_encoder",
+]  # fmt: skip
 
 TEXT_LENGTH = 30
 
@@ -253,6 +245,25 @@ class CLIPEncoder:
         return tokens, unit(pooled)
 
 
+CUES: tuple[str, ...] = (
+    *(f"{side} {place}" for place in ("arm", "leg", "turn", "go") for side in ("left", "right")),
+    *lexicon().cues,
+)
+"""What the numbers of `sentence_cues` stand for."""
+
+
+def sentence_cues(sentence: str) -> np.ndarray:
+    """What a sentence in English says of sides, directions, turns, counts, speeds and postures.
+
+    The cues of a sentence with left and right exchanged are the cues with their sides exchanged.
+
+    Returns:
+        One for each of `CUES` that is said, else zero, shape (30,), float32.
+    """
+    said = said_cues(sentence)
+    return np.array([cue in said for cue in CUES], np.float32)
+
+
 class CuedEncoder:
     """Another encoder with the cues of each sentence behind its pooled vector, at the size of that vector's numbers.
 
@@ -309,7 +320,7 @@ def text_encoder(name: str = MiniLMEncoder.name, folder: str | Path | None = Non
 
 @functools.lru_cache(maxsize=1)
 def _shipped(path: Path, changed: int) -> MiniLMEncoder:
-    """The encoder that comes with Bunraku: one for all who read sentences with it."""
+    """The encoder that comes with Bunraku: shared by all readers of sentences."""
     return MiniLMEncoder()
 
 

@@ -1,14 +1,16 @@
-"""What a clause says the body does with a thing: hands touch it, it is taken and put somewhere, feet walk on it, eyes
-look at it.
+"""What a clause says that the body does with a thing: hands touch it or take it and put it somewhere, feet walk on it,
+eyes look at it.
+
+Each kind of interaction has a reader, which yields a `Reading` for each verb that says one.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from bunraku.language.lexicon import actions_of, lexicon, said_phrases, words_of
 from bunraku.language.phrasing import (
@@ -22,123 +24,163 @@ from bunraku.language.phrasing import (
     zone_of,
 )
 from bunraku.language.things import Gaze, Kind, Named, named_in, things
-from bunraku.language.things import things as known_things
 from bunraku.language.vocabulary import action_stems, stem
 
 __all__ = [
-    "Contact",
-    "Handling",
-    "HandlingStep",
-    "Interaction",
-    "Place",
-    "Terrain",
-    "contact_of",
-    "contact_words",
-    "gaze_of",
-    "gaze_words",
-    "handling_of",
-    "interaction_of",
-    "says_more",
-    "terrain_of",
-    "terrain_words",
-    "thing_words",
-    "with_names",
-]
+    "Contact", "Gaze", "Handling", "HandlingStep", "Interaction", "Place", "Terrain", "interaction_of", "read_as",
+    "says_more", "thing_words", "with_names",
+]  # fmt: skip
+
+
+class Contact(NamedTuple):
+    """What hands do with a thing."""
+
+    deed: str  # of `[deeds]` in `things.toml`
+    hands: str  # "both", "left", "right", or "one" for either
+    height: float = 0.0  # where palms meet the thing, for a body of 1.84 m [m]; 0 where the deed itself says it
+    surface: str = "front"  # which way the thing faces there: "top", "front" or "grip"
+    way: str = ""  # "left" or "right"; "" for straight ahead
+
+
+class Terrain(NamedTuple):
+    """What is walked on, in, or with."""
+
+    ground: str  # of `[grounds]` in `things.toml`
+    height: float = 0.0  # where both palms are that push or pull something [m]; 0 for arms that do nothing of the kind
+
+
+class Place(NamedTuple):
+    """Where a thing is."""
+
+    height: str = ""  # of the lexicon's `levels`; "" where nothing is said of it
+    way: str = ""  # "left", "right", "aside" for either of them; "" for straight ahead
+
+    def __bool__(self) -> bool:
+        return bool(self.height or self.way)
+
+    def or_else(self, other: Place) -> Place:
+        """This place with the height and the side of another one where it has none."""
+        return Place(self.height or other.height, self.way or other.way)
+
+
+class HandlingStep(NamedTuple):
+    """One thing that is done with what is handled."""
+
+    does: str  # "take", "hold" or "put"
+    place: Place  # where
+
+
+@dataclass(frozen=True)
+class Handling:
+    """What is taken, held and put somewhere."""
+
+    steps: tuple[HandlingStep, ...]  # one after the other; all heights are given
+    hands: str  # "both", "left", "right", or "one" for either
+    # more is said than that something is taken from the floor, put down or carried, as people were captured
+    said: bool = False
+    repeated: bool = False  # it is done again and again
+
+    @property
+    def only_held(self) -> bool:
+        """Whether a thing is held all the time."""
+        return all(step.does == "hold" for step in self.steps)
+
+
+Interaction = Handling | Contact | Terrain | Gaze
+_Kind = TypeVar("_Kind", Handling, Contact, Terrain, Gaze)
+
+
+class Reading(NamedTuple):
+    """What one verb of a clause says."""
+
+    meaning: Interaction  # in fields
+    words: frozenset[int]  # the numbers of the words that say it
+    alone: bool  # the clause says nothing else
+
+
+def read_as(kind: type[_Kind], text: str) -> _Kind | None:
+    """What a clause says of one kind of interaction; None where it says nothing of that, or something else beside it.
+
+    Args:
+        kind: `Contact`, `Terrain`, `Gaze` or `Handling`.
+        text: In English.
+    """
+    return _read(kind, text)  # type: ignore[return-value]
+
+
+def interaction_of(text: str) -> Interaction | None:
+    """What a clause says that is done with a thing, or what follows from where a person walks or looks; None where it
+    says nothing of that, or something else beside it.
+
+    Args:
+        text: In English.
+    """
+    return next((meaning for kind in _READERS if (meaning := _read(kind, text))), None)
+
+
+@functools.lru_cache(maxsize=4096)
+def _read(kind: type, text: str) -> Interaction | None:
+    return next((reading.meaning for reading in _READERS[kind](text) if reading.alone), None)
+
+
+def says_more(detail: object) -> bool:
+    """Whether it is an interaction, and more than what people were captured doing with things."""
+    return isinstance(detail, Interaction) and (not isinstance(detail, Handling) or detail.said)
+
+
+def thing_words(text: str) -> frozenset[int]:
+    """The numbers of the words of a text that are understood by what things are."""
+    return frozenset[int]().union(*(reading.words for reader in _READERS.values() for reading in reader(text)))
 
 
 _THROUGH = "see through"
 _GIVEN = frozenset(("portable",))
 _NEAR = 4
-"""Words after an animal among which its part is."""
+"""Words after an animal among which the part of it is that is touched; chosen by eye."""
 
 
-class Contact(NamedTuple):
-    """What hands do with a thing.
-
-    Args:
-        deed: Of `[deeds]` in `things.toml`.
-        hands: "both", "left", "right", or "one" for either.
-        height: Where palms meet it, for a body of 1.84 m [m]; 0 where the deed itself says it.
-        surface: Which way it faces there: "top", "front" or "grip".
-        way: "left" or "right"; "" for straight ahead.
-    """
-
-    deed: str
-    hands: str
-    height: float = 0.0
-    surface: str = "front"
-    way: str = ""
-
-
-@functools.lru_cache(maxsize=1024)
-def contact_of(text: str) -> Contact | None:
-    """What a clause says that hands do with a thing; None where it says nothing of that, or something else beside it.
-
-    Args:
-        text: In English.
-    """
-    words = words_of(text)[0]
-    rows, said = lexicon().actions, said_phrases(text)["actions"]
-    starts = {start for action, start in said.items() if not rows[action].passing}
-    for verb, zone, deed, thing in _contacts_in(words):
-        known = thing is None or thing.means is not things().unknown
-        if not does_else(text, verb, zone) and (known or verb not in starts):
-            return _made(words, zone, deed, thing)
-    return None
-
-
-def contact_words(text: str) -> frozenset[int]:
-    """The numbers of the words of a text that say what is done with things."""
-    found: set[int] = set()
-    for verb, _, _, thing in _contacts_in(words_of(text)[0]):
-        known = thing is not None and thing.means is not things().unknown
-        found.update((verb, *(range(thing.start, thing.stop) if thing and known else ())))
-    return frozenset(found)
-
-
-def _contacts_in(words: Sequence[str]) -> list[tuple[int, range, str, Named[Kind] | None]]:
-    """Each verb of a text whose deed is known: its number, what belongs to it, the deed, and the thing."""
-    table = things()
-    found: list[tuple[int, range, str, Named[Kind] | None]] = []
+def _contacts(text: str) -> Iterator[Reading]:
+    words, table, rows = words_of(text)[0], things(), lexicon().actions
+    starts = {start for action, start in said_phrases(text)["actions"].items() if not rows[action].passing}
     for verb, said in verbs_in(words, table.verbs | dict.fromkeys(table.looks, _THROUGH)):
         zone = zone_of(words, verb)
-        what, goes = _meant(words, said, zone)
-        thing = _thing_touched(words, goes, what) if what else None
+        what, among = _meant(words, said, zone)
+        thing = _thing_touched(words, among, what) if what else None
+        by_hand = lexicon().grammar["hands"].intersection(words[zone.start : zone.stop])
         if thing is not None:
-            found.append((verb, zone, thing.means.deeds[what], thing))
-        elif what == "hold out" or (
-            what in table.defaults and not lexicon().grammar["hands"].intersection(words[zone.start : zone.stop])
-        ):
-            found.append((verb, zone, table.defaults[what], None))
-    return found
+            contact = _contact(words, zone, thing.means.deeds[what], thing)
+        elif what == "hold out" or (what in table.defaults and not by_hand):
+            contact = _contact(words, zone, table.defaults[what], None)
+        else:
+            continue
+        unknown = thing is not None and thing.means is table.unknown
+        named = range(0) if thing is None or unknown else range(thing.start, thing.stop)
+        alone = not does_else(text, verb, zone) and not (unknown and verb in starts)
+        yield Reading(contact, frozenset((verb, *named)), alone)
 
 
 def _meant(words: Sequence[str], what: str, zone: range) -> tuple[str, range]:
     """What a verb says is done, "" for nothing, and the words among which its thing is."""
-    own, grammar = words[zone.start : zone.stop], lexicon().grammar
+    after, grammar = words[zone.start : zone.stop], lexicon().grammar
     hand = next((at for at in zone if words[at] in grammar["hands"]), -1)
     if what == _THROUGH:
-        return (what if grammar["seen through"].intersection(own) else ""), zone
-    if what in ("give", "hold", "reach out") and _alone(words, hand, zone) and (what == "give" or "out" in own):
-        return "hold out", range(0)
-    if what == "hold" and "out" in own:
+        return (what if grammar["seen through"].intersection(after) else ""), zone
+    if what in ("give", "hold", "reach out") and (what == "give" or "out" in after):
+        near = object_of(words, zone)
+        if hand == near.stop - 1 and len(near) < _NEAR:  # a hand alone, and no "hand signals"
+            return "hold out", range(0)
+    if what == "hold" and "out" in after:
         return "give", zone
     if what in ("lay", "press") and hand >= 0 and grammar["laid"].intersection(words[hand : zone.stop]):
         return "lay", range(hand + 1, zone.stop)
-    if what == "lay" or (what == "lean" and not grammar["laid"].intersection(own)):
+    if what == "lay" or (what == "lean" and not grammar["laid"].intersection(after)):
         return "", zone
     return what, zone
 
 
-def _alone(words: Sequence[str], hand: int, zone: range) -> bool:
-    """Whether a hand is what somebody holds out, and no "hand signals"."""
-    near = object_of(words, zone)
-    return hand == near.stop - 1 and len(near) < _NEAR
-
-
 def _thing_touched(words: Sequence[str], zone: range, what: str) -> Named[Kind] | None:
-    """The last of what the verb has first, "a car window", that this is done with, or what that is of or on, "the neck
-    of a camel"; of who drinks anything after it; of what is not known the usual.
+    """The last thing in what the verb has first ("a car window"), or what that is of or on ("the neck of a camel"). For
+    drinking it is any thing after the verb, and for what is not known the usual.
     """
     table, near = things(), object_of(words, zone)
     known = _done_with(words, near, what)
@@ -147,258 +189,152 @@ def _thing_touched(words: Sequence[str], zone: range, what: str) -> Named[Kind] 
     joint = words[near.stop] if near.stop < zone.stop else ""
     if joint in ("of", "on", "into"):
         of = _done_with(words, object_of(words, range(near.stop + 1, zone.stop)), what)
-        known = [one for one in of if joint == "into" or not _GIVEN & one.means.kinds]
+        known = [thing for thing in of if joint == "into" or not _GIVEN & thing.means.kinds]
     elif what in table.defaults or what == _THROUGH:
         known = _done_with(words, zone, what)
     if known:
         return known[0]
-    named = named_in(table.kinds, words, near.start, near.stop)
+    named = named_in(table.kinds, words, near)
     if named or what not in table.unknown.deeds or not names_a_thing(words, near):
         return None
     return Named(near.start, near.stop, table.unknown)
 
 
-def _done_with(words: Sequence[str], some: range, what: str) -> list[Named[Kind]]:
+def _done_with(words: Sequence[str], among: range, what: str) -> list[Named[Kind]]:
     """The things among some words that something is done with."""
-    known = [one for one in named_in(things().kinds, words, some.start, some.stop) if what in one.means.deeds]
-    return [one for one in known if _GIVEN & one.means.kinds] if what == "give" else known
+    known = [thing for thing in named_in(things().kinds, words, among) if what in thing.means.deeds]
+    return [thing for thing in known if _GIVEN & thing.means.kinds] if what == "give" else known
 
 
-def _made(words: Sequence[str], zone: range, deed: str, thing: Named[Kind] | None) -> Contact:
+def _contact(words: Sequence[str], zone: range, deed: str, thing: Named[Kind] | None) -> Contact:
     hands, way = named_hands(words), way_in(words, zone)
     if not hands and "hands" in words[zone.start : zone.stop]:
         hands = "both"
     if thing is None:
         return Contact(deed, hands or "one", way=way)
     kind = thing.means
-    about = range(max(thing.start - _NEAR, zone.start), min(thing.stop + _NEAR, zone.stop))
-    part = things().parts.intersection(words[about.start : about.stop])
-    height = kind.head if part and kind.head else kind.height
+    about = words[max(thing.start - _NEAR, zone.start) : min(thing.stop + _NEAR, zone.stop)]
+    height = kind.head if kind.head and things().parts.intersection(about) else kind.height
     return Contact(deed, hands or kind.hands or "one", height, kind.surface, way)
 
 
-class Terrain(NamedTuple):
-    """How somebody walks.
-
-    Args:
-        ground: Of `[grounds]` in `things.toml`.
-        height: Where both palms are that push or pull something [m]; 0 for arms that do nothing of the kind.
-    """
-
-    ground: str
-    height: float = 0.0
-
-
-@functools.lru_cache(maxsize=1024)
-def terrain_of(text: str) -> Terrain | None:
-    """What a clause says that somebody walks on, in, or with; None where it says nothing of that, or something else
-    beside it.
-
-    Args:
-        text: In English.
-    """
+def _terrains(text: str) -> Iterator[Reading]:
     words, starts = words_of(text)[0], said_phrases(text)["actions"]
-    for verb, zone, footing, own in _terrain_in(words):
-        way = "way" in words[zone.start : own.start]  # "fights his way through"
-        others = [action for action in actions_of(text) if action not in things().actions["walk"]]
-        if all(zone.start < starts[one] < own.stop or (way and starts[one] == verb) for one in others):
-            return footing
-    return None
+    others = [starts[action] for action in actions_of(text) if action not in things().actions["walk"]]
+    for verb, zone, terrain, by in _terrains_in(words):
+        way = "way" in words[zone.start : by.start]  # "fights his way through"
+        alone = all(zone.start < at < by.stop or (way and at == verb) for at in others)
+        named = named_in(things().grounds, words, zone)
+        yield Reading(terrain, frozenset((verb, *by, *(at for noun in named for at in noun.span))), alone)
 
 
-def terrain_words(text: str) -> frozenset[int]:
-    """The numbers of the words of a text that say what is walked on, in, or with."""
-    words, found = words_of(text)[0], set[int]()
-    for verb, zone, _, own in _terrain_in(words):
-        named = named_in(things().grounds, words, zone.start, zone.stop)
-        found.update((verb, *own, *(at for one in named for at in range(one.start, one.stop))))
-    return frozenset(found)
-
-
-def _terrain_in(words: Sequence[str]) -> list[tuple[int, range, Terrain, range]]:
-    """Each verb of walking, with what belongs to it, how that makes somebody walk, and the words that say it."""
-    table, found = things(), []
+def _terrains_in(words: Sequence[str]) -> Iterator[tuple[int, range, Terrain, range]]:
+    """Each verb of walking, with what belongs to it, what is walked on, and the words that say it."""
+    table = things()
     for verb, implied in verbs_in(words, table.walks):
         zone = zone_of(words, verb)
-        for start, stop, meant in named_in(table.grounds, words, zone.start, zone.stop):
-            said = lexicon().grammar["ends"].intersection(words[zone.start : start]) or {implied}
-            own = next((one for one in meant if said & one.after), None)
-            if own is not None:
-                found.append((verb, zone, Terrain(own.name), range(start, stop)))
+        for noun in named_in(table.grounds, words, zone):
+            said = lexicon().grammar["ends"].intersection(words[zone.start : noun.start]) or {implied}
+            ground = next((ground for ground in noun.means if said & ground.after), None)
+            if ground is not None:
+                yield verb, zone, Terrain(ground.name), noun.span
                 break
         else:
-            if words[verb] in table.treads:
-                found.append((verb, zone, Terrain(table.treads[words[verb]]), range(zone.start, zone.start)))
+            if words[verb] in table.verb_grounds:
+                yield verb, zone, Terrain(table.verb_grounds[words[verb]]), range(zone.start, zone.start)
     for verb, what in verbs_in(words, table.verbs):
         zone = zone_of(words, verb)
-        near = object_of(words, zone)
-        for start, stop, kind in reversed(named_in(table.kinds, words, near.start, near.stop)):
-            if what in kind.going:
-                found.append((verb, zone, Terrain(kind.going[what], kind.height), range(start, stop)))
-                break
-    return found
+        thing = next((one for one in reversed(_nouns(words, zone)) if what in one.means.going), None)
+        if thing is not None:
+            yield verb, zone, Terrain(thing.means.going[what], thing.means.height), thing.span
+
+
+def _nouns(words: Sequence[str], zone: range) -> list[Named[Kind]]:
+    """The things in what a verb has first."""
+    return named_in(things().kinds, words, object_of(words, zone))
 
 
 EYES, AWAY = 1.7, 1.6
-"""How high eyes are, and how far away somebody stands who looks at a thing that hands meet [m]."""
+"""Height of the eyes of a body of 1.84 m, and how far away a person stands from a thing that hands meet, chosen by eye
+[m].
+"""
 
 
-@functools.lru_cache(maxsize=1024)
-def gaze_of(text: str) -> Gaze | None:
-    """Where a clause says that somebody looks; None where it says nothing of that, or something else beside it. What is
-    not known is straight ahead.
-
-    Args:
-        text: In English.
-    """
-    words = words_of(text)[0]
+def _gazes(text: str) -> Iterator[Reading]:
+    words, table = words_of(text)[0], things()
     starts = said_phrases(text)["actions"]
     for verb, zone, seen in _gazes_in(words):
         shown = [action for action in actions_of(text) if starts[action] == verb]  # "looks around", a gesture
-        if things().actions["look"].issuperset(shown) and not does_else(text, verb, zone):
-            return seen.means
-    return None
+        alone = table.actions["look"].issuperset(shown) and not does_else(text, verb, zone)
+        found = [at for noun in named_in(table.gazes, words, zone) for at in noun.span]
+        yield Reading(seen.means, frozenset((verb, *found, *(seen.span if seen.means != table.level else ()))), alone)
 
 
-def gaze_words(text: str) -> frozenset[int]:
-    """The numbers of the words of a text that say what is looked at."""
-    words, found = words_of(text)[0], set[int]()
-    for verb, zone, seen in _gazes_in(words):
-        some = [(one.start, one.stop) for one in named_in(things().sights, words, zone.start, zone.stop)]
-        some += [(seen.start, seen.stop)] if seen.means != things().level else []
-        found.update((verb, *(at for ends in some for at in range(*ends))))
-    return frozenset(found)
-
-
-def _gazes_in(words: Sequence[str]) -> list[tuple[int, range, Named[Gaze]]]:
-    """Each verb of looking with what belongs to it and what is seen: what is named after it or, where nothing is,
-    before it where somebody stands, "at a cliff and looks down"; of a thing that hands meet, how high it is.
+def _gazes_in(words: Sequence[str]) -> Iterator[tuple[int, range, Named[Gaze]]]:
+    """Each verb of looking with what belongs to it and what is seen, which is named after it or before it ("at a
+    cliff and looks down"). A thing that hands meet is seen at its height, and an unknown one straight ahead.
     """
-    table, found = things(), []
+    table = things()
     for verb, _ in verbs_in(words, dict.fromkeys(table.looks, "")):
         zone = zone_of(words, verb)
         ways = [way for word in words[zone.start : zone.stop] for way in table.ways.get(word, ())]
-        named = [
-            Named(start, stop, next((sight for way in ways for name, sight in meant if name == way), meant[0][1]))
-            for start, stop, meant in named_in(table.sights, words, zone.start, zone.stop)
-        ]
+        after, before = named_in(table.gazes, words, zone), named_in(table.gazes, words, range(verb))
+        named = [noun._replace(means=_likeliest(noun.means, ways)) for noun in after]
         if not named:
-            before = named_in(table.sights, words, 0, verb)
-            named = [
-                Named(start, stop, sight) for start, stop, meant in before for name, sight in meant if name in ways
-            ]
+            named = [noun._replace(means=gaze) for noun in before for name, gaze in noun.means if name in ways]
         near = object_of(words, zone)
         if not named and (table.looks[words[verb]] or "at" in ways):
-            known = named_in(table.kinds, words, near.start, near.stop)
+            known = _nouns(words, zone)
             if known:
                 down = math.degrees(math.atan2(EYES - known[-1].means.height, AWAY))
                 named = [Named(known[-1].start, known[-1].stop, Gaze(down))]
             elif names_a_thing(words, near):
                 named = [Named(near.start, near.start, table.level)]
         if named and words[zone.start] not in lexicon().grammar["sought"]:
-            found.append((verb, zone, named[0]))
-    return found
+            yield verb, zone, named[0]
 
 
-_HANDLED = frozenset(("handle", "pick up", "put down", "carry", "reach"))
-"""Actions that say no more than that a thing is handled."""
-_WORN = frozenset(("on", "off"))
-"""After a verb, without a thing: something that is worn."""
+def _likeliest(gazes: Sequence[tuple[str, Gaze]], ways: Sequence[str]) -> Gaze:
+    """The gaze of the first way that a noun can be seen, or the likeliest."""
+    return next((gaze for way in ways for name, gaze in gazes if name == way), gazes[0][1])
+
+
 _PUT = frozenset(("floor", "low", "table", "high"))
-"""Heights at which something is put down by who carries it there."""
-_MOST = 6
-"""Words of a thing's name at the most, its determiner included."""
+"""Heights at which a carried thing is put down."""
+_LONGEST_NAME = 6
+"""Words of a thing's name at the most, its determiner included; chosen by eye."""
 
 
-class Place(NamedTuple):
-    """Where a thing is.
-
-    Args:
-        height: Of the lexicon's `levels`; "" where nothing is said of it.
-        way: "left", "right", "aside" for either of them; "" for straight ahead.
-    """
-
-    height: str = ""
-    way: str = ""
-
-    def __bool__(self) -> bool:
-        return bool(self.height or self.way)
-
-
-class HandlingStep(NamedTuple):
-    """One thing that is done with what is handled.
-
-    Args:
-        does: "take", "hold" or "put".
-        place: Where.
-    """
-
-    does: str
-    place: Place
-
-
-@dataclass(frozen=True)
-class Handling:
-    """What is done with a thing.
-
-    Args:
-        stations: One after the other; all heights are said.
-        hands: "both", "left", "right", or "one" for either.
-        said: More is said than that something is taken from the floor, put down or carried, as people were captured.
-        repeated: It is done again and again.
-    """
-
-    stations: tuple[HandlingStep, ...]
-    hands: str
-    said: bool = False
-    repeated: bool = False
-
-    @property
-    def only_held(self) -> bool:
-        """Whether a thing is held all the time."""
-        return all(one.does == "hold" for one in self.stations)
-
-
-@functools.lru_cache(maxsize=1024)
-def handling_of(text: str) -> Handling | None:
-    """What a clause says is done with a thing; None where it says nothing of that, or something else beside it.
-
-    Args:
-        text: In English.
-    """
-    if not set(actions_of(text)) <= _HANDLED:
-        return None
+def _handlings(text: str) -> Iterator[Reading]:
+    if not things().actions["handle"].issuperset(actions_of(text)):
+        return
     words = words_of(text)[0]
-    starts = [at for at in range(len(words)) if _verb(words, at)]
-    segments = [_Segment.of(words, at, stop) for at, stop in zip(starts, [*starts[1:], len(words)], strict=False)]
+    starts = [at for at in range(len(words)) if _handling_verb(words, at)]
     found: list[HandlingStep] = []
-    things: list[str] = []
-    for segment in segments:
-        if segment.thing is None and not (found and (segment.source or segment.goal)):
-            continue
-        found += segment.stations(found)
-        things.append(segment.thing or "")
+    kinds: list[Kind] = []
+    for at, stop in zip(starts, [*starts[1:], len(words)], strict=False):
+        part = _HandlingVerb.of(words, at, stop)
+        if part.thing is not None or (found and (part.source or part.goal)):
+            found += part.steps(found)
+            kinds += _portable(part.thing or "")
     if not found:
-        return None
-    kinds = [kind for thing in things for kind in _kinds(thing)]
+        return
     small = any(_level(kind.height) == "table" for kind in kinds)
-    hands = named_hands(words)
-    stations = _whole(found, small)
-    held = all(one.does == "hold" for one in found)
+    hands, steps = named_hands(words), _with_heights(found, small)
     said = (
-        (bool(hands) and not (held and hands == "both"))
-        or {"take", "put"} <= {one.does for one in found}
-        or any(map(_tells, found))
-        or any(one.does == "take" and small for one in found)
+        (bool(hands) and not (hands == "both" and all(step.does == "hold" for step in found)))
+        or {"take", "put"} <= {step.does for step in found}
+        or any(_says_where(step) or (step.does == "take" and small) for step in found)
     )
     if not hands:
-        far = any(one.place.height in ("overhead", "floor") for one in stations)
+        far = any(step.place.height in ("overhead", "floor") for step in steps)
         taken = {kind.hands for kind in kinds}
         hands = "both" if "both" in taken or (far and taken <= {""}) else "one"
-    return Handling(tuple(stations), hands, said, "weights" in words or "weightlifting" in words)
+    repeated = "weights" in words or "weightlifting" in words
+    yield Reading(Handling(tuple(steps), hands, said, repeated), frozenset(), True)
 
 
-class _Segment(NamedTuple):
+class _HandlingVerb(NamedTuple):
     """What is said of one verb: its kind, its thing (None for none), from where, to where, and where at all."""
 
     kind: str
@@ -406,18 +342,14 @@ class _Segment(NamedTuple):
     source: Place
     goal: Place
     at: Place
-    down: bool
-    back: bool
-    up: bool
+    particles: frozenset[str]
 
     @classmethod
-    def of(cls, words: Sequence[str], at: int, stop: int) -> _Segment:
-        kind = _verb(words, at)
+    def of(cls, words: Sequence[str], at: int, stop: int) -> _HandlingVerb:
+        kind, grammar = _handling_verb(words, at), lexicon().grammar
         thing, after = _thing_held(words, at + 1, stop, kind)
-        grammar = lexicon().grammar
         places = {"from": Place(), "to": Place(), "at": Place()}
         mode = "at"
-        own = words[at + 1 : stop]
         for number in range(after, stop):
             word = words[number]
             if word in grammar["from"]:
@@ -426,50 +358,48 @@ class _Segment(NamedTuple):
                 mode = "to"
             elif word in ("with", "using", "and", ",", "in", "at", "of") and mode == "to" and places["to"]:
                 mode = "at"
-            places[mode] = _added(places[mode], _place(words, number))
-        return cls(kind, thing, places["from"], places["to"], places["at"], "down" in own, "back" in own, "up" in own)
+            places[mode] = places[mode].or_else(_place(words, number))
+        return cls(kind, thing, places["from"], places["to"], places["at"], frozenset(words[at + 1 : stop]))
 
-    def stations(self, before: Sequence[HandlingStep]) -> list[HandlingStep]:
+    def steps(self, before: Sequence[HandlingStep]) -> list[HandlingStep]:
         """What this verb adds to what was done before."""
         held = bool(before) and before[-1].does != "put"
-        away = [HandlingStep("take", self.source)] if self.source or not held else []
+        first = [HandlingStep("take", self.source)] if self.source or not held else []
         goal = self.goal or self.at
         if self.kind == "take":
             source = self.source or self.at
-            if not (source.height or self.up or any(kind.hands == "both" for kind in _kinds(self.thing or ""))):
+            large = any(kind.hands == "both" for kind in _portable(self.thing or ""))
+            if not (source.height or "up" in self.particles or large):
                 source = Place("table", source.way)
             return [HandlingStep("take", source), HandlingStep("hold", self.goal)]
         if self.kind in ("lift", "raise"):
-            own = Place("chest" if self.kind == "lift" else "high")
-            there = goal if goal.height else _added(goal, own)
-            return [*away, HandlingStep("hold", there)]
+            usual = Place("chest" if self.kind == "lift" else "high")
+            return [*first, HandlingStep("hold", goal.or_else(usual))]
         if self.kind == "hold" or (self.kind == "carry" and not (self.source or goal.way or goal.height in _PUT)):
             return [HandlingStep("hold", goal)]
         if self.kind == "put":
-            goal = _added(self.goal, self.at)
-            taken = next((one.place for one in before if one.does == "take"), Place())
-            if self.back and taken:
+            goal = self.goal.or_else(self.at)
+            taken = next((step.place for step in before if step.does == "take"), Place())
+            if "back" in self.particles and taken:
                 goal = goal or taken
-            elif self.down and not goal.height:
+            elif "down" in self.particles and not goal.height:
                 goal = Place("down", goal.way)
-            start = (
-                [HandlingStep("take", self.source)] if self.source else [] if held else [HandlingStep("hold", Place())]
-            )
-            return [*start, HandlingStep("put", goal)]
-        return [*away, HandlingStep("put", goal)]
+            first = first if self.source or held else [HandlingStep("hold", Place())]
+        return [*first, HandlingStep("put", goal)]
 
 
-def _verb(words: Sequence[str], at: int) -> str:
+def _handling_verb(words: Sequence[str], at: int) -> str:
     """The kind of handling that a verb says; "" for none."""
     grammar = lexicon().grammar
     named = at > 0 and (words[at - 1] in grammar["determiners"] or words[at - 1] in grammar["before names"])
     return "" if named else lexicon().handling_verbs.get(words[at], "")
 
 
-def _kinds(thing: str) -> list[Kind]:
+def _portable(thing: str) -> list[Kind]:
     """The kinds of things that are carried among some words."""
     words = thing.split()
-    return [one.means for one in named_in(known_things().kinds, words, 0, len(words)) if "portable" in one.means.kinds]
+    named = named_in(things().kinds, words, range(len(words)))
+    return [noun.means for noun in named if "portable" in noun.means.kinds]
 
 
 def _level(height: float) -> str:
@@ -486,13 +416,14 @@ def _thing_held(words: Sequence[str], at: int, stop: int, kind: str) -> tuple[st
     if at < stop and words[at] in grammar["pronouns"]:
         return words[at], at + 1
     last = at
-    while last < min(stop, at + _MOST) and words[last] not in grammar["ends"] and words[last].isalnum():
+    while last < min(stop, at + _LONGEST_NAME) and words[last] not in grammar["ends"] and words[last].isalnum():
         last += 1
     named = words[at:last]
-    listed = bool(_kinds(" ".join(named)))
+    listed = bool(_portable(" ".join(named)))
     if not named or not (named[0] in grammar["determiners"] or listed):
         return None, at
-    if any(stem(word) in body_stems() for word in named) or (last < stop and words[last] in _WORN and last == stop - 1):
+    clothes = last == stop - 1 and words[last] in ("on", "off")  # "puts a hat on"
+    if clothes or any(stem(word) in body_stems() for word in named):
         return None, at
     unsure = stem(named[-1]) in action_stems() or len(named) < 2 or kind in ("hold", "raise", "move")
     return (None, at) if unsure and not listed else (" ".join(named), last)
@@ -500,79 +431,52 @@ def _thing_held(words: Sequence[str], at: int, stop: int, kind: str) -> tuple[st
 
 def _place(words: Sequence[str], at: int) -> Place:
     """The place that a word says among others."""
-    word = words[at]
+    word, table = words[at], lexicon()
     after = words[at + 1] if at + 1 < len(words) else ""
     before = words[at - 1] if at else ""
     if word in ("left", "right"):
-        of_hand = after in lexicon().grammar["limbs"] or (after == "side" and before == "with")
+        of_hand = after in table.grammar["limbs"] or (after == "side" and before == "with")
         return Place() if of_hand else Place("", word)
-    for height, said in lexicon().heights.items():
-        if word in said:
-            near = words[max(at - 4, 0) : at]
-            if height == "overhead" and word == "head" and not {"over", "above", "on"} & set(near):
-                continue
+    for height, said in table.heights.items():
+        over = word != "head" or {"over", "above", "on"} & set(words[max(at - 4, 0) : at])
+        if word in said and (over or height != "overhead"):
             return Place(height)
-    kind = known_things().kinds.get(word)
+    kind = things().kinds.get(word)
     if kind is not None and kind.place:
         return Place(_level(kind.height))
-    return Place("", "aside") if word in lexicon().aside else Place()
+    return Place("", "aside") if word in table.grammar["aside"] else Place()
 
 
-def _added(place: Place, other: Place) -> Place:
-    return Place(place.height or other.height, place.way or other.way)
+def _says_where(step: HandlingStep) -> bool:
+    """Whether a step says more than that a thing is taken from the floor, or put down there."""
+    height, way = step.place
+    usual = ("", "chest") if step.does == "hold" else ("", "floor", "down", "chest")
+    return bool(way) or height not in usual
 
 
-def _tells(station: HandlingStep) -> bool:
-    """Whether a station says more than that a thing is taken from the floor, or put down there."""
-    height, way = station.place
-    return bool(way) or (station.does == "hold" and bool(height) and height != "chest") or height not in (
-        "", "floor", "down", "chest",
-    )  # fmt: skip
-
-
-def _whole(stations: Sequence[HandlingStep], small: bool) -> list[HandlingStep]:
-    """Stations whose heights are all said: a cup stands on a table, and what is moved aside stays as high as it was."""
-    moved = any(one.place.way for one in stations)
-    start = "table" if small or moved else "floor"
+def _with_heights(steps: Sequence[HandlingStep], small: bool) -> list[HandlingStep]:
+    """Steps with all heights: a cup stands on a table, and what is moved aside stays as high as it was."""
+    start = "table" if small or any(step.place.way for step in steps) else "floor"
     found: list[HandlingStep] = []
-    for one in stations:
-        height, way = one.place
-        if one.does == "take":
-            height = height or start
-        elif one.does == "hold":
-            height = height or "chest"
+    for step in steps:
+        height, way = step.place
+        if step.does != "put":
+            height = height or (start if step.does == "take" else "chest")
         elif height in ("", "down"):
             taken = next((before.place.height for before in reversed(found) if before.does == "take"), "")
             height = taken or ("floor" if height == "down" and not small else "table")
-        found.append(HandlingStep(one.does, Place(height, way)))
+        found.append(HandlingStep(step.does, Place(height, way)))
     return found
 
 
-Interaction = Handling | Contact | Terrain | Gaze
-
-
-def interaction_of(text: str) -> Interaction | None:
-    """What a clause says that is done with a thing, or what follows from where somebody walks or looks; None where it
-    says nothing of that, or something else beside it.
-
-    Args:
-        text: In English.
-    """
-    return terrain_of(text) or contact_of(text) or gaze_of(text) or handling_of(text)
-
-
-def says_more(told: object) -> bool:
-    """Whether it is one of the forms of `Told`, and more than what people were captured doing with things."""
-    return isinstance(told, Interaction) and (not isinstance(told, Handling) or told.said)
-
-
-def thing_words(text: str) -> frozenset[int]:
-    """The numbers of the words of a text that are understood by what things are."""
-    return terrain_words(text) | contact_words(text) | gaze_words(text)
+_READERS: dict[type, Callable[[str], Iterator[Reading]]] = {
+    Terrain: _terrains, Contact: _contacts, Gaze: _gazes, Handling: _handlings,
+}  # fmt: skip
+"""In the order in which they are asked."""
 
 
 def with_names(clauses: Sequence[str]) -> list[str]:
-    """Clauses in a row with the thing that one has before in place of "it", where that is done something with: "walks
+    """Clauses in a row with the thing of the clause before in place of "it", where something is done with that: "walks
     to the window", "opens the window".
     """
     found: list[str] = []
@@ -581,14 +485,14 @@ def with_names(clauses: Sequence[str]) -> list[str]:
         words, spans = words_of(text)
         for verb, _ in verbs_in(words, things().verbs):
             near = object_of(words, zone_of(words, verb))
-            own = words[near.start : near.stop]
-            if last and (own in (["it"], ["them"]) or own[:1] == ["its"]):
+            named = words[near.start : near.stop]
+            if last and (named in (["it"], ["them"]) or named[:1] == ["its"]):
                 start, stop = spans[near.start]
-                of = "'s" if own[0] == "its" else ""
-                named = f"{text[:start]}the {last}{of}{text[stop:]}"
-                text = named if contact_of(named) else text
+                of = "'s" if named[0] == "its" else ""
+                said = f"{text[:start]}the {last}{of}{text[stop:]}"
+                text = said if read_as(Contact, said) else text
                 break
         found.append(text)
-        nouns = named_in(things().kinds, words, 0, len(words))
+        nouns = named_in(things().kinds, words, range(len(words)))
         last = " ".join(words[nouns[-1].start : nouns[-1].stop]) if nouns else last
     return found

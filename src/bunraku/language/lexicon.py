@@ -5,345 +5,219 @@ from __future__ import annotations
 import functools
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, NamedTuple, TypedDict
-
-import numpy as np
+from typing import Any, NamedTuple
 
 __all__ = [
-    "Action",
-    "CUES",
-    "Lexicon",
-    "Otherwise",
-    "Phrase",
-    "actions_of",
-    "goes_ahead",
-    "in_known_words",
-    "is_cyclic",
-    "lexicon",
-    "locomotion_of",
-    "longest_phrase",
-    "main_actions",
-    "said_cues",
-    "said_otherwise",
-    "said_phrases",
-    "said_traits",
-    "sentence_cues",
-    "stays_down",
-    "words_of",
-]
+    "Action", "Lexicon", "Otherwise", "Pattern", "actions_of", "goes_ahead", "in_known_words", "is_cyclic", "lexicon",
+    "locomotion_of", "longest_pattern", "main_actions", "said_cues", "said_otherwise", "said_phrases", "said_traits",
+    "stays_down", "words_of",
+]  # fmt: skip
 
 
 GESTURES_COVER = ("idle", "raise arm", "talk", "twist", "put down", "reach", "stretch")
-"""What a sentence that says a gesture says no more than that."""
-_LEGS = ("walk", "run")
+"""Actions that a sentence that says a gesture says no more."""
 
 
 @dataclass(frozen=True)
 class Action:
-    """A row of `actions`.
+    """A row of `actions`."""
 
-    Args:
-        said: Phrases that say it.
-        locomotion: The locomotion of its verbs: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none.
-        part: What its verbs move: "legs", "arms", "head", "arms and head"; "" for neither or all.
-        cyclic: It is still the same when it is done again.
-        seconds: How long captured people take for it when it is done once, a median, rounded up [s]; 0 for what goes
-            on.
-        covers: Actions that a sentence that says this one says no more.
-        gesture: It is made by code, since hardly any was captured.
-        alone: Nobody does anything else meanwhile but what is `turning`: turning, getting up.
-        turning: It goes together with a turn.
-        halts: People who go stop for it, if it is not said that they do both at once.
-        ahead: Who does it goes somewhere, so that "forward" says something of it.
-        down: Who does it is down at its end, if it is not said that he gets up.
-        vague: It is said only where nothing else is.
-        passing: It hardly disturbs in an example of something else: standing, a few steps, a thing in the hand.
-    """
-
-    said: tuple[str, ...]
-    locomotion: str = ""
-    part: str = ""
-    cyclic: bool = False
+    said: tuple[str, ...]  # phrases that say it
+    locomotion: str = ""  # the locomotion of its verbs: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none
+    part: str = ""  # what its verbs move: "legs", "arms", "head", "arms and head"; "" for neither or all
+    cyclic: bool = False  # it is still the same when it is done again
+    # how long captured people take for it when it is done once, a median, rounded up [s]; 0 for what goes on
     seconds: float = 0.0
-    covers: frozenset[str] = frozenset()
-    gesture: bool = False
-    alone: bool = False
-    turning: bool = False
-    halts: bool = False
-    ahead: bool = False
-    down: bool = False
-    vague: bool = False
+    covers: frozenset[str] = frozenset()  # actions that a sentence that says this one says no more
+    gesture: bool = False  # it is made by code, since hardly any was captured
+    alone: bool = False  # nothing else is done meanwhile but what is `turning`: turning, getting up
+    turning: bool = False  # it goes together with a turn
+    halts: bool = False  # a person who walks stops for it, if it is not said that both are done at once
+    ahead: bool = False  # it leads somewhere, so that "forward" says something of it
+    down: bool = False  # the body is down at its end, if it is not said that it gets up
+    vague: bool = False  # it is said only where nothing else is
+    # it hardly disturbs in an example of something else: standing, a few steps, a thing in the hand
     passing: bool = False
 
 
 @dataclass(frozen=True)
 class Otherwise:
-    """A row of `otherwise`.
+    """A row of `otherwise`."""
 
-    Args:
-        locomotion: Kinds of locomotion.
-        bodies: Kinds of body (`language.bodies.KINDS`).
-        verb: What is said in place of the verb, in the third person; "" for nothing else.
-        moves: How the body then moves, as `Clause.moves`.
-        note: The note that is printed then; "{clause}" stands for the clause.
-    """
-
-    locomotion: tuple[str, ...]
-    bodies: tuple[str, ...]
-    verb: str = ""
-    moves: str = ""
-    note: str = ""
+    locomotion: tuple[str, ...]  # kinds of locomotion
+    bodies: tuple[str, ...]  # kinds of body (`parse.KINDS`)
+    verb: str = ""  # what is said in place of the verb, in the third person; "" for nothing else
+    moves: str = ""  # how the body then moves, as `Clause.moves`
+    note: str = ""  # the note that is printed then; "{clause}" stands for the clause
 
 
-class Phrase(NamedTuple):
-    """A phrase of which no word may be missing.
+class Pattern(NamedTuple):
+    """A phrase of which no word may be missing."""
 
-    Args:
-        section: Of the lexicon.
-        name: Of its row.
-        words: What each word may be; None for any.
-        before: What the word before must not be.
-        after: What the word after must not be, or, where `ahead` holds, what the words after must be.
-        ahead: Whether `after` is asked for.
-        first: Whether the text must begin with it.
-        last: Whether the text must end with it.
-        gap: Whether its last word may stand anywhere later.
-        alone: Whether it is one word, whatever stands around it.
-    """
-
-    section: str
-    name: str
-    words: tuple[frozenset[str] | None, ...]
-    before: frozenset[str]
+    section: str  # of the lexicon
+    name: str  # of its row
+    words: tuple[frozenset[str] | None, ...]  # what each word may be; None for any
+    before: frozenset[str]  # what the word before must not be
+    # what the word after must not be, or, where `ahead` holds, what the words after must be
     after: tuple[frozenset[str], ...]
-    ahead: bool
-    first: bool
-    last: bool
-    gap: bool
-    alone: bool
+    ahead: bool  # whether `after` is asked for
+    first: bool  # whether the text must begin with it
+    last: bool  # whether the text must end with it
+    gap: bool  # whether its last word may stand anywhere later
+    alone: bool  # whether it is one word, whatever stands around it
 
 
 @dataclass(frozen=True)
 class Lexicon:
-    """The tables, ready to be looked up.
+    """The tables, ready to be looked up."""
 
-    Args:
-        verbs: Verbs with their forms: third person, gerund, and any others.
-        third: All forms in the third person.
-        gerund: All gerunds.
-        past: The verb of each form of the past that is no other form of a verb.
-        lemmas: The verb of each form, its own plain one among them.
-        actions: The rows of that section.
-        locomotion: The locomotion of each form of a verb that has one.
-        parts: What each form of a verb moves, where it moves a part of the body.
-        phrases: All phrases by the words that they may begin with.
-        names: Names of the rows of each section.
-        places: What a side may be the side of, and the words that say it.
-        synonyms: What is read in place of each synonym, by its name.
-        ground: How somebody who moves so is on the ground.
-        otherwise: What some kinds of body do in place of a locomotion.
-        numbers: What words count.
-        adverbs: Those of them that count alone.
-        body: Words for parts of the body.
-        holding: Verbs that say where a part of the body is, in all their forms.
-        handling_verbs: What each form of a verb does with a thing.
-        heights: Words for places of things, by their heights.
-        levels: What these are in metres, for a body of 1.84 m.
-        aside: Words for a place beside.
-        contrary: Cues and traits of which an example does not say another than is said.
-        grammar: Words that part a clause, by what they are.
-        posing: Phrases of limbs, by the words that they may begin with.
-        words: All words of the phrases, and of the rows' names.
-    """
-
-    verbs: dict[str, tuple[str, ...]]
-    third: frozenset[str]
-    gerund: frozenset[str]
-    past: dict[str, str]
-    lemmas: dict[str, str]
-    actions: dict[str, Action]
-    locomotion: dict[str, str]
-    parts: dict[str, str]
-    phrases: dict[str, list[Phrase]]
-    names: dict[str, tuple[str, ...]]
-    places: dict[str, frozenset[str]]
-    synonyms: dict[str, str]
-    ground: dict[str, str]
-    otherwise: tuple[Otherwise, ...]
-    numbers: dict[str, int]
-    adverbs: frozenset[str]
-    body: tuple[str, ...]
-    holding: frozenset[str]
-    handling_verbs: dict[str, str]
-    heights: dict[str, frozenset[str]]
-    levels: dict[str, float]
-    aside: frozenset[str]
-    contrary: tuple[frozenset[str], ...]
-    grammar: dict[str, frozenset[str]]
-    posing: dict[str, list[Phrase]]
-    words: frozenset[str]
-
-
-class _Table(TypedDict):
-    """What `lexicon.json` holds, as its head says it."""
-
-    verbs: dict[str, str]
-    actions: dict[str, dict[str, Any]]
-    locomotion: dict[str, str]
-    parts: dict[str, str]
-    classes: dict[str, str]
-    cues: dict[str, list[str]]
-    traits: dict[str, list[str]]
-    places: dict[str, list[str]]
-    handling: dict[str, Any]
-    contrary: list[list[str]]
-    grammar: dict[str, str]
-    posing: dict[str, list[str]]
-    synonyms: list[tuple[str, str]]
-    ground: dict[str, str]
-    otherwise: list[dict[str, Any]]
-    numbers: dict[str, int]
-    adverbs: str
-    body: str
+    verbs: dict[str, tuple[str, ...]]  # verbs with their forms: third person, gerund, and any others
+    third: frozenset[str]  # all forms in the third person
+    gerund: frozenset[str]  # all gerunds
+    past: dict[str, str]  # the verb of each form of the past that is no other form of a verb
+    lemmas: dict[str, str]  # the verb of each form, its own plain one among them
+    actions: dict[str, Action]  # the rows of that section
+    locomotion: dict[str, str]  # the locomotion of each form of a verb that has one
+    parts: dict[str, str]  # what each form of a verb moves, where it moves a part of the body
+    phrases: dict[str, list[Pattern]]  # all phrases by the words that they may begin with
+    cues: tuple[str, ...]  # the names of that section
+    places: dict[str, frozenset[str]]  # what a side may be the side of, and the words that say it
+    synonyms: dict[str, str]  # what is read in place of each synonym, by its name
+    ground: dict[str, str]  # how a body that moves so is on the ground
+    otherwise: tuple[Otherwise, ...]  # what some kinds of body do in place of a locomotion
+    numbers: dict[str, int]  # what words count
+    holding: frozenset[str]  # verbs that say where a part of the body is, in all their forms
+    handling_verbs: dict[str, str]  # what each form of a verb does with a thing
+    heights: dict[str, frozenset[str]]  # words for places of things, by their heights
+    levels: dict[str, float]  # what these are in metres, for a body of 1.84 m
+    contrary: tuple[frozenset[str], ...]  # cues and traits of which an example does not say another than is said
+    grammar: dict[str, frozenset[str]]  # sets of words, by what they are
+    irregular: dict[str, str]  # the plain form of inflected words that no rule of `vocabulary.stem` has
+    # `parts`, the limb of each part of the body that can go somewhere; `goes`, where a limb goes by a verb alone;
+    # `of verbs`, parts that go without saying with a verb, unless the sentence names their side
+    limbs: dict[str, Any]
+    posing: dict[str, list[Pattern]]  # phrases of limbs, by the words that they may begin with
+    words: frozenset[str]  # all words of the phrases, and of the rows' names
 
 
 @functools.cache
 def lexicon() -> Lexicon:
     """The lexicon of the package."""
-    data: _Table = json.loads(resources.files("bunraku.language").joinpath("lexicon.json").read_text(encoding="utf-8"))
-    verbs: dict[str, tuple[str, ...]] = {}
+    data: dict[str, Any] = json.loads(
+        resources.files("bunraku.language").joinpath("lexicon.json").read_text(encoding="utf-8")
+    )
+    verbs = {verb: tuple(forms.split()) for verb, forms in data["verbs"].items()}
+    third, gerund = (frozenset(forms[which] for forms in verbs.values()) for which in (0, 1))
     lemmas: dict[str, str] = {}
-    third, gerund = set(), set()
-    for verb, forms in data["verbs"].items():
-        verbs[verb] = tuple(forms.split())
-        third.add(verbs[verb][0])
-        gerund.add(verbs[verb][1])
-        for form in (verb, *verbs[verb]):
+    for verb, forms in verbs.items():
+        for form in (verb, *forms):
             lemmas.setdefault(form, verb)
-    actions: dict[str, Action] = {}
-    moving: dict[str, str] = {}
-    parts: dict[str, str] = {}
-    for name, row in data["actions"].items():
-        row["said"] = tuple(row["said"])
-        row["covers"] = frozenset((*row.get("covers", ()), *(GESTURES_COVER if row.get("gesture") else ())))
-        actions[name] = action = Action(**row)
-        for phrase in action.said:
-            first, _, others = phrase.partition(" ")
-            if not others or (" " not in others and others[0] in "!$"):
-                for word in first.split("/"):
-                    if word[0] == "{" and action.locomotion:
-                        moving[word.strip("{+}")] = action.locomotion
-                    if word[0] == "{" and action.part:
-                        parts[word.strip("{+}")] = action.part
-    for table, found in ((data["locomotion"], moving), (data["parts"], parts)):
-        for value, some in table.items():
-            for verb in some.split():
-                found[verb] = value
-    by_form: list[dict[str, str]] = [{}, {}]
-    for forms_of, found in zip(by_form, (moving, parts), strict=True):
-        for verb, value in found.items():
-            for form in (verb, *verbs[verb]):
-                forms_of[form] = value
-    data["classes"]["verb"] = " ".join(["{" + verb + "}" for verb in verbs])
-    data["classes"]["going"] = " ".join(["{" + verb + "+}" for verb, way in moving.items() if way in _LEGS])
-    held = [one.strip("{+}") for one in data["classes"]["holding"].split()]
-    holding = frozenset(form for verb in held for form in (verb, *verbs[verb]))
-    handled: dict[str, str] = {}
-    for kind, listed in data["handling"]["verbs"].items():
-        for verb in listed.split():
-            handled |= dict.fromkeys((verb, *verbs[verb]), kind)
-    heights = {name: frozenset(listed.split()) for name, listed in data["handling"]["heights"].items()}
     past = {form: verb for verb, forms in verbs.items() for form in forms[2:]}
-    past = {form: verb for form, verb in past.items() if form not in verbs and form not in third | gerund}
-    rows = [("actions", name, action["said"]) for name, action in data["actions"].items()]
+    actions = {name: _action(row) for name, row in data["actions"].items()}
+    moving, parts = _of_verbs(actions, data, "locomotion"), _of_verbs(actions, data, "part")
+    classes = data["classes"]
+    classes["verb"] = " ".join("{" + verb + "}" for verb in verbs)
+    classes["going"] = " ".join("{" + verb + "+}" for verb, way in moving.items() if way in ("walk", "run"))
+    held = dict.fromkeys([verb.strip("{+}") for verb in classes["holding"].split()], "")
+    handled = {verb: kind for kind, listed in data["handling"]["verbs"].items() for verb in listed.split()}
+    rows = [("actions", name, action.said) for name, action in actions.items()]
     rows += [(section, name, said) for section in ("cues", "traits", "places") for name, said in data[section].items()]
     rows += [("synonyms", said, (said,)) for said, _ in data["synonyms"]]
-    phrases, said_words = _phrases(rows, data["classes"], verbs)
-    posing, posing_words = _phrases([("posing", *row) for row in data["posing"].items()], data["classes"], verbs)
-    words = said_words | posing_words | {word for name in data["actions"] for word in name.replace("-", " ").split()}
-    otherwise = []
-    for row in data["otherwise"]:
-        otherwise.append(Otherwise(**{**row, "locomotion": tuple(row["locomotion"]), "bodies": tuple(row["bodies"])}))
-    where: dict[str, frozenset[str]] = {}
-    for starting in phrases.values():
-        for one in starting:
-            if one.section == "places":
-                where[one.name] = one.words[0] or frozenset()
+    phrases, said_words = _patterns(rows, classes, verbs)
+    posing, posing_words = _patterns([("posing", *row) for row in data["posing"].items()], classes, verbs)
+    heights = {name: frozenset(listed.split()) for name, listed in data["handling"]["heights"].items()}
+    names = [word for name in actions for word in name.replace("-", " ").split()]
+    otherwise = [
+        Otherwise(**{**row, "locomotion": tuple(row["locomotion"]), "bodies": tuple(row["bodies"])})
+        for row in data["otherwise"]
+    ]
+    places = [one for some in phrases.values() for one in some if one.section == "places"]
     return Lexicon(
-        verbs, frozenset(third), frozenset(gerund), past, lemmas, actions, by_form[0], by_form[1], phrases,
-        {section: tuple(data[section]) for section in ("actions", "cues", "traits")}, where,
-        dict(data["synonyms"]), data["ground"], tuple(otherwise), data["numbers"],
-        frozenset(data["adverbs"].split()), tuple(data["body"].split()), holding, handled, heights,
-        data["handling"]["levels"], frozenset(data["handling"]["aside"].split()),
-        tuple(map(frozenset, data["contrary"])),
-        {name: frozenset(listed.split()) for name, listed in data["grammar"].items()}, posing,
-        words.union(*heights.values()),
+        verbs=verbs, third=third, gerund=gerund, lemmas=lemmas, actions=actions, phrases=phrases, posing=posing,
+        past={form: verb for form, verb in past.items() if form not in verbs and form not in third | gerund},
+        locomotion=_by_form(moving, verbs), parts=_by_form(parts, verbs), cues=tuple(data["cues"]),
+        places={one.name: one.words[0] or frozenset() for one in places},
+        synonyms=dict(data["synonyms"]), ground=data["ground"], otherwise=tuple(otherwise),
+        numbers=data["numbers"], holding=frozenset(_by_form(held, verbs)), handling_verbs=_by_form(handled, verbs),
+        heights=heights, levels=data["handling"]["levels"], contrary=tuple(map(frozenset, data["contrary"])),
+        grammar={name: frozenset(listed.split()) for name, listed in data["grammar"].items()}, limbs=data["limbs"],
+        irregular={form: word for word, listed in data["irregular"].items() for form in listed.split()},
+        words=(said_words | posing_words).union(names, *heights.values()),
     )  # fmt: skip
 
 
-def _phrases(
-    rows: Iterable[tuple[str, str, Iterable[str]]], classes: dict[str, str], verbs: dict[str, tuple[str, ...]]
-) -> tuple[dict[str, list[Phrase]], frozenset[str]]:
+def _action(row: dict[str, Any]) -> Action:
+    covers = (*row.get("covers", ()), *(GESTURES_COVER if row.get("gesture") else ()))
+    return Action(**{**row, "said": tuple(row["said"]), "covers": frozenset(covers)})
+
+
+def _of_verbs(actions: Mapping[str, Action], data: Mapping[str, Any], field: str) -> dict[str, str]:
+    """The locomotion or the part of each verb: of the actions that it says alone, and of the table for others."""
+    found: dict[str, str] = {}
+    for action in actions.values():
+        for phrase in action.said if getattr(action, field) else ():
+            first, _, others = phrase.partition(" ")
+            if not others or (" " not in others and others[0] in "!$"):
+                said = [word.strip("{+}") for word in first.split("/") if word[0] == "{"]
+                found |= dict.fromkeys(said, getattr(action, field))
+    listed = data["parts" if field == "part" else field]
+    return found | {verb: value for value, some in listed.items() for verb in some.split()}
+
+
+def _by_form(table: Mapping[str, str], verbs: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
+    """What a table has for verbs, for all their forms."""
+    return {form: value for verb, value in table.items() for form in (verb, *verbs[verb])}
+
+
+def _patterns(
+    rows: Iterable[tuple[str, str, Iterable[str]]], classes: Mapping[str, str], verbs: Mapping[str, tuple[str, ...]]
+) -> tuple[dict[str, list[Pattern]], frozenset[str]]:
     """The phrases of rows (section, name, what says it) by the words that they may begin with, and all words of actions
     and limbs.
     """
-    sets: dict[str, frozenset[str]] = {}  # of what stands between two spaces
-    index: dict[str, list[Phrase]] = {}
+
+    @functools.cache
+    def choices(part: str) -> frozenset[str]:
+        """What may stand between two spaces."""
+        found: list[str] = []
+        for word in part.split("/"):
+            for one in classes[word[1:-1]].split() if word[0] == "<" else (word,):
+                verb = one.strip("{+}")
+                found += (verb, *(verbs[verb] if "+" in one else verbs[verb][:2])) if one[0] == "{" else (one,)
+        return frozenset(found)
+
+    index: dict[str, list[Pattern]] = {}
     known: set[str] = set()
-    for section, name, said in rows:
-        for text in said:
-            first = last = gap = False
-            before: frozenset[str] = frozenset()
-            after: list[frozenset[str]] = []
-            ahead = False
-            variants: list[list[frozenset[str] | None]] = [[]]
-            for part in text.split():
-                if part in ("^", "$", "..."):
-                    first, last, gap = first or part == "^", last or part == "$", gap or part == "..."
-                    continue
-                sign, plain = part[0], part.strip("!=?")
-                if plain not in sets:
-                    some: list[str] = []
-                    for word in plain.split("/"):
-                        listed = classes[word[1:-1]].split() if word[0] == "<" else (word,)
-                        for one in listed:
-                            verb = one.strip("{+}")
-                            if one[0] != "{":
-                                some.append(one)
-                            else:
-                                some += (verb, *(verbs[verb] if "+" in one else verbs[verb][:2]))
-                    sets[plain] = frozenset(some)
-                    if section in ("actions", "posing"):
-                        known.update(some)
-                if sign == "!" and not variants[0]:
-                    before = sets[plain]
-                elif sign in "!=":
-                    ahead = sign == "="
-                    if part[-1] == "?":
-                        after.append(sets[plain] | {""})
-                    else:
-                        after.append(sets[plain])
-                else:
-                    longer = []
-                    for row in variants:
-                        if part[-1] == "?":
-                            longer.append(row)
-                        if plain == "*":
-                            longer.append([*row, None])
-                            continue
-                        longer.append([*row, sets[plain]])
-                        for word in sets[plain]:
-                            if "_" in word:
-                                longer.append([*row, *map(frozenset, zip(word.split("_")))])
-                    variants = longer
-            for row in variants:
-                alone = len(row) == 1 and not (before or after or first or last or gap)
-                phrase = Phrase(section, name, tuple(row), before, tuple(after), ahead, first, last, gap, alone)
-                for word in row[0] or ():
-                    index.setdefault(word, []).append(phrase)
+    for section, name, text in ((section, name, text) for section, name, said in rows for text in said):
+        before, ahead = frozenset[str](), False
+        after: list[frozenset[str]] = []
+        variants: list[list[frozenset[str] | None]] = [[]]
+        signs = {"^", "$", "..."}.intersection(text.split())
+        for part in text.split():
+            if part in signs:
+                continue
+            plain, optional = part.strip("!=?"), part[-1] == "?"
+            words = choices(plain)
+            if section in ("actions", "posing"):
+                known |= words
+            if part[0] == "!" and not variants[0]:
+                before = words
+            elif part[0] in "!=":
+                ahead = part[0] == "="
+                after.append(words | {""} if optional else words)
+            else:
+                joined = [list(map(frozenset, zip(word.split("_")))) for word in words if "_" in word]
+                ways = [[None if plain == "*" else words], *joined]
+                variants = [[*row, *way] for row in variants for way in ([[]] if optional else []) + ways]
+        for row in variants:
+            alone = len(row) == 1 and not (before or after or signs)
+            marks = [sign in signs for sign in ("^", "$", "...")]
+            pattern = Pattern(section, name, tuple(row), before, tuple(after), ahead, *marks, alone)
+            for word in row[0] or ():
+                index.setdefault(word, []).append(pattern)
     return index, frozenset(known)
 
 
@@ -375,15 +249,15 @@ def said_phrases(text: str) -> dict[str, dict[str, int]]:
                 continue
             second = phrase.words[1] if len(phrase.words) > 1 else None
             if second is not None and not phrase.gap and after not in second:
-                continue  # as nearly all, and told without a call
+                continue  # as for nearly all, found without a call
             if phrase.alone or _end(phrase, words, start):
                 found[phrase.section][phrase.name] = start
     return found
 
 
-def _end(phrase: Phrase, words: Sequence[str], start: int) -> int:
-    """The number of the word after a phrase whose first word stands here; 0 where it does not stand here."""
-    _, _, sets, before, after, ahead, first, last, gap, _ = phrase
+def _end(pattern: Pattern, words: Sequence[str], start: int) -> int:
+    """The number of the word after a pattern whose first word stands here; 0 where it does not stand here."""
+    _, _, sets, before, after, ahead, first, last, gap, _ = pattern
     if (first and start) or (start and words[start - 1] in before):
         return 0
     stop = start + len(sets)
@@ -407,13 +281,13 @@ def _end(phrase: Phrase, words: Sequence[str], start: int) -> int:
     return stop
 
 
-def longest_phrase(phrases: Iterable[Phrase], words: Sequence[str], start: int) -> tuple[Phrase, int] | None:
-    """The longest of some phrases that stands here, and the number of the word after it; None where none does."""
-    best: tuple[Phrase, int] | None = None
-    for phrase in phrases:
-        stop = _end(phrase, words, start)
+def longest_pattern(patterns: Iterable[Pattern], words: Sequence[str], start: int) -> tuple[Pattern, int] | None:
+    """The longest of some patterns that stands here, and the number of the word after it; None where none does."""
+    best: tuple[Pattern, int] | None = None
+    for pattern in patterns:
+        stop = _end(pattern, words, start)
         if stop and (best is None or stop > best[1]):
-            best = phrase, stop
+            best = pattern, stop
     return best
 
 
@@ -439,7 +313,7 @@ def main_actions(texts: Sequence[str]) -> tuple[str, ...]:
 
 
 def goes_ahead(actions: Iterable[str]) -> bool:
-    """Whether who does any of some actions goes somewhere."""
+    """Whether any of some actions leads somewhere."""
     rows = lexicon().actions
     return any(action in rows and rows[action].ahead for action in actions)
 
@@ -451,13 +325,13 @@ def is_cyclic(action: str) -> bool:
 
 
 def stays_down(action: str) -> bool:
-    """Whether who does it is down at its end; no for a word that the lexicon does not have."""
+    """Whether the body is down at the end of an action; no for a word that the lexicon does not have."""
     row = lexicon().actions.get(action)
     return row is not None and row.down
 
 
 def said_traits(text: str) -> frozenset[str]:
-    """The names of the traits that a text tells."""
+    """The names of the traits that a text says."""
     return frozenset(said_phrases(text)["traits"])
 
 
@@ -471,7 +345,7 @@ def said_otherwise(predicate: str, verb: str) -> str:
     """A predicate with its verb of moving replaced: "crawls ahead" becomes "walks ahead", and so does "is crawling".
 
     Args:
-        predicate: What is said of somebody.
+        predicate: What is said of a subject.
         verb: In the third person.
     """
     known = lexicon().locomotion
@@ -492,7 +366,7 @@ def in_known_words(text: str) -> str:
     out, copied, index = "", 0, 0
     while index < len(words):
         own = [phrase for phrase in table.phrases.get(words[index], ()) if phrase.section == "synonyms"]
-        best = longest_phrase(own, words, index)
+        best = longest_pattern(own, words, index)
         if best is None:
             index += 1
             continue
@@ -518,20 +392,13 @@ def _in_form(known: str, like: str) -> str:
     return known.replace("{" + verb + "}", form)
 
 
-_PLACES = ("arm", "leg", "turn", "go")
 _VERBS = (("arm", "arm verb"), ("turn", "turn verb"), ("leg", "leg verb"), ("go", "go verb"))
 _NOUNS = (("turn", "turn noun"), ("leg", "leg"), ("arm", "arm"))
-
-CUES: tuple[str, ...] = (
-    *(f"{side} {place}" for place in _PLACES for side in ("left", "right")),
-    *lexicon().names["cues"],
-)
-"""What the numbers of `sentence_cues` stand for."""
 
 
 def _place_of(words: list[str], at: int) -> str:
     """What the side at this word is the side of: the noun right after it, else the nearest verb before it, else one
-    after it; of who does something "to the left" never a leg.
+    after it; "to the left" is never said of a leg.
     """
     known = lexicon().places
     aside = words[max(at - 2, 0) : at] == ["to", "the"]
@@ -544,21 +411,6 @@ def _place_of(words: list[str], at: int) -> str:
             if word in known[verb]:
                 return "go" if part == "leg" and aside else part
     return "go"
-
-
-def sentence_cues(sentence: str) -> np.ndarray:
-    """What a sentence says of sides, directions, turns, counts, speeds and postures.
-
-    The cues of a sentence with left and right exchanged are the cues with their sides exchanged.
-
-    Args:
-        sentence: In English.
-
-    Returns:
-        One for each of `CUES` that is said, else zero, shape (30,), float32.
-    """
-    said = said_cues(sentence)
-    return np.array([cue in said for cue in CUES], np.float32)
 
 
 def said_cues(sentence: str) -> frozenset[str]:

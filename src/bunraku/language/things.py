@@ -1,6 +1,6 @@
 """What things are: where hands meet them, what is done with them, where they are seen, and what walking there is like.
 
-`things.json` says it for words of things, animals and places:
+`things.json` has a section for each:
 
 | section | a row |
 | --- | --- |
@@ -8,11 +8,11 @@
 | `verbs` | what is done with things, and its verbs |
 | `defaults` | what is done where no thing is named |
 | `parts` | parts of animals that are as high as their heads |
-| `sights` | where things are seen (see `Sight`), and their nouns |
-| `sight verbs` | verbs of who looks, `seen` those without "at"; `sight words` before a noun say where it is seen |
-| `grounds` | how somebody walks there (`[grounds]` of `things.toml`), nouns, words before them ("-": none), own verbs |
-| `ground verbs` | verbs of who walks there, by the word that they stand for: who crosses ice walks across it |
-| `actions` | actions of the lexicon that are no more than walking, or looking, there |
+| `sights` | where things are seen (see `Gaze`), and their nouns |
+| `sight verbs` | verbs of looking, `seen` those without "at"; `sight words` before a noun say where it is seen |
+| `grounds` | how a person walks there (`[grounds]` of `things.toml`), nouns, words before them ("-": none), own verbs |
+| `ground verbs` | verbs of walking there, by the word that they stand for: to cross ice is to walk across it |
+| `actions` | actions of the lexicon that are no more than walking or looking there, or handling a thing |
 
 Words with underscores stand in a row. A new thing is one word in the nouns of its kind.
 """
@@ -28,7 +28,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from bunraku.language.lexicon import lexicon
 
-__all__ = ["Ground", "Kind", "Named", "Gaze", "Things", "named_in", "things"]
+__all__ = ["Gaze", "Ground", "Kind", "Named", "Things", "named_in", "things"]
 
 _LONGEST = 3
 """Words of a noun at the most."""
@@ -37,104 +37,67 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class Kind:
-    """Things that are alike to the hands.
+    """Things that are alike to the hands."""
 
-    Args:
-        name: Of it.
-        height: Where palms meet it, for a body of 1.84 m [m]; 0 for none.
-        head: Where its head is [m]; 0 for none.
-        surface: Which way what is touched faces: "top", "front", or "grip" for a bar or a handle ahead.
-        hands: By which it is taken: "both", "one", "" for either.
-        place: Things are put there, and taken from there.
-        deeds: What is done with it (`[deeds]` of `things.toml`) by what its verb says.
-        going: How somebody walks with it (`[grounds]` there) by what a verb says.
-        kinds: Its own name, and those of the kinds that it is.
-    """
-
-    name: str
-    height: float = 0.0
-    head: float = 0.0
-    surface: str = "front"
-    hands: str = ""
-    place: bool = False
+    name: str  # Of it
+    height: float = 0.0  # where palms meet it, for a body of 1.84 m [m]; 0 for none
+    head: float = 0.0  # where its head is [m]; 0 for none
+    surface: str = "front"  # which way what is touched faces: "top", "front", or "grip" for a bar or a handle ahead
+    hands: str = ""  # by which it is taken: "both", "one", "" for either
+    place: bool = False  # things are put there, and taken from there
+    # what is done with it (`[deeds]` of `things.toml`) by what its verb says
     deeds: dict[str, str] = field(default_factory=dict)
+    # how a person walks with it (`[grounds]` there) by what a verb says
     going: dict[str, str] = field(default_factory=dict)
-    kinds: frozenset[str] = frozenset()
+    kinds: frozenset[str] = frozenset()  # its own name, and those of the kinds that it is
 
 
 class Gaze(NamedTuple):
-    """Where a thing is seen by who looks at it.
+    """Where a thing is seen."""
 
-    Args:
-        pitch: How far the gaze is down [degrees].
-        sweep: How far it goes to both sides [degrees].
-        lean: How far the trunk leans over it [degrees].
-    """
-
-    pitch: float = 0.0
-    sweep: float = 0.0
-    lean: float = 0.0
+    pitch: float = 0.0  # how far the gaze is down [degrees]
+    sweep: float = 0.0  # how far it goes to both sides [degrees]
+    lean: float = 0.0  # how far the trunk leans over it [degrees]
 
 
 class Ground(NamedTuple):
-    """A word for what somebody walks on or in.
+    """A meaning of a word for what is walked on or in."""
 
-    Args:
-        name: Of `[grounds]` in `things.toml`.
-        after: Words that stand before it there.
-    """
-
-    name: str
-    after: frozenset[str]
+    name: str  # of `[grounds]` in `things.toml`
+    after: frozenset[str]  # words that stand before it there
 
 
 class Named(NamedTuple, Generic[Value]):
-    """A noun of a text.
+    """A noun of a text."""
 
-    Args:
-        start: The number of its first word.
-        stop: The number of the word after its last.
-        means: What it is.
-    """
+    start: int  # the number of its first word
+    stop: int  # the number of the word after its last
+    means: Value  # what it is
 
-    start: int
-    stop: int
-    means: Value
+    @property
+    def span(self) -> range:
+        """The numbers of its words."""
+        return range(self.start, self.stop)
 
 
 @dataclass(frozen=True)
 class Things:
-    """The tables, ready to be looked up.
+    """The tables, ready to be looked up."""
 
-    Args:
-        kinds: What each noun is, with its own height.
-        verbs: What each form of a verb says is done.
-        defaults: What is done where no thing is named.
-        parts: Parts of animals that are as high as their heads.
-        sights: Where what a noun means is seen, the likeliest first, each with the name of the sight.
-        unknown: What a thing is that no noun says.
-        level: Where such a thing is seen.
-        looks: All forms of verbs of who looks, and whether what is seen follows without "at".
-        ways: Names of the sights that a word before a noun says.
-        grounds: What walking is like there.
-        walks: The word before a ground that each form of a verb of walking stands for; "-" for none.
-        treads: How somebody walks by a form of a verb alone: who wades is in water.
-        actions: Actions that are no more than walking, or looking, there.
-    """
-
-    kinds: dict[str, Kind]
-    verbs: dict[str, str]
-    defaults: dict[str, str]
-    parts: frozenset[str]
-    sights: dict[str, tuple[tuple[str, Gaze], ...]]
-    unknown: Kind
-    level: Gaze
-    looks: dict[str, bool]
-    ways: dict[str, list[str]]
-    grounds: dict[str, tuple[Ground, ...]]
-    walks: dict[str, str]
-    treads: dict[str, str]
-    actions: dict[str, frozenset[str]]
+    kinds: dict[str, Kind]  # what each noun is, with its own height
+    verbs: dict[str, str]  # what each form of a verb says is done
+    defaults: dict[str, str]  # what is done where no thing is named
+    parts: frozenset[str]  # parts of animals that are as high as their heads
+    # where what a noun means is seen, the likeliest first, each with the name of the row
+    gazes: dict[str, list[tuple[str, Gaze]]]
+    unknown: Kind  # what a thing is that no noun says
+    level: Gaze  # where such a thing is seen
+    looks: dict[str, bool]  # all forms of verbs of looking, and whether what is seen follows without "at"
+    ways: dict[str, list[str]]  # names of the rows of `gazes` that a word before a noun says
+    grounds: dict[str, list[Ground]]  # what walking is like there
+    walks: dict[str, str]  # the word before a ground that each form of a verb of walking stands for; "-" for none
+    verb_grounds: dict[str, str]  # the ground that a form of a verb says alone: to wade is to be in water
+    actions: dict[str, frozenset[str]]  # actions that are no more than walking or looking there, or handling a thing
 
 
 @functools.cache
@@ -145,54 +108,40 @@ def things() -> Things:
     kinds: dict[str, Kind] = {}
     nouns: dict[str, Kind] = {}
     for name, row in data["kinds"].items():
-        kinds[name] = kind = _kind(name, row, kinds.get(row.get("is", "")))
-        for noun in row.get("nouns", "").split():
-            word, _, height = noun.partition("=")
-            nouns[_spaced(word)] = _as_high(kind, float(height)) if height else kind
-    sights: dict[str, list[tuple[str, Gaze]]] = {}
+        kinds[name] = kind = _kind(name, row, kinds.get(row.get("is", ""), Kind("")))
+        for noun, _, height in (said.partition("=") for said in row.get("nouns", "").split()):
+            nouns[noun.replace("_", " ")] = _as_high(kind, float(height)) if height else kind
+    gazes: dict[str, list[tuple[str, Gaze]]] = {}
     for name, row in data["sights"].items():
-        for noun in row["nouns"].split():
-            word, _, pitch = noun.partition("=")
+        for noun, _, pitch in (said.partition("=") for said in row["nouns"].split()):
             seen = Gaze(float(pitch or row["pitch"]), row.get("sweep", 0.0), row.get("lean", 0.0))
-            sights.setdefault(_spaced(word), []).append((name, seen))
+            gazes.setdefault(noun.replace("_", " "), []).append((name, seen))
     grounds: dict[str, list[Ground]] = {}
     for name, row in data["grounds"].items():
         for noun in row["nouns"].split():
-            grounds.setdefault(_spaced(noun), []).append(Ground(name, frozenset(row["after"].split())))
-    verbs, walks = (
-        {form: what for what, some in data[table].items() for verb in some.split() for form in _forms(verb)}
-        for table in ("verbs", "ground verbs")
-    )
-    seen = data["seen"].split()
-    treads = {
-        form: name
-        for name, row in data["grounds"].items()
-        for verb in row.get("verbs", "").split()
-        for form in _forms(verb)
-    }
-    looks = {form: verb in seen for verb in data["sight verbs"].split() for form in _forms(verb)}
+            grounds.setdefault(noun.replace("_", " "), []).append(Ground(name, frozenset(row["after"].split())))
     ways: dict[str, list[str]] = {}
-    for name, some in data["sight words"].items():
-        for word in some.split():
+    for name, said in data["sight words"].items():
+        for word in said.split():
             ways.setdefault(word, []).append(name)
-    same = {name: frozenset(actions) for name, actions in data["actions"].items()}
+    verbs, walks, verb_grounds = (
+        {form: name for name, said in rows.items() for verb in said.split() for form in _forms(verb)}
+        for rows in (
+            data["verbs"], data["ground verbs"], {name: row.get("verbs", "") for name, row in data["grounds"].items()},
+        )
+    )  # fmt: skip
+    looks = {form: verb in data["seen"].split() for verb in data["sight verbs"].split() for form in _forms(verb)}
     return Things(
-        nouns, verbs, data["defaults"], frozenset(data["parts"].split()),
-        {noun: tuple(found) for noun, found in sights.items()}, kinds["unknown"],
-        Gaze(float(data["sights"]["level"]["pitch"])), looks, ways,
-        {noun: tuple(found) for noun, found in grounds.items()}, walks, treads, same,
+        nouns, verbs, data["defaults"], frozenset(data["parts"].split()), gazes, kinds["unknown"],
+        Gaze(float(data["sights"]["level"]["pitch"])), looks, ways, grounds, walks, verb_grounds,
+        {name: frozenset(actions) for name, actions in data["actions"].items()},
     )  # fmt: skip
 
 
-def _spaced(noun: str) -> str:
-    return noun.replace("_", " ")
-
-
-def _kind(name: str, row: dict[str, Any], of: Kind | None) -> Kind:
-    of = of or Kind("")
-    own = {key: row.get(key, getattr(of, key)) for key in ("height", "head", "surface", "hands", "place")}
+def _kind(name: str, row: dict[str, Any], of: Kind) -> Kind:
+    own = {key: row[key] for key in ("height", "head", "surface", "hands", "place") if key in row}
     deeds = {what: deed for what, deed in (of.deeds | row.get("deeds", {})).items() if deed}
-    return Kind(name, **own, deeds=deeds, going=of.going | row.get("going", {}), kinds=of.kinds | {name})
+    return replace(of, name=name, **own, deeds=deeds, going=of.going | row.get("going", {}), kinds=of.kinds | {name})
 
 
 def _as_high(kind: Kind, height: float) -> Kind:
@@ -204,16 +153,15 @@ def _forms(verb: str) -> tuple[str, ...]:
     return (verb, *lexicon().verbs.get(verb, (f"{verb}s", f"{verb}ing", f"{verb}ed"))[:3])
 
 
-def named_in(table: dict[str, Value], words: Sequence[str], start: int, stop: int) -> list[Named[Value]]:
-    """The nouns of a table among the words from one number to another, the longest that begin at each."""
+def named_in(table: dict[str, Value], words: Sequence[str], among: range) -> list[Named[Value]]:
+    """The nouns of a table among some words, the longest that begin at each."""
     found: list[Named[Value]] = []
-    at = start
-    while at < stop:
-        for length in range(min(_LONGEST, stop - at), 0, -1):
+    for at in among:
+        if found and at < found[-1].stop:
+            continue
+        for length in range(min(_LONGEST, among.stop - at), 0, -1):
             noun = " ".join(words[at : at + length])
             if noun in table:
                 found.append(Named(at, at + length, table[noun]))
-                at += length - 1
                 break
-        at += 1
     return found

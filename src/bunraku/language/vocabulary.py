@@ -22,23 +22,9 @@ from bunraku.language.tokenizer import word_pieces
 from bunraku.language.word_table import table
 
 __all__ = [
-    "FILE",
-    "FUNCTION_WORDS",
-    "Word",
-    "action_stems",
-    "caption_stems",
-    "corrected",
-    "is_known",
-    "known_words",
-    "nearest_sentences",
-    "own_words",
-    "says_action",
-    "slips",
-    "stem",
-    "stems",
-    "words_of",
-    "write_own_words",
-]
+    "FILE", "FUNCTION_WORDS", "Word", "action_stems", "caption_stems", "corrected", "is_known", "known_words",
+    "nearest_sentences", "own_words", "says_action", "slips", "stem", "stems", "words_of", "write_own_words",
+]  # fmt: skip
 
 
 FILE = "own_words.json"
@@ -78,46 +64,8 @@ def write_own_words(folder: Path, words: Iterable[str]) -> Path:
 
 
 _WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
-_IRREGULAR = {
-    "ran": "run", "sat": "sit", "stood": "stand", "fell": "fall", "fallen": "fall", "went": "go", "gone": "go",
-    "threw": "throw", "thrown": "throw", "caught": "catch", "swam": "swim", "flew": "fly", "flown": "fly",
-    "shook": "shake", "shaken": "shake", "bent": "bend", "swung": "swing", "held": "hold", "hung": "hang",
-    "knelt": "kneel", "crept": "creep", "leapt": "leap", "spun": "spin", "slid": "slide", "strode": "stride",
-    "rose": "rise", "risen": "rise", "ate": "eat", "eaten": "eat", "drank": "drink", "drunk": "drink", "sang": "sing",
-    "fought": "fight", "hid": "hide", "hidden": "hide", "lain": "lie", "lying": "lie", "dying": "die", "took": "take",
-    "taken": "take", "came": "come", "got": "get", "gave": "give", "made": "make", "did": "do", "done": "do",
-    "struck": "strike", "stuck": "stick", "swept": "sweep", "slept": "sleep", "drove": "drive", "rode": "ride",
-    "bit": "bite", "dug": "dig", "shot": "shoot", "stole": "steal", "drew": "draw", "blew": "blow", "woke": "wake",
-    "feet": "foot", "men": "man", "women": "woman", "children": "child", "knives": "knife", "teeth": "tooth",
-    "mice": "mouse", "wolves": "wolf", "has": "have", "does": "do", "goes": "go", "is": "be", "are": "be", "was": "be",
-    "were": "be", "been": "be", "being": "be", "am": "be",
-}  # fmt: skip
-_FUNCTION = (
-    "a an the this that these those one ones some any each every all both other another own his her its their my your "
-    "our he she it they him them i you we me us himself herself itself themselves myself someone somebody who which "
-    "something anything nothing everything thing things and or but nor so then than as if while when whilst until "
-    "before after because since though of to in on at by for from with without into onto off out over under up down "
-    "around round about across along through between behind beside near toward towards against again also too very "
-    "really quite rather just only even still almost nearly more most less least much many few several little lot lots "
-    "be do have can could will would shall should may might must not no yes don't doesn't let lets please there here "
-    "now once twice first second third last next finally afterwards later soon same such like how what where why "
-    "person people man woman guy girl boy lady character figure human child kid creature animal "
-    "two three four five six seven eight nine ten half"
-)
-FUNCTION_WORDS = frozenset(_FUNCTION.split())
+FUNCTION_WORDS = lexicon().grammar["function"]
 """Words that say nothing of a movement; they are in every language model, and no reason for a warning."""
-_THINGS = (
-    "goodbye searching everybody cups plate apple camera orchestra book page pot wrapped waking noise biceps club meal "
-    "soldier boxer jabs cross hook overarm stone fastball baseball racket serve pitcher press fours puddle obstacle "
-    "log abs freestyle newspaper soup spoon undead hair combs"
-)
-"""Other words of sentences that tell gestures."""
-_LIGHT = (
-    "be do have make let start begin continue keep try act take give get use perform show want need seem become cause "
-    "help say tell know feel set can will would may must please remain mean call change find add list own note light "
-    "present end finish handle repeat strain"
-)
-"""Verbs that say no movement by themselves: "does a blorp"."""
 
 
 class Word(NamedTuple):
@@ -137,10 +85,10 @@ def stem(word: str) -> str:
 
 def stems(words: Iterable[str]) -> list[str]:
     """The stem of each of some words."""
-    found = []
+    found, irregular = [], lexicon().irregular
     for word in words:
         word = word.lower().replace("’", "'").removesuffix("'s").rstrip("'")
-        word = _IRREGULAR.get(word, word)
+        word = irregular.get(word, word)
         if word.endswith("ly") and len(word) > 4:
             word = word[:-2]
         for ending, least in (("ies", 2), ("ied", 2), ("es", 3), ("s", 3), ("ing", 3), ("ed", 3)):
@@ -164,12 +112,12 @@ def _written() -> dict[str, Any]:
 
 @functools.cache
 def known_words() -> dict[str, int]:
-    """The words as they are written, with how many sentences have each; 1 for those of the tables. Names of characters
-    and of parts of the body are among them, whatever the captions say of them.
+    """The words as they are written, with how many sentences have each; 1 for those of the tables, with names of
+    characters and of parts of the body.
     """
     written: dict[str, int] = _written()["words"]
     named = [row["en"].replace("/", " ") for section in ("beings", "parts") for row in table()[section]]
-    lexical = (*lexicon().words, *lexicon().verbs, _THINGS)
+    lexical = (*lexicon().words, *lexicon().verbs, *lexicon().grammar["other words"])
     listed = " ".join((*known_phrases(), *creature_words(), *named, *lexical))
     return (
         dict.fromkeys(own_words(), 1)
@@ -197,17 +145,16 @@ def action_stems() -> frozenset[str]:
     """
     verbs = {*lexicon().verbs, *_written()["verbs"], *own_words()}
     parts = [name for row in table()["parts"] for name in row["en"].split("/")]
-    return (frozenset(stems(verbs)) & _stems()) - frozenset(stems([*parts, *_LIGHT.split()]))
+    return (frozenset(stems(verbs)) & _stems()) - frozenset(stems([*parts, *lexicon().grammar["light verbs"]]))
 
 
 def is_known(word: str) -> bool:
     """Whether training had a word, in any inflection; of one with hyphens whether it had all parts."""
-    if (plain := word.lower()) in FUNCTION_WORDS or plain in lexicon().lemmas or plain in lexicon().words:
-        return True
-    if plain in _written()["words"]:
+    plain = word.lower()
+    if any(plain in words for words in (FUNCTION_WORDS, lexicon().lemmas, lexicon().words, _written()["words"])):
         return True
     known = _stems()
-    if stem(word) in known or word.isdigit() or word.lower() in FUNCTION_WORDS:
+    if stem(word) in known or word.isdigit():
         return True
     parts = re.split(r"[-'’]", word)
     return len(parts) > 1 and all(not part or part.isdigit() or stem(part) in known or len(part) < 2 for part in parts)
@@ -231,10 +178,10 @@ def says_action(sentence: str) -> bool:
     )
 
 
-_OFTEN = 5
-"""Sentences that must have a word for it to be meant by another one, unless it is long."""
-_LONG = 8
-"""Letters without an ending from which on two slips are forgiven: "juggling" is no "jogging"."""
+_OFTEN, _LONG = 5, 8
+"""Sentences that must have a word for it to be meant by another one, unless it is long, and the letters without an
+ending from which on two slips are forgiven ("juggling" is no "jogging"); chosen by eye.
+"""
 
 
 def slips(one: str, other: str, most: int = 2) -> int:
@@ -259,7 +206,7 @@ def slips(one: str, other: str, most: int = 2) -> int:
 def _often() -> dict[str, list[str]]:
     """Words that may be meant, by their first letter, the most frequent first."""
     found: dict[str, list[str]] = {}
-    for word, count in sorted(known_words().items(), key=lambda item: -item[1]):
+    for word, count in sorted(known_words().items(), key=lambda item: (-item[1], item[0])):
         if len(word) >= 4 and (count >= _OFTEN or len(word) > _LONG or word in FUNCTION_WORDS):
             found.setdefault(word[0], []).append(word)
     return found
@@ -287,23 +234,17 @@ def corrected(word: str) -> str:
 
 
 def _likely(word: str, other: str) -> bool:
-    """Whether a letter too many, where the word is not long, stands there twice: "wallks" is "walks", but "chomp" is no
-    "chop".
-    """
+    """Whether a letter too many in a short word is doubled: "wallks" is "walks", but "chomp" is no "chop"."""
     if len(word) != len(other) + 1 or len(word) >= _LONG:
         return True
     twice = [index for index in range(len(other)) if word[index] == word[index + 1]]
     return any(word[:index] + word[index + 1 :] == other for index in twice)
 
 
-_LONGEST = 8
-"""Words of a phrase that is shown to somebody who looks for one."""
-_MOST_UNKNOWN = 4
-"""Unknown words that are looked up; each takes half a millisecond."""
+_LONGEST, _MOST_UNKNOWN = 8, 4
+"""Words of a phrase that is shown, and unknown words that are looked up; each takes half a millisecond."""
 _SHORT, _LIKE = 5, (0.7, 0.5)
-"""Letters of a short word, and the share that it, or a longer one, must have in common with a known word to be like
-it.
-"""
+"""Letters of a short word, and the share that it, or a longer one, has in common with a word like it; chosen by eye."""
 _DOING = ("do", "make", "take", "give")
 _PLAIN_WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
 
@@ -376,12 +317,9 @@ def nearest_sentences(words: Sequence[str], unknown: Sequence[str] = (), count: 
         _, verb, stems = phrases[index]
         return -scores[index] / (2 + len(stems)), -usual[verb], len(stems), index
 
-    order = sorted(range(len(phrases)), key=rank)
     found: dict[str, str] = {}
-    for index in order:
-        sentence, verb, _ = phrases[index]
-        if verb not in found:
-            found[verb] = sentence
+    for sentence, verb, _ in (phrases[index] for index in sorted(range(len(phrases)), key=rank)):
+        found.setdefault(verb, sentence)
         if len(found) == count:
             break
     return tuple(found.values())

@@ -8,7 +8,6 @@ with the body; a mask says which vertices are apparel.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
@@ -16,10 +15,10 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.apparel.body import UnifiedBody
-from bunraku.apparel.chains.body_collisions import over_legs, push_out_of_body
+from bunraku.apparel.chains.body_collisions import CHAIN_REPAIRS
 from bunraku.apparel.chains.chain import parameters_beside
-from bunraku.apparel.chains.chain_rig import Chained, on_handle_rig
-from bunraku.apparel.chains.cloth_repairs import damped, free_shares, mend_tears, smooth_neighbours, torn_parts
+from bunraku.apparel.chains.chain_rig import on_handle_rig
+from bunraku.apparel.chains.cloth_repairs import DressedChains, MendTears
 from bunraku.apparel.chains.from_shape import with_parts_from_file
 from bunraku.apparel.chains.moving import moving_rig, steady_simulation, with_apparel
 from bunraku.apparel.clothed import ClothedCharacter
@@ -34,6 +33,7 @@ from bunraku.core.animation import Animation, PointAnimation, RigAnimation
 from bunraku.core.body.layout import JOINT_COUNT
 from bunraku.core.character import Character
 from bunraku.core.nn.checkpoints import dated_checkpoint
+from bunraku.core.request import Progress
 from bunraku.errors import CharacterError
 from bunraku.pipelines.clothes import (
     body_of_handles,
@@ -45,14 +45,10 @@ from bunraku.pipelines.clothes import (
 from bunraku.pipelines.requests import Apparel
 
 __all__ = ["animated_clothed", "chained", "dressed", "learned", "shipped_displacement"]
-
-Progress = Callable[[str, float], None]
 LEAST = 0.004
 """Share of the surface under which `auto` takes a mesh to have no apparel."""
 RATE = 30.0
-CALMER = 3
-"""How often what is torn is eased; from the second time on it swings half as far too."""
-WHOLE = 3
+RELAID = 3
 """How often chains are laid anew without the parts that they tear."""
 _log = logging.getLogger(__name__)
 
@@ -66,14 +62,14 @@ def shipped_displacement(clothed: ClothedCharacter | None = None) -> Displacemen
     """The displacement network that comes with Bunraku.
 
     Args:
-        clothed: Whom it is for: there is one for characters whose files say how their apparel swings, and one for those
+        clothed: The character: there is a network for those whose files say how their apparel swings, and one for those
             of which it is guessed; the first when None.
 
     Raises:
         WeightsError: It is missing or broken.
     """
-    told = clothed is None or clothed.swing is not None
-    return _network(*dated_checkpoint("apparel" if told else "apparel-guessed"))
+    from_file = clothed is None or clothed.swing is not None
+    return _network(*dated_checkpoint("apparel" if from_file else "apparel-guessed"))
 
 
 def dressed(
@@ -89,11 +85,9 @@ def dressed(
 
     Args:
         animation: Of handles or of bones; its apparel goes with the body.
-        apparel: One of `APPAREL`, or a mask of the apparel that is to be learned.
-        stiffness: Factor on how stiff apparel is.
-        gravity: Factor on the gravity of what is simulated.
+        apparel, stiffness, gravity: As in `Apparel`.
         progress: Called with a stage's name and the share done.
-        anatomy: Of the character by the handles that move it; worked out where it is asked for and not given.
+        anatomy: Of the character by the handles that move it; found where it is needed and None.
 
     Raises:
         OptionError: `apparel` is none of these.
@@ -122,12 +116,12 @@ def dressed(
             _log.warning("%s", problem)
             return animation
         try:
-            return _whole(animation, clothed, stiffness, gravity, progress)
+            return _untorn(animation, clothed, stiffness, gravity, progress)
         except CharacterError:  # all of it is too short to swing
             return animation
     if str(apparel) == "chains":
         clothed, _, _ = animated_clothed(animation)
-        return _whole(animation, clothed, stiffness, gravity, progress)
+        return _untorn(animation, clothed, stiffness, gravity, progress)
     mask = None if str(apparel) == "learn" else read_artist_mask(apparel, animation.character)
     return learned(animation, mask, stiffness=stiffness, progress=progress)
 
@@ -186,18 +180,20 @@ def chained(
 def _chained(
     animation: Animation | RigAnimation, clothed: ClothedCharacter, stiffness: float, gravity: float,
     progress: Progress | None,
-) -> tuple[RigAnimation, Chained]:  # fmt: skip
+) -> tuple[RigAnimation, DressedChains]:  # fmt: skip
     progress = progress or (lambda stage, done: None)
     progress("apparel", 0.0)
     moved, bones = _boned(animation)
+    assert moved.character.rig is not None
     made = with_apparel_chains(moved.character, clothed, bones, stiffness, gravity)
+    dressed = DressedChains(made, clothed, bones, moved.character.rig)
     found = steady_simulation(made.on(moved), made.rig(tied=False), progress=lambda done: progress("apparel", done))
     for problem in found.report.problems():
         _log.warning("%s: %s", animation.character.name, problem)
-    calm = smooth_neighbours(found.animation, made.chains, made.near)
-    assert moved.character.rig is not None
-    calm = over_legs(calm, made.chains, made.near, clothed, bones, moved.character.rig)
-    return push_out_of_body(calm, made.chains, clothed, bones), made
+    calm = found.animation
+    for repair in CHAIN_REPAIRS:
+        calm = repair(calm, dressed)
+    return calm, dressed
 
 
 def _boned(animation: Animation | RigAnimation) -> tuple[RigAnimation, np.ndarray]:
@@ -215,59 +211,34 @@ def _little(character: Character, apparel: np.ndarray) -> bool:
     return float(areas[apparel].sum()) < LEAST * float(areas.sum())
 
 
-def _whole(
+def _untorn(
     animation: Animation | RigAnimation, clothed: ClothedCharacter, stiffness: float, gravity: float,
     progress: Progress | None,
 ) -> Animation | RigAnimation:  # fmt: skip
-    """`chained` with what it would tear mended: torn places go over to the skin of the body, their parts swing less,
-    and go with the body where that does not help; as it is where that are all. What somebody said to be apparel moves
-    all the same, and a line says so.
+    """`chained` with its tears mended. Parts that are torn all the same go with the body; the animation comes back as
+    it is where that is all apparel. Parts of an artist's mask move all the same, and a line says so.
     """
-    plain, own = animation.at(RATE), artist_mask_file(animation.character) is not None
+    plain, drawn = animation.at(RATE), artist_mask_file(animation.character) is not None
     name = animation.character.name
-    for attempt in range(WHOLE):
+    for attempt in range(RELAID):
         try:
-            found, made = _chained(animation, clothed, stiffness, gravity, progress)
+            found, dressed = _chained(animation, clothed, stiffness, gravity, progress)
         except CharacterError:
             if attempt:
                 break
             raise
-        found, torn = _mended(animation, plain, found, made, clothed)
+        found, torn = MendTears()(found, plain, dressed)
         if not torn:
             return found
-        count = len(torn)
-        if own:
-            _log.warning("%s: %d parts of the mask are torn; paint them to an edge of their surface", name, count)
+        if drawn:
+            _log.warning("%s: %d parts of the mask are torn; paint them to an edge of their surface", name, len(torn))
             return found
-        _log.warning("%s: %d parts of hair or clothes would be torn and go with the body", name, count)
+        _log.warning("%s: %d parts of hair or clothes would be torn and go with the body", name, len(torn))
         kept = clothed.apparel & ~np.isin(clothed.part, list(torn))
         if _little(animation.character, kept):
             break
         clothed, _, _ = animated_clothed(animation, kept)
     return animation
-
-
-def _mended(
-    animation: Animation | RigAnimation, plain: Animation | RigAnimation, found: RigAnimation, made: Chained,
-    clothed: ClothedCharacter,
-) -> tuple[RigAnimation, dict[int, float]]:  # fmt: skip
-    """An animation of chains with what they tear eased and calmed, and the parts that are torn all the same."""
-    swings, torn = found, torn_parts(clothed, found.vertices, plain.vertices, len(found))
-    if not torn:
-        return found, torn
-    skin = _boned(animation)[0].character.rig
-    assert skin is not None
-    free = np.ones(len(clothed.rest), np.float32)
-    for attempt in range(CALMER):
-        if not torn:
-            break
-        if attempt:
-            swings = damped(swings, made.chains, made.of_vertices(np.isin(clothed.part, list(torn))))
-            found = mend_tears(swings, skin, free)
-        free = free * free_shares(clothed, found.vertices, plain.vertices, len(found), torn)
-        found = mend_tears(swings, skin, free)
-        torn = torn_parts(clothed, found.vertices, plain.vertices, len(found))
-    return found, torn
 
 
 def animated_clothed(

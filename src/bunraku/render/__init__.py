@@ -8,13 +8,6 @@ from bunraku.render.preview import save_preview, save_still
 from bunraku.render.stage import Camera
 
 __all__ = [
-    "HANDLE_PALETTE",
-    "Camera",
-    "contact_sheet",
-    "handle_colors",
-    "render_animation",
-    "render_frames",
-    "render_still",
-    "save_preview",
-    "save_still",
-]
+    "HANDLE_PALETTE", "Camera", "contact_sheet", "handle_colors", "render_animation", "render_frames", "render_still",
+    "save_preview", "save_still",
+]  # fmt: skip

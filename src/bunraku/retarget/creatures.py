@@ -10,14 +10,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
-from bunraku.anatomy.joints import attach_joints, downwards, reference_joints
+from bunraku.anatomy.joints import downwards
+from bunraku.anatomy.legs import BodyPlan, Reach, check_plans
 from bunraku.anatomy.names.bone_names import NO_HANDLE, handle_of_joints
-from bunraku.anatomy.plan import BodyPlan, check_plans, lowest
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
-from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Rig
 from bunraku.core.geometry.curves import tallest_steady
 from bunraku.core.geometry.rotations import Resampling, matrix_y, nearest_rotation, rotation_between
@@ -96,7 +95,7 @@ def _octahedron(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
 
 LEVEL = 40.0  # a trunk whose slope is less is level [degrees]
 DOWN = 0.55  # a leg stands whose end is so far below its top, over its length along the bones
-CLEAR = 0.12  # who stands on the feet has the knees so far above them, over the height of the hips; who crawls has not
+CLEAR = 0.12  # height of the knees over the feet, over that of the hips, from which on an animal does not crawl
 NEAR = 0.35  # the ends of front legs are so near to those of the hind legs in height, over the height of the hips
 LEAST = 0.15  # share of the frames in which an animal stands on four legs, at the least
 MIRROR = np.array([-1.0, 1.0, 1.0])
@@ -341,14 +340,13 @@ def _parts(motion: SkeletalMotion, names: Mapping[str, str] | None) -> np.ndarra
         if joint >= 0 and (parts[joint] == NO_HANDLE or how == "given") and (how == "given" or part not in parts):
             parts[parts == part] = NO_HANDLE
             parts[joint] = part
-    for name, own in (names or {}).items():
-        if not own and name in JOINT_NAMES:
-            parts[parts == JOINT_NAMES.index(name)] = NO_HANDLE
+    left_out = [JOINT_NAMES.index(name) for name, own in (names or {}).items() if not own and name in JOINT_NAMES]
+    parts[np.isin(parts, left_out)] = NO_HANDLE
     return parts
 
 
 def motion_of_rig(rig: RigParts, turns: np.ndarray, positions: np.ndarray, fps: float) -> CreatureMotion | None:
-    """The motion of a rig that stands in its rest pose; None of a person and of whoever else goes upright on two legs.
+    """The motion of a rig that stands in its rest pose; None of a person and of any other body that walks upright.
 
     Args:
         rig: Facing +Z.
@@ -363,7 +361,7 @@ def motion_of_rig(rig: RigParts, turns: np.ndarray, positions: np.ndarray, fps: 
 
 
 def motion_of_handles(motion: HandleMotion, anatomy: Anatomy) -> CreatureMotion | None:
-    """A motion of a character's handles; None of a person and of whoever else goes upright on two legs.
+    """A motion of a character's handles; None of a person and of any other body that walks upright.
 
     Args:
         motion: Of its handles.
@@ -381,19 +379,19 @@ def _creature(motion: HandleMotion, anatomy: Anatomy) -> CreatureMotion | None:
     """A motion of a character's handles in the words of `CreatureMotion`; None of one with wings that goes on its legs
     as people do.
     """
-    character, handles, joints, plan = anatomy.character, anatomy.handles, anatomy.joints, anatomy.plan
+    character, handles, plan = anatomy.character, anatomy.handles, anatomy.plan
     flies = plan.wings and wing_swing(motion) > BEATS
     if _as_people(plan) and not flies:
         return None
-    own = joints.present & (handles.played == np.arange(len(handles.positions)))
     rotations = motion.rotations.astype(np.float64).copy()
     for handle in downwards(HANDLE_PARENTS)[1:]:
-        if not own[handle]:
+        if not anatomy.own[handle]:
             rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
-    body = reference_body()
-    rotations, translations = attach_joints(rotations, body.handles, reference_joints())
+    body = reference_anatomy()
+    rotations, translations = body.attached(rotations)
     seen = character.vertices[character.surface]
-    ground = lowest(seen, handles.weights[character.surface], motion, handles.positions)
+    reach = Reach.of(seen, handles.weights[character.surface])
+    ground = reach.lowest(motion.transforms(handles.positions))
     floor = float(seen[:, 1].min())
     path = motion.root_translation.astype(np.float64)
     rise = float(np.quantile(ground, STANDS))

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.limbs import has_extra_legs
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, REQUIRED, ROOTS, SKELETONS, engine_names
 from bunraku.core.character import Character, Handles, Rig, top_influences
@@ -40,8 +39,8 @@ def on_skeleton(anatomy: Anatomy, names: str, weights: np.ndarray | None = None)
     """
     if names not in SKELETONS:
         raise OptionError(f"the names of a skeleton are those of {', '.join(SKELETONS)}, not '{names}'; choose one")
-    character, handles = anatomy.character, anatomy.handles
-    if anatomy.plan.kind != "person" or has_extra_legs(handles):
+    character = anatomy.character
+    if not anatomy.is_person:
         raise CharacterError(
             f"{character.name}: it is {anatomy.plan.words}, and a humanoid skeleton has two arms and two legs; leave "
             "the skeleton out"

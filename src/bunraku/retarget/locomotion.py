@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.joints import attach_joints, reference_joints
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.curves import gaussian, smooth_step
@@ -59,9 +58,8 @@ def laid(motion: HandleMotion, share: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def _blend(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Rotations (N, 3, 3) so far from one to another."""
-    return np.asarray(
-        matrix_from_quaternion(quaternion_slerp(quaternion_from_matrix(start), quaternion_from_matrix(end), share))
-    )
+    first, last = quaternion_from_matrix(start), quaternion_from_matrix(end)
+    return np.asarray(matrix_from_quaternion(quaternion_slerp(first, last, share)))
 
 
 HOVER = 0.8
@@ -77,9 +75,9 @@ WAVE = {"swim": 1.2, "slither": 0.9}  # waves in a second
 BENT = {"swim": 0.45, "slither": 0.7}  # how far the tip of a tail turns aside [rad]
 BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
 SPEED = {"swim": 0.7, "slither": 0.5}  # heights of the root in a second
-STAYS = 0.25  # who gets ahead by less than this share of that gets no farther alone
+STAYS = 0.25  # a motion that gets ahead by less than this share of that is given the speed
 AIR = {"stay": 0.75, "run": 0.2, "step": 0.15, "lie": 0.05, "slither": 0.05}
-"""How long before and after a frame the ground is touched at the latest [s]; who steps has one foot on it always."""
+"""How long before and after a frame the ground is touched at the latest [s]; a step always has a foot on it."""
 LEAST = 0.01  # what hovers by less, over the height, is left to the stages of fitting
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in ("left", "right")]
 _LINE = {"head": -1.2, "neck": -0.9, "spine3": -0.6, "spine2": -0.4, "spine1": -0.2, "tail": 0.9, "tail_tip": 1.7}
@@ -173,9 +171,8 @@ def _grounded(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy
 
 def _tail_lowered(motion: HandleMotion, share: np.ndarray, anatomy: Anatomy) -> HandleMotion:
     handles, joints = anatomy.handles, anatomy.joints
-    own = joints.present & (handles.played == np.arange(len(handles.positions)))
     before = motion.rotations.astype(np.float64)
-    after = Tail().lowered(before, handles, replace(joints, present=own), motion.fps, motion.root_rotation)
+    after = Tail().lowered(before, handles, replace(joints, present=anatomy.own), motion.fps, motion.root_rotation)
     if after is before:
         return motion
     turn = axis_angle_from_matrix(after @ before.transpose(0, 1, 3, 2))
@@ -191,9 +188,8 @@ def _amount(count: int, frames: np.ndarray, fps: float) -> np.ndarray:
     """1 in some frames, 0 in others, and a soft way between, shape (N,)."""
     soft, at = RISE * fps, np.arange(count)
     up = np.ones(count) if frames[0] == 0 else smooth_step(at, frames[0] - 0.5 * soft, frames[0] + 0.5 * soft)
-    down = (
-        np.ones(count) if frames[-1] == count - 1 else smooth_step(at, frames[-1] + 0.5 * soft, frames[-1] - 0.5 * soft)
-    )
+    last = frames[-1]
+    down = np.ones(count) if last == count - 1 else smooth_step(at, last + 0.5 * soft, last - 0.5 * soft)
     return np.asarray(up * down)
 
 
@@ -281,9 +277,9 @@ def _flat_tail(anatomy: Anatomy) -> bool:
 
 def _attached(motion: HandleMotion, rotations: np.ndarray, path: np.ndarray) -> HandleMotion:
     """The motion with other rotations and another path; parts stay as far from their joints as they were."""
-    body, joints = reference_body().handles, reference_joints()
-    before = attach_joints(motion.rotations.astype(np.float64), body, joints)[1]
-    after = attach_joints(rotations, body, joints)[1]  # its rotations let a tail, which people lack, go with the hips
+    body = reference_anatomy()
+    before = body.attached(motion.rotations.astype(np.float64))[1]
+    after = body.attached(rotations)[1]  # its rotations let a tail, which people lack, go with the hips
     moved = motion.translations.astype(np.float64) - before + after
     moved[:, 0] = 0
     return replace(motion, rotations=rotations, translations=moved, root_translation=path)

@@ -16,7 +16,7 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import Joints
-from bunraku.anatomy.legs import Leg, carry, local_motion, move_feet
+from bunraku.anatomy.legs import Leg, carry
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import smooth_step
@@ -24,6 +24,7 @@ from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_
 from bunraku.core.motion import HandleMotion
 from bunraku.core.request import Constraint
 from bunraku.errors import OptionError
+from bunraku.retarget.stages.stage import with_feet_moved
 
 __all__ = ["PINNED", "LimbEnd", "Pin", "end_positions", "limb_ends", "meet_pins"]
 
@@ -161,11 +162,10 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
         off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
         if np.abs(off).max() <= CLOSE * height:
             break
-        shifts = np.stack(
-            [spread(pinned[:, number], off[:, number], LEAD * motion.fps) for number in range(len(ends))], axis=1
-        )
+        lead = LEAD * motion.fps
+        shifts = np.stack([spread(pinned[:, n], off[:, n], lead) for n in range(len(ends))], axis=1)
         reach |= np.abs(shifts).max(axis=(1, 2)) > 0
-        motion = move_feet(motion, handles, joints, limbs, shifts)
+        motion = with_feet_moved(motion, anatomy, limbs, shifts)
         off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
         if np.abs(off).max() <= CLOSE * height:
             break
@@ -175,10 +175,10 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
         reach |= np.abs(step).max(axis=1) > 0
         motion = replace(motion, root_translation=motion.root_translation + step)
         stay = np.zeros_like(shifts)
-        for number in feet:  # the root moved, and feet that nobody asked for stay where they were
+        for number in feet:  # the root moved, and feet without a pin stay where they were
             free = 1 - spread(pinned[:, number], np.ones((len(motion), 1)), LEAD * motion.fps)
             stay[:, number] = free * (planted - end_positions(motion, handles, ends))[:, number]
-        motion = move_feet(motion, handles, joints, limbs, stay)
+        motion = with_feet_moved(motion, anatomy, limbs, stay)
     off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
     worst = np.linalg.norm(off, axis=-1)
     if worst.max() > MISSED * height:
@@ -191,12 +191,10 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
     for pin in turned:
         reach |= np.abs(spread(_asked(pin, motion), np.ones((len(motion), 1)), LEAD * motion.fps))[:, 0] > 0
     met = _turned(motion, handles, joints, ends, turned)
-    arrays = {
-        name: np.where(
-            reach.reshape(-1, *[1] * (getattr(met, name).ndim - 1)), getattr(met, name), getattr(given, name)
-        )
-        for name in HandleMotion.arrays
-    }
+    arrays = {}
+    for name in HandleMotion.arrays:
+        after, before = getattr(met, name), getattr(given, name)
+        arrays[name] = np.where(reach.reshape(-1, *[1] * (after.ndim - 1)), after, before)
     return replace(met, **arrays)  # what no pin reaches stays bit for bit
 
 
@@ -222,15 +220,14 @@ def _turned(
         turns, pinned = np.zeros((len(motion), 3)), np.zeros(len(motion), bool)
         for pin in own:
             frames = pin.frames(len(motion), motion.fps)
-            turns[frames] = axis_angle_from_matrix(
-                np.asarray(pin.rotation) @ np.swapaxes(world[frames, end.handle, :, :3], -1, -2)
-            )
+            back = np.swapaxes(world[frames, end.handle, :, :3], -1, -2)
+            turns[frames] = axis_angle_from_matrix(np.asarray(pin.rotation) @ back)
             pinned[frames] = True
         turned = matrix_from_axis_angle(spread(pinned, turns, LEAD * motion.fps))
         pivot = world[:, end.handle, :, :3] @ end.point + world[:, end.handle, :, 3]
         for handle in end.limb.foot:
             carry(world, handle, joints, pivot, pivot, turned)
-    return local_motion(world, motion, handles)
+    return motion.with_transforms(world, handles.positions)
 
 
 def spread(pinned: np.ndarray, values: np.ndarray, lead: float) -> np.ndarray:

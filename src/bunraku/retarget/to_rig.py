@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import stiff
+from bunraku.anatomy.anatomy import reference_anatomy
 from bunraku.anatomy.names.bone_names import NO_HANDLE
 from bunraku.core.animation import RigAnimation
 from bunraku.core.avatars import mmd_model
@@ -16,15 +16,19 @@ from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.mmd_pose import pose_mmd
 from bunraku.retarget.rig_parts import RigParts
 
-__all__ = ["copied_bones", "fit_rig", "on_bones"]
+__all__ = ["copied_bones", "fit_rig", "on_bones", "stiff"]
+
+
+def stiff(motion: HandleMotion) -> HandleMotion:
+    """A motion of the reference body with all joints held, as bones hold them."""
+    rotations, translations = reference_anatomy().attached(motion.rotations.astype(np.float64))
+    return replace(motion, rotations=rotations, translations=translations)
 
 
 def fit_rig(
-    motion: HandleMotion,
-    character: Character | RigParts,
-    stages: Stages | None = None,
+    motion: HandleMotion, character: Character | RigParts, stages: Stages | None = None,
     heights: np.ndarray | None = None,
-) -> RigAnimation:
+) -> RigAnimation:  # fmt: skip
     """A handle motion of the reference body on the rig of a character.
 
     Args:
@@ -37,12 +41,7 @@ def fit_rig(
         CharacterError: There is no rig, or its bones' names do not tell which parts they move.
     """
     parts = character if isinstance(character, RigParts) else RigParts.of(character)
-    fitted = fit_motion(
-        stiff(motion),
-        parts.anatomy,
-        replace(stages or Stages(), shape=False),
-        heights,
-    )
+    fitted = fit_motion(stiff(motion), parts.anatomy, replace(stages or Stages(), shape=False), heights)
     return on_bones(parts, fitted, motion)
 
 
@@ -63,12 +62,9 @@ def _with_helpers(animation: RigAnimation, parts: RigParts) -> RigAnimation:
     inverse kinematics.
     """
     model, rig = mmd_model(parts.character), parts.character.rig
-    if (
-        model is None
-        or rig is None
-        or len(model.bones) != len(rig.names)
-        or not np.allclose(model.positions, rig.positions, atol=1e-4)
-    ):
+    if model is None or rig is None or len(model.bones) != len(rig.names):
+        return animation
+    if not np.allclose(model.positions, rig.positions, atol=1e-4):
         return animation
     tracks, switches = {}, {}
     for bone, entry in enumerate(model.bones):
@@ -81,10 +77,8 @@ def _with_helpers(animation: RigAnimation, parts: RigParts) -> RigAnimation:
     return RigAnimation.of_world(parts.character, poses.rotations, poses.positions, animation.fps, animation.reference)
 
 
-ALIKE, MOST = (
-    5.0,
-    20.0,
-)  # bones of one skeleton rest in directions that differ by so much in the mean, and at the most [degrees]
+ALIKE, MOST = 5.0, 20.0
+"""How much the rest directions of bones of one skeleton differ in the mean, and at the most [degrees]."""
 
 
 def copied_bones(
@@ -123,10 +117,8 @@ def copied_bones(
             continue
         if partner[above] != theirs.parents[partner[bone]]:
             return None
-        mine, other = (
-            own.positions[bone] - own.positions[above],
-            theirs.positions[partner[bone]] - theirs.positions[partner[above]],
-        )
+        mine = own.positions[bone] - own.positions[above]
+        other = theirs.positions[partner[bone]] - theirs.positions[partner[above]]
         lengths = np.linalg.norm(mine), np.linalg.norm(other)
         if min(lengths) > 1e-3 * character.height * min(1.0, source.height / character.height):
             ratios.append(lengths[0] / lengths[1])

@@ -13,14 +13,13 @@ import time
 from multiprocessing.connection import Connection
 from typing import Any
 
-from bunraku.errors import BunrakuError
+from bunraku.errors import FULL_DISK, BunrakuError, sentence_of
 
-__all__ = ["Cancelled", "is_full", "sentence_of", "work"]
+__all__ = ["Cancelled", "is_full", "page_sentence", "work"]
 
 
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _SHUT = {errno.EROFS, errno.EACCES}
-_FULL_WORDS = tuple(os.strerror(number).lower() for number in (*_FULL, *_SHUT))
+_FULL_WORDS = tuple(os.strerror(number).lower() for number in (*FULL_DISK, *_SHUT))
 _FOLDER = re.compile(r"(?<![\w.])/(?:[^\s:/]+/)+(?=[^\s:/]+)")
 
 
@@ -28,33 +27,21 @@ def is_full(error: Exception) -> bool:
     """Whether the disk takes nothing more: it is full, or can only be read."""
     if isinstance(error, BunrakuError):
         return any(word in str(error) for word in _FULL_WORDS)
-    return isinstance(error, OSError) and error.errno in (*_FULL, *_SHUT)
+    return isinstance(error, OSError) and error.errno in (*FULL_DISK, *_SHUT)
 
 
-def sentence_of(error: Exception) -> str:
-    """The sentence of the library, or one for what it did not foresee; folders are left out of file names."""
-    if isinstance(error, BunrakuError):
-        text = str(error)
-    elif isinstance(error, MemoryError) or "not enough memory" in str(error) or "can't allocate memory" in str(error):
-        text = "the memory is not enough for this; close other programs, or give a smaller mesh or fewer seconds"
-    elif isinstance(error, OSError) and error.errno in _FULL:
-        text = "the disk is full; free some space, or start the studio with another --folder"
-    elif isinstance(error, OSError):
-        text = f"a file cannot be used ({(error.strerror or str(error)).lower()}); check the studio's folder"
-    else:
-        text = (
-            f"this is a fault of Bunraku, not yours: {type(error).__name__}: {error}; start the studio with "
-            "BUNRAKU_DEBUG=1 and report what it prints"
-        )
+def page_sentence(error: Exception) -> str:
+    """The sentence of an exception without the folders of file names."""
+    text = sentence_of(error, "start the studio with another --folder", "start the studio with BUNRAKU_DEBUG=1")
     return " ".join(_FOLDER.sub("", text).split())
 
 
 SECONDS_APART = 0.1
-"""Between two messages of progress."""
+"""Between two messages of progress; chosen by eye."""
 
 
 class Cancelled(Exception):
-    """Somebody does not want the result any more."""
+    """The job was cancelled."""
 
 
 def work(folder: str, pipe: Connection, bell: Connection) -> None:
@@ -81,16 +68,16 @@ def work(folder: str, pipe: Connection, bell: Connection) -> None:
             name, task, arguments = pipe.recv()
         except (EOFError, OSError):
             return
-        told = 0.0
+        sent = 0.0
 
         def report(stage: str, done: float, name: str = name) -> None:
-            nonlocal told
+            nonlocal sent
             while bell.poll():
                 if bell.recv() == name:
                     raise Cancelled
             now = time.monotonic()
-            if now - told > SECONDS_APART:
-                told = now
+            if now - sent > SECONDS_APART:
+                sent = now
                 pipe.send((name, "progress", {"stage": stage, "done": round(float(done), 3)}))
 
         def partly(said: dict[str, object], name: str = name) -> None:
@@ -111,9 +98,8 @@ def work(folder: str, pipe: Connection, bell: Connection) -> None:
 
 
 def _explained(error: Exception) -> dict[str, Any]:
-
     if os.environ.get("BUNRAKU_DEBUG", "") not in ("", "0"):
         import traceback
 
         traceback.print_exception(error, file=sys.stderr)
-    return {"error": sentence_of(error), "kind": type(error).__name__, "full": is_full(error)}
+    return {"error": page_sentence(error), "kind": type(error).__name__, "full": is_full(error)}

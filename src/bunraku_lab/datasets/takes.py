@@ -12,17 +12,26 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bunraku.core.body.layout import JOINT_NAMES
-from bunraku.core.files import remove_leftovers
-from bunraku.core.motion import HandleMotion, SkeletalMotion, cut_motion, resample_motion
+from bunraku.core.files import read_bounded, remove_leftovers
+from bunraku.core.motion import HandleMotion, SkeletalMotion, resample_motion
 from bunraku.core.parallel import Pool
-from bunraku.errors import BunrakuError, FormatError
-from bunraku.files import HUMANML3D_FPS, TimedCaption, read_texts
+from bunraku.errors import BunrakuError, FormatError, MotionError
+from bunraku.files import HUMANML3D_FPS
 from bunraku.generation.pack import OWN
 from bunraku.retarget.to_reference import handle_motion_of_body
 from bunraku_lab.datasets.motions.build import split_of
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, write_clip, write_index
 
-__all__ = ["CAPTIONS", "Take", "add_takes", "amass_takes", "humanml3d_takes", "licensed_takes", "own_takes"]
+__all__ = [
+    "CAPTIONS",
+    "Take",
+    "add_takes",
+    "amass_takes",
+    "humanml3d_takes",
+    "licensed_takes",
+    "own_takes",
+    "read_texts",
+]
 
 FPS = 20.0
 """Frames a second of clips to train on [1/s]."""
@@ -78,7 +87,7 @@ def take_motion(take: Take) -> HandleMotion:
         if motion.skeleton.names != JOINT_NAMES:
             motion = to_smpl(motion, map_skeleton(motion.skeleton))
         end = len(motion) / motion.fps if take.end is None else take.end
-        motion = resample_motion(cut_motion(motion, take.start, min(end, take.start + LONGEST)), FPS)
+        motion = resample_motion(_cut(motion, take.start, min(end, take.start + LONGEST)), FPS)
         _check_length(take, len(motion))
         return handle_motion_of_body(motion)
     whole = reference_motion(motion, fps=FPS)
@@ -86,6 +95,16 @@ def take_motion(take: Take) -> HandleMotion:
     part = whole.take(slice(round(take.start * FPS), round(min(end, take.start + LONGEST) * FPS)))
     _check_length(take, len(part))
     return part
+
+
+def _cut(motion: SkeletalMotion, start: float, end: float) -> SkeletalMotion:
+    """The frames from one time to another [s]; what lies outside the motion is left out."""
+    first, stop = max(round(start * motion.fps), 0), min(round(end * motion.fps), len(motion))
+    if stop <= first:
+        seconds = len(motion) / motion.fps
+        raise MotionError(f"no frame lies between {start:g} s and {end:g} s of a motion of {seconds:.2f} s")
+    rotations, root = motion.rotations[first:stop], motion.root_translation[first:stop]
+    return SkeletalMotion(motion.skeleton, rotations, root, motion.fps)
 
 
 def _check_length(take: Take, frames: int) -> None:
@@ -317,6 +336,53 @@ def _captioned(
             Take(name if not last else f"{name}_{number}", file, tuple(words), split, source, start + first, stop)
         )
     return out
+
+
+@dataclass(frozen=True)
+class TimedCaption:
+    """A description of a motion.
+
+    Args:
+        text: The caption.
+        start: When it begins [s].
+        end: When it ends [s]; 0 like the start where it is about the whole motion.
+    """
+
+    text: str
+    start: float = 0.0
+    end: float = 0.0
+
+
+def read_texts(path: str | Path) -> list[TimedCaption]:
+    """Captions of a file of `texts`: lines of `caption#word/KIND word/KIND#start#end`.
+
+    Lines whose span is not a number, or ends before it begins, are about the whole motion.
+
+    Raises:
+        FormatError: The file cannot be read, or holds no caption.
+    """
+    path = Path(path)
+    try:
+        lines = read_bounded(path).decode("utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise FormatError(path, "these captions are not text in UTF-8; download them again") from None
+    out = []
+    for line in lines:
+        text, *rest = line.split("#")
+        text = " ".join(text.split())
+        if text:
+            out.append(TimedCaption(text, *_span(rest[-2:] if len(rest) >= 3 else [])))
+    if not out:
+        raise FormatError(path, "there is no caption in it; lines are 'caption#tokens#start#end'")
+    return out
+
+
+def _span(words: list[str]) -> tuple[float, float]:
+    try:
+        start, end = (float(word) for word in words)
+    except ValueError:
+        return 0.0, 0.0
+    return (start, end) if math.isfinite(start) and math.isfinite(end) and 0 <= start < end else (0.0, 0.0)
 
 
 def _captions(path: Path) -> list[TimedCaption]:

@@ -11,16 +11,15 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.generation.agreement import Phrase, Track
-from bunraku.language.captions import (
+from bunraku.language.captions import conjugate, mirror_words
+from bunraku_lab.description.captions import (
     caption_clauses,
     caption_variants,
-    conjugate,
     creature_clauses,
     creature_names,
     creature_variants,
     fill,
     is_stative,
-    mirror_words,
     person_phrases,
     sentence_forms,
 )

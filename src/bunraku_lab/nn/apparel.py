@@ -9,7 +9,16 @@ import numpy as np
 import torch
 from torch import nn
 
-from bunraku.apparel.learned.features import BASIS, GLOBAL
+from bunraku.apparel.clothed import ClothedCharacter
+from bunraku.apparel.learned.features import (
+    BASIS,
+    GLOBAL,
+    LEAD_IN,
+    Frame,
+    MotionFeatures,
+    lead_in_transforms,
+    rest_transforms,
+)
 from bunraku.apparel.learned.network import (
     CHANGE,
     KEEP,
@@ -23,12 +32,14 @@ from bunraku.apparel.learned.network import (
     DisplacementConfig,
 )
 from bunraku.apparel.learned.segmentation import POINT_FEATURES, SampledMesh, SegmentationConfig
+from bunraku.apparel.nodes import ApparelNodes
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_MIRROR
 from bunraku_lab.nn.checkpoints import SavedNetwork
 from bunraku_lab.nn.graph import EdgeBlock, NodeGraph, node_graph
 
 __all__ = [
     "AnchorHead", "DisplacementNetwork", "Inputs", "NodeEncoder", "Past", "RecurrentPart", "SegmentationNetwork",
-    "mesh_block", "node_state", "past_of_states",
+    "clip_features", "mesh_block", "mirror_global", "node_state", "past_of_states",
 ]  # fmt: skip
 
 
@@ -304,3 +315,27 @@ def mesh_block(meshes: Sequence[SampledMesh]) -> tuple[torch.Tensor, NodeGraph]:
     """Features and graph of several meshes as one block."""
     features = torch.cat([torch.from_numpy(mesh.features) for mesh in meshes])
     return features, node_graph([mesh.neighbours for mesh in meshes], [mesh.part for mesh in meshes])
+
+
+def mirror_global(whole: np.ndarray) -> np.ndarray:
+    """`Frame.whole` of the mirror image in the plane x = 0, shape (..., GLOBAL)."""
+    joints = whole[..., :-3].reshape(*whole.shape[:-1], JOINT_COUNT, 9)[..., list(JOINT_MIRROR), :]
+    sign = np.array([-1, 1, 1, 1, -1, -1, -1, 1, 1], whole.dtype)
+    up = whole[..., -3:] * np.array([-1, 1, 1], whole.dtype)
+    return np.concatenate([(joints * sign).reshape(*whole.shape[:-1], -1), up], axis=-1)
+
+
+def clip_features(clothed: ClothedCharacter, nodes: ApparelNodes, transforms: np.ndarray) -> list[Frame]:
+    """Features of all frames of a clip at 30 frames a second that begins from the rest pose, after `LEAD_IN` frames
+    that lead there.
+
+    Args:
+        clothed: The character.
+        nodes: Its nodes.
+        transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
+    """
+    start = rest_transforms(clothed.joints, transforms[0])
+    state = MotionFeatures(clothed, nodes, start)
+    for pose in lead_in_transforms(clothed.joints, transforms[0], LEAD_IN):
+        state.advance(pose)
+    return [state.advance(pose) for pose in transforms]

@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from bunraku.anatomy.anatomy import body_handle_motion
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
 from bunraku.errors import OptionError
+from bunraku.generation.features import body_handle_motion
 
 __all__ = ["STOCK_MOTIONS", "stock_motion"]
 

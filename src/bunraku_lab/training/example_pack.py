@@ -12,15 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import body_handle_motion
-from bunraku.anatomy.plan import lowest
+from bunraku.anatomy.anatomy import reference_anatomy
 from bunraku.core.body.joint_rotations import skeleton_from_handles
 from bunraku.core.body.reference import reference_body
 from bunraku.core.motion import SkeletalMotion
 from bunraku.core.nn.checkpoints import load_checkpoint, shipped_checkpoint
 from bunraku.generation.agreement import SIDES, Track, runs
 from bunraku.generation.extractor import RADIUS, Extractor, embed_motions, embed_sentences, load_ranker
-from bunraku.generation.features import FeatureStatistics, decode, encode, mirror
+from bunraku.generation.features import FeatureStatistics, body_handle_motion, decode, encode, mirror
 from bunraku.generation.pack import (
     BUSY,
     FPS,
@@ -35,7 +34,6 @@ from bunraku.generation.pack import (
     read_pack,
     write_pack,
 )
-from bunraku.generation.splicing import standing_stretches
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
 from bunraku.gestures.standing import stands_well
@@ -44,7 +42,7 @@ from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.lexicon import main_actions
 from bunraku.language.vocabulary import is_known, own_words, words_of, write_own_words
 from bunraku_lab.description.wording import computed_sentence, inside
-from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
+from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture, standing_stretches
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips
 
 __all__ = ["BUSY_BOUNDS", "ExampleSettings", "IDLE_BOUNDS", "IdleBounds", "build_examples", "idling"]
@@ -335,7 +333,7 @@ def _events(rows: ClipSet, seed: int) -> Iterator[_Stretch]:
 def _hovers(features: np.ndarray) -> bool:
     """Whether nothing of the body is near the ground in a quarter of the frames: a floor that was found too low."""
     body = reference_body()
-    heights = lowest(body.vertices, body.handle_weights, decode(features), body.handles.positions)
+    heights = reference_anatomy().surface_reach.lowest(decode(features).transforms(body.handles.positions))
     return bool((heights > HOVERS).mean() > 0.25)
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.handles.blocks import find_blocks, rigid_handles
-from bunraku.anatomy.plan import lowest
 from bunraku.core.animation import Animation
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
@@ -163,7 +162,7 @@ def test_legs_of_one_block_neither_sink_nor_hover(tmp_path):
     fitted = fit_motion(motion, anatomy, Stages(smooth=False, feet=False))
     low = skin(character.vertices, handles.weights, fitted.transforms(handles.positions))[..., 1].min(axis=1)
     body = reference_body()
-    want = lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
+    want = reference_anatomy().surface_reach.lowest(motion.transforms(body.handles.positions))
     assert np.ptp(want) > 0.05  # the reference body leaves the ground in between
     assert low.min() > -0.005 * character.height
     assert low.max() < (np.ptp(want) * anatomy.scale) + 0.005 * character.height

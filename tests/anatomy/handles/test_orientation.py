@@ -15,7 +15,7 @@ from bunraku.anatomy.handles.orientation import (
     resolved_axes,
     upright,
 )
-from bunraku.anatomy.handles.orientation_evidence import combined, kind_weights
+from bunraku.anatomy.handles.orientation_evidence import Combination, ShapeView, gathered, kind_weights
 from bunraku.core.character import Character
 from bunraku.core.geometry.axes import ORIENTATIONS, default_orientation, upright_rotation
 from bunraku.core.nn.checkpoints import shipped_checkpoint
@@ -150,19 +150,26 @@ def scorpion():
     return np.array(points, np.float32)
 
 
+def combined(seen, vertices, suffix):
+    """Probabilities by the network, the vertices and the kind of file."""
+    combination = Combination()
+    logs = gathered(ShapeView(vertices))
+    return combination(seen, logs, combination.worth(vertices), kind_weights(suffix))
+
+
 def test_a_scorpion_with_its_lowest_point_at_0_does_not_stand_on_its_tail():
     """The network alone says that -Z is up."""
     seen = np.full(24, 0.12 / 22)
     seen[ORIENTATIONS.index(("-z", "+y"))], seen[ORIENTATIONS.index(("+y", "+z"))] = 0.75, 0.13
-    alone = Orientation.of(combined(seen))
+    alone = Orientation.of(Combination()(seen, gathered(ShapeView())))
     assert (alone.up, alone.front) == ("-z", "+y")
-    found = Orientation.of(combined(seen, scorpion(), kind_weights(".obj")))
+    found = Orientation.of(combined(seen, scorpion(), ".obj"))
     assert (found.up, found.front) == ("+y", "+z") and found.up_confidence > SURE
     laid_down = scorpion() @ upright_rotation("+z", "-y").astype(np.float32)
     rotation = upright_rotation("+z", "-y")
     turns = [upright_rotation(*axes) @ rotation.T for axes in ORIENTATIONS]
     there = [[np.array_equal(upright_rotation(*axes), turn) for axes in ORIENTATIONS].index(True) for turn in turns]
-    found = Orientation.of(combined(seen[there], laid_down, kind_weights(".stl")))
+    found = Orientation.of(combined(seen[there], laid_down, ".stl"))
     assert (found.up, found.front) == ("+z", "-y")
 
 

@@ -5,26 +5,43 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from bunraku.anatomy.handles.orientation_evidence import (
-    CALIBRATION,
+    ColorEvidence,
+    Combination,
+    GroundEvidence,
+    LeanEvidence,
+    MirrorEvidence,
+    RestEvidence,
+    ShapeView,
     _carried,
-    asymmetries,
-    combined,
-    evidence,
-    evidence_of_file,
-    evidence_of_surface,
-    front_scores,
-    ground_fit,
+    gathered,
     has_rule,
     kind_weights,
-    lean,
-    rest,
-    variety,
 )
 from bunraku.core.geometry.axes import AXES, ORIENTATIONS, axis_vector, upright_rotation
 from bunraku.core.geometry.surface import surface_points
 from bunraku_lab.synthetic.fields import grid_surface
 
 EQUAL = np.full(24, 1 / 24)
+variety, front_scores = ColorEvidence().variety, ColorEvidence().front_scores
+rest, lean = RestEvidence().rest, LeanEvidence().lean
+ground_fit, asymmetries = GroundEvidence().fit, MirrorEvidence().asymmetries
+
+
+def combined(network, vertices=None, prior=None, surface=None, bones=None, paint=None):
+    """Probabilities by all evidence."""
+    combination, view = Combination(), ShapeView(vertices, surface, paint)
+    return combination(network, gathered(view), 1.0 if vertices is None else combination.worth(vertices), prior, bones)
+
+
+def evidence_of_file(vertices):
+    """Log-odds by the ground and by the mirror plane."""
+    return sum(evidence.log_odds(ShapeView(vertices)) for evidence in (GroundEvidence(), MirrorEvidence()))
+
+
+def evidence_of_surface(points, normals):
+    """Log-odds by what a shape would rest on and by where its top leans."""
+    view = ShapeView(surface=(points, normals))
+    return sum(evidence.log_odds(view) for evidence in (RestEvidence(), LeanEvidence()))
 
 
 def ball():
@@ -53,7 +70,7 @@ def test_one_colour_tells_nothing():
     vertices, faces, colors = ball()
     plain = np.full_like(colors, 77)
     assert np.allclose(front_scores(variety(vertices, faces, plain)), 1)
-    without, with_it = (evidence(vertices, None, paint)[0] for paint in (None, (faces, plain)))
+    without, with_it = (gathered(ShapeView(vertices, None, paint)) for paint in (None, (faces, plain)))
     assert np.allclose(with_it - without, np.log(0.25))  # the same of all
 
 
@@ -203,7 +220,7 @@ def test_no_witness_is_believed_beyond_its_doubt():
     sure = np.zeros(24)
     sure[5] = 1
     ratio = combined(sure).max() / combined(sure).min()
-    assert ratio == pytest.approx(((0.95 + 0.05 / 24) / (0.05 / 24)) ** (1 / CALIBRATION))
+    assert ratio == pytest.approx(((0.95 + 0.05 / 24) / (0.05 / 24)) ** (1 / Combination.calibration))
     logs = evidence_of_file(body())
     assert np.ptp(logs) <= np.log(195) + np.log(298) + 1e-6
 

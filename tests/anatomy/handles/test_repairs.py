@@ -7,17 +7,14 @@ import pytest
 import trimesh
 
 from bunraku.anatomy.handles.repairs import (
-    MOST,
-    TURN,
-    ears_to_head,
-    edge_strain,
-    find_loose_parts,
-    hair_off_arms,
-    hair_to_head,
-    joined_regions,
-    seat_parts,
-    without_doubtful_limbs,
-    without_torn_edges,
+    DropDoubtfulLimbs,
+    EarsToHead,
+    HairOffArms,
+    HairToHead,
+    JoinRegions,
+    Patient,
+    SeatParts,
+    SoftenTornEdges,
 )
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
@@ -25,6 +22,13 @@ from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.geometry.simplify import network_mesh
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
+ANGLE, MOST = SoftenTornEdges.angle, SoftenTornEdges.most
+edge_strain = SoftenTornEdges().strain
+
+
+def mended(repair, mesh, weights):
+    """Weights after one repair."""
+    return repair(Patient(mesh), weights)
 
 
 def box_body(tail: bool = False):
@@ -72,7 +76,7 @@ def test_an_ear_that_was_called_a_hand_goes_back_to_the_trunk():
         ("right_wrist", lambda p: arms(p, -1)),
         ("left_wrist", ear),
     )
-    out = joined_regions(mesh, weights)
+    out = mended(JoinRegions(), mesh, weights)
     assert (out[ear(position)].argmax(axis=1) == H["spine2"]).all()
     kept = ~ear(position)
     np.testing.assert_allclose(out[kept], weights[kept], atol=1e-6)
@@ -87,7 +91,7 @@ def test_ears_are_no_arms():
         ("left_wrist", lambda p: arms(p, 1) | ear(p)),
         ("right_wrist", lambda p: arms(p, -1)),
     )
-    held = ears_to_head(mesh, weights)
+    held = mended(EarsToHead(), mesh, weights)
     top = ear(position)
     assert held[top, H["head_top"]].min() > 0.99 and held[top, H["left_wrist"]].max() < 0.01
     np.testing.assert_array_equal(held[arms(position, 1)], weights[arms(position, 1)])
@@ -102,7 +106,7 @@ def test_who_is_all_head_has_its_arms_there():
         ("left_wrist", lambda p: arms(p, 1)),
         ("right_wrist", lambda p: arms(p, -1)),
     )
-    np.testing.assert_array_equal(ears_to_head(mesh, weights), weights)
+    np.testing.assert_array_equal(mended(EarsToHead(), mesh, weights), weights)
 
 
 def test_a_tail_that_played_a_leg_becomes_a_tail():
@@ -114,7 +118,7 @@ def test_a_tail_that_played_a_leg_becomes_a_tail():
         ("left_hip", lambda p: (p[:, 1] < -0.52) & (p[:, 0] > 0)),
         ("right_hip", lambda p: p[:, 2] < -0.25),
     )
-    out = joined_regions(mesh, weights)
+    out = mended(JoinRegions(), mesh, weights)
     behind = position[:, 2] < -0.25
     assert (out[behind].argmax(axis=1) == H["tail"]).all()
     legs = position[:, 1] < -0.52
@@ -125,7 +129,7 @@ def test_regions_that_touch_across_loose_parts_are_one():
     """A sleeve over an arm is no stray piece, though no edge joins them."""
     mesh = box_body()
     _, weights = hard(mesh, ("left_shoulder", lambda p: (p[:, 0] > 0.1) & (np.abs(p[:, 1] - 0.2) < 0.12)))
-    np.testing.assert_allclose(joined_regions(mesh, weights), weights, atol=1e-6)
+    np.testing.assert_allclose(mended(JoinRegions(), mesh, weights), weights, atol=1e-6)
 
 
 def test_the_reference_body_stays_as_it_is():
@@ -133,8 +137,8 @@ def test_the_reference_body_stays_as_it_is():
     mesh = network_mesh(body.vertices, body.faces, 2500)
     weights = mesh.pull(body.handle_weights)
     weights /= weights.sum(axis=1, keepdims=True)
-    assert np.abs(joined_regions(mesh, weights) - weights).sum(axis=1).mean() < 2e-3
-    assert np.abs(without_torn_edges(mesh, weights) - weights).sum(axis=1).mean() < 2e-3
+    assert np.abs(mended(JoinRegions(), mesh, weights) - weights).sum(axis=1).mean() < 2e-3
+    assert np.abs(mended(SoftenTornEdges(), mesh, weights) - weights).sum(axis=1).mean() < 2e-3
 
 
 def test_strain_is_what_a_turn_does_to_an_edge():
@@ -146,7 +150,7 @@ def test_strain_is_what_a_turn_does_to_an_edge():
     overlap = mesh.areas * share * (1 - share)
     joint = overlap @ mesh.vertices / overlap.sum()
     points = mesh.vertices - joint
-    turned = points + share[:, None] * (points @ matrix_from_axis_angle(np.array([0, 0, TURN])).T - points)
+    turned = points + share[:, None] * (points @ matrix_from_axis_angle(np.array([0, 0, ANGLE])).T - points)
     first, second = mesh.edges.T
     before, after = (np.linalg.norm(p[first] - p[second], axis=1) for p in (points, turned))
     growth = (after - before) / np.maximum(before, 0.25 * mesh.cell)
@@ -162,16 +166,16 @@ def test_a_step_far_from_the_joint_is_softened():
     weights = np.zeros((len(position), HANDLE_COUNT), np.float32)
     weights[:, H["left_shoulder"]] = position[:, 0] > 0.2  # an arm glued to the side of the body over its whole length
     weights[:, H["spine2"]] = 1 - weights[:, H["left_shoulder"]]
-    before, after = edge_strain(mesh, weights), edge_strain(mesh, without_torn_edges(mesh, weights))
+    before, after = edge_strain(mesh, weights), edge_strain(mesh, mended(SoftenTornEdges(), mesh, weights))
     assert before.max() > 2 * MOST and after.max() < 0.6 * before.max()
-    np.testing.assert_allclose(without_torn_edges(mesh, weights).sum(axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(mended(SoftenTornEdges(), mesh, weights).sum(axis=1), 1, atol=1e-5)
 
 
-@pytest.mark.parametrize("repair", [joined_regions, without_torn_edges])
+@pytest.mark.parametrize("repair", [JoinRegions(), SoftenTornEdges()])
 def test_repairs_leave_one_handle_alone(repair):
     mesh = box_body()
     _, weights = hard(mesh)
-    np.testing.assert_allclose(repair(mesh, weights), weights, atol=1e-6)
+    np.testing.assert_allclose(mended(repair, mesh, weights), weights, atol=1e-6)
 
 
 @pytest.mark.parametrize(("left", "right", "there"), [(0.3, 0.4, False), (0.3, 0.9, True), (0.9, 0.9, True)])
@@ -180,7 +184,7 @@ def test_a_limb_that_holds_no_vertex_surely_is_not_there(left, right, there):
     weights[:, H["head"]] = 1
     for row, side, share in ((0, "left", left), (1, "right", right)):
         weights[row, [H[f"{side}_wrist"], H[f"{side}_elbow"], H["head"]]] = [0.5 * share, 0.5 * share, 1 - share]
-    found = without_doubtful_limbs(weights)
+    found = DropDoubtfulLimbs()(None, weights)
     np.testing.assert_allclose(found.sum(axis=1), 1, atol=1e-6)
     if there:
         np.testing.assert_allclose(found, weights, atol=1e-6)
@@ -205,7 +209,7 @@ def test_hair_that_lies_on_an_arm_goes_with_the_head():
     hard_weights[hair] = 0
     hard_weights[hair, H["left_wrist"]] = position[hair, 1] <= 0.9
     hard_weights[hair, H["head"]] = position[hair, 1] > 0.9
-    found = hair_to_head(mesh, hard_weights)
+    found = mended(HairToHead(), mesh, hard_weights)
     np.testing.assert_allclose(found.sum(axis=1), 1, atol=1e-6)
     np.testing.assert_allclose(found[~hair], hard_weights[~hair])
     assert found[hair][:, [H["head"], H["head_top"]]].sum(axis=1).min() > 0.999
@@ -236,7 +240,7 @@ def dressed_body():
 
 def test_a_cape_is_freed_and_a_sleeve_is_not():
     mesh, position, weights = dressed_body()
-    found = hair_off_arms(mesh, weights)
+    found = mended(HairOffArms(), mesh, weights)
     cape = position[:, 2] < -0.25
     assert (cape & (position[:, 0] > 0.3)).sum() > 20
     np.testing.assert_allclose(found.sum(axis=1), 1, atol=1e-6)
@@ -249,7 +253,7 @@ def test_a_part_of_the_arm_stays_with_it():
     cape = position[:, 2] < -0.25
     weights[cape] = 0
     weights[cape, H["left_elbow"]] = 1  # a shield: the arm holds its top as well
-    np.testing.assert_array_equal(hair_off_arms(mesh, weights), weights)
+    np.testing.assert_array_equal(mended(HairOffArms(), mesh, weights), weights)
 
 
 BUTTON, HAND = np.array([0, 0.5, 0.52]), np.array([1.06, -0.5, 0])
@@ -284,7 +288,7 @@ def weights_of(position):
 
 def test_how_parts_lie_on_others(dressed):
     mesh, _, _ = dressed
-    parts = find_loose_parts(mesh)
+    parts = SeatParts().loose_parts(mesh)
     order = np.argsort(parts.extent)
     assert len(order) == 4
     np.testing.assert_allclose(parts.extent[order], [0.03, 0.1, 0.4, 1], atol=0.005)
@@ -294,7 +298,7 @@ def test_how_parts_lie_on_others(dressed):
 def test_a_button_moves_with_what_it_sits_on(dressed):
     mesh, position, clean = dressed
     weights = weights_of(position)
-    full = seat_parts(mesh, weights)
+    full = SeatParts()(mesh, weights)
     button = np.abs(np.linalg.norm(clean - BUTTON, axis=1) - 0.03) < 0.002
     assert button.sum() > 100 and (full[button] == full[button][0]).all()
     np.testing.assert_allclose(full[button][0], [0, 1, 0, 0], atol=0.02)
@@ -303,7 +307,7 @@ def test_a_button_moves_with_what_it_sits_on(dressed):
 def test_a_hand_keeps_its_own_and_a_sleeve_bends(dressed):
     mesh, position, clean = dressed
     weights = weights_of(position)
-    full = seat_parts(mesh, weights)
+    full = SeatParts()(mesh, weights)
     hand = (clean[:, 0] > 0.52) & (clean[:, 1] < 0)
     assert (full[hand] == full[hand][0]).all() and full[hand][0].argmax() == 3 and full[hand][0, 3] > 0.95
     sleeve = (clean[:, 0] > 0.505) & (clean[:, 1] > 0.4)
@@ -317,7 +321,7 @@ def test_one_part_alone_stays_as_it_is():
     ball = trimesh.creation.icosphere(3)
     mesh = network_mesh(ball.vertices, ball.faces, 600)
     weights = np.stack([mesh.vertices[:, 1] + 0.5, 0.5 - mesh.vertices[:, 1]], axis=1)
-    full = seat_parts(mesh, weights)
+    full = SeatParts()(mesh, weights)
     np.testing.assert_allclose(full, mesh.push_clean(weights))
 
 
@@ -339,7 +343,7 @@ def test_a_chain_of_pieces_follows_what_it_sticks_in():
     weights[:, H["spine3"]] = 1
     weights[behind & (position[:, 1] > 0.88)] = np.eye(HANDLE_COUNT)[H["left_wrist"]]  # the arrow flies with a hand
     weights[behind & (position[:, 1] > 1.34)] = np.eye(HANDLE_COUNT)[H["right_knee"]]  # and its feather with a leg
-    full = seat_parts(mesh, weights)
+    full = SeatParts()(mesh, weights)
     clean = mesh.clean.vertices * mesh.scale + mesh.center
     for piece in (clean[:, 1] > 1.34, (clean[:, 2] < -0.55) & (clean[:, 1] > 0.9) & (np.abs(clean[:, 0]) < 0.03)):
         piece = piece & (clean[:, 2] < -0.55)
@@ -357,7 +361,7 @@ def test_an_arm_of_many_small_pieces_keeps_its_hand():
     weights[:, H["spine3"]] = 1
     for part, start in (("left_shoulder", 0.505), ("left_elbow", 0.8), ("left_wrist", 1.1)):
         weights[position[:, 0] > start] = np.eye(HANDLE_COUNT)[H[part]]
-    full = seat_parts(mesh, weights)
+    full = SeatParts()(mesh, weights)
     assert (full[clean[:, 0] > 1.21].argmax(axis=1) == H["left_wrist"]).all()
 
 
@@ -372,7 +376,7 @@ def test_hair_that_the_head_s_handles_share_is_one_with_the_head():
     on = position[:, 1] > 1.6
     weights[on] = 0.5 * np.eye(HANDLE_COUNT)[H["head"]] + 0.4 * np.eye(HANDLE_COUNT)[H["head_top"]]
     weights[on, H["neck"]] = 0.1
-    full = seat_parts(mesh, weights)
+    full = SeatParts()(mesh, weights)
     clean = mesh.clean.vertices * mesh.scale + mesh.center
     assert (full[clean[:, 1] > 1.7, H["head"]] > 0.9999).all()
 
@@ -389,6 +393,6 @@ def test_a_fleck_that_touches_nothing_stays_with_what_is_nearest():
     weights[:, H["spine3"]] = 1
     for part, where in (("left_ankle", position[:, 2] > 0.55), ("left_wrist", position[:, 0] > 0.55)):
         weights[where] = np.eye(HANDLE_COUNT)[H[part]]
-    full = seat_parts(mesh, weights)
+    full = SeatParts()(mesh, weights)
     assert (full[clean[:, 2] > 0.55].argmax(axis=1) == H["spine3"]).all()
     assert (full[clean[:, 0] > 0.55].argmax(axis=1) == H["left_wrist"]).all()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles import register_reference
 from scipy.spatial.transform import Rotation, Slerp
 
 from bunraku.core.geometry import rotations as rot
@@ -19,7 +20,7 @@ from bunraku.core.geometry.axes import (
     upright_rotation,
 )
 from bunraku.core.geometry.rotations import Resampling, quaternion_from_matrix
-from bunraku.core.skinning import part_means, register, register_reference
+from bunraku.core.skinning import part_means, register
 from bunraku.errors import OptionError
 
 

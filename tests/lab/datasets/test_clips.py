@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from bunraku.anatomy.anatomy import body_handle_motion
 from bunraku.cli.app import main
 from bunraku.core.body.joint_rotations import skeleton_from_handles
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_NAMES, JOINT_PARENTS
@@ -17,6 +16,7 @@ from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
 from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku.errors import FormatError, OptionError
+from bunraku.generation.features import body_handle_motion
 from bunraku_lab.datasets.motions.build import between_held_poses, checked, clip_weight
 from bunraku_lab.datasets.motions.clips import (
     KIND,

@@ -14,7 +14,7 @@ from bunraku.core.motion import SkeletalMotion
 from bunraku.errors import FormatError
 from bunraku_lab.cli.data import Motions
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, write_index
-from bunraku_lab.datasets.takes import add_takes, amass_takes, humanml3d_takes, licensed_takes, own_takes
+from bunraku_lab.datasets.takes import add_takes, amass_takes, humanml3d_takes, licensed_takes, own_takes, read_texts
 
 
 @pytest.fixture(scope="module")
@@ -210,3 +210,18 @@ def test_positions_of_a_bent_body_bend_it_alike():
 
 def test_the_command_takes_both_folders():
     assert {"humanml3d", "amass"} <= set(Motions.__dataclass_fields__)
+
+
+def test_captions_with_spans(tmp_path):
+    (tmp_path / "a.txt").write_text(
+        "a man kicks.#a/DET man/NOUN kick/VERB#0.0#0.0\nhe  walks#he/PRON "
+        "walk/VERB#1.5#3.0\nbare\n\n#x#0#0\nodd#x#nan#0.0\nback#x#5#2\n"
+    )
+    found = [(caption.text, caption.start, caption.end) for caption in read_texts(tmp_path / "a.txt")]
+    assert found == [("a man kicks.", 0, 0), ("he walks", 1.5, 3), ("bare", 0, 0), ("odd", 0, 0), ("back", 0, 0)]
+    (tmp_path / "b.txt").write_text("\n##\n")
+    with pytest.raises(FormatError, match=r"b\.txt: there is no caption"):
+        read_texts(tmp_path / "b.txt")
+    (tmp_path / "c.txt").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FormatError, match="UTF-8"):
+        read_texts(tmp_path / "c.txt")

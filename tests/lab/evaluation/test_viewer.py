@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from look import hands_in_body, sliding_contacts
 
-from bunraku.anatomy.anatomy import body_handle_motion
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku.core.motion import HandleMotion, SkeletalMotion
-from bunraku.generation.features import decode, encode, mirror
+from bunraku.generation.features import body_handle_motion, decode, encode, mirror
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion.viewer import (
     DOERS,

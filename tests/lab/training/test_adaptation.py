@@ -118,8 +118,8 @@ def test_moved_joints_are_what_attaching_them_elsewhere_gives():
     rotations = matrix_from_axis_angle(vectors)
     present = np.ones(30, bool)
     known = replace(joints, present=present)
-    before = attach_joints(rotations, body.handles, known)[1]
-    after = attach_joints(rotations, body.handles, replace(known, positions=joints.positions + moves))[1]
+    before = attach_joints(rotations, body.handles.positions, known)[1]
+    after = attach_joints(rotations, body.handles.positions, replace(known, positions=joints.positions + moves))[1]
     still = np.zeros((4, 3))
     features = torch.from_numpy(encode(HandleMotion(before, rotations, still, matrix_from_axis_angle(still))))[None]
     found = joint_offsets(torch.from_numpy(moves).float().expand(1, 4, 30, 3), features)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from bunraku.anatomy.anatomy import body_handle_motion
 from bunraku.core.nn.checkpoints import load_checkpoint
 from bunraku.generation.extractor import RADIUS, RANKER, ExtractorConfig, embed_motions, embed_sentences
-from bunraku.generation.features import encode, mirror
+from bunraku.generation.features import body_handle_motion, encode, mirror
 from bunraku.generation.pack import KIND, read_pack, write_pack
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion

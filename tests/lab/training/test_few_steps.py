@@ -11,7 +11,8 @@ from bunraku.generation.classifier_guidance import ClassifierGuidance, Spoken
 from bunraku.generation.denoiser import load_denoiser, load_denoiser_of_few_steps, load_few_steps
 from bunraku.generation.extractor import RADIUS, ExtractorConfig
 from bunraku.generation.features import FeatureStatistics
-from bunraku.generation.sampler import Solver, Steering, Window, alphas_cumprod, sample, sample_windows
+from bunraku.generation.sampler import Solver, Steering, Window, alphas_cumprod, sample_windows
+from bunraku_lab.evaluation.motion.samples import sample
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.denoiser import load_denoiser as load_torch_denoiser
 from bunraku_lab.nn.denoiser import save_denoiser

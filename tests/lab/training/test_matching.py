@@ -7,7 +7,7 @@ import torch
 from bunraku.errors import OptionError, WeightsError
 from bunraku.generation.extractor import RANKER, ExtractorConfig, load_extractor
 from bunraku.generation.features import mirror
-from bunraku.language.lexicon import CUES
+from bunraku.language.encoders import CUES
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.training.matching import RankerTrainConfig, alike, corrupted, train_ranker
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from oracles import skin_reference
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.names.bone_names import rig_handles
@@ -13,7 +14,6 @@ from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import LOOSE_ON_PEOPLE
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import skin_reference
 from bunraku.errors import FormatError
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku_lab.datasets.characters.bank import load_character_bank

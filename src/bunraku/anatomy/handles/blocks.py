@@ -305,7 +305,7 @@ class BlockParts:
     Args:
         handles: Handle of each block, shape (B,).
         upright: Whether it stands on two legs or none, and not on four.
-        named: Whether names told the limbs of both sides.
+        named: Whether names say what the limbs of both sides are.
         trunk: The blocks of the trunk.
     """
 
@@ -603,7 +603,7 @@ def _rank(spine: list[int], base: int) -> int:
 
 def _positions(shapes: BlockShapes, parts: BlockParts) -> np.ndarray:
     """Where each handle stands [m], shape (K, 3): at its joint; the root between the legs, and absent ones where their
-    parents stand. The head of who has none stands at the upper or the front end of the trunk.
+    parents stand. A head that is not there stands at the upper or the front end of the trunk.
     """
     members = [np.flatnonzero(parts.handles == handle).tolist() for handle in range(HANDLE_COUNT)]
     present = np.array([bool(some) for some in members])

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bunraku.anatomy.handles.orientation_evidence import evidence, has_rule, kind_weights, with_prior
+from bunraku.anatomy.handles.orientation_evidence import Combination, ShapeView, gathered, has_rule, kind_weights
 from bunraku.core.character import Character
 from bunraku.core.geometry.axes import AXES, ORIENTATIONS, axis_name, default_orientation, upright_rotation
 from bunraku.core.geometry.surface import surface_points
-from bunraku.files import turned
+from bunraku.files import rotated
 
 if TYPE_CHECKING:
     from bunraku.anatomy.handles.networks import OrientationPredictor
@@ -108,9 +108,8 @@ def guess_orientation(
 ) -> Orientation:
     """The likeliest up axis of a character, and the likeliest front with that axis up.
 
-    Evidence and what files of its kind are like are combined (`orientation_evidence`): the network, which
-    sees the shape; the ground, where the lowest point is at 0; the plane that mirrors left and right; what the
-    shape would rest on; where its top leans; where its colours vary most; and bones whose names tell left from right.
+    Combined are the network, which sees the shape, the evidence of `orientation_evidence.EVIDENCE`, what files of its
+    kind are like, and bones whose names tell left from right.
 
     Args:
         character: Any mesh.
@@ -136,12 +135,13 @@ def guess_orientation(
     surface = surface_points(character.vertices, character.faces, _POINTS)
     used = character.surface
     paint = None if character.colors is None else (np.cumsum(used)[character.faces] - 1, character.colors[used])
-    others = evidence(character.vertices[used], surface, paint)
+    vertices, combined = character.vertices[used], Combination()
+    logs, worth = gathered(ShapeView(vertices, surface, paint)), combined.worth(vertices)
     looks = [_look(model, *surface)]
-    if with_prior(looks[0], *others).max() < ENOUGH:
+    if combined(looks[0], logs, worth).max() < ENOUGH:
         looks += [_look(model, *surface_points(character.vertices, character.faces, count)) for count in _AGAIN]
     mean = np.exp(np.log(looks).mean(axis=0))
-    return Orientation.of(with_prior(mean / mean.sum(), *others, prior, bones))
+    return Orientation.of(combined(mean / mean.sum(), logs, worth, prior, bones))
 
 
 def _look(model: OrientationPredictor, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -196,6 +196,19 @@ class ResolvedAxes:
     front: str
     guess: Orientation | None = None
 
+    @property
+    def sure(self) -> float:
+        """How likely these axes are by the guess, 0 to 1; 1 where nothing was guessed."""
+        return 1.0 if self.guess is None else self.guess.probability(self.up, self.front)
+
+    @property
+    def other(self) -> tuple[str, str] | None:
+        """The likeliest other axes; None where nothing was guessed."""
+        if self.guess is None:
+            return None
+        likeliest, taken = (self.guess.up, self.guess.front), (self.up, self.front)
+        return likeliest if taken != likeliest else self.guess.next_best(*taken)
+
 
 def resolve_axes(
     character: Character, up: str = "auto", front: str = "auto", *, suffix: str | None = None
@@ -219,12 +232,9 @@ def resolve_axes(
     suffix = _suffix(character) if suffix is None else suffix
     rule = has_rule(suffix) and said == [None, None]
     # What is said against a rule says that the file breaks it, so the rest is judged as in a format without one.
-    guess = guess_orientation(character, up=said[0], front=said[1], suffix=suffix if rule else _bare(suffix))
+    kind = "" if has_rule(suffix) and not rule else suffix
+    guess = guess_orientation(character, up=said[0], front=said[1], suffix=kind)
     return ResolvedAxes(*resolved_axes(guess, rule), guess)
-
-
-def _bare(suffix: str) -> str:
-    return "" if has_rule(suffix) else suffix
 
 
 def resolved_axes(guess: Orientation, rule: bool = False) -> tuple[str, str]:
@@ -249,4 +259,4 @@ def upright(character: Character, up: str = "auto", front: str = "auto") -> Char
         WeightsError: The weights are missing or broken, and something is to be guessed.
     """
     resolved = resolve_axes(character, up, front)
-    return turned(character, resolved.up, resolved.front)
+    return rotated(character, resolved.up, resolved.front)

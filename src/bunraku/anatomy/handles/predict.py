@@ -11,16 +11,8 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 
 from bunraku.anatomy.handles.blocks import rigid_handles
-from bunraku.anatomy.handles.extra_limbs import split_limbs, with_appendages
-from bunraku.anatomy.handles.repairs import (
-    ears_to_head,
-    hair_off_arms,
-    hair_to_head,
-    joined_regions,
-    seat_parts,
-    without_doubtful_limbs,
-    without_torn_edges,
-)
+from bunraku.anatomy.handles.limbs import split_limbs, with_appendages
+from bunraku.anatomy.handles.repairs import SeatParts, repaired
 from bunraku.core.body.layout import HANDLE_MIRROR
 from bunraku.core.body.reference import handle_positions
 from bunraku.core.character import Character, Handles
@@ -79,11 +71,11 @@ def predict_weights(mesh: NetworkMesh, model: HandlePredictor) -> tuple[np.ndarr
         Skinning weights (M, K) and the mesh deformation feature f_phi (448,) of the mesh as it is, float32.
     """
     from bunraku.anatomy.handles.networks import ordered_graph
-    from bunraku.core.nn.layers import one_thread, side_by_side
+    from bunraku.core.nn.layers import one_thread, parallel
 
     graph = ordered_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors)
     with one_thread():
-        plain, mirrored = side_by_side(lambda: model(graph), lambda: model(graph.mirrored()))
+        plain, mirrored = parallel(lambda: model(graph), lambda: model(graph.mirrored()))
         weights = np.float32(0.5) * (plain.weights + mirrored.weights[:, list(HANDLE_MIRROR)])
     return weights[graph.position], plain.features
 
@@ -97,16 +89,13 @@ def _load(checkpoint: str | Path | None) -> HandlePredictor:
 def predict_handles(character: Character, checkpoint: str | Path | None = None) -> Handles:
     """The handles of a character [TapMo 1]: positions, skinning weights of every vertex, and the feature f_phi.
 
-    The network sees the normalised network mesh, in three tessellations, each also mirrored, and the mean of what it
-    says counts: its answers differ a little with the tessellation, and the mean does so less. The weights are smoothed
-    over that mesh, divided among the legs of who has more than two (`split_limbs`), or else rid of limbs that are
-    nowhere (`without_doubts`), of arms that hold hair and capes (`hung_from_heads`, `freed_from_arms`) or grow from
-    the head (`grown_from_heads`), of regions that lie apart from their handle (`reunited`) and of steps that tear
-    edges (`eased`), made one over small loose parts (`seat_parts`), and carried to every vertex of the original;
-    vertices at one position get equal weights. Handle positions are weighted means by surface area, in the form of
-    Eq. 4, so that tessellation does not matter; loose parts count as the network sees them, not as they are bound, for
-    a pivot belongs where the joint is. A handle without a surface
-    stands where its parent stands. A file of rigid blocks has the handles of these (`handles.blocks`).
+    The network sees the normalised network mesh in three tessellations, each also mirrored, and the mean of its answers
+    counts: they differ a little with the tessellation. The weights are smoothed over that mesh, divided among the legs
+    of a body with more than two (`split_limbs`) or else repaired (`REPAIRS`), made one over small loose parts
+    (`SeatParts`), and carried to every vertex of the original; vertices at one position get equal weights. Handle
+    positions are weighted means by surface area, in the form of Eq. 4; loose parts count as the network sees them, not
+    as they are bound, for a pivot belongs where the joint is. A handle without a surface stands where its parent
+    stands. A file of rigid blocks has the handles of these (`handles.blocks`).
 
     Args:
         character: Any mesh, +Y up and facing +Z; a rig it may have is not looked at, but for one that bends nothing.
@@ -122,10 +111,8 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
     weights = np.mean([weights, *(mesh.carry(predict_weights(view, model)[0], view) for view in others)], axis=0)
     weights, roles = split_limbs(mesh, trim_weights(smooth_weights(weights, mesh.edges)))
     if roles is None:  # of many legs one handle holds several regions before they are told apart
-        weights = hair_off_arms(mesh, hair_to_head(mesh, without_doubtful_limbs(weights)))
-        weights = ears_to_head(mesh, weights)
-        weights = without_torn_edges(mesh, joined_regions(mesh, weights))
-    full = seat_parts(mesh, weights, stiff=roles is None)
+        weights = repaired(mesh, weights)
+    full = SeatParts()(mesh, weights, stiff=roles is None)
     rigid = rigid_handles(character, full[mesh.clean.index])
     if rigid is not None:
         return replace(rigid, features=features)

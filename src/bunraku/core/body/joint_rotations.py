@@ -18,11 +18,9 @@ from bunraku.core.geometry.rotations import (
 )
 from bunraku.core.geometry.surface import vertex_areas
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, local_rotations
-from bunraku.core.skinning import posed_points
 from bunraku.errors import MotionError
 
-__all__ = ["joint_errors", "motion_from_positions", "skeleton_from_handles"]
-
+__all__ = ["motion_from_positions", "skeleton_from_handles"]
 
 ROUNDS = 12
 CHUNK = 1000  # frames at once
@@ -31,7 +29,7 @@ _PARENTS = np.array(JOINT_PARENTS)
 
 @dataclass(frozen=True)
 class _Moments:
-    """What the covariances of handles are made of: handle k has sum_j R_j A_jk + p_j c_jk^T.
+    """The parts of the handles' covariances: handle k has sum_j R_j A_jk + p_j c_jk^T.
 
     Args:
         linear: A over the joints' axes and the handles' axes, shape (3 J, 3 J).
@@ -59,12 +57,12 @@ def _moments() -> _Moments:
 def skeleton_from_handles(motion: HandleMotion, rounds: int = ROUNDS) -> SkeletalMotion:
     """The motion of SMPL's 22 joints that moves the reference body as a handle motion does.
 
-    The skeleton is the reference body's. What handles do beyond turning about joints (soft bending, tails, fingers) is
-    left out; `joint_errors` says how much that is.
+    The skeleton is the reference body's. What handles do beyond rotating about joints (soft bending, tails, fingers) is
+    left out.
 
     Args:
         motion: Of the reference body's handles: at least 22, those of SMPL's joints first.
-        rounds: How often the joints are turned by what the handles lack; 0 takes the handles' rotations for the
+        rounds: How often the joints are rotated by what the handles lack; 0 takes the handles' rotations for the
             joints'.
 
     Raises:
@@ -97,7 +95,7 @@ def _joint_positions(world: np.ndarray) -> np.ndarray:
 
 
 def _world(want: np.ndarray, rounds: int) -> np.ndarray:
-    """World rotations of the joints (N, 22, 3, 3) under which the handles turn as wanted."""
+    """World rotations of the joints (N, 22, 3, 3) under which the handles rotate as wanted."""
     moments, world = _moments(), want.copy()
     frames = len(want)
     for _ in range(rounds):
@@ -112,7 +110,7 @@ def _world(want: np.ndarray, rounds: int) -> np.ndarray:
 
 
 def _mean_of_root(world: np.ndarray) -> np.ndarray:
-    """Where the mean of the pelvis handle's skin is from the pelvis joint [m], shape (N, 3)."""
+    """Position of the mean of the pelvis handle's skin, from the pelvis joint [m], shape (N, 3)."""
     body = reference_body()
     mass = body.handle_weights[:, 0].astype(float) * vertex_areas(body.vertices, body.faces)
     mass /= mass.sum()
@@ -123,23 +121,6 @@ def _mean_of_root(world: np.ndarray) -> np.ndarray:
     )
 
 
-def joint_errors(motion: HandleMotion, found: SkeletalMotion) -> np.ndarray:
-    """How far joints are from where the handles above and below them take them, in the mean over frames [m], shape
-    (22,).
-
-    Args:
-        motion: Of the reference body's handles.
-        found: What `skeleton_from_handles` made of it.
-    """
-    body = reference_body()
-    transforms = motion.transforms(body.handles.positions)[:, :JOINT_COUNT].astype(float)
-    own = posed_points(transforms, body.joints)
-    above = np.maximum(_PARENTS, 0)
-    upper = transforms[:, above]
-    other = posed_points(upper, body.joints)
-    return np.asarray(np.linalg.norm((own + other) / 2 - found.world()[1], axis=-1).mean(axis=0))
-
-
 _CHILDREN = [[child for child in range(JOINT_COUNT) if JOINT_PARENTS[child] == joint] for joint in range(JOINT_COUNT)]
 _PARTS = ((1, 2, 3), (13, 14, 12))  # left, right and upper joint of the pelvis and of the chest
 _PULL = 0.12  # how much an unrolled limb counts against the bend of its hinge, whose sine is at most 1
@@ -147,9 +128,9 @@ _SMOOTH = 0.1  # deviation of the mean over time that rolls are taken from [s]
 
 
 def motion_from_positions(positions: np.ndarray, fps: float) -> SkeletalMotion:
-    """Skeletal motion through joint positions of SMPL's 22 joints.
+    """Skeletal motion through positions of SMPL's 22 joints.
 
-    The bones have the mean length that they have in the positions, and the reference body's directions in the T-pose.
+    Bones have their mean length in the positions, and the reference body's directions in the T-pose.
 
     Args:
         positions: Positions, +Y up [m], shape (N, 22, 3).
@@ -209,7 +190,7 @@ def _frame(bones: np.ndarray, left: int, right: int, above: int) -> np.ndarray:
 
 
 def _fit(rest: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """Rotations (N, 3, 3) that bring vectors (C, 3) nearest to moved ones (N, C, 3) (Kabsch 1976)."""
+    """Rotations (N, 3, 3) that bring vectors (C, 3) closest to moved ones (N, C, 3) (Kabsch 1976)."""
     return nearest_rotation(np.einsum("nci,cj->nij", moved, rest))
 
 

@@ -1,6 +1,4 @@
-"""Names for the body: SMPL's 22 joints, Bunraku's 30 handles, its parts, and what game engines and avatars call
-them.
-"""
+"""Names of the body: SMPL's 22 joints, Bunraku's 30 handles, their groups, and what engines and avatars call them."""
 
 from __future__ import annotations
 
@@ -12,23 +10,10 @@ from bunraku.core.character import Handles
 from bunraku.errors import OptionError
 
 __all__ = [
-    "HANDLE_COUNT",
-    "HANDLE_MIRROR",
-    "HANDLE_NAMES",
-    "HANDLE_PARENTS",
-    "JOINT_COUNT",
-    "JOINT_MIRROR",
-    "JOINT_NAMES",
-    "JOINT_PARENTS",
-    "PARTS",
-    "REQUIRED",
-    "ROOTS",
-    "SKELETONS",
-    "engine_names",
-    "handle_names",
-    "kept_handles",
-]
-
+    "CHEST", "HANDLE_COUNT", "HANDLE_INDEX", "HEAD", "LEGS", "TAIL", "WINGS", "WRISTS", "HANDLE_MIRROR", "HANDLE_NAMES",
+    "HANDLE_PARENTS", "JOINT_COUNT", "JOINT_MIRROR", "JOINT_NAMES", "JOINT_PARENTS", "PARTS", "REQUIRED", "ROOTS",
+    "SKELETONS", "engine_names", "handle_names", "kept_handles", "sided",
+]  # fmt: skip
 
 JOINT_NAMES: tuple[str, ...] = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
@@ -45,6 +30,10 @@ HANDLE_NAMES: tuple[str, ...] = (
 )  # fmt: skip
 HANDLE_PARENTS: tuple[int, ...] = (*JOINT_PARENTS, 20, 21, 15, 15, 9, 9, 0, 28)
 HANDLE_COUNT = len(HANDLE_NAMES)
+HANDLE_INDEX = {name: index for index, name in enumerate(HANDLE_NAMES)}
+"""Index of each handle, and of each joint, by its name."""
+CHEST, HEAD = HANDLE_INDEX["spine3"], HANDLE_INDEX["head"]
+WRISTS = (HANDLE_INDEX["left_wrist"], HANDLE_INDEX["right_wrist"])
 
 
 def _mirror(names: tuple[str, ...]) -> tuple[int, ...]:
@@ -58,9 +47,8 @@ HANDLE_MIRROR: tuple[int, ...] = _mirror(HANDLE_NAMES)
 
 
 def handle_names(handles: Handles) -> tuple[str, ...]:
-    """Names of handles: those of the layout where there are as many, numbers otherwise.
-
-    A handle that plays the part of another is named after it and numbered: left_hip_2 is the second left hip.
+    """Names of handles: those of the layout if there are 30, else numbers. A handle that plays the part of another is
+    named after it and numbered: left_hip_2 is the second left hip.
     """
     count = len(handles.positions)
     if count != len(HANDLE_NAMES):
@@ -71,6 +59,11 @@ def handle_names(handles: Handles) -> tuple[str, ...]:
             met[role] += 1
             names[handle] = f"{HANDLE_NAMES[role]}_{met[role]}"
     return tuple(names)
+
+
+def sided(*parts: str) -> tuple[int, ...]:
+    """Handles of these parts of the left side, and then of the right one."""
+    return tuple([HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in parts])
 
 
 def _named(*endings: str, side: str = "") -> tuple[int, ...]:
@@ -96,14 +89,15 @@ PARTS: dict[str, tuple[int, ...]] = {
     "tail": _named("tail", "tail_tip"),
     "wings": _named("wing"),
 }
-"""Handles of each part. Legs come with the root: they step where they did only on its path."""
+"""Handles of each part. Legs come with the root: their steps stay in place only on its path."""
+LEGS, TAIL, WINGS = PARTS["legs"][1:], PARTS["tail"], PARTS["wings"]
 
 
 def kept_handles(keep: str | Sequence[str]) -> np.ndarray:
     """Which handles words name, shape (K,), bool.
 
     Args:
-        keep: Parts (`PARTS`) or single handles (`HANDLE_NAMES`), as a list or parted by commas; case, hyphens and
+        keep: Parts (`PARTS`) or single handles (`HANDLE_NAMES`), as a list or separated by commas; case, hyphens and
             underscores do not matter.
 
     Raises:
@@ -117,8 +111,8 @@ def kept_handles(keep: str | Sequence[str]) -> np.ndarray:
             continue
         if plain in PARTS:
             out[list(PARTS[plain])] = True
-        elif plain.replace(" ", "_") in HANDLE_NAMES:
-            out[HANDLE_NAMES.index(plain.replace(" ", "_"))] = True
+        elif plain.replace(" ", "_") in HANDLE_INDEX:
+            out[HANDLE_INDEX[plain.replace(" ", "_")]] = True
         else:
             raise OptionError(
                 f"there is no part '{word.strip()}' to keep; there are {', '.join(PARTS)}, and single handles such as "
@@ -158,16 +152,14 @@ _FORMS = {
     "unreal": ("{part}", "{part}_l", "{part}_r"),
 }
 SKELETONS = tuple(_FORMS)
-"""Whose names there are."""
+"""Skeletons whose names are known."""
 ROOTS = {"unreal": "root"}
-"""The joint above the pelvis, on the ground, where a skeleton has one."""
+"""The joint above the pelvis, on the ground, of skeletons that have one."""
 
 
 def engine_names(skeleton: str) -> tuple[str, ...]:
-    """The name of each of the 30 handles; parts that a humanoid lacks (wings, tail, face) keep their own.
-
-    Args:
-        skeleton: One of `SKELETONS`.
+    """The name of each of the 30 handles in one of `SKELETONS`; parts that a humanoid lacks (wings, tail, face) keep
+    their own.
     """
     middle, left, right = _FORMS[skeleton]
     out = []

@@ -1,4 +1,4 @@
-"""The reference body: a small human in a T-pose that defines the joints and handles, and SMPL's rest pose beside it."""
+"""The reference body, a small human in a T-pose that defines the joints and handles, and SMPL's rest pose."""
 
 from __future__ import annotations
 
@@ -16,16 +16,9 @@ from bunraku.core.skinning import skin
 from bunraku.errors import MotionError
 
 __all__ = [
-    "LIMB_CHILD",
-    "LOOSE",
-    "LOOSE_ON_PEOPLE",
-    "ReferenceBody",
-    "capped",
-    "reference_body",
-    "reference_shapes",
-    "smpl_offsets",
-    "smpl_rotations",
-]
+    "LIMB_CHILD", "LOOSE", "LOOSE_ON_PEOPLE", "ReferenceBody", "capped", "reference_body", "reference_shapes",
+    "smpl_offsets", "smpl_rotations",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -37,8 +30,7 @@ class ReferenceBody:
         vertices: Rest positions in the T-pose, feet on y = 0 [m], shape (V, 3).
         faces: Triangles, shape (F, 3).
         joints: Joint positions [m], shape (22, 3).
-        joint_weights: Skin weights of the joints, shape (V, 22).
-        handle_weights: Skin weights of the handles, shape (V, 30).
+        joint_weights, handle_weights: Skin weights, shapes (V, 22) and (V, 30).
         mirror: Vertex at the mirror image of each vertex, shape (V,).
     """
 
@@ -59,7 +51,7 @@ class ReferenceBody:
 
     @cached_property
     def handles(self) -> Handles:
-        """The canonical handles; one that has no vertices on a person stands at its parent (see `handle_positions`)."""
+        """The canonical handles; one without vertices on a person stands at its parent."""
         from bunraku.core.geometry.surface import vertex_areas
 
         return Handles(
@@ -79,10 +71,8 @@ class ReferenceBody:
         return Character(f"reference-{self.name}", self.vertices, self.faces, rig)
 
     def pose(self, motion: SkeletalMotion) -> np.ndarray:
-        """Vertices of the body in every frame of a motion of the 22 joints [m], shape (N, V, 3).
-
-        The body keeps its own bones: joints turn as the motion says, and the root's path is scaled by the ratio of leg
-        lengths.
+        """Vertices of the body in every frame of a motion of the 22 joints [m], shape (N, V, 3). The body keeps its own
+        bones, and the root's path is scaled by the ratio of leg lengths.
 
         Raises:
             MotionError: The motion has other joints.
@@ -111,15 +101,13 @@ def leg_length(joints: np.ndarray) -> float:
 
 
 def handle_positions(vertices: np.ndarray, weights: np.ndarray, areas: np.ndarray) -> np.ndarray:
-    """Weighted mean of the vertices of each handle (Eq. 4), by surface area so that tessellation does not matter.
+    """Mean of the vertices of each handle [m], shape (K, 3) (Eq. 4), by surface area so that tessellation does not
+    matter. A handle without weight stands where its parent stands.
 
     Args:
         vertices: Positions [m], shape (V, 3).
         weights: Handle weights, shape (V, K).
         areas: Surface area that each vertex stands for, any unit, shape (V,).
-
-    Returns:
-        Positions [m], shape (K, 3). A handle without weight stands where its parent stands.
     """
     from bunraku.core.body.layout import HANDLE_PARENTS
 
@@ -143,7 +131,7 @@ def _asset() -> dict[str, np.ndarray]:
 
 
 def reference_shapes() -> tuple[str, ...]:
-    """Names of the shapes that ship: the average body first."""
+    """Names of the shapes that ship, the average body first."""
     return tuple(str(name) for name in _asset()["shape_names"])
 
 
@@ -187,7 +175,7 @@ LIMB_CHILD: dict[int, int] = {
     for part, end in _ENDS.items()
     for side in ("left", "right")
 }
-"""The joint at the end of each limb, by the limb's joint: parts whose direction is what a pose is about."""
+"""The joint at the end of each limb, by the limb's joint: parts whose direction makes a pose."""
 
 
 @lru_cache(maxsize=1)
@@ -205,9 +193,8 @@ def smpl_offsets() -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def smpl_rotations() -> np.ndarray:
-    """World rotation of each part that turns the reference body's T-pose into SMPL's, shape (22, 3, 3).
-
-    Limbs are turned, and hands with their forearms; the trunk and the feet face the same way in both.
+    """World rotation of each part from the reference body's T-pose to SMPL's, shape (22, 3, 3). Limbs rotate, hands
+    with their forearms; the trunk and the feet face the same way in both.
     """
     own, want = reference_body().skeleton.offsets.astype(float), smpl_offsets()
     out = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
@@ -222,16 +209,12 @@ def smpl_rotations() -> np.ndarray:
 LOOSE = 0.5
 """How far parts of soft bodies, and loose parts, may leave their joints [m of the reference body]."""
 LOOSE_ON_PEOPLE = 0.05
-"""How far parts of people may: what is more is an error of the generator, and no motion [m of the reference body]."""
+"""The same for people, where more is an error of the generator [m of the reference body]."""
 
 
 def capped(residual: np.ndarray, soft: bool) -> np.ndarray:
-    """What local translations hold beyond stiff joints, cut to what parts may leave them by, in the reference's metres
-    (..., 3).
-
-    Args:
-        residual: Shape (..., 3).
-        soft: Whether parts may go farther than those of people.
+    """Local translations beyond stiff joints [m of the reference body], shape (..., 3), cut to what `soft` bodies or
+    people allow.
     """
     length = np.linalg.norm(residual, axis=-1, keepdims=True)
     return np.asarray(residual * np.minimum(1, (LOOSE if soft else LOOSE_ON_PEOPLE) / np.maximum(length, 1e-9)))

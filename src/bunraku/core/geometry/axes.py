@@ -10,27 +10,13 @@ import numpy as np
 from bunraku.errors import OptionError
 
 __all__ = [
-    "AXES",
-    "BARE",
-    "FileFrame",
-    "ORIENTATIONS",
-    "ROUND",
-    "UNITS",
-    "axis_name",
-    "axis_vector",
-    "covered",
-    "default_orientation",
-    "direction_bins",
-    "directions_about",
-    "goes_round",
-    "likely_unit",
-    "right_angle_rotations",
+    "AXES", "BARE", "FileFrame", "ORIENTATIONS", "ROUND", "UNITS", "axis_name", "axis_vector", "covered",
+    "default_orientation", "direction_bins", "directions_about", "goes_round", "likely_unit", "right_angle_rotations",
     "upright_rotation",
-]
-
+]  # fmt: skip
 
 BINS, ROUND = 12, 0.75
-"""Of the directions about a line; and the share of them that what goes round it covers."""
+"""Bins of the directions about a line, and the share of them that something around it covers."""
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 ORIENTATIONS: tuple[tuple[str, str], ...] = tuple((up, front) for up, front in product(AXES, AXES) if up[1] != front[1])
@@ -38,7 +24,7 @@ ORIENTATIONS: tuple[tuple[str, str], ...] = tuple((up, front) for up, front in p
 
 
 def axis_name(text: str) -> str:
-    """An axis as it is written here: "Z", "z" and "+Z" are "+z".
+    """An axis in canonical form: "Z", "z" and "+Z" are "+z".
 
     Raises:
         OptionError: It is no axis.
@@ -61,7 +47,7 @@ def upright_rotation(up: str, front: str) -> np.ndarray:
     """The rotation that takes one axis to +Y and another to +Z, shape (3, 3); its entries are -1, 0 and 1.
 
     Raises:
-        OptionError: Both are the same axis, or opposite ones.
+        OptionError: The axes are not at a right angle.
     """
     if up[1] == front[1]:
         raise OptionError(f"{up} cannot be up while {front} is the front; choose two axes at a right angle")
@@ -75,10 +61,8 @@ def right_angle_rotations() -> np.ndarray:
 
 
 def default_orientation(up: str | None = None, front: str | None = None) -> tuple[str, str]:
-    """Up and front where no guess decides: +Y and +Z, the rule of glTF, or what is nearest to it with an axis that is
-    known.
-
-    A file with +Z up faces -Y, as modelling programs have it.
+    """Up and front where nothing decides: +Y and +Z, as in glTF, or what is closest to that with the known axis. A file
+    with +Z up faces -Y, as in modelling programs.
     """
     if up is not None:
         return up, front or {"+z": "-y", "-z": "+y"}.get(up, "+z")
@@ -88,12 +72,7 @@ def default_orientation(up: str | None = None, front: str | None = None) -> tupl
 
 
 def directions_about(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Directions of points about a line [rad], shape (M,).
-
-    Args:
-        points: [m], shape (M, 3).
-        start, end: Of the line [m], shape (3,).
-    """
+    """Directions of points (M, 3) about the line from `start` to `end` [rad], shape (M,)."""
     along = end - start
     along = along / max(float(np.linalg.norm(along)), 1e-9)
     side = np.eye(3)[int(np.abs(along).argmin())]
@@ -104,29 +83,24 @@ def directions_about(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> 
 
 
 def direction_bins(directions: np.ndarray, count: int) -> np.ndarray:
-    """In which of `count` equal parts of a turn directions about a line [rad], shape (M,), lie, shape (M,), int64."""
+    """The bin of each direction [rad], shape (M,), int64, among `count` equal parts of a full circle."""
     return np.asarray(((directions + np.pi) / (2 * np.pi) * count).astype(np.int64) % count)
 
 
 def covered(directions: np.ndarray, count: int = BINS) -> float:
-    """Share of all directions about a line in which there is something, of so many.
-
-    Args:
-        directions: [rad], shape (M,).
-        count: Of equal parts of a turn.
-    """
+    """Share of `count` equal parts of a full circle that directions [rad], shape (M,), fall into."""
     return float((np.bincount(direction_bins(directions, count), minlength=count) > 0).mean())
 
 
 def goes_round(directions: np.ndarray) -> bool:
-    """Whether what is in some directions about a line [rad], shape (M,), goes round it."""
+    """Whether directions about a line [rad], shape (M,), go round it."""
     return covered(directions) >= ROUND
 
 
 UNITS: dict[str, float] = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Length of each unit that a file may have [m]."""
 BARE = (".obj", ".ply", ".stl")
-"""Formats that say neither which axis is up nor how long their unit is; the others have a rule."""
+"""Formats that state neither their up axis nor their unit."""
 _LEAST = {"mm": 400.0, "cm": 10.0, "m": 0.04}
 
 _TURNS = {"+y": np.eye(3), "+z": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
@@ -134,10 +108,10 @@ _TURNS = {"+y": np.eye(3), "+z": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
 
 @dataclass(frozen=True, eq=False)
 class FileFrame:
-    """How positions and rotations of ours are written in a file.
+    """How our positions and rotations are written in a file.
 
     Args:
-        turn: What turns our axes to the file's, shape (3, 3).
+        turn: Rotates our axes to the file's, shape (3, 3).
         scale: Units of the file in a metre.
     """
 
@@ -149,7 +123,7 @@ class FileFrame:
         """The frame of a file.
 
         Args:
-            up: "+y", or "+z", in which case what faces +Z with us faces -Y, as in Blender.
+            up: "+y", or "+z", where our +Z is the file's -Y, as in Blender.
             unit: One of `UNITS`.
 
         Raises:
@@ -167,14 +141,12 @@ class FileFrame:
         return self.scale == 1 and np.array_equal(self.turn, np.eye(3))
 
     def points(self, points: np.ndarray) -> np.ndarray:
-        """Points [m], shape (..., 3), as the file says them, in their own type."""
+        """Points [m], shape (..., 3), in the file's frame, in their own type."""
         return points if self.ours else np.asarray(points @ (self.scale * self.turn.T), points.dtype)
 
 
 def likely_unit(height: float) -> str:
-    """The unit that a height is likely to be in: most characters are between a hand and a house tall.
-
-    Returns:
-        "mm" from 400 on, "cm" from 10 on, "m" from 0.04 on; "" for less, which may be shrunk.
+    """The likely unit of a character's height: most are between a hand and a house tall. "mm" from 400 on, "cm" from 10
+    on, "m" from 0.04 on, and "" for less, which may be shrunk.
     """
     return next((unit for unit, least in _LEAST.items() if height >= least), "")

@@ -1,5 +1,5 @@
-"""Nearest points on a mesh near a known position, as one sparse matrix of smooth barycentric weights; how near two
-sets of points come; and how far a surface is from points anywhere.
+"""Nearest points on a mesh near a known position, as one sparse matrix of smooth barycentric weights; and distances of
+points from points and from surfaces.
 """
 
 from __future__ import annotations
@@ -21,9 +21,8 @@ _FIRST = 64  # points that are asked first for the distance beyond which the oth
 
 
 def least_distance(tree: cKDTree, points: np.ndarray) -> float:
-    """Least distance of some points to those of a tree, shape (P, 3).
-
-    A few points bound it, so that of all others the tree is only asked near itself: far parts cost next to nothing.
+    """Least distance of some points, shape (P, 3), to those of a tree. A few points bound it, so that far parts cost
+    next to nothing.
     """
     bound = float(tree.query(points[:: max(1, len(points) // _FIRST)])[0].min())
     return min(bound, float(tree.query(points, distance_upper_bound=bound * (1 + 1e-9) + 1e-12)[0].min()))
@@ -43,12 +42,12 @@ class Stars:
 
 
 def stars_of(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> Stars:
-    """Triangles at each vertex. Edges of no face and lone vertices count as triangles of no width.
+    """Triangles at each vertex. Edges without faces and lone vertices count as triangles without width.
 
     Args:
         vertices: Of the mesh, shape (M, 3).
         faces: Its triangles, shape (F, 3).
-        edges: Its edges, smaller vertex first, shape (E, 2); those of no triangle carry points too.
+        edges: Its edges, smaller vertex first, shape (E, 2).
     """
     count = len(vertices)
     a, b = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
@@ -78,7 +77,7 @@ def stars_of(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> Star
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Nearest points of the triangles around each point's home: one row a point and triangle, sorted by point."""
+    """Nearest points on the triangles around each point's home: a row per point and triangle, sorted by point."""
 
     owner: np.ndarray
     triangle: np.ndarray
@@ -105,9 +104,7 @@ def _search(points: np.ndarray, home: np.ndarray, stars: Stars) -> _Found:
 
 
 def _walk(points: np.ndarray, home: np.ndarray, found: _Found, stars: Stars) -> np.ndarray:
-    """Homes moved along the mesh, for the points whose nearest point is on the rim of their star; -1 for those that
-    stay.
-    """
+    """Homes moved along the mesh for points whose nearest point is on the rim of their star; -1 for those that stay."""
     at_best = np.flatnonzero(found.square == found.nearest[found.owner])
     rows, first = np.unique(found.owner[at_best], return_index=True)
     best = at_best[first]
@@ -135,17 +132,16 @@ def _walk(points: np.ndarray, home: np.ndarray, found: _Found, stars: Stars) -> 
 def surface_distances(
     points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, length: float, most: float
 ) -> np.ndarray:
-    """How far points are from a surface, shape (P,).
+    """Distances of points from a surface, shape (P,).
 
-    The triangles whose middles are nearest are looked at, once all edges are short: where large and small triangles
-    meet, it may say a few hundredths of such an edge too much.
+    Looks at the triangles with the nearest centres, once all edges are short: where large and small triangles meet, the
+    result may be a few hundredths of such an edge too large.
 
     Args:
         points: Shape (P, 3).
-        vertices: Of the surface, shape (V, 3).
-        faces: Shape (F, 3).
-        length: Of the longest edge.
-        most: Where no triangle's middle is as near as this, the distance is infinite.
+        vertices, faces: Of the surface, shapes (V, 3) and (F, 3).
+        length: Longest edge.
+        most: Where no triangle's centre is this close, the distance is infinite.
     """
     vertices, faces, _ = split_long_edges(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), length)
     first, second, third = (vertices[faces[:, corner]] for corner in range(3))
@@ -172,9 +168,9 @@ def blend_matrix(points: np.ndarray, home: np.ndarray, stars: Stars, width: floa
     """Weights of mesh vertices at points whose position on the mesh is roughly known.
 
     Each point takes the nearest points of the triangles around its home vertex and their barycentric weights, blended
-    by `exp(-(d^2 - d_min^2) / (2 width^2))`, so that the weights change smoothly from one triangle to the next. Where
-    the nearest point is on the rim of those triangles, the home first walks a few vertices towards it. Only neighbours
-    on the mesh are ever looked at, so a finger takes nothing from the next finger, however near.
+    by `exp(-(d^2 - d_min^2) / (2 width^2))`, so that weights change smoothly from triangle to triangle. Where the
+    nearest point is on the rim of those triangles, the home first walks a few vertices towards it. Only neighbours on
+    the mesh are looked at, so a finger takes nothing from the next finger, however near.
 
     Args:
         points: Positions, shape (P, 3).
@@ -224,7 +220,7 @@ def _blend(
 def _closest(
     pp: np.ndarray, pu: np.ndarray, pv: np.ndarray, uu: np.ndarray, uv: np.ndarray, vv: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nearest point a + s u + t v of triangles to points a + p, from dot products alone: squared distance, s and t."""
+    """Nearest points a + s u + t v of triangles to points a + p, from dot products alone: squared distance, s and t."""
 
     def along(top: np.ndarray, bottom: np.ndarray) -> np.ndarray:
         return np.clip(top / np.maximum(bottom, 1e-30), 0, 1)

@@ -1,6 +1,4 @@
-"""Curves in time: filters along frames, smooth transitions, banded linear systems, and the frames in which a body
-stands.
-"""
+"""Curves in time: filters along frames, smooth transitions, banded systems, and the frames in which a body stands."""
 
 from __future__ import annotations
 
@@ -9,17 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 __all__ = [
-    "MonotoneCurve",
-    "correlated",
-    "gaussian",
-    "running_least",
-    "running_mean",
-    "running_most",
-    "smooth_step",
-    "solve_banded",
-    "tallest_steady",
-]
-
+    "MonotoneCurve", "correlated", "gaussian", "running_least", "running_mean", "running_most", "smooth_step",
+    "solve_banded", "tallest_steady",
+]  # fmt: skip
 
 EDGES = ("nearest", "mirror", "wrap")
 CUT = 4.0
@@ -28,8 +18,8 @@ _COLUMNS = 256  # at a time: few enough for the cache
 
 
 def _padded(values: np.ndarray, before: int, after: int, edge: str) -> np.ndarray:
-    """Values with more of them at both ends: the last one again and again ("nearest"), as in a mirror that stands on
-    the last one ("mirror"), or from the other end ("wrap").
+    """Values continued at both ends: by the last one ("nearest"), mirrored about the last one ("mirror"), or from the
+    other end ("wrap").
     """
     last = len(values) - 1
     index = np.arange(-before, last + 1 + after)
@@ -45,15 +35,8 @@ def _padded(values: np.ndarray, before: int, after: int, edge: str) -> np.ndarra
 
 
 def correlated(values: np.ndarray, kernel: np.ndarray, edge: str = "nearest") -> np.ndarray:
-    """Sums of neighbours in time with the weights of a kernel that is the same from both ends.
-
-    Args:
-        values: Shape (N, ...), floating.
-        kernel: Of odd length.
-        edge: What is beyond the ends: "nearest", "mirror" or "wrap".
-
-    Returns:
-        As `values`.
+    """Weighted sums of neighbours in time, shape (N, ...), floating, by a symmetric kernel of odd length; `edge` is
+    "nearest", "mirror" or "wrap".
     """
     count, reach = len(values), len(kernel) // 2
     if count == 0:
@@ -73,15 +56,8 @@ def correlated(values: np.ndarray, kernel: np.ndarray, edge: str = "nearest") ->
 
 
 def gaussian(values: np.ndarray, deviation: float, edge: str = "nearest") -> np.ndarray:
-    """Values blurred in time.
-
-    Args:
-        values: Shape (N, ...), floating.
-        deviation: Of the Gaussian [samples].
-        edge: As of `correlated`.
-
-    Returns:
-        As `values`.
+    """Values blurred in time, shape (N, ...), floating, by a Gaussian of this deviation [samples]; `edge` as in
+    `correlated`.
     """
     reach = int(CUT * float(deviation) + 0.5)
     kernel = np.exp(-0.5 / (deviation * deviation) * np.arange(-reach, reach + 1) ** 2)
@@ -89,34 +65,34 @@ def gaussian(values: np.ndarray, deviation: float, edge: str = "nearest") -> np.
 
 
 def running_mean(values: np.ndarray, size: int) -> np.ndarray:
-    """The mean of so many neighbours in time, the ends held, shape (N,) -> (N,)."""
+    """The mean of `size` neighbours in time, the ends held, shape (N,) -> (N,)."""
     longer = _padded(np.asarray(values, np.float64), size // 2, size - size // 2 - 1, "nearest")
     first = np.cumsum(longer[:size])[-1:]
     return np.cumsum(np.concatenate([first, longer[size:] - longer[:-size]])) / size
 
 
 def running_least(values: np.ndarray, size: int) -> np.ndarray:
-    """The least of so many neighbours in time, shape (N,) -> (N,)."""
+    """The least of `size` neighbours in time, shape (N,) -> (N,)."""
     longer = _padded(values, size // 2, size - size // 2 - 1, "nearest")
     return np.asarray(np.lib.stride_tricks.sliding_window_view(longer, size).min(axis=-1))
 
 
 def running_most(values: np.ndarray, size: int) -> np.ndarray:
-    """The largest of so many neighbours in time, shape (N,) -> (N,)."""
+    """The largest of `size` neighbours in time, shape (N,) -> (N,)."""
     return -running_least(-values, size)
 
 
 def smooth_step(values: np.ndarray, low: float = 0.0, high: float = 1.0) -> np.ndarray:
-    """0 at `low` and beyond, 1 at `high`, and a rise between that is level at both ends; either may be the larger. Any
-    shape.
+    """0 up to `low`, 1 from `high` on, and a rise between them that is level at both ends; either may be the larger.
+    Any shape.
     """
     share = np.clip((values - low) / (high - low), 0, 1)
     return np.asarray(share * share * (3 - 2 * share))
 
 
 class MonotoneCurve:
-    """Cubics through points that never go beyond two neighbours (Fritsch & Butland 1984): SciPy's `PchipInterpolator`,
-    without the module that it is in, whose import takes as long as a clip does.
+    """Cubics through points that never overshoot (Fritsch & Butland 1984): SciPy's `PchipInterpolator` without its
+    module, whose import takes as long as a clip does.
 
     Args:
         times: Rising, shape (N,), N >= 2.
@@ -129,7 +105,7 @@ class MonotoneCurve:
         self._slopes = _slopes(self._gaps[:, None], np.diff(self._points, axis=0) / self._gaps[:, None])
 
     def __call__(self, times: float | np.ndarray) -> np.ndarray:
-        """The points at some times, shape (...) -> (..., C); before the first and after the last the cubics go on."""
+        """The points at some times, shape (...) -> (..., C); beyond the ends the cubics go on."""
         at = np.asarray(times, float)
         piece = np.clip(np.searchsorted(self._times, at, side="right") - 1, 0, len(self._gaps) - 1)
         gap = self._gaps[piece]
@@ -142,7 +118,9 @@ class MonotoneCurve:
 
 
 def _slopes(gaps: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """The slope at each point, of the time to the next one, shape (N - 1, 1), and the mean slope to it, (N - 1, C)."""
+    """The slope at each point, from the time to the next one, shape (N - 1, 1), and the mean slope to it, (N -
+    1, C).
+    """
     if len(steps) == 1:
         return np.repeat(steps, 2, axis=0)
     before, after = steps[:-1], steps[1:]
@@ -166,15 +144,13 @@ BLOCK = 48
 
 
 def solve_banded(band: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve A x = b for a symmetric positive definite A of 2 u + 1 diagonals, block by block.
+    """Solve A x = b for a symmetric positive definite A of 2 u + 1 diagonals, block by block; x has shape (N, C),
+    float64.
 
     Args:
-        band: The upper diagonals as `scipy.linalg.solveh_banded` has them: A[i, i + d] stands at [u - d, i + d]; shape
-            (u + 1, N).
+        band: The upper diagonals as in `scipy.linalg.solveh_banded`: A[i, i + d] stands at [u - d, i + d]; shape (u +
+            1, N).
         right: b, shape (N, C).
-
-    Returns:
-        x, shape (N, C), float64.
 
     Raises:
         numpy.linalg.LinAlgError: A is singular.
@@ -206,21 +182,20 @@ def solve_banded(band: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 STRIDE = 0.5
-"""Heights are means over so long, in which a stride goes up and down [s]."""
+"""Heights are averaged over this time, in which a stride goes up and down [s]."""
 QUANTILE = 0.9
-"""A leap or a rearing up that is shorter than a tenth of the clip is not what a body stands as."""
+"""A leap or a rearing that is shorter than a tenth of the clip is not how tall a body stands."""
 
 
 def tallest_steady(heights: np.ndarray, fps: float, tall: float = 0.9, fast: float = 0.5) -> np.ndarray:
-    """In which frames a body is about as tall as it lastingly is, shape (N,), bool; at least one.
-
-    Who sits, crouches or lies at first is lower there than later.
+    """Frames in which a body is about as tall as it lastingly is, shape (N,), bool; at least one. A character that
+    sits, crouches or lies at first is lower there than later.
 
     Args:
-        heights: How tall it is in each frame, any unit, shape (N,).
+        heights: Height in each frame, any unit, shape (N,).
         fps: Frames a second [1/s].
-        tall: Frames count that have so much of the height that a tenth of the steady ones have.
-        fast: In a steady frame the height changes by no larger share of it in a second [1/s].
+        tall: Least share of the height that a tenth of the steady frames reach.
+        fast: Largest change of the height in a steady frame, as a share of it [1/s].
     """
     heights = running_mean(np.asarray(heights, np.float64), max(round(STRIDE * fps), 1))
     change = np.abs(np.gradient(heights)) * fps if len(heights) > 1 else np.zeros(len(heights))

@@ -1,8 +1,8 @@
-"""The clean graph of a mesh as it comes: welded, in canonical order, with its loose parts joined.
+"""The clean graph of any mesh: welded, in canonical order, with its loose parts joined.
 
 Files bring seams, STL soup, duplicate and degenerate faces, stray vertices and dozens of loose parts. `clean_mesh`
-gives the surface that they all mean, in an order that depends on the shape alone: not on the order of vertices and
-faces in the file, and not on seams being open or closed. Scale and offset cancel, up to rounding.
+gives the surface that they mean, in an order that depends on the shape alone: not on the order of vertices and faces in
+the file, nor on open or closed seams. Scale and offset cancel, up to rounding.
 """
 
 from __future__ import annotations
@@ -17,19 +17,9 @@ from scipy.spatial import cKDTree
 from bunraku.errors import CharacterError
 
 __all__ = [
-    "CleanMesh",
-    "along",
-    "bridge_edges",
-    "canonical_order",
-    "canonical_rank",
-    "clean_mesh",
-    "distinct_faces",
-    "mean_operator",
-    "mesh_parts",
-    "pack",
-    "unique_edges",
-    "unpack_pairs",
-]
+    "CleanMesh", "along", "bridge_edges", "canonical_order", "canonical_rank", "clean_mesh", "distinct_faces",
+    "mean_operator", "mesh_parts", "pack", "unique_edges", "unpack_pairs",
+]  # fmt: skip
 
 # points nearer than this share of the largest extent are always welded, points four times as far apart never directly
 _WELD = 2.5e-6
@@ -43,7 +33,7 @@ class CleanMesh:
     Args:
         vertices: Positions, the bounding box centred on 0 and the largest extent 1, shape (C, 3), float64.
         faces: Vertex indices, shape (F, 3), int64; three different vertices each, no face twice.
-        index: Clean vertex of each original vertex, shape (V,); of a vertex without faces the nearest one.
+        index: Clean vertex of each original vertex, the nearest one for those without faces, shape (V,).
         used: Original vertices that have faces, shape (V,), bool.
         center: Centre of the original bounding box [m], shape (3,).
         scale: Largest extent of the original [m]: original = vertices * scale + center.
@@ -58,18 +48,14 @@ class CleanMesh:
 
 
 def clean_mesh(vertices: np.ndarray, faces: np.ndarray) -> CleanMesh:
-    """Weld, clean, normalise and sort a mesh.
+    """Weld, clean, normalise and sort a mesh of vertices [m] (V, 3) and faces (F, 3).
 
     Vertices closer than 2.5e-6 of the largest extent become one. Faces with fewer than three different vertices and
-    repeated faces are dropped; of a face that is there in both orientations the commoner one stays, or the one that
-    looks outward. Slivers stay, since they hold neighbours together.
-
-    Args:
-        vertices: Positions [m], shape (V, 3).
-        faces: Vertex indices, shape (F, 3).
+    repeated faces are dropped; of a face in both orientations the commoner one stays, or the one that looks outward.
+    Slivers stay, since they hold neighbours together.
 
     Raises:
-        CharacterError: A coordinate is not finite, a face points at no vertex, or no face has an area to speak of.
+        CharacterError: A coordinate is not finite, a face names no vertex, or no face has an area to speak of.
     """
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
@@ -110,10 +96,8 @@ def clean_mesh(vertices: np.ndarray, faces: np.ndarray) -> CleanMesh:
 
 
 def canonical_order(points: np.ndarray) -> np.ndarray:
-    """An order of points that depends on nothing but where they are, shape (C,).
-
-    They are sorted along one fixed direction that no usual model is aligned with, so that neighbours keep their order
-    under rounding; equal ones by x, y and z.
+    """An order of points that depends on their positions alone, shape (C,): along one fixed direction that no usual
+    model is aligned with, so that neighbours keep their order under rounding; equal ones by x, y and z.
     """
     index = along(points)
     order = np.argsort(index, kind="stable")
@@ -133,15 +117,15 @@ def along(vectors: np.ndarray) -> np.ndarray:
 
 
 def canonical_rank(points: np.ndarray) -> np.ndarray:
-    """Place of each point in the canonical order, shape (C,)."""
+    """Position of each point in the canonical order, shape (C,)."""
     rank = np.empty(len(points), np.int64)
     rank[canonical_order(points)] = np.arange(len(points))
     return rank
 
 
 def pack(columns: np.ndarray, count: int) -> np.ndarray:
-    """One key for each row of non-negative integers under `count`, in their lexicographic order, shape (R, C) ->
-    (R,).
+    """One key for each row of non-negative integers below `count`, in their lexicographic order, shape (R, C)
+    -> (R,).
     """
     if count ** columns.shape[1] < 2**63:
         key = columns[:, 0].astype(np.int64)
@@ -181,7 +165,7 @@ def _weld(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _first_alike(key: np.ndarray) -> np.ndarray:
-    """The first place at which each key stands, shape (N,)."""
+    """The first index at which each key occurs, shape (N,)."""
     ordered = np.sort(key)
     out = np.arange(len(key))
     again = ordered[1:][ordered[1:] == ordered[:-1]]  # sorting numbers alone is ten times as fast as np.unique
@@ -193,10 +177,8 @@ def _first_alike(key: np.ndarray) -> np.ndarray:
 
 
 def distinct_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Faces of three different vertices, each once, smallest vertex first, sorted, shape (F, 3) -> (G, 3).
-
-    Of a face that is there in both orientations the commoner one stays; if they are even, the one that looks away from
-    0.
+    """Faces of three different vertices, each once, smallest vertex first, sorted, shape (F, 3) -> (G, 3). Of a face in
+    both orientations the commoner one stays; if they are even, the one that looks away from 0.
     """
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
@@ -254,7 +236,7 @@ def mesh_parts(edges: np.ndarray, count: int) -> np.ndarray:
 
 
 def mean_operator(edges: np.ndarray, count: int, own: bool = False) -> csr_matrix:
-    """The matrix that takes values of vertices to the mean of their neighbours', shape (V, V), float32, rows sum to 1.
+    """The matrix that averages values over a vertex's neighbours, shape (V, V), float32, rows sum to 1.
 
     Args:
         edges: Undirected edges, each once, shape (E, 2).
@@ -270,18 +252,14 @@ def mean_operator(edges: np.ndarray, count: int, own: bool = False) -> csr_matri
 
 
 def bridge_edges(vertices: np.ndarray, parts: np.ndarray, per_part: int = 3) -> np.ndarray:
-    """Edges that join loose parts to their nearest neighbours until the graph is one.
-
-    In each round every part but the largest gets edges to the part nearest to it, between their nearest vertices, and
-    the parts so joined count as one in the next (Boruvka).
+    """Edges that join loose parts to their nearest neighbours until the graph is connected, smaller vertex first,
+    sorted, shape (B, 2), int64. In each round every part but the largest is joined to the part nearest to it, between
+    their nearest vertices; joined parts count as one in the next round (Boruvka).
 
     Args:
         vertices: Positions, shape (V, 3).
         parts: Part of each vertex, shape (V,).
         per_part: Edges that join two parts.
-
-    Returns:
-        Edges between vertices of different parts, smaller vertex first, sorted, shape (B, 2), int64.
     """
     parts = np.unique(parts, return_inverse=True)[1]
     found = np.zeros((0, 2), np.int64)

@@ -9,22 +9,10 @@ from typing import Any
 import numpy as np
 
 __all__ = [
-    "Resampling",
-    "adjugates",
-    "axis_angle_from_matrix",
-    "heading",
-    "inverses",
-    "matrix_from_6d",
-    "matrix_from_axis_angle",
-    "matrix_from_quaternion",
-    "matrix_to_6d",
-    "matrix_y",
-    "nearest_rotation",
-    "quaternion_from_matrix",
-    "quaternion_slerp",
-    "rotation_between",
-]
-
+    "Resampling", "adjugates", "axis_angle_from_matrix", "continuous", "heading", "inverses", "matrix_from_6d",
+    "matrix_from_axis_angle", "matrix_from_quaternion", "matrix_to_6d", "matrix_y", "nearest_rotation",
+    "quaternion_from_matrix", "quaternion_slerp", "rotation_between",
+]  # fmt: skip
 
 Array = Any  # numpy.ndarray, or a tensor
 
@@ -67,9 +55,8 @@ def matrix_from_quaternion(quaternion: Array) -> Array:
 
 
 def quaternion_from_matrix(matrix: Array) -> Array:
-    """xyzw quaternions of rotation matrices, shape [..., 3, 3] -> [..., 4], w >= 0.
-
-    Of the four ways to divide, each matrix takes the one whose divisor is largest, so half turns lose no precision.
+    """xyzw quaternions of rotation matrices, shape [..., 3, 3] -> [..., 4], w >= 0. Of the four ways to divide, each
+    matrix takes the one with the largest divisor, so half turns lose no precision.
     """
     xp = np if isinstance(matrix, np.ndarray) else _library(matrix)
     m = matrix
@@ -112,16 +99,15 @@ def axis_angle_from_matrix(matrix: Array) -> Array:
 
 
 def matrix_y(angle: Array) -> Array:
-    """Rotations about +Y by an angle [rad], shape [...] -> [..., 3, 3]; a positive angle turns +Z towards +X."""
+    """Rotations about +Y by an angle [rad], shape [...] -> [..., 3, 3]; positive angles take +Z towards +X."""
     xp = np if isinstance(angle, np.ndarray) else _library(angle)
     c, s, zero, one = xp.cos(angle), xp.sin(angle), xp.zeros_like(angle), xp.ones_like(angle)
     return xp.stack([c, zero, s, zero, one, zero, -s, zero, c], -1).reshape(*c.shape, 3, 3)
 
 
 def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The smallest rotation that turns one direction into another, shape [..., 3] x 2 -> [..., 3, 3].
-
-    Opposite directions turn half way round about some axis square to both. A zero vector gives the identity.
+    """The smallest rotation from one direction to another, shape [..., 3] x 2 -> [..., 3, 3]; of opposite directions
+    about some perpendicular axis. A zero vector gives the identity.
     """
     a, b = _unit(np, np.asarray(start, float)), _unit(np, np.asarray(end, float))
     xyz = np.cross(a, b)
@@ -154,11 +140,19 @@ def quaternion_slerp(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> n
     return _unit(np, a * start + b * end)
 
 
+def continuous(quaternions: np.ndarray) -> np.ndarray:
+    """Quaternions of N frames, shape (N, ..., 4), with signs that never jump, so that they can be interpolated."""
+    flips = np.where((quaternions[1:] * quaternions[:-1]).sum(-1) < 0, -1.0, 1.0)
+    out = quaternions.copy()
+    out[1:] *= np.cumprod(flips, axis=0)[..., None]
+    return out
+
+
 def adjugates(matrices: np.ndarray) -> np.ndarray:
-    """Of 3x3 matrices, the inverse times the determinant, shape (..., 3, 3): many times as fast as `numpy.linalg.inv`
-    where they are many.
+    """Inverse times determinant of 3x3 matrices, shape (..., 3, 3); for many matrices much faster than
+    `numpy.linalg.inv`.
     """
-    rows = [tuple(matrices[..., row, column] for column in range(3)) for row in range(3)]
+    rows = [(matrices[..., row, 0], matrices[..., row, 1], matrices[..., row, 2]) for row in range(3)]
     out = np.empty_like(matrices)
     for column in range(3):  # the cross product of the two other rows
         (ax, ay, az), (bx, by, bz) = rows[(column + 1) % 3], rows[(column + 2) % 3]
@@ -169,25 +163,23 @@ def adjugates(matrices: np.ndarray) -> np.ndarray:
 
 
 def inverses(matrices: np.ndarray) -> np.ndarray:
-    """Of 3x3 matrices, shape (..., 3, 3), by their adjugates."""
+    """Inverses of 3x3 matrices, shape (..., 3, 3), by their adjugates."""
     out = adjugates(matrices)
     out /= np.einsum("...i,...i->...", matrices[..., 0, :], out[..., :, 0])[..., None, None]
     return out
 
 
 def heading(root_rotation: np.ndarray, fps: float = 20.0) -> np.ndarray:
-    """Where the root faces: its turn about +Y, unwrapped and smooth.
+    """Heading of the root: its rotation about +Y [rad], unwrapped and smooth, shape (N,), float64; 0 faces +Z, positive
+    angles go towards +X. Always finite.
 
-    The turn is the twist of the rotation about +Y, which stays well defined for a body lying on its back, front or
-    side, unlike the projection of +Z, with which it agrees when upright. It is lost only upside down: each frame counts
-    by how well defined it is in a Gaussian mean over 0.1 s, and stretches without any are bridged.
+    The angle is the twist of the rotation about +Y, which stays well defined for a body on its back, front or side,
+    unlike the projection of +Z, with which it agrees when upright. It is lost only upside down: frames count by how
+    well defined it is in a Gaussian mean over 0.1 s, and stretches without any are bridged.
 
     Args:
         root_rotation: Rotations, shape (N, 3, 3).
         fps: Frames a second [1/s].
-
-    Returns:
-        Angles [rad], shape (N,), float64; 0 faces +Z, positive turns towards +X. Always finite.
     """
     from bunraku.core.geometry.curves import gaussian
 
@@ -204,12 +196,11 @@ def heading(root_rotation: np.ndarray, fps: float = 20.0) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
-    """Between which frames of a clip those of the result lie.
+    """The frames of a clip between which those of the result lie.
 
     Args:
-        low: The frame before each, shape (M,).
-        high: The frame after it, shape (M,).
-        share: How far it is from the one to the other, 0 to 1, shape (M,).
+        low, high: The frame before and after each, shape (M,).
+        share: Its position between the two, 0 to 1, shape (M,).
     """
 
     low: np.ndarray
@@ -218,12 +209,8 @@ class Resampling:
 
     @classmethod
     def of(cls, frames: int, have: float, want: float) -> Resampling:
-        """The frames that lie within a clip's duration.
-
-        Args:
-            frames: Of the clip, at least one.
-            have: Its frames a second [1/s].
-            want: Those of the result [1/s].
+        """The frames within the duration of a clip of some frames, at least one, that `have` one rate and `want`
+        another [1/s].
         """
         last = frames - 1
         at = np.minimum(np.arange(int(last / have * want + 1e-6) + 1) * (have / want), last)

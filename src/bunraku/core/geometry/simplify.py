@@ -27,16 +27,8 @@ from bunraku.core.geometry.surface import split_estimate, split_long_edges, vert
 from bunraku.errors import CharacterError
 
 __all__ = [
-    "FineMesh",
-    "NetworkMesh",
-    "Patches",
-    "find_patches",
-    "network_mesh",
-    "network_views",
-    "refine",
-    "soft_means",
-]
-
+    "FineMesh", "NetworkMesh", "Patches", "find_patches", "network_mesh", "network_views", "refine", "soft_means",
+]  # fmt: skip
 
 _MOST_SPLITS = 150_000
 _MANY = 60_000  # vertices, more than any view needs
@@ -47,7 +39,7 @@ _BORDER = 0.15  # half the width of the zone in which a vertex counts in two cel
 
 @dataclass(frozen=True, eq=False)
 class FineMesh:
-    """The clean mesh with its long edges split: what the grid merges.
+    """The clean mesh with its long edges split, which the grid merges.
 
     Args:
         vertices: Positions, shape (S, 3), float64.
@@ -56,7 +48,7 @@ class FineMesh:
         areas: Surface of each vertex, shape (S,).
         normals: Its mean normal, shorter where it bends, shape (S, 3).
         steps: Matrices that make its vertices from the clean ones, one product after the other.
-        start: Where each clean vertex is among its vertices, shape (W,).
+        start: Vertex of each clean vertex, shape (W,).
     """
 
     vertices: np.ndarray
@@ -74,8 +66,8 @@ class FineMesh:
 
 
 def refine(clean: CleanMesh, cell: float, max_edge: float) -> FineMesh:
-    """Split the edges longer than a part of a cell. A mesh of too many needles is merged in a finer grid first, and so
-    is one of very many vertices, in a grid so fine that it hardly matters.
+    """Split the edges longer than a part of a cell. A mesh of too many needles, or of very many vertices, is merged in
+    a finer grid first.
     """
     points, faces = clean.vertices, clean.faces
     length = min(0.45 * cell, max_edge)
@@ -134,9 +126,8 @@ def _mean_matrix(label: np.ndarray, mass: np.ndarray) -> csr_matrix:
 def _inside_cells(
     points: np.ndarray, edges: np.ndarray, cell: float, offset: np.ndarray | float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Label of each point, the same where edges connect points inside one cell, and the key of the cell.
-
-    Without an offset, 0 is in the middle of a cell, so that symmetric meshes stay symmetric.
+    """Label of each point, the same where edges connect points inside one cell, and the key of the cell. Without an
+    offset, 0 is in the middle of a cell, so that symmetric meshes stay symmetric.
     """
     key = pack(np.rint(points / cell - offset).astype(np.int64) + 100_000, 200_001)
     inside = edges[key[edges[:, 0]] == key[edges[:, 1]]]
@@ -184,9 +175,8 @@ def find_patches(
 
 
 def _absorb(fine: FineMesh, label: np.ndarray, cells: np.ndarray, cell: float) -> Patches:
-    """Join patches of little area to the nearest larger one that they touch.
-
-    A surface that grazes a corner of a cell leaves a crumb there; which crumbs there are is chance.
+    """Join patches of little area to the nearest larger one that they touch: where a surface grazes a corner of a cell,
+    it leaves crumbs by chance.
     """
     count = len(cells)
     areas = np.bincount(label, fine.areas, count)
@@ -212,7 +202,7 @@ def soft_means(fine: FineMesh, patches: Patches, cell: float) -> tuple[csr_matri
     """The matrix of means over patches, (M, fine), and the area of each patch.
 
     A vertex near the border of two cells counts in both, half and half on the border itself, so that means do not jump
-    when rounding moves it across. It counts only in patches that it or a neighbour is in.
+    when rounding moves it across; but only in patches that it or a neighbour is in.
     """
     label, ends = patches.label, fine.edges
     ends = ends[label[ends[:, 0]] != label[ends[:, 1]]]
@@ -236,12 +226,12 @@ _SMALLEST_CELL, _LARGEST_CELL = 1 / 2000, 0.08
 
 @dataclass(frozen=True, eq=False)
 class NetworkMesh:
-    """A normalised mesh of network size, and the way between it and the vertices of the original.
+    """A normalised mesh of network size, and the maps between it and the vertices of the original.
 
     Args:
         vertices: Positions, the original's bounding box centred on 0 and its largest extent 1, shape (M, 3), float32.
-        normals: Area-weighted mean normals of the surface that each vertex stands for, shape (M, 3), float32. Length 1
-            where that is flat; shorter where it bends; near 0 where it closes on itself, as a thin finger does.
+        normals: Area-weighted mean normals of the surface that each vertex stands for, shape (M, 3), float32: of length
+            1 where that is flat, shorter where it bends, near 0 where it closes on itself, as a thin finger does.
         areas: Surface that each vertex stands for, shape (M,), float32; sums to the area of the normalised mesh.
         faces: Vertex indices, shape (F, 3), int64.
         edges: Undirected edges, bridges between loose parts included, each once, smaller vertex first, shape (E, 2),
@@ -249,8 +239,8 @@ class NetworkMesh:
         components: Loose part of each vertex, shape (M,), int64.
         cell: Size of the grid's cells, about the distance between neighbours.
         clean: The welded original.
-        surface: It with its long edges split, from which the network's vertices are means.
-        surface_label: The network vertex that each vertex of `surface` belongs to.
+        surface: The same with its long edges split, of which the network's vertices are means.
+        surface_label: The network vertex of each vertex of `surface`.
     """
 
     vertices: np.ndarray
@@ -276,11 +266,9 @@ class NetworkMesh:
         return self.clean.scale
 
     def push(self, values: np.ndarray) -> np.ndarray:
-        """Values of network vertices at every original vertex, shape (M, C) -> (V, C), float32.
-
-        Barycentric at the nearest points of the network mesh around the vertex's own place in it, blended smoothly
-        across edges. All weights are positive and sum to 1, so rows that sum to 1 stay so. Vertices at one position get
-        one value.
+        """Values of network vertices at every original vertex, shape (M, C) -> (V, C), float32: barycentric at the
+        nearest points of the network mesh, blended smoothly across edges. Weights are positive and sum to 1, so rows
+        that sum to 1 stay so. Vertices at one position get one value.
         """
         return self.push_clean(values)[self.clean.index]
 
@@ -299,7 +287,7 @@ class NetworkMesh:
         return out
 
     def pull(self, values: np.ndarray) -> np.ndarray:
-        """Values of original vertices as means over the surface of each network vertex, shape (V, C) -> (M, C),
+        """Means of original vertices' values over the surface of each network vertex, shape (V, C) -> (M, C),
         float32.
         """
         clean = self.clean
@@ -313,9 +301,7 @@ class NetworkMesh:
         return out.astype(np.float32)
 
     def carry(self, values: np.ndarray, view: NetworkMesh) -> np.ndarray:
-        """Values of the vertices of another view of the same mesh (`network_views`) at this one's, shape (M', C) -> (M,
-        C).
-        """
+        """Values of another view of the same mesh (`network_views`) at this one's vertices, shape (M', C) -> (M, C)."""
         count = len(view.vertices)
         key, inverse = np.unique(self.surface_label * count + view.surface_label, return_inverse=True)
         shared = np.bincount(inverse, self.surface.areas)
@@ -368,11 +354,8 @@ def network_views(
     max_edge: float = 0.05,
     offsets: Sequence[tuple[float, float, float]] = ((0.0, 0.0, 0.0),),
 ) -> list[NetworkMesh]:
-    """Network meshes of one mesh by grids of the same cells that lie differently, for the price of little more than
-    one.
-
-    Arguments and errors are those of `network_mesh`, with one offset for each result. The first decides the size of the
-    cells, so that others may have a few more vertices than `max_vertices`.
+    """`network_mesh` with several offsets of the grid, for little more than the price of one. The first decides the
+    size of the cells, so that others may have a few more vertices than `max_vertices`.
     """
     if max_vertices < 100:
         raise CharacterError(f"a network mesh needs room for 100 vertices or more, not {max_vertices}")

@@ -7,16 +7,9 @@ from functools import lru_cache
 import numpy as np
 
 __all__ = [
-    "extreme_points",
-    "face_normals",
-    "part_extremes",
-    "split_estimate",
-    "split_long_edges",
-    "surface_points",
-    "vertex_areas",
-    "vertex_normals",
-    "winding_numbers",
-]
+    "extreme_points", "face_normals", "part_extremes", "split_estimate", "split_long_edges", "surface_points",
+    "vertex_areas", "vertex_normals", "winding_numbers",
+]  # fmt: skip
 
 
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -32,16 +25,9 @@ def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray, unit: bool = True) -> np.ndarray:
-    """Area-weighted normals of the vertices.
-
-    Args:
-        vertices: Positions [m], shape (V, 3).
-        faces: Vertex indices, shape (F, 3).
-        unit: Scale to length 1; otherwise the sum of the face normals, each as long as a third of its area [m^2].
-
-    Returns:
-        Normals, shape (V, 3), float64. A vertex without area (no face, degenerate faces, faces that cancel) gets +Y
-        when `unit`, else zero.
+    """Area-weighted normals of the vertices [m] (V, 3) of faces (F, 3), shape (V, 3), float64: of length 1 if `unit`,
+    else the sum of the face normals, each as long as a third of its area [m^2]. A vertex without area gets +Y if
+    `unit`, else zero.
     """
     normals = face_normals(vertices, faces) / 6
     corners = faces.reshape(-1)
@@ -72,17 +58,16 @@ _STEPS = 0.7548776662466927, 0.5698402909980532  # the plastic number's powers: 
 
 
 def surface_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points at equal distances in area along the list of faces, with the normals of their faces.
+    """`count` points at equal distances in area along the list of faces, and the unit normals of their faces, both (N,
+    3), float64; a normal is 0 where a face has no area.
 
-    Turning the mesh turns the points; they do not depend on its place or size. A mesh without area gives its corners.
+    Rotating the mesh rotates the points; they do not depend on its position or size. A mesh without area gives its
+    corners.
 
     Args:
         vertices: Positions, any unit, shape (V, 3).
         faces: Vertex indices, shape (F, 3).
         count: How many points, N.
-
-    Returns:
-        Points (N, 3) and unit normals (N, 3), float64; a normal is 0 where a face has no area.
     """
     cross = face_normals(vertices, faces)
     area = _lengths(cross)
@@ -124,10 +109,8 @@ def split_estimate(vertices: np.ndarray, faces: np.ndarray, length: float) -> fl
 def split_long_edges(
     vertices: np.ndarray, faces: np.ndarray, length: float, max_faces: int = 400_000
 ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Halve the edges longer than `length` until there are none.
-
-    All faces at an edge split it at its middle, so the mesh stays as connected as it was. It stops early rather than
-    make more than `max_faces` faces.
+    """Halve the edges longer than `length` until there are none, or until that would add more than `max_faces` faces.
+    All faces at an edge split it at its middle, so the mesh stays as connected as it was.
 
     Args:
         vertices: Positions, shape (V, 3).
@@ -167,7 +150,7 @@ def split_long_edges(
 
 
 def _split(vertices: np.ndarray, faces: np.ndarray, middles: np.ndarray) -> np.ndarray:
-    """Faces cut at the middles of their sides ab, bc and ca, -1 where a side stays whole."""
+    """Faces cut at the middles of their sides ab, bc and ca, -1 where a side is not split."""
     marked = middles >= 0
     count = marked.sum(axis=1)
     out = []
@@ -195,21 +178,18 @@ def _split(vertices: np.ndarray, faces: np.ndarray, middles: np.ndarray) -> np.n
 
 
 FAR = 2.0
-"""Radii of a cluster from its middle beyond which it is a dipole."""
+"""Radii of a cluster from its middle beyond which it counts as a dipole."""
 _FACES, _POINTS = 24, 256
 """Faces of a cluster, and points that are looked at together, at most."""
 
 
 def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The winding number of a surface about each point; positive where faces look away from it. To some 0.02.
+    """The winding number of a surface about each point, to some 0.02, shape (P,), float64; positive where faces look
+    away from the point.
 
     Args:
         points: Shape (P, 3).
-        vertices: Of the surface, shape (V, 3).
-        faces: Shape (F, 3).
-
-    Returns:
-        Shape (P,), float64.
+        vertices, faces: Of the surface, shapes (V, 3) and (F, 3).
     """
     points, vertices = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
     corners = vertices[faces]
@@ -246,7 +226,7 @@ def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
 
 
 def _clusters(points: np.ndarray, most: int) -> list[np.ndarray]:
-    """Indices of points that lie near one another, in groups of so many at most: halved along their longest side."""
+    """Indices of points that lie near one another, in groups of at most `most`: halved along their longest side."""
     left, out = [np.arange(len(points))] if len(points) else [], []
     while left:
         own = left.pop()

@@ -1,7 +1,7 @@
 """Checkpoints: weights that carry their own config.
 
-They are safetensors files with JSON in the metadata, never pickle, and are written beside their target and renamed, so
-a file by that name is always whole.
+They are safetensors files with JSON in the metadata, never pickle, and written so that a file by that name is always
+complete.
 """
 
 from __future__ import annotations
@@ -20,39 +20,27 @@ from bunraku.core.request import from_json
 from bunraku.errors import FormatError, OptionError, WeightsError
 
 __all__ = [
-    "FORMAT",
-    "config_of",
-    "dated",
-    "dated_checkpoint",
-    "fitting_config",
-    "halves_of",
-    "load_checkpoint",
-    "load_network",
-    "planes_of",
-    "read_config",
-    "read_tensors",
-    "save_checkpoint",
-    "shipped_checkpoint",
-    "stored_as_half",
-    "write_tensors",
-]
+    "FORMAT", "config_of", "dated", "dated_checkpoint", "fitting_config", "halves_of", "load_checkpoint",
+    "load_network", "planes_of", "read_config", "read_tensors", "save_checkpoint", "shipped_checkpoint",
+    "stored_as_half", "write_tensors",
+]  # fmt: skip
 
 FORMAT = "bunraku-1"
 _LARGE = 1024
 _PLANES = "planes"
-"""Which arrays are float16 as `planes_of` takes them apart, as JSON in the metadata."""
+"""Key of the metadata that lists the arrays which `planes_of` took apart, as JSON."""
 _LARGEST = 1_000_000
 """More than any size, rate or count in a config."""
 
 _ENDLESS = np.uint16(0x7C00)
-"""Bits of a float16 that are all set in what is no number, or infinite."""
+"""Bits of a float16 that are all set in NaN and infinity."""
 
 Network = TypeVar("Network")
 Config = TypeVar("Config")
 
 
 def write_tensors(path: Path, data: bytes) -> None:
-    """Write a file beside the target and rename; on any failure the old one is untouched and nothing is left over.
+    """Write a file safely: on any failure the old one is untouched.
 
     Raises:
         WeightsError: It cannot be written.
@@ -68,7 +56,7 @@ def write_tensors(path: Path, data: bytes) -> None:
 
 
 def read_tensors(path: Path, kind: str, framework: str = "np") -> tuple[dict[str, Any], dict[str, Any]]:
-    """Tensors by name, as a framework has them, and the config.
+    """Tensors by name, of a framework, and the config.
 
     Raises:
         WeightsError: The file is missing, of another kind, damaged or cut short.
@@ -81,18 +69,14 @@ def read_tensors(path: Path, kind: str, framework: str = "np") -> tuple[dict[str
 
 
 def read_config(path: Path, kind: str) -> dict[str, Any]:
-    """The config alone.
-
-    Raises:
-        WeightsError: As `read_tensors`.
-    """
+    """The config alone; errors are those of `read_tensors`."""
     with _opened(path, kind) as (_, config):
         return config
 
 
 @contextmanager
 def _opened(path: Path, kind: str, framework: str = "np") -> Iterator[tuple[Any, dict[str, Any]]]:
-    """A checkpoint, open, and its config; what goes wrong meanwhile as one sentence."""
+    """An open checkpoint and its config; any failure within becomes one sentence."""
     from safetensors import safe_open
 
     if not path.is_file():
@@ -122,18 +106,18 @@ def _opened(path: Path, kind: str, framework: str = "np") -> Iterator[tuple[Any,
 
 
 def stored_as_half(count: int, largest: float) -> bool:
-    """Whether an array of float32 is stored as float16 where that is asked for, by its size and its largest number."""
+    """Whether an array of float32 with this size and largest magnitude is stored as float16 where that is asked for."""
     return count >= _LARGE and largest < 6e4
 
 
 def planes_of(values: np.ndarray) -> np.ndarray:
-    """Numbers as float16, their low bytes before their high ones, shape (2, ...), uint8: a wheel packs them better."""
+    """Numbers as float16, all low bytes before all high ones, shape (2, ...), uint8: these compress better."""
     halves = np.ascontiguousarray(values, "<f2")
     return np.ascontiguousarray(np.moveaxis(halves.view(np.uint8).reshape(*halves.shape, 2), -1, 0))
 
 
 def halves_of(planes: np.ndarray) -> np.ndarray:
-    """What `planes_of` took apart, float16."""
+    """The float16 array that `planes_of` took apart."""
     return np.asarray((planes[0] | planes[1].astype("<u2") << np.uint16(8)).view("<f2"))
 
 
@@ -143,12 +127,12 @@ def save_checkpoint(
     """Write weights with the config that builds their network.
 
     Args:
-        path: The safetensors file, replaced at once when the new one is whole.
+        path: The safetensors file.
         state: Arrays by name.
-        config: What the network needs to be built again; anything JSON can say.
+        config: JSON values from which the network can be built again.
         kind: What the weights are, for example "diffusion"; `load_checkpoint` asks for the same word.
-        half: Store matrices as float16 (`planes_of`), half the size. Arrays under 1,024 numbers (statistics, biases)
-            and any that overflow float16 stay as they are.
+        half: Store matrices as float16 (`planes_of`). Arrays of fewer than 1,024 numbers (statistics, biases) and any
+            that overflow float16 stay as they are.
 
     Raises:
         WeightsError: The file cannot be written.
@@ -169,13 +153,8 @@ def save_checkpoint(
 
 
 def load_checkpoint(path: str | Path, kind: str, half: bool = False) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read weights and their config.
-
-    Args:
-        path: The file.
-        kind: Of the checkpoint.
-        half: Leave float16 as it is, for `Weights` to hand out as float32, so that it is never all there twice;
-            without, it comes as float32.
+    """Read the weights of a kind and their config; float16 comes as float32, or with `half` as it is, for `Weights` to
+    convert.
 
     Raises:
         WeightsError: The file is missing, of another kind, damaged or cut short, or holds values that are not numbers.
@@ -206,8 +185,8 @@ def load_network(
     Args:
         path: The file.
         kind: Of the checkpoint.
-        build: Makes the network of its config's fields and its weights.
-        key: Under which the config stands.
+        build: Makes the network from its config's fields and its weights.
+        key: Of the network's config in the checkpoint's.
 
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
@@ -222,10 +201,8 @@ def load_network(
 
 @contextmanager
 def fitting_config(path: str | Path) -> Iterator[None]:
-    """What goes wrong while a network is built of a checkpoint's config and given its weights, as one sentence.
-
-    Raises:
-        WeightsError: The weights do not fit their config.
+    """Turn any failure while a network is built from a checkpoint into a WeightsError: its weights do not fit its
+    config.
     """
     try:
         yield
@@ -239,11 +216,7 @@ def fitting_config(path: str | Path) -> Iterator[None]:
 
 
 def config_of(kind: type[Config], data: object) -> Config:
-    """The config of a network from what a checkpoint carries.
-
-    Args:
-        kind: A dataclass, which says the type of each value.
-        data: The JSON object of the checkpoint.
+    """The config of a network, a dataclass, from the JSON object of a checkpoint.
 
     Raises:
         OptionError: A value is missing or unknown, of another type, or no size that a network has.
@@ -257,11 +230,7 @@ def config_of(kind: type[Config], data: object) -> Config:
 
 
 def dated_checkpoint(name: str, path: str | Path | None = None) -> tuple[Path, int]:
-    """A checkpoint and when it was changed, by which a loader keeps networks between calls.
-
-    Args:
-        name: Of the shipped one.
-        path: Another in its place.
+    """Path and time of change of a shipped checkpoint, or of another in its place; loaders cache networks by these.
 
     Raises:
         WeightsError: The shipped one is not there.
@@ -270,14 +239,12 @@ def dated_checkpoint(name: str, path: str | Path | None = None) -> tuple[Path, i
 
 
 def dated(path: Path) -> tuple[Path, int]:
-    """A file and when it was changed [ns], 0 where there is none."""
+    """A file and its time of change [ns], 0 where there is none."""
     return path.resolve(), path.stat().st_mtime_ns if path.is_file() else 0
 
 
 def shipped_checkpoint(name: str) -> Path:
-    """Path of a checkpoint that comes with Bunraku, for example `shipped_checkpoint("diffusion")`.
-
-    The environment variable BUNRAKU_WEIGHTS names other folders to look in (`weights_file`).
+    """Path of a checkpoint that comes with Bunraku, for example `shipped_checkpoint("diffusion")` (see `weights_file`).
 
     Raises:
         WeightsError: It is not there.

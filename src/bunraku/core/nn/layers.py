@@ -1,6 +1,4 @@
-"""The layers of the networks, for inference in numpy: built from the arrays of a checkpoint, run on the threads they
-need.
-"""
+"""The layers of the networks for inference in numpy: built from the arrays of a checkpoint, run on few threads."""
 
 from __future__ import annotations
 
@@ -19,41 +17,20 @@ if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
 __all__ = [
-    "Attention",
-    "FeedForward",
-    "Linear",
-    "Memory",
-    "Norm",
-    "PostNorm",
-    "PreNorm",
-    "Rotary",
-    "Weights",
-    "attended",
-    "gelu",
-    "gelu_slope",
-    "hidden_by",
-    "normed",
-    "one_thread",
-    "side_by_side",
-    "sigmoid",
-    "silu",
-    "softmax",
-    "split_heads",
-    "turned",
-    "unit",
-    "usable_threads",
-]
-
+    "Attention", "FeedForward", "Linear", "Memory", "Norm", "PostNorm", "PreNorm", "Rotary", "Weights", "attended",
+    "gelu", "gelu_slope", "hidden_by", "normed", "one_thread", "parallel", "sigmoid", "silu", "softmax", "split_heads",
+    "apply_rotary", "unit", "usable_threads",
+]  # fmt: skip
 
 _NEVER = np.float32(-1e30)
-"""Beside a score of attention: what is hidden takes no part."""
+"""Added to a score of attention, it hides a position."""
 _PIECE = 1 << 15
 """Numbers of an array that go through all passes of a function at once."""
 _GELU = tuple(np.float32(value) for value in (
     1.80559369e-09, -1.33445333e-07, 3.96909116e-06, -5.5240016e-05, -3.31305363e-05, 0.0363342845, 0.797884216,
 ))  # fmt: skip
-"""P, falling powers, such that tanh(x P(x^2)) is erf(x / sqrt 2), fitted on |x| < 6 for the least error of `gelu`. It
-only grows beyond, where both are 1.
+"""P, falling powers, such that tanh(x P(x^2)) is erf(x / sqrt 2), fitted on |x| < 6 for the least error of `gelu`;
+beyond, both are 1.
 """
 
 Rotary = tuple[np.ndarray, np.ndarray]
@@ -61,12 +38,7 @@ Rotary = tuple[np.ndarray, np.ndarray]
 
 
 class Linear(NamedTuple):
-    """`x @ matrix + bias`.
-
-    Args:
-        matrix: Shape (C, D).
-        bias: Shape (D,), or None.
-    """
+    """`x @ matrix + bias`, with a matrix (C, D) and a bias (D,) or None."""
 
     matrix: np.ndarray
     bias: np.ndarray | None
@@ -80,12 +52,7 @@ class Linear(NamedTuple):
 
 
 class Norm(NamedTuple):
-    """Layer norm with a scale and a shift of each channel.
-
-    Args:
-        scale, shift: Shape (C,).
-        epsilon: Beside the variance.
-    """
+    """Layer norm with a scale and a shift of each channel, shape (C,), and an epsilon added to the variance."""
 
     scale: np.ndarray
     shift: np.ndarray
@@ -104,12 +71,8 @@ class Memory(NamedTuple):
 
 
 class Attention(NamedTuple):
-    """Attention behind a norm, added to what came in.
-
-    Args:
-        enter: To queries, keys and values side by side; to queries alone where it attends to a memory.
-        leave: From what was attended to.
-        heads: H.
+    """Attention of H heads behind a norm, added to its input. `enter` makes queries, keys and values side by side, or
+    queries alone where it attends to a memory; `leave` maps the result.
     """
 
     enter: Linear
@@ -129,10 +92,10 @@ class Attention(NamedTuple):
 
         Args:
             x: Hidden states.
-            norm: Before it; scale and shift may differ from row to row.
+            norm: Before attention; scale and shift may differ from row to row.
             memory: What is attended to; the states themselves where None.
-            hidden: Of that, as `hidden_by` gives it.
-            rotary: Turns queries, and with them the keys that are the states' own; None for no positions.
+            hidden: Mask of that, from `hidden_by`.
+            rotary: Positions for queries, and for keys that are the states' own; None for no positions.
             gate: Factor of what is added.
         """
         batch, length, width = x.shape
@@ -140,10 +103,10 @@ class Attention(NamedTuple):
         said += self.enter.bias
         parts = said.reshape(batch, length, -1, self.heads, width // self.heads).transpose(2, 0, 3, 1, 4)
         if memory is None:
-            query, key = parts[:2] if rotary is None else turned(parts[:2], rotary)
+            query, key = parts[:2] if rotary is None else apply_rotary(parts[:2], rotary)
             mixed = attended(query, key, parts[2], hidden)
         else:
-            query = parts[0] if rotary is None else turned(parts[0], rotary)
+            query = parts[0] if rotary is None else apply_rotary(parts[0], rotary)
             mixed = attended(query, memory.keys, memory.values, hidden)
         said = (mixed.reshape(-1, width) @ self.leave.matrix).reshape(x.shape)
         said += self.leave.bias
@@ -154,11 +117,7 @@ class Attention(NamedTuple):
 
 
 class FeedForward(NamedTuple):
-    """Two linear layers with GELU between them behind a norm, added to what came in.
-
-    Args:
-        wide, narrow: The layers.
-    """
+    """Two linear layers with GELU between them behind a norm, added to their input."""
 
     wide: Linear
     narrow: Linear
@@ -176,14 +135,7 @@ class FeedForward(NamedTuple):
 
 
 class PreNorm(NamedTuple):
-    """A transformer layer whose norms stand before attention and feed-forward.
-
-    Args:
-        own: Attention of the states to one another.
-        norm_a: Before it.
-        mix: The feed-forward.
-        norm_b: Before it.
-    """
+    """A transformer layer with norms before attention and feed-forward."""
 
     own: Attention
     norm_a: Norm
@@ -191,20 +143,13 @@ class PreNorm(NamedTuple):
     norm_b: Norm
 
     def __call__(self, x: np.ndarray, hidden: np.ndarray | None = None) -> np.ndarray:
-        """Shape (B, T, d), with what is hidden as `hidden_by` gives it; writes on `x`."""
+        """Shape (B, T, d), with a mask of `hidden_by`; writes on `x`."""
         return self.mix(self.own(x, self.norm_a, None, hidden), self.norm_b)
 
 
 class PostNorm(NamedTuple):
-    """A layer as BERT has it (Devlin et al. 2019): the norms stand behind attention and feed-forward.
-
-    Args:
-        query, key, value: From the states, all heads side by side.
-        leave: From what was attended to.
-        heads: H.
-        norm_a: Behind attention.
-        wide, narrow: The feed-forward.
-        norm_b: Behind it.
+    """A transformer layer of BERT (Devlin et al. 2019), with norms after attention and feed-forward. Query, key and
+    value have all heads side by side.
     """
 
     query: Linear
@@ -225,7 +170,7 @@ class PostNorm(NamedTuple):
 
 
 def normed(x: np.ndarray, norm: Norm | None = None) -> np.ndarray:
-    """Layer norm over the last axis; without scale and shift where None are given."""
+    """Layer norm over the last axis, without scale and shift where no norm is given."""
     out = x - x.mean(-1, keepdims=True)
     variance = np.einsum("...i,...i->...", out, out)
     variance /= np.float32(x.shape[-1])
@@ -238,11 +183,8 @@ def normed(x: np.ndarray, norm: Norm | None = None) -> np.ndarray:
 
 
 def _below(x: np.ndarray, out: np.ndarray, times: bool) -> None:
-    """The share of a normal distribution below each number, or the number times it, piece by piece; `out` may be `x`.
-
-    Args:
-        x, out: Of one axis.
-        times: Which of the two.
+    """The share of a normal distribution below each number of a flat array, or with `times` the number times it, piece
+    by piece; `out` may be `x`.
     """
     room = np.empty((2, min(x.size, _PIECE)), np.float32)
     for start in range(0, x.size, _PIECE):
@@ -266,8 +208,8 @@ def _below(x: np.ndarray, out: np.ndarray, times: bool) -> None:
 
 
 def gelu(x: np.ndarray) -> np.ndarray:
-    """x times the share of a normal distribution below x (Hendrycks & Gimpel 2016), to 1e-6; takes a contiguous array,
-    and writes on it.
+    """x times the share of a normal distribution below x (Hendrycks & Gimpel 2016), to 1e-6; writes on a contiguous
+    array.
     """
     flat = x.reshape(-1)
     _below(flat, flat, True)
@@ -301,24 +243,21 @@ def softmax(scores: np.ndarray) -> np.ndarray:
 
 
 def hidden_by(mask: np.ndarray) -> np.ndarray | None:
-    """What is added to scores of attention so that only what is real counts; None where all is.
-
-    Args:
-        mask: True where real, shape (B, M).
-
-    Returns:
-        Shape (B, 1, 1, M).
+    """The term for scores of attention that hides all but what is True in a mask (B, M), shape (B, 1, 1, M); None where
+    all is True.
     """
     return None if mask.all() else np.where(mask, np.float32(0), _NEVER)[:, None, None]
 
 
 def split_heads(x: np.ndarray, heads: int, parts: int = 1) -> tuple[np.ndarray, ...]:
-    """Queries, keys or values of each head, shape (B, H, T, d/H), from as many side by side, shape (B, T, parts d)."""
+    """Queries, keys or values of each head, shape (B, H, T, d/H), from `parts` of them side by side, shape (B, T, parts
+    d).
+    """
     return tuple(x.reshape(*x.shape[:2], parts, heads, -1).transpose(2, 0, 3, 1, 4))
 
 
-def turned(x: np.ndarray, rotary: Rotary) -> np.ndarray:
-    """Queries or keys at their places in time, shape (..., T, d/H)."""
+def apply_rotary(x: np.ndarray, rotary: Rotary) -> np.ndarray:
+    """Queries or keys with their positions in time, shape (..., T, d/H)."""
     half = x.shape[-1] // 2
     first, second = x[..., :half], x[..., half:]
     cos, sin = rotary
@@ -329,19 +268,14 @@ def turned(x: np.ndarray, rotary: Rotary) -> np.ndarray:
 
 
 def attended(query: np.ndarray, key: np.ndarray, value: np.ndarray, hidden: np.ndarray | None = None) -> np.ndarray:
-    """Attention (Vaswani et al. 2017), shapes (B, H, T, d) and (B, H, M, d) -> (B, T, H d).
-
-    Args:
-        query, key, value: Of each head.
-        hidden: As `hidden_by` gives it.
+    """Attention (Vaswani et al. 2017) of queries (B, H, T, d) to keys and values (B, H, M, d) -> (B, T, H d), with a
+    mask of `hidden_by`.
     """
     scores = np.matmul(query, key.swapaxes(-1, -2))
     scores *= np.float32(query.shape[-1] ** -0.5)
     if hidden is not None:
         scores += hidden
-    scores -= scores.max(-1, keepdims=True)
-    np.exp(scores, out=scores)
-    scores /= scores.sum(-1, keepdims=True)
+    softmax(scores)
     batch, heads, length, size = query.shape
     out = np.empty((batch, length, heads, size), np.float32)
     np.matmul(scores, value, out=out.transpose(0, 2, 1, 3))
@@ -349,14 +283,14 @@ def attended(query: np.ndarray, key: np.ndarray, value: np.ndarray, hidden: np.n
 
 
 def unit(x: np.ndarray) -> np.ndarray:
-    """Vectors of length 1, shape (..., E); those of no length stay."""
+    """Vectors of length 1, shape (..., E); zero vectors stay."""
     length = np.sqrt(np.einsum("...i,...i->...", x, x))[..., None]
     return np.asarray(x / np.maximum(length, np.float32(1e-12)))
 
 
 class Weights:
     """The arrays of a checkpoint, handed to the network that its config describes. Each is compared with the size that
-    the config asks for, before anything of that size is made.
+    the config asks for before anything of that size is allocated.
 
     Args:
         state: Arrays by name; float16 is handed out as float32.
@@ -372,10 +306,10 @@ class Weights:
         return Weights(self._state, f"{self._prefix}{name}.", self._left)
 
     def array(self, name: str, *shape: int) -> np.ndarray:
-        """One of them.
+        """One of them, of this shape.
 
         Raises:
-            ValueError: It is not there, or has another size.
+            ValueError: It is missing, or has another shape.
         """
         whole = self._prefix + name
         found = self._state.get(whole)
@@ -395,21 +329,17 @@ class Weights:
         return Norm(self.array(f"{name}.weight", width), self.array(f"{name}.bias", width), epsilon)
 
     def attention(self, enter: str, leave: str, width: int, heads: int) -> Attention:
-        """Attention of the states to one another, of two linear layers by name."""
+        """Attention of the states to one another, from two linear layers by name."""
         if heads < 1 or width % heads:
             raise ValueError(f"{width} channels cannot be shared by {heads} heads")
         return Attention(self.linear(enter, width, 3 * width), self.linear(leave, width, width), heads)
 
     def feed_forward(self, wide: str, narrow: str, width: int, inner: int) -> FeedForward:
-        """Of two linear layers by name."""
+        """From two linear layers by name."""
         return FeedForward(self.linear(wide, width, inner), self.linear(narrow, inner, width))
 
     def done(self) -> None:
-        """All have been handed out.
-
-        Raises:
-            ValueError: The checkpoint holds more.
-        """
+        """Raise ValueError unless all have been handed out."""
         if self._left:
             raise ValueError(f"its config makes no '{min(self._left)}', which the file has")
 
@@ -421,7 +351,7 @@ _Other = TypeVar("_Other")
 
 
 def usable_threads() -> int:
-    """How many threads this process may take: as OMP_NUM_THREADS says, else one for each processor."""
+    """Number of threads for this process: OMP_NUM_THREADS, else one for each processor."""
     asked = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0]
     if asked.isdigit() and int(asked) > 0:
         return int(asked)
@@ -432,9 +362,8 @@ def usable_threads() -> int:
 def one_thread() -> Iterator[None]:
     """One thread for each matrix product.
 
-    The products of a small network are too short to share: a second thread gains a fifth where a core is free, and
-    where none is, threads wait for one another and a clip takes many times as long. One thread also always adds in one
-    order.
+    The products of a small network are too short to share: a second thread gains a fifth where a core is free; where
+    none is, threads wait for one another and a clip takes many times as long. One thread also always adds in one order.
     """
     spare = _spare.set(usable_threads() > 1)
     try:
@@ -447,11 +376,9 @@ def one_thread() -> Iterator[None]:
         _spare.reset(spare)
 
 
-def side_by_side(first: Callable[[], _One], second: Callable[[], _Other]) -> tuple[_One, _Other]:
-    """What two calls give. Within `one_thread` the second has a thread of its own, where there is a processor for it.
-
-    Each adds in its own order, so what comes out does not depend on whether they ran at once. They wait for each other
-    once, and not in each product as the threads of a library do.
+def parallel(first: Callable[[], _One], second: Callable[[], _Other]) -> tuple[_One, _Other]:
+    """The results of two calls. Within `one_thread` the second has a thread of its own, where there is a processor for
+    it; each adds in its own order, so results do not depend on whether they ran at once.
     """
     if not _spare.get():
         return first(), second()
@@ -472,7 +399,7 @@ def _thread() -> ThreadPoolExecutor:
 
 @cache
 def _libraries() -> ThreadpoolController:
-    """The libraries that numpy multiplies with; looking for them takes longer than to set their threads."""
+    """The libraries that numpy multiplies with; finding them takes longer than setting their threads."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,14 +14,14 @@ from bunraku.core.geometry.axes import FileFrame
 from bunraku.core.geometry.surface import vertex_normals
 from bunraku.files.fbx.write_motion import Bones
 from bunraku.files.fbx.write_objects import Element, Objects, element, prop, properties
-from bunraku.files.gltf.carry import MeshCarrier, carry_images, carry_tree, image_type
+from bunraku.files.gltf.carry import IMAGE_SUFFIXES, MeshCarrier, carry_images, carry_tree
 from bunraku.files.gltf.colors import srgb_from_linear
 from bunraku.files.gltf.document import Document, GltfBuilder
 from bunraku.files.gltf.mesh import MeshPart
 from bunraku.files.gltf.write import document_of
+from bunraku.files.meshes.obj import embeddable
 
 __all__ = ["Layer", "Look", "Mesh", "Shape", "add_mesh", "file_matrices", "meshes_of", "uv_name"]
-
 
 MOST_UVS = 8
 
@@ -33,8 +32,8 @@ class Shape:
 
     Args:
         name: Its name.
-        offsets: How far it takes each vertex [m], shape (V, 3).
-        amount: How much of it shows where nothing moves, 0 to 1.
+        offsets: Displacement of each vertex [m], shape (V, 3).
+        amount: Its amount where nothing moves, 0 to 1.
     """
 
     name: str
@@ -44,12 +43,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Values of the corners of triangles.
-
-    Args:
-        values: Shape (U, C).
-        corners: Row of each corner, shape (F, 3).
-    """
+    """Values of the corners of triangles: values (U, C), and the row of each corner (F, 3)."""
 
     values: np.ndarray
     corners: np.ndarray
@@ -61,12 +55,12 @@ class Mesh:
 
     Args:
         name: Its name.
-        index: The character's vertex behind each of its own, shape (V,).
+        index: The character's vertex of each of its own, shape (V,).
         faces: Triangles, shape (F, 3).
         materials: The material of each in the document, -1 for none, shape (F,).
         normals: Or None.
         uvs: Sets of texture coordinates, v downwards.
-        colors: Linear colours and what of them is seen, (U, 4), or None.
+        colors: Linear colours and opacity, (U, 4), or None.
         shapes: Those that the file has.
     """
 
@@ -81,18 +75,12 @@ class Mesh:
 
 
 def meshes_of(character: Character) -> tuple[Document, list[Mesh]]:
-    """The meshes of a character as it rests, and the document of their materials.
-
-    Args:
-        character: The character.
-    """
+    """The meshes of a character as it rests, and the document of their materials."""
     source = document_of(character)
     builder = GltfBuilder(carry_tree(source.document))
     carry_images(source.document, builder)
-    carrier, start, carried = MeshCarrier(source, builder), 0, []
-    for part in source.parts:
-        index = source.index[start : start + sum(len(group.vertices) for group in part.groups)]
-        start += len(index)
+    carrier, carried = MeshCarrier(source, builder), []
+    for part, index in source.placed():
         if any(len(some) for group in part.groups for some in group.triangles):
             node = source.document.item("nodes", part.node)
             mesh = carrier.mesh(part, character.vertices[index], index)
@@ -199,7 +187,6 @@ def _normals(document: Document, rows: _Rows) -> Layer | None:
     return Layer(values, layer.corners)
 
 
-_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg"}
 _CLAMP = 33071
 
 
@@ -210,7 +197,7 @@ def uv_name(number: int) -> str:
 
 @dataclass
 class Look:
-    """The materials of a document as what is written uses them, each once, with its textures inside the file.
+    """The materials of a document that are used, each once, with its textures inside the file.
 
     Args:
         objects: Where they go.
@@ -322,26 +309,8 @@ def _picture(document: Document, texture: dict[str, Any]) -> tuple[int, bytes, s
     found = document.image(number)
     if not found:
         return None
-    data = bytes(found)
-    kind = image_type(data[:16])
-    if kind == "image/webp":
-        png = _as_png(data)
-        return None if png is None else (number, png, ".png")
-    suffix = _SUFFIX.get(kind or "")
-    return None if suffix is None else (number, data, suffix)
-
-
-def _as_png(data: bytes) -> bytes | None:
-    """An image of a kind that FBX's readers lack, None where it is broken."""
-    from PIL import Image
-
-    out = io.BytesIO()
-    try:
-        with Image.open(io.BytesIO(data), formats=("WEBP",)) as image:
-            image.save(out, "PNG")
-    except (OSError, ValueError, Image.DecompressionBombError):
-        return None
-    return out.getvalue()
+    image = embeddable(bytes(found))
+    return None if image is None else (number, image[0], IMAGE_SUFFIXES[image[1]])
 
 
 STILL = 1e-9  # m
@@ -361,11 +330,11 @@ def add_mesh(
     Args:
         objects: The file.
         mesh: The mesh.
-        more: Shapes beside its own.
-        character: What it is of.
+        more: Shapes in addition to its own.
+        character: Its character.
         look: Where its materials go.
         bones: What moves it, or None.
-        joints: The numbers of these.
+        joints: The numbers of the bones.
 
     Returns:
         The number of its model, and those of the channels of its shapes.
@@ -396,7 +365,7 @@ def add_mesh(
 
 
 def _polygons(faces: np.ndarray) -> np.ndarray:
-    """Corners one after another; the last of each is said as its complement."""
+    """Corners one after another; the last of each polygon is stored as its complement."""
     out = faces.astype(np.int32)
     out[:, -1] = ~out[:, -1]
     return out.reshape(-1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
@@ -15,31 +15,19 @@ import numpy as np
 from bunraku.errors import FormatError
 
 __all__ = [
-    "ARRAY_BUFFER",
-    "BASE",
-    "COMPONENT_TYPES",
-    "Document",
-    "ELEMENT_ARRAY_BUFFER",
-    "ELEMENT_SIZES",
-    "GltfBuilder",
-    "MAX_ELEMENTS",
-    "PER_BYTE",
-    "free_memory",
-    "mesh_document",
-    "room",
-    "scaled_mesh_document",
-]
-
+    "ARRAY_BUFFER", "BASE", "COMPONENT_TYPES", "Document", "ELEMENT_ARRAY_BUFFER", "ELEMENT_SIZES", "GltfBuilder",
+    "MAX_ELEMENTS", "PER_BYTE", "free_memory", "matte_material", "mesh_document", "room", "scaled_mesh_document",
+]  # fmt: skip
 
 PER_BYTE = 4
 """Bytes of memory for each byte of a file."""
 
 BASE = 240 << 20
-"""What any file may take beside that [bytes]; the interpreter and its libraries make it some 300 MB."""
+"""What any file may take in addition [bytes]; the interpreter and its libraries make it some 300 MB."""
 
 
 def free_memory() -> int:
-    """Bytes that the machine can still give, as Linux tells; without an answer, all there can be."""
+    """Bytes that Linux says the machine can still give; without an answer, the largest integer."""
     try:
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):
@@ -50,11 +38,7 @@ def free_memory() -> int:
 
 
 def room(size: int) -> int:
-    """Bytes that reading a file may take at most, its own included.
-
-    Args:
-        size: Bytes of the file and of all that it names.
-    """
+    """Most bytes that reading a file may take, its own included; `size` is of the file and of all that it names."""
     return min(PER_BYTE * size + BASE, free_memory())
 
 
@@ -76,7 +60,7 @@ class Document:
         tree: The JSON object.
         buffers: The bytes of each buffer; those that name one file share them.
         images: Bytes of the images that are files or data URIs, by image index; None where the file is missing.
-        size: Bytes of the file and of the files that it names, each once; 0 for a document that was made in memory.
+        size: Bytes of the file and of the files that it names, each once; 0 for a document in memory only.
     """
 
     path: Path
@@ -98,13 +82,8 @@ class Document:
         return self._own + needed <= room(self._own)
 
     def check_memory(self, needed: int) -> None:
-        """Refuse what takes more memory than a file of this size may.
-
-        Args:
-            needed: About how much it takes beside the file itself [bytes].
-
-        Raises:
-            FormatError: It is too much.
+        """Raise FormatError if so many bytes beside the file itself are too much for a file of this size or for the
+        machine.
         """
         if not self.has_room(needed):
             self.fail(
@@ -116,6 +95,20 @@ class Document:
         """Raise a FormatError about this document."""
         raise FormatError(self.path, problem)
 
+    def broken(self, problem: str) -> NoReturn:
+        """Raise a FormatError about damage in this document."""
+        self.fail(f"{problem}; the file is broken, export it again")
+
+    def truncated(self, problem: str) -> NoReturn:
+        """Raise a FormatError about bytes that this document lacks."""
+        self.fail(f"{problem}; the file is truncated, export or download it again")
+
+    @property
+    def extensions(self) -> dict[str, Any]:
+        """The extensions of the whole document, empty where it has none."""
+        found = self.tree.get("extensions")
+        return found if isinstance(found, dict) else {}
+
     def items(self, kind: str) -> list[dict[str, Any]]:
         """A top-level list of the document, empty where it has none."""
         return self.objects(self.tree, kind)
@@ -124,14 +117,14 @@ class Document:
         """A list of objects under a key of an object."""
         value = owner.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-            self.fail(f"'{key}' must be a list of objects; the file is broken, export it again")
+            self.broken(f"'{key}' must be a list of objects")
         return value
 
     def entry(self, owner: dict[str, object], key: str) -> dict[str, object]:
         """An object under a key of an object."""
         value = owner.get(key)
         if not isinstance(value, dict):
-            self.fail(f"'{key}' must be an object; the file is broken, export it again")
+            self.broken(f"'{key}' must be an object")
         return value
 
     def item(self, kind: str, index: Any) -> dict[str, Any]:
@@ -143,7 +136,7 @@ class Document:
             or not 0 <= index < len(items)
             or not isinstance(items[index], dict)
         ):
-            self.fail(f"{kind}[{index!r:.20}] does not exist; the file is broken, export it again")
+            self.broken(f"{kind}[{index!r:.20}] does not exist")
         return items[index]
 
     def integer(self, owner: dict[str, object], key: str, default: int | None = None, high: int = 2**40) -> int:
@@ -152,10 +145,7 @@ class Document:
         if type(value) is float and value.is_integer():
             value = int(value)
         if type(value) is not int or not 0 <= value <= high:
-            self.fail(
-                f"'{key}' must be a whole number from 0 to {high}, not {value!r:.40}; the file is broken, export it "
-                "again"
-            )
+            self.broken(f"'{key}' must be a whole number from 0 to {high}, not {value!r:.40}")
         return value
 
     def numbers(self, owner: dict[str, object], key: str, default: list[float]) -> np.ndarray:
@@ -164,7 +154,7 @@ class Document:
         good = isinstance(value, list) and len(value) == len(default) and all(type(x) in (int, float) for x in value)
         out = np.array(value, float) if good else np.array([np.nan])
         if not np.isfinite(out).all():
-            self.fail(f"'{key}' must be {len(default)} finite numbers; the file is broken, export it again")
+            self.broken(f"'{key}' must be {len(default)} finite numbers")
         return out
 
     def indices(self, owner: dict[str, object], key: str, kind: str) -> list[int]:
@@ -175,7 +165,7 @@ class Document:
         )  # the list's own entries are not checked, as in `item`
         count = len(listed) if isinstance(listed, list) else 0
         if not isinstance(value, list) or not all(type(x) is int and 0 <= x < count for x in value):
-            self.fail(f"'{key}' points at {kind} that do not exist; the file is broken, export it again")
+            self.broken(f"'{key}' points at {kind} that do not exist")
         return value
 
     def view(self, index: Any) -> memoryview:
@@ -183,14 +173,11 @@ class Document:
         view = self.item("bufferViews", index)
         buffer = self.integer(view, "buffer")
         if buffer >= len(self.buffers):
-            self.fail(f"buffer {buffer} does not exist; the file is broken, export it again")
+            self.broken(f"buffer {buffer} does not exist")
         start, length = self.integer(view, "byteOffset", 0), self.integer(view, "byteLength")
         data = memoryview(self.buffers[buffer])
         if start + length > len(data):
-            self.fail(
-                f"bufferViews[{index}] ends at byte {start + length} of {len(data)}; the file is truncated, export or "
-                "download it again"
-            )
+            self.truncated(f"bufferViews[{index}] ends at byte {start + length} of {len(data)}")
         return data[start : start + length]
 
     def image(self, index: Any) -> bytes | memoryview | None:
@@ -204,29 +191,21 @@ class Document:
         return self.integer(self.item("accessors", index), "count", high=MAX_ELEMENTS)
 
     def accessor(self, index: Any, kinds: tuple[str, ...], raw: bool = False) -> np.ndarray:
-        """The elements of an accessor, sparse values put in place.
+        """The elements of an accessor, sparse values put in place, shape (count, components), in their stored type or
+        float32.
 
         Args:
             index: Which accessor.
             kinds: The element types that are allowed here, such as ("VEC3",).
             raw: Keep integers as they are stored; otherwise normalised ones become floats.
-
-        Returns:
-            Elements, shape (count, components), in their stored type or float32.
         """
         accessor = self.item("accessors", index)
         kind, component = accessor.get("type"), accessor.get("componentType")
         if kind not in kinds:
-            self.fail(
-                f"accessors[{index}] has type {kind!r:.20} where {' or '.join(kinds)} is needed; the file is broken, "
-                "export it again"
-            )
+            self.broken(f"accessors[{index}] has type {kind!r:.20} where {' or '.join(kinds)} is needed")
         dtype = COMPONENT_TYPES.get(component) if type(component) is int else None
         if dtype is None:
-            self.fail(
-                f"accessors[{index}] has component type {component!r:.20}, which glTF does not know; the file is "
-                "broken, export it again"
-            )
+            self.broken(f"accessors[{index}] has component type {component!r:.20}, which glTF does not know")
         count, size = self.count(index), ELEMENT_SIZES[kind]
         if "bufferView" in accessor:
             values = self._elements(accessor, accessor["bufferView"], dtype, count, size)
@@ -247,15 +226,9 @@ class Document:
         width = dtype.itemsize * size
         stride = self.integer(self.item("bufferViews", view), "byteStride", width, high=65535)
         if stride < width:
-            self.fail(
-                f"bufferViews[{view}] packs elements of {width} bytes every {stride}; the file is broken, export it "
-                "again"
-            )
+            self.broken(f"bufferViews[{view}] packs elements of {width} bytes every {stride}")
         if count and offset + stride * (count - 1) + width > len(data):
-            self.fail(
-                f"an accessor reads past the end of bufferViews[{view}]; the file is truncated, export or download it "
-                "again"
-            )
+            self.truncated(f"an accessor reads past the end of bufferViews[{view}]")
         if not count:
             return np.zeros((0, size), dtype)
         return np.ndarray((count, size), dtype, data, offset, (stride, dtype.itemsize))
@@ -268,10 +241,10 @@ class Document:
             or not isinstance(what, dict)
             or where.get("componentType") not in (5121, 5123, 5125)
         ):
-            self.fail("a sparse accessor lacks its indices or values; the file is broken, export it again")
+            self.broken("a sparse accessor lacks its indices or values")
         rows = self._elements(where, where.get("bufferView"), COMPONENT_TYPES[where["componentType"]], count, 1)[:, 0]
         if count and int(rows.max()) >= len(values):
-            self.fail("a sparse accessor replaces elements that do not exist; the file is broken, export it again")
+            self.broken("a sparse accessor replaces elements that do not exist")
         values[rows] = self._elements(what, what.get("bufferView"), dtype, count, values.shape[1])
         return values
 
@@ -282,13 +255,11 @@ _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
 class GltfBuilder:
-    """A glTF tree and the binary chunk that grows with it.
+    """A glTF tree and the binary chunk that grows with it; its `accessors` and `bufferViews` start empty."""
 
-    Args:
-        tree: The JSON object; its `accessors` and `bufferViews` start empty.
-    """
-
-    def __init__(self, tree: dict[str, object]):
+    def __init__(self, tree: dict[str, Any] | None = None):
+        if tree is None:
+            tree = {"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"nodes": [0]}]}
         self.tree: dict[str, Any] = tree  # our own from here on: what is added is what glTF says
         self.length = 0
         self._chunks: list[bytes | memoryview | Callable[[], bytes]] = []
@@ -335,12 +306,8 @@ class GltfBuilder:
         return self._append("accessors", entry)
 
     def later(self, count: int, size: int, make: Callable[[int], bytes]) -> int:
-        """Add an accessor of 32-bit floats whose bytes are made when the document is written, and return its index.
-
-        Args:
-            count: How many elements.
-            size: Components of each.
-            make: Gives the bytes of that many elements.
+        """Add an accessor of `count` vectors of 32-bit floats, whose bytes `make(count)` gives when the document is
+        written, and return its index.
         """
         length = 4 * count * size
         entry: dict[str, object] = {"buffer": 0, "byteOffset": self.length, "byteLength": length}
@@ -363,6 +330,12 @@ class GltfBuilder:
         """Add an entry to a top-level list and return its index."""
         return self._append(key, entry)
 
+    @staticmethod
+    def channel(clip: dict[str, Any], node: int, path: str, times: int, values: int) -> None:
+        """Add a linear channel to a clip that has lists of channels and samplers: a node's property, by accessors."""
+        clip["channels"].append({"sampler": len(clip["samplers"]), "target": {"node": node, "path": path}})
+        clip["samplers"].append({"input": times, "output": values, "interpolation": "LINEAR"})
+
     def document(self, path: Path) -> Document:
         """The document as one in memory."""
         data = b"".join(chunk() if callable(chunk) else chunk for chunk in self._chunks)
@@ -374,7 +347,7 @@ class GltfBuilder:
         """Write the document as GLB.
 
         Raises:
-            ValueError: It is larger than a GLB can be, or the tree holds numbers that JSON has not.
+            ValueError: It is larger than a GLB can be, or the tree holds numbers that JSON lacks.
         """
         if self.length:
             self.tree["buffers"] = [{"byteLength": self.length}]
@@ -389,6 +362,26 @@ class GltfBuilder:
             file.write(struct.pack("<II", self.length, 0x004E4942))
             for chunk in self._chunks:
                 file.write(chunk() if callable(chunk) else chunk)
+
+
+def matte_material(
+    name: str, color: Sequence[float] | None = None, texture: int | None = None, **more: Any
+) -> dict[str, Any]:
+    """A glTF material that is rough and no metal, as files of formats without such properties mean it.
+
+    Args:
+        name: Its name.
+        color: Linear base colour and opacity; one below 1 makes it blend.
+        texture: Index of its base colour texture.
+        **more: Further entries.
+    """
+    shader: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 0.9}
+    if texture is not None:
+        shader["baseColorTexture"] = {"index": texture}
+    if color is not None:
+        shader["baseColorFactor"] = [float(value) for value in color]
+    blend = {"alphaMode": "BLEND"} if color is not None and color[3] < 1 else {}
+    return {"name": name, "pbrMetallicRoughness": shader, **blend, **more}
 
 
 def mesh_document(
@@ -414,7 +407,7 @@ def mesh_document(
         materials: glTF materials; their textures are numbered as the images.
         images: PNG or JPEG bytes with their MIME type.
     """
-    builder = GltfBuilder({"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"nodes": [0]}]})
+    builder = GltfBuilder()
     builder.add("nodes", {"name": path.stem, "mesh": 0})
     attributes = {}
     if len(positions):
@@ -447,7 +440,7 @@ def mesh_document(
 
 
 def scaled_mesh_document(document: Document, factor: float) -> Document:
-    """A document of `mesh_document` with its positions times a factor; they are the first array of its buffer."""
+    """A document of `mesh_document` with its positions, the first array of its buffer, times a factor."""
     primitive = document.items("meshes")[0]["primitives"][0]
     count = 3 * document.count(primitive["attributes"]["POSITION"])
     data = np.frombuffer(document.buffers[0], np.uint8).copy()

@@ -12,17 +12,9 @@ from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.nodes import NodeTree, SkinJoints
 
 __all__ = [
-    "MeshPart",
-    "PrimitiveData",
-    "borrow_weights",
-    "check_size",
-    "primitive_groups",
-    "primitive_triangles",
-    "read_part",
-    "rigid_joints",
-    "skin_matrices",
-    "strongest",
-]
+    "MeshPart", "PrimitiveData", "borrow_weights", "check_size", "primitive_groups", "primitive_triangles", "read_part",
+    "rigid_joints", "skin_matrices", "strongest",
+]  # fmt: skip
 
 
 def strongest(
@@ -31,9 +23,7 @@ def strongest(
     """The largest shares of each vertex as a table, renormalised.
 
     Args:
-        points: Vertex of each share, shape (S,).
-        joints: Its joint, shape (S,).
-        shares: The share, not negative, shape (S,).
+        points, joints, shares: Vertex, joint and share (not negative) of each influence, shape (S,).
         count: How many vertices there are, V.
         influences: Most joints of a vertex.
 
@@ -52,12 +42,11 @@ def strongest(
 
 
 def borrow_weights(vertices: np.ndarray, indices: np.ndarray, shares: np.ndarray, lost: np.ndarray) -> None:
-    """Give vertices without weights those of the nearest vertex that has some; the first joint where none has.
+    """Give vertices without weights those of the nearest vertex that has some, or the first joint where none has.
 
     Args:
         vertices: Positions, shape (V, 3).
-        indices: Joints, changed in place, shape (V, M).
-        shares: Shares, changed in place, shape (V, M).
+        indices, shares: Joints and their shares, changed in place, shape (V, M).
         lost: The vertices without weights.
     """
     good = np.flatnonzero(shares.sum(axis=1) > 1e-9)
@@ -74,7 +63,7 @@ def borrow_weights(vertices: np.ndarray, indices: np.ndarray, shares: np.ndarray
 
 MAX_VERTICES, MAX_TRIANGLES, MAX_PRIMITIVES = 20_000_000, 40_000_000, 20_000
 MAX_WORK = 150_000_000
-"""Most vertices that all primitives go over, each as often as it uses them: for its morph targets, and for colours."""
+"""Most vertices over all primitives, each counted as often as it is used: for its morph targets, and for colours."""
 
 _VERTEX, _INFLUENCE, _TRIANGLE = 72, 32, 40
 """About how many bytes a vertex, one of its influences, and a triangle take while a character is read."""
@@ -106,10 +95,9 @@ class MeshPart:
     """A mesh where a node places it.
 
     Args:
-        node: The node.
-        mesh: Its mesh.
-        transform: What takes raw positions to the rest pose, shape (4, 4), or None where the skin bends the mesh in its
-            rest pose.
+        node, mesh: The node and its mesh.
+        transform: From raw positions to the rest pose, shape (4, 4), or None where the skin bends the mesh in its rest
+            pose.
         mirrored: Whether the transform turns the triangles inside out; those of the groups are turned back.
         groups: Its vertices.
     """
@@ -120,6 +108,13 @@ class MeshPart:
     mirrored: bool
     groups: tuple[PrimitiveData, ...]
 
+    def split(self, rows: np.ndarray) -> Iterator[tuple[PrimitiveData, np.ndarray]]:
+        """The groups, each with its own of some rows over all of them."""
+        start = 0
+        for group in self.groups:
+            yield group, rows[start : start + len(group.vertices)]
+            start += len(group.vertices)
+
 
 def primitive_groups(document: Document, mesh: int) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
     """Primitives of a mesh that share their positions and skin, with the attributes that they share."""
@@ -128,7 +123,7 @@ def primitive_groups(document: Document, mesh: int) -> Iterator[tuple[tuple[int,
     for index, primitive in enumerate(primitives):
         attributes = primitive.get("attributes")
         if not isinstance(attributes, dict):
-            document.fail(f"meshes[{mesh}] has a primitive without attributes; the file is broken, export it again")
+            document.broken(f"meshes[{mesh}] has a primitive without attributes")
         if "POSITION" not in attributes:
             continue  # glTF lets extensions bring positions; there is nothing to draw without one
         groups.setdefault(_shared(attributes, primitive.get("targets")), []).append(index)
@@ -152,12 +147,9 @@ def primitive_triangles(document: Document, primitive: dict[str, object], count:
     if "indices" in primitive:
         order = document.accessor(primitive["indices"], ("SCALAR",), raw=True)[:, 0]
         if order.dtype.kind != "u":
-            document.fail("the indices of a mesh are not unsigned whole numbers; the file is broken, export it again")
+            document.broken("the indices of a mesh are not unsigned whole numbers")
         if len(order) and int(order.max()) >= count:
-            document.fail(
-                f"a triangle uses vertex {int(order.max())} but its mesh has {count}; the file is broken, export it "
-                "again"
-            )
+            document.broken(f"a triangle uses vertex {int(order.max())} but its mesh has {count}")
         order = order.astype(np.int32)
     else:
         order = np.arange(count, dtype=np.int32)
@@ -177,10 +169,9 @@ def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int, 
 
     Args:
         document: The document.
-        tree: Its nodes.
-        skins: Its joints.
+        tree, skins: Its nodes and joints.
         node: A node with a mesh.
-        carrier: The joint that carries it where it has no skin, as `rigid_joints` says.
+        carrier: The joint that carries it where it has no skin (`rigid_joints`).
 
     Raises:
         FormatError: An index, a count or a type is wrong.
@@ -190,7 +181,7 @@ def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int, 
     document.item("meshes", mesh)
     skin = document.integer(entry, "skin") if "skin" in entry else None
     if skin is not None and skin >= len(skins.slots):
-        document.fail(f"node {node} uses a skin that does not exist; the file is broken, export it again")
+        document.broken(f"node {node} uses a skin that does not exist")
     groups: list[PrimitiveData] = []
     transforms: list[np.ndarray | None] = []
     mirrored = bool(np.linalg.det(tree.world[node, :3, :3]) < 0) if skin is None else skins.mirrored[skin]
@@ -215,7 +206,7 @@ def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int, 
 
 
 def skin_matrices(document: Document, tree: NodeTree, skins: SkinJoints, part: MeshPart, group: int) -> np.ndarray:
-    """What takes each raw vertex of a group to its rest position, shape (V, 4, 4)."""
+    """Transform of each raw vertex of a group to its rest position, shape (V, 4, 4)."""
     entry = document.item("nodes", part.node)
     primitive = document.item("meshes", part.mesh)["primitives"][part.groups[group].primitives[0]]
     attributes = primitive["attributes"]
@@ -246,11 +237,8 @@ def rest_positions(document: Document, node: dict[str, object], mesh: int, primi
 
 
 def check_size(document: Document, nodes: list[int]) -> None:
-    """Refuse a document whose nodes place more than can be worked with; many may place one mesh, so the file's size is
-    no bound.
-
-    Raises:
-        FormatError: There are too many vertices, triangles or primitives.
+    """Raise FormatError where the nodes of a document place too many vertices, triangles or primitives; many may place
+    one mesh, so the file's size is no bound.
     """
     sizes: dict[Any, np.ndarray] = {}
     total = np.zeros(5, dtype=object)
@@ -277,8 +265,8 @@ def check_size(document: Document, nodes: list[int]) -> None:
 
 
 def _sizes(document: Document, mesh: dict[str, object], weighted: int) -> np.ndarray:
-    """Vertices, corners, primitives, influences of a mesh with so many weights of morph targets, and vertices as often
-    as they are gone over.
+    """Vertices, corners, primitives and influences of a mesh with so many weights of morph targets, and vertices
+    counted as often as they are used.
     """
     vertices = corners = influences = work = 0
     primitives = document.objects(mesh, "primitives")
@@ -300,8 +288,8 @@ def _sizes(document: Document, mesh: dict[str, object], weighted: int) -> np.nda
 
 
 def rigid_joints(tree: NodeTree, skins: SkinJoints) -> np.ndarray:
-    """The joint that carries each node's mesh where that has no skin: the nearest one at or above it, else the first
-    joint that no joint carries; 0 where there are no joints, shape (M,).
+    """The joint that carries each node's mesh without a skin, shape (M,): the nearest one at or above it, else the
+    first joint without a joint above; 0 where there are no joints.
     """
     if not skins.nodes:
         return np.zeros(len(tree.parents), int)
@@ -321,18 +309,12 @@ def _influences(
             joints.append(document.accessor(attributes[f"JOINTS_{name}"], ("VEC4",), raw=True))
             weights.append(document.accessor(attributes[f"WEIGHTS_{name}"], ("VEC4",)).astype(float))
             if len(joints[-1]) != len(raw) or len(weights[-1]) != len(raw) or joints[-1].dtype.kind != "u":
-                document.fail(
-                    "the skin of a mesh weighs another number of vertices than it has; the file is broken, export it "
-                    "again"
-                )
+                document.broken("the skin of a mesh weighs another number of vertices than it has")
     indices, shares = np.concatenate(joints, 1).astype(np.int64), np.concatenate(weights, 1)
     shares = np.where(np.isfinite(shares) & (shares > 0), shares, 0)
     indices[shares == 0] = 0
     if len(indices) and int(indices.max()) >= slots:
-        document.fail(
-            f"a vertex is weighted to joint {int(indices.max())} of a skin with {slots}; the file is broken, export "
-            "it again"
-        )
+        document.broken(f"a vertex is weighted to joint {int(indices.max())} of a skin with {slots}")
     total = shares.sum(axis=1)
     lost = np.flatnonzero(~(total > 1e-9))
     if len(lost):

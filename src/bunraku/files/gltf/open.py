@@ -14,16 +14,16 @@ from importlib import import_module
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from bunraku.core.files import check_input, path_inside, read_bounded
+from bunraku.core.request import no_constant
 from bunraku.errors import FormatError, MissingExtraError
 from bunraku.files.gltf.document import COMPONENT_TYPES, ELEMENT_SIZES, MAX_ELEMENTS, Document, room
 
 __all__ = ["DRACO", "MESHOPT", "open_document", "unpack_primitives", "unpack_views"]
-
 
 DRACO = "KHR_draco_mesh_compression"
 SECONDS = 120
@@ -31,10 +31,8 @@ SECONDS = 120
 
 
 def unpack_primitives(document: Document) -> None:
-    """Give the compressed primitives of a document plain accessors, in place.
-
-    Primitives whose accessors have data of their own, as those of files for viewers without Draco do, are read from
-    there.
+    """Give the compressed primitives of a document plain accessors, in place. Primitives whose accessors have data of
+    their own, as in files for viewers without Draco, are read from there.
 
     Raises:
         FormatError: A primitive is broken, or takes more memory than the file may.
@@ -48,13 +46,10 @@ def unpack_primitives(document: Document) -> None:
             if extension is None:
                 continue
             if not isinstance(extension, dict) or not isinstance(extension.get("attributes"), dict):
-                document.fail(f"a primitive lacks what {DRACO} says of it; the file is broken, export it again")
+                document.broken(f"a primitive lacks what {DRACO} says of it")
             if not _draco_plain(document, primitive):
                 packed.setdefault(document.integer(extension, "bufferView"), []).append((primitive, extension))
-    for key in ("extensionsUsed", "extensionsRequired"):
-        names = document.tree.get(key)
-        if isinstance(names, list):
-            document.tree[key] = [name for name in names if name != DRACO]
+    _forget(document, (DRACO,))
     if not packed:
         return
     if find_spec("DracoPy") is None:
@@ -69,7 +64,7 @@ def unpack_primitives(document: Document) -> None:
 def _accessors(document: Document, primitive: dict[str, object]) -> list[Any]:
     attributes = primitive.get("attributes")
     if not isinstance(attributes, dict):
-        document.fail("a mesh has a primitive without attributes; the file is broken, export it again")
+        document.broken("a mesh has a primitive without attributes")
     return [*attributes.values(), *([primitive["indices"]] if "indices" in primitive else [])]
 
 
@@ -79,7 +74,7 @@ def _draco_plain(document: Document, primitive: dict[str, object]) -> bool:
 
 
 def _declared(document: Document, packed: dict[int, list[tuple[dict[str, object], dict[str, object]]]]) -> int:
-    """About how many bytes the accessors of the packed primitives say that they take."""
+    """About how many bytes the accessors of the packed primitives declare."""
     total = 0
     for users in packed.values():
         for primitive, _ in users:
@@ -88,7 +83,7 @@ def _declared(document: Document, packed: dict[int, list[tuple[dict[str, object]
 
 
 def _draco_unpacked(document: Document, meshes: list[bytes]) -> dict[str, np.ndarray]:
-    """What `draco_process` makes of packed meshes."""
+    """Packed meshes as `draco_process` unpacks them."""
     from zipfile import BadZipFile
 
     own = document.size or sum(map(len, meshes))
@@ -125,7 +120,7 @@ def _fill(
             continue
         values = arrays.get(f"{number}_{identity}")
         if type(identity) is not int or values is None:
-            document.fail(f"Draco's data hold no {name:.40} of a mesh; the file is broken, export it again")
+            document.broken(f"Draco's data hold no {name:.40} of a mesh")
         _store(document, attributes[name], values.reshape(len(values), -1))
     if "indices" in primitive:
         _store(document, primitive["indices"], arrays[f"{number}_faces"].reshape(-1, 1))
@@ -136,9 +131,7 @@ def _store(document: Document, index: Any, values: np.ndarray) -> None:
     kind, component = accessor.get("type"), accessor.get("componentType")
     dtype = COMPONENT_TYPES.get(component) if type(component) is int else None
     if dtype is None or len(values) != document.count(index) or ELEMENT_SIZES.get(str(kind)) != values.shape[1]:
-        document.fail(
-            f"Draco's data and accessors[{index}] disagree about what a mesh holds; the file is broken, export it again"
-        )
+        document.broken(f"Draco's data and accessors[{index}] disagree about what a mesh holds")
     with np.errstate(invalid="ignore"):
         data = np.ascontiguousarray(values.astype(dtype)).tobytes()
     view = {"buffer": len(document.buffers), "byteLength": len(data)}
@@ -150,11 +143,7 @@ def _store(document: Document, index: Any, values: np.ndarray) -> None:
 
 
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
-_STRIDES = {
-    "ATTRIBUTES": range(4, 257, 4),
-    "TRIANGLES": (2, 4),
-    "INDICES": (2, 4),
-}
+_STRIDES = {"ATTRIBUTES": range(4, 257, 4), "TRIANGLES": (2, 4), "INDICES": (2, 4)}
 _FILTERS: dict[str, tuple[str, tuple[int, ...]]] = {
     "NONE": ("", tuple(range(4, 257, 4))),
     "OCTAHEDRAL": ("decode_filter_oct", (4, 8)),
@@ -165,9 +154,8 @@ _FILTERS: dict[str, tuple[str, tuple[int, ...]]] = {
 
 
 def unpack_views(document: Document) -> None:
-    """Replace the compressed buffer views of a document by plain ones, in place.
-
-    A view that also lies uncompressed in its buffer is read from there.
+    """Replace the compressed buffer views of a document by plain ones, in place. A view that also lies uncompressed in
+    its buffer is read from there.
 
     Raises:
         FormatError: A view is broken, or takes more memory than the file may.
@@ -179,9 +167,9 @@ def unpack_views(document: Document) -> None:
         found = [extensions.pop(name) for name in MESHOPT if name in extensions] if isinstance(extensions, dict) else []
         if found and not _plain(document, view):
             if not isinstance(found[0], dict):
-                document.fail(f"bufferViews[{index}] is compressed by nothing; the file is broken, export it again")
+                document.broken(f"bufferViews[{index}] is compressed by nothing")
             packed.append((index, view, found[0]))
-    _forget(document)
+    _forget(document, MESHOPT)
     if not packed:
         return
     try:
@@ -198,28 +186,25 @@ def unpack_views(document: Document) -> None:
     for index, view, extension in packed:
         data = _unpacked(document, index, extension, library)
         if document.integer(view, "byteLength") != len(data):
-            document.fail(
-                f"bufferViews[{index}] unpacks to {len(data)} bytes and not to those that it should have; the file is "
-                "broken, export it again"
-            )
+            document.broken(f"bufferViews[{index}] unpacks to {len(data)} bytes and not to those that it should have")
         view |= {"buffer": len(document.buffers), "byteOffset": 0, "byteLength": len(data)}
         document.items("buffers").append({"byteLength": len(data)})
         document.buffers.append(data)
 
 
 def _plain(document: Document, view: dict[str, object]) -> bool:
-    """Whether the bytes that a view stands for are there uncompressed too."""
+    """Whether the bytes of a view are there uncompressed too."""
     buffer = document.integer(view, "buffer")
     end = document.integer(view, "byteOffset", 0) + document.integer(view, "byteLength")
     return buffer < len(document.buffers) and end <= len(document.buffers[buffer])
 
 
-def _forget(document: Document) -> None:
-    """Take the extensions out of the lists of what the document needs."""
+def _forget(document: Document, extensions: tuple[str, ...]) -> None:
+    """Remove the extensions from the lists of what the document needs."""
     for key in ("extensionsUsed", "extensionsRequired"):
         names = document.tree.get(key)
         if isinstance(names, list):
-            document.tree[key] = [name for name in names if name not in MESHOPT]
+            document.tree[key] = [name for name in names if name not in extensions]
 
 
 def _unpacked(document: Document, index: int, extension: dict[str, object], library: Any) -> bytes:
@@ -238,10 +223,7 @@ def _unpacked(document: Document, index: int, extension: dict[str, object], libr
     buffer = document.integer(extension, "buffer")
     start, length = document.integer(extension, "byteOffset", 0), document.integer(extension, "byteLength")
     if buffer >= len(document.buffers) or start + length > len(document.buffers[buffer]):
-        document.fail(
-            f"bufferViews[{index}] is packed in bytes that are not there; the file is truncated, export or download it "
-            "again"
-        )
+        document.truncated(f"bufferViews[{index}] is packed in bytes that are not there")
     data = bytes(memoryview(document.buffers[buffer])[start : start + length])
     if not count:
         return b""
@@ -255,7 +237,7 @@ def _unpacked(document: Document, index: int, extension: dict[str, object], libr
             unpack = library.decode_index_buffer if mode == "TRIANGLES" else library.decode_index_sequence
             values = unpack(count, 4, data).astype("<u2" if stride == 2 else "<u4")
     except (RuntimeError, ValueError):
-        document.fail(f"bufferViews[{index}] cannot be unpacked by meshopt; the file is broken, export it again")
+        document.broken(f"bufferViews[{index}] cannot be unpacked by meshopt")
     return bytes(np.ascontiguousarray(values).tobytes())
 
 
@@ -278,14 +260,8 @@ _UNDERSTOOD = (
 
 
 def open_document(path: Path, data: bytes) -> Document:
-    """Parse a GLB or glTF file.
-
-    Args:
-        path: The file; buffers and images are looked for in its folder only.
-        data: Its bytes.
-
-    Returns:
-        The document, with what is compressed in it unpacked.
+    """Parse a GLB or glTF file and unpack what is compressed in it. Buffers and images are looked for in its folder
+    only.
 
     Raises:
         FormatError: The file is truncated or broken, needs an extension that is not understood, or points outside its
@@ -301,7 +277,7 @@ def open_document(path: Path, data: bytes) -> Document:
         2 * len(written) + sum(written.count(sign) * cost for sign, cost in _TREE_COSTS.items())
     )
     try:
-        tree = json.loads(written.decode("utf-8-sig"), parse_constant=_no_constant)
+        tree = json.loads(written.decode("utf-8-sig"), parse_constant=no_constant)
     except (ValueError, RecursionError):
         raise FormatError(
             path, "its JSON cannot be parsed; the file is truncated or broken, export or download it again"
@@ -329,10 +305,6 @@ def open_document(path: Path, data: bytes) -> Document:
     if packed[1]:
         unpack_primitives(document)
     return document
-
-
-def _no_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not JSON")
 
 
 def _glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]:
@@ -387,15 +359,12 @@ def _buffer(files: _Files, buffer: dict[str, object], chunk: memoryview | None) 
         data = b""  # a fallback buffer of a compressed file: views into it fail where they are used
         length = 0
     if len(data) < length:
-        document.fail(
-            f"a buffer should have {length} bytes but has {len(data)}; the file is truncated, export or download it "
-            "again"
-        )
+        document.truncated(f"a buffer should have {length} bytes but has {len(data)}")
     return memoryview(data)[:length] if len(data) > length else data
 
 
 class _Files:
-    """What the URIs of a document stand for; a file that many name is read once."""
+    """The bytes behind the URIs of a document; a file with several references is read once."""
 
     def __init__(self, document: Document):
         self.document = document
@@ -406,7 +375,7 @@ class _Files:
         """The bytes of a data URI or of a file in the document's folder."""
         document = self.document
         if not isinstance(uri, str):
-            document.fail(f"the address of its {what} is not text; the file is broken, export it again")
+            document.broken(f"the address of its {what} is not text")
         if uri[:5].lower() == "data:":
             head, _, body = uri.partition(",")
             try:
@@ -414,7 +383,7 @@ class _Files:
                     raise ValueError
                 return base64.b64decode(body)
             except (ValueError, binascii.Error):
-                document.fail(f"its embedded {what} is not valid base64; the file is broken, export it again")
+                document.broken(f"its embedded {what} is not valid base64")
         target = path_inside(document.path.parent, uri)
         if target is None:
             document.fail(

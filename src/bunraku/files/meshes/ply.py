@@ -13,12 +13,11 @@ from bunraku.core.character import Character
 from bunraku.core.files import check_text, path_inside
 from bunraku.errors import FormatError
 from bunraku.files.gltf.colors import linear_from_srgb
-from bunraku.files.gltf.document import Document, mesh_document
+from bunraku.files.gltf.document import Document, matte_material, mesh_document
 from bunraku.files.gltf.read import character_from_document
-from bunraku.files.meshes.obj import embeddable, parse_numbers
+from bunraku.files.meshes.obj import BROKEN, embeddable, fans, parse_numbers
 
 __all__ = ["read_ply", "read_stl"]
-
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -26,7 +25,6 @@ _TYPES = {
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8",
     "float64": "f8",
 }  # fmt: skip
-_BROKEN = "the file is truncated or broken, export it again"
 
 
 @dataclass
@@ -37,11 +35,7 @@ class _Element:
 
 
 def read_ply(path: Path, data: bytes) -> Character:
-    """Read a PLY file; polygons become fans of triangles.
-
-    Args:
-        path: The file; a texture that it names is looked for in its folder only.
-        data: Its bytes.
+    """Read a PLY file; polygons become fans of triangles. A texture that it names is looked for in its folder only.
 
     Raises:
         FormatError: The file is truncated or broken.
@@ -52,11 +46,8 @@ def read_ply(path: Path, data: bytes) -> Character:
     triangles = np.zeros((0, 3), np.int64)
     if kind == "ascii":
         check_text(path, data)
-    reader = (
-        _Text(path, body, elements)
-        if kind == "ascii"
-        else _Binary(path, body, ">" if kind == "binary_big_endian" else "<")
-    )
+    binary = ">" if kind == "binary_big_endian" else "<"
+    reader = _Text(path, body) if kind == "ascii" else _Binary(path, body, binary)
     for element in elements:
         lists = [entry for entry in element.properties if entry[2]]
         if not lists:
@@ -73,7 +64,7 @@ def read_ply(path: Path, data: bytes) -> Character:
         raise FormatError(path, "its vertices have no x, y and z; export it again")
     count = len(vertices["x"])
     if len(triangles) and not 0 <= int(triangles.min()) <= int(triangles.max()) < count:
-        raise FormatError(path, f"a face uses vertex {int(triangles.max())} but there are {count}; {_BROKEN}")
+        raise FormatError(path, f"a face uses vertex {int(triangles.max())} but there are {count}; {BROKEN}")
     return character_from_document(_document(path, vertices, triangles, texture), path.stem, suffix=".ply")
 
 
@@ -101,12 +92,9 @@ def _document(path: Path, vertices: dict[str, np.ndarray], triangles: np.ndarray
         )
     if uvs is not None:
         uvs = np.nan_to_num(np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1))
-    shader: dict = {"metallicFactor": 0, "roughnessFactor": 0.9}
     target = path_inside(path.parent, texture) if texture and uvs is not None else None
     image = embeddable(target) if target is not None and os.path.isfile(target) else None
-    if image is not None:
-        shader["baseColorTexture"] = {"index": 0}
-    materials: list[dict[str, object]] = [{"name": path.stem, "pbrMetallicRoughness": shader}]
+    materials = [matte_material(path.stem, texture=None if image is None else 0)]
     images = [image] if image else None
     return mesh_document(
         path, positions, [(triangles, 0)], normals=normals, uvs=uvs, colors=colors, materials=materials, images=images
@@ -117,7 +105,7 @@ def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, bytes]:
     end = data.find(b"end_header", 0, 1 << 20)
     line_end = data.find(b"\n", end)
     if end < 0 or line_end < 0:
-        raise FormatError(path, f"the PLY header has no end; {_BROKEN}")
+        raise FormatError(path, f"the PLY header has no end; {BROKEN}")
     kind, elements, texture = "", [], ""
     for line in data[:end].decode("ascii", "replace").splitlines():
         words = line.split()
@@ -133,25 +121,21 @@ def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, bytes]:
             elif words[:1] == ["property"]:
                 elements[-1].properties.append((words[2], _TYPES[words[1]], None))
         except (KeyError, IndexError, ValueError):
-            raise FormatError(path, f"the PLY header line {line[:60]!r} cannot be understood; {_BROKEN}") from None
+            raise FormatError(path, f"the PLY header line {line[:60]!r} cannot be understood; {BROKEN}") from None
     if kind not in ("ascii", "binary_little_endian", "binary_big_endian"):
         raise FormatError(
             path, f"the PLY kind {kind[:30]!r} is unknown; export it again as ascii or binary_little_endian"
         )
     if any(element.count < 0 or len(element.properties) > 1000 for element in elements):
-        raise FormatError(path, f"the PLY header declares impossible counts; {_BROKEN}")
+        raise FormatError(path, f"the PLY header declares impossible counts; {BROKEN}")
     return kind, elements, texture, data[line_end + 1 :]
 
 
 def _triangles(path: Path, flat: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """Fans of polygons whose vertex indices stand in one row, shape (F, 3)."""
     if (sizes < 0).any() or len(flat) != sizes.sum():
-        raise FormatError(path, f"its faces are cut short; {_BROKEN}")
-    counts = np.maximum(sizes - 2, 0)
-    face = np.repeat(np.arange(len(sizes)), counts)
-    starts = (np.cumsum(sizes) - sizes)[face]
-    step = np.arange(len(face)) - (np.cumsum(counts) - counts)[face]
-    return flat[np.stack([starts, starts + step + 1, starts + step + 2], axis=1)].reshape(-1, 3)
+        raise FormatError(path, f"its faces are cut short; {BROKEN}")
+    return fans(flat, sizes, sizes)[0]
 
 
 def _wanted(element: _Element) -> int:
@@ -160,19 +144,20 @@ def _wanted(element: _Element) -> int:
     return next((k for k, name in enumerate(names) if name in ("vertex_indices", "vertex_index")), 0)
 
 
+def _short(path: Path) -> FormatError:
+    return FormatError(path, f"it ends before its last element; {BROKEN}")
+
+
 class _Binary:
     def __init__(self, path: Path, body: bytes, order: str):
         self.path, self.body, self.at, self.order = path, body, 0, order
-
-    def _short(self) -> FormatError:
-        return FormatError(self.path, f"it ends before its last element; {_BROKEN}")
 
     def scalars(self, element: _Element) -> dict[str, np.ndarray]:
         """Columns of an element without lists."""
         names = [f"{k}" for k in range(len(element.properties))]
         dtype = np.dtype([(name, self.order + entry[1]) for name, entry in zip(names, element.properties, strict=True)])
         if element.count * dtype.itemsize > len(self.body) - self.at:
-            raise self._short()
+            raise _short(self.path)
         rows = np.frombuffer(self.body, dtype, element.count, self.at) if dtype.itemsize else np.zeros(0, dtype)
         self.at += element.count * dtype.itemsize
         return {
@@ -184,7 +169,7 @@ class _Binary:
         """The vertex lists of an element, end to end, and the length of each."""
         least = sum(np.dtype(length or kind).itemsize for _, kind, length in element.properties)
         if element.count * least > len(self.body) - self.at:
-            raise self._short()
+            raise _short(self.path)
         return self._uniform(element) or self._walk(element)
 
     def _uniform(self, element: _Element) -> tuple[np.ndarray, np.ndarray] | None:
@@ -200,7 +185,7 @@ class _Binary:
                 continue
             width = np.dtype(length).itemsize
             if at + width > len(self.body):
-                raise self._short()
+                raise _short(self.path)
             size = int(np.frombuffer(self.body, self.order + length, 1, at)[0])
             if not 0 <= size <= 4096:
                 return None
@@ -231,11 +216,11 @@ class _Binary:
                     at += kind.itemsize
                     continue
                 if at + length.itemsize > len(self.body):
-                    raise self._short()
+                    raise _short(self.path)
                 size = int(np.frombuffer(self.body, length, 1, at)[0])
                 at += length.itemsize
                 if size < 0 or size * kind.itemsize > len(self.body) - at:
-                    raise self._short()
+                    raise _short(self.path)
                 if lists == chosen:
                     flat.append(np.frombuffer(self.body, kind, size, at))
                     sizes.append(size)
@@ -246,21 +231,18 @@ class _Binary:
 
 
 class _Text:
-    def __init__(self, path: Path, body: bytes, elements: list[_Element]):
+    def __init__(self, path: Path, body: bytes):
         self.path, self.at = path, 0
         try:
             self.values = parse_numbers(body.split())
         except ValueError:
-            raise FormatError(path, f"it holds something that is not a number; {_BROKEN}") from None
-
-    def _short(self) -> FormatError:
-        return FormatError(self.path, f"it ends before its last element; {_BROKEN}")
+            raise FormatError(path, f"it holds something that is not a number; {BROKEN}") from None
 
     def scalars(self, element: _Element) -> dict[str, np.ndarray]:
         """Columns of an element without lists."""
         width = len(element.properties)
         if element.count * width > len(self.values) - self.at:
-            raise self._short()
+            raise _short(self.path)
         rows = self.values[self.at : self.at + element.count * width].reshape(element.count, width)
         self.at += element.count * width
         with np.errstate(invalid="ignore"):
@@ -269,7 +251,7 @@ class _Text:
     def lists(self, element: _Element) -> tuple[np.ndarray, np.ndarray]:
         """The vertex lists of an element, end to end, and the length of each."""
         if element.count * len(element.properties) > len(self.values) - self.at:
-            raise self._short()
+            raise _short(self.path)
         chosen, starts, sizes, at = _wanted(element), [], [], self.at
         for _ in range(element.count):
             lists = 0
@@ -278,7 +260,7 @@ class _Text:
                     at += 1
                     continue
                 if at >= len(self.values) or not 0 <= self.values[at] <= len(self.values):
-                    raise self._short()
+                    raise _short(self.path)
                 size = int(self.values[at])
                 if lists == chosen:
                     starts.append(at + 1)
@@ -286,11 +268,11 @@ class _Text:
                 at += 1 + size
                 lists += 1
         if at > len(self.values):
-            raise self._short()
+            raise _short(self.path)
         self.at = at
         count = np.array(sizes, np.int64)
         if int(count.sum()) > len(self.values):
-            raise self._short()
+            raise _short(self.path)
         where = np.repeat(np.array(starts, np.int64) - (np.cumsum(count) - count), count) + np.arange(int(count.sum()))
         values = self.values[where]
         return np.where(np.abs(values) < 2**40, values, -1).astype(np.int64), count
@@ -300,13 +282,8 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribut
 
 
 def read_stl(path: Path, data: bytes) -> Character:
-    """Read an STL file; vertices are numbered as they come first, triangles keep their order.
-
-    Triangles with two corners at one position have no surface and are dropped.
-
-    Args:
-        path: The file.
-        data: Its bytes.
+    """Read an STL file: vertices in the order of their first use, triangles in that of the file. Triangles with two
+    corners at one position are dropped.
 
     Raises:
         FormatError: The file is truncated or broken.
@@ -322,18 +299,15 @@ def read_stl(path: Path, data: bytes) -> Character:
         check_text(path, data)
     corners = _text(path, data) if text else _binary(path, data, count)
     vertices, triangles = _welded(corners)
-    material: dict[str, object] = {
-        "name": path.stem,
-        "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9, "baseColorFactor": [0.6, 0.6, 0.6, 1]},
-    }
-    document = mesh_document(path, vertices, [(triangles, 0)], materials=[material])
+    grey = matte_material(path.stem, (0.6, 0.6, 0.6, 1))
+    document = mesh_document(path, vertices, [(triangles, 0)], materials=[grey])
     return character_from_document(document, path.stem, suffix=".stl")
 
 
 def _binary(path: Path, data: bytes, count: int) -> np.ndarray:
     if len(data) < 84 + 50 * count or len(data) < 84:
         raise FormatError(
-            path, f"an STL of {count} triangles has {84 + 50 * count} bytes but this one has {len(data)}; {_BROKEN}"
+            path, f"an STL of {count} triangles has {84 + 50 * count} bytes but this one has {len(data)}; {BROKEN}"
         )
     return np.frombuffer(data, _RECORD, count, 84)["corners"].reshape(-1, 3)
 
@@ -343,14 +317,14 @@ def _text(path: Path, data: bytes) -> np.ndarray:
     try:
         corners = np.array([[float(number) for number in line] for line in lines]).reshape(-1, 3)
     except ValueError:
-        raise FormatError(path, f"a vertex holds something that is not three numbers; {_BROKEN}") from None
+        raise FormatError(path, f"a vertex holds something that is not three numbers; {BROKEN}") from None
     if len(corners) % 3 or b"endsolid" not in data[-1024:].lower():
-        raise FormatError(path, f"it ends inside a triangle; {_BROKEN}")
+        raise FormatError(path, f"it ends inside a triangle; {BROKEN}")
     return corners
 
 
 def _welded(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corners without repetitions, and the triangles that have three different ones, shapes (V, 3) and (F, 3)."""
+    """Corners without repetitions (V, 3), and the triangles that have three different ones (F, 3)."""
     corners = np.ascontiguousarray(corners, np.float32) + np.float32(0)  # no -0.0: the bits are compared
     keys = corners.view(np.dtype((np.void, 12))).ravel()
     _, first, vertex = np.unique(keys, return_index=True, return_inverse=True)

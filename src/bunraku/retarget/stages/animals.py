@@ -10,10 +10,8 @@ from typing import ClassVar
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, has_extra_legs, limb_handles
-from bunraku.anatomy.joints import attach_joints, further_limbs
-from bunraku.anatomy.legs import Leg, foot_points, move_feet
-from bunraku.anatomy.plan import lowest
+from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
+from bunraku.anatomy.legs import Leg
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian, running_least, smooth_step
@@ -28,7 +26,7 @@ from bunraku.core.geometry.rotations import (
     quaternion_slerp,
 )
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.stages.stage import Fitting, Stage
+from bunraku.retarget.stages.stage import Fitting, Stage, sole_points, with_feet_moved
 
 __all__ = ["Front", "Gait", "Support", "Swings", "pairs_of"]
 
@@ -51,8 +49,8 @@ class Gait(Stage):
         longest: Longest one [s].
         alike: Correlation of a swing with itself a cycle later, from which on it is one.
         slow: Cycles longer than this are those of a wave, in which one leg after the other lifts [s].
-        faint: Swing of left against right in which nobody steps [rad].
-        plain: Swing in which one does [rad].
+        faint: Swing of left against right up to which a body takes no steps [rad].
+        plain: Swing from which on it does [rad].
     """
 
     name: ClassVar[str] = "gait"
@@ -65,17 +63,13 @@ class Gait(Stage):
     plain: float = 0.15
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        return has_extra_legs(anatomy.handles)
+        return anatomy.has_extra_legs
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        return replace(fitting, rotations=self.stepping(fitting.source, anatomy.handles))
+        return replace(fitting, rotations=self.stepping(fitting.source, anatomy.handles, anatomy.extra_limbs))
 
     def cycle(self, motion: HandleMotion) -> float:
-        """Length of the cycle in which left and right legs take turns [s]; 0 where they do not.
-
-        Args:
-            motion: Of the reference body.
-        """
+        """Length of the cycle in which left and right legs take turns [s]; 0 where they do not."""
         swings = _swings(motion)
         swings = swings - swings.mean()
         first, last = round(self.shortest * motion.fps), min(round(self.longest * motion.fps), (2 * len(swings)) // 3)
@@ -90,7 +84,7 @@ class Gait(Stage):
         peaks = peaks[alike[peaks] > self.alike]
         return float(peaks[0] / motion.fps) if len(peaks) else 0.0
 
-    def phases(self, handles: Handles, cycle: float) -> dict[int, float]:
+    def phases(self, handles: Handles, further: list[list[int]], cycle: float) -> dict[int, float]:
         """How far each handle of a further leg is behind the leg whose part it plays, in cycles.
 
         Legs of a side take turns from the hindmost forwards: each half a cycle after the one behind it, so that six
@@ -99,6 +93,7 @@ class Gait(Stage):
 
         Args:
             handles: With `roles`.
+            further: The handles of each further limb.
             cycle: Length of the cycle [s].
         """
         out: dict[int, float] = {}
@@ -107,7 +102,7 @@ class Gait(Stage):
             own = [limb_handles(side, family) for family in FAMILIES]
             for family in own:
                 plain = [handle for handle in family if played[handle] == handle and handles.weights[:, handle].any()]
-                limbs = [limb for limb in further_limbs(handles) if int(played[limb[0]]) in family]
+                limbs = [limb for limb in further if int(played[limb[0]]) in family]
                 group = sorted(
                     ([plain] if plain else []) + limbs, key=lambda limb: float(handles.positions[limb, 2].mean())
                 )
@@ -117,21 +112,22 @@ class Gait(Stage):
                     out |= {handle: ((number - base) * step) % 1.0 for handle in limb if limb is not plain}
         return out
 
-    def stepping(self, motion: HandleMotion, handles: Handles) -> np.ndarray:
+    def stepping(self, motion: HandleMotion, handles: Handles, further: list[list[int]]) -> np.ndarray:
         """Rotations of a character's handles from those of the parts that they play, shape (N, K, 3, 3): further legs
         step in turn.
 
         Args:
             motion: Of the reference body.
             handles: The character's.
+            further: The handles of each further limb.
         """
         rotations = motion.rotations[:, handles.played].astype(np.float64)
-        cycle = self.cycle(motion) if has_extra_legs(handles) else 0.0
+        cycle = self.cycle(motion) if further else 0.0
         if not cycle:
             return rotations
         count, frames = len(motion), np.arange(len(motion))
         amount = self._amount(_swings(motion), cycle * motion.fps)
-        for handle, phase in self.phases(handles, cycle).items():
+        for handle, phase in self.phases(handles, further, cycle).items():
             shift = phase * cycle * motion.fps
             if shift:
                 at = frames - shift
@@ -189,7 +185,7 @@ class Swings(Stage):
         turns: Correlation of both legs, negative, from which on they take turns, whatever their pace.
         crossings: How often one then passes the other at the least: once is a step, and no walk.
         least: Angle through which both legs swing at the least [rad].
-        unlike: Factor between both beyond which they do different things, as who strikes with a paw.
+        unlike: Factor between both beyond which they do different things, as in a blow with a paw.
         percent: Share of the frames beyond the swing's ends, on each side.
         most: Factor by which a swing is made larger or smaller at the most.
         rounds: The factors are found in turns, since a leg's angle is no linear function of its parts'.
@@ -209,7 +205,7 @@ class Swings(Stage):
     rounds: int = 4
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        return fitting.source.own_kind and bool(anatomy.plan.front) and not has_extra_legs(anatomy.handles)
+        return fitting.source.own_kind and bool(anatomy.plan.front) and not anatomy.has_extra_legs
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         rotations, fps = fitting.rotations.copy(), fitting.source.fps
@@ -241,8 +237,8 @@ class Swings(Stage):
                 rotations[:, handle] = about @ turned[:, handle]
 
     def angle(self, rotations: np.ndarray, leg: Leg, anatomy: Anatomy, rocks: np.ndarray) -> np.ndarray:
-        """How far forward a leg points along the heading [rad], shape (N,), of a root with these rotations from its
-        heading, shape (N, 3, 3).
+        """How far forward a leg points along the heading [rad], shape (N,); `rocks` (N, 3, 3) are the root's rotations
+        from the heading.
         """
         hip, knee, ankle = leg.joints.astype(np.float64)
         sole = anatomy.mesh.vertices[leg.sole].mean(axis=0) - ankle
@@ -327,38 +323,28 @@ class Support(Stage):
     def unsupported(self, motion: HandleMotion, anatomy: Anatomy) -> np.ndarray:
         """In which frames the rear and the front of a trunk have nothing under them, though the other end stands, shape
         (N, 2), bool.
-
-        Args:
-            motion: Of the character.
-            anatomy: Of the character.
         """
-        character, handles, legs, floor = anatomy.mesh, anatomy.mesh_handles, anatomy.legs, anatomy.floor
-        world = motion.transforms(handles.positions)
-        ends = _ends(handles, legs)
+        legs, floor = anatomy.legs, anatomy.floor
+        world = motion.transforms(anatomy.handles.positions)
+        ends = _ends(anatomy.handles, legs)
         out = np.zeros((len(motion), 2), bool)
         if not ends[0]:
             return out
         high, tops, rest = [], [], []
         for end in ends:
-            heights = [
-                (foot_points(legs[number], character, handles, world)[..., 1].min(axis=1) - floor) / legs[number].length
-                for number in end
-            ]
-            high.append(np.min(heights, axis=0) > self.lifted)
-            tops.append(np.mean([_joint(world, legs[number].upper, legs[number].joints[0]) for number in end], axis=0))
-            rest.append(np.mean([legs[number].joints[0] for number in end], axis=0))
+            own = [legs[number] for number in end]
+            lows = [(sole_points(leg, anatomy, world)[..., 1].min(axis=1) - floor) / leg.length for leg in own]
+            high.append(np.min(lows, axis=0) > self.lifted)
+            tops.append(np.mean([_joint(world, leg.upper, leg.joints[0]) for leg in own], axis=0))
+            rest.append(np.mean([leg.joints[0] for leg in own], axis=0))
         rise = _slope(tops[1] - tops[0]) - _slope((rest[1] - rest[0])[None])  # of the front over the rear
         for side, rises in ((0, -rise), (1, rise)):
             out[:, side] = self._lasting(high[side] & ~high[1 - side] & (rises < self.reared), motion.fps)
         return out
 
     def kept(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
-        """The motion with legs put down below the end of the trunk that has nothing under it; as it is, of who does not
-        stand on four.
-
-        Args:
-            motion: Of the character, on the ground.
-            anatomy: Of the character.
+        """The motion with legs put down below the end of the trunk that has nothing under it; unchanged where the body
+        does not stand on four.
         """
         handles, legs = anatomy.handles, anatomy.legs
         wanting = self.unsupported(motion, anatomy)
@@ -381,7 +367,7 @@ class Support(Stage):
                 shifts[:, number] = amount * (goal - ankle)
                 level = axis_angle_from_matrix(ahead @ np.swapaxes(world[:, leg.end, :, :3], -1, -2))
                 slopes[:, number] = matrix_from_axis_angle(amount * np.asarray(level))
-        return move_feet(motion, handles, anatomy.joints, legs, shifts, slopes)
+        return with_feet_moved(motion, anatomy, legs, shifts, slopes)
 
     def _lasting(self, held: np.ndarray, fps: float) -> np.ndarray:
         """Runs of frames that last longer than `long`, shape (N,), bool."""
@@ -428,7 +414,7 @@ class Front(Stage):
         source, rotations = self.raised(fitting.source, fitting.rotations, anatomy)
         return replace(
             fitting, source=source, rotations=rotations, root_rotation=source.root_rotation,
-            root_translation=anatomy.path(source),
+            root_translation=anatomy.path(source.root_translation, source.root_rotation),
         )  # fmt: skip
 
     def raised(self, motion: HandleMotion, rotations: np.ndarray, anatomy: Anatomy) -> tuple[HandleMotion, np.ndarray]:
@@ -443,8 +429,9 @@ class Front(Stage):
         held = anatomy.front
         if not len(held):
             return motion, rotations
-        character, handles, joints = anatomy.mesh, anatomy.mesh_handles, anatomy.joints
+        character = anatomy.mesh
         floor = float(character.vertices[character.surface, 1].min()) - self.sink * character.height
+        reach = anatomy.reach_of(held)
         tilt, facing = _tilt(motion)
         bends = np.asarray(axis_angle_from_matrix(rotations[:, _TRUNK].astype(np.float64)))
 
@@ -454,10 +441,10 @@ class Front(Stage):
             return replace(motion, root_rotation=facing @ matrix_from_axis_angle(share[:, None] * tilt)), some
 
         def sinks(moved: HandleMotion, some: np.ndarray) -> np.ndarray:
-            turned, translations = attach_joints(some.astype(np.float64), handles, joints)
+            turned, translations = anatomy.attached(some.astype(np.float64))
             still = np.zeros_like(motion.root_translation)
             posed = replace(moved, rotations=turned, translations=translations, root_translation=still)
-            return lowest(character.vertices[held], handles.weights[held], posed, handles.positions) < floor
+            return reach.lowest(posed.transforms(anatomy.handles.positions)) < floor
 
         low = sinks(motion, rotations)
         if not low.any():
@@ -466,8 +453,7 @@ class Front(Stage):
         for step in self.steps:
             clear = ~sinks(*bent(np.full(len(motion), step)))
             share = np.where(low & clear, np.maximum(share, step), share)
-        reach = max(round(2 * self.soft * motion.fps), 1)
-        share = running_least(share, 2 * reach + 1)
+        share = running_least(share, 2 * max(round(2 * self.soft * motion.fps), 1) + 1)
         return bent(gaussian(share, self.soft * motion.fps))
 
 

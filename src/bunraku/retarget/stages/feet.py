@@ -8,10 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
-from bunraku.anatomy.legs import foot_points, move_feet
 from bunraku.core.geometry.curves import smooth_step, solve_banded
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.stages.stage import Contacts, Fitting, Stage
+from bunraku.retarget.stages.stage import Contacts, Fitting, Stage, sole_points, with_feet_moved
 
 __all__ = ["Feet", "add_bending", "foot_motion", "is_treadmill"]
 
@@ -47,15 +46,15 @@ class Feet(Stage):
         roll: Points of a sole so much higher than its lowest, over the leg's length, count half for where it is.
         parts: Two feet near the ground whose distance changes so slowly may both stand, and where it changes so fast
             they do not, in leg lengths a second. Where one of them makes nearly all of the change, the other stands.
-        makes: Shares of the change that the slower one makes, between which it no longer stands; who jumps apart makes
-            half of it with each foot.
+        makes: Shares of the change that the slower one makes, between which it no longer stands; in a jump that spreads
+            the legs each foot makes half of it.
         short: Shorter contacts are none, and shorter gaps between them are closed [pairs of frames].
         apart: A foot that is so much faster than the slowest that stands counts half for the path.
         hurry: Likewise one that is so fast itself, in leg lengths a second.
         rounds: The path's correction and the contacts, which need one another, are found in turns; contacts from the
             middle on.
-        sits: Who has a hip lower than this share of the leg from there on does not stand on it.
-        kneels: Likewise a knee.
+        sits: A body with a hip lower than this share of the leg from there on does not stand on it.
+        kneels: Likewise with a knee.
         most: How far a foot is moved at the most, over the leg's length; what slides farther means to.
         free: Weight of the size of the path's correction, over a foot's slide.
         root_smooth: Weight of its change from step to step.
@@ -95,8 +94,7 @@ class Feet(Stage):
         """The contacts of a motion, and the root's steps that are missing for standing feet to stay where they are in
         the mean.
 
-        A foot on which nobody can stand, because its knee or hip is near the ground as in crawling, kneeling and
-        sitting, has no contacts.
+        A foot whose knee or hip is near the ground, as in crawling, kneeling and sitting, has no contacts.
 
         Args:
             motion: Of the character.
@@ -106,11 +104,11 @@ class Feet(Stage):
             Contacts with steps that are still without the correction, and the correction along x and z of each step
             [m], shape (N - 1, 2).
         """
-        character, handles, legs, floor = anatomy.mesh, anatomy.mesh_handles, anatomy.legs, anatomy.floor
-        world = motion.transforms(handles.positions)
+        legs, floor = anatomy.legs, anatomy.floor
+        world = motion.transforms(anatomy.handles.positions)
         steps, heights, raised = [], [], []
         for leg in legs:
-            step, height = foot_motion(foot_points(leg, character, handles, world), floor, self.roll * leg.length)
+            step, height = foot_motion(sole_points(leg, anatomy, world), floor, self.roll * leg.length)
             steps.append(step)
             heights.append(height)
             up = np.ones(len(step), bool)
@@ -130,10 +128,8 @@ class Feet(Stage):
         for number in range(self.rounds):
             speed = np.linalg.norm(step + missing[:, None], axis=-1) * unit
             if number >= self.rounds // 2:
-                enters, stays = (
-                    (share < self.low) & (speed < self.slow) & standing,
-                    (share < self.high) & (speed < self.fast) & standing,
-                )
+                enters = (share < self.low) & (speed < self.slow) & standing
+                stays = (share < self.high) & (speed < self.fast) & standing
                 trust = (
                     np.stack([self._held(enters[:, leg], stays[:, leg]) for leg in range(len(legs))], axis=1)
                     * smooth_step(speed, self.fast, self.slow)
@@ -148,12 +144,6 @@ class Feet(Stage):
     def _parting(self, step: np.ndarray, speed: np.ndarray, near: np.ndarray, unit: np.ndarray) -> np.ndarray:
         """How far each foot is known not to stand because its distance from another one near the ground changes, shape
         (N - 1, L): two feet that stand stay as far from one another as they are.
-
-        Args:
-            step: Of each foot [m], shape (N - 1, L, 2).
-            speed: Of each foot along the ground, in leg lengths a second, shape (N - 1, L).
-            near: Whether it is near the ground, shape (N - 1, L).
-            unit: Leg lengths a second of a metre a frame, shape (L,).
         """
         out = np.zeros(speed.shape)
         for foot in range(speed.shape[1]):
@@ -194,11 +184,8 @@ class Feet(Stage):
         return solve_banded(band, -np.einsum("nl,nli->ni", trust, steps))
 
     def _offsets(self, steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
-        """Offsets of one foot that cancel its steps where it stands, smooth and small elsewhere, shape (N, 2).
-
-        Args:
-            steps: Shape (N - 1, 2).
-            trust: How much it stands, shape (N - 1,).
+        """Offsets of one foot that cancel its steps (N - 1, 2) where it stands (N - 1,), smooth and small elsewhere,
+        shape (N, 2).
         """
         count = len(steps) + 1
         band = np.zeros((3, count))
@@ -217,7 +204,7 @@ class Feet(Stage):
         return solve_banded(band, right)
 
     def locked(self, motion: HandleMotion, anatomy: Anatomy) -> tuple[HandleMotion, Contacts | None]:
-        """The motion with standing feet held in place, and its contacts; None of who has no legs.
+        """The motion with standing feet held in place, and its contacts; None where it has no legs.
 
         Args:
             motion: Of the character, on the ground.
@@ -232,13 +219,10 @@ class Feet(Stage):
         motion = replace(motion, root_translation=path)
         shifts = np.zeros((len(motion), len(legs), 3))
         for number, leg in enumerate(legs):
-            offsets, most = (
-                self._offsets(contacts.steps[:, number] + missing, contacts.stands[:, number]),
-                self.most * leg.length,
-            )
-            away = np.linalg.norm(offsets, axis=1, keepdims=True) / most
+            offsets = self._offsets(contacts.steps[:, number] + missing, contacts.stands[:, number])
+            away = np.linalg.norm(offsets, axis=1, keepdims=True) / (self.most * leg.length)
             shifts[:, number][:, [0, 2]] = offsets * np.tanh(away) / np.maximum(away, 1e-9)
-        return move_feet(motion, anatomy.handles, anatomy.joints, legs, shifts), contacts
+        return with_feet_moved(motion, anatomy, legs, shifts), contacts
 
 
 def add_bending(band: np.ndarray) -> None:
@@ -253,10 +237,10 @@ def add_bending(band: np.ndarray) -> None:
     band[0, 2:] += 1
 
 
-# mean speed of standing feet from which on they slide on purpose [m/s]; captured clips drift by less than a third of
-# this
 SLIDES = 0.25
-TRAVELS = 0.5  # who goes this share of what its feet slide does not stay on the spot
+"""Mean speed of standing feet from which on they slide on purpose [m/s]; captured clips drift by less than a third."""
+TRAVELS = 0.5
+"""A body that moves by this share of what its feet slide does not stay on the spot; chosen by eye."""
 
 
 def is_treadmill(motion: HandleMotion) -> bool:

@@ -7,11 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.legs import Leg, carry, foot_points, local_motion, move_feet
-from bunraku.anatomy.plan import lowest, reference_reach
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
+from bunraku.anatomy.legs import Leg, carry
 from bunraku.core.body.layout import HANDLE_NAMES
-from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character
 from bunraku.core.geometry.curves import (
     correlated,
@@ -24,9 +22,8 @@ from bunraku.core.geometry.curves import (
 )
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, heading, matrix_from_axis_angle, matrix_y
 from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import skin
 from bunraku.retarget.stages.feet import add_bending
-from bunraku.retarget.stages.stage import Contacts, Fitting, Stage
+from bunraku.retarget.stages.stage import Contacts, Fitting, Stage, sole_points, with_feet_moved
 
 __all__ = ["Floor", "Ground", "Soles", "enough"]
 
@@ -44,9 +41,9 @@ class Ground(Stage):
 
     Args:
         flies: Heights over the ground, as shares of the body's, between which what hovers becomes what flies.
-        jump: Nobody stays in the air for twice as long [s].
+        jump: Half of the longest time that a body stays in the air [s].
         soft: How softly the ground of a hovering body is found [s].
-        held: How far below feet, seat and back the hands are of who stands on them [m].
+        held: How far below feet, seat and back the hands of a body are that stands on them [m].
     """
 
     name: ClassVar[str] = "ground"
@@ -61,21 +58,14 @@ class Ground(Stage):
         if not fitting.source.own_height or fitting.heights is not None:
             return fitting.moved(self.followed(fitting.source, motion, anatomy, fitting.heights))
         wings = bool(anatomy.own[_WINGS].all())
-        flies = not anatomy.legs or anatomy.upright or wings  # who is upright may climb or hang
+        flies = not anatomy.legs or anatomy.upright or wings  # an upright body may climb or hang
         return fitting.moved(self.grounded(motion, anatomy, flies))
 
     def followed(
-        self,
-        motion: HandleMotion,
-        fitted: HandleMotion,
-        anatomy: Anatomy,
-        heights: np.ndarray | None = None,
+        self, motion: HandleMotion, fitted: HandleMotion, anatomy: Anatomy, heights: np.ndarray | None = None
     ) -> HandleMotion:
         """The fitted motion with its lowest point as high over the floor, that of its rest pose, as the reference
-        body's is over y = 0.
-
-        The reference body's own drift off the ground is taken out first. Nobody stays in the air for a second, so the
-        lowest height within 0.75 s of a frame is where the ground is for that frame.
+        body's is over y = 0. The reference body's own drift off the ground is taken out first.
 
         Args:
             motion: Of the reference body.
@@ -84,44 +74,40 @@ class Ground(Stage):
             heights: Of the lowest point of another body than the reference body, in the reference body's scale [m],
                 shape (N,).
         """
-        character, handles, stands = anatomy.mesh, anatomy.mesh_handles, anatomy.stands
-        below = self._standing_of(motion) if heights is None else None
-        want = self._ground_of(motion, below) if below is not None else np.asarray(heights)
-        drift = self._local_ground(want, motion.fps)
-        have = anatomy.reach.lowest(fitted, handles.positions)
-        seen = character.surface
-        if below is not None and stands.sum() < seen.sum():
+        body, world = reference_anatomy(), fitted.transforms(anatomy.handles.positions)
+        have = anatomy.reach.lowest(world)
+        if heights is None:
+            source = motion.transforms(body.handles.positions)
+            below = body.reach.lowest(source)
+            want = self._ground_of(below, body.surface_reach.lowest(source), motion.fps)
             hands_down = below > want + 0.01
-            if hands_down.any():
-                have = np.where(
-                    hands_down, lowest(character.vertices[seen], handles.weights[seen], fitted, handles.positions), have
-                )
+            if hands_down.any() and anatomy.stands.sum() < anatomy.mesh.surface.sum():
+                have = np.where(hands_down, anatomy.surface_reach.lowest(world), have)
+        else:
+            want = np.asarray(heights)
+        drift = self._local_ground(want, motion.fps)
         lift = running_mean(anatomy.floor + (want - drift) * anatomy.scale - have, 5)
         moved = fitted.root_translation.copy()
         moved[:, 1] += lift
         return replace(fitted, root_translation=moved)
 
-    def _standing_of(self, motion: HandleMotion) -> np.ndarray:
-        """Height of the lowest point of all that the reference body may stand on [m], shape (N,): not of its arms."""
-        return reference_reach(arms=False).lowest(motion, reference_body().handles.positions)
-
-    def _ground_of(self, motion: HandleMotion, stands: np.ndarray) -> np.ndarray:
+    def _ground_of(self, stands: np.ndarray, whole: np.ndarray, fps: float) -> np.ndarray:
         """Height of the lowest point of the reference body [m], shape (N,), but for hands that have sunk in.
 
         The ground is where feet, seat or back are, which come down to it again and again. Hands below it have sunk in,
         and must not lift the feet. Hands carry the body where they are far below all else for longer than a jump lasts.
 
         Args:
-            motion: Of the reference body.
-            stands: Height of the lowest point of what it may stand on [m], shape (N,).
+            stands: Height of the lowest point of what it may stand on, which its arms are not [m], shape (N,).
+            whole: Height of the lowest point of all of it [m], shape (N,).
+            fps: Frames a second [1/s].
         """
-        whole = reference_reach().lowest(motion, reference_body().handles.positions)
-        carried = running_least(stands - whole, self._window(motion.fps)) > self.held
-        ground = np.where(carried, whole, self._local_ground(stands, motion.fps))
+        carried = running_least(stands - whole, self._window(fps)) > self.held
+        ground = np.where(carried, whole, self._local_ground(stands, fps))
         return np.asarray(np.minimum(stands, np.maximum(whole, ground)))
 
     def _local_ground(self, heights: np.ndarray, fps: float) -> np.ndarray:
-        """Where the ground is in each frame [m], shape (N,): nobody stays in the air for twice as long as `jump`."""
+        """Where the ground is in each frame [m], shape (N,): the lowest height within `jump` seconds."""
         low = running_least(heights, self._window(fps))
         return np.asarray(gaussian(low, self.soft * fps))
 
@@ -130,10 +116,8 @@ class Ground(Stage):
         return 2 * round((self.jump if air is None else air) * fps) + 1
 
     def grounded(self, fitted: HandleMotion, anatomy: Anatomy, flies: bool = True) -> HandleMotion:
-        """A motion that was generated for this very body, set down where it hovers: it brings its own height over the
-        floor, and generators are a few centimetres off.
-
-        Jumps keep their height (`hovering`), and what can fly and is farther up than `flies` means to be there.
+        """A motion that was generated for this very body, set down where it hovers: generators are a few centimetres
+        off. Jumps keep their height (`hovering`).
 
         Args:
             fitted: Motion of the character.
@@ -150,16 +134,15 @@ class Ground(Stage):
     def hovering(self, fitted: HandleMotion, anatomy: Anatomy, air: float | None = None) -> np.ndarray:
         """How far a body is off the ground in each frame but for its jumps [m], shape (N,).
 
-        Nobody stays in the air for a second, so the lowest height within 0.75 s of a frame is where the body thinks the
-        ground is; it goes up and down softly. Who walks or runs is in the air for a shorter time, if at all, and is on
-        the ground otherwise.
+        No jump lasts two seconds, so the lowest height within `jump` of a frame is where the ground is; it goes up and
+        down softly. A body that walks or runs is in the air for a shorter time, and on the ground otherwise.
 
         Args:
             fitted: Motion of the character.
             anatomy: Of the character.
-            air: Half of the time that the body is in the air at the most [s]; None for the 0.75 s.
+            air: Half of the longest time that the body is in the air [s]; None for `jump`.
         """
-        have = anatomy.reach.lowest(fitted, anatomy.mesh_handles.positions) - anatomy.floor
+        have = anatomy.reach.lowest(fitted.transforms(anatomy.handles.positions)) - anatomy.floor
         if air is None:
             hovers = self._local_ground(have, fitted.fps)
         else:
@@ -197,8 +180,8 @@ class Floor(Stage):
         lowered: How far a standing foot that floats is put down at the most, over the leg's length.
         hold: Weight of the heights of standing feet, over the acceleration of their correction.
         pull: Weight of the heights of other feet.
-        air: On legs that do not bend nobody stays in the air for twice as long [s].
-        flies: Who is farther up than between these shares of the height climbs or flies on such legs.
+        air: Half of the longest time that a body on legs that do not bend stays in the air [s].
+        flies: A body on such legs that is farther up than between these shares of the height climbs or flies.
     """
 
     name: ClassVar[str] = "floor"
@@ -222,28 +205,17 @@ class Floor(Stage):
     def vaulted(self, motion: HandleMotion, source: HandleMotion, anatomy: Anatomy) -> HandleMotion:
         """A motion on legs that do not bend, as high in each frame as the reference body over the ground: no knee makes
         up for a body that goes up and down otherwise than its legs do.
-
-        Args:
-            motion: Of the character.
-            source: Of the reference body.
-            anatomy: Of the character.
         """
-        have = anatomy.reach.lowest(motion, anatomy.mesh_handles.positions) - anatomy.floor
-        want = reference_reach().lowest(source, reference_body().handles.positions)
+        have = anatomy.reach.lowest(motion.transforms(anatomy.handles.positions)) - anatomy.floor
+        body = reference_anatomy()
+        want = body.surface_reach.lowest(source.transforms(body.handles.positions))
         air = want - running_least(want, 2 * round(self.air * source.fps) + 1)
         up = air * anatomy.scale - have
         return _lifted(motion, np.where(up < 0, up * (1 - smooth_step(-up / anatomy.mesh.height, *self.flies)), up))
 
     def _foot_lifts(self, heights: np.ndarray, trust: np.ndarray, most: float, depth: float, reach: int) -> np.ndarray:
-        """How far a foot is moved up in each frame [m], shape (N,): to the ground where it stands, out of it where it
-        does not.
-
-        Args:
-            heights: Of its lowest point over the ground [m], shape (N,).
-            trust: How much it stands, shape (N,).
-            most: How far it is put down at the most [m].
-            depth: What may sink [m].
-            reach: How many frames before and after it is needed a lift begins and ends.
+        """How far a foot is moved up in each frame [m], shape (N,): to the ground where it stands (`trust`), down by
+        `most` [m] at the most, and out of it where it does not.
         """
         goal = np.maximum(-heights, -most)
         band = np.zeros((3, len(heights)))
@@ -269,12 +241,7 @@ class Floor(Stage):
         away = np.linalg.norm(character.vertices[arm.foot_area] - arm.joints[2], axis=1)
         return np.asarray(arm.foot_area[(away < self.hand * arm.length) == near])
 
-    def grounded(
-        self,
-        motion: HandleMotion,
-        anatomy: Anatomy,
-        contacts: Contacts | None,
-    ) -> HandleMotion:
+    def grounded(self, motion: HandleMotion, anatomy: Anatomy, contacts: Contacts | None) -> HandleMotion:
         """The motion with nothing below the ground, and standing feet on it.
 
         Args:
@@ -283,7 +250,7 @@ class Floor(Stage):
                 may.
             contacts: Of its feet; None where they are not known.
         """
-        character, handles, legs, arms = anatomy.mesh, anatomy.mesh_handles, anatomy.legs, anatomy.arms
+        character, handles, legs, arms = anatomy.mesh, anatomy.handles, anatomy.legs, anatomy.arms
         floor = anatomy.floor
         depth, reach = self.depth * character.height, max(1, round(self.spread * motion.fps))
         solid = self._solid(anatomy)
@@ -297,9 +264,8 @@ class Floor(Stage):
         def need(some: np.ndarray) -> np.ndarray:
             if not some.any():
                 return np.zeros(len(motion))
-            return np.maximum(
-                floor - depth - lowest(character.vertices[some], handles.weights[some], motion, handles.positions), 0
-            )
+            heights = anatomy.reach_of(some).lowest(motion.transforms(handles.positions))
+            return np.maximum(floor - depth - heights, 0)
 
         ends = np.zeros(len(character.vertices), bool)
         for limb in limbs:
@@ -308,13 +274,13 @@ class Floor(Stage):
         if limbs and len(motion) > 2:
             shifts, transforms = np.zeros((len(motion), len(limbs), 3)), motion.transforms(handles.positions)
             for number, limb in enumerate(limbs):
-                heights = foot_points(limb, character, handles, transforms)[..., 1].min(axis=1) - floor
+                heights = sole_points(limb, anatomy, transforms)[..., 1].min(axis=1) - floor
                 trust = np.zeros(len(motion))
                 if contacts is not None and number < len(legs):
                     held = contacts.stands[:, number]
                     trust[0], trust[-1], trust[1:-1] = held[0], held[-1], np.maximum(held[1:], held[:-1])
                 shifts[:, number, 1] = self._foot_lifts(heights, trust, self.lowered * limb.length, depth, reach)
-            motion = move_feet(motion, handles, anatomy.joints, limbs, shifts)
+            motion = with_feet_moved(motion, anatomy, limbs, shifts)
         return _lifted(motion, enough(need(solid), reach))
 
 
@@ -342,12 +308,7 @@ class Soles(Stage):
         return fitting.moved(self.flatter(fitting.motion, anatomy))
 
     def flatter(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
-        """The motion with feet turned about their ankles towards the level, as far as their soles would sink.
-
-        Args:
-            motion: Of the character.
-            anatomy: Of the character.
-        """
+        """The motion with feet turned about their ankles towards the level, as far as their soles would sink."""
         world, changed = motion.transforms(anatomy.handles.positions).astype(np.float64), False
         for leg in anatomy.legs:
             if not leg.foot:
@@ -369,7 +330,7 @@ class Soles(Stage):
             for handle in leg.foot:
                 carry(world, handle, anatomy.joints, ankle, ankle, back)
             changed = True
-        return local_motion(world, motion, anatomy.handles) if changed else motion
+        return motion.with_transforms(world, anatomy.handles.positions) if changed else motion
 
     def _back(self, less: np.ndarray, slope: np.ndarray, facing: np.ndarray, turned: np.ndarray) -> np.ndarray:
         """What takes a foot from its slope to one that is less by a share, shape (N, 3, 3)."""
@@ -380,7 +341,6 @@ class Soles(Stage):
         self, leg: Leg, anatomy: Anatomy, world: np.ndarray, ankle: np.ndarray, back: np.ndarray | None = None
     ) -> np.ndarray:
         """How far the lowest point of a sole is under its ankle, shape (N,) [m], turned by `back` (N, 3, 3)."""
-        mesh, handles = anatomy.mesh, anatomy.mesh_handles
-        away = skin(mesh.vertices[leg.sole], handles.weights[leg.sole], world).astype(np.float64) - ankle[:, None]
+        away = sole_points(leg, anatomy, world) - ankle[:, None]
         heights = away[..., 1] if back is None else np.einsum("nj,nmj->nm", back[:, 1], away)
         return np.asarray(-heights.min(axis=1))

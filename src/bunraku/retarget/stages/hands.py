@@ -9,14 +9,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.joints import Joints, attach_joints
-from bunraku.anatomy.legs import Leg, move_feet
+from bunraku.anatomy.legs import Leg
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
-from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian, running_most, smooth_step
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.stages.stage import Fitting, Stage
+from bunraku.retarget.stages.stage import Fitting, Stage, with_feet_moved
 
 __all__ = ["BodySurface", "Hands", "HandsClear"]
 
@@ -72,36 +70,22 @@ class Hands(Stage):
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         return fitting.moved(self.kept(fitting.source, fitting.motion, anatomy))
 
-    def kept(
-        self,
-        motion: HandleMotion,
-        fitted: HandleMotion,
-        anatomy: Anatomy,
-    ) -> HandleMotion:
-        """The fitted motion with hands where the reference body's hands touch it.
-
-        Args:
-            motion: Of the reference body.
-            fitted: Of the character.
-            anatomy: Of the character.
-        """
-        character, handles, joints, scale = anatomy.mesh, anatomy.mesh_handles, anatomy.joints, anatomy.scale
+    def kept(self, motion: HandleMotion, fitted: HandleMotion, anatomy: Anatomy) -> HandleMotion:
+        """The fitted motion with hands where the reference body's hands touch it."""
+        character, handles, scale = anatomy.mesh, anatomy.mesh_handles, anatomy.scale
         arms = [arm for arm in anatomy.arms if int(handles.played[arm.foot[0]]) in _WRISTS]
         if not arms:
             return fitted
         body = reference_body()
         known = self._parts(body.vertices, body.handle_weights, np.arange(len(HANDLE_NAMES)))
-        stance = _stance(handles, joints, anatomy.rotations)
-        world, theirs = (
-            fitted.transforms(handles.positions).astype(np.float64),
-            motion.transforms(body.handles.positions).astype(np.float64),
-        )
+        stance = anatomy.stance_transforms.astype(np.float64)
+        world = fitted.transforms(handles.positions).astype(np.float64)
+        theirs = motion.transforms(body.handles.positions).astype(np.float64)
         posed = np.einsum("vk,kij->vij", handles.weights, stance)
         vertices = np.einsum("vij,vj->vi", posed[..., :3], character.vertices) + posed[..., 3]
         own = self._parts(vertices[character.surface], handles.weights[character.surface], handles.played)
-        palms = {
-            wrist: _palm(body.vertices, body.handle_weights[:, [wrist, wrist + 2]].sum(axis=1)) for wrist in _WRISTS
-        }
+        held = {wrist: body.handle_weights[:, [wrist, wrist + 2]].sum(axis=1) > 0.5 for wrist in _WRISTS}
+        palms = {wrist: np.asarray(body.vertices[own].mean(axis=0), np.float64) for wrist, own in held.items()}
         shifts = np.zeros((len(fitted), len(arms), 3))
         positions = []  # of each arm: the reference's palm and the character's in each frame
         for number, arm in enumerate(arms):
@@ -118,9 +102,8 @@ class Hands(Stage):
                 if name not in own:
                     continue
                 local = _unapplied(theirs[:, part.handle], source)
-                share = smooth_step(cKDTree(part.points).query(local)[0], self.near, self.touches) * self._rest(
-                    local, motion.fps
-                )
+                near = smooth_step(cKDTree(part.points).query(local)[0], self.near, self.touches)
+                share = near * self._rest(local, motion.fps)
                 there = own[name]
                 goal = _placed(local, part, there, scale)
                 frame = world[:, there.handle] @ _square(np.linalg.inv(_square(stance[there.handle])))
@@ -136,21 +119,16 @@ class Hands(Stage):
             smooth = gaussian(shifts[:, number], self.blend * fitted.fps)
             far = np.linalg.norm(smooth, axis=1, keepdims=True) / (self.most * arm.length)
             shifts[:, number] = smooth * np.tanh(far) / np.maximum(far, 1e-9)
-        return move_feet(fitted, handles, joints, arms, shifts)
+        return with_feet_moved(fitted, anatomy, arms, shifts)
 
     def _joined(
-        self,
-        positions: list[tuple[int, np.ndarray, np.ndarray]],
-        shifts: np.ndarray,
-        motion: HandleMotion,
-        fitted: HandleMotion,
-        scale: float,
-    ) -> None:
+        self, positions: list[tuple[int, np.ndarray, np.ndarray]], shifts: np.ndarray, motion: HandleMotion,
+        fitted: HandleMotion, scale: float,
+    ) -> None:  # fmt: skip
         """Bring hands together that touch each other, in place: each goes half of the way."""
         between = positions[0][1] - positions[1][1]
-        share = smooth_step(
-            np.linalg.norm(between, axis=1) - self.near / 2, self.near, self.touches
-        )  # palms' middles are apart by two hands
+        apart = np.linalg.norm(between, axis=1) - self.near / 2  # palms' middles are apart by two hands
+        share = smooth_step(apart, self.near, self.touches)
         turn = fitted.root_rotation.astype(np.float64) @ np.swapaxes(motion.root_rotation, -1, -2)
         want = np.einsum("nij,nj->ni", turn, between) * scale
         have = positions[0][2] + shifts[:, 0] - positions[1][2] - shifts[:, 1]
@@ -181,18 +159,6 @@ def _placed(local: np.ndarray, part: _Box, there: _Box, scale: float) -> np.ndar
     away = local - part.middle
     inside = np.clip(away, -part.half, part.half)
     return np.asarray(there.middle + inside * (there.half / np.maximum(part.half, 1e-6)) + (away - inside) * scale)
-
-
-def _stance(handles: Handles, joints: Joints, to_reference: np.ndarray) -> np.ndarray:
-    """Transforms of the handles from the rest pose into the stance, shape (K, 3, 4)."""
-    rotations, translations = attach_joints(to_reference[None].astype(np.float64), handles, joints)
-    still = HandleMotion(translations, rotations, np.zeros((1, 3)), np.eye(3)[None])
-    return still.transforms(handles.positions)[0].astype(np.float64)
-
-
-def _palm(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    own = weights > 0.5
-    return np.asarray(vertices[own].mean(axis=0), np.float64)
 
 
 def _square(affine: np.ndarray) -> np.ndarray:
@@ -327,18 +293,13 @@ class HandsClear(Stage):
         return fitting.moved(self.cleared(fitting.motion, anatomy))
 
     def cleared(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
-        """The motion with hands outside of the body.
-
-        Args:
-            motion: Of the character.
-            anatomy: Of the character.
-        """
+        """The motion with hands outside of the body."""
         surface = BodySurface(anatomy)
         scale, first = anatomy.scale, motion
         for arm in anatomy.arms:
             shift = np.zeros((len(motion), 3))
             for _ in range(self.rounds):
-                moved = move_feet(first, anatomy.handles, anatomy.joints, [arm], shift[:, None])
+                moved = with_feet_moved(first, anatomy, [arm], shift[:, None])
                 depth, out = surface.depths(moved, self.hand(moved, arm, anatomy), self.near * arm.length)
                 deepest = depth.argmax(axis=1)
                 rows = np.arange(len(depth))
@@ -351,7 +312,7 @@ class HandsClear(Stage):
                 far = np.linalg.norm(shift, axis=1, keepdims=True) / (self.most * arm.length)
                 shift = shift * np.tanh(far) / np.maximum(far, 1e-9)
             if shift.any():
-                first = move_feet(first, anatomy.handles, anatomy.joints, [arm], shift[:, None])
+                first = with_feet_moved(first, anatomy, [arm], shift[:, None])
         return first
 
     def hand(self, motion: HandleMotion, arm: Leg, anatomy: Anatomy) -> np.ndarray:
@@ -362,9 +323,8 @@ class HandsClear(Stage):
         some = near if len(near) else arm.foot_area
         some = some[np.linspace(0, len(some) - 1, min(self.points, len(some))).astype(int)]
         world = motion.transforms(handles.positions).astype(np.float64)
-        blended = (handles.weights[some].astype(np.float64) @ world.reshape(*world.shape[:2], 12)).reshape(
-            len(world), len(some), 3, 4
-        )
+        blended = handles.weights[some].astype(np.float64) @ world.reshape(*world.shape[:2], 12)
+        blended = blended.reshape(len(world), len(some), 3, 4)
         rest = mesh.vertices[some].astype(np.float64)
         return np.asarray((blended[..., :3] @ rest[..., None])[..., 0] + blended[..., 3])
 

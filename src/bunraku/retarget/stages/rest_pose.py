@@ -5,16 +5,17 @@ body lacks or that the motion does not move are held.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, has_extra_legs, limb_handles
-from bunraku.anatomy.joints import Joints, attach_joints, downwards, reference_joints
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
+from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
+from bunraku.anatomy.joints import Joints, downwards, reference_joints
 from bunraku.anatomy.rest_pose import WHOLE_LIMBS, pieces
 from bunraku.core.body.layout import HANDLE_NAMES
-from bunraku.core.body.reference import capped, reference_body
+from bunraku.core.body.reference import capped
 from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian
 from bunraku.core.geometry.rotations import (
@@ -81,13 +82,13 @@ class Attach(Stage):
     name: ClassVar[str] = "attach"
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        source, handles, joints = fitting.source, anatomy.handles, anatomy.joints
-        rotations, translations = attach_joints(fitting.rotations, handles, joints)
+        source, handles = fitting.source, anatomy.handles
+        rotations, translations = anatomy.attached(fitting.rotations)
         if handles.rigid:
             return replace(fitting, rotations=rotations, translations=translations)
-        stiff = attach_joints(source.rotations.astype(np.float64), reference_body().handles, reference_joints())[1]
+        stiff = reference_anatomy().attached(source.rotations.astype(np.float64))[1]
         residual = capped(source.translations - stiff, source.soft)
-        translations += residual[:, handles.played] * anatomy.scale * joints.present[:, None]
+        translations += residual[:, handles.played] * anatomy.scale * anatomy.joints.present[:, None]
         return replace(fitting, rotations=rotations, translations=translations)
 
 
@@ -113,11 +114,9 @@ class Blocks(Stage):
         known, rotations = reference_joints().positions, fitting.rotations.copy()
         for limb in WHOLE_LIMBS:
             for handle, end in pieces(limb, anatomy.joints):
-                chain = limb[limb.index(handle) : limb.index(end) + 1]
-                posed = sum(
-                    np.einsum("nij,j->ni", fitting.rotations[:, one], known[two] - known[one])
-                    for one, two in zip(chain, chain[1:], strict=False)
-                )
+                chain = pairwise(limb[limb.index(handle) : limb.index(end) + 1])
+                rotated = fitting.rotations
+                posed = sum(np.einsum("nij,j->ni", rotated[:, one], known[two] - known[one]) for one, two in chain)
                 own = fitting.rotations[:, handle]
                 straight = np.einsum("nij,j->ni", own, known[end] - known[handle])
                 rotations[:, handle] = rotation_between(straight, posed + self.folded * straight) @ own
@@ -155,7 +154,6 @@ class Legless(Stage):
         return replace(fitting, rotations=rotations)
 
 
-_CHEST_OF_FINS = HANDLE_NAMES.index("spine3")
 _ARMS = [limb_handles(side, FAMILIES[1]) for side in SIDES]
 _PARTS = [part for arm in _ARMS for part in arm]
 
@@ -180,7 +178,7 @@ class Fins(Stage):
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         if not fitting.source.own_kind or anatomy.upright:
             return False
-        return not anatomy.legs or has_extra_legs(anatomy.handles) or not self.drawn(fitting.source.rotations)
+        return not anatomy.legs or anatomy.has_extra_legs or not self.drawn(fitting.source.rotations)
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         drawn = self.drawn(fitting.source.rotations)
@@ -189,7 +187,7 @@ class Fins(Stage):
 
     def drawn(self, rotations: np.ndarray) -> bool:
         """Whether arms move of their own in a motion of the reference body, whose rotations (N, 30, 3, 3) are given."""
-        chest = rotations[:, _CHEST_OF_FINS].astype(np.float64).transpose(0, 2, 1)
+        chest = rotations[:, _CHEST].astype(np.float64).transpose(0, 2, 1)
         upper = [handle for arm in _ARMS for handle in arm[:2]]
         turns = axis_angle_from_matrix(chest[:, None] @ rotations[:, upper].astype(np.float64))
         return bool(np.linalg.norm(turns, axis=-1).mean() > self.undrawn)

@@ -8,9 +8,36 @@ from typing import ClassVar
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.legs import LEAST_SHIFT, Leg, move_feet
 from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import skin
 
-__all__ = ["Contacts", "Fitting", "Stage"]
+__all__ = ["Contacts", "Fitting", "Stage", "sole_points", "with_feet_moved"]
+
+
+def with_feet_moved(
+    motion: HandleMotion, anatomy: Anatomy, legs: list[Leg], shifts: np.ndarray, slopes: np.ndarray | None = None
+) -> HandleMotion:
+    """The motion of a character with its feet, or its hands, moved by bending their limbs (`anatomy.legs.move_feet`).
+
+    Args:
+        motion: Of the character, N frames.
+        anatomy: Of the character.
+        legs: The limbs whose ends are moved, L.
+        shifts: How far each ankle or wrist moves [m], shape (N, L, 3).
+        slopes: How each foot is rotated about its ankle, in the world, shape (N, L, 3, 3); None for not at all.
+    """
+    if not (np.abs(shifts) > LEAST_SHIFT).any():
+        return motion
+    world = motion.transforms(anatomy.handles.positions).astype(np.float64)
+    move_feet(world, motion.root_rotation, anatomy.joints, legs, shifts, slopes)
+    return motion.with_transforms(world, anatomy.handles.positions)
+
+
+def sole_points(leg: Leg, anatomy: Anatomy, transforms: np.ndarray) -> np.ndarray:
+    """Where the sole of a leg is in each frame [m], shape (N, m, 3), by the transforms of the handles (N, K, 3, 4)."""
+    sole = leg.sole
+    return skin(anatomy.mesh.vertices[sole], anatomy.mesh_handles.weights[sole], transforms).astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +87,7 @@ class Fitting:
             source.rotations[:, played].astype(np.float64),
             source.translations[:, played] * anatomy.scale,
             source.root_rotation,
-            anatomy.path(source),
+            anatomy.path(source.root_translation, source.root_rotation),
             heights,
         )
 

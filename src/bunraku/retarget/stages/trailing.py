@@ -9,7 +9,7 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import Joints
-from bunraku.anatomy.legs import carry, local_motion
+from bunraku.anatomy.legs import carry
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian
@@ -28,7 +28,7 @@ from bunraku.retarget.stages.stage import Fitting, Stage
 __all__ = ["Lag", "Tail", "TailClear"]
 
 
-_TAIL_HANDLES = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
+_TAIL, _TIP = _TAIL_HANDLES = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 _GRAVITY, _PERSON = 9.81, 1.7
 
 
@@ -60,12 +60,7 @@ class Lag(Stage):
         return fitting.moved(self.lagging(fitting.motion, anatomy, self.parts(fitting.source, anatomy)))
 
     def parts(self, source: HandleMotion, anatomy: Anatomy) -> list[list[int]]:
-        """The handles of each part that nothing moves, from its root outwards.
-
-        Args:
-            source: Of the reference body.
-            anatomy: Of the character.
-        """
+        """The handles of each part that nothing moves, from its root outwards."""
         out = [[handle] for handle in anatomy.appendages if anatomy.joints.present[handle]]
         tail = [handle for handle in _TAIL_HANDLES if anatomy.own[handle]]
         pelvis = source.rotations[:, :1].astype(np.float64).transpose(0, 1, 3, 2)
@@ -97,7 +92,7 @@ class Lag(Stage):
                 turn = self._turns(stiff, self.followed(pivot + stiff, frequency, motion.fps) - pivot)
                 for each in part[number:]:
                     carry(world, each, joints, pivot, pivot, turn)
-        return local_motion(world, motion, handles)
+        return motion.with_transforms(world, handles.positions)
 
     def _reach(self, anatomy: Anatomy, handle: int) -> float:
         """How far a part goes on from its joint, over the way to its middle."""
@@ -137,12 +132,8 @@ class Lag(Stage):
         """Rotations from where a part would point to where it does, softly bounded, shape (N, 3, 3)."""
         angles = axis_angle_from_matrix(rotation_between(stiff, lags))
         size = np.linalg.norm(angles, axis=1, keepdims=True)
-        return np.asarray(
-            matrix_from_axis_angle(angles * self.most * np.tanh(size / self.most) / np.maximum(size, 1e-9))
-        )
-
-
-_TAIL, _TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
+        bounded = angles * self.most * np.tanh(size / self.most) / np.maximum(size, 1e-9)
+        return np.asarray(matrix_from_axis_angle(bounded))
 
 
 @dataclass(frozen=True)
@@ -167,13 +158,9 @@ class Tail(Stage):
         return replace(fitting, rotations=lowered)
 
     def lowered(
-        self,
-        rotations: np.ndarray,
-        handles: Handles,
-        joints: Joints,
-        fps: float,
+        self, rotations: np.ndarray, handles: Handles, joints: Joints, fps: float,
         root_rotation: np.ndarray | None = None,
-    ) -> np.ndarray:
+    ) -> np.ndarray:  # fmt: skip
         """Local rotations in which no tail is held up higher than it rests, or higher than `highest`, whatever is more.
 
         A trunk that tilts forward lifts the tail with it, and so much more is taken from the tail.
@@ -235,12 +222,7 @@ class TailClear(Stage):
         return fitting.moved(self.raised(fitting.motion, anatomy))
 
     def raised(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
-        """The motion with a tail turned up, about where it is joined, as far as it would sink into the ground.
-
-        Args:
-            motion: Of the character.
-            anatomy: Of the character.
-        """
+        """The motion with a tail turned up, about where it is joined, as far as it would sink into the ground."""
         character, handles, joints, there = anatomy.mesh, anatomy.mesh_handles, anatomy.joints, anatomy.own
         held, floor = anatomy.tail, anatomy.floor
         base = _TAIL if there[_TAIL] else _TIP
@@ -265,4 +247,4 @@ class TailClear(Stage):
         for part in (_TAIL, _TIP) if base == _TAIL else (_TIP,):
             if there[part]:
                 carry(world, part, joints, pivot, pivot, turn)
-        return local_motion(world, motion, handles)
+        return motion.with_transforms(world, handles.positions)

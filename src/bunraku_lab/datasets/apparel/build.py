@@ -65,7 +65,7 @@ def record(body: UnifiedBody, clips: Sequence[RigAnimation]) -> Recording:
     offsets = np.empty((len(transforms), len(loose), 3), np.float16)
     start, rounding = 0, 0.0
     for clip in clips:
-        deviations = body.deviations(clip)[:, bones]
+        deviations = _deviations(body, clip)[:, bones]
         for first in range(0, len(clip), _CHUNK):
             exact = skin(vertices[loose], weights, deviations[first : first + _CHUNK])
             if not np.abs(exact).max(initial=0) < 1000:
@@ -79,6 +79,12 @@ def record(body: UnifiedBody, clips: Sequence[RigAnimation]) -> Recording:
     return Recording(transforms, loose, offsets, rounding)
 
 
+def _deviations(body: UnifiedBody, animation: RigAnimation) -> np.ndarray:
+    """What each bone does beside its joint, as affine transforms, shape (N, J, 3, 4), float32."""
+    affine = animation.transforms()
+    return affine - affine[:, body.bones[body.joint_of]]
+
+
 def _loose_bones(body: UnifiedBody, clips: Sequence[RigAnimation]) -> np.ndarray:
     """Bones that hold vertices and leave their joints in some frame, shape (B,)."""
     rig = body.parts.character.rig
@@ -87,7 +93,7 @@ def _loose_bones(body: UnifiedBody, clips: Sequence[RigAnimation]) -> np.ndarray
     centres, radii = _extents(body)
     far = np.zeros(len(held))
     for clip in clips:
-        deviation = body.deviations(clip)[:, held].astype(np.float64)
+        deviation = _deviations(body, clip)[:, held].astype(np.float64)
         at = np.einsum("njab,jb->nja", deviation[..., :3], centres[held]) + deviation[..., 3]
         reach = np.linalg.norm(deviation[..., :3], axis=(-2, -1)) * radii[held]
         far = np.maximum(far, (np.linalg.norm(at, axis=-1) + reach).max(axis=0))

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import body_handle_motion
 from bunraku.core.arrays import lzma_filters, pack_steps, unpack_steps
 from bunraku.core.body.joint_rotations import skeleton_from_handles
 from bunraku.core.body.layout import HANDLE_COUNT, JOINT_COUNT
@@ -23,6 +22,7 @@ from bunraku.core.files import atomic_write, check_input
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_6d, matrix_from_axis_angle, matrix_to_6d
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import FormatError, OptionError, WeightsError
+from bunraku.generation.features import body_handle_motion
 
 __all__ = [
     "Bundle", "BundleFacts", "FORMS", "FPS", "KIND", "MOST_FRAMES", "Source", "Stretch", "credit_lines", "load_clip",

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.apparel.chains.body_collisions import over_legs, push_out_of_body
+from bunraku.apparel.chains.body_collisions import CHAIN_REPAIRS
 from bunraku.apparel.chains.chain_rig import LaidChains, with_chains
-from bunraku.apparel.chains.cloth_repairs import smooth_neighbours
+from bunraku.apparel.chains.cloth_repairs import DressedChains
 from bunraku.apparel.chains.from_bones import bone_chains
 from bunraku.apparel.chains.from_shape import shape_chains
 from bunraku.apparel.chains.moving import steady_simulation
@@ -121,8 +121,8 @@ def chain_parameters_from_file(laid: LaidChains, character: Character) -> LaidCh
         if count.sum() > 0:
             whole, stiffness, damping, mass = count @ facts / count.sum()
             limit = float(np.clip(whole / len(chain), NARROWEST, WIDEST))
-            manner = replace(chain.manner, limit=limit, stiffness=stiffness, damping=damping, mass=max(mass, 1e-3))
-            chain = replace(chain, manner=manner)
+            swing = replace(chain.parameters, limit=limit, stiffness=stiffness, damping=damping, mass=max(mass, 1e-3))
+            chain = replace(chain, parameters=swing)
         chains.append(chain)
     return replace(laid, chains=tuple(chains))
 
@@ -150,9 +150,9 @@ def chained_clip(clip: TrueClip, from_file: Character | None = None) -> tuple[np
     if not made.chains:
         return body.vertices(), 0
     found = steady_simulation(made.on(body), made.rig(tied=False))
-    moved = smooth_neighbours(found.animation, made.chains, made.near)
-    moved = over_legs(moved, made.chains, made.near, clothed, np.arange(JOINT_COUNT), rig)
-    moved = push_out_of_body(moved, made.chains, clothed, np.arange(JOINT_COUNT))
+    moved, dressed = found.animation, DressedChains(made, clothed, np.arange(JOINT_COUNT), rig)
+    for repair in CHAIN_REPAIRS:
+        moved = repair(moved, dressed)
     return moved.vertices(), sum(one.frame >= 0 for one in found.report.recoveries)
 
 

@@ -14,9 +14,7 @@ import torch
 from bunraku.anatomy.handles.predict import predict_handles
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.fitting import fitted_clothes
-from bunraku.apparel.learned.features import clip_features
 from bunraku.apparel.learned.network import DisplacementNetwork
-from bunraku.apparel.learned.player import ApparelPlayer
 from bunraku.apparel.learned.segmentation import find_apparel
 from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
 from bunraku.core.character import Character
@@ -25,7 +23,8 @@ from bunraku.core.geometry.simplify import network_mesh
 from bunraku.core.skinning import skin
 from bunraku.errors import WeightsError
 from bunraku_lab.baselines.pose_transfer import ROOM, TransferTarget
-from bunraku_lab.evaluation.apparel.clips import TrueClip, edge_score, point_distance
+from bunraku_lab.evaluation.apparel.clips import KnownPlayer, TrueClip, edge_score, point_distance
+from bunraku_lab.nn.apparel import clip_features
 from bunraku_lab.nn.blend_shapes import NbsConfig, NbsNetwork, edge_mesh, local_rotations
 from bunraku_lab.nn.checkpoints import lab_checkpoint
 from bunraku_lab.nn.pose_transfer import TransferConfig, TransferNetwork
@@ -246,7 +245,7 @@ def _from_true_state(
     clip: TrueClip, guessed: ClothedCharacter, network: DisplacementNetwork, first: int, moved: np.ndarray
 ) -> np.ndarray:
     """The skinned vertices with apparel as the network moves it on from the three true frames before `first`."""
-    player = ApparelPlayer(guessed, network, safe=False)
+    player = KnownPlayer(guessed, network, safe=False)
     player.start(clip.transforms[0])
     assert player.features is not None
     for pose in clip.transforms[: first - 3]:

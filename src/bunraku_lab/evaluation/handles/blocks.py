@@ -126,11 +126,11 @@ def block_file(
     Raises:
         BunrakuError: The file cannot be read or animated.
     """
-    from bunraku.files import turned
+    from bunraku.files import rotated
 
     found = load_character(path, unit="m")
     standing = resolve_axes(found)
-    character = turned(found, standing.up, standing.front)
+    character = rotated(found, standing.up, standing.front)
     request = Request(sentence, Sampling(seconds, seed, candidates=1), rig="handles")
     animation = (animator or Animator.shipped())(character, request)
     assert isinstance(animation, Animation)

@@ -122,9 +122,9 @@ def find_files(folder: Path, everything: bool = False) -> list[Path]:
     Raises:
         FormatError: There are none.
     """
-    from bunraku.files import FORMATS
+    from bunraku.files import READERS
 
-    suffixes = {suffix for known in FORMATS if known.character for suffix in known.suffixes} - _NO_RIG
+    suffixes = READERS["character"].keys() - _NO_RIG
     files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in suffixes and file.is_file())
     if not files:
         raise no_characters(folder, sorted(suffixes))

@@ -146,7 +146,8 @@ def measure_adaptation(
     from bunraku.core.nn.layers import one_thread
     from bunraku.generation.generate import GUIDANCE, STEPS, adapt
     from bunraku.generation.networks import load_generator
-    from bunraku.generation.sampler import Solver, sample
+    from bunraku.generation.sampler import Solver
+    from bunraku_lab.evaluation.motion.samples import sample
 
     model, encoder = load_generator(checkpoint)
     text = encoder.encode(list(prompts))

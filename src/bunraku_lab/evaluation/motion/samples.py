@@ -14,17 +14,19 @@ import numpy as np
 
 from bunraku.core.files import atomic_write, weights_file
 from bunraku.errors import OptionError
+from bunraku.generation import sampler
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, mirror
-from bunraku.language.captions import caption_group, caption_variants, mirror_words, normalise_label
+from bunraku.language.captions import mirror_words
+from bunraku_lab.description.captions import caption_group, caption_variants, normalise_label
 from bunraku_lab.training.rows.clips import ClipEntry
 
 if TYPE_CHECKING:
     from bunraku.generation.denoiser import Denoiser
-    from bunraku.language.encoders import TextEncoder
+    from bunraku.language.encoders import TextBatch, TextEncoder
 
 __all__ = [
     "LENGTHS", "Request", "SHORTEST", "SamplerSettings", "Window", "candidate_sentences", "checkpoint_digest",
-    "choose_motions", "draw_windows", "make_motions", "window_features", "window_meaning",
+    "choose_motions", "draw_windows", "make_motions", "sample", "window_features", "window_meaning",
 ]  # fmt: skip
 
 SHORTEST = 40
@@ -199,6 +201,39 @@ def checkpoint_digest(path: Path) -> str:
         raise OptionError(f"{path}: these weights cannot be read ({error.strerror}); give another file") from error
 
 
+def sample(
+    model: Denoiser, text: TextBatch, frames: int | Sequence[int], solver: sampler.Solver | None = None, *,
+    mesh_features: np.ndarray | None = None, seed: int = 0, known: tuple[np.ndarray, np.ndarray] | None = None,
+) -> sampler.Sample:  # fmt: skip
+    """One motion for each sentence, of one window each, all in one batch.
+
+    Args:
+        model: The denoiser.
+        text: B encoded sentences.
+        frames: Length N of the motions, or of each; all are padded with zeros to the longest.
+        solver: How they are denoised.
+        mesh_features: f_phi of each row's character, shape (B, 448); None for no mesh in particular.
+        seed: Of the starting noise.
+        known: Values to keep in network units, shape (B, N, D), and how far, shape (N,) or (N, D).
+    """
+    rows, size = len(text.mask), model.config.features
+    lengths = [frames] * rows if isinstance(frames, int) else list(frames)
+    longest = max(lengths)
+    windows = [
+        sampler.Window(np.arange(row * longest, row * longest + length), np.ones(length, np.float32), row)
+        for row, length in enumerate(lengths)
+    ]
+    steering = sampler.Steering()
+    if known is not None:
+        share = np.tile(known[1].reshape(longest, -1), (rows, 1))
+        steering = sampler.Steering(known=(known[0].reshape(-1, size), share))
+    noise = np.concatenate([sampler.row_noise(longest, size, seed, row) for row in range(rows)])
+    found = sampler.sample_windows(
+        model, text, windows, noise, solver or sampler.Solver(), steering, mesh_features=mesh_features
+    )
+    return sampler.Sample(*(part.reshape(rows, longest, *part.shape[1:]) for part in (found.values, found.adaptation)))
+
+
 def make_motions(
     model: Denoiser, encoder: TextEncoder, requests: Sequence[Request], sampling: SamplerSettings, *,
     folder: Path | None = None, digest: str = "", mesh_feature: np.ndarray | None = None,
@@ -221,11 +256,10 @@ def make_motions(
         OptionError: A motion is longer than the model makes at once.
     """
     from bunraku.core.nn.layers import one_thread
-    from bunraku.generation.sampler import Solver, sample
 
     if sampling.steps is None or sampling.guidance is None:
         raise ValueError("what the network says alone needs a number of steps and a guidance")
-    solver = Solver(sampling.steps, sampling.guidance)
+    solver = sampler.Solver(sampling.steps, sampling.guidance)
     longest = max((request.frames for request in requests), default=0)
     if longest > model.config.frames:
         raise OptionError(

@@ -19,8 +19,8 @@ from torch import Tensor
 from bunraku.errors import OptionError
 from bunraku.generation.extractor import KIND, RADIUS, Extractor, ExtractorConfig, embed_motions, embed_sentences
 from bunraku.generation.features import FeatureStatistics
-from bunraku.language.captions import caption_variants
 from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku_lab.description.captions import caption_variants
 from bunraku_lab.evaluation.motion.metrics import r_precision
 from bunraku_lab.evaluation.motion.samples import Window, candidate_sentences, draw_windows, window_features
 from bunraku_lab.nn.running import running_extractor

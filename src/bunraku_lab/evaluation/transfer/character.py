@@ -90,10 +90,10 @@ class Source:
 
 def facing_character(path: Path, name: str) -> Character:
     """A character facing +Z, by what is known of the archive's rigs."""
-    from bunraku.files import load_character, turned
+    from bunraku.files import load_character, rotated
 
     character = load_character(path)
-    return turned(character, "+y", named_front(character, name))
+    return rotated(character, "+y", named_front(character, name))
 
 
 def named_front(character: Character, name: str) -> str:
@@ -148,7 +148,9 @@ def measure_character(path: Path, name: str, sources: Mapping[str, Source]) -> C
 
 def _measure(path: Path, character: Character, sources: Mapping[str, Source], row: CharacterRow) -> None:
     from bunraku.pipelines.animate import rig
-    from bunraku.pipelines.transfer import apply_transfer
+    from bunraku.pipelines.animator import Animator
+    from bunraku.pipelines.requests import TransferRequest
+    from bunraku.pipelines.transfer import fitted_transfer
 
     try:
         parts = RigParts.of(character)
@@ -162,7 +164,9 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
     for kind, source in sources.items():
         try:
             frames = np.arange(0, len(source.motion), STRIDE)
-            result = apply_transfer(character, source.motion, onto="handles", handles=handles)
+            result = fitted_transfer(
+                Animator.shipped(), character, source.motion, TransferRequest("handles", handles=handles)
+            )
             posed = result.vertices(frames)
             if not np.isfinite(posed).all():
                 raise FormatError(path, "the result holds values that are not numbers")
@@ -172,7 +176,7 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
                 on_handles.append(
                     float(limb_angles(parts, carried_heads(parts, result, frames), source.joints[frames]).mean())
                 )
-                moved = apply_transfer(character, source.motion, onto="rig")
+                moved = fitted_transfer(Animator.shipped(), character, source.motion, TransferRequest("rig"))
                 assert isinstance(moved, RigAnimation)
                 on_rig.append(float(limb_angles(parts, _rig_heads(parts, moved, frames), source.joints[frames]).mean()))
         except BunrakuError as error:
@@ -185,8 +189,10 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
 def _there_and_back(path: Path, character: Character, name: str) -> _Back:
     """Mean error of a character's own clip after the way to the reference body and back, over its height."""
     from bunraku.files import clip_names, load_animation
+    from bunraku.pipelines.animator import Animator
+    from bunraku.pipelines.requests import TransferRequest
     from bunraku.pipelines.to_reference import reference_motion
-    from bunraku.pipelines.transfer import apply_transfer, same_skeleton
+    from bunraku.pipelines.transfer import fitted_transfer, same_skeleton
 
     try:
         clip = load_animation(path, 0, 20.0)
@@ -195,7 +201,9 @@ def _there_and_back(path: Path, character: Character, name: str) -> _Back:
             path, next((number for number, title in enumerate(names) if "walk" in title.lower()), 0), 20.0
         )
         truth, height = clip.vertices(), clip.character.height
-        back = apply_transfer(character, reference_motion(clip), onto="rig", stages=CARRIED)
+        back = fitted_transfer(
+            Animator.shipped(), character, reference_motion(clip), TransferRequest("rig", stages=CARRIED)
+        )
         copied = same_skeleton(clip.character, clip)
     except BunrakuError:
         return {}

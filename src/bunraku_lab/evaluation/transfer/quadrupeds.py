@@ -145,8 +145,10 @@ def measure_quadrupeds(
     """
     from bunraku.files import clip_names, load_animation
     from bunraku.pipelines.animate import rig
+    from bunraku.pipelines.animator import Animator
+    from bunraku.pipelines.requests import TransferRequest
     from bunraku.pipelines.to_reference import creature_motion
-    from bunraku.pipelines.transfer import apply_transfer
+    from bunraku.pipelines.transfer import fitted_transfer
     from bunraku_lab.synthetic.samples import make_sample
 
     targets: dict[str, tuple[Character, RigParts]] = {}
@@ -181,7 +183,9 @@ def measure_quadrupeds(
                     if motion is None:
                         row["failed"] = "no four legs were seen to stand"
                     else:
-                        result = apply_transfer(character, motion, onto="handles", handles=handles)
+                        result = fitted_transfer(
+                            Animator.shipped(), character, motion, TransferRequest("handles", handles=handles)
+                        )
                         assert isinstance(result, Animation)
                         row |= _measured(result, parts, clips[source])
                 except BunrakuError as error:

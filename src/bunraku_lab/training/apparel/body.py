@@ -17,14 +17,14 @@ from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.fitting import fitted_clothes
 from bunraku.apparel.learned.network import DisplacementNetwork
 from bunraku.apparel.learned.player import ApparelPlayer
-from bunraku.apparel.learned.segmentation import find_apparel, joint_distances, sampled_mesh
+from bunraku.apparel.learned.segmentation import find_apparel, sampled_mesh
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.nn.checkpoints import dated
 from bunraku.core.skinning import skin
 from bunraku.errors import OptionError
 from bunraku_lab.nn.checkpoints import SavedNetwork, lab_checkpoint
 from bunraku_lab.nn.graph import EdgeBlock, NodeGraph, node_graph
-from bunraku_lab.training.apparel.segmentation import MeshSample, build_meshes
+from bunraku_lab.training.apparel.segmentation import MeshSample, build_meshes, joint_distances
 from bunraku_lab.training.losses.motion import edge_loss, smoothness_loss, vertex_loss
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 

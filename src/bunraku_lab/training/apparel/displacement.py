@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from bunraku.apparel.clothed import ClothedCharacter, Swing
-from bunraku.apparel.learned.features import clip_features, mirror_global, static_features
+from bunraku.apparel.learned.features import static_features
 from bunraku.apparel.learned.network import DisplacementConfig
 from bunraku.apparel.learned.segmentation import find_apparel
 from bunraku.apparel.nodes import apparel_nodes, clothed_with_springs, part_neighbours
@@ -22,7 +22,14 @@ from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.checks import standing_out
 from bunraku_lab.datasets.apparel.shards import ApparelCharacter, ApparelClip
-from bunraku_lab.nn.apparel import DisplacementNetwork, Inputs, normalize_inputs, past_of_states
+from bunraku_lab.nn.apparel import (
+    DisplacementNetwork,
+    Inputs,
+    clip_features,
+    mirror_global,
+    normalize_inputs,
+    past_of_states,
+)
 from bunraku_lab.nn.graph import NodeGraph, node_graph
 from bunraku_lab.training.losses.motion import edge_loss, vertex_loss
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote

@@ -9,18 +9,21 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from bunraku.apparel.learned.segmentation import (
     SampledMesh,
     SegmentationConfig,
-    joint_distances,
     point_features,
     sampled_mesh,
 )
 from bunraku.apparel.nodes import part_neighbours
 from bunraku.apparel.physics.clothed_from_file import clothed_from_file
+from bunraku.core.body.layout import JOINT_COUNT
 from bunraku.core.character import Character
+from bunraku.core.geometry.graph import bridge_edges, clean_mesh, mesh_parts, unique_edges
 from bunraku.errors import OptionError
 from bunraku_lab.datasets.apparel.plan import character_split
 from bunraku_lab.nn.apparel import SegmentationNetwork, mesh_block
@@ -30,8 +33,14 @@ from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSet
 
 __all__ = [
     "MeshSample", "SegmentationTrainConfig", "SegmentationTrainer", "build_meshes", "mask_iou", "mesh_sample",
-    "train_segmentation", "varied", "welded_parts",
-]  # fmt: skip
+    "train_segmentation", "varied", "welded_parts", "joint_distances"]  # fmt: skip
+
+TOUCH = 0.03
+"""How near vertices of loose parts are that lie on one another, over the height."""
+REACH = 5.0
+"""How far from a joint it begins to be the surface, over the distance of the nearest vertex."""
+_SIDES = np.array([side for side in np.ndindex(3, 3, 3) if side != (1, 1, 1)], np.float64) - 1
+_SIDES /= np.linalg.norm(_SIDES, axis=1, keepdims=True)
 
 _MESH = ("clean", "points", "joints", "features", "part", "neighbours")
 
@@ -286,3 +295,62 @@ def train_segmentation(
     config.prepare()
     meshes = build_meshes(config.out.with_name(f"{config.out.name}-meshes"), config.characters)
     return SegmentationTrainer(config, meshes["train"], meshes["val"]).learn(report, progress)
+
+
+def joint_distances(
+    vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, clean_vertices: np.ndarray
+) -> np.ndarray:
+    """Geodesic distances G of section 4.2 from points to joints, over the height, shape (S, 22), float32.
+
+    The paper lets each joint stand for the vertex nearest to it. Characters are layers of loose parts, so that this may
+    be one of a belt or a tooth, and the way from there a long one; and even on a closed limb it is near to one side
+    only. Ours begins in the joint itself, goes straight to the nearest vertices on all sides of it, and along the edges
+    from there; loose parts are joined wherever they lie on one another, and at least where they are nearest, so that
+    all distances are finite.
+
+    Args:
+        vertices: Rest mesh [m], shape (V, 3).
+        faces: Shape (F, 3).
+        joints: J [m], shape (22, 3).
+        clean_vertices: The clean vertices that are asked for (`SampledMesh.clean`), shape (S,).
+    """
+    clean = clean_mesh(vertices, faces)
+    count = len(clean.vertices)
+    edges = unique_edges(clean.faces, count)
+    part = mesh_parts(edges, count)
+    height = max(float(np.ptp(clean.vertices[:, 1])), 1e-9)
+    touching = _touching(clean.vertices, part, TOUCH * height)
+    edges = np.unique(np.concatenate([edges, bridge_edges(clean.vertices, part), touching]), axis=0)
+    lengths = np.linalg.norm(clean.vertices[edges[:, 0]] - clean.vertices[edges[:, 1]], axis=1) + 1e-9
+    starts = _starts(clean.vertices, (np.asarray(joints) - clean.center) / clean.scale)
+    rows = np.concatenate([edges[:, 0], edges[:, 1], count + starts[0]])
+    columns = np.concatenate([edges[:, 1], edges[:, 0], starts[1]])
+    ways = np.concatenate([lengths, lengths, starts[2] + 1e-9])  # out of a joint only: no way leads through one
+    graph = coo_matrix((ways, (rows, columns)), shape=(count + JOINT_COUNT,) * 2).tocsr()
+    found = dijkstra(graph, indices=count + np.arange(JOINT_COUNT))[:, clean_vertices].T
+    return np.asarray(found / height, np.float32)
+
+
+def _touching(vertices: np.ndarray, part: np.ndarray, most: float) -> np.ndarray:
+    """Pairs of vertices of different loose parts that lie together, smaller one first, shape (T, 2)."""
+    near = min(10, len(vertices))
+    gap, other = (found.reshape(len(vertices), near) for found in cKDTree(vertices).query(vertices, near))
+    own, rank = np.nonzero((part[other] != part[:, None]) & (gap < most))
+    return np.sort(np.stack([own, other[own, rank]], axis=1), axis=1)
+
+
+def _starts(vertices: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The nearest vertices on all sides of each joint, none much farther off than the nearest of all: numbers of joint
+    and vertex, and the distance.
+    """
+    owners, ends, lengths = [], [], []
+    for joint, index in enumerate(joints):
+        offset = vertices - index
+        gap = np.linalg.norm(offset, axis=1)
+        near = np.flatnonzero(gap < REACH * gap.min() + 0.01)
+        near = near[np.argsort(gap[near], kind="stable")]
+        first = near[np.unique((offset[near] @ _SIDES.T).argmax(axis=1), return_index=True)[1]]
+        owners.append(np.full(len(first), joint))
+        ends.append(first)
+        lengths.append(gap[first])
+    return np.concatenate(owners), np.concatenate(ends), np.concatenate(lengths)

@@ -11,8 +11,9 @@ import numpy as np
 from bunraku.core.motion import HandleMotion
 from bunraku.generation.agreement import Phrase, Track
 from bunraku.generation.features import FeatureStatistics, decode, feature_weights, mirror
-from bunraku.generation.splicing import FEWEST, Joins, join_point, splice, standing_stretches
-from bunraku.language.captions import caption_group, conjugate, is_stative, mirror_words
+from bunraku.generation.splicing import FEWEST, Joins, join_point, on_one_leg, splice
+from bunraku.language.captions import conjugate, mirror_words
+from bunraku_lab.description.captions import caption_group, is_stative
 from bunraku_lab.description.events import find_punches, find_seats
 from bunraku_lab.description.wording import (
     borrowed_sentence,
@@ -506,3 +507,20 @@ def pad(rows: list[Row]) -> MotionBatch:
     return MotionBatch(
         values, lengths, [row.sentence for row in rows], [row.mesh for row in rows], tuple(row.clips for row in rows)
     )
+
+
+def standing_stretches(values: np.ndarray, statistics: FeatureStatistics) -> list[np.ndarray]:
+    """Stretches in which somebody stands upright on both legs and hardly moves."""
+    if len(values) < FEWEST:
+        return []
+    features = statistics.restore(values)
+    change = (np.diff(values[:, 4:], axis=0, prepend=values[:1, 4:]) ** 2).mean(1)
+    calm = (
+        (change < 0.004) & (np.abs(features[:, :3]).max(1) < 0.25) & (features[:, 3] > -0.1) & (features[:, 8] > 0.95)
+    )
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], calm.astype(np.int8), [0]])))
+    return [
+        values[start:stop]
+        for start, stop in zip(edges[::2], edges[1::2], strict=True)
+        if stop - start >= FEWEST and not on_one_leg(features[start:stop])
+    ]

@@ -15,12 +15,13 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError, OptionError
-from bunraku.generation.features import FeatureStatistics, encode, feature_weights, is_rotation
+from bunraku.generation.features import FEATURE_SIZE, HANDLE_SIZE, ROOT_SIZE, FeatureStatistics, encode, feature_weights
 from bunraku.generation.pack import ExamplePack
 from bunraku.generation.splicing import END, held, join_point, played, rests
-from bunraku.language.captions import caption_clauses, caption_group, caption_variants, mirror_words, sentence_forms
+from bunraku.language.captions import mirror_words
 from bunraku.language.lexicon import is_cyclic, lexicon, main_actions
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, read_bundle
+from bunraku_lab.description.captions import caption_clauses, caption_group, caption_variants, sentence_forms
 from bunraku_lab.description.wording import all_variants, clauses
 
 __all__ = [
@@ -255,6 +256,16 @@ FARTHEST = 8.0
 """Standard deviations beyond which a velocity or a translation is a fault of capture, which would outweigh all else in
 a squared error. Rotations have no such faults: a lying person is twelve deviations from standing.
 """
+
+
+def is_rotation() -> np.ndarray:
+    """Which features are numbers of a rotation, shape (271,), bool."""
+    mask = np.zeros(FEATURE_SIZE, bool)
+    mask[4:ROOT_SIZE] = True
+    mask[ROOT_SIZE:].reshape(-1, HANDLE_SIZE)[:, 3:] = True
+    return mask
+
+
 _FARTHEST = np.where(is_rotation(), np.inf, FARTHEST).astype(np.float32)
 _ONCE = re.compile(
     r"\b(then|once|twice|two|three|four|five|six|times|after|before|finally|first|ends?|ending|starts?|stops?|stopping|"
