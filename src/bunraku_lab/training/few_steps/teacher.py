@@ -189,7 +189,7 @@ class Trajectories:
         return len(self) * (len(self.stations) - 1)
 
     def some(self, rows: Tensor, nodes: Tensor) -> tuple[DrawnRows, Tensor, Tensor]:
-        """What rows are conditions, where they are at nodes (B,), and where at the next, shape (B, N, D) each, float32."""
+        """Rows, where they are at nodes (B,), and where at the next nodes, shape (B, N, D) each, float32."""
         here, there = (self.stations[nodes - self.start + later, rows].float() for later in (0, 1))
         return _wide(self.rows, rows), here, there
 
