@@ -52,7 +52,7 @@ class Take:
         end: When it ends [s]; None for the end of the file.
         clip: Number or name of the clip of a file with several.
         licence: On which terms it may be learned from.
-        credit: Whom to name; "" for nobody.
+        credit: The authors to name, or "".
         watched: Its sentences were written for just these seconds of it.
     """
 
@@ -74,7 +74,7 @@ def take_motion(take: Take) -> HandleMotion:
 
     Raises:
         FormatError: The file cannot be read, or what is asked of it is too short.
-        MotionError: Its skeleton is nobody's that goes on two legs.
+        MotionError: Its skeleton does not go on two legs.
         OptionError: It has no such clip.
     """
     from bunraku.anatomy.names.skeleton_map import map_skeleton

@@ -22,7 +22,7 @@ def peaks(values: np.ndarray, prominence: float, height: float | None = None) ->
         prominence: By how much they stand out at the least.
         height: How high they are at the least.
     """
-    from scipy.signal import find_peaks  # which loads half of scipy, a second that not all who read this file need
+    from scipy.signal import find_peaks  # which loads half of scipy, a second that few importers need
 
     return np.asarray(find_peaks(values, height=height, prominence=prominence)[0])
 
@@ -300,7 +300,7 @@ def find_stillness(track: Track) -> list[Phrase]:
 
 
 def find_turns(track: Track) -> list[Phrase]:
-    """Turns of a quarter and more, faster than somebody walks a curve."""
+    """Turns of a quarter and more, faster than a walk along a curve."""
     rate = np.gradient(track.angle) * track.fps if len(track) > 1 else np.zeros(1)
     found = []
     for sign, side in ((1, "left"), (-1, "right")):
@@ -394,7 +394,7 @@ def find_gaits(track: Track, turns: list[Phrase], human: bool = True) -> list[Ph
 
     Args:
         track: The motion.
-        turns: Its turns, in which nobody goes anywhere unless in a circle.
+        turns: Its turns, in which the body stays in place or goes in a circle.
         human: Whether gaits have names; else all "move".
     """
     away = track.speed > 0.3

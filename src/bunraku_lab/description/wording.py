@@ -265,7 +265,7 @@ def computed_sentence(
     """A sentence from the motion, alone or together with the label.
 
     It stands alone only where it tells what the label tells: "moves forward" would be true of a drinker who takes a
-    step, but not what anybody would say.
+    step, but not a fitting description.
 
     Args:
         found: What is true in the row, from `describe.inside`.
@@ -291,7 +291,7 @@ def computed_sentence(
 
 
 def _covered(label: Sequence[str], found: Sequence[Phrase]) -> bool:
-    """Whether one of the label's phrases says nothing but what was found: not how somebody walks, or what with."""
+    """Whether one of the label's phrases says nothing but what was found: not how a person walks, or what with."""
     known = set().union(*(_SAME.get(verb, {verb}) for phrase in found for verb in _VERB.findall(phrase.texts[0])[:1]))
     return any(verbs([phrase]) <= known and bool(_PLAIN.fullmatch(_VERB.sub("", phrase))) for phrase in label)
 

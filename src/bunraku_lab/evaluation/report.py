@@ -34,7 +34,7 @@ def measured_in(unit: str, digits: int) -> Callable[[float], str]:
 
 @dataclass(frozen=True)
 class Bar:
-    """A figure of a table and the values that it should lie between; without either it is only told.
+    """A figure of a table and the values that it should lie between; without either it is only shown.
 
     Args:
         title: What it is.

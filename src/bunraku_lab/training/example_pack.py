@@ -50,7 +50,7 @@ __all__ = ["BUSY_BOUNDS", "ExampleSettings", "IDLE_BOUNDS", "IdleBounds", "build
 
 @dataclass(frozen=True)
 class IdleBounds:
-    """Who stands and does nothing, or something with the hands.
+    """Bounds of people who stand and do nothing, or something with the hands.
 
     Args:
         busy: The hands do something.
@@ -62,7 +62,7 @@ class IdleBounds:
         leans: How far the trunk leans at the most [degrees].
         sinks: How far the pelvis is lower than at rest at the most [m].
         shifts: How far it goes over the ground at the most [m].
-        hangs: How far wrists of who does nothing are under the shoulders at the least [m].
+        hangs: Least distance of idle wrists under the shoulders [m].
         swings: Highest mean speed of hands seen from the pelvis [m/s]; of busy hands the least of the faster one.
     """
 
@@ -94,7 +94,7 @@ def idling(clips: Mapping[str, ClipEntry], bounds: IdleBounds = IDLE_BOUNDS) -> 
 
 
 def _longest(features: np.ndarray, bounds: IdleBounds) -> slice | None:
-    """The frames of the longest stretch in which somebody stands so; None where there is none."""
+    """The frames of the longest stretch in which a person stands so; None where there is none."""
     motion = decode(features)
     if len(motion) < bounds.shortest * motion.fps:
         return None
@@ -154,8 +154,8 @@ class ExampleSettings:
         stretches: Of one action, at the most; of two in a row, a quarter of that.
         events: Of one kind that is plain to see, at the most.
         standing: Stretches of standing that others are joined to.
-        idles: People who stand, by whom gestures are made.
-        busy: The same who do something with their hands, two of one clip at the most.
+        idles: Stretches of people who stand, for gestures.
+        busy: People who stand and use their hands, two of one clip at the most.
         ranker: Weights in place of the shipped ones; what is packed works with these alone.
         seed: Of the wordings.
         add_to: A pack that is written again with the gestures that it lacks, and with the vectors of `ranker` where

@@ -390,6 +390,6 @@ def body_animation(body: UnifiedBody, motion: Any) -> RigAnimation:
     for handle in range(JOINT_COUNT, HANDLE_COUNT):
         rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
     motion = replace(motion, rotations=rotations)
-    # Bones keep their lengths in any case; feet that are held would carry away who slides on the spot.
+    # Bones keep their lengths in any case; feet that are held would carry away a person who slides on the spot.
     stages = replace(TRANSFER_STAGES, shape=False, feet=not is_treadmill(motion))
     return fit_rig(motion, body.parts, stages)

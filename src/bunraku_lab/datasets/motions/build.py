@@ -428,7 +428,7 @@ _OTHERS = (
 
 
 def find_turn(motion: HandleMotion) -> tuple[int, int, float] | None:
-    """The stretch in which somebody turns round the farthest with the smallest move, if there is one.
+    """The stretch with the largest change of heading and the smallest move, if there is one.
 
     Returns:
         First frame, frame after the last, and the change of heading [rad], positive to the left; None without a turn.

@@ -40,7 +40,7 @@ class Source:
 
     Args:
         prefixes: How the names of its clips begin.
-        credit: Whom to name.
+        credit: The authors to name.
         licence: On which terms.
         weight: How often its clips are drawn, 1 for most; less where a toy's or a robot's proportions make feet slide,
             or where there is much of the same.
@@ -87,7 +87,7 @@ def subject_of(name: str) -> str:
 
 
 def credit_lines(names: Iterable[str]) -> list[str]:
-    """Whom to name for these clips, each source once, in the order of the table."""
+    """The credits of these clips, each source once, in the order of the table."""
     used = {source for source in map(source_of, names) if source is not None}
     return list(dict.fromkeys(source.credit_line for source in _table() if source in used))
 

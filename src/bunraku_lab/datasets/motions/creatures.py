@@ -74,7 +74,7 @@ def forward_speed(vertices: np.ndarray, surface: np.ndarray, height: float, fps:
         return 0.0
     for near in NEAR:
         down = points[..., 1] < points[..., 1].min(axis=1, keepdims=True) + near * height
-        down &= points[..., 1] < points[..., 1].min() + 2 * near * height  # nobody stands in the air
+        down &= points[..., 1] < points[..., 1].min() + 2 * near * height  # feet do not stand in the air
         both = down[:-1] & down[1:]
         if both.any():
             speed = float(np.median(-np.diff(points[..., 2], axis=0)[both]) * fps)
@@ -256,7 +256,7 @@ def creature_split(clip: CreatureClip) -> str:
 
 @dataclass(frozen=True, eq=False)
 class CreatureBody:
-    """A character as whoever has an unrigged copy of it sees it.
+    """A character as it looks without its rig.
 
     Args:
         path: Its file.

@@ -104,16 +104,16 @@ def chains_from_file(character: Character) -> list[FileChain]:
 
 def chain_parameters_from_file(laid: LaidChains, character: Character) -> LaidChains:
     """Laid chains that swing by what the file says of those that hold the same vertices there."""
-    rig, told = character.rig, chains_from_file(character)
-    if rig is None or not told:
+    rig, file_chains = character.rig, chains_from_file(character)
+    if rig is None or not file_chains:
         return laid
-    owner = np.full(len(rig.names), len(told))
-    for number, one in enumerate(told):
+    owner = np.full(len(rig.names), len(file_chains))
+    for number, one in enumerate(file_chains):
         owner[list(one.bones)] = number
-    held = np.zeros((len(laid.vertices), len(told) + 1))  # by each chain of the file
+    held = np.zeros((len(laid.vertices), len(file_chains) + 1))  # by each chain of the file
     for bones, shares in zip(rig.indices[laid.vertices].T, rig.weights[laid.vertices].T, strict=True):
         np.add.at(held, (np.arange(len(held)), owner[bones]), shares)
-    facts = np.array([(sum(one.limits), one.stiffness, one.damping, one.mass) for one in told])
+    facts = np.array([(sum(one.limits), one.stiffness, one.damping, one.mass) for one in file_chains])
     chains = []
     for chain in laid.chains:
         own = (laid.shares * np.isin(laid.links + JOINT_COUNT, chain.bones)).sum(axis=1)
@@ -130,12 +130,12 @@ def chain_parameters_from_file(laid: LaidChains, character: Character) -> LaidCh
 STRIDE = 10  # frames from one whose edges are measured to the next
 
 
-def chained_clip(clip: TrueClip, told: Character | None = None) -> tuple[np.ndarray, int]:
+def chained_clip(clip: TrueClip, from_file: Character | None = None) -> tuple[np.ndarray, int]:
     """All vertices of a clip [m], shape (N, V, 3), and how many bodies flew away in what is shown.
 
     Args:
         clip: The clip.
-        told: Its character, where chains swing by its file's limits, springs, damping and masses.
+        from_file: Its character, where chains swing by its file's limits, springs, damping and masses.
     """
     clothed = clip.clothed
     transforms = np.tile(np.eye(4), (JOINT_COUNT, 1, 1))
@@ -144,8 +144,8 @@ def chained_clip(clip: TrueClip, told: Character | None = None) -> tuple[np.ndar
     character = Character(clip.name, clothed.rest, clothed.faces, rig)
     body = RigAnimation.of_world(character, clip.transforms[..., :3], clip.transforms[..., 3], RATE)
     laid = shape_chains(clothed)
-    if told is not None:
-        laid = chain_parameters_from_file(laid, told)
+    if from_file is not None:
+        laid = chain_parameters_from_file(laid, from_file)
     made = with_chains(character, laid, np.arange(JOINT_COUNT))
     if not made.chains:
         return body.vertices(), 0
@@ -156,13 +156,13 @@ def chained_clip(clip: TrueClip, told: Character | None = None) -> tuple[np.ndar
     return moved.vertices(), sum(one.frame >= 0 for one in found.report.recoveries)
 
 
-def chain_row(clip: TrueClip, told: Character | None = None) -> dict[str, Any]:
+def chain_row(clip: TrueClip, from_file: Character | None = None) -> dict[str, Any]:
     """Mean errors of a clip from rest [m], of chains and of parent-rigid skinning, ELS of both and of the truth, and
     fly-aways, and the shares of all three that are deep in the body.
 
     Args:
         clip: The clip.
-        told: Its character, where the error of chains with its file's parameters is wanted too.
+        from_file: Its character, where the error of chains with its file's parameters is wanted too.
     """
     clothed, chosen, few = clip.clothed, clip.sample(), slice(0, None, STRIDE)
     truth = clip.truth(chosen)
@@ -175,9 +175,9 @@ def chain_row(clip: TrueClip, told: Character | None = None) -> dict[str, Any]:
         "rigid": clip.carried(vertices)[few], "chains": moved[few][:, vertices], "truth": clip.truth(vertices)[few],
     }  # fmt: skip
     more = {}
-    if told is not None:
-        own, flown = chained_clip(clip, told)
-        more = {"told": float(point_distance(own[:, chosen], truth).mean()), "told_lost": flown}
+    if from_file is not None:
+        own, flown = chained_clip(clip, from_file)
+        more = {"from_file": float(point_distance(own[:, chosen], truth).mean()), "from_file_lost": flown}
     return insides(clip, vertices, few, shown) | more | {
         "name": clip.name, "motion": clip.motion,
         "rigid": float(point_distance(clip.carried(chosen), truth).mean()),

@@ -71,7 +71,7 @@ class ApparelEvalConfig:
         clips: Most clips of the data set.
         whole: Of those, how many have all their vertices measured, by each module and beside other methods.
         least: Characters; where the data set has fewer, one clip of each counts, and others are simulated.
-        weights: Displacement network; of characters whose manners are told, and of those whose manners are guessed.
+        weights: Displacement network, of files with parameters and of those whose parameters are guessed.
         masks: Segmentation network.
         bodies: Body networks; Table 3 takes the first.
         refinement: Joint refinement of Table 3.
@@ -223,7 +223,7 @@ def _chain_table(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
         f"{row['name']} {row['motion']}": {
             "rigid": 100 * row["rigid"], "chains": 100 * row["chains"], "over rigid": row["chains"] / max(row["rigid"],
             1e-9), "ELS": row["chains_els"], "truth's": row["els_truth"], "flew": float(row["lost"]),
-        } | ({"told": row["told"] / max(row["rigid"], 1e-9)} if "told" in row else {})
+        } | ({"from file": row["from_file"] / max(row["rigid"], 1e-9)} if "from_file" in row else {})
         for row in rows
     }  # fmt: skip
 

@@ -200,9 +200,9 @@ class Gauge:
     Args:
         character: In its rest pose.
         handles: Its handles.
-        feet: Vertices of each foot, arrays of indices; none of who has no legs.
+        feet: Vertices of each foot, arrays of indices; none without legs.
         legs: Length of each leg [m].
-        stands: Vertices that must not sink, shape (n,): all of the surface but, of who stands on legs, what may hang
+        stands: Vertices that must not sink, shape (n,): all of the surface but, for bodies on legs, what may hang
             lower than the feet such as a weapon in a hand (`standing`).
         present: Handles that the character has, shape (K,), bool.
         floor: Height of the ground [m].

@@ -36,7 +36,7 @@ LEAST_PUNCH = 1.5  # m/s
 LEAST_STEP = 0.1  # m
 LEVEL = 0.1  # m below the shoulder, where a hand counts as raised
 SEATED = 0.2  # m below standing
-TUCKED = 0.1  # m; a foot of who sits may stand on its edge
+TUCKED = 0.1  # m; a foot of a seated person may stand on its edge
 
 
 def turned(motion: HandleMotion) -> float:

@@ -247,7 +247,7 @@ def _compared(
 
 
 def _ground(make: Make, seeds: int) -> dict[str, Any]:
-    """What floats where somebody stands, and whether somebody who sits down sits; 4 s each."""
+    """What floats while a person stands, and whether sitting down ends seated; 4 s each."""
     standing = make([(sentence, 4.0) for sentence in STANDING for _ in range(seeds)])
     sitting = make([(sentence, 4.0) for sentence in SITTING for _ in range(seeds)])
     return {

@@ -84,7 +84,7 @@ class Group:
         name: Plain, for the file that keeps them.
         run: Measures them, part by part. It raises `NotRun` where something is not there.
         of: What the figures depend on beside the version: settings, and files whose bytes count.
-        others: The same of single rows, whose parts are told from others by their own names: where these change, the
+        others: The same of single rows, whose parts are distinguished by their own names: where these change, the
             other parts stay. None where no row stands apart.
     """
 

@@ -27,7 +27,7 @@ __all__ = [
 ]  # fmt: skip
 
 LEAP = 0.6
-"""Who is in the air for no longer leaps [s]; runs of animals do so at every stride."""
+"""Longest time in the air that counts as a leap [s]; animals that run leap at every stride."""
 CHUNK = 64  # frames posed at once: bounds memory
 
 
@@ -130,7 +130,7 @@ def measure_character(path: Path, name: str, sources: Mapping[str, Source]) -> C
 
     Args:
         path: Its file.
-        name: Its path in the archive, without suffix, by which known rigs are told.
+        name: Its path in the archive, without suffix, by which known rigs are recognised.
         sources: Motions by their kinds.
 
     Returns:

@@ -1,7 +1,7 @@
 """Motion of four-legged animals on other four-legged animals: where the limbs point, and what stands on the ground.
 
 Rigged animals with clips are the truth on both sides. A clip becomes what motion capture of a dog comes as: a skeleton
-with the names of people, whose rest pose is that of nobody, because all its bones lie along one axis.
+with the names of people, whose rest pose is no pose, because all its bones lie along one axis.
 """
 
 from __future__ import annotations

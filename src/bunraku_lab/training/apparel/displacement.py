@@ -115,12 +115,12 @@ def build_bank(
     for number, (name, clips) in enumerate(_by_character(data)):
         frames = sum(clip.frames for clip in clips)
         twice = clips[0].split == "train" and zlib.crc32(name.encode()) % GUESSED_EVERY == 0
-        for told in (True, False) if twice else (True,):
-            path = folder / (name if told else f"{name}-untold")
+        for known in (True, False) if twice else (True,):
+            path = folder / (name if known else f"{name}-guessed")
             found = BankCharacter(path, name)
             if not _complete(found, frames):
                 try:
-                    _write(data, clips, path, nodes, told)
+                    _write(data, clips, path, nodes, known)
                 except BunrakuError:
                     continue
                 found = BankCharacter(path, name)
@@ -154,10 +154,10 @@ def guessed_clothed(clothed: ClothedCharacter) -> ClothedCharacter:
     return replace(clothed, stiffness=mean(found.stiffness), damping=mean(found.damping), limit=None, swing=None)  # type: ignore[arg-type]
 
 
-def _write(data: ApparelData, clips: list[ApparelClip], path: Path, most: int, told: bool = True) -> None:
+def _write(data: ApparelData, clips: list[ApparelClip], path: Path, most: int, known: bool = True) -> None:
     character = data.character(clips[0])
     clothed = truly_clothed(character)
-    if not told:
+    if not known:
         clothed = guessed_clothed(clothed)
     nodes = apparel_nodes(clothed, most)
     if not len(nodes):

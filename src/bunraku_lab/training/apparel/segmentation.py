@@ -53,7 +53,7 @@ class MeshSample:
         name: Its name.
         mesh: Its points.
         apparel: Which are apparel, shape (S,), bool.
-        stiffness: Of apparel points (`part_stiffness`), shape (S,); NaN where nobody knows.
+        stiffness: Of apparel points (`part_stiffness`), shape (S,); NaN where it is unknown.
         damping: log10 of what a second leaves of their velocity, shape (S,).
         weights: True skinning weights, shape (S, 22).
         geodesics: G, shape (S, 22).
@@ -250,9 +250,9 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
         likely = torch.sigmoid(scores[:, 0])
         both, any_ = (likely * truth).sum(), (likely + truth - likely * truth).sum()
         loss = loss + config.overlap * (1 - both / any_.clamp(min=1))
-        told = (truth > 0) & own.isfinite().all(dim=1)
-        if bool(told.any()):
-            loss = loss + config.stiffness * (scores[:, 1:] - own)[told].abs().mean()
+        known = (truth > 0) & own.isfinite().all(dim=1)
+        if bool(known.any()):
+            loss = loss + config.stiffness * (scores[:, 1:] - own)[known].abs().mean()
         return loss, {}
 
     @torch.no_grad()

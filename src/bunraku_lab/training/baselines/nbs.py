@@ -114,9 +114,11 @@ def train_nbs(config: NbsTrainConfig, report: Report | None = None, progress: Pr
     """
     config.prepare()
     folder = config.meshes or config.out.with_name(f"{config.out.name}-meshes")
-    told = None if progress is None else (lambda done: progress("meshes", done))
+    show_progress = None if progress is None else (lambda done: progress("meshes", done))
     held_out, characters = (
-        build_clothed_bank(ApparelData(config.data, split), folder / split, config.vertices, config.frames, told)  # type: ignore[arg-type]
+        build_clothed_bank(
+            ApparelData(config.data, split), folder / split, config.vertices, config.frames, show_progress
+        )  # type: ignore[arg-type]
         for split in ("val", "train")
     )
     return NbsTrainer(config, characters, held_out).learn(report, progress)

@@ -360,14 +360,14 @@ def train_transfer(config: TransferTrainConfig, report: Report | None = None, pr
     config = config.resolved()
     config.prepare()
     folder = config.meshes or config.out.with_name(f"{config.out.name}-meshes")
-    told = None if progress is None else (lambda done: progress("meshes", done))
+    show_progress = None if progress is None else (lambda done: progress("meshes", done))
     if config.preset in ("spt", "spt-joints"):
         found = {}
         for split, most in (("val", 12), ("train", config.most)):
             data = ApparelData(config.apparel, split)  # type: ignore[arg-type]
-            samples = build_clothed_bank(data, folder / split, config.vertices, progress=told, most=most)
+            samples = build_clothed_bank(data, folder / split, config.vertices, progress=show_progress, most=most)
             found[split] = clothed_targets(samples, config.network.predictor)
     else:
         plan = BankPlan(config.data, config.characters, config.wardrobe, config.poses, config.vertices, config.seed)
-        found = build_posed_bank(plan, folder, told)
+        found = build_posed_bank(plan, folder, show_progress)
     return TransferTrainer(config, found["train"], found["val"]).learn(report, progress)

@@ -62,17 +62,17 @@ class Teacher:
             start: Of which step.
             seen: Called with each diffusion step and where the motions are there.
         """
-        told = self._told(rows)
+        conditions = self._conditions(rows)
 
         def predict(x: Any, step: int) -> Any:
             if seen is not None:
                 seen(step, x)
-            return self._predict(x, step, rows.lengths, told)
+            return self._predict(x, step, rows.lengths, conditions)
 
         return cast(Tensor, dpm_solver(predict, cast(Any, x), self.steps[start:]))
 
     @torch.no_grad()
-    def _told(self, rows: DrawnRows) -> _Conditions:
+    def _conditions(self, rows: DrawnRows) -> _Conditions:
         text, yes = rows.text, torch.ones_like(rows.known)
         known = rows.known if rows.mesh is not None else ~yes
         with self._precision():
@@ -89,29 +89,29 @@ class Teacher:
     def _precision(self) -> torch.autocast:
         return torch.autocast(self.model.mean.device.type, torch.bfloat16, enabled=self.bf16)
 
-    def _run(self, x: Tensor, step: int, lengths: Tensor, told: _Conditions) -> Tensor:
+    def _run(self, x: Tensor, step: int, lengths: Tensor, conditions: _Conditions) -> Tensor:
         """x0 as the sentence guides it, without the critic."""
         steps = torch.full((len(x),), step, device=x.device)
         with torch.no_grad(), self._precision():
-            x0 = self.model(x, steps, lengths, told.sentence)[0].float()
+            x0 = self.model(x, steps, lengths, conditions.sentence)[0].float()
             if step >= GUIDED_FROM and self.guidance != 1:
-                unled = self.model(x, steps, lengths, told.nothing)[0].float()
+                unled = self.model(x, steps, lengths, conditions.nothing)[0].float()
                 x0 = unled + self.guidance * (x0 - unled)
         return x0
 
-    def _predict(self, x: Tensor, step: int, lengths: Tensor, told: _Conditions) -> Tensor:
-        x0, patch = self._run(x, step, lengths, told), self.model.config.frames_per_token
+    def _predict(self, x: Tensor, step: int, lengths: Tensor, conditions: _Conditions) -> Tensor:
+        x0, patch = self._run(x, step, lengths, conditions), self.model.config.frames_per_token
         if step == self.steps[-1] and patch > 1:  # see `sampler._Group.predict`
             ahead = patch // 2
             moved = torch.cat([x[:, :ahead].flip(1), x], dim=1)
-            other = self._run(moved, step, lengths + ahead, told)[:, ahead:]
+            other = self._run(moved, step, lengths + ahead, conditions)[:, ahead:]
             share = torch.from_numpy(token_share(x.shape[1], patch)).to(x.device)[:, None]
             x0 = other + share * (x0 - other)
-        if told.goals is None or step < LAST:
+        if conditions.goals is None or step < LAST:
             return x0
-        way = self._pull(x0, lengths, told.goals)
+        way = self._pull(x0, lengths, conditions.goals)
         size = (way.square().sum((1, 2)) / (lengths * way.shape[2])).sqrt().clamp(min=1e-9)
-        return x0 + (STRENGTH * told.guided / size)[:, None, None] * way
+        return x0 + (STRENGTH * conditions.guided / size)[:, None, None] * way
 
     def _pull(self, x0: Tensor, lengths: Tensor, goals: Tensor) -> Tensor:
         """See `ClassifierGuidance.gradients`; zero behind the motions' ends."""
@@ -171,7 +171,7 @@ class Trajectories:
     """Trajectories of a batch of rows.
 
     Args:
-        rows: What they are told, without their motions, numbers in half precision.
+        rows: What they are conditions, without their motions, numbers in half precision.
         stations: The states at each of the student's steps from `start` on, and at the end, (S + 1, B, N, D), float16.
         start: The first of these steps.
     """
@@ -189,7 +189,7 @@ class Trajectories:
         return len(self) * (len(self.stations) - 1)
 
     def some(self, rows: Tensor, nodes: Tensor) -> tuple[DrawnRows, Tensor, Tensor]:
-        """What rows are told, where they are at nodes (B,), and where at the next, shape (B, N, D) each, float32."""
+        """Rows, where they are at nodes (B,), and where at the next nodes, shape (B, N, D) each, float32."""
         here, there = (self.stations[nodes - self.start + later, rows].float() for later in (0, 1))
         return _wide(self.rows, rows), here, there
 
@@ -201,7 +201,7 @@ def draw_trajectories(
 
     Args:
         teacher: Draws them.
-        rows: Motions in network units, and what is told of them.
+        rows: Motions in network units, and their conditions.
         random: Draws the noise, on the rows' device.
         start: The student's step that the teacher begins at.
         roll: How the student gets there by itself; None noises the captured motions.

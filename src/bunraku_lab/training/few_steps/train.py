@@ -100,7 +100,7 @@ def changes_of(model: nn.Module) -> dict[str, Tensor]:
 
 
 class RowSource(Protocol):
-    """Rows with the examples that who animates finds."""
+    """Rows with the examples that `animate` finds."""
 
     def __call__(self, number: int) -> DrawnRows:
         """Batch of that number."""
@@ -260,7 +260,7 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
         return torch.Generator(self.device).manual_seed(int(seed >> 1))
 
     def extras(self) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
-        """Also how many batches were drawn: who goes on draws lessons anew, from the next one on."""
+        """Also how many batches were drawn: a run that goes on draws anew, from the next one on."""
         values, generators = super().extras()
         return {**values, "drawn": self.drawn}, generators
 
@@ -396,11 +396,11 @@ def train_few_steps(
     bf16 = config.bf16 and bf16_is_fast(device)
     teacher = Teacher(model, critic, config.guidance, STEPS, bf16)
 
-    def told(done: int, total: int) -> None:
+    def show_progress(done: int, total: int) -> None:
         if progress is not None:
             progress("clips", done / total)
 
-    clips = load_clips(config.data, told, splits={"train", "val"})
+    clips = load_clips(config.data, show_progress, splits={"train", "val"})
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
     mixture = Mixture(balance=0.25, most_drawn=20)
     train, held = (ClipSet(clips, statistics, split, model.config.frames, mixture) for split in ("train", "val"))

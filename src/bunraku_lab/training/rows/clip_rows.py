@@ -129,7 +129,7 @@ def link(phrases: Sequence[str], random: np.random.Generator, subjects: Sequence
 
 
 def goes(clip: TrainingClip) -> bool:
-    """Whether somebody walks or runs in it, and may walk on."""
+    """Whether a person walks or runs in it, and may walk on."""
     return bool({"walk", "run"} & set(clip.actions))
 
 

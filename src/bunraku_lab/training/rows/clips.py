@@ -254,7 +254,7 @@ def goes_on(text: str) -> bool:
 
 FARTHEST = 8.0
 """Standard deviations beyond which a velocity or a translation is a fault of capture, which would outweigh all else in
-a squared error. Rotations have no such faults: whoever lies is twelve deviations from standing.
+a squared error. Rotations have no such faults: a lying person is twelve deviations from standing.
 """
 
 
@@ -276,7 +276,7 @@ _ONCE = re.compile(
 _FINAL = {"death", "die", "dead", "hit", "hit reaction", "attack", "jump", "land", "spawn", "fall"}
 _TURNS = frozenset({"spin", "circle"})
 MOST_TURN = np.radians(25)
-"""Change of heading [rad] in one round of a loop; more adds up to turns that nobody spoke of."""
+"""Change of heading [rad] in one round of a loop; more adds up to a rotation that no caption names."""
 
 
 @dataclass(frozen=True)

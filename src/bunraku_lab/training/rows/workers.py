@@ -64,7 +64,7 @@ class MadeRows:
         mesh: Row of the mesh bank, -1 for the null mesh, shape (B,).
         person: Rows that are of the reference body, shape (B,).
         found: Examples, none of the row's own clip, as numbers 2 i, or 2 i + 1 for the mirror image, shape (B, R).
-        nearest: The same with those of its own clip, as who animates finds them.
+        nearest: The same with those of its own clip, as `animate` finds them.
         examples: Features (N, D), float16, and sentence vector (P,) of examples that this process had not sent before.
     """
 
@@ -82,7 +82,7 @@ class MadeRows:
 
 @dataclass(eq=False)
 class RowMaker:
-    """Draws rows and all that is told of them.
+    """Draws rows with their conditions.
 
     Args:
         clips: What is drawn from.
@@ -116,7 +116,7 @@ class RowMaker:
             self.clips.event_pool()
 
     def made(self, batch: MotionBatch, random: np.random.Generator) -> MadeRows:
-        """A batch with all that is told of it; `random` draws its meshes."""
+        """A batch with its conditions; `random` draws its meshes."""
         text, size = self.text(batch.sentences), len(batch.lengths)
         mesh = np.full(size, -1)
         if self.meshes is not None:
@@ -204,7 +204,7 @@ def _make(maker: RowMaker, pipe: Connection) -> None:
             number = pipe.recv()
             try:
                 made: MadeRows | Exception = maker(number)
-            except Exception as error:  # handed to who learns
+            except Exception as error:  # handed to the trainer
                 made = error
             pipe.send(made)
 
@@ -285,7 +285,7 @@ class RowPool:
         Args:
             size: How many.
             random: Draws them, on the pool's device.
-            nearest: With the examples that who animates finds, also those of the row's own clip.
+            nearest: With the examples that `animate` finds, also those of the row's own clip.
         """
         return self.rows(torch.randint(len(self), (size,), generator=random, device=self.device), nearest)
 

@@ -175,7 +175,7 @@ def append_row(path: Path, row: dict[str, float], columns: Sequence[str] | None 
         row: Its figures by column.
         columns: The columns, of which a row may lack some or have more; those of the row when None.
     """
-    new = not path.is_file() or not path.stat().st_size  # who was killed here left an empty one
+    new = not path.is_file() or not path.stat().st_size  # a run that is killed here leaves an empty one
     with path.open("a", newline="") as file:
         writer = csv.DictWriter(file, list(columns or row), extrasaction="ignore")
         if new:
@@ -550,7 +550,7 @@ def forking() -> multiprocessing.context.ForkContext:
 
 
 class Ahead(Generic[Item]):
-    """Items that a thread makes ahead of who takes them.
+    """Items that a thread makes ahead of their use.
 
     Args:
         items: Made one by one in the thread.
@@ -568,11 +568,11 @@ class Ahead(Generic[Item]):
             for item in items:
                 if not self._put(item):
                     return
-        except Exception as error:  # handed to who takes
+        except Exception as error:  # handed to the taker
             self._put(error)
 
     def _put(self, item: object) -> bool:
-        """Hand an item on, unless nobody takes any more."""
+        """Hand an item on, unless `end` was called."""
         while not self._ended.is_set():
             try:
                 self._ready.put(item, timeout=0.2)
@@ -599,7 +599,7 @@ class Ahead(Generic[Item]):
         return taken
 
     def end(self) -> None:
-        """Nobody takes any more."""
+        """Stop making items."""
         self._ended.set()
 
     def join(self) -> None:
