@@ -29,7 +29,7 @@ OUT = SOURCES / "weights" / "text.safetensors"
 WORDS = "embeddings.word_embeddings.weight"
 POSITIONS = "embeddings.position_embeddings.weight"
 LEFT_OUT = ("pooler.", "embeddings.position_ids")
-SAID = ("vocabulary", "captions", "creature_captions", "lexicon/lexicon", "../weights/examples")
+SAID = ("vocabulary", "captions", "creature_captions", "lexicon", "../weights/examples")
 """Whose words are kept exactly, beside those of the captions: of the rules and of the examples."""
 
 

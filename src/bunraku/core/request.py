@@ -10,8 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, ClassVar, Literal, NoReturn, Self, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-import numpy as np
-
 from bunraku.errors import OptionError
 
 __all__ = [
@@ -116,7 +114,7 @@ def to_json(thing: object) -> Any:
     """
     if is_dataclass(thing) and not isinstance(thing, type):
         return {field.name: to_json(getattr(thing, field.name)) for field in fields(thing)}
-    if isinstance(thing, np.ndarray):
+    if type(thing).__name__ == "ndarray":
         return thing.tolist()
     if isinstance(thing, tuple | list):
         return [to_json(one) for one in thing]
@@ -168,7 +166,7 @@ def _value(hint: Any, value: Any, name: str) -> Any:
         return value
     if origin is tuple:
         return _tuple(inner, value, name)
-    if hint is np.ndarray:
+    if getattr(hint, "__name__", "") == "ndarray":
         return _array(value, name)
     if is_dataclass(hint):
         return from_json(cast(type, hint), value, name)
@@ -210,7 +208,9 @@ def _tuple(inner: tuple[Any, ...], value: Any, name: str) -> tuple[Any, ...]:
     return tuple(_value(hint, one, name) for hint, one in zip(inner, value, strict=True))
 
 
-def _array(value: Any, name: str) -> np.ndarray:
+def _array(value: Any, name: str) -> Any:
+    import numpy as np  # here, since a prompt is parsed without it
+
     try:
         found = np.asarray(value)
     except (ValueError, OverflowError, RecursionError):

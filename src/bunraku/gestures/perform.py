@@ -41,18 +41,17 @@ def accompanied(tracks: Tracks, share: np.ndarray, free: dict[str, np.ndarray]) 
     """
     angles = {name: np.zeros(len(share)) for name in FOLLOWS}
     for side, sign in SIDES:
-        hand = tracks.hands[side]
-        away = np.where(hand.rests[:, None], 0, hand.palm - HANGING.palm)
+        away = np.where(tracks.hands[side].rests[:, None], 0, tracks.hands[side].palm - HANGING.palm)
         for name, factors in FOLLOWS.items():
             angles[name] += sign * (away @ np.array(factors))
     angles = {name: share * np.clip(own, -MOST, MOST) for name, own in angles.items()}
     none = np.zeros(len(share))
     lean = np.stack([none, angles["lean left"], angles["lean side"]], axis=1)
     back = -np.radians(angles["turn"] + angles["lean left"])
-    hands = {
-        side: _turned(tracks.hands[side], np.where(free[side] & (tracks.hands[side].on == 1), sign * back, 0))
-        for side, sign in SIDES
-    }
+    hands = {}
+    for side, sign in SIDES:
+        hand = tracks.hands[side]
+        hands[side] = _turned(hand, np.where(free[side] & (hand.on == 1), sign * back, 0))
     head = np.stack([none, angles["head left"], none], axis=1)
     return replace(
         tracks, lean=tracks.lean + lean, head=tracks.head + head, turn=tracks.turn + angles["turn"], hands=hands
@@ -214,10 +213,8 @@ def _standing(
         at = np.where(at > last, 2 * last - at, at)
     standing = captured(idle, at)
     middle = standing.hips.mean(axis=0)
-    shifts = np.clip(random.uniform(*SHIFTS) / _range(standing.hips), 1, MOST_SHIFTED) * np.array([1, 0, 1]) + np.array(
-        [0, 1, 0]
-    )
-    return replace(standing, hips=middle + shifts * (standing.hips - middle))
+    shift = np.clip(random.uniform(*SHIFTS) / _range(standing.hips), 1, MOST_SHIFTED)
+    return replace(standing, hips=middle + np.array([shift, 1, shift]) * (standing.hips - middle))
 
 
 def _range(positions: np.ndarray) -> float:
@@ -230,26 +227,19 @@ def _scheduled(
 ) -> tuple[list[Key], np.ndarray, np.ndarray]:
     """Keys of so many seconds, when each is reached, and the size of the movement there."""
     parts, endless = _times_of(gesture, span, tempo, random, manner, variation)
-    poses: list[Pose] = []
-    times: list[float] = []
-    sizes: list[float] = []
-    for part, start, factor, size in parts:
-        for moment, pose in part:
-            poses.append(pose)
-            times.append(start + moment / factor)
-            sizes.append(size)
-    length = times[-1] - times[0]
+    poses = [pose for part, *_ in parts for _, pose in part]
+    times = np.array([start + moment / factor for part, start, factor, _ in parts for moment, _ in part])
+    sizes = np.array([size for part, *_, size in parts for _ in part])
+    at, length = times - times[0], times[-1] - times[0]
     slack = span - length
     if manner.closed:
-        scaled = np.array(times) - times[0]
-        return list(zip(scaled.tolist(), poses, strict=True)), scaled * span / max(length, 1e-6), np.array(sizes)
+        return list(zip(at.tolist(), poses, strict=True)), at * span / max(length, 1e-6), sizes
     before = 0.0
     if slack > 0 and not (endless and poses[0] != Pose()):
         before = min(slack * random.uniform(0.1, 0.6), random.uniform(0, variation.before))
-    at = np.array(times) - times[0]
     if slack < 0 and not endless:
         at = at * span / length
-    return list(zip(at.tolist(), poses, strict=True)), at + before, np.array(sizes)
+    return list(zip(at.tolist(), poses, strict=True)), at + before, sizes
 
 
 _Part = tuple[Sequence[Key], float, float, float]

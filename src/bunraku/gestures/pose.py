@@ -107,7 +107,7 @@ class Gesture:
     steps: bool = False  # feet go where the keys say; else they stand all the time
     repeat: Repeat | None = None  # its single times, where it is done again and again and they can be counted
     handed: bool = False  # it is always done with these very hands: no person shakes hands with the left
-    # the part of the body at which the right hand does it, where that may be another (`gestures.parts`); "" for none
+    # the part of the body at which the right hand does it, of `catalogue.read_parts`; "" where it cannot be another
     at: str = ""
     begins: bool = False  # what comes before its cycle is always shown; else it may go on from the first moment
 

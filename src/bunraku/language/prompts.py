@@ -15,8 +15,6 @@ __all__ = ["LONGEST", "SHORTEST", "check_prompt", "narrow", "parse_sequence", "s
 
 PROMPT_LIMIT = 1000
 _NAMED = re.compile(r"\s*(?P<name>[^=;:]{1,60}?)\s*=\s*(?P<prompt>.+)", re.DOTALL)
-
-
 _BEFORE = " \t\"'“”„«»‘’`:;,.-*"
 _AFTER = ' "“”„«»`:;,.'
 """Signs around a sentence that is quoted or copied out of a list; an apostrophe at its end is a word's own."""
