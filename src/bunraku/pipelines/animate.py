@@ -57,12 +57,9 @@ def rig(
 
 
 def with_skeleton(
-    character: Character | str | Path,
-    names: Literal["mixamo", "vrm", "unreal"],
-    *,
-    handles: Handles | Literal["predict", "rig"] = "predict",
-    progress: Progress | None = None,
-) -> Character:
+    character: Character | str | Path, names: Literal["mixamo", "vrm", "unreal"], *,
+    handles: Handles | Literal["predict", "rig"] = "predict", progress: Progress | None = None,
+) -> Character:  # fmt: skip
     """A person's mesh in a T-pose on a tree of joints for engines' humanoid retargeting; `animate` then moves these,
     and `save_character` writes them.
 
