@@ -2,6 +2,10 @@
 
 import numpy as np
 
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
+from bunraku.core.body.reference import reference_body
+from bunraku.core.skinning import posed_points
+
 
 def skin_reference(vertices: np.ndarray, weights: np.ndarray, transforms: np.ndarray) -> np.ndarray:
     """`skin` as its definition reads, one frame and one handle at a time, in double precision."""
@@ -34,3 +38,16 @@ def register_reference(
     u, _, vt = np.linalg.svd(covariance)
     rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
     return handle, rotation, middle - handle
+
+
+def joint_errors(motion, found):
+    """Mean distance over all frames of each joint of `found`, which `skeleton_from_handles` made of `motion`, from
+    where the handles above and below it take it [m], shape (22,).
+    """
+    body = reference_body()
+    transforms = motion.transforms(body.handles.positions)[:, :JOINT_COUNT].astype(float)
+    own = posed_points(transforms, body.joints)
+    above = np.maximum(np.array(JOINT_PARENTS), 0)
+    upper = transforms[:, above]
+    other = posed_points(upper, body.joints)
+    return np.asarray(np.linalg.norm((own + other) / 2 - found.world()[1], axis=-1).mean(axis=0))

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import trimesh
+from oracles import joint_errors
 from scipy.spatial.transform import Rotation
 
-from bunraku.core.body.joint_rotations import joint_errors, skeleton_from_handles
+from bunraku.core.body.joint_rotations import skeleton_from_handles
 from bunraku.core.body.layout import (
     HANDLE_COUNT,
     HANDLE_MIRROR,

@@ -4,7 +4,9 @@ import io
 import struct
 import zipfile
 from dataclasses import replace
+from functools import partial
 
+import hostile
 import numpy as np
 import pytest
 from gltf_files import CUBE, CUBE_FACES, made_up_handles, made_up_motion
@@ -51,22 +53,9 @@ def test_matrices_are_read_too(animation, tmp_path):
 def test_broken_and_hostile_files(animation, tmp_path):
     whole, path = animation.save(tmp_path / "good.npz").read_bytes(), tmp_path / "bad.npz"
 
-    def refused(data, match):
-        path.write_bytes(data)
-        with pytest.raises((FormatError, MotionError), match=match):
-            read_motion(path)
-
+    refused = partial(hostile.refused, path, read=read_motion, errors=(FormatError, MotionError))
     for length in range(1, len(whole), len(whole) // 40):
         refused(whole[:length], "bad.npz: ")
-    rng = np.random.default_rng(0)
-    for _ in range(100):
-        data = bytearray(whole)
-        data[rng.integers(len(data))] = rng.integers(256)
-        path.write_bytes(data)
-        try:
-            read_motion(path)
-        except BunrakuError as error:
-            assert "\n" not in str(error)
     motion = animation.motion
     parts = {
         name: getattr(motion, name)

@@ -259,18 +259,6 @@ def test_files_cut_anywhere(tmp_path):
         assert "the file is broken (" not in str(caught.value)
 
 
-def test_flipped_bytes_give_a_motion_or_one_sentence(tmp_path):
-    whole, rng = SMALL.encode(), np.random.default_rng(0)
-    for _ in range(300):
-        data = bytearray(whole)
-        for at in rng.integers(0, len(data), rng.integers(1, 4)):
-            data[at] = rng.integers(256)
-        try:
-            read(tmp_path, bytes(data))
-        except BunrakuError as error:
-            assert "\n" not in str(error) and "the file is broken (" not in str(error), bytes(data)
-
-
 def test_deep_and_wide_hierarchies(tmp_path):
     deep = (
         "HIERARCHY\n"

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gltf_files import CUBE, CUBE_FACES, Maker, made_up_handles, made_up_motion, textured_glb
+from hostile import damaged, outcomes
 from motion_files import walk_about
 from scipy.spatial.transform import Rotation
 
@@ -128,16 +129,7 @@ def test_broken_and_hostile_files(animation, tmp_path):
         path.write_bytes(whole[:at] + other + whole[end:])
         with pytest.raises(FormatError, match="bad.glb"):
             load_clip(path)
-    rng = np.random.default_rng(0)
-    start = whole.rindex(b"PK\x01\x02") - 2000
-    for _ in range(60):
-        data = bytearray(whole)
-        data[rng.integers(start, len(data))] = rng.integers(256)
-        path.write_bytes(data)
-        try:
-            load_clip(path)
-        except (FormatError, MotionError) as error:
-            assert "\n" not in str(error)
+    outcomes(path, damaged(whole, 60, most=1, first=whole.rindex(b"PK\x01\x02") - 2000), load_clip)
 
 
 def test_names_are_the_handles(animation, tmp_path):

@@ -43,10 +43,7 @@ for line in sys.stdin:
 
 
 def cube(maker):
-    return {
-        "attributes": {"POSITION": maker.add(CUBE)},
-        "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint16)),
-    }
+    return {"attributes": {"POSITION": maker.add(CUBE)}, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint16))}
 
 
 def text(tree):

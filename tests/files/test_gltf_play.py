@@ -19,7 +19,7 @@ from bunraku.files import load_character, save, save_character
 from bunraku.files.clips import load_animation
 from bunraku.files.gltf.clips import write_stretches
 from bunraku.files.gltf.open import open_document
-from bunraku.files.gltf.read import scaled, turned
+from bunraku.files.gltf.read import rotated, scaled
 from bunraku_lab.synthetic.samples import make_sample
 
 
@@ -165,15 +165,15 @@ def thing(tmp_path):
 
 
 def test_a_character_that_stands_is_left_alone(thing):
-    assert turned(thing, "+y", "+z") is thing
+    assert rotated(thing, "+y", "+z") is thing
     with pytest.raises(OptionError, match="right angle"):
-        turned(thing, "+y", "-y")
+        rotated(thing, "+y", "-y")
 
 
 @pytest.mark.parametrize(("up", "front"), ORIENTATIONS[::3])
 def test_vertices_and_rig_turn_exactly(thing, up, front):
     rotation = upright_rotation(up, front)
-    out = turned(thing, up, front)
+    out = rotated(thing, up, front)
     assert np.array_equal(out.vertices, thing.vertices @ rotation.T.astype(np.float32))
     assert np.array_equal(out.faces, thing.faces) and np.array_equal(out.colors, thing.colors)
     if thing.rig is not None:
@@ -204,7 +204,7 @@ def surface(player):
 def test_a_turned_character_is_written_upright_with_all_that_it_wears(thing, tmp_path, up, front, rigged):
     rotation = upright_rotation(up, front)
     plain, out = tmp_path / "plain.glb", tmp_path / "turned.glb"
-    character = turned(thing, up, front)
+    character = rotated(thing, up, front)
     save_character(thing, plain, made_up_handles(thing) if rigged else None)
     save_character(character, out, made_up_handles(character) if rigged else None)
     before, after = Player(plain), Player(out)
@@ -222,7 +222,7 @@ def test_a_turned_character_is_written_upright_with_all_that_it_wears(thing, tmp
 
 
 def test_the_player_sees_the_animation_of_a_turned_character(thing, tmp_path):
-    character = turned(thing, "+z", "-y")
+    character = rotated(thing, "+z", "-y")
     handles = made_up_handles(character)
     animation = Animation(character, handles, made_up_motion(character))
     player = Player(save(animation, tmp_path / "out.glb"))
@@ -233,7 +233,7 @@ def test_the_player_sees_the_animation_of_a_turned_character(thing, tmp_path):
 
 def test_a_character_of_arrays_turns_too(tmp_path):
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 2], [0, 1, 0]], np.float32)
-    character = turned(Character("arrays", points, [[0, 1, 2], [0, 2, 3]]), "+z", "-y")
+    character = rotated(Character("arrays", points, [[0, 1, 2], [0, 2, 3]]), "+z", "-y")
     assert character.height == 2
     assert np.abs(Player(save_character(character, tmp_path / "out.glb")).vertices(0) - character.vertices).max() < 1e-6
 
@@ -244,7 +244,7 @@ def test_turned_files_are_valid(thing, tmp_path):
     paths = []
     for name, character in (("thing", thing), ("awkward", load_character(tmp_path / "awkward.glb"))):
         for up, front in (("+z", "-y"), ("-y", "+x")):
-            out = turned(character, up, front)
+            out = rotated(character, up, front)
             paths.append(save_character(out, tmp_path / f"{name}{up}{front}.glb", made_up_handles(out)))
             paths.append(save_character(out, tmp_path / f"{name}{up}{front}bare.glb"))
     assert errors(paths) == {}
@@ -270,7 +270,7 @@ def test_positions_of_a_format_without_a_unit_are_scaled_themselves(tmp_path, su
     """So readers that see neither nodes nor skins see metres too."""
     path, box = tmp_path / f"box.{suffix}", trimesh.creation.box((80, 170, 50))
     box.export(path)
-    character = turned(scaled(load_character(path, unit="m"), 0.01), "+z", "-y")
+    character = rotated(scaled(load_character(path, unit="m"), 0.01), "+z", "-y")
     player = Player(save_character(character, tmp_path / "out.glb", made_up_handles(character)))
     raw = player.accessor(player.tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"])
     assert sorted(np.ptp(raw, axis=0)) == pytest.approx([0.5, 0.8, 1.7])

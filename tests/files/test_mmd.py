@@ -5,6 +5,7 @@ import struct
 from dataclasses import replace
 from pathlib import Path
 
+import hostile
 import numpy as np
 import pytest
 from mmd_bytes import Body, Bone, Joint, plank, pmd, pmx
@@ -14,7 +15,7 @@ from bunraku import with_skeleton
 from bunraku.apparel.mask import apparel_mask, moved_joints
 from bunraku.core.avatars import MmdAppend, MmdBone, MmdIk, MmdIkLink, mmd_model
 from bunraku.core.character import Character
-from bunraku.errors import BunrakuError, CharacterError, FormatError
+from bunraku.errors import CharacterError, FormatError
 from bunraku.files import load_character
 from bunraku.files.mmd.model import MmdFile, mmd_character
 from bunraku.files.mmd.read import read_pmx_file
@@ -243,9 +244,7 @@ def test_broken_files_get_one_sentence(tmp_path):
     good = pmx(plank())
 
     def refused(data, match, name="doll.pmx"):
-        with pytest.raises(BunrakuError, match=match) as caught:
-            load(tmp_path, data, name)
-        assert "\n" not in str(caught.value) and name in str(caught.value)
+        hostile.refused(tmp_path / name, data, match)
 
     refused(b"PMX " + struct.pack("<f", 3.0) + good[8:], "version 3")
     refused(good[:9] + b"\5" + good[10:], "sizes that no PMX file has")
@@ -257,14 +256,9 @@ def test_broken_files_get_one_sentence(tmp_path):
     refused(good[:17] + b"\xff\xff\xff\xff" + good[21:], "4294967295 bytes")
     refused(pmx(plank(triangles=[0, 1, 200])), "uses vertex 200 but there are 4")
     refused(pmx(plank(triangles=[0, 1, -7]), sizes=(4, 1, 1, 2, 1, 1)), "uses vertex -7 but there are 4")
-    refused(
-        pmx(plank(vertices=[*plank().vertices[:3], (*plank().vertices[3][:3], (0, [300], []))])),
-        "weighted to bone 300 but there are 3",
-    )
-    refused(
-        pmx(plank(vertices=[*plank().vertices[:3], (*plank().vertices[3][:3], (9, [0], []))])),
-        "vertex 3 deforms in a way",
-    )
+    for deform, match in (((0, [300], []), "weighted to bone 300 but there are 3"), ((9, [0], []), "vertex 3 deforms")):
+        vertices = [*plank().vertices[:3], (*plank().vertices[3][:3], deform)]
+        refused(pmx(plank(vertices=vertices)), match)
     refused(pmx(plank(bones=[Bone("あ", parent=40), *plank().bones])), "bone 0 has the parent 40")
     refused(pmx(plank(bones=[Bone("あ", position=(np.nan, 0.0, 0.0)), *plank().bones])), "at no place that is a number")
     refused(pmx(plank(vertices=[((np.nan, 0.0, 0.0), *plank().vertices[0][1:]), *plank().vertices[1:]])), "not numbers")
@@ -273,19 +267,6 @@ def test_broken_files_get_one_sentence(tmp_path):
     refused(old[:300], "cut off|has room for", "doll.pmd")
     refused(old[:283] + b"\xff\xff\xff\xff" + old[287:], "announces 4294967295 vertices but has room for", "doll.pmd")
     refused(pmd(plank(triangles=[0, 1, 200])), "uses vertex 200", "doll.pmd")
-
-
-def test_no_damage_brings_down_the_readers(tmp_path):
-    rng = np.random.default_rng(0)
-    for good, name in ((pmx(plank()), "doll.pmx"), (pmd(plank()), "doll.pmd")):
-        for _ in range(80):
-            data = bytearray(good)
-            for at in rng.integers(8, len(data), 3):
-                data[at] = rng.integers(256)
-            try:
-                load(tmp_path, bytes(data[: rng.integers(len(data) // 2, len(data) + 1)]), name)
-            except BunrakuError as error:
-                assert "\n" not in str(error)
 
 
 def test_a_bone_that_a_vertex_names_twice_is_there_once(tmp_path):

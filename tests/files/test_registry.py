@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from gltf_files import CUBE, CUBE_FACES, cube_glb, glb_bytes, made_up_handles, made_up_motion, textured_glb
+from hostile import is_one_sentence
 
 import bunraku
 from bunraku.cli.options import ProgramOption
@@ -79,17 +80,13 @@ def test_a_file_of_3_gb_is_refused_unread(tmp_path):
     assert time.process_time() - start < 0.5
 
 
-def is_one_sentence(error):
-    return "\n" not in str(error) and len(str(error)) < 500
-
-
 def test_truncated_files(tmp_path):
     whole, path = textured_glb(), tmp_path / "cut.glb"
     for length in range(0, len(whole), 41):
         path.write_bytes(whole[:length])
         with pytest.raises(BunrakuError, match=r"cut\.glb: ") as caught:
             load_character(path)
-        assert is_one_sentence(caught.value)
+        assert is_one_sentence(caught.value, path)
     # A header that admits the shorter length leaves the buffers to find out.
     import json
     import struct
@@ -100,48 +97,6 @@ def test_truncated_files(tmp_path):
         path.write_bytes(glb_bytes(tree, binary[:length]))
         with pytest.raises(FormatError, match="truncated"):
             load_character(path)
-
-
-def test_flipped_bytes_give_a_character_or_one_sentence(tmp_path):
-    from gltf_files import made_up_handles, made_up_motion
-
-    from bunraku.core.animation import Animation
-
-    rng, whole, path = np.random.default_rng(0), textured_glb(), tmp_path / "flipped.glb"
-    outcomes = set()
-    for _ in range(200):
-        data = bytearray(whole)
-        for at in rng.integers(0, len(data), rng.integers(1, 6)):
-            data[at] = rng.integers(256)
-        path.write_bytes(data)
-        try:
-            character = load_character(path)
-            Animation(character, made_up_handles(character, 4), made_up_motion(character, 3, 4)).save(
-                tmp_path / "out.glb"
-            )
-            outcomes.add("read")
-        except BunrakuError as error:
-            assert is_one_sentence(error)
-            outcomes.add("refused")
-    assert outcomes == {"read", "refused"}
-
-
-@pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
-def test_flipped_bytes_of_other_meshes(tmp_path, suffix):
-    import trimesh
-
-    path = tmp_path / f"flipped.{suffix}"
-    trimesh.creation.icosphere(subdivisions=1).export(path)
-    whole, rng = path.read_bytes(), np.random.default_rng(1)
-    for turn in range(100):
-        data = bytearray(whole[: rng.integers(1, len(whole)) if turn % 3 == 0 else None])
-        for at in rng.integers(0, len(data), rng.integers(1, 5)):
-            data[at] = rng.integers(256)
-        path.write_bytes(data)
-        try:
-            load_character(path)
-        except BunrakuError as error:
-            assert is_one_sentence(error)
 
 
 def test_hostile_json_values(tmp_path):
@@ -174,7 +129,7 @@ def test_hostile_json_values(tmp_path):
             try:
                 load_character(path)
             except BunrakuError as error:
-                assert is_one_sentence(error)
+                assert is_one_sentence(error, path)
 
 
 def test_importing_the_formats_loads_nothing_heavy():

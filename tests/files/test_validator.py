@@ -17,7 +17,7 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.files import load_character, save_character
-from bunraku.files.gltf.read import turned
+from bunraku.files.gltf.read import rotated
 
 HERE = Path(__file__).parent
 MODULES = Path(os.environ.get("BUNRAKU_GLTF_VALIDATOR", HERE / "validator")) / "node_modules"
@@ -114,7 +114,7 @@ def test_rigs_that_are_written_are_valid(tmp_path):
     for number, character in enumerate(
         (
             textured,
-            turned(textured, "+z", "-y"),
+            rotated(textured, "+z", "-y"),
             replace(textured, source=None, avatar=None),
             reference_body().character(),
         )

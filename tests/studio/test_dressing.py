@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from bunraku import load_character
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.apparel.chains.avatars import VrmValues, between_frames, link_turns, vrm_steps
+from bunraku.apparel.chains.avatars import between_frames, link_turns, vrm_steps
 from bunraku.apparel.mask import artist_mask
 from bunraku.core.animation import Animation, PointAnimation, RigAnimation
 from bunraku.core.avatars import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
@@ -446,7 +446,7 @@ def test_the_page_swings_springs_as_the_specification_says(swung, stiffness, dra
     turns, places = swaying()
     rest = rod().rig.positions
     heads = places + np.einsum("nij,j->ni", turns, rest[1] - rest[0])
-    values = VrmValues(*(np.array([[value]]) for value in (stiffness, drag, gravity)))
+    values = tuple(np.array([[value]]) for value in (stiffness, drag, gravity))
     turn, head = between_frames(turns[:, None], heads[:, None], 60.0)
     links = []
     for bone in np.diff(rest[1:], axis=0)[:, None]:

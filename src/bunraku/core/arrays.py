@@ -20,7 +20,6 @@ __all__ = [
     "refuse_objects", "unpack_steps",
 ]  # fmt: skip
 
-
 MAX_ARRAY_BYTES = 1 << 30
 MAX_GROWTH = 200
 """An array may unpack to this many times the size of its file; motion packs to a half or a third."""

@@ -23,7 +23,6 @@ from bunraku.errors import MissingExtraError, OptionError
 
 __all__ = ["MOST_JOBS", "Pool", "THREADS", "one_thread_each", "parse_jobs", "run_parallel"]
 
-
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that set how many threads libraries use; libraries read them when they are loaded."""
 _PR_SET_PDEATHSIG = 1

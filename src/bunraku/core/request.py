@@ -15,9 +15,8 @@ import numpy as np
 from bunraku.errors import OptionError
 
 __all__ = [
-    "CANDIDATES", "Constraint", "FPS", "GRAVITY", "GUIDANCE", "Limit", "Progress", "SECONDS", "SEED",
-    "STEPS", "STIFFNESS", "TAKES",
-    "WHOLE", "from_json", "option", "read_json", "to_json",
+    "CANDIDATES", "Constraint", "FPS", "GRAVITY", "GUIDANCE", "Limit", "Progress", "SECONDS", "SEED", "STEPS",
+    "STIFFNESS", "TAKES", "WHOLE", "from_json", "no_constant", "option", "read_json", "to_json",
 ]  # fmt: skip
 
 Progress = Callable[[str, float], None]
@@ -99,12 +98,13 @@ def read_json(data: bytes, name: str, most: int = MOST_BYTES) -> Any:
     if brackets:
         raise OptionError(f"{name} is no JSON, or is nested more than {DEEPEST} deep; write it again")
     try:
-        return json.loads(data.decode("utf-8-sig"), parse_constant=_no_constant)
+        return json.loads(data.decode("utf-8-sig"), parse_constant=no_constant)
     except (ValueError, RecursionError):
         raise OptionError(f"{name} is no JSON; write it again") from None
 
 
-def _no_constant(name: str) -> NoReturn:
+def no_constant(name: str) -> NoReturn:
+    """Refuse NaN and Infinity, which Python's parser of JSON accepts."""
     raise ValueError(f"{name} is not JSON")
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 __all__ = ["RigidBones", "decomposed", "handle_offsets", "part_means", "posed_points", "register", "skin"]
 
-
 Array = Any  # numpy.ndarray, or a tensor
 
 

@@ -20,7 +20,6 @@ __all__ = [
     "put_back_runs", "repeated",
 ]  # fmt: skip
 
-
 MOST = 200
 """Points of a path."""
 DENSE = 64
@@ -325,11 +324,7 @@ def put_back(
 
 
 def put_back_runs(
-    made: HandleMotion,
-    original: HandleMotion,
-    handles: np.ndarray,
-    runs: Sequence[tuple[int, int]],
-    fade: int = FADE,
+    made: HandleMotion, original: HandleMotion, handles: np.ndarray, runs: Sequence[tuple[int, int]], fade: int = FADE
 ) -> HandleMotion:
     """`put_back` of several spans, each given by its first frame and the one after its last, in order; frames outside
     of all are kept.

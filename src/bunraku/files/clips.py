@@ -1,4 +1,4 @@
-"""Clips that files hold: those that Bunraku wrote, those on a file's own skin, and several files merged in one."""
+"""Clips in files: those that Bunraku wrote, those on a file's own skin, and several files merged into one."""
 
 from __future__ import annotations
 
@@ -29,8 +29,10 @@ from bunraku.files.registry import load_character, load_with_clips
 
 __all__ = ["Clip", "bones_of", "clip_names", "load_animation", "load_clip", "load_clip_animation", "merge"]
 
-
-SAME = 1e-3  # of a character's largest extent: handles this near are the same ones
+SAME = 1e-3
+"""Handles this near are the same, as a share of the character's largest extent: rounding in files stays far
+below it.
+"""
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class Clip:
     Args:
         path: The file.
         motion: The motion, in the frame of the character that it was made for.
-        reference: The motion of the reference body that it was fitted from, where the file holds it.
+        reference: The reference body's motion that it was fitted from, where the file holds it.
         positions: Rest positions of the character's handles [m], shape (K, 3), where the file holds them.
     """
 
@@ -95,12 +97,8 @@ def load_clip(path: str | Path) -> Clip:
 
 
 def load_clip_animation(path: str | Path) -> Animation:
-    """Read a GLB that Bunraku wrote: character, handles and motion, to be edited or followed.
-
-    Raises:
-        FormatError: The file is missing or broken, or was not written by Bunraku.
-        CharacterError: It holds no usable mesh.
-        MotionError: What it holds breaks the rules of a motion.
+    """Read a GLB that Bunraku wrote, with character, handles and motion. Errors are those of `load_clip` and
+    `load_character`.
     """
     clip = load_clip(path)
     character = load_character(path)
@@ -113,10 +111,9 @@ MAX_TRANSFORMS = 4_000_000
 def load_animation(path: str | Path, clip: int | str = 0, fps: float = 30.0) -> Animation:
     """Read a character and a clip of its file, as an animation whose handles are the file's joints.
 
-    Each joint becomes a handle that holds the vertices of its skin; handle 0 stands still and holds none. A joint's
-    transform is taken relative to the bind pose, in which the character rests, so skinned meshes are exact; where a
-    file has no bind pose that makes sense, it is relative to the default pose and the result is close. Scales and
-    shears of joints are kept.
+    Handle 0 stands still and holds no vertex; then each joint holds the vertices of its skin, with scale and shear. A
+    joint's transform is relative to the bind pose, so skinned meshes are exact; where the file has no bind pose that
+    makes sense, it is relative to the default pose and the result is close.
 
     Args:
         path: A GLB, glTF, VRM or FBX file with a skin and a clip.
@@ -154,7 +151,7 @@ def load_animation(path: str | Path, clip: int | str = 0, fps: float = 30.0) -> 
 
 
 def clip_names(document: Document) -> list[str]:
-    """Names of the clips of a document; numbered where the file gives none."""
+    """Names of the clips of a document, numbered where it gives none."""
     return [str(clip.get("name") or f"animation {number}") for number, clip in enumerate(document.items("animations"))]
 
 
@@ -179,25 +176,21 @@ def _animation(character: Character, world: np.ndarray, fps: float) -> Animation
 
 
 def bones_of(animation: Animation) -> tuple[np.ndarray, np.ndarray]:
-    """World rotations (N, J, 3, 3) and heads [m] (N, J, 3) of the bones of a clip whose handles they are."""
+    """World rotations (N, J, 3, 3) and heads [m] (N, J, 3) of the bones of an animation of `load_animation`."""
     assert animation.character.rig is not None
     affine = animation.motion.transforms(animation.handles.positions)[:, 1:].astype(np.float64)
     return nearest_rotation(affine[..., :3]), posed_points(affine, animation.character.rig.positions)
 
 
 def merge(paths: Sequence[str | Path], path: str | Path, *, end_to_start: bool = False, fps: float = 30.0) -> Path:
-    """Write the clips of several files of one character into one GLB: the first file as it is, with the clips of the
-    others behind its own. Names that are taken get a number.
+    """Write the clips of several files of one character into one GLB: the first file with the clips of the others after
+    its own. Names that are taken get a number.
 
     Args:
         paths: GLB, glTF or VRM files, at least one. Those after the first may lack meshes.
         path: The file to write, .glb.
-        end_to_start: Write all clips in a row as one, in the order of the files, each going on where the one before
-            ends; the clips of the first file follow it.
-        fps: Frames a second of that one [1/s].
-
-    Returns:
-        The file that was written.
+        end_to_start: Join all clips into one in the order of the files; the clips of the first file follow it.
+        fps: Frames a second of the joined clip [1/s].
 
     Raises:
         FormatError: A file is broken, holds no clip, or is of another character.
@@ -227,11 +220,7 @@ def _clips(path: Path, fps: float) -> list[RigAnimation]:
 
 
 def _on(clip: RigAnimation, first: RigAnimation, path: Path) -> RigAnimation:
-    """A clip with its bones in the order of another's.
-
-    Raises:
-        FormatError: It has others.
-    """
+    """A clip with its bones in the order of another's; FormatError where the bones are others."""
     own, theirs = first.character.rig, clip.character.rig
     assert own is not None and theirs is not None
     places = {name: bone for bone, name in enumerate(theirs.names)}

@@ -1,6 +1,4 @@
-"""Clips as game engines and other programs expect them: format, axes, unit, frame rate, root motion, several in one
-file.
-"""
+"""Clips as game engines and other programs expect them: format, axes, unit, frame rate, root motion, clips per file."""
 
 from __future__ import annotations
 
@@ -32,10 +30,8 @@ __all__ = [
 
 
 def on_the_spot(animation: AnimatedCharacter) -> AnimatedCharacter:
-    """The animation without its travel over the ground; what sways faster than half a second stays.
-
-    Args:
-        animation: Of handles or of the bones of a rig. Others are given back as they are.
+    """The animation without its travel over the ground; what sways faster than half a second stays. Animations whose
+    vertices move on their own are returned as they are.
     """
     if isinstance(animation, Animation):
         return replace(animation, motion=in_place(animation.motion), reference=None)
@@ -47,7 +43,7 @@ def on_the_spot(animation: AnimatedCharacter) -> AnimatedCharacter:
 
 
 def root_bone(animation: AnimatedCharacter) -> int | None:
-    """The bone that stands above all others and holds no vertex, as Unreal's `root`; None where there is none."""
+    """The bone above all others that holds no vertex, as Unreal's `root`; None where there is none."""
     rig = animation.character.rig if isinstance(animation, RigAnimation) else None
     if rig is None:
         return None
@@ -58,10 +54,8 @@ def root_bone(animation: AnimatedCharacter) -> int | None:
 
 
 def on_root_bone(animation: AnimatedCharacter) -> AnimatedCharacter:
-    """The animation with its travel over the ground and its turning about +Y on the bone above all others.
-
-    The other bones go on from there, so no vertex moves otherwise. Where no bone stands above, or its own handles move
-    the character, it is given back as it is: the travel is that of the first joint.
+    """The animation with its travel over the ground and its rotation about +Y on the bone above all others, so that no
+    vertex moves otherwise. Without such a bone it is returned as it is: the travel is that of the first joint.
     """
     bone = root_bone(animation)
     if bone is None or not isinstance(animation, RigAnimation):
@@ -93,7 +87,7 @@ def _carrier(animation: RigAnimation) -> int:
 
 
 def _travel(path: np.ndarray, fps: float) -> np.ndarray:
-    """What a path goes over the ground from its start, without its sway [m], shape (N, 3)."""
+    """The travel of a path over the ground from its start, without its sway [m], shape (N, 3)."""
     if len(path) < 3:
         return np.zeros_like(path)
     margin = round(4 * SWAY * fps)
@@ -112,22 +106,18 @@ def save_clips(
     add: bool = False,
     **options: str,
 ) -> Path:
-    """Write animations of one character as the clips of one GLB or FBX.
-
-    Where the bones of the file's own skeleton move, its clips follow the new ones in a GLB.
+    """Write animations of one character as the clips of one GLB or FBX. Where the bones of the file's own skeleton
+    move, its clips follow the new ones in a GLB.
 
     Args:
-        animations: The animation of each clip by its name; all of one character, moved by the same handles or bones.
+        animations: The animation of each clip by its name, all of one character and moved by the same handles or bones.
         path: The file, .glb or .fbx.
         fps: Frames a second of the clips [1/s]; those of each animation by default.
-        add: Keep what a GLB that is there has, and add to its clips; a name that is taken gets a number.
-        **options: Of FBX: `up` and `unit`, see `bunraku.files.fbx.export.write_clips`.
-
-    Returns:
-        The file that was written.
+        add: Keep what an existing GLB has, and add to its clips; a name that is taken gets a number.
+        **options: Of FBX: `up` and `unit`, see `save`.
 
     Raises:
-        FormatError: The file cannot be written, or what is there is another character.
+        FormatError: The file cannot be written, or the existing one is of another character.
         OptionError: There is no clip, the animations are of several characters or of apparel that moves on its own, or
             `fps` is out of range.
     """
@@ -167,10 +157,8 @@ def save_clips(
     return save_rig_clips(bones, path, fps=fps) if bones else write_clips(handles, path, fps=fps)
 
 
-def _same_handles(one: Handles, other: Handles) -> bool:
-    return one is other or (
-        np.array_equal(one.positions, other.positions) and np.array_equal(one.weights, other.weights)
-    )
+def _same_handles(first: Handles, other: Handles) -> bool:
+    return np.array_equal(first.positions, other.positions) and np.array_equal(first.weights, other.weights)
 
 
 def _added(animations: Mapping[str, AnimatedCharacter], path: Path, fps: float | None) -> Path:
@@ -184,20 +172,18 @@ def _added(animations: Mapping[str, AnimatedCharacter], path: Path, fps: float |
 
 @dataclass(frozen=True)
 class Preset:
-    """What a program wants.
+    """What a program expects.
 
     Args:
-        name: Its name on the command line.
-        title: Its name.
+        name, title: Its name on the command line and in messages.
         suffix: The format.
         fps: Frames a second [1/s].
-        skeleton: Whose names the joints of a person get that has no skeleton of its own.
+        skeleton: The names for the joints of a person without a skeleton.
         root: Where the travel over the ground is: "travel" on the first joint that moves, "bone" on a bone above it
             where there is one, "none" taken out.
         one_file: Whether all clips of a character go into one file.
-        up: The axis that is up in the file.
-        unit: The unit of its lengths.
-        note: What to do there, one sentence.
+        up, unit: The up axis and the unit of lengths in the file.
+        note: What to do in the program, one sentence.
     """
 
     name: str
@@ -212,12 +198,7 @@ class Preset:
     note: str
 
     def files(self, path: str | Path, names: Iterable[str]) -> dict[Path, list[str]]:
-        """The files of some clips, and the names of those in each.
-
-        Args:
-            path: The file that was named; its suffix becomes that of the format.
-            names: Of the clips.
-        """
+        """The files for some clips, named after a path with the preset's suffix, and the names of the clips in each."""
         path, listed = Path(path), list(names)
         if self.one_file or len(listed) < 2:
             return {path.with_suffix(self.suffix): listed}
@@ -265,16 +246,14 @@ def preset_rows() -> list[dict[str, object]]:
 def save_for(
     preset: str | Preset, animations: Mapping[str, AnimatedCharacter], path: str | Path, *, fps: float | None = None
 ) -> list[Path]:
-    """Write animations of one character as a program wants them.
+    """Write animations of one character as a program expects them, and return the files.
 
     Args:
         preset: The program: "unity", "unreal", "godot", "blender", "three" or "vrchat".
         animations: The animation of each clip by its name, all of one character.
-        path: The file; its suffix is that of the preset. Where each clip has a file of its own, its name follows.
+        path: The file; its suffix becomes that of the preset. Where each clip has a file of its own, the clip's name
+            follows.
         fps: Frames a second in place of the preset's [1/s].
-
-    Returns:
-        What was written.
 
     Raises:
         FormatError: A file cannot be written.
@@ -284,11 +263,6 @@ def save_for(
     placed = {"travel": lambda one: one, "bone": on_root_bone, "none": on_the_spot}[row.root]
     clips = {name: placed(one) for name, one in animations.items()}
     rate = row.fps if fps is None else fps
-    out = []
-    for file, names in row.files(path, clips).items():
-        some = {name: clips[name] for name in names}
-        if row.suffix == ".fbx":
-            out.append(save_clips(some, file, fps=rate, up=row.up, unit=row.unit))
-        else:
-            out.append(save_clips(some, file, fps=rate))
-    return out
+    options = {"up": row.up, "unit": row.unit} if row.suffix == ".fbx" else {}
+    files = row.files(path, clips).items()
+    return [save_clips({name: clips[name] for name in names}, file, fps=rate, **options) for file, names in files]

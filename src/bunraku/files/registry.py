@@ -28,28 +28,27 @@ __all__ = [
     "save_character",
 ]  # fmt: skip
 
-_FILES = "bunraku.files"
 _USD = (".usd", ".usda", ".usdc", ".usdz")
 
 READERS: dict[str, dict[str, str]] = {
     "character": {
-        ".glb": f"{_FILES}.gltf.read:read_gltf",
-        ".vrm": f"{_FILES}.gltf.read:read_gltf",
-        ".gltf": f"{_FILES}.gltf.read:read_gltf",
-        ".ply": f"{_FILES}.meshes.ply:read_ply",
-        ".obj": f"{_FILES}.meshes.obj:read_obj",
-        ".stl": f"{_FILES}.meshes.ply:read_stl",
-        ".fbx": f"{_FILES}.fbx.read:read_fbx",
-        ".pmx": f"{_FILES}.mmd.read:read_model",
-        ".pmd": f"{_FILES}.mmd.read:read_model",
+        ".glb": "bunraku.files.gltf.read:read_gltf",
+        ".vrm": "bunraku.files.gltf.read:read_gltf",
+        ".gltf": "bunraku.files.gltf.read:read_gltf",
+        ".ply": "bunraku.files.meshes.ply:read_ply",
+        ".obj": "bunraku.files.meshes.obj:read_obj",
+        ".stl": "bunraku.files.meshes.ply:read_stl",
+        ".fbx": "bunraku.files.fbx.read:read_fbx",
+        ".pmx": "bunraku.files.mmd.read:read_model",
+        ".pmd": "bunraku.files.mmd.read:read_model",
     },
     "motion": {
-        ".glb": f"{_FILES}.gltf.vrma:read_glb_motion",
-        ".npz": f"{_FILES}.motions.arrays:read_any_motion",
-        ".npy": f"{_FILES}.motions.arrays:read_humanml3d",
-        ".bvh": f"{_FILES}.motions.bvh:read_bvh",
-        ".vrma": f"{_FILES}.gltf.vrma:read_vrma",
-        ".fbx": f"{_FILES}.fbx.clips:read_motion",
+        ".glb": "bunraku.files.gltf.vrma:read_glb_motion",
+        ".npz": "bunraku.files.motions.arrays:read_any_motion",
+        ".npy": "bunraku.files.motions.arrays:read_humanml3d",
+        ".bvh": "bunraku.files.motions.bvh:read_bvh",
+        ".vrma": "bunraku.files.gltf.vrma:read_vrma",
+        ".fbx": "bunraku.files.fbx.clips:read_motion",
     },
 }
 """What makes a character or a motion of a path and its bytes, by the suffix.
@@ -60,40 +59,40 @@ function of a room above, such as a renderer, which `core.saving.provide` makes 
 
 WRITERS: dict[str, dict[str, str]] = {
     "animation": {
-        ".glb": f"{_FILES}.gltf.write:write_animation",
-        ".ply": f"{_FILES}.meshes.obj:write_ply_sequence",
-        ".obj": f"{_FILES}.meshes.obj:write_obj_sequence",
-        **dict.fromkeys(_USD, f"{_FILES}.usd:write_usd"),
-        ".npz": f"{_FILES}.motions.arrays:write_animation",
+        ".glb": "bunraku.files.gltf.write:write_animation",
+        ".ply": "bunraku.files.meshes.obj:write_ply_sequence",
+        ".obj": "bunraku.files.meshes.obj:write_obj_sequence",
+        **dict.fromkeys(_USD, "bunraku.files.usd:write_usd"),
+        ".npz": "bunraku.files.motions.arrays:write_animation",
         ".bvh": "write_humanoid_bvh",
         ".vrma": "write_humanoid_vrma",
-        ".fbx": f"{_FILES}.fbx.export:write_fbx",
+        ".fbx": "bunraku.files.fbx.export:write_fbx",
         ".vmd": "write_character_vmd",
         ".html": "write_html",
         **dict.fromkeys((".mp4", ".webp", ".gif", ".png"), "save_preview"),
     },
     "rig animation": {
-        ".glb": f"{_FILES}.gltf.write_rig:save_rig_animation",
-        **dict.fromkeys(_USD, f"{_FILES}.usd:write_usd"),
-        ".fbx": f"{_FILES}.fbx.export:write_fbx",
+        ".glb": "bunraku.files.gltf.write_rig:save_rig_animation",
+        **dict.fromkeys(_USD, "bunraku.files.usd:write_usd"),
+        ".fbx": "bunraku.files.fbx.export:write_fbx",
         ".vmd": "write_character_vmd",
         ".html": "write_html",
     },
     "points": {
-        ".glb": f"{_FILES}.gltf.write_points:write_point_animation",
-        ".ply": f"{_FILES}.meshes.obj:write_ply_sequence",
-        ".obj": f"{_FILES}.meshes.obj:write_obj_sequence",
-        **dict.fromkeys(_USD, f"{_FILES}.usd:write_points"),
-        ".fbx": f"{_FILES}.fbx.export:write_points",
+        ".glb": "bunraku.files.gltf.write_points:write_point_animation",
+        ".ply": "bunraku.files.meshes.obj:write_ply_sequence",
+        ".obj": "bunraku.files.meshes.obj:write_obj_sequence",
+        **dict.fromkeys(_USD, "bunraku.files.usd:write_points"),
+        ".fbx": "bunraku.files.fbx.export:write_points",
         ".html": "write_html",
         **dict.fromkeys((".mp4", ".webp", ".gif", ".png"), "save_preview"),
     },
     "motion": {".npz": "write_motion_npz", ".bvh": "write_motion_bvh", ".vrma": "write_motion_vrma"},
     "character": {
-        ".glb": f"{_FILES}.gltf.write_rig:write_character",
-        ".vrm": f"{_FILES}.gltf.vrma:write_avatar",
-        ".fbx": f"{_FILES}.fbx.export:write_character",
-        ".pmx": f"{_FILES}.mmd.write:write_character",
+        ".glb": "bunraku.files.gltf.write_rig:write_character",
+        ".vrm": "bunraku.files.gltf.vrma:write_avatar",
+        ".fbx": "bunraku.files.fbx.export:write_character",
+        ".pmx": "bunraku.files.mmd.write:write_character",
     },
 }
 """What writes an animation of handles, one of a character's own rig, one whose vertices also move on their own, a
@@ -122,12 +121,12 @@ UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "in": "in
 
 @dataclass(frozen=True)
 class SettledUnit:
-    """How long the unit of a file is taken to be.
+    """The unit that a file's lengths are taken to have.
 
     Args:
-        unit: One of `formats.frames.UNITS`.
-        likely: What the height makes likely; "" where it is so small that nothing is.
-        note: What to tell about it, without what to do; "" where there is nothing to tell.
+        unit: One of `core.geometry.axes.UNITS`.
+        likely: What the height makes likely; "" where it is too small to tell.
+        note: What to say about it; "" for nothing.
     """
 
     unit: str
@@ -142,12 +141,12 @@ def check_unit(unit: str, option: str = "unit") -> None:
 
 
 def resolve_unit(height: float, suffix: str, unit: str = "auto") -> SettledUnit:
-    """The unit of a character's file, from what is said about it, the rule of its format, and its height.
+    """The unit of a character's file, from what the user says, the rule of its format, and its height.
 
     Args:
         height: Its height as it was read, in metres where its format has a unit.
         suffix: The format; "" for a character of no file, which is in metres.
-        unit: One of `CHOICES`. All but "auto" is taken for the unit of lengths as they were read.
+        unit: One of `UNIT_CHOICES`. All but "auto" is the unit of lengths as they were read.
     """
     likely, bare = likely_unit(height), suffix in BARE
     if unit != "auto":
@@ -165,15 +164,15 @@ def resolve_unit(height: float, suffix: str, unit: str = "auto") -> SettledUnit:
 
 
 def in_metres(character: Character, unit: str = "auto", up: str | None = None) -> tuple[Character, str]:
-    """The character in metres, and what there is to tell about it.
+    """The character in metres, and a note about it.
 
     Args:
         character: As its file has it, lying or standing.
-        unit: One of `CHOICES`.
-        up: Its up axis where that is known. Where it is not, and the unit hangs on it, it is guessed from the shape.
+        unit: One of `UNIT_CHOICES`.
+        up: Its up axis where that is known. Otherwise it is guessed from the shape if the unit depends on it.
 
     Raises:
-        OptionError: It is none of them, or the unit of the file cannot be changed.
+        OptionError: There is no such unit, or that of the file cannot be changed.
     """
     check_unit(unit)
     suffix = str(getattr(character.source, "suffix", ""))
@@ -320,30 +319,29 @@ def load_character(
     unit: str = "auto",
     clips: float | None = None,
 ) -> Character:
-    """Read a character from GLB, glTF, VRM, FBX, OBJ, PLY or STL.
+    """Read a character from GLB, glTF, VRM, FBX, PMX, PMD, OBJ, PLY or STL.
 
-    The vertices of GLB, glTF, VRM and FBX are in world space, those of FBX turned from the frame and unit that the file
-    states.
-    OBJ, PLY and STL name neither: they are taken as they are, +Y up and +Z forward, and in the unit that makes their
-    height a character's, which a warning of the log tells where it is not the metre.
+    Vertices are in world space, those of FBX in metres and +Y up by the frame and unit that the file states. OBJ, PLY
+    and STL state neither: they are taken as +Y up and +Z forward, in the unit that makes their height a character's;
+    the log warns where that is not the metre.
 
     Args:
         path: The file; its first bytes decide the format where they can, its suffix otherwise.
-        rest: The rest pose of a file with a skin: "bind", the pose that its meshes were skinned in (T or A for most),
-            or "default", that of its nodes, which may be the middle of a clip. Files whose bind pose makes no sense
-            take the default.
-        up: The axis that is up in the character as it would be read without this, such as "+z"; it is turned to stand
-            along +Y. `bunraku.upright` finds out by itself.
-        front: The axis that it faces; "-y" with "+z" up, "+z" otherwise, when only `up` is given.
-        unit: The unit of lengths as they would be read without this: "m", "cm", "mm" or "in". "auto" is the metre for
-            formats that have a unit, and for the others what the height makes likely (`formats.frames.likely_unit`).
-        clips: Frames a second at which the clips of an FBX file are read [1/s], so that what is written on its own
-            skeleton has them too; None leaves them out. Those of glTF are there in any case.
+        rest: The pose in which a file with a skin rests: "bind", in which its meshes were skinned (T or A for most), or
+            "default", that of its nodes, which may be the middle of a clip. A bind pose that makes no sense is replaced
+            by the default.
+        up: The axis that is up in the character as it would be read without this, such as "+z". `bunraku.upright` finds
+            out by itself.
+        front: The axis that it faces; when only `up` is given, "-y" with "+z" up, else "+z".
+        unit: The unit of lengths as they would be read without this: "m", "cm", "mm" or "in"; "auto" is the metre for
+            formats that have a unit, and for the others what the height makes likely.
+        clips: Frames a second at which the clips of an FBX file are read [1/s], so that they are kept when its own
+            skeleton is written; None leaves them out. Those of glTF are always there.
 
     Raises:
         FormatError: The file is missing, empty, too large, broken, or of no known format.
         CharacterError: It holds no usable mesh: points only, coordinates that are not numbers, no extent.
-        OptionError: `rest` is neither, `unit` is none of these, or `up` and `front` are not two axes at a right angle.
+        OptionError: An option is none of these, or `up` and `front` are not at a right angle.
     """
     if rest not in ("bind", "default"):
         raise OptionError(f"the rest pose of a file is 'bind' or 'default', not {rest!r}")
@@ -359,28 +357,16 @@ def load_character(
 
 
 def load_with_clips(path: str | Path, fps: float) -> Character:
-    """Read a character as `load_character` does, its document with all clips of the file.
-
-    Args:
-        path: The file.
-        fps: Frames a second of clips that the document cannot hold as the file has them, those of FBX [1/s].
-
-    Raises:
-        FormatError: As `load_character`.
-        CharacterError: As `load_character`.
+    """Read a character with all clips of its file; those of FBX at a rate [1/s]. Errors are those of
+    `load_character`.
     """
     character: Character = _read(path, "character", clip_fps=fps)
     return character
 
 
 def read_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
-    """Read a motion: a handle motion that `Animation.save` wrote to NPZ, or a skeletal one of BVH, VRMA, AMASS (.npz),
+    """Read a motion: a handle motion from NPZ, or a skeletal one with its own joints from BVH, VRMA, AMASS (.npz),
     HumanML3D (.npy), or the first clip of FBX.
-
-    Skeletal motions keep their own joints; `bunraku.anatomy.names.to_smpl` turns them into ones of SMPL's 22.
-
-    Args:
-        path: The file.
 
     Raises:
         FormatError: The file is missing, empty, too large, broken, or of no known format.
@@ -449,7 +435,7 @@ def check_writer(path: str | Path, character: Character | None = None, *, points
     """
     suffix = _suffix_of(Path(path), "points" if points else "animation")
     if suffix in _USD:
-        _resolve(f"{_FILES}.usd:check_available")()
+        _resolve("bunraku.files.usd:check_available")()
     if suffix == ".vmd" and character is not None:
         provided("check_mmd_character")(character, Path(path))
 
@@ -462,17 +448,14 @@ def save_character(
     rig: bool = False,
     avatar: MmdModel | VrmModel | None = None,
 ) -> Path:
-    """Write a character to GLB, FBX, VRM or PMX, its handles as a skin, without motion.
+    """Write a character to GLB, FBX, VRM or PMX, without motion, and return the path.
 
     Args:
         character: The character.
         path: The file.
-        handles: Its handles; without them the mesh alone is written.
+        handles: The handles for its skin; without them the mesh alone is written.
         rig: Write the character's own rig as its skin, as `bunraku.with_skeleton` makes one, in place of handles.
         avatar: Springs of that rig's bones for GLB and VRM, their rigid bodies for PMX.
-
-    Returns:
-        The file that was written.
 
     Raises:
         FormatError: The suffix is unknown, or the file cannot be written.

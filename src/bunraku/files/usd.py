@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Look", "Piece", "add_mesh", "check_available", "pieces", "prim_name", "write_points", "write_usd"]
 
-
 _WRAP = {33071: "clamp", 33648: "mirror", 10497: "repeat"}
 
 
@@ -52,7 +51,7 @@ class Piece:
 
     Args:
         name: A name for its prim.
-        index: The character's vertex behind each of its own, shape (V,).
+        index: The character's vertex of each of its own, shape (V,).
         faces: Its triangles, shape (F, 3).
         uv: Texture coordinates with v upwards, shape (V, 2), or None.
         material: The material's number in the document, or None.
@@ -67,13 +66,13 @@ class Piece:
 
 @dataclass
 class Look:
-    """The materials of a document as they are used by what has been written so far.
+    """The materials of a document that have been written so far.
 
     Args:
         usd: The modules of USD.
         stage: Where they are written.
         root: Path of the prim that they are under.
-        folder: Name of the folder of the textures, as the file says it.
+        folder: Name of the folder of the textures in the file.
         textures: Images that are needed: bytes by file name.
     """
 
@@ -85,9 +84,7 @@ class Look:
     _made: dict[tuple[int, bool], Any] = field(default_factory=dict)
 
     def bind(self, prim: Any, document: Document, number: int, painted: bool) -> None:
-        """Give a prim a material of a document; where it has no texture, one that shows the vertex colours of what is
-        painted with them.
-        """
+        """Give a prim a material of a document; one without a texture shows the vertex colours of a `painted` prim."""
         key = number, painted
         if key not in self._made:
             self._made[key] = self._material(document, number, painted)
@@ -132,8 +129,8 @@ class Look:
         return material
 
     def _texture(self, document: Document, info: Any, path: str, factor: list[float]) -> Any:
-        """A texture that is read by the coordinates `st`, or None where the image is missing or of a kind that USD does
-        not have.
+        """A texture that is read by the coordinates `st`, or None where the image is missing or of a kind that USD
+        lacks.
         """
         if not isinstance(info, dict):
             return None
@@ -177,31 +174,31 @@ def pieces(character: Character) -> list[Piece]:
     ):
         return [Piece("Mesh", np.arange(len(character.vertices)), character.faces)]
     out: list[Piece] = []
-    start, document = 0, source.document
-    for part in source.parts:
+    document = source.document
+    for part, index in source.placed():
         title = (
             document.item("nodes", part.node).get("name") or document.item("meshes", part.mesh).get("name") or "Mesh"
         )
         primitives = document.item("meshes", part.mesh)["primitives"]
-        for group in part.groups:
-            index = source.index[start : start + len(group.vertices)]
-            start += len(group.vertices)
+        for group, vertices in part.split(index):
             for member, faces in zip(group.primitives, group.triangles, strict=True):
                 if not len(faces):
                     continue
                 used, local = np.unique(faces, return_inverse=True)
                 material = primitives[member].get("material")
-                uv = _coordinates(document, primitives[member], len(group.vertices))
+                uv = _coordinates(document, primitives[member], len(vertices))
                 own = None if uv is None else np.ascontiguousarray(uv[used], np.float32)
                 number = material if type(material) is int else None
                 out.append(
-                    Piece(f"{prim_name(str(title), 'Mesh')}_{len(out)}", index[used], local.reshape(-1, 3), own, number)
+                    Piece(
+                        f"{prim_name(str(title), 'Mesh')}_{len(out)}", vertices[used], local.reshape(-1, 3), own, number
+                    )
                 )
     return out
 
 
 def _coordinates(document: Document, primitive: dict[str, object], count: int) -> np.ndarray | None:
-    """The texture coordinates that the base colour of a primitive is read by, with v upwards."""
+    """The texture coordinates of a primitive's base colour, with v upwards."""
     texture = None
     if type(primitive.get("material")) is int:
         rough = document.item("materials", primitive["material"]).get("pbrMetallicRoughness")
@@ -217,16 +214,8 @@ def _coordinates(document: Document, primitive: dict[str, object], count: int) -
 def add_mesh(
     usd: dict[str, ModuleType], stage: Any, path: str, piece: Piece, character: Character, rest: np.ndarray, look: Look
 ) -> Any:
-    """Add a piece as a mesh and return it.
-
-    Args:
-        usd: The modules of USD.
-        stage: The stage.
-        path: Path of the prim.
-        piece: The piece.
-        character: What it is of.
-        rest: Its rest positions in the file's frame, shape (V, 3), float32.
-        look: Where its material goes.
+    """Add a piece of a character as a mesh at a path and return it, with its rest positions in the file's frame, shape
+    (V, 3), float32.
     """
     array, types = usd["Vt"].Vec3fArray.FromNumpy, usd["Sdf"].ValueTypeNames
     mesh = usd["UsdGeom"].Mesh.Define(stage, path)
@@ -263,18 +252,10 @@ def write_usd(
     unit: str = "m",
     points: bool = False,
 ) -> Path:
-    """Write an animation as USD.
-
-    Args:
-        animation: The animation.
-        path: The file: .usd and .usdc are binary, .usda is text, .usdz is a package.
-        fps: Frames a second [1/s]; those of the motion by default.
-        up: "+y", as USD has it by default, or "+z"; the stage's `upAxis` says which.
-        unit: Unit of lengths, one of `bunraku.core.geometry.axes.UNITS`; the stage's `metersPerUnit` says which.
-        points: Write the position of every vertex in every frame instead of a skeleton.
-
-    Returns:
-        The file that was written.
+    """Write an animation as USD: .usd and .usdc are binary, .usda is text, .usdz is a package. One of a character's own
+    rig has its bones in their tree, under their names. Options are those of `save`; the stage's `upAxis` and
+    `metersPerUnit` state axes and unit. With `points` it holds the position of every vertex in every frame instead of a
+    skeleton.
 
     Raises:
         FormatError: The file cannot be written.
@@ -303,7 +284,7 @@ def _write_skinned(path: Path, character: Character, skin: _Skin, fps: float, up
 def write_points(
     animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m"
 ) -> Path:
-    """Write where every vertex is in every frame as USD; arguments are those of `write_usd`."""
+    """Write the position of every vertex in every frame as USD; arguments are those of `write_usd`."""
     usd, frame = _library(), FileFrame.of(up, unit)
     moved = animation.at(checked_fps(fps, animation.motion.fps))
     stage, name = _stage(usd, moved.motion.fps, len(moved.motion), up, unit), prim_name(animation.character.name)
@@ -365,12 +346,11 @@ def _stage(usd: dict[str, ModuleType], fps: float, frames: int, up: str, unit: s
 
 @dataclass(frozen=True, eq=False)
 class _Skin:
-    """A skeleton of J joints in the file's frame, none turned at rest, its motion in N frames, and its weights.
+    """A skeleton of J joints in the file's frame, none rotated at rest, its motion in N frames, and its weights.
 
     Args:
         joints: Paths of the joints, every parent before its children.
-        bind: Where they rest, shape (J, 3).
-        local: The same from their parents, shape (J, 3).
+        bind, local: Their rest positions, in the world and from their parents, shape (J, 3).
         translations, rotations: Of each in its parent's frame, shapes (N, J, 3) and (N, J, 4), xyzw, float32.
         indices, weights: Joints of each vertex and their shares, shape (V, M).
     """
@@ -448,13 +428,7 @@ def _add_skinned(
     indices, weights = skin.indices, skin.weights
     for piece in pieces(character):
         mesh = add_mesh(
-            usd,
-            stage,
-            f"{root}/{piece.name}",
-            piece,
-            character,
-            np.ascontiguousarray(rest[piece.index]),
-            look,
+            usd, stage, f"{root}/{piece.name}", piece, character, np.ascontiguousarray(rest[piece.index]), look
         )
         binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
         binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
@@ -480,8 +454,8 @@ def _channels(handles: Handles, motion: HandleMotion, frame: FileFrame) -> tuple
 
 
 def _influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All weights that matter, largest first: joints (V, M) int32 and shares (V, M) float32, as many columns as any
-    vertex needs.
+    """All weights that matter, largest first: joints (V, M) int32 and shares (V, M) float32, with as many columns as
+    needed.
     """
     most = max(int((weights > SMALL).sum(axis=1).max()), 1)
     indices, shares = top_influences(np.where(weights > SMALL, weights, 0), most)
@@ -489,7 +463,7 @@ def _influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _texture_folder(path: Path) -> str:
-    """Where the textures of a file are: in the package, or in a folder beside the file."""
+    """Folder of the textures of a file: in the package, or beside the file."""
     return "textures" if path.suffix.lower() == ".usdz" else f"{prim_name(path.stem, 'usd')}_textures"
 
 
@@ -503,9 +477,7 @@ def _check_textures(path: Path, look: Look) -> None:
 
 
 def _export(usd: dict[str, ModuleType], stage: Any, path: Path, look: Look) -> Path:
-    """Write the stage and its textures to a folder beside the target, from which they take their places when they are
-    whole.
-    """
+    """Write the stage and its textures to a folder beside the target, and move them when they are complete."""
     check_output_folder(path)
     _check_textures(path, look)
     suffix = path.suffix.lower()

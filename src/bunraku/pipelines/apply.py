@@ -80,13 +80,13 @@ def apply_simulated(
     Raises:
         CharacterError: There is no physics in the file, or its bones are not understood.
     """
-    from bunraku.apparel.chains.moving import simulated
+    from bunraku.apparel.chains.moving import with_apparel
     from bunraku.core.motion import resample
     from bunraku.retarget.rig_parts import RigParts
 
     constraints = Constraints.of(in_place=in_place)
     moved = apply_rigged(resample(motion, fps), RigParts.of(character), constraints, stages, progress)
-    return simulated(moved, progress)
+    return with_apparel(moved, progress)
 
 
 def apply_rigged(

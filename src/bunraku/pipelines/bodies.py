@@ -10,7 +10,7 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.handles.limbs import FAMILIES, limb_handles
-from bunraku.anatomy.plan import BodyPlan
+from bunraku.anatomy.legs import BodyPlan
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.language.parse import INSTEAD, for_body

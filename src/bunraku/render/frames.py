@@ -42,12 +42,12 @@ MOST_FACES = 120_000
 KEPT_FACES = 60_000
 CHUNK_BYTES = 32 << 20
 KEPT_BYTES = 96 << 20
-"""Posed frames that are kept between measuring and drawing; more are posed twice."""
+"""Posed frames that are kept between measuring and drawing [bytes]; further ones are posed twice."""
 
 
 @dataclass(frozen=True)
 class _Take:
-    """Frames to draw: posed vertices can be asked for again and again, a frame at a time."""
+    """Frames to draw; posed vertices can be iterated again and again."""
 
     rest: np.ndarray
     faces: np.ndarray
@@ -73,7 +73,7 @@ def render_frames(
         vertices: Posed positions [m], +Y up, +Z forward, shape (N, V, 3).
         faces: Vertex indices, shape (F, 3).
         colors: sRGB colours, uint8, of the vertices (V, 3) or one for all (3,).
-        camera: Where all frames are seen from; None fits one, which follows long paths.
+        camera: The camera of all frames; None fits one, which follows long paths.
         size: Width and height in pixels.
         fps: Frames a second, for how softly the camera follows [1/s].
         background: "studio", "white", "dark", a colour such as "#dfe4e9", or three numbers 0 to 255.
@@ -82,7 +82,7 @@ def render_frames(
         Pictures, shape (N, H, W, 3), uint8.
 
     Raises:
-        OptionError: A size, a colour or a background is not one, or there is no frame.
+        OptionError: A size, a colour or a background is invalid, or there is no frame.
     """
     vertices = np.asarray(vertices, np.float32)
     if vertices.ndim != 3 or not len(vertices) or vertices.shape[2] != 3 or not np.isfinite(vertices).all():
@@ -106,7 +106,7 @@ def render_animation(
     background: Background = "studio",
     color: Literal["texture", "handles"] = "texture",
 ) -> Iterator[np.ndarray]:
-    """Draw an animation one frame after the other; memory does not grow with its length.
+    """Draw an animation one frame after the other.
 
     Args:
         animation: What to draw.
@@ -135,7 +135,8 @@ def render_still(
     yaw: float = float(YAW),
     background: Background = "studio",
 ) -> np.ndarray:
-    """A character in its rest pose, in its own colours or, when `handles` are given, in theirs.
+    """A picture of a character in its rest pose, shape (H, W, 3), uint8, in its own colours or, when `handles` are
+    given, in theirs.
 
     Args:
         character: What to show.
@@ -143,9 +144,6 @@ def render_still(
         size: Width and height in pixels.
         yaw: Rotation of the viewer about +Y from the character's front (+Z) towards +X [rad].
         background: As for `render_frames`.
-
-    Returns:
-        The picture, shape (H, W, 3), uint8.
     """
     colors = character.colors if handles is None else handle_colors(handles)
     vertices = np.ascontiguousarray(character.vertices, np.float32)
@@ -197,11 +195,11 @@ def _take(animation: Animation | PointAnimation, times: np.ndarray, color: str) 
 def _simplified(
     vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None, weights: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """The mesh as it is drawn, or for a large one fewer faces, with the vertex of the original that each new vertex
-    takes after; None where all are as they were.
+    """The mesh as it is drawn, with fewer faces if it is large, and the original vertex of each new one; None where all
+    are as they were.
 
-    Vertices without faces are left out: they are not seen, and would draw the camera away. Copies of a vertex that
-    look and move alike, as files keep them at seams and STL for every face, are drawn as one.
+    Vertices without faces are left out, since they would draw the camera away unseen. Copies of a vertex that look and
+    move alike, as files keep them at seams and STL for every face, are drawn as one.
     """
     kept, faces = _welded(vertices, faces, colors, weights)
     if len(kept) < len(vertices):
@@ -240,7 +238,7 @@ def _welded(
 def _fewer(
     vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """What `_simplified` gives, for a mesh without loose vertices."""
+    """`_simplified` for a mesh without loose vertices."""
     if len(faces) <= MOST_FACES and len(vertices) <= MOST_FACES:
         return vertices, faces, colors, None
     import fast_simplification

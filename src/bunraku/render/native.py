@@ -1,4 +1,4 @@
-"""The compiled loops of `kernels.c`: built once by the C compiler that is there, and kept for the next process."""
+"""The compiled loops of `kernels.c`: built once by the installed C compiler, and kept for the next process."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FLAGS = (
 
 
 class Native(NamedTuple):
-    """The compiled loops, or None where numpy draws in their stead, and why."""
+    """The compiled loops, or None where numpy draws instead, and the reason."""
 
     library: ctypes.CDLL | None
     reason: str
@@ -35,8 +35,8 @@ class Native(NamedTuple):
 
 @cache
 def native() -> Native:
-    """The compiled loops of this installation, which the first call builds; the environment variable BUNRAKU_KERNELS
-    set to numpy does without.
+    """The compiled loops of this installation, built by the first call; the environment variable BUNRAKU_KERNELS=numpy
+    disables them.
     """
     if os.environ.get(VARIABLE, "").strip().lower() == "numpy":
         return Native(None, f"{VARIABLE} asks for numpy")
@@ -63,28 +63,24 @@ def native() -> Native:
 
 
 def _folders() -> list[Path]:
-    """Where the compiled loops may lie: beside their source, or in the user's cache."""
+    """Folders for the compiled loops: beside their source, or the user's cache."""
     cache_home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or ""
     home = Path(cache_home) if cache_home else Path(os.path.expanduser("~")) / ".cache"
     return [SOURCE.parent / "__pycache__", home / "bunraku"]
 
 
 def _ours(path: Path) -> bool:
-    """Whether nobody else can have put this file here."""
+    """Whether only this user or root can have put this file here."""
     if sys.platform == "win32":
         return True
     return path.stat().st_uid in (0, os.getuid()) and not path.stat().st_mode & 0o022
 
 
 def compile_kernels(compiler: str, path: Path) -> None:
-    """Build the loops as a shared library.
-
-    Args:
-        compiler: A C compiler with the options of gcc.
-        path: The file to write; it appears whole or not at all.
+    """Build the loops as a shared library, which appears whole or not at all.
 
     Raises:
-        OSError: The compiler cannot be started, or the folder not written.
+        OSError: The compiler, one with the options of gcc, cannot be started, or the folder not written.
         subprocess.SubprocessError: It failed.
     """
     handle, name = tempfile.mkstemp(prefix=".kernels-", suffix=path.suffix, dir=path.parent)

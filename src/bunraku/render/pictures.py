@@ -16,13 +16,12 @@ from bunraku.errors import FormatError, MissingExtraError, OptionError
 
 __all__ = ["assemble", "check_target", "contact_sheet", "page", "write_moving", "write_png"]
 
-
 MOVING = (".mp4", ".webp", ".gif")
 SUFFIXES = (*MOVING, ".png")
 
 
 def check_target(path: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> Path:
-    """The target's path, when its suffix is one of `suffixes` and its folder can be written.
+    """The target's path, if its suffix is one of `suffixes` and its folder can be written.
 
     Raises:
         FormatError: Neither.
@@ -40,7 +39,7 @@ def check_target(path: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> Path
 
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside the target, renamed to it at the end; removed when anything goes wrong."""
+    """A temporary path beside the target, renamed to it at the end and removed when anything goes wrong."""
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
         os.close(handle)
@@ -124,15 +123,11 @@ def _write_pillow(images: Iterable[np.ndarray], path: Path, fps: float) -> None:
 
 
 def write_png(image: np.ndarray, path: str | Path, limit: int | None = None) -> Path:
-    """Write one picture (H, W, 3), uint8, as PNG.
-
-    Args:
-        image: The picture.
-        path: A name that ends with .png.
-        limit: Most bytes of the file; colours, then size, are reduced until it fits. None keeps every pixel.
+    """Write one picture (H, W, 3), uint8, as PNG. Where the file has more than `limit` bytes, colours, then size, are
+    reduced until it fits.
 
     Raises:
-        FormatError: The suffix is another, or the file cannot be written.
+        FormatError: The name does not end with .png, or the file cannot be written.
         MissingExtraError: Pillow is not installed.
     """
     try:
@@ -170,7 +165,7 @@ def assemble(
     gap: int = 4,
     paper: tuple[int, int, int] = PAPER,
 ) -> np.ndarray:
-    """Pictures of one size in a grid, row by row, each with its label below.
+    """Pictures of one size in a grid, row by row, each with its label below, uint8, three channels.
 
     Args:
         images: Pictures, each (H, W, 3), uint8.
@@ -178,10 +173,7 @@ def assemble(
         columns: Pictures in a row; None makes the sheet about 16:10.
         title: A line above all.
         gap: Pixels between the pictures.
-        paper: sRGB of what lies between and below the pictures.
-
-    Returns:
-        The sheet, uint8, three channels.
+        paper: sRGB of the space between and below the pictures.
 
     Raises:
         OptionError: No pictures, of several sizes, or another number of labels.
@@ -245,13 +237,7 @@ def contact_sheet(
     title: str | None = None,
     limit: int | None = LIMIT,
 ) -> Path:
-    """Write pictures in a grid as one PNG of at most `limit` bytes (300 kB), reducing colours, then size, to fit.
-
-    Arguments and errors are those of `assemble`; also:
-
-    Raises:
-        FormatError: The file cannot be written, or its name does not end with .png.
-    """
+    """`assemble` pictures and write them as one PNG of at most `limit` bytes (`write_png`)."""
     return write_png(assemble(images, labels, columns=columns, title=title), path, limit)
 
 
@@ -260,15 +246,8 @@ TEXT = 14
 
 
 def page(picture: np.ndarray, title: str, lines: Sequence[str]) -> np.ndarray:
-    """A picture with a title and lines below it; lines that are too long go on in the next one.
-
-    Args:
-        picture: Shape (H, W, 3), uint8.
-        title: Set larger.
-        lines: One after the other.
-
-    Returns:
-        The page, as wide as the picture, uint8, three channels.
+    """A picture (H, W, 3), uint8, with a title and lines below it, as wide as the picture; lines that are too long are
+    wrapped.
 
     Raises:
         MissingExtraError: Pillow is not installed.

@@ -1,6 +1,4 @@
-"""Previews of animations and characters written to files: pictures, videos, a page to look around in, and views of
-orientations.
-"""
+"""Previews of animations and characters in files: pictures, videos, an interactive page, and views of orientations."""
 
 from __future__ import annotations
 
@@ -26,7 +24,6 @@ if TYPE_CHECKING:
     from bunraku.core.animation import AnimatedCharacter
 
 __all__ = ["MOST_BYTES", "orientation_views", "save_preview", "save_still", "write_html"]
-
 
 CELL = (240, 280)
 Progress = Callable[[int, int], None]
@@ -59,9 +56,6 @@ def save_preview(
         frames: Pictures of a sheet, evenly spaced from the first frame to the last.
         title: A line above the sheet.
         progress: Called with the number of pictures done and of all.
-
-    Returns:
-        The path.
 
     Raises:
         FormatError: The suffix is unknown, or the file cannot be written.
@@ -112,7 +106,7 @@ def save_still(
 ) -> Path:
     """Write a PNG of a character in its rest pose, seen from the front, or, with `views=2`, also from the back.
 
-    With handles each vertex has its handles' colours, blended by weight. Lines stand below the picture, under the
+    With handles each vertex has its handles' colours, blended by weight. Lines are written below the picture, under the
     character's name. Other arguments are those of `render_still`.
 
     Raises:
@@ -135,7 +129,7 @@ def _counted(pictures: Iterable[np.ndarray], total: int, progress: Progress) -> 
 
 
 MOST_BYTES = 64 << 20
-"""Bytes of a model that a page holds."""
+"""Largest size of a page's model [bytes]."""
 
 
 def write_html(
@@ -146,17 +140,14 @@ def write_html(
     name: str | None = None,
     most: int = MOST_BYTES,
 ) -> Path:
-    """Write an animation as a page that shows it, by three.js.
+    """Write an animation as a page that shows it with three.js.
 
     Args:
         animation: Of any kind that a GLB can hold.
         path: The file.
         fps: Frames a second of the clip [1/s]; those of the motion by default.
         name: The title; the file's name by default.
-        most: Bytes that the model may have.
-
-    Returns:
-        The file that was written.
+        most: Largest size of the model [bytes].
 
     Raises:
         FormatError: The file cannot be written, or the model is larger.
@@ -167,8 +158,7 @@ def write_html(
         model = animation.save(Path(folder, "model.glb"), name=title, **rate).read_bytes()
     if len(model) > most:
         raise FormatError(
-            path,
-            f"the model is larger than the {most >> 20} MiB that a page holds; simplify the mesh, or write a GLB",
+            path, f"the model is larger than the {most >> 20} MiB that a page holds; simplify the mesh, or write a GLB"
         )
     view = Path(__file__).with_name("view")
     page = view.joinpath("page.html").read_text(encoding="utf-8").replace("TITLE", html.escape(title))
@@ -187,15 +177,8 @@ VIEW_SIZE = (320, 360)
 
 
 def orientation_views(character: Character, count: int = 4) -> np.ndarray:
-    """The likeliest ways in which a character may stand, side by side: the right one stands upright and faces the
-    viewer. Each is labelled with the options that say it, and with how sure it is.
-
-    Args:
-        character: As its file has it.
-        count: How many, 1 to 24.
-
-    Returns:
-        The picture, shape (H, W, 3), uint8.
+    """The `count` (1 to 24) likeliest orientations of a character side by side, shape (H, W, 3), uint8: the right one
+    stands upright and faces the viewer. Each is labelled with its options and its probability.
 
     Raises:
         WeightsError: The weights of the orientation network are missing or broken.

@@ -1,4 +1,6 @@
-"""The loops of the renderer in numpy: what `kernels.c` computes, readable, and what draws where it is not compiled."""
+"""The loops of the renderer in numpy: readable versions of those in `kernels.c`, which draw where it is not
+compiled.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,9 @@ SAMPLES = ((0.375, 0.125), (0.875, 0.375), (0.125, 0.625), (0.625, 0.875))
 LINE_WIDTH = 0.016
 """Thickness of a grid line as a share of the grid's spacing."""
 EDGE = 1e-6
-"""So much beside its edge a face still covers a sample, as a share of the face: neighbours leave no gap."""
+"""A face covers a sample this far beyond its edge, as a share of the face, so that neighbours leave no gap."""
 PAIRS = 1 << 19
-"""Pairs of a face and a pixel that are looked at together."""
+"""Pairs of a face and a pixel that are processed together."""
 
 
 def measure(vertices: np.ndarray, axes: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -32,8 +34,8 @@ def measure(vertices: np.ndarray, axes: np.ndarray, slopes: np.ndarray) -> tuple
 
 
 def accumulate_normals(vertices: np.ndarray, faces: np.ndarray, clusters: np.ndarray, count: int) -> np.ndarray:
-    """Unit normals (count, 3), float32, of the smooth clusters: area-weighted sums over the faces whose corners belong
-    to them.
+    """Unit normals (count, 3), float32, of the smooth clusters: area-weighted sums over the faces with corners
+    in them.
     """
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     normals = np.repeat(np.cross(b - a, c - a), 3, axis=0)
@@ -52,11 +54,8 @@ def project(points: np.ndarray, axes: np.ndarray, eye: np.ndarray, focal: float,
 
 
 def _pairs(first: np.ndarray, last: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Each face with each pixel of its box, in chunks: index of the face, column, row, face by face.
-
-    Args:
-        first: Lowest column and row, shape (F, 2), int.
-        last: Highest, shape (F, 2).
+    """Each face with each pixel of its box, lowest to highest column and row (F, 2), in chunks: index of the face,
+    column, row.
     """
     sides = np.maximum(last - first + 1, 0)
     counts = sides[:, 0] * sides[:, 1]
@@ -72,10 +71,8 @@ def _pairs(first: np.ndarray, last: np.ndarray) -> Iterator[tuple[np.ndarray, np
 
 
 def rasterise(screen: np.ndarray, faces: np.ndarray, depth: np.ndarray, ids: np.ndarray) -> tuple[int, int, int, int]:
-    """Write the nearest face of each sample to `ids` and its inverse distance to `depth`, both (H, W, 4).
-
-    Returns:
-        The rectangle that holds all of them: first column and row, and those after the last.
+    """Write the nearest face of each sample to `ids` and its inverse distance to `depth`, both (H, W, 4), and return
+    the rectangle that holds all of them: first column and row, and those after the last.
     """
     height, width = depth.shape[:2]
     near, nearest = depth.reshape(-1), ids.reshape(-1)
@@ -114,10 +111,8 @@ def drop_shadow(
     vertices: np.ndarray, faces: np.ndarray, slopes: tuple[float, float], ground: float, corner: tuple[float, float],
     texel: float, lowest: bool, heights: np.ndarray,
 ) -> None:  # fmt: skip
-    """Project faces to the floor along (-slope x, -1, -slope z); keep the highest (or lowest) height of each texel
-    (R, R).
-
-    Heights are above the floor [m]; texels that nothing covers keep what they held.
+    """Project faces to the floor along (-slope x, -1, -slope z); keep the highest (or lowest) height of each texel (R,
+    R) above the floor [m]. Texels that nothing covers keep their values.
     """
     size, kept = len(heights), heights.reshape(-1)
     points = vertices.astype(np.float64)
@@ -172,15 +167,15 @@ def rays(columns: np.ndarray, rows: np.ndarray, size: tuple[int, int], axes: np.
 def draw_grid(
     floor: np.ndarray, offset: np.ndarray, cell: float, color: np.ndarray, base: np.ndarray, plain: np.ndarray
 ) -> None:
-    """Draw the floor's lines over a `Backdrop` that has none: into its sRGB 0..1 (H, W, 3), float32, and into how that
-    is shown, uint8.
+    """Draw the floor's lines over a `Backdrop` without any: into its sRGB 0..1 (H, W, 3), float32, and into the uint8
+    version of it.
 
     Args:
         floor: `Backdrop.floor`.
-        offset: Where its origin lies along x and z [m], shape (2,).
+        offset: Position of its origin along x and z [m], shape (2,).
         cell: Spacing of the lines [m].
         color: sRGB 0..1 of the lines, shape (3,).
-        base: Drawn over; likewise `plain`.
+        base, plain: Drawn over.
     """
     x, z, across, along, fade = np.moveaxis(floor.astype(np.float64), -1, 0)
     width = LINE_WIDTH * cell
@@ -202,7 +197,7 @@ def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _occlusion(heights: np.ndarray, x: np.ndarray, y: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Share of 3 x 3 texels around (x, y) where something stands higher than `height` in the way of the light."""
+    """Share of 3 x 3 texels around (x, y) where something higher than `height` blocks the light."""
     size = len(heights)
     x, y = x - 0.5, y - 0.5
     inside = (x >= 1) & (y >= 1) & (x < size - 2) & (y < size - 2)
@@ -227,7 +222,7 @@ class Drawn(NamedTuple):
 
 
 class View(NamedTuple):
-    """Axes of the camera (rows right, up, back), its place [m], and its focal length [pixels]."""
+    """Axes of the camera (rows right, up, back), its position [m], and its focal length [pixels]."""
 
     axes: np.ndarray
     eye: np.ndarray
@@ -264,8 +259,8 @@ def shade(
     base: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Shade the samples of each pixel of a rectangle, once for each face that it sees, and average them into `out`
-    (H, W, 3), uint8.
+    """Shade the samples of each pixel of a rectangle, once for each face that it sees, and average them into `out` (H,
+    W, 3), uint8.
     """
     left, top, right, bottom = window
     if left >= right or top >= bottom:

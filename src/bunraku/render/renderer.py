@@ -27,14 +27,8 @@ __all__ = ["SoftwareRenderer", "draw_parallel"]
 
 
 class SoftwareRenderer:
-    """Draws frames of one surface on one stage; of one thread at a time.
-
-    Faces that reach behind the eye are left out whole; a fitted camera has none.
-
-    Args:
-        size: Width and height in pixels.
-        surface: The mesh.
-        stage: The floor, the lights and the background.
+    """Draws frames of one surface on one stage; for one thread at a time. Faces that reach behind the eye are left out
+    whole; a fitted camera has none.
     """
 
     def __init__(self, size: tuple[int, int], surface: Surface, stage: Stage):
@@ -54,8 +48,8 @@ class SoftwareRenderer:
 
         Args:
             vertices: Posed positions [m], shape (V, 3), float32, contiguous.
-            camera: Where it is seen from.
-            offset: How far the lit part of the floor has moved [m], shape (3,).
+            camera: The camera.
+            offset: Displacement of the lit part of the floor [m], shape (3,).
         """
         from bunraku.render import kernels
         from bunraku.render.reference import Drawn, Lighting, ShadowMap, View
@@ -85,7 +79,7 @@ class SoftwareRenderer:
         return out
 
     def _draw_backdrop(self, camera: Camera, focal: float, offset: np.ndarray) -> None:
-        """Fill `base` and `plain`, where the camera is not where it was."""
+        """Fill `base` and `plain` where the camera has moved."""
         from bunraku.render import kernels
 
         seen = (*camera.position.tolist(), *camera.axes.ravel().tolist(), focal, *np.asarray(offset).tolist())
@@ -108,8 +102,8 @@ class SoftwareRenderer:
         self._seen = seen
 
     def _darkened(self, shadows: Shadows, camera: Camera) -> tuple[int, int, int, int]:
-        """The rectangle of the picture outside which no shadow lies on the floor: first column and row, and those
-        after the last.
+        """The rectangle of the picture outside which no shadow lies on the floor: first column and row, and those after
+        the last.
         """
         height, width = self._ids.shape[:2]
         rows, columns = (np.flatnonzero((shadows.floor > 0).any(axis=axis)) for axis in (1, 0))
@@ -128,18 +122,12 @@ class SoftwareRenderer:
 
 MOST_THREADS = 8
 Frame = tuple[np.ndarray, Camera, np.ndarray]
-"""Posed vertices, the camera, and how far the floor has moved: what a renderer draws."""
+"""Posed vertices, the camera, and the displacement of the floor."""
 
 
 def draw_parallel(opened: Callable[[], SoftwareRenderer], frames: Iterable[Frame]) -> Iterator[np.ndarray]:
-    """Pictures of frames, in their order.
-
-    They are drawn on as many threads as there are processors, and a few pictures ahead of the one that is asked for, so
-    that a video is encoded meanwhile.
-
-    Args:
-        opened: Gives a new renderer; all draw the same.
-        frames: What to draw.
+    """Pictures of frames in their order, drawn on one thread per processor, a few pictures ahead, so that a video is
+    encoded meanwhile. `opened` gives a new renderer; all draw the same.
     """
     first = opened()
     threads = min(

@@ -1,4 +1,4 @@
-"""What a picture shows besides the character's motion: camera, faces and colours, lights, shadows, floor and
+"""What a picture shows besides the character's motion: camera, faces and colours, lights, shadows, floor,
 background.
 """
 
@@ -16,7 +16,6 @@ __all__ = [
     "compress_highlights", "linear_from_srgb", "parse_background", "set_stage", "srgb_from_linear", "view_axes",
 ]  # fmt: skip
 
-
 FIELD_OF_VIEW = np.deg2rad(26.0)
 YAW = np.deg2rad(32.0)
 ELEVATION = np.deg2rad(13.0)
@@ -25,14 +24,12 @@ FOLLOW = 0.8
 
 
 def view_axes(yaw: float = YAW, elevation: float = ELEVATION) -> np.ndarray:
-    """Camera axes that look at the origin from a direction.
+    """Camera axes that look at the origin: rows right, up and back (towards the viewer) in the world, shape (3, 3),
+    float64.
 
     Args:
         yaw: Rotation of the viewer about +Y from +Z (the character's front) towards +X [rad].
         elevation: Height of the viewer above the horizon [rad].
-
-    Returns:
-        Rows right, up and back (towards the viewer) in world coordinates, shape (3, 3), float64.
     """
     back = np.array([np.sin(yaw) * np.cos(elevation), np.sin(elevation), np.cos(yaw) * np.cos(elevation)])
     right = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
@@ -60,7 +57,7 @@ class Camera:
             raise OptionError("a camera's field of view must be between 0 and pi radians")
 
     def moved(self, offset: np.ndarray) -> Camera:
-        """The same camera at another place, `offset` [m] away."""
+        """The same camera, displaced [m]."""
         return replace(self, position=self.position + offset)
 
     def focal(self, height: int) -> float:
@@ -68,15 +65,8 @@ class Camera:
         return 0.5 * height / float(np.tan(0.5 * self.field_of_view))
 
     def project(self, points: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-        """Pixel coordinates and distance of points.
-
-        Args:
-            points: Positions [m], shape (..., 3).
-            size: Width and height of the picture in pixels.
-
-        Returns:
-            Column, row (0, 0 is the upper left corner of the upper left pixel) and distance along the line of sight
-            [m], shape (..., 3), float64.
+        """Column, row ((0, 0) is the upper left corner of the upper left pixel) and distance along the line of sight
+        [m] of points (..., 3) in a picture of a width and height, shape (..., 3), float64.
         """
         width, height = size
         local = (np.asarray(points, np.float64) - self.position) @ self.axes.T
@@ -134,7 +124,7 @@ class Framing:
     @property
     def ground(self) -> float:
         """Height of the ground [m]: the floor of the rest pose, through which a weapon or a tail may pass for a while;
-        of a motion elsewhere, or without a floor, what the lowest vertices of nearly all frames stand above.
+        of a motion elsewhere, or without a floor, the height below the lowest vertices of nearly all frames.
         """
         lowest = float(np.quantile(self.bounds[:, 0, 1], 0.05, method="lower"))
         if self._floor is not None and abs(lowest - self._floor) < 0.4 * self.extent:
@@ -142,8 +132,8 @@ class Framing:
         return lowest
 
     def offsets(self) -> np.ndarray:
-        """How far the camera and the lit part of the floor have moved in each frame [m], shape (N, 3); zeros for a
-        short path.
+        """Displacement of the camera and the lit part of the floor in each frame [m], shape (N, 3); zeros for a short
+        path.
         """
         centre = self.bounds.mean(axis=1).astype(np.float64)
         out = np.zeros_like(centre)
@@ -200,15 +190,13 @@ def compress_highlights(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Surface:
-    """A mesh as the renderer draws it: points are vertices, split where a crease parts their normals.
+    """A mesh as the renderer draws it: points are vertices, split where a crease divides their normals.
 
     Args:
-        faces: Vertices of each triangle, shape (F, 3), int32.
-        triangles: Points of each triangle, shape (F, 3), int32.
+        faces, triangles: Vertices and points of each triangle, shape (F, 3), int32.
         clusters: Normal of each corner, shape (F, 3), int32, below `normal_count`.
-        point_vertex: Vertex of each point, shape (P,), int32.
-        point_cluster: Normal of each point, shape (P,), int32.
-        colors: Linear colour of each point, shape (P, 3), float32.
+        point_vertex, point_cluster: Vertex and normal of each point, shape (P,), int32.
+        colors: Linear light of each point, shape (P, 3), float32.
         normal_count: Number of normals.
     """
 
@@ -458,8 +446,8 @@ class Backdrop:
 
 
 def build_backdrop(size: tuple[int, int], camera: Camera, stage: Stage, offset: np.ndarray) -> Backdrop:
-    """The backdrop of pictures of `size` pixels; `offset` [m], shape (3,), is how far the lit part of the floor has
-    moved.
+    """The backdrop of pictures of `size` pixels; `offset` [m], shape (3,), is the displacement of the lit part of the
+    floor.
     """
     focal, axes = camera.focal(size[1]), camera.axes
     columns, rows = np.meshgrid(np.arange(size[0]), np.arange(size[1]))

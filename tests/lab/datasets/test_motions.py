@@ -20,7 +20,9 @@ from bunraku.errors import FormatError
 from bunraku.retarget.to_reference import handle_motion_of_body
 from bunraku_lab.datasets.motions.build import (
     MotionArchive,
+    add_turns,
     build_motions,
+    find_turn,
     floor_height,
     level_feet,
     posture_fault,
@@ -31,7 +33,6 @@ from bunraku_lab.datasets.motions.build import (
     unrolled,
 )
 from bunraku_lab.datasets.motions.clips import load_clip, write_clip
-from bunraku_lab.datasets.motions.derived import add_turns, find_turn
 
 
 def bend(frames, seed=0):

@@ -18,11 +18,9 @@ from bunraku.core.geometry.rotations import (
 )
 from bunraku.core.geometry.surface import vertex_areas
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, local_rotations
-from bunraku.core.skinning import posed_points
 from bunraku.errors import MotionError
 
-__all__ = ["joint_errors", "motion_from_positions", "skeleton_from_handles"]
-
+__all__ = ["motion_from_positions", "skeleton_from_handles"]
 
 ROUNDS = 12
 CHUNK = 1000  # frames at once
@@ -60,7 +58,7 @@ def skeleton_from_handles(motion: HandleMotion, rounds: int = ROUNDS) -> Skeleta
     """The motion of SMPL's 22 joints that moves the reference body as a handle motion does.
 
     The skeleton is the reference body's. What handles do beyond rotating about joints (soft bending, tails, fingers) is
-    left out; `joint_errors` measures it.
+    left out.
 
     Args:
         motion: Of the reference body's handles: at least 22, those of SMPL's joints first.
@@ -121,19 +119,6 @@ def _mean_of_root(world: np.ndarray) -> np.ndarray:
     return np.asarray(
         np.einsum("njab,jb->na", world, arms) + np.einsum("j,nja->na", shares.sum(axis=0), _joint_positions(world))
     )
-
-
-def joint_errors(motion: HandleMotion, found: SkeletalMotion) -> np.ndarray:
-    """Mean distance over all frames of each joint of `found`, which `skeleton_from_handles` made of `motion`, from
-    where the handles above and below it take it [m], shape (22,).
-    """
-    body = reference_body()
-    transforms = motion.transforms(body.handles.positions)[:, :JOINT_COUNT].astype(float)
-    own = posed_points(transforms, body.joints)
-    above = np.maximum(_PARENTS, 0)
-    upper = transforms[:, above]
-    other = posed_points(upper, body.joints)
-    return np.asarray(np.linalg.norm((own + other) / 2 - found.world()[1], axis=-1).mean(axis=0))
 
 
 _CHILDREN = [[child for child in range(JOINT_COUNT) if JOINT_PARENTS[child] == joint] for joint in range(JOINT_COUNT)]

@@ -10,10 +10,10 @@ from bunraku.core.character import Handles
 from bunraku.errors import OptionError
 
 __all__ = [
-    "HANDLE_COUNT", "HANDLE_MIRROR", "HANDLE_NAMES", "HANDLE_PARENTS", "JOINT_COUNT", "JOINT_MIRROR", "JOINT_NAMES",
-    "JOINT_PARENTS", "PARTS", "REQUIRED", "ROOTS", "SKELETONS", "engine_names", "handle_names", "kept_handles",
+    "CHEST", "HANDLE_COUNT", "HANDLE_INDEX", "HEAD", "LEGS", "TAIL", "WINGS", "WRISTS", "HANDLE_MIRROR", "HANDLE_NAMES",
+    "HANDLE_PARENTS", "JOINT_COUNT", "JOINT_MIRROR", "JOINT_NAMES", "JOINT_PARENTS", "PARTS", "REQUIRED", "ROOTS",
+    "SKELETONS", "engine_names", "handle_names", "kept_handles", "sided",
 ]  # fmt: skip
-
 
 JOINT_NAMES: tuple[str, ...] = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
@@ -30,6 +30,10 @@ HANDLE_NAMES: tuple[str, ...] = (
 )  # fmt: skip
 HANDLE_PARENTS: tuple[int, ...] = (*JOINT_PARENTS, 20, 21, 15, 15, 9, 9, 0, 28)
 HANDLE_COUNT = len(HANDLE_NAMES)
+HANDLE_INDEX = {name: index for index, name in enumerate(HANDLE_NAMES)}
+"""Index of each handle, and of each joint, by its name."""
+CHEST, HEAD = HANDLE_INDEX["spine3"], HANDLE_INDEX["head"]
+WRISTS = (HANDLE_INDEX["left_wrist"], HANDLE_INDEX["right_wrist"])
 
 
 def _mirror(names: tuple[str, ...]) -> tuple[int, ...]:
@@ -57,6 +61,11 @@ def handle_names(handles: Handles) -> tuple[str, ...]:
     return tuple(names)
 
 
+def sided(*parts: str) -> tuple[int, ...]:
+    """Handles of these parts of the left side, and then of the right one."""
+    return tuple([HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in parts])
+
+
 def _named(*endings: str, side: str = "") -> tuple[int, ...]:
     return tuple([i for i, name in enumerate(HANDLE_NAMES) if name.startswith(side) and name.endswith(endings)])
 
@@ -81,6 +90,7 @@ PARTS: dict[str, tuple[int, ...]] = {
     "wings": _named("wing"),
 }
 """Handles of each part. Legs come with the root: their steps stay in place only on its path."""
+LEGS, TAIL, WINGS = PARTS["legs"][1:], PARTS["tail"], PARTS["wings"]
 
 
 def kept_handles(keep: str | Sequence[str]) -> np.ndarray:
@@ -101,8 +111,8 @@ def kept_handles(keep: str | Sequence[str]) -> np.ndarray:
             continue
         if plain in PARTS:
             out[list(PARTS[plain])] = True
-        elif plain.replace(" ", "_") in HANDLE_NAMES:
-            out[HANDLE_NAMES.index(plain.replace(" ", "_"))] = True
+        elif plain.replace(" ", "_") in HANDLE_INDEX:
+            out[HANDLE_INDEX[plain.replace(" ", "_")]] = True
         else:
             raise OptionError(
                 f"there is no part '{word.strip()}' to keep; there are {', '.join(PARTS)}, and single handles such as "

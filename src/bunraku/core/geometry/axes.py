@@ -15,7 +15,6 @@ __all__ = [
     "upright_rotation",
 ]  # fmt: skip
 
-
 BINS, ROUND = 12, 0.75
 """Bins of the directions about a line, and the share of them that something around it covers."""
 

@@ -11,7 +11,6 @@ __all__ = [
     "solve_banded", "tallest_steady",
 ]  # fmt: skip
 
-
 EDGES = ("nearest", "mirror", "wrap")
 CUT = 4.0
 """Deviations from its middle at which a Gaussian ends."""

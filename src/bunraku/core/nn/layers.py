@@ -22,7 +22,6 @@ __all__ = [
     "apply_rotary", "unit", "usable_threads",
 ]  # fmt: skip
 
-
 _NEVER = np.float32(-1e30)
 """Added to a score of attention, it hides a position."""
 _PIECE = 1 << 15

@@ -29,7 +29,6 @@ __all__ = [
     "sample_clip",
 ]  # fmt: skip
 
-
 CONSTANT, CUBIC, NEXT, WEIGHTED_RIGHT, WEIGHTED_LEFT = 0x2, 0x8, 0x100, 0x0100_0000, 0x0200_0000
 AUTO, TCB, USER, FLAT_AT_EQUAL, OVER_TIME, PROGRESSIVE = (
     0x100,
@@ -49,7 +48,7 @@ class Curve:
     Args:
         times: Of the keys [s], ascending, shape (M,).
         values: At the keys, shape (M,).
-        flags: How each key goes to the next, shape (M,).
+        flags: Interpolation from each key to the next, shape (M,).
         slopes: Slopes after each key and before the next [1/s], shape (M, 2).
         weights: Lengths of these tangents as a share of the span, shape (M, 2).
     """
@@ -137,7 +136,7 @@ def read_curve(tree: FbxTree, thing: FbxObject) -> Curve | None:
 
 
 def _with_auto(times: np.ndarray, values: np.ndarray, flags: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """The slopes with those computed that a key leaves to the program, which stores nothing for them, shape (M, 2)."""
+    """The slopes, shape (M, 2), with those computed that a key leaves to the program and that are not stored."""
     own = ((flags & CUBIC) > 0) & ((flags & (AUTO | TCB)) > 0) & ((flags & USER) == 0)
     if len(times) < 2 or not own.any():
         return slopes
@@ -170,8 +169,7 @@ class FbxClip:
 
     Args:
         name: Its name.
-        start: Where it starts [s].
-        end: Where it ends [s].
+        start, end: Its span [s].
         curves: For each (model, property) that it moves, three curves or the numbers that stand for them.
     """
 
@@ -187,11 +185,7 @@ class FbxClip:
 
 
 def read_clips(scene: FbxScene) -> list[FbxClip]:
-    """All clips that move something. Of several layers, the first that moves a property counts.
-
-    Raises:
-        FormatError: A curve is broken.
-    """
+    """All clips that move something. Of several layers, the first that moves a property counts."""
     clips = []
     for number, stack in enumerate(scene.of_kind("AnimationStack")):
         curves: dict[tuple[int, str], tuple[Curve | float, ...]] = {}
@@ -238,24 +232,14 @@ def clip_number(path: Path, names: list[str], clip: int | str) -> int:
 
 
 def find_clip(scene: FbxScene, clips: list[FbxClip], clip: int | str | None) -> FbxClip:
-    """A clip by its number or name, with or without its armature's name before a bar; the first one for None.
-
-    Raises:
-        FormatError: The file has no clip.
-        OptionError: It has none of this name or number.
-    """
+    """A clip by its number or name (`clip_number`), the first one for None; FormatError where the file has no clip."""
     if not clips:
         scene.tree.fail("it holds no animation; export it with its keys baked")
     return clips[0 if clip is None else clip_number(scene.tree.path, [known.name for known in clips], clip)]
 
 
 def sample_clip(scene: FbxScene, clip: FbxClip, fps: float) -> tuple[Values, int]:
-    """What a clip moves at a frame rate, and the number of frames N.
-
-    Args:
-        scene: The file.
-        clip: The clip.
-        fps: Frames a second [1/s]; frame n is at `clip.start + n / fps`.
+    """The values that a clip moves, at a frame rate from its start [1/s], and the number of frames N.
 
     Raises:
         FormatError: The clip is too long for the number of models.
@@ -276,17 +260,7 @@ def sample_clip(scene: FbxScene, clip: FbxClip, fps: float) -> tuple[Values, int
 
 
 def load_fbx_motion(path: str | Path, clip: int | str | None = None, fps: float = 20.0) -> SkeletalMotion:
-    """Read a clip of an FBX file.
-
-    Args:
-        path: The file.
-        clip: Its number or name; the first one that moves something by default.
-        fps: Frames a second of the result [1/s].
-
-    Raises:
-        FormatError: The file cannot be read, or has no clip that moves a skeleton.
-        OptionError: It has no clip of this name or number.
-    """
+    """Read a clip of an FBX file; arguments and errors are those of `read_motion`."""
     path = Path(path)
     return read_motion(path, read_bounded(path), clip=clip, fps=fps)
 
@@ -294,9 +268,9 @@ def load_fbx_motion(path: str | Path, clip: int | str | None = None, fps: float 
 def read_motion(path: Path, data: bytes, *, clip: int | str | None = None, fps: float = 20.0) -> SkeletalMotion:
     """Read a clip of an FBX file from its bytes.
 
-    A joint's rotation is relative to its rest pose, in axes that are ours there, as in all skeletal motions: identities
-    put the skeleton into its rest pose. That is the bind pose of the file's skin; without a skin that of its bind pose
-    object, then the pose without keys, where joints that are oriented by their pre-rotation have none of their own.
+    A joint's rotation is relative to its rest pose, in axes that are ours there, as in all skeletal motions. The rest
+    pose is the bind pose of the file's skin; without a skin that of its bind pose object, then the pose without keys,
+    where joints that are oriented by their pre-rotation have no rotation of their own.
 
     Args:
         path: The file.

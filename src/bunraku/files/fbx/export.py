@@ -1,4 +1,4 @@
-"""Write FBX: meshes, materials with their textures, joints, skin, shapes and clips, by a writer of our own.
+"""Write FBX: meshes, materials with their textures, joints, skin, shapes and clips.
 
 The file is binary FBX 7.4, which Blender, Unity, Unreal, Maya, 3ds Max, Godot and three.js read.
 """
@@ -37,18 +37,8 @@ def write_fbx(
     up: str = "+y",
     unit: str = "cm",
 ) -> Path:
-    """Write an animation as FBX.
-
-    Args:
-        animation: The animation, of handles or of the bones of the character's own rig.
-        path: The file.
-        fps: Frames a second [1/s]; those of the motion by default.
-        name: The clip's name; the file's by default.
-        up: The axis that is up in the file, "+y" or "+z".
-        unit: The unit of its lengths, one of `bunraku.core.geometry.axes.UNITS`; most FBX files are in "cm".
-
-    Returns:
-        The file that was written.
+    """Write an animation of handles or of the bones of the character's own rig as FBX, with a clip of the file's or
+    another name. Options are those of `save`; most FBX files are in "cm".
 
     Raises:
         FormatError: The file cannot be written.
@@ -66,17 +56,7 @@ def write_clips(
     unit: str = "cm",
 ) -> Path:
     """Write several animations of one character, by the same handles or the same bones, each as a clip of its name.
-
-    Args:
-        clips: At least one.
-        path: The file.
-        fps: Frames a second of all [1/s]; those of each motion by default.
-        up: The axis that is up in the file, "+y" or "+z".
-        unit: The unit of its lengths.
-
-    Raises:
-        FormatError: The file cannot be written.
-        OptionError: An option makes no sense.
+    Options and errors are those of `write_fbx`.
     """
     first = next(iter(clips.values()))
     moved = {name: clip.at(checked_fps(fps, clip.fps)) for name, clip in clips.items()}
@@ -100,21 +80,11 @@ def write_points(
     tolerance: float | None = None,
     shapes: str = "auto",
 ) -> Path:
-    """Write an animation whose vertices also move on their own, by bones of their own or by shapes.
-
-    Args:
-        animation: The animation.
-        path: The file.
-        fps: Frames a second [1/s]; those of the motion by default.
-        name: The clip's name; the file's by default.
-        up: The axis that is up in the file, "+y" or "+z".
-        unit: The unit of its lengths.
-        tolerance: How far a vertex may be off [m]; 0.05 % of the height by default.
-        shapes: "bones", "mixed", "keys" or "auto", as `formats.gltf.write_points.fitted_points` has them.
+    """Write an animation whose vertices also move on their own, by bones of their own or by shapes; `tolerance` and
+    `shapes` are those of `files.gltf.write_points.fitted_points`, other options and errors those of `write_fbx`.
 
     Raises:
-        FormatError: The file cannot be written.
-        OptionError: An option makes no sense, or bones do not come as near as the tolerance.
+        OptionError: Bones do not come as near as the tolerance.
     """
     from bunraku.files.gltf.write_points import fitted_points
 
@@ -174,12 +144,10 @@ def _write(
     Args:
         character: The character.
         bones: What moves it.
-        tracks: What these do in each clip.
-        path: The file.
-        up: The axis that is up.
-        unit: The unit of lengths.
-        shapes: How far shapes take each vertex [m], shape (T, V, 3), and
-        keys: the frames and amounts of these in the one clip.
+        tracks: What the bones do in each clip.
+        path, up, unit: The file, its up axis and its unit of lengths.
+        shapes: Displacement of each vertex by each shape [m], shape (T, V, 3).
+        keys: Frames and amounts of the shapes in the one clip.
     """
     if path.suffix.lower() != ".fbx":
         raise OptionError(f"FBX is written to a file that ends in .fbx, not in {path.suffix or 'nothing'}")

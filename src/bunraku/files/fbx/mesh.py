@@ -13,6 +13,7 @@ import numpy as np
 
 from bunraku.files.fbx.nodes import BROKEN, FbxNode
 from bunraku.files.fbx.scene import FbxObject, FbxScene
+from bunraku.files.gltf.document import matte_material
 from bunraku.files.gltf.mesh import strongest
 from bunraku.files.meshes.obj import beside, embeddable, fans, split_corners
 
@@ -21,14 +22,13 @@ __all__ = [
     "read_skin",
 ]  # fmt: skip
 
-
 INFLUENCES = 8
 """Most joints that are kept for a vertex."""
 
 
 @dataclass(frozen=True, eq=False)
 class FbxMesh:
-    """A mesh with one UV, normal and colour a vertex: a control point whose corners differ is there several times.
+    """A mesh with one UV, normal and colour a vertex: a control point whose corners differ occurs several times.
 
     Args:
         points: Control points in the mesh's own frame and unit, shape (P, 3).
@@ -55,7 +55,7 @@ class Cluster:
 
     Args:
         joint: The joint.
-        transform: What takes the mesh into the joint's frame in the bind pose, shape (4, 4).
+        transform: From the mesh's frame to the joint's in the bind pose, shape (4, 4).
         bind: The joint's world transform in the bind pose, shape (4, 4).
         thing: The object that holds the weights.
     """
@@ -129,9 +129,7 @@ def read_mesh(scene: FbxScene, geometry: FbxObject) -> FbxMesh:
 def _layer(
     node: FbxNode, name: str, values_name: str, index_name: str, width: int, corners: np.ndarray, polygon: np.ndarray
 ) -> np.ndarray | None:
-    """Values of the first layer of a kind for each corner, shape (corners, width); None where there are none that can
-    be used.
-    """
+    """Values of the first layer of a kind for each corner, shape (corners, width); None where none can be used."""
     layer = node.child(name)
     if layer is None:
         return None
@@ -179,7 +177,7 @@ def _labels(values: np.ndarray | None, scale: float) -> np.ndarray | None:
 
 
 def _unique_rows(columns: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Different rows of columns of whole numbers: where each is first, and which each row is, both counted from 0."""
+    """Different rows of columns of integers: the first index of each, and the number of each row among them."""
     label = np.zeros(len(columns[0]), np.int64)
     for column in columns:
         code = np.unique(column, return_inverse=True)[1]
@@ -194,7 +192,7 @@ def _unique_rows(columns: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_clusters(scene: FbxScene, geometry: FbxObject) -> list[Cluster]:
-    """The clusters of a mesh that name a joint and where it stood."""
+    """The clusters of a mesh that name a joint and its bind pose."""
     out = []
     for skin in scene.below(geometry, "Deformer", "Skin"):
         for thing in scene.below(skin, "Deformer", "Cluster"):
@@ -206,12 +204,7 @@ def read_clusters(scene: FbxScene, geometry: FbxObject) -> list[Cluster]:
 
 
 def read_skin(scene: FbxScene, geometry: FbxObject, points: int) -> FbxSkin | None:
-    """The clusters of a mesh as one skin, None where it has none that can be used.
-
-    Args:
-        scene: The file.
-        geometry: The Geometry object.
-        points: How many control points it has.
+    """The clusters of a mesh of some control points as one skin, None where it has none that can be used.
 
     Raises:
         FormatError: A cluster moves a control point that does not exist.
@@ -251,15 +244,8 @@ BONES = ("LimbNode", "Limb", "Root")
 
 
 def bind_matrices(scene: FbxScene, world: np.ndarray, clusters: list[Cluster]) -> dict[int, np.ndarray]:
-    """World transforms of all joints in the bind pose, in the file's frame and unit.
-
-    Clusters say it of the joints that they move; the others are where the default pose has them relative to a joint
-    that is known.
-
-    Args:
-        scene: The file.
-        world: The default pose, shape (M, 4, 4).
-        clusters: Of all meshes.
+    """World transforms of all joints in the bind pose, in the file's frame and unit. Clusters state those of the joints
+    that they move; the others are where the default pose, shape (M, 4, 4), has them relative to a joint that is known.
     """
     known: dict[int, np.ndarray] = {}
     for cluster in clusters:
@@ -281,7 +267,7 @@ def bind_matrices(scene: FbxScene, world: np.ndarray, clusters: list[Cluster]) -
 
 
 def inverses(matrices: np.ndarray) -> np.ndarray:
-    """Inverses, of flat matrices the pseudo-inverse, shape (N, 4, 4)."""
+    """Inverses, or for flat matrices pseudo-inverses, shape (N, 4, 4)."""
     flat = np.abs(np.linalg.det(matrices[:, :3, :3])) < 1e-30
     if not flat.any():
         return np.linalg.inv(matrices)
@@ -295,10 +281,7 @@ class Materials:
     """The materials that the meshes of a file use, each once.
 
     A texture is taken from the file itself, from its folder, or from the `.fbm` or `textures` folder beside it; one
-    that lies elsewhere or cannot be read leaves its material without it: the mesh is still good.
-
-    Args:
-        scene: The file.
+    that lies elsewhere or cannot be read leaves its material without it, since the mesh is still good.
     """
 
     def __init__(self, scene: FbxScene):
@@ -320,18 +303,12 @@ class Materials:
         color = color * np.clip(thing.number("DiffuseFactor", 1), 0, 1)
         clear = thing.number("TransparencyFactor", 0) * thing.numbers("TransparentColor", (1, 1, 1)).mean()
         alpha = float(np.clip(1 - clear, 0, 1))
-        if alpha < 0.02:  # several exporters write 1 for what is solid; nobody animates what cannot be seen
+        if alpha < 0.02:  # several exporters write 1 for what is solid, and an invisible mesh is no character
             alpha = 1.0
-        shader: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 0.9}
         texture = self._diffuse(thing)
         if texture is not None:
-            shader["baseColorTexture"] = {"index": texture}
-            color = np.ones(3)  # in FBX the texture takes the place of the colour
-        shader["baseColorFactor"] = [*color.tolist(), alpha]
-        material: dict[str, Any] = {"name": thing.name or "material", "pbrMetallicRoughness": shader}
-        if alpha < 1:
-            material["alphaMode"] = "BLEND"
-        return material
+            color = np.ones(3)  # in FBX the texture replaces the colour
+        return matte_material(thing.name or "material", [*color, alpha], texture)
 
     def _diffuse(self, thing: FbxObject) -> int | None:
         for child, what in self.scene.links.get(thing.id, ()):

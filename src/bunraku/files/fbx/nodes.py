@@ -17,34 +17,23 @@ from bunraku.errors import FormatError
 
 __all__ = ["Allowance", "FbxArray", "FbxNode", "FbxTree", "read_text_tree", "read_tree"]
 
-
 MAX_DEPTH, MAX_NODES, MAX_VALUES = 64, 1_500_000, 6_000_000
 
 
 MAX_UNPACKED = 1 << 30
-"""Most bytes that the arrays of a file may take when they are unpacked."""
-
+"""Most bytes of the unpacked arrays of a file."""
 
 BROKEN = "the file is broken, export it again"
 
 
 class Allowance:
-    """What the arrays of one file may still take [bytes].
-
-    Args:
-        path: The file, for messages.
-        left: Bytes.
-    """
+    """The bytes that the arrays of one file may still take; the path is for messages."""
 
     def __init__(self, path: Path, left: int = MAX_UNPACKED):
         self.path, self.left = path, left
 
     def take(self, size: int) -> None:
-        """Use some of it.
-
-        Raises:
-            FormatError: It is used up.
-        """
+        """Use some bytes; FormatError where they are used up."""
         self.left -= size
         if self.left < 0:
             raise FormatError(
@@ -56,12 +45,12 @@ class Allowance:
 
 @dataclass(frozen=True, eq=False)
 class FbxArray:
-    """An array of a node, packed as the file holds it.
+    """An array of a node, packed as in the file.
 
     Args:
         allowance: Of the file.
         dtype: Of its elements.
-        count: How many there are.
+        count: Number of elements.
         packed: Whether zlib packed them.
         data: The bytes of the file, or the elements.
     """
@@ -76,7 +65,7 @@ class FbxArray:
         """The elements, shape (count,).
 
         Raises:
-            FormatError: They are damaged, or larger than may be.
+            FormatError: They are damaged or too large.
         """
         if isinstance(self.data, np.ndarray):
             return self.data
@@ -95,13 +84,7 @@ class FbxArray:
 
 @dataclass(eq=False)
 class FbxNode:
-    """A node of the tree.
-
-    Args:
-        name: Its name.
-        values: Numbers, text, bytes and arrays.
-        children: Nodes below it.
-    """
+    """A node of the tree: its name, its values (numbers, text, bytes and arrays), and the nodes below it."""
 
     name: str
     values: list[Any] = field(default_factory=list)
@@ -126,7 +109,7 @@ class FbxNode:
         return value if isinstance(value, str) else default
 
     def array(self, name: str) -> np.ndarray:
-        """The numbers of a child, as float64 or int64; none where there is no such child."""
+        """The numbers of a child, as float64 or int64; empty where there is no such child."""
         node = self.child(name)
         if node is None or not node.values:
             return np.zeros(0)
@@ -140,13 +123,7 @@ class FbxNode:
 
 @dataclass(frozen=True, eq=False)
 class FbxTree:
-    """An FBX file.
-
-    Args:
-        path: The file.
-        version: 7400 for 7.4.
-        root: The node above all others.
-    """
+    """An FBX file: its path, its version (7400 for 7.4), and the node above all others."""
 
     path: Path
     version: int
@@ -162,11 +139,7 @@ class FbxTree:
 
 
 def check_version(path: Path, version: int) -> None:
-    """Refuse FBX of before 2011 and after what is known.
-
-    Raises:
-        FormatError: The version is not read.
-    """
+    """Raise FormatError for FBX of before 2011, or newer than what is known."""
     if version < 7000:
         raise FormatError(
             path,
@@ -184,11 +157,7 @@ _NUMBERS = re.compile(rb"[0-9eE+\-.,\s]*")
 
 
 def read_text_tree(path: Path, data: bytes) -> FbxTree:
-    """The tree of a text FBX file.
-
-    Raises:
-        FormatError: It is no FBX, of a version that is not read, cut off, or nested beyond reason.
-    """
+    """The tree of a text FBX file; errors are those of `read_tree`."""
     found = re.search(rb"FBXVersion:\s*(\d{1,9})", data[:100_000])
     if b"\0" in data[:1000] or found is None:
         raise FormatError(path, "this is not an FBX file, or its header is missing; export it again as binary FBX")

@@ -33,15 +33,11 @@ class _Placed:
 
 
 def scene_document(scene: FbxScene, fps: float | None = None) -> tuple[Document, np.ndarray]:
-    """The meshes, skins, materials and, with `fps`, the clips of an FBX file.
-
-    Args:
-        scene: The file.
-        fps: Frames a second of the clips [1/s]; None leaves them out.
+    """The meshes, skins, materials and, with `fps` [1/s], the clips of an FBX file.
 
     Returns:
         The document in its default pose, and the file's vertex (of all its meshes, one after another) of each document
-        vertex, shape (U,).
+            vertex, shape (U,).
 
     Raises:
         FormatError: Something in the file is broken, or it holds no mesh.
@@ -59,9 +55,8 @@ class _Builder:
         )
         self.materials = Materials(scene)
         path = scene.tree.path
-        self.builder = GltfBuilder(
-            {"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"name": path.stem}]}
-        )
+        self.builder = GltfBuilder()
+        self.builder.tree["scenes"] = [{"name": path.stem}]
         self.nodes: dict[int, int] = {}
         self.normalise: dict[int, np.ndarray] = {}
 
@@ -197,7 +192,7 @@ class _Builder:
             attributes[f"WEIGHTS_{part}"] = self.builder.array(np.ascontiguousarray(shares[:, columns]), ARRAY_BUFFER)
 
     def _bind(self, skin: FbxSkin, index: np.ndarray, shared: list[int]) -> int:
-        """Add the skin of a mesh that stands at a place; joints that nothing is bound to come after those of the
+        """Add the skin of a mesh with this placement; joints that nothing is bound to come after those of the
         clusters.
         """
         indices = [self.scene.indices[cluster.joint.id] for cluster in skin.clusters]
@@ -227,24 +222,17 @@ class _Builder:
                 model: self.frame.world(some) @ self.normalise[model] for model, some in zip(models, raw, strict=True)
             }
             clock = self.builder.array((np.arange(count) / fps).astype(np.float32)[:, None], bounds=True)
-            channels: list[dict[str, Any]] = []
-            samplers: list[dict[str, Any]] = []
+            entry: dict[str, Any] = {"name": clip.name, "channels": [], "samplers": []}
             for model in models:
                 above = self._above(model)
                 if len(world[model]) == 1:
                     continue
                 local = world[model] if above < 0 else inverses(world[above]) @ world[model]
                 for path, track in zip(("translation", "rotation", "scale"), _decompose(local), strict=True):
-                    channels.append({"sampler": len(samplers), "target": {"node": self.nodes[model], "path": path}})
-                    samplers.append(
-                        {
-                            "input": clock,
-                            "output": self.builder.array(track.astype(np.float32)),
-                            "interpolation": "LINEAR",
-                        }
-                    )
-            if channels:
-                self.builder.add("animations", {"name": clip.name, "channels": channels, "samplers": samplers})
+                    keys = self.builder.array(track.astype(np.float32))
+                    self.builder.channel(entry, self.nodes[model], path, clock, keys)
+            if entry["channels"]:
+                self.builder.add("animations", entry)
 
 
 def _placed_meshes(scene: FbxScene) -> list[_Placed]:
@@ -279,8 +267,8 @@ def _unscaled(linear: np.ndarray) -> np.ndarray:
 
 
 def _decompose(local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Translation, rotation as a quaternion whose sign never jumps, and scale; shapes (N, 3), (N, 4), (N, 3). Shear is
-    lost.
+    """Translation, rotation as a quaternion whose sign never jumps, and scale; shapes (N, 3), (N, 4), (N, 3), without
+    shear.
     """
     linear = local[:, :3, :3]
     scale = np.linalg.norm(linear, axis=1)
@@ -290,7 +278,7 @@ def _decompose(local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _node_transform(local: np.ndarray) -> dict[str, Any]:
-    """A transform as a glTF node holds it: three parts where they say it all, a matrix otherwise."""
+    """A transform as a glTF node holds it: three parts where they suffice, a matrix otherwise."""
     translation, quaternion, scale = (part[0] for part in _decompose(local[None]))
     if np.abs(matrix_from_quaternion(quaternion) * scale - local[:3, :3]).max() <= 1e-6 * np.abs(local[:3, :3]).max():
         return {"translation": translation.tolist(), "rotation": quaternion.tolist(), "scale": scale.tolist()}
@@ -298,16 +286,8 @@ def _node_transform(local: np.ndarray) -> dict[str, Any]:
 
 
 def read_fbx(path: Path, data: bytes, *, rest: str = "bind", clip_fps: float | None = None) -> Character:
-    """Read an FBX file of version 7.1 to 7.7, binary or text.
-
-    The vertices are the control points of all meshes in the order of the file, turned from the frame and unit that it
-    states into ours. Hidden meshes are left out where others are not; blend shapes are not read.
-
-    Args:
-        path: The file.
-        data: Its bytes.
-        rest: "bind" rests in the pose that the skins were bound in, "default" in that of the file's objects.
-        clip_fps: Also read the clips, at so many frames a second [1/s].
+    """Read an FBX file. The character rests as in `load_character`; with `clip_fps` [1/s] its document has the file's
+    clips.
 
     Raises:
         FormatError: The file is broken, of a version that is not read, or holds no mesh.

@@ -15,7 +15,6 @@ __all__ = [
     "read_scene", "world_matrices",
 ]  # fmt: skip
 
-
 MAX_MODELS = 50_000
 TICKS = 46_186_158_000
 """Units of an FBX time in a second."""
@@ -59,11 +58,9 @@ class Frame:
     """The frame and unit of a file.
 
     Args:
-        axes: What turns its vectors into ours (+Y up, +Z forward), shape (3, 3); it mirrors where the file is
-            left-handed.
+        axes: Rotates its vectors into ours (+Y up, +Z forward), and mirrors those of a left-handed file, shape (3, 3).
         metres: Its unit of length [m].
-        up: Its up axis, for people.
-        front: Its front axis.
+        up, front: Its up and front axes, for messages.
     """
 
     axes: np.ndarray
@@ -73,19 +70,15 @@ class Frame:
 
     @property
     def hand(self) -> np.ndarray:
-        """The identity, or what mirrors Z in the local frames of a left-handed file, shape (3, 3)."""
+        """The identity, or a mirror of Z in the local frames of a left-handed file, shape (3, 3)."""
         return np.diag([1.0, 1, np.sign(np.linalg.det(self.axes))])
 
     def world(self, matrices: np.ndarray) -> np.ndarray:
-        """World transforms of the file in our frame [m], local frames of the same size, shape (..., 4, 4)."""
+        """World transforms of the file in our frame [m], with local frames of the same size, shape (..., 4, 4)."""
         out = np.array(matrices, float)
         out[..., :3, :3] = self.axes @ matrices[..., :3, :3] @ self.hand
         out[..., :3, 3] = self.metres * (matrices[..., :3, 3] @ self.axes.T)
         return out
-
-    def local(self, points: np.ndarray) -> np.ndarray:
-        """Points of a local frame of the file as those of ours [m], shape (P, 3)."""
-        return self.metres * points @ self.hand.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,16 +103,7 @@ class FbxScene:
 
     def below(self, owner: FbxObject, kind: str, subtype: str = "") -> list[FbxObject]:
         """Objects of a kind that are connected below one, in the order of the file."""
-        return self._of(self.links, owner, kind, subtype)
-
-    def above(self, thing: FbxObject, kind: str, subtype: str = "") -> list[FbxObject]:
-        """Objects of a kind that one is connected to."""
-        return self._of(self.owners, thing, kind, subtype)
-
-    def _of(
-        self, links: dict[int, list[tuple[int, str]]], thing: FbxObject, kind: str, subtype: str
-    ) -> list[FbxObject]:
-        found = (self.objects.get(other) for other, _ in links.get(thing.id, ()))
+        found = (self.objects.get(other) for other, _ in self.links.get(owner.id, ()))
         return [other for other in found if other is not None and other.kind == kind and subtype in ("", other.subtype)]
 
     def of_kind(self, kind: str) -> list[FbxObject]:
@@ -240,11 +224,8 @@ class _World:
 
 
 def euler_matrices(degrees: np.ndarray, order: str = "XYZ") -> np.ndarray:
-    """Rotations of Euler angles about fixed axes, shape (..., 3) -> (..., 3, 3).
-
-    Args:
-        degrees: Angles about X, Y and Z [degrees].
-        order: The axis that turns first, then the others.
+    """Rotations of Euler angles about fixed axes X, Y and Z [degrees], shape (..., 3) -> (..., 3, 3), applied in this
+    order.
     """
     out = np.eye(3)
     for axis in order:
@@ -260,7 +241,7 @@ def euler_matrices(degrees: np.ndarray, order: str = "XYZ") -> np.ndarray:
 
 
 def geometric_matrix(model: FbxObject) -> np.ndarray:
-    """What moves the mesh of a model but not its children, shape (4, 4)."""
+    """The transform of a model's mesh that its children do not have, shape (4, 4)."""
     out = np.eye(4)
     out[:3, :3] = euler_matrices(model.numbers("GeometricRotation", (0, 0, 0))) * model.numbers(
         "GeometricScaling", (1, 1, 1)
@@ -279,15 +260,8 @@ def default_world(scene: FbxScene) -> np.ndarray:
 
 
 def world_matrices(scene: FbxScene, values: Values, chosen: list[int]) -> list[np.ndarray]:
-    """World transforms of chosen models where some properties take other values than the default ones.
-
-    Args:
-        scene: The file.
-        values: What moves, each with as many moments N.
-        chosen: Models, by index.
-
-    Returns:
-        For each a transform in the file's frame and unit, shape (N, 4, 4), or (1, 4, 4) of what never moves.
+    """World transforms of chosen models in the file's frame and unit, where some properties have N values each: shape
+    (N, 4, 4), or (1, 4, 4) for a model that never moves.
     """
     needed = set()
     for model in chosen:

@@ -23,7 +23,6 @@ from bunraku.files.meshes.obj import embeddable
 
 __all__ = ["Layer", "Look", "Mesh", "Shape", "add_mesh", "file_matrices", "meshes_of", "uv_name"]
 
-
 MOST_UVS = 8
 
 
@@ -33,8 +32,8 @@ class Shape:
 
     Args:
         name: Its name.
-        offsets: How far it takes each vertex [m], shape (V, 3).
-        amount: How much of it shows where nothing moves, 0 to 1.
+        offsets: Displacement of each vertex [m], shape (V, 3).
+        amount: Its amount where nothing moves, 0 to 1.
     """
 
     name: str
@@ -44,12 +43,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Values of the corners of triangles.
-
-    Args:
-        values: Shape (U, C).
-        corners: Row of each corner, shape (F, 3).
-    """
+    """Values of the corners of triangles: values (U, C), and the row of each corner (F, 3)."""
 
     values: np.ndarray
     corners: np.ndarray
@@ -61,12 +55,12 @@ class Mesh:
 
     Args:
         name: Its name.
-        index: The character's vertex behind each of its own, shape (V,).
+        index: The character's vertex of each of its own, shape (V,).
         faces: Triangles, shape (F, 3).
         materials: The material of each in the document, -1 for none, shape (F,).
         normals: Or None.
         uvs: Sets of texture coordinates, v downwards.
-        colors: Linear colours and what of them is seen, (U, 4), or None.
+        colors: Linear colours and opacity, (U, 4), or None.
         shapes: Those that the file has.
     """
 
@@ -81,18 +75,12 @@ class Mesh:
 
 
 def meshes_of(character: Character) -> tuple[Document, list[Mesh]]:
-    """The meshes of a character as it rests, and the document of their materials.
-
-    Args:
-        character: The character.
-    """
+    """The meshes of a character as it rests, and the document of their materials."""
     source = document_of(character)
     builder = GltfBuilder(carry_tree(source.document))
     carry_images(source.document, builder)
-    carrier, start, carried = MeshCarrier(source, builder), 0, []
-    for part in source.parts:
-        index = source.index[start : start + sum(len(group.vertices) for group in part.groups)]
-        start += len(index)
+    carrier, carried = MeshCarrier(source, builder), []
+    for part, index in source.placed():
         if any(len(some) for group in part.groups for some in group.triangles):
             node = source.document.item("nodes", part.node)
             mesh = carrier.mesh(part, character.vertices[index], index)
@@ -209,7 +197,7 @@ def uv_name(number: int) -> str:
 
 @dataclass
 class Look:
-    """The materials of a document as what is written uses them, each once, with its textures inside the file.
+    """The materials of a document that are used, each once, with its textures inside the file.
 
     Args:
         objects: Where they go.
@@ -342,11 +330,11 @@ def add_mesh(
     Args:
         objects: The file.
         mesh: The mesh.
-        more: Shapes beside its own.
-        character: What it is of.
+        more: Shapes in addition to its own.
+        character: Its character.
         look: Where its materials go.
         bones: What moves it, or None.
-        joints: The numbers of these.
+        joints: The numbers of the bones.
 
     Returns:
         The number of its model, and those of the channels of its shapes.
@@ -377,7 +365,7 @@ def add_mesh(
 
 
 def _polygons(faces: np.ndarray) -> np.ndarray:
-    """Corners one after another; the last of each is said as its complement."""
+    """Corners one after another; the last of each polygon is stored as its complement."""
     out = faces.astype(np.int32)
     out[:, -1] = ~out[:, -1]
     return out.reshape(-1)

@@ -19,11 +19,11 @@ __all__ = ["Bones", "ShapeTrack", "Track", "add_bones", "add_clips", "euler_degr
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What a clip does with the joints, each in its parent's frame.
+    """The joints in a clip, each in its parent's frame.
 
     Args:
         rotations: Shape (N, J, 3, 3).
-        translations: Where its head is [m], shape (N, J, 3).
+        translations: Positions of their heads [m], shape (N, J, 3).
         fps: Frames a second [1/s].
     """
 
@@ -40,9 +40,8 @@ class Bones:
         names: Their names, length J.
         parents: The parent of each, -1 for a root, shape (J,).
         rotations: World rotation of each where the skin is bound, shape (J, 3, 3).
-        positions: Where its head is there [m], shape (J, 3).
-        indices: Joints that move each vertex of the character, shape (V, M).
-        weights: Their shares, rows sum to 1, shape (V, M).
+        positions: Positions of their heads there [m], shape (J, 3).
+        indices, weights: Joints that move each vertex of the character and their shares, shape (V, M); rows sum to 1.
     """
 
     names: tuple[str, ...]
@@ -54,7 +53,7 @@ class Bones:
 
     @classmethod
     def of_handles(cls, handles: Handles, names: tuple[str, ...] | None = None) -> Bones:
-        """Handles: the root, and the others below it, none of them turned; four weights a vertex, as viewers read."""
+        """Handles: the root and the others below it, none rotated; four weights a vertex, as viewers read."""
         count = len(handles.positions)
         parents = np.zeros(count, np.int64)
         parents[0] = -1
@@ -140,7 +139,7 @@ def _length(bones: Bones, bone: int) -> float:
 def euler_degrees(rotations: np.ndarray) -> np.ndarray:
     """Angles about the fixed axes X, Y and Z, in this order [degrees], shape (N, ..., 3, 3) -> (N, ..., 3).
 
-    Of the two triples that say a rotation, and of their whole turns, each frame takes what is nearest to the frame
+    Of the two triples of each rotation, and of their full circles, each frame takes what is nearest to the frame
     before. Where only the sum of two angles is determined, that about Z stays.
     """
     r = np.asarray(rotations, np.float64)
@@ -167,7 +166,7 @@ _BEZIER_DEFAULTS = np.zeros(4, np.float32)
 
 @dataclass(frozen=True, eq=False)
 class ShapeTrack:
-    """What a clip does with the shapes of a mesh.
+    """The shapes of a mesh in a clip.
 
     Args:
         channels: The number of each shape's channel, length T.
@@ -182,7 +181,7 @@ class ShapeTrack:
 
 @dataclass(frozen=True, eq=False)
 class _Curves:
-    """What goes to one property of an object in each clip."""
+    """The values of one property of an object in each clip."""
 
     model: int
     name: str
@@ -202,10 +201,10 @@ def add_clips(
 
     Args:
         objects: The file.
-        tracks: What each does with the joints, by its name.
+        tracks: The joints in each clip, by its name.
         bones: The joints.
         joints: Their numbers.
-        shapes: What each does with shapes.
+        shapes: The shapes in each clip.
     """
     moving = _moving(objects, tracks, bones, joints)
     for name, track in tracks.items():
@@ -240,7 +239,9 @@ def _ticks(frames: np.ndarray | int, fps: float) -> np.ndarray:
 
 
 def _moving(objects: Objects, tracks: Mapping[str, Track], bones: Bones, joints: Sequence[int]) -> list[_Curves]:
-    """The properties of joints that move in any clip, with what they do in each; those that rest are set to rest."""
+    """The properties of joints that move in any clip, with their values in each; in clips where they rest, set
+    to rest.
+    """
     rest, frame = bones.rest(), objects.frame
     small = STILL_LENGTH * max(float(np.ptp(bones.positions, axis=0).max(initial=0)), 1e-9) * frame.scale
     roots = bones.parents < 0

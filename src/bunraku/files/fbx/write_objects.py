@@ -18,7 +18,6 @@ __all__ = [
     "write_elements",
 ]  # fmt: skip
 
-
 VERSION = 7400
 FILE_ID = bytes.fromhex("28b32aebb624ccc2bfc8b02aa92bfcf1")
 CREATION_TIME = "1970-01-01 10:00:00:000"
@@ -28,7 +27,7 @@ _FOOTER_END = bytes.fromhex("f85a8c6adef5d97eece90ce3758f290b")
 _HEADER = struct.Struct("<IIIB")
 _RECORD_END = bytes(_HEADER.size)
 _ALWAYS_OPEN = ("AnimationStack", "AnimationLayer", "References")
-"""Elements that end with an empty record whether they have children or not."""
+"""Elements that end with an empty record, with or without children."""
 _ARRAYS = {"float64": b"d", "float32": b"f", "int32": b"i", "int64": b"l"}
 _PACKED_FROM = 128  # bytes
 
@@ -48,7 +47,7 @@ class Element:
 
     Args:
         name: Its name.
-        values: Booleans, whole numbers (32 bits; `numpy.int64` for 64), floats, text, bytes and arrays.
+        values: Booleans, integers (32 bits; `numpy.int64` for 64), floats, text, bytes and arrays.
         children: Elements below it.
     """
 
@@ -63,13 +62,7 @@ def element(name: str, *values: Any, children: Sequence[Element] = ()) -> Elemen
 
 
 def prop(name: str, kind: str, *values: Any) -> Element:
-    """A property of an object.
-
-    Args:
-        name: Its name.
-        kind: One of those that properties here have.
-        values: Of that kind.
-    """
+    """A property of an object: its name, one of the kinds of `_KINDS`, and values of that kind."""
     return element("P", name, *_KINDS[kind], *values)
 
 
@@ -142,12 +135,7 @@ _FIRST_ID = 1_000_000
 
 @dataclass(frozen=True)
 class Span:
-    """A clip as the file lists it.
-
-    Args:
-        name: Its name.
-        stop: Its last moment [ticks].
-    """
+    """A clip in the list of the file: its name and last moment [ticks]."""
 
     name: str
     stop: int
@@ -176,11 +164,11 @@ class Objects:
         """Add an object and return its number.
 
         Args:
-            kind: What it is: "Model", "Geometry" and so on.
+            kind: "Model", "Geometry" and so on.
             name: Its name.
-            subtype: What kind of that it is.
+            subtype: The subtype of that kind.
             children: Elements below it.
-            label: What stands behind its name, where that is another word than `kind`.
+            label: The word after its name, where that is not `kind`.
         """
         number = _FIRST_ID + len(self._objects)
         title = f"{name}\x00\x01{label or _CLASSES.get(kind, kind)}"
@@ -188,7 +176,7 @@ class Objects:
         return number
 
     def link(self, child: int, parent: int, drives: str = "") -> None:
-        """Hang an object on another, or on a property of it; 0 is the scene."""
+        """Connect an object to another, or to a property of it; 0 is the scene."""
         ends = np.int64(child), np.int64(parent)
         self._links.append(element("C", "OP", *ends, drives) if drives else element("C", "OO", *ends))
 

@@ -16,7 +16,6 @@ from bunraku.files.gltf.read import Source
 
 __all__ = ["IMAGE_SUFFIXES", "MeshCarrier", "carry_clips", "carry_images", "carry_tree", "free_name", "used_extensions"]
 
-
 _WHITE_PNG = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGP4//8/AAX+Av4N70a4AAAAAElFTkSuQmCC"
 )
@@ -101,12 +100,7 @@ def used_extensions(tree: dict[str, object]) -> None:
 
 
 class MeshCarrier:
-    """Carries meshes of a source into a builder, each accessor once.
-
-    Args:
-        source: Where the meshes come from.
-        builder: Where they go.
-    """
+    """Carries meshes of a source into a builder, each accessor once."""
 
     def __init__(self, source: Source, builder: GltfBuilder):
         self.source, self.document, self.builder = source, source.document, builder
@@ -117,7 +111,7 @@ class MeshCarrier:
 
         Args:
             part: The mesh where a node places it.
-            rest: Positions that replace the raw ones [m], shape (V, 3) over its groups; its normals, tangents and morph
+            rest: Positions that replace the raw ones [m], shape (V, 3) over its groups; normals, tangents and morph
                 targets are bent as its skin bends them. None keeps everything as it is.
             index: Vertex of the character of each of them, shape (V,).
         """
@@ -152,12 +146,7 @@ class MeshCarrier:
         return mesh
 
     def primitive(self, old: dict[str, object], count: int) -> dict[str, Any]:
-        """A primitive as it is, without joints and weights.
-
-        Args:
-            old: Its entry in the source.
-            count: How many vertices it has.
-        """
+        """A primitive of the source with `count` vertices as it is, without joints and weights."""
         return self._primitive(old, self._vertex_data(old, count, None), None)
 
     def _primitive(
@@ -283,7 +272,7 @@ class _Bend:
 
 
 def _repaired(role: str, values: np.ndarray) -> np.ndarray:
-    """Values that a valid file may hold: finite, unit normals, colours from 0 to 1. Good values come back as they
+    """Values that a valid file may hold: finite, unit normals, colours from 0 to 1. Good values are returned as they
     are.
     """
     if values.dtype.kind != "f":
@@ -309,7 +298,7 @@ _OUTPUTS = {"translation": ("VEC3",), "rotation": ("VEC4",), "scale": ("VEC3",),
 
 
 def free_name(name: str, taken: Iterable[str]) -> str:
-    """The name, with a number behind it where it is taken."""
+    """The name, with a number after it where it is taken."""
     known, number, out = set(taken), 1, name
     while out in known:
         number += 1
@@ -324,14 +313,13 @@ def carry_clips(
     unnamed: str | None = None,
     only: Collection[str] | None = None,
 ) -> list[str]:
-    """Add all clips of a document to those that are being written; names that are taken get a number.
+    """Add all clips of a document to a builder; names that are taken get a number.
 
     Args:
-        document: That has the clips.
+        document: With the clips.
         builder: Of the document that gets them.
-        nodes: Its node for each node of `document`; channels of others are left out, as are those that the file has
-            wrong.
-        unnamed: The name of clips that have none; None leaves them without.
+        nodes: Its node for each node of `document`; channels of others are left out, as are broken ones.
+        unnamed: The name of clips without one; None leaves them so.
         only: Names of those that are carried; all where None.
 
     Returns:

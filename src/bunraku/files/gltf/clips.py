@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Collection, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -25,18 +25,17 @@ from bunraku.files.gltf.write_rig import RigDocument, bone_tracks, placed
 
 __all__ = ["SAME_BONES", "Tracks", "merge_documents", "whole_document", "write_stretches"]
 
-
 SAME_BONES = 1e-3
-"""Of a skeleton's extent: bones that rest as near as this are the same ones."""
+"""Bones that rest this near are the same, as a share of the skeleton's extent: rounding in files stays far below it."""
 
 
 def merge_documents(paths: Sequence[Path], path: Path, *, only: Collection[str] | None = None) -> Path:
-    """Write the first file with the clips of all others behind its own, onto the nodes of the same names.
+    """Write the first file with the clips of all others after its own, onto the nodes of the same names.
 
     Args:
         paths: GLB, glTF or VRM files of one character, at least one.
         path: The file to write, which may be one of them.
-        only: Names of the clips that are taken of the others; all where None.
+        only: Names of the clips that are taken from the others; all where None.
 
     Raises:
         FormatError: A file is broken or holds no clip, or is of another character.
@@ -57,11 +56,7 @@ def merge_documents(paths: Sequence[Path], path: Path, *, only: Collection[str] 
 
 
 def whole_document(document: Document) -> GltfBuilder:
-    """What holds all of a document, to which more is added; images that were files are embedded.
-
-    Raises:
-        FormatError: A buffer view is broken.
-    """
+    """A builder with all of a document, for more to be added; images that were files are embedded."""
     tree = copy.deepcopy(document.tree)
     accessors = tree.get("accessors")
     builder = GltfBuilder(tree)
@@ -85,8 +80,7 @@ def _opened(path: Path) -> Document:
 
 
 def _same_nodes(base: Document, other: Document) -> dict[int, int]:
-    """Node of the one document for each animated node of the other, by names from the root, or names that are there
-    once.
+    """Node of one document for each animated node of another, by names from the root, or by names that occur once.
 
     Raises:
         FormatError: One has no counterpart, or rests elsewhere.
@@ -155,13 +149,12 @@ STILL = 1e-6
 
 
 class Tracks:
-    """Translations and rotations of J joints, resampled as they come, in a file.
+    """Translations and rotations of J joints in a temporary file, resampled as they come.
 
     Args:
         file: An empty file, open for reading and writing.
         joints: How many.
-        have: Frames a second of what comes [1/s].
-        want: Frames a second of what is kept [1/s].
+        have, want: Frames a second of what comes and of what is kept [1/s].
     """
 
     def __init__(self, file: BinaryIO, joints: int, have: float, want: float):
@@ -172,11 +165,8 @@ class Tracks:
         self._low, self._high = np.full((joints, 7), np.inf), np.full((joints, 7), -np.inf)
 
     def add(self, translations: np.ndarray, rotations: np.ndarray) -> None:
-        """Add the frames that come next.
-
-        Args:
-            translations: In the frame of the parent [m], shape (N, J, 3).
-            rotations: Likewise, quaternions xyzw, shape (N, J, 4).
+        """Add the next frames: translations in the frame of the parent [m], shape (N, J, 3), and rotations, quaternions
+        xyzw, shape (N, J, 4).
         """
         rows = np.concatenate([self._last, np.concatenate([translations, rotations], axis=-1)])
         first = self._seen - len(self._last)
@@ -210,21 +200,15 @@ class Tracks:
         every = builder.array((np.arange(self.frames) / fps).astype(np.float32)[:, None], bounds=True)
         once = builder.array(np.zeros((1, 1), np.float32), bounds=True)
         size = max(float(np.abs([self._low[:, :3], self._high[:, :3]]).max(initial=0)), 1e-9)
-        channels: list[object] = []
-        samplers: list[object] = []
+        clip: dict[str, Any] = {"name": name, "channels": [], "samplers": []}
         moved = self._high - self._low
         for joint, node in enumerate(nodes):
             for path, part, limit in (("translation", slice(0, 3), STILL * size), ("rotation", slice(3, 7), STILL)):
                 moves = bool((moved[joint, part] > limit).any()) or (joint == 0 and path == "translation")
                 width = part.stop - part.start
-                keys = builder.later(
-                    self.frames if moves else 1,
-                    width,
-                    partial(self._column, joint, part),
-                )
-                channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
-                samplers.append({"input": every if moves else once, "output": keys, "interpolation": "LINEAR"})
-        builder.add("animations", {"name": name, "channels": channels, "samplers": samplers})
+                keys = builder.later(self.frames if moves else 1, width, partial(self._column, joint, part))
+                builder.channel(clip, node, path, every if moves else once, keys)
+        builder.add("animations", clip)
 
     def _column(self, joint: int, part: slice, rows: int) -> bytes:
         whole = np.memmap(self.file, "<f4", "r", shape=(self.frames, self.joints, 7))
@@ -235,9 +219,8 @@ def write_stretches(
     stretches: Iterable[AnimatedCharacter], path: str | Path, *, fps: float | None = None, name: str | None = None
 ) -> Path:
     """Write stretches of one character as one clip of a GLB. The first frame of each after the first is the last of the
-    one before, and is written once.
-
-    Such a file does not hold the handle motion bit for bit, which `bunraku edit` and `--after` read.
+    one before, and is written once. Such a file does not hold the handle motion bit for bit, which `bunraku edit` and
+    `--after` read.
 
     Args:
         stretches: One after the other, as `Animator.stretches` gives them: of handles or of bones.

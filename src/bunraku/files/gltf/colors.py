@@ -1,6 +1,4 @@
-"""A colour for each vertex, for previews: base colour factor, base colour texture at the UV, and vertex colour,
-multiplied.
-"""
+"""A colour for each vertex, for previews: base colour factor, base colour texture and vertex colour, multiplied."""
 
 from __future__ import annotations
 
@@ -132,16 +130,14 @@ def _image_of(texture: dict[str, object]) -> Any:
 
 
 def _extension(owner: dict[str, object], name: str) -> dict[str, Any]:
-    """What an extension says of an object; nothing where it is not there."""
+    """The data of an extension of an object, empty where it is not there."""
     extensions = owner.get("extensions") or {}
     said = extensions.get(name) if isinstance(extensions, dict) else None
     return said if isinstance(said, dict) else {}
 
 
 def _decode_all(document: Document, parts: tuple[MeshPart, ...]) -> dict[int, np.ndarray | None]:
-    """The base colour images of all meshes, decoded side by side: that is most of the time that a textured file
-    takes.
-    """
+    """The base colour images of all meshes, decoded in parallel, which takes most of the time of a textured file."""
     wanted: set[int] = set()
     for mesh in {part.mesh for part in parts}:
         for primitive in document.objects(document.item("meshes", mesh), "primitives"):
@@ -180,7 +176,7 @@ def _decode_all(document: Document, parts: tuple[MeshPart, ...]) -> dict[int, np
 
 
 def _place(data: Any) -> tuple[int, int]:
-    """Where bytes lie in memory: the same for all images that are one view, or one file."""
+    """Address and length of bytes: the same for all images that are one view, or one file."""
     array = np.frombuffer(data, np.uint8)
     return array.__array_interface__["data"][0], len(array)
 
@@ -195,7 +191,7 @@ def _opened(data: Any) -> Any:
 
 
 def _size(data: Any) -> tuple[int, int]:
-    """How many pixels an image has, 0 for one that cannot be decoded, and bytes that decoding it takes."""
+    """Number of pixels of an image, 0 where it cannot be decoded, and the bytes that decoding takes."""
     from PIL import Image
 
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
@@ -16,19 +16,18 @@ from bunraku.errors import FormatError
 
 __all__ = [
     "ARRAY_BUFFER", "BASE", "COMPONENT_TYPES", "Document", "ELEMENT_ARRAY_BUFFER", "ELEMENT_SIZES", "GltfBuilder",
-    "MAX_ELEMENTS", "PER_BYTE", "free_memory", "mesh_document", "room", "scaled_mesh_document",
+    "MAX_ELEMENTS", "PER_BYTE", "free_memory", "matte_material", "mesh_document", "room", "scaled_mesh_document",
 ]  # fmt: skip
-
 
 PER_BYTE = 4
 """Bytes of memory for each byte of a file."""
 
 BASE = 240 << 20
-"""What any file may take beside that [bytes]; the interpreter and its libraries make it some 300 MB."""
+"""What any file may take in addition [bytes]; the interpreter and its libraries make it some 300 MB."""
 
 
 def free_memory() -> int:
-    """Bytes that the machine can still give, as Linux tells; without an answer, all there can be."""
+    """Bytes that Linux says the machine can still give; without an answer, the largest integer."""
     try:
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):
@@ -39,11 +38,7 @@ def free_memory() -> int:
 
 
 def room(size: int) -> int:
-    """Bytes that reading a file may take at most, its own included.
-
-    Args:
-        size: Bytes of the file and of all that it names.
-    """
+    """Most bytes that reading a file may take, its own included; `size` is of the file and of all that it names."""
     return min(PER_BYTE * size + BASE, free_memory())
 
 
@@ -65,7 +60,7 @@ class Document:
         tree: The JSON object.
         buffers: The bytes of each buffer; those that name one file share them.
         images: Bytes of the images that are files or data URIs, by image index; None where the file is missing.
-        size: Bytes of the file and of the files that it names, each once; 0 for a document that was made in memory.
+        size: Bytes of the file and of the files that it names, each once; 0 for a document in memory only.
     """
 
     path: Path
@@ -87,13 +82,8 @@ class Document:
         return self._own + needed <= room(self._own)
 
     def check_memory(self, needed: int) -> None:
-        """Refuse what takes more memory than a file of this size may.
-
-        Args:
-            needed: About how much it takes beside the file itself [bytes].
-
-        Raises:
-            FormatError: It is too much.
+        """Raise FormatError if so many bytes beside the file itself are too much for a file of this size or for the
+        machine.
         """
         if not self.has_room(needed):
             self.fail(
@@ -112,6 +102,12 @@ class Document:
     def truncated(self, problem: str) -> NoReturn:
         """Raise a FormatError about bytes that this document lacks."""
         self.fail(f"{problem}; the file is truncated, export or download it again")
+
+    @property
+    def extensions(self) -> dict[str, Any]:
+        """The extensions of the whole document, empty where it has none."""
+        found = self.tree.get("extensions")
+        return found if isinstance(found, dict) else {}
 
     def items(self, kind: str) -> list[dict[str, Any]]:
         """A top-level list of the document, empty where it has none."""
@@ -195,15 +191,13 @@ class Document:
         return self.integer(self.item("accessors", index), "count", high=MAX_ELEMENTS)
 
     def accessor(self, index: Any, kinds: tuple[str, ...], raw: bool = False) -> np.ndarray:
-        """The elements of an accessor, sparse values put in place.
+        """The elements of an accessor, sparse values put in place, shape (count, components), in their stored type or
+        float32.
 
         Args:
             index: Which accessor.
             kinds: The element types that are allowed here, such as ("VEC3",).
             raw: Keep integers as they are stored; otherwise normalised ones become floats.
-
-        Returns:
-            Elements, shape (count, components), in their stored type or float32.
         """
         accessor = self.item("accessors", index)
         kind, component = accessor.get("type"), accessor.get("componentType")
@@ -261,13 +255,11 @@ _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
 class GltfBuilder:
-    """A glTF tree and the binary chunk that grows with it.
+    """A glTF tree and the binary chunk that grows with it; its `accessors` and `bufferViews` start empty."""
 
-    Args:
-        tree: The JSON object; its `accessors` and `bufferViews` start empty.
-    """
-
-    def __init__(self, tree: dict[str, object]):
+    def __init__(self, tree: dict[str, Any] | None = None):
+        if tree is None:
+            tree = {"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"nodes": [0]}]}
         self.tree: dict[str, Any] = tree  # our own from here on: what is added is what glTF says
         self.length = 0
         self._chunks: list[bytes | memoryview | Callable[[], bytes]] = []
@@ -314,12 +306,8 @@ class GltfBuilder:
         return self._append("accessors", entry)
 
     def later(self, count: int, size: int, make: Callable[[int], bytes]) -> int:
-        """Add an accessor of 32-bit floats whose bytes are made when the document is written, and return its index.
-
-        Args:
-            count: How many elements.
-            size: Components of each.
-            make: Gives the bytes of that many elements.
+        """Add an accessor of `count` vectors of 32-bit floats, whose bytes `make(count)` gives when the document is
+        written, and return its index.
         """
         length = 4 * count * size
         entry: dict[str, object] = {"buffer": 0, "byteOffset": self.length, "byteLength": length}
@@ -342,6 +330,12 @@ class GltfBuilder:
         """Add an entry to a top-level list and return its index."""
         return self._append(key, entry)
 
+    @staticmethod
+    def channel(clip: dict[str, Any], node: int, path: str, times: int, values: int) -> None:
+        """Add a linear channel to a clip that has lists of channels and samplers: a node's property, by accessors."""
+        clip["channels"].append({"sampler": len(clip["samplers"]), "target": {"node": node, "path": path}})
+        clip["samplers"].append({"input": times, "output": values, "interpolation": "LINEAR"})
+
     def document(self, path: Path) -> Document:
         """The document as one in memory."""
         data = b"".join(chunk() if callable(chunk) else chunk for chunk in self._chunks)
@@ -353,7 +347,7 @@ class GltfBuilder:
         """Write the document as GLB.
 
         Raises:
-            ValueError: It is larger than a GLB can be, or the tree holds numbers that JSON has not.
+            ValueError: It is larger than a GLB can be, or the tree holds numbers that JSON lacks.
         """
         if self.length:
             self.tree["buffers"] = [{"byteLength": self.length}]
@@ -368,6 +362,26 @@ class GltfBuilder:
             file.write(struct.pack("<II", self.length, 0x004E4942))
             for chunk in self._chunks:
                 file.write(chunk() if callable(chunk) else chunk)
+
+
+def matte_material(
+    name: str, color: Sequence[float] | None = None, texture: int | None = None, **more: Any
+) -> dict[str, Any]:
+    """A glTF material that is rough and no metal, as files of formats without such properties mean it.
+
+    Args:
+        name: Its name.
+        color: Linear base colour and opacity; one below 1 makes it blend.
+        texture: Index of its base colour texture.
+        **more: Further entries.
+    """
+    shader: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 0.9}
+    if texture is not None:
+        shader["baseColorTexture"] = {"index": texture}
+    if color is not None:
+        shader["baseColorFactor"] = [float(value) for value in color]
+    blend = {"alphaMode": "BLEND"} if color is not None and color[3] < 1 else {}
+    return {"name": name, "pbrMetallicRoughness": shader, **blend, **more}
 
 
 def mesh_document(
@@ -393,7 +407,7 @@ def mesh_document(
         materials: glTF materials; their textures are numbered as the images.
         images: PNG or JPEG bytes with their MIME type.
     """
-    builder = GltfBuilder({"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"nodes": [0]}]})
+    builder = GltfBuilder()
     builder.add("nodes", {"name": path.stem, "mesh": 0})
     attributes = {}
     if len(positions):
@@ -426,7 +440,7 @@ def mesh_document(
 
 
 def scaled_mesh_document(document: Document, factor: float) -> Document:
-    """A document of `mesh_document` with its positions times a factor; they are the first array of its buffer."""
+    """A document of `mesh_document` with its positions, the first array of its buffer, times a factor."""
     primitive = document.items("meshes")[0]["primitives"][0]
     count = 3 * document.count(primitive["attributes"]["POSITION"])
     data = np.frombuffer(document.buffers[0], np.uint8).copy()

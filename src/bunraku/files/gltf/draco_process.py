@@ -1,7 +1,7 @@
-"""Runs in a process of its own: meshes packed by Draco in, arrays out. It imports nothing of the package.
+"""Runs in its own process: meshes packed by Draco in, arrays out. It imports nothing of the package.
 
-What Draco allocates is told by the bytes that it reads, so hostile ones could ask for any amount: here the process may
-take so much and no more, and a crash of the library ends this process alone.
+Draco allocates what the bytes ask for, so hostile ones could ask for any amount: this process has a limit, and a crash
+of the library ends this process alone.
 
 Input: a line of JSON, {"bytes": LIMIT, "lengths": [...]}, and then the packed meshes. Output: an .npz archive with
 `N_faces` and `N_ID` for each mesh N and each of its attributes' ids.
@@ -19,7 +19,7 @@ __all__ = ["main"]
 
 
 def main() -> None:
-    """Unpack what stands in the standard input."""
+    """Unpack the meshes of the standard input."""
     import DracoPy
 
     head = json.loads(sys.stdin.buffer.readline())
@@ -36,7 +36,7 @@ def main() -> None:
 
 
 def limit_memory(more: int) -> None:
-    """Let this process take so many bytes beside what it has; systems without such limits are left alone."""
+    """Let this process take so many bytes more than it has; systems without such limits are left alone."""
     try:
         import resource
 

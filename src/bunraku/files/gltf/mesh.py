@@ -23,9 +23,7 @@ def strongest(
     """The largest shares of each vertex as a table, renormalised.
 
     Args:
-        points: Vertex of each share, shape (S,).
-        joints: Its joint, shape (S,).
-        shares: The share, not negative, shape (S,).
+        points, joints, shares: Vertex, joint and share (not negative) of each influence, shape (S,).
         count: How many vertices there are, V.
         influences: Most joints of a vertex.
 
@@ -44,12 +42,11 @@ def strongest(
 
 
 def borrow_weights(vertices: np.ndarray, indices: np.ndarray, shares: np.ndarray, lost: np.ndarray) -> None:
-    """Give vertices without weights those of the nearest vertex that has some; the first joint where none has.
+    """Give vertices without weights those of the nearest vertex that has some, or the first joint where none has.
 
     Args:
         vertices: Positions, shape (V, 3).
-        indices: Joints, changed in place, shape (V, M).
-        shares: Shares, changed in place, shape (V, M).
+        indices, shares: Joints and their shares, changed in place, shape (V, M).
         lost: The vertices without weights.
     """
     good = np.flatnonzero(shares.sum(axis=1) > 1e-9)
@@ -66,7 +63,7 @@ def borrow_weights(vertices: np.ndarray, indices: np.ndarray, shares: np.ndarray
 
 MAX_VERTICES, MAX_TRIANGLES, MAX_PRIMITIVES = 20_000_000, 40_000_000, 20_000
 MAX_WORK = 150_000_000
-"""Most vertices that all primitives go over, each as often as it uses them: for its morph targets, and for colours."""
+"""Most vertices over all primitives, each counted as often as it is used: for its morph targets, and for colours."""
 
 _VERTEX, _INFLUENCE, _TRIANGLE = 72, 32, 40
 """About how many bytes a vertex, one of its influences, and a triangle take while a character is read."""
@@ -98,10 +95,9 @@ class MeshPart:
     """A mesh where a node places it.
 
     Args:
-        node: The node.
-        mesh: Its mesh.
-        transform: What takes raw positions to the rest pose, shape (4, 4), or None where the skin bends the mesh in its
-            rest pose.
+        node, mesh: The node and its mesh.
+        transform: From raw positions to the rest pose, shape (4, 4), or None where the skin bends the mesh in its rest
+            pose.
         mirrored: Whether the transform turns the triangles inside out; those of the groups are turned back.
         groups: Its vertices.
     """
@@ -111,6 +107,13 @@ class MeshPart:
     transform: np.ndarray | None
     mirrored: bool
     groups: tuple[PrimitiveData, ...]
+
+    def split(self, rows: np.ndarray) -> Iterator[tuple[PrimitiveData, np.ndarray]]:
+        """The groups, each with its own of some rows over all of them."""
+        start = 0
+        for group in self.groups:
+            yield group, rows[start : start + len(group.vertices)]
+            start += len(group.vertices)
 
 
 def primitive_groups(document: Document, mesh: int) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
@@ -166,10 +169,9 @@ def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int, 
 
     Args:
         document: The document.
-        tree: Its nodes.
-        skins: Its joints.
+        tree, skins: Its nodes and joints.
         node: A node with a mesh.
-        carrier: The joint that carries it where it has no skin, as `rigid_joints` says.
+        carrier: The joint that carries it where it has no skin (`rigid_joints`).
 
     Raises:
         FormatError: An index, a count or a type is wrong.
@@ -204,7 +206,7 @@ def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int, 
 
 
 def skin_matrices(document: Document, tree: NodeTree, skins: SkinJoints, part: MeshPart, group: int) -> np.ndarray:
-    """What takes each raw vertex of a group to its rest position, shape (V, 4, 4)."""
+    """Transform of each raw vertex of a group to its rest position, shape (V, 4, 4)."""
     entry = document.item("nodes", part.node)
     primitive = document.item("meshes", part.mesh)["primitives"][part.groups[group].primitives[0]]
     attributes = primitive["attributes"]
@@ -235,11 +237,8 @@ def rest_positions(document: Document, node: dict[str, object], mesh: int, primi
 
 
 def check_size(document: Document, nodes: list[int]) -> None:
-    """Refuse a document whose nodes place more than can be worked with; many may place one mesh, so the file's size is
-    no bound.
-
-    Raises:
-        FormatError: There are too many vertices, triangles or primitives.
+    """Raise FormatError where the nodes of a document place too many vertices, triangles or primitives; many may place
+    one mesh, so the file's size is no bound.
     """
     sizes: dict[Any, np.ndarray] = {}
     total = np.zeros(5, dtype=object)
@@ -266,8 +265,8 @@ def check_size(document: Document, nodes: list[int]) -> None:
 
 
 def _sizes(document: Document, mesh: dict[str, object], weighted: int) -> np.ndarray:
-    """Vertices, corners, primitives, influences of a mesh with so many weights of morph targets, and vertices as often
-    as they are gone over.
+    """Vertices, corners, primitives and influences of a mesh with so many weights of morph targets, and vertices
+    counted as often as they are used.
     """
     vertices = corners = influences = work = 0
     primitives = document.objects(mesh, "primitives")
@@ -289,8 +288,8 @@ def _sizes(document: Document, mesh: dict[str, object], weighted: int) -> np.nda
 
 
 def rigid_joints(tree: NodeTree, skins: SkinJoints) -> np.ndarray:
-    """The joint that carries each node's mesh where that has no skin: the nearest one at or above it, else the first
-    joint that no joint carries; 0 where there are no joints, shape (M,).
+    """The joint that carries each node's mesh without a skin, shape (M,): the nearest one at or above it, else the
+    first joint without a joint above; 0 where there are no joints.
     """
     if not skins.nodes:
         return np.zeros(len(tree.parents), int)

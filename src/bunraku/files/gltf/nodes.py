@@ -11,10 +11,9 @@ from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, qu
 from bunraku.files.gltf.document import Document
 
 __all__ = [
-    "Curves", "MAX_SECONDS", "NodeTree", "SkinJoints", "bind_pose", "clip_curves", "node_worlds", "posed_skins",
-    "read_nodes", "read_skins",
+    "Curves", "MAX_SECONDS", "NodeTree", "SkinJoints", "bind_pose", "clip_curves", "front_matrix", "node_worlds",
+    "posed_skins", "read_nodes", "read_skins",
 ]  # fmt: skip
-
 
 MAX_NODES = 100_000
 MAX_SLOTS = 300_000  # joints of all skins: many skins may name the same ones, and each takes two matrices
@@ -22,13 +21,13 @@ MAX_SLOTS = 300_000  # joints of all skins: many skins may name the same ones, a
 
 @dataclass(frozen=True)
 class NodeTree:
-    """The nodes of a document in a pose: the default one as `read_nodes` gives it.
+    """The nodes of a document in a pose, the default one from `read_nodes`.
 
     Args:
         parents: Parent of each node, shape (M,); -1 for a root.
         world: World transform of each node in this pose [m], shape (M, 4, 4).
         scene: Nodes of the default scene, ascending.
-        local: Transform of each node in its parent as the file says, whatever the pose, shape (M, 4, 4).
+        local: Transform of each node in its parent as in the file, whatever the pose, shape (M, 4, 4).
     """
 
     parents: np.ndarray
@@ -48,7 +47,9 @@ class NodeTree:
         return order
 
     def nearest(self, chosen: dict[int, int]) -> np.ndarray:
-        """What is chosen for the nearest of the chosen nodes at or above each node, -1 for none, shape (M,)."""
+        """The value that is chosen for the nearest of the chosen nodes at or above each node, -1 for none,
+        shape (M,).
+        """
         parents = self.parents.tolist()
         found = [-1] * len(parents)
         for node in self.order:
@@ -72,7 +73,7 @@ class SkinJoints:
         nodes: Node of each joint, length J.
         slots: For each skin, the joint of each of its slots.
         inverse: For each skin, the inverse bind matrix of each slot, shape (slots, 4, 4).
-        bind: For each skin, what takes a raw mesh to the pose of the tree through each slot, shape (slots, 4, 4).
+        bind: For each skin, the transform of a raw mesh to the pose of the tree through each slot, shape (slots, 4, 4).
         mirrored: Whether each skin turns its meshes inside out.
     """
 
@@ -92,9 +93,8 @@ def posed_skins(skins: SkinJoints, tree: NodeTree) -> SkinJoints:
 
 
 def read_nodes(document: Document) -> NodeTree:
-    """World transforms and the default scene of a document.
-
-    A VRM 0.x avatar looks along -Z; it is turned to look along +Z as glTF asks for and as VRM 1.0 does.
+    """World transforms and the default scene of a document. A VRM 0.x avatar looks along -Z; it is turned to look along
+    +Z, as glTF and VRM 1.0 do.
 
     Raises:
         FormatError: The tree has a cycle or a node with two parents, a transform is not finite, or there are too many
@@ -112,10 +112,7 @@ def read_nodes(document: Document) -> NodeTree:
             parents[child] = node
     world, local = np.empty((len(nodes), 4, 4)), _locals(document, nodes)
     order = [int(node) for node in np.flatnonzero(parents < 0)]
-    extensions = document.tree.get("extensions")
-    turned = isinstance(extensions, dict) and "VRM" in extensions
-    front = np.diag([-1.0, 1, -1, 1]) if turned else np.eye(4)
-    local[parents < 0] = front @ local[parents < 0]
+    local[parents < 0] = front_matrix(document) @ local[parents < 0]
     for node in order:
         world[node] = world[parents[node]] @ local[node] if parents[node] >= 0 else local[node]
         order.extend(children[node])
@@ -199,13 +196,7 @@ GROWTH = 3.0  # a bind pose whose joints reach this much farther, or less far, t
 
 
 def bind_pose(document: Document, tree: NodeTree, skins: SkinJoints) -> NodeTree:
-    """The tree with its joints in the bind pose, or the same tree where the file has none that makes sense.
-
-    Args:
-        document: The document.
-        tree: Its nodes in their default pose.
-        skins: Its joints.
-    """
+    """The tree with its joints in the bind pose, or the same tree where the file has none that makes sense."""
     fixed: dict[int, np.ndarray] = {}
     visited = 0
     for skin, meshes in _used_skins(document, tree, skins):
@@ -277,9 +268,9 @@ def _placement(
     """The transform G from the space of the inverse bind matrices to the world, shape (4, 4), None where nothing fits.
 
     Exporters differ in that space: it is that of the node above the skeleton, that of the mesh, or the world. Of those
-    that give the bones the length that they have in the file, the one that brings the joints closest to the default
-    pose is right, turned by a quarter or a half about +Y where only the clip turned the skeleton to the front. Where
-    none does, the skeleton's root is put where it is by default.
+    that give the bones their length in the file, the one that brings the joints closest to the default pose is right,
+    rotated by a quarter or a half circle about +Y where only the clip turned the skeleton to the front. Where none
+    does, the skeleton's root is put where it is by default.
     """
     joints: dict[int, int] = {}
     for i, node in enumerate(nodes):
@@ -311,11 +302,9 @@ def _placement(
 
 
 def _facing(placement: np.ndarray, placed: np.ndarray, target: np.ndarray, root: int) -> np.ndarray:
-    """The placement turned by quarters about the vertical through its root joint, to face where the default pose does,
-    shape (4, 4).
-
-    The mean turn of all joints tells: clips turn single limbs any way, but all joints one way only where they turn the
-    whole.
+    """The placement rotated by quarter circles about the vertical through its root joint, to face where the default
+    pose does, shape (4, 4). The mean rotation of all joints decides: clips rotate single limbs any way, but all joints
+    one way only with the whole body.
     """
     own, want = (
         some[:, :3, :3] / np.cbrt(np.abs(np.linalg.det(some[:, :3, :3])) + 1e-30)[:, None, None]
@@ -331,8 +320,8 @@ def _facing(placement: np.ndarray, placed: np.ndarray, target: np.ndarray, root:
 
 
 def _size_ratio(placed: np.ndarray, target: np.ndarray, pairs: list[tuple[int, int]]) -> float:
-    """How much longer the bones are than they should be, the median; of single joints how much larger their axes
-    are.
+    """How much longer the bones are than they should be, the median; for single joints how much larger their
+    axes are.
     """
     child, parent = np.array([i for i, _ in pairs], int), np.array([j for _, j in pairs], int)
     own = np.linalg.norm(placed[child, :3, 3] - placed[parent, :3, 3], axis=1)
@@ -430,16 +419,15 @@ def node_worlds(
                 known[link] = known[above] @ rest if above >= 0 else np.broadcast_to(rest, (len(moments), 4, 4))
             else:
                 local = _local(document, nodes[link], link, curves, moments)
-                known[link] = known[above] @ local if above >= 0 else _front(document) @ local
+                known[link] = known[above] @ local if above >= 0 else front_matrix(document) @ local
         return known[chain[0]] if chain else known[node]
 
     return np.stack([world(node) for node in chosen], axis=1)
 
 
-def _front(document: Document) -> np.ndarray:
-    """What turns a VRM 0.x avatar, which looks along -Z, as reading its character does."""
-    extensions = document.tree.get("extensions")
-    return np.diag([-1.0, 1, -1, 1]) if isinstance(extensions, dict) and "VRM" in extensions else np.eye(4)
+def front_matrix(document: Document) -> np.ndarray:
+    """The rotation that `read_nodes` gives a VRM 0.x avatar, else the identity."""
+    return np.diag([-1.0, 1, -1, 1]) if "VRM" in document.extensions else np.eye(4)
 
 
 def _local(document: Document, node: dict[str, object], index: int, curves: Curves, moments: np.ndarray) -> np.ndarray:

@@ -14,16 +14,16 @@ from importlib import import_module
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from bunraku.core.files import check_input, path_inside, read_bounded
+from bunraku.core.request import no_constant
 from bunraku.errors import FormatError, MissingExtraError
 from bunraku.files.gltf.document import COMPONENT_TYPES, ELEMENT_SIZES, MAX_ELEMENTS, Document, room
 
 __all__ = ["DRACO", "MESHOPT", "open_document", "unpack_primitives", "unpack_views"]
-
 
 DRACO = "KHR_draco_mesh_compression"
 SECONDS = 120
@@ -31,10 +31,8 @@ SECONDS = 120
 
 
 def unpack_primitives(document: Document) -> None:
-    """Give the compressed primitives of a document plain accessors, in place.
-
-    Primitives whose accessors have data of their own, as those of files for viewers without Draco do, are read from
-    there.
+    """Give the compressed primitives of a document plain accessors, in place. Primitives whose accessors have data of
+    their own, as in files for viewers without Draco, are read from there.
 
     Raises:
         FormatError: A primitive is broken, or takes more memory than the file may.
@@ -51,10 +49,7 @@ def unpack_primitives(document: Document) -> None:
                 document.broken(f"a primitive lacks what {DRACO} says of it")
             if not _draco_plain(document, primitive):
                 packed.setdefault(document.integer(extension, "bufferView"), []).append((primitive, extension))
-    for key in ("extensionsUsed", "extensionsRequired"):
-        names = document.tree.get(key)
-        if isinstance(names, list):
-            document.tree[key] = [name for name in names if name != DRACO]
+    _forget(document, (DRACO,))
     if not packed:
         return
     if find_spec("DracoPy") is None:
@@ -79,7 +74,7 @@ def _draco_plain(document: Document, primitive: dict[str, object]) -> bool:
 
 
 def _declared(document: Document, packed: dict[int, list[tuple[dict[str, object], dict[str, object]]]]) -> int:
-    """About how many bytes the accessors of the packed primitives say that they take."""
+    """About how many bytes the accessors of the packed primitives declare."""
     total = 0
     for users in packed.values():
         for primitive, _ in users:
@@ -88,7 +83,7 @@ def _declared(document: Document, packed: dict[int, list[tuple[dict[str, object]
 
 
 def _draco_unpacked(document: Document, meshes: list[bytes]) -> dict[str, np.ndarray]:
-    """What `draco_process` makes of packed meshes."""
+    """Packed meshes as `draco_process` unpacks them."""
     from zipfile import BadZipFile
 
     own = document.size or sum(map(len, meshes))
@@ -148,11 +143,7 @@ def _store(document: Document, index: Any, values: np.ndarray) -> None:
 
 
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
-_STRIDES = {
-    "ATTRIBUTES": range(4, 257, 4),
-    "TRIANGLES": (2, 4),
-    "INDICES": (2, 4),
-}
+_STRIDES = {"ATTRIBUTES": range(4, 257, 4), "TRIANGLES": (2, 4), "INDICES": (2, 4)}
 _FILTERS: dict[str, tuple[str, tuple[int, ...]]] = {
     "NONE": ("", tuple(range(4, 257, 4))),
     "OCTAHEDRAL": ("decode_filter_oct", (4, 8)),
@@ -163,9 +154,8 @@ _FILTERS: dict[str, tuple[str, tuple[int, ...]]] = {
 
 
 def unpack_views(document: Document) -> None:
-    """Replace the compressed buffer views of a document by plain ones, in place.
-
-    A view that also lies uncompressed in its buffer is read from there.
+    """Replace the compressed buffer views of a document by plain ones, in place. A view that also lies uncompressed in
+    its buffer is read from there.
 
     Raises:
         FormatError: A view is broken, or takes more memory than the file may.
@@ -179,7 +169,7 @@ def unpack_views(document: Document) -> None:
             if not isinstance(found[0], dict):
                 document.broken(f"bufferViews[{index}] is compressed by nothing")
             packed.append((index, view, found[0]))
-    _forget(document)
+    _forget(document, MESHOPT)
     if not packed:
         return
     try:
@@ -203,18 +193,18 @@ def unpack_views(document: Document) -> None:
 
 
 def _plain(document: Document, view: dict[str, object]) -> bool:
-    """Whether the bytes that a view stands for are there uncompressed too."""
+    """Whether the bytes of a view are there uncompressed too."""
     buffer = document.integer(view, "buffer")
     end = document.integer(view, "byteOffset", 0) + document.integer(view, "byteLength")
     return buffer < len(document.buffers) and end <= len(document.buffers[buffer])
 
 
-def _forget(document: Document) -> None:
-    """Take the extensions out of the lists of what the document needs."""
+def _forget(document: Document, extensions: tuple[str, ...]) -> None:
+    """Remove the extensions from the lists of what the document needs."""
     for key in ("extensionsUsed", "extensionsRequired"):
         names = document.tree.get(key)
         if isinstance(names, list):
-            document.tree[key] = [name for name in names if name not in MESHOPT]
+            document.tree[key] = [name for name in names if name not in extensions]
 
 
 def _unpacked(document: Document, index: int, extension: dict[str, object], library: Any) -> bytes:
@@ -270,14 +260,8 @@ _UNDERSTOOD = (
 
 
 def open_document(path: Path, data: bytes) -> Document:
-    """Parse a GLB or glTF file.
-
-    Args:
-        path: The file; buffers and images are looked for in its folder only.
-        data: Its bytes.
-
-    Returns:
-        The document, with what is compressed in it unpacked.
+    """Parse a GLB or glTF file and unpack what is compressed in it. Buffers and images are looked for in its folder
+    only.
 
     Raises:
         FormatError: The file is truncated or broken, needs an extension that is not understood, or points outside its
@@ -293,7 +277,7 @@ def open_document(path: Path, data: bytes) -> Document:
         2 * len(written) + sum(written.count(sign) * cost for sign, cost in _TREE_COSTS.items())
     )
     try:
-        tree = json.loads(written.decode("utf-8-sig"), parse_constant=_no_constant)
+        tree = json.loads(written.decode("utf-8-sig"), parse_constant=no_constant)
     except (ValueError, RecursionError):
         raise FormatError(
             path, "its JSON cannot be parsed; the file is truncated or broken, export or download it again"
@@ -321,10 +305,6 @@ def open_document(path: Path, data: bytes) -> Document:
     if packed[1]:
         unpack_primitives(document)
     return document
-
-
-def _no_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not JSON")
 
 
 def _glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]:
@@ -384,7 +364,7 @@ def _buffer(files: _Files, buffer: dict[str, object], chunk: memoryview | None) 
 
 
 class _Files:
-    """What the URIs of a document stand for; a file that many name is read once."""
+    """The bytes behind the URIs of a document; a file with several references is read once."""
 
     def __init__(self, document: Document):
         self.document = document

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +20,6 @@ from bunraku.files.gltf.vrm import read_vrm
 
 __all__ = ["Source", "character_from_document", "read_gltf", "scaled", "rotated"]
 
-
 MAX_COORDINATE = 1e12
 """Coordinates beyond this [m] are damage, and overflow what is computed from them."""
 
@@ -37,8 +36,8 @@ class Source:
         index: Character vertex of each document vertex, parts, groups and vertices in order, shape (U,). Other formats
             have fewer vertices than their document where a seam splits one in two.
         suffix: The format of the file.
-        moved: What took each vertex of the character from the pose of the tree to where it rests now, shape (V, 4, 4);
-            None for nothing.
+        moved: Transform of each vertex of the character from the pose of the tree to its rest position, shape (V, 4,
+            4); None for none.
     """
 
     document: Document
@@ -49,18 +48,21 @@ class Source:
     suffix: str = ".glb"
     moved: np.ndarray | None = None
 
+    def placed(self) -> Iterator[tuple[MeshPart, np.ndarray]]:
+        """The parts that have vertices, each with the character's vertex of each of its own."""
+        start = 0
+        for part in self.parts:
+            stop = start + sum(len(group.vertices) for group in part.groups)
+            if stop > start:
+                yield part, self.index[start:stop]
+            start = stop
+
 
 def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:
-    """Read a GLB, glTF or VRM file.
+    """Read a GLB, glTF or VRM file, which rests as in `load_character`.
 
     The vertices are those of all primitives in node order, in world space in the rest pose; primitives of one mesh that
     share their positions share their vertices.
-
-    Args:
-        path: The file.
-        data: Its bytes.
-        rest: "bind" rests in the pose that the skins were bound in (see `gltf_bind`), "default" in that of the file's
-            nodes, which may be the middle of a clip.
 
     Raises:
         FormatError: The file is broken, or needs what is not read.
@@ -72,7 +74,7 @@ def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:
 def character_from_document(
     document: Document, name: str, index: np.ndarray | None = None, suffix: str = ".glb", *, rest: str = "bind"
 ) -> Character:
-    """The character that a glTF document holds.
+    """The character of a glTF document.
 
     Args:
         document: The document.
@@ -145,12 +147,7 @@ def _rig(document: Document, tree: NodeTree, skins: SkinJoints, parts: tuple[Mes
 
 
 def rotated(character: Character, up: str, front: str) -> Character:
-    """The character with one of its axes up along +Y and another to the front along +Z.
-
-    Args:
-        character: Any character.
-        up: The axis that is up in it now: "+x", "-x", "+y", "-y", "+z" or "-z".
-        front: The axis that it faces now, at a right angle to `up`.
+    """The character with the axis `up` ("+x", "-x", "+y", "-y", "+z" or "-z") rotated to +Y and the axis `front` to +Z.
 
     Raises:
         OptionError: The two are no axes at a right angle.
@@ -171,10 +168,6 @@ def rotated(character: Character, up: str, front: str) -> Character:
 
 def scaled(character: Character, factor: float) -> Character:
     """The character times a factor, about the origin.
-
-    Args:
-        character: Any character.
-        factor: How many metres what is one long now becomes.
 
     Raises:
         OptionError: Its file has rigid bodies or springs, whose sizes would stay.
@@ -211,7 +204,7 @@ def _grown(part: MeshPart, factor: float) -> tuple[PrimitiveData, ...]:
 
 
 def _turned_points(points: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Exactly turned: coordinates change places and signs, and are not rounded."""
+    """Exactly rotated: coordinates swap and change sign, and are not rounded."""
     order, signs = np.abs(rotation).argmax(axis=1), rotation.sum(axis=1)
     return np.asarray(points[:, order] * signs.astype(points.dtype) + points.dtype.type(0))
 
@@ -221,16 +214,11 @@ def _turned_source(source: Source, matrix: np.ndarray) -> Source:
 
 
 def _placed_source(source: Source, matrix: np.ndarray, parts: Sequence[MeshPart]) -> Source:
-    """The source as a node with this matrix above all others would have it, with its parts placed so."""
+    """The source as it is below a node with this matrix, with its parts placed so."""
     old = source.tree
     local = np.where((old.parents < 0)[:, None, None], matrix @ old.local, old.local)
     tree = NodeTree(old.parents, matrix @ old.world, old.scene, local)
-    return replace(
-        source,
-        tree=tree,
-        skins=posed_skins(source.skins, tree),
-        parts=tuple(parts),
-    )
+    return replace(source, tree=tree, skins=posed_skins(source.skins, tree), parts=tuple(parts))
 
 
 def _turned_part(part: MeshPart, matrix: np.ndarray) -> MeshPart:

@@ -1,4 +1,4 @@
-"""The extensions of VRM in a glTF document: humanoid bones, spring bones and colliders, read and written."""
+"""The extensions of VRM in a glTF document: humanoid bones, spring bones and colliders."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.core.avatars import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
+from bunraku.core.avatars import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint, warning_sentences
 from bunraku.core.body.layout import HANDLE_NAMES, REQUIRED, engine_names
 from bunraku.core.character import Rig
 from bunraku.files.gltf.document import Document
@@ -17,22 +17,20 @@ from bunraku.files.gltf.nodes import NodeTree, read_nodes
 
 __all__ = ["SPRINGS", "add_humanoid", "add_spring_extras", "add_springs", "read_vrm"]
 
-
 MOST = 10_000  # joints of springs, and colliders: more are no avatar's
 LONGEST = 300  # joints of one spring: what simulates them takes memory by the square of it
 _log = logging.getLogger(__name__)
 
 
 def read_vrm(document: Document) -> VrmModel | None:
-    """What a document with VRM's extensions holds, None where it has none.
-
-    Broken springs and colliders are left out with a warning.
+    """What a document with VRM's extensions holds, None where it has none. Broken springs and colliders are left out
+    with a warning.
 
     Raises:
         FormatError: The nodes of the document are broken.
     """
-    extensions = document.tree.get("extensions")
-    if not isinstance(extensions, dict) or not {"VRM", "VRMC_vrm"} & set(extensions):
+    extensions = document.extensions
+    if not {"VRM", "VRMC_vrm"} & extensions.keys():
         return None
     reader = _Reader(document, read_nodes(document))
     found = reader.first(extensions["VRM"]) if "VRM" in extensions else reader.second(extensions)
@@ -42,7 +40,7 @@ def read_vrm(document: Document) -> VrmModel | None:
 
 
 class _Reader:
-    """Takes the extensions apart; what makes no sense is noted, and left out."""
+    """Reads the extensions; what makes no sense is noted and left out."""
 
     def __init__(self, document: Document, tree: NodeTree):
         self.nodes = document.items("nodes")
@@ -56,7 +54,7 @@ class _Reader:
         self.swinging = 0
 
     def _visits(self) -> tuple[list[int], list[int]]:
-        """When a walk down the tree comes to each node, and to the last one below it."""
+        """The times at which a walk down the tree reaches each node, and the last one below it."""
         entered = [0] * len(self.nodes)
         order: list[int] = []
         stack = [node for node, parent in enumerate(self.tree.parents) if parent < 0]
@@ -73,7 +71,7 @@ class _Reader:
         return entered, last
 
     def note(self, problem: str, name: object = "") -> None:
-        self.notes.setdefault(problem, []).append(" ".join(str(name).split())[:40])
+        self.notes.setdefault(problem, []).append(str(name))
 
     def node(self, value: Any) -> int:
         """A node's index, -1 where there is no such node."""
@@ -91,14 +89,9 @@ class _Reader:
         colliders: list[VrmCollider],
         groups: list[tuple[int, ...]],
     ) -> VrmModel:
-        sentences = []
-        for problem, names in self.notes.items():
-            some = ", ".join(name for name in names[:3] if name)
-            sentences.append(
-                f"{problem}: {some}{f' and {len(names) - 3} more' if len(names) > 3 else ''}" if some else problem
-            )
+        warnings = warning_sentences(self.notes)
         return VrmModel(
-            version, str(title or "")[:200], humanoid, tuple(springs), tuple(colliders), tuple(groups), tuple(sentences)
+            version, str(title or "")[:200], humanoid, tuple(springs), tuple(colliders), tuple(groups), warnings
         )
 
     def first(self, data: Any) -> VrmModel:
@@ -244,7 +237,7 @@ class _Reader:
         return self.entered[other] < self.entered[node] <= self.last[other]
 
     def chains(self, root: int, taken: set[int]) -> list[list[int]]:
-        """All nodes at and below one as chains, a branch as one of its own; a node swings once only."""
+        """All nodes at and below one as chains, with a chain of its own for each branch; a node swings only once."""
         out: list[list[int]] = []
         starts = [root]
         while starts:
@@ -310,7 +303,7 @@ _META = {
     "avatarPermission": "onlyAuthor", "commercialUsage": "personalNonProfit", "creditNotation": "required",
     "modification": "prohibited",
 }  # fmt: skip
-"""What the format asks to be told of an avatar's rights, of which nothing is known here: the strictest of each."""
+"""The rights that the format asks for, of which nothing is known here: the strictest of each."""
 
 
 def add_humanoid(tree: dict[str, Any], rig: Rig, nodes: Sequence[int], title: str) -> None:
@@ -318,8 +311,8 @@ def add_humanoid(tree: dict[str, Any], rig: Rig, nodes: Sequence[int], title: st
 
     Args:
         tree: The document; what it has of the extension stays.
-        rig: A rig whose joints are not turned at rest.
-        nodes: Node of each of its joints.
+        rig: Its bones.
+        nodes: Node of each bone.
         title: Name of the avatar.
     """
     place = {name: number for number, name in enumerate(rig.names)}
@@ -333,32 +326,20 @@ def add_humanoid(tree: dict[str, Any], rig: Rig, nodes: Sequence[int], title: st
         if side * arm[0] < _ALONG * float((arm**2).sum()) ** 0.5:
             return
     bones = {name: {"node": nodes[number]} for name, number in place.items() if name in _BONES}
-    extensions["VRMC_vrm"] = {
-        "specVersion": "1.0",
-        "meta": {"name": title, **_META},
-        "humanoid": {"humanBones": bones},
-    }
+    extensions["VRMC_vrm"] = {"specVersion": "1.0", "meta": {"name": title, **_META}, "humanoid": {"humanBones": bones}}
 
 
 SPRINGS = "VRMC_springBone"
 
 
 def add_springs(tree: dict[str, Any], avatar: VrmModel, nodes: Sequence[int]) -> None:
-    """Add an avatar's springs as `VRMC_springBone`.
-
-    Args:
-        tree: The document.
-        avatar: Its springs and colliders, by bones.
-        nodes: Node of each bone.
-    """
+    """Add an avatar's springs and colliders as `VRMC_springBone`, with the node of each bone."""
     if avatar.springs:
         tree.setdefault("extensions", {})[SPRINGS] = {"specVersion": "1.0", **_springs(avatar, nodes)}
 
 
 def add_spring_extras(tree: dict[str, Any], avatar: VrmModel, nodes: Sequence[int]) -> None:
-    """Add an avatar's springs to the document's extras, as `springs`, in the form of `VRMC_springBone`. Arguments are
-    those of `add_springs`.
-    """
+    """Add an avatar's springs to the document's extras, as `springs`, in the form of `VRMC_springBone`."""
     if avatar.springs:
         extras = tree.get("extras")
         tree["extras"] = {**(extras if isinstance(extras, dict) else {}), "springs": _springs(avatar, nodes)}

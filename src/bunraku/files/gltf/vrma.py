@@ -1,4 +1,4 @@
-"""VRM files: motion of the humanoid as VRMA, read and written, and persons written as VRM 1.0."""
+"""VRM files: motion of the humanoid as VRMA, read and written, and people written as VRM 1.0."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from bunraku.files.gltf.write_rig import plain_rig
 
 __all__ = ["VRM_BONES", "read_glb_motion", "read_vrma", "write_avatar", "write_vrma"]
 
-
 EXTENSION = "VRMC_vrm_animation"
 
 VRM_BONES = dict(zip(JOINT_NAMES, engine_names("vrm"), strict=False))
@@ -34,7 +33,7 @@ MOST_ROTATIONS = 1_500_000  # ten minutes of all bones at 30 frames a second
 
 
 def read_glb_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
-    """The motion that a GLB holds: that of VRM's humanoid in a VRMA, the handle motion in a GLB of Bunraku.
+    """The motion of a GLB: that of VRM's humanoid in a VRMA, the handle motion in a GLB of Bunraku.
 
     Raises:
         FormatError: The file is broken, or holds neither.
@@ -47,15 +46,8 @@ def read_glb_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
 
 
 def read_vrma(path: Path, data: bytes) -> SkeletalMotion:
-    """Read a VRMA.
-
-    Args:
-        path: The file.
-        data: Its bytes.
-
-    Returns:
-        The humanoid bones that it has under VRM's names ("hips", "leftUpperArm"), with rotations relative to the
-        T-pose, at the rate of its keys; 30 frames a second where they are not evenly spaced.
+    """Read a VRMA: the humanoid bones that it has under VRM's names ("hips", "leftUpperArm"), with rotations relative
+    to the T-pose, at the rate of its keys, or at 30 frames a second where they are not evenly spaced.
 
     Raises:
         FormatError: The file is broken, or no VRMA.
@@ -65,8 +57,7 @@ def read_vrma(path: Path, data: bytes) -> SkeletalMotion:
 
 
 def _extension(document: Document) -> dict[str, Any] | None:
-    extensions = document.tree.get("extensions")
-    found = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
+    found = document.extensions.get(EXTENSION)
     return found if isinstance(found, dict) else None
 
 
@@ -149,10 +140,8 @@ def _unscaled(matrices: np.ndarray) -> np.ndarray:
 
 
 def write_vrma(motion: SkeletalMotion, path: str | Path, *, fps: float | None = None, name: str | None = None) -> Path:
-    """Write a skeletal motion as VRMA.
-
-    Players scale the path of the hips by the height that the hips have at rest, so the skeleton is written standing on
-    y = 0.
+    """Write a skeletal motion as VRMA. Players scale the path of the hips by the height of the hips at rest, so the
+    skeleton is written standing on y = 0.
 
     Args:
         motion: Of SMPL's 22 joints; `bunraku.anatomy.names.to_smpl` converts other skeletons.
@@ -160,13 +149,10 @@ def write_vrma(motion: SkeletalMotion, path: str | Path, *, fps: float | None = 
         fps: Frames a second of the keys [1/s]; those of the motion by default.
         name: The clip's name; the file's by default.
 
-    Returns:
-        The file that was written.
-
     Raises:
         FormatError: The file cannot be written.
         MotionError: The skeleton does not have SMPL's 22 joints.
-        OptionError: `fps` is no number from 1 to 1000, or the motion has no frame.
+        OptionError: `fps` is not a number from 1 to 1000, or the motion has no frame.
     """
     path = Path(path)
     if not len(motion):
@@ -174,7 +160,7 @@ def write_vrma(motion: SkeletalMotion, path: str | Path, *, fps: float | None = 
     if motion.skeleton.names != JOINT_NAMES:
         raise MotionError("a VRMA holds the motion of SMPL's 22 joints; convert the skeleton with to_smpl first")
     motion = resample_motion(motion, checked_fps(fps, motion.fps))
-    builder = GltfBuilder({"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"nodes": [0]}]})
+    builder = GltfBuilder()
     _add_bones(builder, motion)
     _add_clip(builder, motion, name or path.stem)
     bones = {VRM_BONES[joint]: {"node": node} for node, joint in enumerate(JOINT_NAMES)}
@@ -189,7 +175,7 @@ def write_vrma(motion: SkeletalMotion, path: str | Path, *, fps: float | None = 
 
 
 def _add_bones(builder: GltfBuilder, motion: SkeletalMotion) -> None:
-    """One node for each joint in the T-pose, the lowest at the height that the reference body's has over the floor."""
+    """One node for each joint in the T-pose, the lowest as high over the floor as that of the reference body."""
     from bunraku.core.body.reference import leg_length, reference_body
 
     body, skeleton = reference_body(), motion.skeleton
@@ -206,33 +192,22 @@ def _add_bones(builder: GltfBuilder, motion: SkeletalMotion) -> None:
 def _add_clip(builder: GltfBuilder, motion: SkeletalMotion, name: str) -> None:
     rotations = continuous(quaternion_from_matrix(motion.rotations.astype(np.float64)))
     clock = builder.array((np.arange(len(motion)) / motion.fps).astype(np.float32)[:, None], bounds=True)
-    channels: list[dict[str, Any]] = []
-    samplers: list[dict[str, Any]] = []
-
-    def add(node: int, kind: str, values: np.ndarray) -> None:
-        channels.append({"sampler": len(samplers), "target": {"node": node, "path": kind}})
-        samplers.append({"input": clock, "output": builder.array(values.astype(np.float32)), "interpolation": "LINEAR"})
-
-    add(0, "translation", motion.root_translation)
+    clip: dict[str, Any] = {"name": str(name), "channels": [], "samplers": []}
+    builder.channel(clip, 0, "translation", clock, builder.array(motion.root_translation.astype(np.float32)))
     for joint in range(rotations.shape[1]):
-        add(joint, "rotation", rotations[:, joint])
-    builder.add("animations", {"name": str(name), "channels": channels, "samplers": samplers})
+        builder.channel(clip, joint, "rotation", clock, builder.array(rotations[:, joint].astype(np.float32)))
+    builder.add("animations", clip)
 
 
 def write_avatar(
     character: Character, handles: Handles | None, path: Path, *, rig: bool = False, avatar: VrmModel | None = None
 ) -> Path:
-    """Write a person on a skeleton with VRM's names.
-
-    Args:
-        character: With a rig in a T-pose, as `bunraku.with_skeleton(character, "vrm")` makes one.
-        handles: None; a VRM has bones.
-        path: The file.
-        rig: Whether the rig is what is to be written.
-        avatar: Springs and colliders of its bones.
+    """Write a person as VRM, with the springs and colliders of an avatar; the arguments are those of the registry's
+    writers.
 
     Raises:
-        CharacterError: It has no such rig.
+        CharacterError: It has no rig in a T-pose with VRM's names, as `bunraku.with_skeleton(character, "vrm")` makes
+            one.
         FormatError: The file cannot be written.
     """
     hint = "make one with --skeleton vrm, or with `bunraku.with_skeleton`"

@@ -18,7 +18,7 @@ from bunraku.core.motion import HandleMotion, checked_fps, resample
 from bunraku.errors import FormatError
 from bunraku.files.gltf.carry import MeshCarrier, carry_images, carry_tree, used_extensions
 from bunraku.files.gltf.colors import linear_from_srgb
-from bunraku.files.gltf.document import ARRAY_BUFFER, GltfBuilder, mesh_document
+from bunraku.files.gltf.document import ARRAY_BUFFER, GltfBuilder, matte_material, mesh_document
 from bunraku.files.gltf.mesh import MeshPart, PrimitiveData
 from bunraku.files.gltf.open import open_document
 from bunraku.files.gltf.read import Source, character_from_document
@@ -34,7 +34,6 @@ __all__ = [
     "write_animation", "write_clips",
 ]  # fmt: skip
 
-
 KEY = "bunraku_motion"
 RIGID = "bunraku_rigid"
 """Mark of the root joint of a figure whose blocks do not bend."""
@@ -47,7 +46,7 @@ def add_clip(builder: GltfBuilder, animation: Animation) -> None:
 
 
 def drop_clip(tree: dict[str, object]) -> dict[str, Any]:
-    """The tree without the mark of a motion that it may have been carried over with."""
+    """The tree without the mark of a motion that may have been carried over."""
     asset = tree["asset"]
     extras = asset.get("extras") if isinstance(asset, dict) else None
     if isinstance(asset, dict) and isinstance(extras, dict) and KEY in extras:
@@ -86,7 +85,7 @@ def packed_motion(path: Path, data: bytes) -> bytes:
 
 
 def clip_handles(path: Path, character: Character) -> Handles:
-    """The handles that a file of `Animation.save` or `bunraku rig` has for joints, as they were but for rounding.
+    """The handles that a file of `Animation.save` or `bunraku rig` has for joints, up to rounding.
 
     Raises:
         FormatError: The joints are others.
@@ -133,12 +132,7 @@ def _role(name: str) -> int | None:
 
 
 def add_joints(builder: GltfBuilder, handles: Handles) -> list[int]:
-    """Add one node for each handle, handle 0 above the others, and return the nodes.
-
-    Args:
-        builder: The document.
-        handles: The K handles.
-    """
+    """Add one node for each handle, handle 0 above the others, and return the nodes."""
     h = handles.positions.astype(np.float64)
     names = handle_names(handles)
     first = len(builder.tree.get("nodes", []))
@@ -153,7 +147,8 @@ def add_joints(builder: GltfBuilder, handles: Handles) -> list[int]:
 
 
 def joint_tracks(positions: np.ndarray, motion: HandleMotion) -> tuple[np.ndarray, np.ndarray]:
-    """What the nodes of `add_joints` do: translations [m] (N, K, 3) and rotations (N, K, 4), quaternions xyzw, float64.
+    """The motion of the nodes of `add_joints`: translations [m] (N, K, 3) and rotations (N, K, 4), quaternions xyzw,
+    float64.
 
     The root node gets translation h_0 + t_g and rotation R_g; joint k, its child, gets h_k + t_k - h_0 and R_k (Eq. 3).
 
@@ -184,8 +179,7 @@ def add_motion(builder: GltfBuilder, joints: list[int], positions: np.ndarray, m
     }
     if not any(moving.values()):
         moving["translation", 0] = True  # one channel keeps the length of a motion that stands still
-    channels: list[dict[str, Any]] = []
-    samplers: list[dict[str, Any]] = []
+    clip: dict[str, Any] = {"name": name, "channels": [], "samplers": []}
     for joint in range(len(h)):
         for path, values, _ in tracks:
             track = values[:, joint].astype(np.float32)
@@ -194,39 +188,24 @@ def add_motion(builder: GltfBuilder, joints: list[int], positions: np.ndarray, m
             else:
                 single = builder.array(times[:1], bounds=True) if single is None else single
                 track, clock = track[:1], single
-            channels.append({"sampler": len(samplers), "target": {"node": joints[joint], "path": path}})
-            samplers.append({"input": clock, "output": builder.array(track), "interpolation": "LINEAR"})
-    builder.add("animations", {"name": name, "channels": channels, "samplers": samplers})
+            builder.channel(clip, joints[joint], path, clock, builder.array(track))
+    builder.add("animations", clip)
 
 
 def write_animation(animation: Animation, path: Path, *, fps: float | None = None, name: str | None = None) -> Path:
-    """Write an animation as GLB.
-
-    Args:
-        animation: The animation.
-        path: The file.
-        fps: Frames a second of the channels [1/s]; those of the motion by default.
-        name: The clip's name; the file's by default.
+    """Write an animation as GLB, with a clip of the file's or another name; channels have `fps` [1/s] or the motion's
+    rate.
 
     Raises:
         FormatError: The file cannot be written.
-        OptionError: `fps` is no number from 1 to 1000.
+        OptionError: `fps` is not a number from 1 to 1000.
     """
     return write_clips({str(name) if name else path.stem: animation}, path, fps=fps)
 
 
 def write_clips(clips: Mapping[str, Animation], path: Path, *, fps: float | None = None) -> Path:
     """Write several animations of one character by the same handles as GLB, each as a clip of its name. The motion that
-    Bunraku reads back is that of the first.
-
-    Args:
-        clips: At least one.
-        path: The file.
-        fps: Frames a second of the channels [1/s]; those of each motion by default.
-
-    Raises:
-        FormatError: The file cannot be written.
-        OptionError: `fps` is no number from 1 to 1000.
+    Bunraku reads back is that of the first. Errors are those of `write_animation`.
     """
     first = next(iter(clips.values()))
     motions = {name: resample(clip.motion, checked_fps(fps, clip.motion.fps)) for name, clip in clips.items()}
@@ -239,9 +218,7 @@ def write_clips(clips: Mapping[str, Animation], path: Path, *, fps: float | None
 
 def joint_attributes(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The four largest weights of each vertex as glTF stores them: joints (V, 4) uint8 or uint16, weights (V, 4)
-    float32.
-
-    The float32 weights of a vertex sum to 1 as closely as float32 can say; unused places name joint 0.
+    float32. The weights of a vertex sum to 1 as closely as float32 can say; unused slots name joint 0.
     """
     indices, shares = top_influences(weights, 4)
     stored = np.zeros((len(weights), 4), np.float32)
@@ -259,11 +236,7 @@ def document_of(character: Character) -> Source:
     if isinstance(source, Source) and len(source.index) and int(source.index.max()) + 1 == len(character.vertices):
         return source
     colors = None if character.colors is None else linear_from_srgb(character.colors / 255.0)
-    material = {
-        "name": character.name,
-        "doubleSided": True,
-        "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9},
-    }
+    material = matte_material(character.name, doubleSided=True)
     document = mesh_document(
         Path(character.name), character.vertices, [(character.faces, 0)], colors=colors, materials=[material]
     )
@@ -283,25 +256,18 @@ def writable(path: Path, what: object) -> Iterator[None]:
 
 
 def build_document(character: Character, handles: Handles | None, path: Path) -> tuple[GltfBuilder, list[int]]:
-    """The character's meshes and materials, skinned to handles where there are some, and the nodes of the handles.
-
-    The scene's nodes are that of handle 0, where there are handles, and then one for each of the source's parts that
-    has vertices.
+    """The character's meshes and materials, skinned to handles where there are some, and the nodes of the handles. The
+    scene's nodes are that of handle 0, where there are handles, and one for each part of the source that has vertices.
     """
     source = document_of(character)
     with writable(path, source.document.path):
         builder = GltfBuilder(drop_clip(carry_tree(source.document)))
         carry_images(source.document, builder)
         joints = add_joints(builder, handles) if handles is not None else []
-        carrier, start, roots = MeshCarrier(source, builder), 0, joints[:1]
+        carrier, roots = MeshCarrier(source, builder), joints[:1]
         skins: dict[bytes, int] = {}
-        for part in source.parts:
-            stop = start + sum(len(group.vertices) for group in part.groups)
-            if stop > start:
-                roots.append(
-                    _add_part(builder, carrier, character, handles, joints, part, source.index[start:stop], skins)
-                )
-            start = stop
+        for part, index in source.placed():
+            roots.append(_add_part(builder, carrier, character, handles, joints, part, index, skins))
     builder.tree["scenes"][0]["nodes"] = roots
     return builder, joints
 
@@ -329,10 +295,8 @@ def _add_part(
         if not np.array_equal(transform, np.eye(4)):
             node["matrix"] = transform.T.reshape(-1).tolist()
         return builder.add("nodes", node)
-    start = 0
-    for group in part.groups:
-        _add_influences(builder, mesh["primitives"], group, handles.weights[index[start : start + len(group.vertices)]])
-        start += len(group.vertices)
+    for group, own in part.split(index):
+        _add_influences(builder, mesh["primitives"], group, handles.weights[own])
     inverse = np.tile(np.eye(4), (len(joints), 1, 1))
     inverse[:, :3, 3] = -handles.positions.astype(np.float64)
     stored = (inverse @ transform).transpose(0, 2, 1).reshape(-1, 16).astype(np.float32)

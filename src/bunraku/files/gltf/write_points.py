@@ -37,7 +37,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """Shapes and how much of each there is at what time.
+    """Shapes and their amounts over time.
 
     Args:
         shapes: Displacements [m], shape (T, M, 3), float32.
@@ -67,7 +67,7 @@ def key_shapes(offsets: np.ndarray, tolerance: float) -> Shapes:
 
     Args:
         offsets: Displacements of M points in N frames [m], shape (N, M, 3).
-        tolerance: How far any point may be off in any frame [m].
+        tolerance: Largest error of any point in any frame [m].
     """
     last = len(offsets) - 1
     keys = [0]
@@ -98,15 +98,9 @@ def _straight(offsets: np.ndarray, first: int, last: int, tolerance: float) -> b
 
 
 def mixed_shapes(offsets: np.ndarray, tolerance: float) -> Shapes:
-    """The fewest shapes that all frames are sums of, found by singular values: fewer than `key_shapes`, and all there
-    in every frame.
-
-    Their signs and sizes are such that weights run from 0 to 1; one more shape, always there in full, makes up for
-    that.
-
-    Args:
-        offsets: As in `key_shapes`.
-        tolerance: As in `key_shapes`.
+    """The fewest shapes whose sums give all frames, by singular values: fewer than `key_shapes`, and all present in
+    every frame. Their signs and sizes make weights run from 0 to 1; one more shape, always fully present, compensates
+    for that. Arguments are those of `key_shapes`.
     """
     count = len(offsets)
     flat = offsets.reshape(count, -1).astype(np.float64)
@@ -140,7 +134,7 @@ FLATTEST = 0.1  # skin that squeezes a vertex's surroundings more than to this s
 CHUNK = 32  # frames at once
 FEWEST_BONES, MOST_BONES = 4, 256
 PROBE, PROBED = 32, 4
-"""So many bones are fitted to each fourth vertex first: what they miss by far, few more do not reach."""
+"""This many bones are first fitted to each fourth vertex: if they miss by far, few more will not do."""
 BONE_BYTES = 28  # of a bone in a frame: a translation and a quaternion
 ZERO = {"componentType": 5126, "type": "VEC3"}
 
@@ -154,20 +148,13 @@ def write_point_animation(
     tolerance: float | None = None,
     shapes: str = "auto",
 ) -> Path:
-    """Write an animation whose vertices also move on their own as GLB.
+    """Write an animation whose vertices also move on their own as GLB; options are those of `write_animation` and:
 
     Args:
-        animation: The animation.
-        path: The file.
-        fps: Frames a second [1/s]; those of the motion by default.
-        name: The clip's name; the file's by default.
-        tolerance: How far a vertex may be off [m]; 0.05 % of the height by default.
+        tolerance: Largest error of a vertex [m]; 0.05 % of the height by default.
         shapes: "bones" fits bones to the movement; "mixed" takes the fewest morph targets that all frames are mixed of;
-            "keys" those of some frames, of which two at most show at any time, for players that cannot mix many. Those
-            files are larger, by far where cloth moves fast. "auto" takes bones or mixed ones, whichever are smaller.
-
-    Returns:
-        The file that was written.
+            "keys" those of some frames, of which at most two show at any time, for players that cannot mix many. Those
+            files are larger, by far where cloth moves fast. "auto" takes bones or mixed targets, whichever are smaller.
 
     Raises:
         FormatError: The file cannot be written.
@@ -203,12 +190,8 @@ class FittedPoints:
 
 
 def fitted_points(moved: PointAnimation, tolerance: float | None = None, shapes: str = "auto") -> FittedPoints:
-    """Bones or shapes for vertices that move on their own, as files can say them.
-
-    Args:
-        moved: The animation, at the rate of the file.
-        tolerance: How far a vertex may be off [m]; 0.05 % of the height by default.
-        shapes: As in `write_point_animation`.
+    """Bones or shapes for vertices that move on their own, for files. The animation is at the rate of the file; further
+    arguments are those of `write_point_animation`.
 
     Raises:
         OptionError: An option makes no sense, or no bones of this number come as near as the tolerance.
@@ -246,9 +229,9 @@ def _bone_name(handles: Handles, number: int, count: int) -> str:
 def _with_bones(
     moved: PointAnimation, moving: np.ndarray, where: np.ndarray, tolerance: float, most: int | None
 ) -> Animation | None:
-    """The animation with the fewest bones more, of 4, 8, 16 and so on, that take some vertices where they go, shape (N,
-    M, 3); None where that takes too many, or more bytes than `most`, or where it is likely to: twice as many bones
-    leave about half of the error.
+    """The animation with the fewest additional bones (4, 8, 16 and so on) that take some vertices to their positions
+    (N, M, 3); None where that takes too many, or more bytes than `most`, or is likely to: twice as many bones leave
+    about half of the error.
     """
     animation = moved.animation
     handles, motion = animation.handles, animation.motion
@@ -276,7 +259,7 @@ def _bytes_of_bone(frames: int) -> int:
 
 
 def _joined(animation: Animation, moving: np.ndarray, found: RigidBones) -> Animation:
-    """An animation whose handles are followed by bones of some vertices."""
+    """An animation with the bones of some vertices after its handles."""
     handles, motion = animation.handles, animation.motion
     count, bones = len(handles.positions), found.weights.shape[1]
     weights = np.zeros((len(handles.weights), count + bones), np.float32)
@@ -297,13 +280,13 @@ def _joined(animation: Animation, moving: np.ndarray, found: RigidBones) -> Anim
 
 @dataclass(frozen=True, eq=False)
 class GroupShapes:
-    """What shapes do to the vertices of some primitives of a mesh, which share them.
+    """What shapes do to the vertices that some primitives of a mesh share.
 
     Args:
-        primitives: Which of the mesh's primitives, counted as its source counts them.
+        primitives: Which of the mesh's primitives, counted as in its source.
         count: How many vertices they have.
         rows: Those that move, ascending, shape (R,).
-        shapes: How far each shape takes them, in the mesh's own frame, shape (T, R, 3).
+        shapes: Their displacement by each shape, in the mesh's own frame, shape (T, R, 3).
     """
 
     primitives: tuple[int, ...]
@@ -313,33 +296,25 @@ class GroupShapes:
 
 
 def shapes_of_meshes(character: Character, moving: np.ndarray, shapes: np.ndarray) -> list[list[GroupShapes]]:
-    """Shapes as the meshes of the character's document have them, in its order; of those that have vertices, an empty
-    list where nothing moves.
+    """Shapes for the meshes of the character's document that have vertices, in its order; an empty list where nothing
+    moves.
 
     Args:
         character: The character.
         moving: Vertices that move, shape (M,).
-        shapes: How far each shape takes them [m], shape (T, M, 3).
+        shapes: Displacement of each by each shape [m], shape (T, M, 3).
     """
     source = document_of(character)
     numbering = np.full(len(character.vertices), -1)
     numbering[moving] = np.arange(len(moving))
     out: list[list[GroupShapes]] = []
-    start = 0
-    for part in source.parts:
-        stop = start + sum(len(group.vertices) for group in part.groups)
-        index, at = source.index[start:stop], start
-        start = stop
-        if not len(index):
-            continue
+    for part, index in source.placed():
         out.append([])
         if (numbering[index] < 0).all():
             continue
         kept = keeps_positions(part, character.vertices[index], character) and part.transform is not None
         back = np.linalg.inv(part.transform[:3, :3]) if kept and part.transform is not None else np.eye(3)
-        for group in part.groups:
-            own = numbering[source.index[at : at + len(group.vertices)]]
-            at += len(group.vertices)
+        for group, own in part.split(numbering[index]):
             rows = np.flatnonzero(own >= 0)
             values = np.ascontiguousarray((shapes @ back.T)[:, own[rows]], "<f4")
             out[-1].append(GroupShapes(group.primitives, len(own), rows, values))
@@ -347,13 +322,8 @@ def shapes_of_meshes(character: Character, moving: np.ndarray, shapes: np.ndarra
 
 
 def before_skin(moved: PointAnimation, moving: np.ndarray, where: np.ndarray | None = None) -> np.ndarray:
-    """Displacements of some vertices in the rest pose that the four weights of the file take to where they are [m],
-    shape (N, M, 3).
-
-    Args:
-        moved: The animation.
-        moving: Which vertices, shape (M,).
-        where: They are [m], shape (N, M, 3), where that is known.
+    """Displacements of some vertices (M,) in the rest pose that the four weights of the file take to their positions
+    [m], shape (N, M, 3); `where` gives the positions if they are known.
     """
     handles, rest = moved.animation.handles, moved.character.vertices[moving].astype(np.float64)
     if where is None:
@@ -408,10 +378,7 @@ def _add_targets(builder: GltfBuilder, moved: PointAnimation, moving: np.ndarray
         mesh["weights"] = [*mesh.get("weights", [0.0] * older), *([0.0] * len(found.shapes))]
         weights = np.tile(np.array(mesh["weights"], np.float32), (len(found.frames), 1))
         weights[:, older:] = found.weights
-        clip["channels"].append({"sampler": len(clip["samplers"]), "target": {"node": node, "path": "weights"}})
-        clip["samplers"].append(
-            {"input": times, "output": builder.array(weights.reshape(-1, 1)), "interpolation": "LINEAR"}
-        )
+        builder.channel(clip, node, "weights", times, builder.array(weights.reshape(-1, 1)))
 
 
 def _targets(builder: GltfBuilder, group: GroupShapes) -> list[dict[str, int]]:

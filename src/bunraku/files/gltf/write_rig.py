@@ -20,7 +20,7 @@ from bunraku.errors import CharacterError
 from bunraku.files.gltf.carry import MeshCarrier, carry_clips, carry_images, carry_tree
 from bunraku.files.gltf.document import ARRAY_BUFFER, GltfBuilder
 from bunraku.files.gltf.mesh import MeshPart
-from bunraku.files.gltf.nodes import read_nodes
+from bunraku.files.gltf.nodes import front_matrix, read_nodes
 from bunraku.files.gltf.read import Source
 from bunraku.files.gltf.vrm import add_humanoid, add_spring_extras
 from bunraku.files.gltf.write import build_document, document_of, drop_clip, finish_document, writable
@@ -30,21 +30,19 @@ __all__ = [
     "write_character",
 ]  # fmt: skip
 
-
 SMALL = 1e-6  # what changes less, over the size of the rig or as a quaternion, stands still
 
 
 def add_bone_clip(
     builder: GltfBuilder, joints: list[int], local: np.ndarray, have: float, want: float, name: str
 ) -> None:
-    """Add the animation: channels where a node leaves what its entry says, one key where it stays there.
+    """Add an animation: channels where a node leaves what its entry says, one key where it stays there.
 
     Args:
         builder: With the nodes of the bones.
         joints: Node of each bone, length J.
         local: Transform of each bone's node in its parent, shape (N, J, 4, 4).
-        have: Frames a second of these [1/s].
-        want: Frames a second of the channels [1/s].
+        have, want: Frames a second of these and of the channels [1/s].
         name: The clip's name.
     """
     nodes = builder.tree["nodes"]
@@ -59,8 +57,7 @@ def add_bone_clip(
         ("rotation", turned, SMALL),
         ("scale", between.linear(scale), None),
     )
-    channels: list[dict[str, Any]] = []
-    samplers: list[dict[str, Any]] = []
+    clip: dict[str, Any] = {"name": name, "channels": [], "samplers": []}
     for joint, node in enumerate(joints):
         rest = placed(nodes[node])
         for kind, values, small in tracks:
@@ -71,18 +68,14 @@ def add_bone_clip(
                 continue
             if kind == "scale":
                 track, moves = track[:1], False  # bones are stiff
-            channels.append({"sampler": len(samplers), "target": {"node": node, "path": kind}})
             data = builder.array(np.ascontiguousarray(track if moves else track[:1]))
-            samplers.append({"input": every if moves else once, "output": data, "interpolation": "LINEAR"})
-    if not any(
-        sampler["input"] == every for sampler in samplers
-    ):  # one channel keeps the length of a motion that stands still
-        first = next(channel["sampler"] for channel in channels if channel["target"]["path"] == "rotation")
-        samplers[first] |= {
-            "input": every,
-            "output": builder.array(np.repeat(turned[:1, 0].astype(np.float32), len(between), axis=0)),
-        }
-    builder.add("animations", {"name": name, "channels": channels, "samplers": samplers})
+            builder.channel(clip, node, kind, every if moves else once, data)
+    if not any(sampler["input"] == every for sampler in clip["samplers"]):
+        # One channel keeps the length of a motion that stands still.
+        first = next(channel["sampler"] for channel in clip["channels"] if channel["target"]["path"] == "rotation")
+        still = np.repeat(turned[:1, 0].astype(np.float32), len(between), axis=0)
+        clip["samplers"][first] |= {"input": every, "output": builder.array(still)}
+    builder.add("animations", clip)
 
 
 def bone_tracks(local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,7 +86,7 @@ def bone_tracks(local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def placed(node: dict[str, object]) -> dict[str, np.ndarray]:
-    """Translation, rotation and scale of a node's entry; a matrix is taken apart, as animated nodes may have none."""
+    """Translation, rotation and scale of a node's entry, which loses its matrix, since animated nodes may have none."""
     if "matrix" in node:
         matrix = np.array(node.pop("matrix"), float).reshape(4, 4).T
         scale = np.linalg.norm(matrix[:3, :3], axis=0)
@@ -140,17 +133,8 @@ class RigDocument:
 def save_rig_animation(
     animation: RigAnimation, path: str | Path, *, fps: float | None = None, name: str | None = None
 ) -> Path:
-    """Write the animation as GLB.
-
-    Args:
-        animation: The animation.
-        path: The file.
-        fps: Frames a second of the channels [1/s]; those of the motion by default.
-        name: The clip's name; the file's by default.
-
-    Raises:
-        FormatError: The file cannot be written.
-        OptionError: `fps` is no number from 1 to 1000.
+    """Write an animation of a rig as GLB, with a clip of the file's or another name; options and errors are those of
+    `save_rig_clips`.
     """
     path = Path(path)
     return save_rig_clips({str(name) if name else path.stem: animation}, path, fps=fps)
@@ -158,16 +142,11 @@ def save_rig_animation(
 
 def save_rig_clips(clips: Mapping[str, RigAnimation], path: Path, *, fps: float | None = None) -> Path:
     """Write several animations of one character as GLB, each as a clip of its name, and the file's own clips after
-    them.
-
-    Args:
-        clips: At least one, all of the same character.
-        path: The file.
-        fps: Frames a second of the channels [1/s]; those of each motion by default.
+    them; channels have `fps` [1/s] or each motion's rate.
 
     Raises:
         FormatError: The file cannot be written.
-        OptionError: `fps` is no number from 1 to 1000.
+        OptionError: `fps` is not a number from 1 to 1000.
     """
     animation = next(iter(clips.values()))
     rates = {name: checked_fps(fps, clip.fps) for name, clip in clips.items()}
@@ -185,8 +164,8 @@ def save_rig_clips(clips: Mapping[str, RigAnimation], path: Path, *, fps: float 
 def write_character(
     character: Character, handles: Handles | None, path: Path, *, rig: bool = False, avatar: VrmModel | None = None
 ) -> Path:
-    """Write a character as GLB, with its handles, or its own rig, as a skin where there are some; and with springs of
-    its bones in the document's extras.
+    """Write a character as GLB, with its handles or its own rig as a skin where there are some; with a rig also springs
+    of its bones, in the document's extras.
 
     Raises:
         FormatError: The file cannot be written.
@@ -249,8 +228,8 @@ def _own_rig(source: Source) -> tuple[GltfBuilder, list[int]]:
 
 
 def _lift_skinned(builder: GltfBuilder) -> None:
-    """Put nodes with a skinned mesh on top of the scene, without a place of their own: what is above them moves
-    nothing, by glTF's rule.
+    """Put nodes with a skinned mesh on top of the scene, without a transform: by glTF's rule no transform above moves
+    them.
     """
     nodes = builder.tree.get("nodes", [])
     lifted = {
@@ -281,10 +260,6 @@ def _above_all(source: Source, builder: GltfBuilder) -> np.ndarray:
     all.
     """
     file = read_nodes(source.document)  # turned to the front where the file is a VRM 0.x
-    raw = np.eye(4)
-    extensions = source.document.tree.get("extensions")
-    if isinstance(extensions, dict) and "VRM" in extensions:
-        raw = np.diag([-1.0, 1, -1, 1])
     roots = np.flatnonzero(source.tree.parents < 0)
     turn = source.tree.local[roots[0]] @ np.linalg.inv(file.local[roots[0]]) if len(roots) else np.eye(4)
     turn = np.round(turn) if np.allclose(turn, np.round(turn), atol=1e-6) else np.eye(4)
@@ -300,7 +275,7 @@ def _above_all(source: Source, builder: GltfBuilder) -> np.ndarray:
                     *free,
                     builder.add("nodes", {"name": "upright", "matrix": turn.T.reshape(-1).tolist(), "children": below}),
                 ]
-    return np.asarray(turn @ raw)
+    return np.asarray(turn @ front_matrix(source.document))
 
 
 def _local(source: Source, animation: RigAnimation, above_all: np.ndarray) -> np.ndarray:
@@ -384,8 +359,8 @@ def _influences(builder: GltfBuilder, joints: np.ndarray, weights: np.ndarray, s
 
 
 def plain_rig(character: Character) -> tuple[GltfBuilder, list[int]]:
-    """The meshes with one skin made of the rig, whose bones turn in the world's axes where they rest; also the nodes of
-    the bones.
+    """The meshes with one skin of the rig, whose bones rotate in the world's axes where they rest; and the nodes of the
+    bones.
     """
     rig = character.rig
     assert rig is not None
@@ -405,18 +380,12 @@ def plain_rig(character: Character) -> tuple[GltfBuilder, list[int]]:
     skin = builder.add(
         "skins", {"joints": nodes, "inverseBindMatrices": builder.array(inverse.reshape(-1, 16).astype(np.float32))}
     )
-    carrier, start = MeshCarrier(source, builder), 0
+    carrier = MeshCarrier(source, builder)
     roots = [bone for bone in nodes if rig.parents[bone] < 0]
     slots = np.arange(len(rest))
-    for part in source.parts:
-        index = source.index[start : start + sum(len(group.vertices) for group in part.groups)]
-        start += len(index)
-        if not len(index):
-            continue
-        mesh, first = carrier.mesh(part, character.vertices[index], index), 0
-        for group in part.groups:
-            own = index[first : first + len(group.vertices)]
-            first += len(own)
+    for part, index in source.placed():
+        mesh = carrier.mesh(part, character.vertices[index], index)
+        for group, own in part.split(index):
             added = _influences(builder, rig.indices[own], rig.weights[own], slots)
             for member in group.primitives:
                 mesh["primitives"][member]["attributes"].update(added)

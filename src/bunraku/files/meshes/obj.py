@@ -22,7 +22,7 @@ from bunraku.core.motion import checked_fps
 from bunraku.errors import FormatError
 from bunraku.files.gltf.carry import image_type
 from bunraku.files.gltf.colors import MAX_PIXELS, linear_from_srgb
-from bunraku.files.gltf.document import mesh_document
+from bunraku.files.gltf.document import matte_material, mesh_document
 from bunraku.files.gltf.read import character_from_document
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ __all__ = [
 
 
 def split_corners(corners: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places of different corners among the vertices of a document.
+    """Positions of different corners among the vertices of a document.
 
     Args:
         corners: Different corners, their vertex in column 0, shape (C, columns).
@@ -43,7 +43,7 @@ def split_corners(corners: np.ndarray, vertices: int) -> tuple[np.ndarray, np.nd
 
     Returns:
         Document vertex of each corner (C,), file vertex of each document vertex (U,), and the corner that each document
-        vertex shows, -1 for none (U,).
+            vertex shows, -1 for none (U,).
     """
     unique, first = np.unique(corners[:, 0], return_index=True)
     slots = np.full(len(corners), -1, np.int64)
@@ -61,8 +61,7 @@ def fans(corners: np.ndarray, sizes: np.ndarray, materials: np.ndarray) -> tuple
 
     Args:
         corners: The vertex of each corner, polygon after polygon, shape (sum of sizes,).
-        sizes: Corners of each polygon, shape (F,).
-        materials: Material of each polygon, shape (F,).
+        sizes, materials: Corners and material of each polygon, shape (F,).
     """
     counts = np.maximum(sizes - 2, 0)
     face = np.repeat(np.arange(len(sizes)), counts)
@@ -81,10 +80,8 @@ _OPTION_ARGUMENTS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2} | dict.fromkeys(
 def read_materials(
     path: Path, libraries: list[str], wanted: list[str]
 ) -> tuple[dict[str, int], list[dict[str, Any]], list[tuple[bytes, str]]]:
-    """The materials that an OBJ file uses.
-
-    A library or texture that is missing, or lies outside the file's folder, leaves its material without it: the mesh is
-    still good.
+    """The materials that an OBJ file uses. A library or texture that is missing or lies outside the file's folder
+    leaves its material without it, since the mesh is still good.
 
     Args:
         path: The OBJ file.
@@ -115,20 +112,13 @@ def read_materials(
 def _material(
     path: Path, name: str, lines: dict[str, str], images: list[tuple[bytes, str]], textures: dict[Path, int | None]
 ) -> dict[str, Any]:
-    shader: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 0.9}
-    material: dict[str, Any] = {"name": name, "pbrMetallicRoughness": shader}
     color = linear_from_srgb(np.clip(_floats(lines.get("kd", ""), 3, 1.0 if "map_kd" in lines else 0.8), 0, 1))
     alpha = 1 - _floats(lines["tr"], 1, 0.0)[0] if "tr" in lines else _floats(lines.get("d", ""), 1, 1.0)[0]
     alpha = float(np.clip(alpha, 0, 1))
     texture = _texture(path, lines["map_kd"], images, textures) if "map_kd" in lines else None
-    if texture is not None:
-        shader["baseColorTexture"] = {"index": texture}
-        if not color.any():
-            color = np.ones(3)  # exporters that leave Kd black beside a texture mean the texture
-    shader["baseColorFactor"] = [*color.tolist(), alpha]
-    if alpha < 1:
-        material["alphaMode"] = "BLEND"
-    return material
+    if texture is not None and not color.any():
+        color = np.ones(3)  # exporters that leave Kd black beside a texture mean the texture
+    return matte_material(name, [*color, alpha], texture)
 
 
 def _floats(text: str, count: int, default: float) -> np.ndarray:
@@ -157,7 +147,7 @@ def _texture(path: Path, text: str, images: list[tuple[bytes, str]], textures: d
 
 
 def beside(path: Path, name: str) -> Path | None:
-    """The file of this name in the folder of the OBJ, or of its last part where the name is of another machine."""
+    """The file of this name, or of its last part if the path is one of another machine, in the folder of the OBJ."""
     last = name.replace("\\", "/").rsplit("/", 1)[-1]
     for candidate in (name, last):
         target = path_inside(path.parent, candidate)
@@ -179,9 +169,6 @@ def _parse(data: bytes, found: dict[str, dict[str, str]]) -> None:
 def embeddable(image: Path | bytes) -> tuple[bytes, str] | None:
     """Bytes of an image as glTF may embed it, PNG or JPEG, with their MIME type; other kinds are converted. None if it
     cannot be read.
-
-    Args:
-        image: A file, or its bytes.
     """
     try:
         data = image if isinstance(image, bytes) else read_bounded(image)
@@ -209,11 +196,7 @@ BROKEN = "the file is truncated or broken, export it again"
 
 
 def read_obj(path: Path, data: bytes) -> Character:
-    """Read an OBJ file; polygons become fans of triangles.
-
-    Args:
-        path: The file; its materials and textures are looked for in its folder only.
-        data: Its bytes.
+    """Read an OBJ file; polygons become fans of triangles. Materials and textures are looked for in its folder only.
 
     Raises:
         FormatError: A line cannot be understood, or a face uses a vertex that does not exist.
@@ -257,7 +240,7 @@ def read_obj(path: Path, data: bytes) -> Character:
 
 
 class _Lines:
-    """The lines of an OBJ file, sorted by what they say."""
+    """The lines of an OBJ file by their kind."""
 
     def __init__(self, path: Path, data: bytes):
         self.path = path
@@ -300,8 +283,8 @@ class _Lines:
                 raise FormatError(path, "this is not an OBJ file, it holds binary data; check its suffix")
 
     def corners(self, vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Different corners as (vertex, UV, normal), -1 for none, shape (C, 3); the corner of each face corner; face
-        sizes; face materials.
+        """Different corners as (vertex, UV, normal), -1 for none, shape (C, 3); the corner of each face corner; sizes
+        and materials of faces.
         """
         faces = self.faces
         if any(b"#" in face for face in faces):
@@ -340,10 +323,10 @@ class _Lines:
 
 
 def parse_numbers(words: list[bytes]) -> np.ndarray:
-    """Numbers of words, float64.
+    """Numbers of words, float64. A very long word is refused, since it would blow up the array of all.
 
     Raises:
-        ValueError: A word is not a number. One that is very long never is, and would blow up the array of all.
+        ValueError: A word is not a number.
     """
     if max(map(len, words), default=0) > 64:
         raise ValueError("a word is too long for a number")
@@ -351,7 +334,7 @@ def parse_numbers(words: list[bytes]) -> np.ndarray:
 
 
 def _numbers(path: Path, lines: list[bytes], widths: tuple[int, ...], what: str) -> np.ndarray:
-    """Numbers of lines that all have as many; shape (lines, width)."""
+    """Numbers of lines that all have as many, shape (lines, width)."""
     if not lines:
         return np.zeros((0, widths[0]))
     width = len(lines[0].split(b"#")[0].split())
@@ -398,21 +381,12 @@ Frame = Callable[[np.ndarray], bytes]
 def write_obj_sequence(
     animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m"
 ) -> Path:
-    """Write `walk.obj` as a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on: positions and triangles.
-
-    Args:
-        animation: The animation.
-        path: Where; its suffix names the format, its stem the folder and the files.
-        fps: Frames a second [1/s]; those of the motion by default.
-        up: The axis that is up in the files, "+y" or "+z".
-        unit: Unit of lengths, one of `bunraku.core.geometry.axes.UNITS`.
-
-    Returns:
-        The folder.
+    """Write `walk.obj` as a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on, positions and triangles, and
+    return the folder. Options are those of `save`.
 
     Raises:
         FormatError: The folder cannot be written, or holds other files.
-        OptionError: `fps` is no number from 1 to 1000, or there is no such axis or unit.
+        OptionError: `fps` is not a number from 1 to 1000, or there is no such axis or unit.
     """
     return _write(animation, path, fps, FileFrame.of(up, unit), _obj_frame(animation.character))
 
@@ -420,7 +394,7 @@ def write_obj_sequence(
 def write_ply_sequence(
     animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m"
 ) -> Path:
-    """Write `walk.ply` as a folder `walk` of binary PLY files, with vertex colours; see `write_obj_sequence`."""
+    """Write `walk.ply` as a folder `walk` of binary PLY files, with vertex colours (see `write_obj_sequence`)."""
     return _write(animation, path, fps, FileFrame.of(up, unit), _ply_frame(animation.character))
 
 
@@ -484,7 +458,7 @@ def check_sequence(path: Path) -> Path:
     """The folder that a sequence of this name goes to.
 
     Raises:
-        FormatError: The folder holds anything but an earlier sequence of this name, which is all that is replaced.
+        FormatError: It holds anything but an earlier sequence of this name, which is all that is replaced.
     """
     folder = path.with_suffix("")
     if not folder.exists():

@@ -13,12 +13,11 @@ from bunraku.core.character import Character
 from bunraku.core.files import check_text, path_inside
 from bunraku.errors import FormatError
 from bunraku.files.gltf.colors import linear_from_srgb
-from bunraku.files.gltf.document import Document, mesh_document
+from bunraku.files.gltf.document import Document, matte_material, mesh_document
 from bunraku.files.gltf.read import character_from_document
 from bunraku.files.meshes.obj import BROKEN, embeddable, fans, parse_numbers
 
 __all__ = ["read_ply", "read_stl"]
-
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -36,11 +35,7 @@ class _Element:
 
 
 def read_ply(path: Path, data: bytes) -> Character:
-    """Read a PLY file; polygons become fans of triangles.
-
-    Args:
-        path: The file; a texture that it names is looked for in its folder only.
-        data: Its bytes.
+    """Read a PLY file; polygons become fans of triangles. A texture that it names is looked for in its folder only.
 
     Raises:
         FormatError: The file is truncated or broken.
@@ -97,12 +92,9 @@ def _document(path: Path, vertices: dict[str, np.ndarray], triangles: np.ndarray
         )
     if uvs is not None:
         uvs = np.nan_to_num(np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1))
-    shader: dict = {"metallicFactor": 0, "roughnessFactor": 0.9}
     target = path_inside(path.parent, texture) if texture and uvs is not None else None
     image = embeddable(target) if target is not None and os.path.isfile(target) else None
-    if image is not None:
-        shader["baseColorTexture"] = {"index": 0}
-    materials: list[dict[str, object]] = [{"name": path.stem, "pbrMetallicRoughness": shader}]
+    materials = [matte_material(path.stem, texture=None if image is None else 0)]
     images = [image] if image else None
     return mesh_document(
         path, positions, [(triangles, 0)], normals=normals, uvs=uvs, colors=colors, materials=materials, images=images
@@ -290,13 +282,8 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribut
 
 
 def read_stl(path: Path, data: bytes) -> Character:
-    """Read an STL file; vertices are numbered as they come first, triangles keep their order.
-
-    Triangles with two corners at one position have no surface and are dropped.
-
-    Args:
-        path: The file.
-        data: Its bytes.
+    """Read an STL file: vertices in the order of their first use, triangles in that of the file. Triangles with two
+    corners at one position are dropped.
 
     Raises:
         FormatError: The file is truncated or broken.
@@ -312,11 +299,8 @@ def read_stl(path: Path, data: bytes) -> Character:
         check_text(path, data)
     corners = _text(path, data) if text else _binary(path, data, count)
     vertices, triangles = _welded(corners)
-    material: dict[str, object] = {
-        "name": path.stem,
-        "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9, "baseColorFactor": [0.6, 0.6, 0.6, 1]},
-    }
-    document = mesh_document(path, vertices, [(triangles, 0)], materials=[material])
+    grey = matte_material(path.stem, (0.6, 0.6, 0.6, 1))
+    document = mesh_document(path, vertices, [(triangles, 0)], materials=[grey])
     return character_from_document(document, path.stem, suffix=".stl")
 
 
@@ -340,7 +324,7 @@ def _text(path: Path, data: bytes) -> np.ndarray:
 
 
 def _welded(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corners without repetitions, and the triangles that have three different ones, shapes (V, 3) and (F, 3)."""
+    """Corners without repetitions (V, 3), and the triangles that have three different ones (F, 3)."""
     corners = np.ascontiguousarray(corners, np.float32) + np.float32(0)  # no -0.0: the bits are compared
     keys = corners.view(np.dtype((np.void, 12))).ravel()
     _, first, vertex = np.unique(keys, return_index=True, return_inverse=True)

@@ -1,5 +1,5 @@
-"""A PMX or PMD model as a glTF document: mesh, materials, textures, and the bones as a skin, for writers and
-previews.
+"""A PMX or PMD model as a glTF document, for writers and previews: mesh, materials, textures, and the bones as
+a skin.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 from bunraku.core.avatars import MmdBone
 from bunraku.core.files import path_inside
 from bunraku.files.gltf.colors import linear_from_srgb
-from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Document, GltfBuilder
+from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Document, GltfBuilder, matte_material
 from bunraku.files.meshes.obj import embeddable
 
 __all__ = ["MmdMaterial", "model_document"]
 
 LIGHT = 154 / 255
-"""MMD's lamp: the diffuse colour is seen at this share, with the ambient colour added."""
+"""MMD's lamp: this share of the diffuse colour is seen, with the ambient colour added."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class MmdMaterial:
         diffuse: sRGB and opacity, from 0 to 1, shape (4,).
         ambient: sRGB, shape (3,).
         double_sided: Whether triangles are seen from behind.
-        texture: Path of its texture as the file says it, "" for none.
+        texture: Path of its texture as in the file, "" for none.
         corners: Three times the number of its triangles.
     """
 
@@ -63,9 +63,9 @@ def model_document(
         mesh: Positions [m] (V, 3), normals (V, 3), UVs (V, 2) and triangles (F, 3).
         skin: Bones (V, 4) and shares (V, 4) of each vertex.
         bones: Without loops.
-        note: Called with what is wrong and with whose name.
+        note: Called with a problem and the name of its subject.
     """
-    builder = GltfBuilder({"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"nodes": [0]}]})
+    builder = GltfBuilder()
     positions, normals, uvs, triangles = mesh
     names = name or path.stem
     builder.tree["materials"] = _materials(path, materials, builder, note)
@@ -111,7 +111,7 @@ def _unit(normals: np.ndarray) -> np.ndarray:
 
 
 def _add_skin(builder: GltfBuilder, bones: Sequence[MmdBone]) -> None:
-    """Nodes of the bones under one that stands for the skeleton, and the skin that binds the mesh to them."""
+    """Nodes of the bones under one for the skeleton, and the skin that binds the mesh to them."""
     first = 2
     below: dict[int, list[int]] = {}
     for index, bone in enumerate(bones):
@@ -137,13 +137,10 @@ def _materials(
     out = []
     for material in materials:
         colors = np.clip(np.nan_to_num([*material.diffuse[:3] * LIGHT + material.ambient, material.diffuse[3]]), 0, 1)
-        shader: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 0.9}
-        shader["baseColorFactor"] = [*linear_from_srgb(colors[:3]).tolist(), float(colors[3])]
-        entry: dict[str, Any] = {"name": material.name, "pbrMetallicRoughness": shader}
         found = _texture(path, material.texture, images, builder, note) if material.texture else None
-        if found is not None:
-            shader["baseColorTexture"] = {"index": found[0]}
-        if colors[3] < 1 or (found is not None and found[1]):
+        texture, clear = (None, False) if found is None else found
+        entry = matte_material(material.name, [*linear_from_srgb(colors[:3]), colors[3]], texture)
+        if clear:
             entry["alphaMode"] = "BLEND"
         if material.double_sided:
             entry["doubleSided"] = True
@@ -158,7 +155,9 @@ def _texture(
     builder: GltfBuilder,
     note: Callable[[str, str], None],
 ) -> tuple[int, bool] | None:
-    """Number of a texture and whether one can see through it; None where there is none inside the model's folder."""
+    """Number of a texture and whether it is transparent anywhere; None where there is none inside the model's
+    folder.
+    """
     target = path_inside(path.parent, name)
     if target is None:
         note("textures are outside the model's folder and are left out", name)
@@ -177,7 +176,7 @@ def _texture(
 
 
 def _whatever_case(folder: Path, target: Path) -> Path:
-    """The file of this path in a folder where its name may be written with other capitals, as Windows allows."""
+    """The file of this path in a folder, with any capitals, as Windows allows."""
     root = folder.resolve()
     if os.path.isfile(target) or not target.is_relative_to(root):
         return target

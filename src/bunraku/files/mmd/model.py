@@ -1,4 +1,4 @@
-"""What PMX and PMD have in common: bounded reading, rigid bodies and joints, and the character made of a model."""
+"""What PMX and PMD have in common: bounded reading, rigid bodies and joints, and the character of a model."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from bunraku.core.avatars import (
     mmd_angles,
     mmd_points,
     mmd_rotation,
+    warning_sentences,
 )
 from bunraku.core.character import Character
 from bunraku.errors import FormatError
@@ -36,18 +37,11 @@ __all__ = [
     "read_body", "read_joint",
 ]  # fmt: skip
 
-
 _AGAIN = "save the model again"
 
 
 class MmdReader:
-    """Reads one value after the other.
-
-    Args:
-        path: The file, for messages.
-        data: Its bytes.
-        encoding: Of texts with a length before them.
-    """
+    """Reads one value after the other from the bytes of a file; `encoding` is of texts with a length before them."""
 
     def __init__(self, path: Path, data: bytes, encoding: str = "cp932"):
         self.path = path
@@ -66,14 +60,14 @@ class MmdReader:
         return len(self.data) - self.at
 
     def take(self, size: int) -> bytes:
-        """So many bytes."""
+        """The next bytes."""
         if size > self.left:
             self.fail(f"it is cut off in its {self.section}")
         self.at += size
         return self.data[self.at - size : self.at]
 
     def skip(self, size: int) -> None:
-        """Pass over so many bytes."""
+        """Pass over some bytes."""
         if size > self.left:
             self.fail(f"it is cut off in its {self.section}")
         self.at += size
@@ -102,8 +96,8 @@ class MmdReader:
         """How many records follow, as long as they fit into the file.
 
         Args:
-            section: What they are called.
-            least: Bytes that each takes at the least.
+            section: Their name.
+            least: Least size of each [bytes].
             layout: Of the number itself.
         """
         self.section = section
@@ -137,8 +131,7 @@ def read_body(reader: MmdReader, name: str, bone: int, origin: np.ndarray) -> Mm
 
     Args:
         reader: Behind its bone.
-        name: Its name.
-        bone: Its bone.
+        name, bone: Its name and bone.
         origin: What its position counts from [m], shape (3,).
     """
     group, mask, shape = reader.values("BHB")
@@ -166,10 +159,9 @@ def check_physics(
     """The bodies and joints that can be used.
 
     Args:
-        bodies: As the file has them.
-        joints: As the file has them.
+        bodies, joints: As the file has them.
         bones: How many bones there are.
-        note: Called with what is wrong and the name of what it is wrong with.
+        note: Called with a problem and the name of its subject.
     """
     kept: dict[int, MmdBody] = {}
     for index, body in enumerate(bodies):
@@ -229,7 +221,7 @@ class MmdFile:
         materials: In the order of the triangles.
         bones: Those whose tail is a bone have it in `tails`, by their index.
         morphs, bodies, joints: As in the file.
-        warnings: What is wrong, with the names of what it is wrong with.
+        warnings: Problems, each with the names of its subjects.
     """
 
     version: str
@@ -252,7 +244,7 @@ class MmdFile:
     warnings: dict[str, list[str]] = field(default_factory=dict)
 
     def note(self, problem: str, name: str = "") -> None:
-        """Remember something that is wrong: a whole sentence, or what is wrong with the thing of this name."""
+        """Remember a problem: a whole sentence, or one about the subject of this name."""
         self.warnings.setdefault(problem, []).append(name)
 
 
@@ -264,7 +256,7 @@ def mmd_character(path: Path, file: MmdFile) -> Character:
         file: What it says.
 
     Raises:
-        FormatError: A triangle, a weight or a parent is of a vertex or bone that does not exist, or a bone is nowhere.
+        FormatError: A vertex or bone does not exist, or a bone has no position.
         CharacterError: What it holds is no character.
     """
     _check_mesh(path, file)
@@ -277,7 +269,7 @@ def mmd_character(path: Path, file: MmdFile) -> Character:
     character = character_from_document(document, path.stem, None, path.suffix.lower() or ".pmx")
     model = MmdModel(
         file.name, file.english, file.version, bones, tuple(file.morphs), bodies, joints, file.deforms.copy(),
-        _sdef(file), _sentences(file.warnings)
+        _sdef(file), warning_sentences(file.warnings)
     )  # fmt: skip
     for warning in model.warnings:
         _log.warning("%s: %s", path, warning)
@@ -295,9 +287,7 @@ def _check_mesh(path: Path, file: MmdFile) -> None:
 
 
 def _mesh(file: MmdFile) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Positions [m], normals, UVs and triangles in our frame; triangles wind the other way round in a left-handed
-    one.
-    """
+    """Positions [m], normals, UVs and triangles in our frame; triangles wind the other way in a left-handed one."""
     return mmd_points(file.positions), file.normals * [1, 1, -1], file.uvs, file.triangles[:, ::-1]
 
 
@@ -388,13 +378,3 @@ def _sdef(file: MmdFile) -> MmdSdef:
     chosen = np.flatnonzero(file.deforms == 3)
     constants = mmd_points(file.sdef[chosen])
     return MmdSdef(chosen, constants[:, 0], constants[:, 1], constants[:, 2])
-
-
-def _sentences(warnings: dict[str, list[str]]) -> tuple[str, ...]:
-    """One line for each thing that is wrong, however often it is."""
-    out = []
-    for problem, names in warnings.items():
-        some = ", ".join(" ".join(name.split())[:40] for name in names[:3] if name)
-        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-        out.append(f"{problem}: {some}{more}" if some else problem)
-    return tuple(out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -22,7 +23,6 @@ from bunraku.files.mmd.model import (
 )
 
 __all__ = ["read_model", "read_pmd_file", "read_pmx_file"]
-
 
 _MORPHS = ("group", "vertex", "bone", "uv", "uv", "uv", "uv", "uv", "material", "flip", "impulse")
 _BONES_OF = (1, 2, 4, 2, 4)  # how many bones BDEF1, BDEF2, BDEF4, SDEF and QDEF name
@@ -53,11 +53,7 @@ class _Read:
 
 
 def read_model(path: Path, data: bytes) -> Character:
-    """Read a PMX or PMD file, by its first bytes.
-
-    Args:
-        path: The file; textures are looked for in its folder and below, nowhere else.
-        data: Its bytes.
+    """Read a PMX or PMD file, by its first bytes; textures are looked for in its folder and below, nowhere else.
 
     Raises:
         FormatError: It is no such file, is cut off, announces more than it has room for, or has indices that point
@@ -230,27 +226,44 @@ def _morph(read: _Read) -> MmdMorph:
 
 
 def _physics(read: _Read) -> None:
-    """Rigid bodies and joints; more than can be simulated are left out, with a warning."""
     reader, out, size = read.reader, read.out, read.sizes.body
-    if not reader.left:
-        return
-    bodies = reader.count("rigid bodies", 4 + 4 + read.sizes.bone + 1 + 2 + 1 + 36 + 20 + 1)
-    if bodies > MAX_BODIES:
-        out.note(f"its {bodies:,} rigid bodies are left out, at most {MAX_BODIES:,} are read")
-        return
-    for _ in range(bodies):
+
+    def add_body() -> None:
         name = reader.text()
         reader.text()
-        bone = reader.index(read.sizes.bone)
-        out.bodies.append(read_body(reader, name, bone, np.zeros(3)))
-    joints = reader.count("joints", 4 + 4 + 1 + 2 * size + 96)
-    if joints > MAX_JOINTS:
-        out.note(f"its {joints:,} joints are left out, at most {MAX_JOINTS:,} are read")
-        return
-    for _ in range(joints):
+        out.bodies.append(read_body(reader, name, reader.index(read.sizes.bone), np.zeros(3)))
+
+    def add_joint() -> None:
         name = reader.text()
         reader.text(), reader.one("B")
         out.joints.append(read_joint(reader, name, (reader.index(size), reader.index(size))))
+
+    sizes = 4 + 4 + read.sizes.bone + 1 + 2 + 1 + 36 + 20 + 1, 4 + 4 + 1 + 2 * size + 96
+    _add_physics(reader, out, sizes, "i", (add_body, add_joint))
+
+
+def _add_physics(
+    reader: MmdReader, out: MmdFile, sizes: tuple[int, int], layout: str, add: tuple[Callable[[], None], ...]
+) -> None:
+    """Read rigid bodies and joints, where there are any; more than can be simulated are left out, with a warning.
+
+    Args:
+        reader: At the number of bodies.
+        out: What the file says.
+        sizes: Least size of a body and of a joint [bytes].
+        layout: Of their numbers.
+        add: Functions that read a body and a joint.
+    """
+    if not reader.left:
+        return
+    kinds = ("rigid bodies", MAX_BODIES), ("joints", MAX_JOINTS)
+    for (what, most), least, read in zip(kinds, sizes, add, strict=True):
+        count = reader.count(what, least, layout)
+        if count > most:
+            out.note(f"its {count:,} {what} are left out, at most {most:,} are read")
+            return
+        for _ in range(count):
+            read()
 
 
 _VERTEX = np.dtype(
@@ -345,7 +358,7 @@ def _pmd_bone(reader: MmdReader, out: MmdFile, index: int) -> tuple[MmdBone, int
 
 
 def _twisting(bone: MmdBone, tail: int, kind: int, bones: list[tuple[MmdBone, int]]) -> MmdBone:
-    """The bone; one that twists turns only about the line to its tail."""
+    """The bone; one that twists rotates only about the line to its tail."""
     if kind != _TWIST or not 0 <= tail < len(bones):
         return bone
     line = bones[tail][0].position - bone.position
@@ -371,7 +384,7 @@ def _link(bone: int, out: MmdFile) -> MmdIkLink:
 
 
 def _display(reader: MmdReader) -> int:
-    """Pass over what editors show, and tell how many groups of bones there are."""
+    """Pass over what editors show, and return how many groups of bones there are."""
     reader.skip(2 * reader.count("shown morphs", 2, "B"))
     groups = reader.count("groups of bones", 50, "B")
     reader.skip(50 * groups)
@@ -390,23 +403,14 @@ def _english(reader: MmdReader, out: MmdFile, groups: int) -> None:
 
 
 def _pmd_physics(reader: MmdReader, out: MmdFile) -> None:
-    if not reader.left:
-        return
-    bodies = reader.count("rigid bodies", 83, "I")
-    if bodies > MAX_BODIES:
-        out.note(f"its {bodies:,} rigid bodies are left out, at most {MAX_BODIES:,} are read")
-        return
-    for _ in range(bodies):
+    def add_body() -> None:
         name, bone = reader.field(20), int(reader.one("H"))
-        bone = -1 if bone == _NONE else bone
-        origin = (
-            out.bones[max(bone, 0)].position if max(bone, 0) < len(out.bones) else np.zeros(3)
-        )  # those on no bone stand at the first
-        out.bodies.append(read_body(reader, name, bone, origin))
-    joints = reader.count("joints", 124, "I")
-    if joints > MAX_JOINTS:
-        out.note(f"its {joints:,} joints are left out, at most {MAX_JOINTS:,} are read")
-        return
-    for _ in range(joints):
-        name, first, second = reader.field(20), reader.one("I"), reader.one("I")
-        out.joints.append(read_joint(reader, name, (first, second)))
+        first = 0 if bone == _NONE else bone  # bodies on no bone stand at the first
+        origin = out.bones[first].position if first < len(out.bones) else np.zeros(3)
+        out.bodies.append(read_body(reader, name, -1 if bone == _NONE else bone, origin))
+
+    def add_joint() -> None:
+        name, bodies = reader.field(20), reader.values("II")
+        out.joints.append(read_joint(reader, name, (bodies[0], bodies[1])))
+
+    _add_physics(reader, out, (83, 124), "I", (add_body, add_joint))

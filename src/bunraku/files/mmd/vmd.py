@@ -1,6 +1,4 @@
-"""VMD, the motion of MikuMikuDance: keys of bones with Bezier curves, and switches of inverse kinematics, read and
-written.
-"""
+"""VMD, the motion of MikuMikuDance: keys of bones with Bezier curves, and switches of inverse kinematics."""
 
 from __future__ import annotations
 
@@ -18,8 +16,8 @@ from bunraku.errors import FormatError
 
 __all__ = ["MmdClip", "VMD_FPS", "VmdMotion", "VmdTrack", "load_vmd", "pack_vmd", "read_vmd", "write_vmd"]
 
-
 VMD_FPS = 30.0
+"""MMD's only rate [1/s]."""
 
 LONGEST = 4 * 3600 * 30  # frames
 _BONE = np.dtype(
@@ -37,10 +35,10 @@ class VmdTrack:
 
     Args:
         frames: Frame of each key at 30 frames a second, rising, shape (K,).
-        positions: How far the bone is moved from its rest position, in its parent's axes [m], shape (K, 3).
-        rotations: How it is turned from its rest pose, xyzw, shape (K, 4).
-        curves: Control points x1, y1, x2, y2 from 0 to 1 of the way from the key before to this one, for x, y, z and
-            the rotation, shape (K, 4, 4).
+        positions: Displacement of the bone from its rest position, in its parent's axes [m], shape (K, 3).
+        rotations: Its rotation from the rest pose, xyzw, shape (K, 4).
+        curves: Control points x1, y1, x2, y2, from 0 to 1 between the key before and this one, for x, y, z and the
+            rotation, shape (K, 4, 4).
     """
 
     frames: np.ndarray
@@ -83,25 +81,21 @@ class VmdMotion:
         return max((int(track.frames[-1]) for track in self.bones.values()), default=0)
 
     def frame_count(self, fps: float = VMD_FPS) -> int:
-        """How many frames there are from frame 0 to the last key, at a rate [1/s]."""
+        """Number of frames from frame 0 to the last key, at a rate [1/s]."""
         return int(self.last_frame / VMD_FPS * fps + 1e-6) + 1
 
     def sample(
         self, fps: float = VMD_FPS, bones: Collection[str] | None = None
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Positions [m] (N, 3) and rotation matrices (N, 3, 3) of each bone, or those named, from frame 0 to the last
-        key, at a rate [1/s].
+        """Positions [m] (N, 3) and rotation matrices (N, 3, 3) of all or some bones, from frame 0 to the last key, at a
+        rate [1/s].
         """
         frames = np.arange(self.frame_count(fps)) * (VMD_FPS / fps)
         return {name: track.sample(frames) for name, track in self.bones.items() if bones is None or name in bones}
 
 
 def load_vmd(path: str | Path) -> VmdMotion:
-    """Read a VMD file.
-
-    Raises:
-        FormatError: The file cannot be read.
-    """
+    """Read a VMD file; errors are those of `read_vmd`."""
     path = Path(path)
     return read_vmd(path, read_bounded(path))
 
@@ -110,8 +104,8 @@ def read_vmd(path: Path, data: bytes) -> VmdMotion:
     """Read a VMD file from its bytes.
 
     Raises:
-        FormatError: It is no VMD file, is cut off, announces more keys than it has room for, or holds what is no
-        number.
+        FormatError: It is no VMD file, is cut off, announces more keys than it has room for, or holds something that is
+            not a number.
     """
     name_size = next((size for magic, size in _HEADERS if data.startswith(magic)), 0)
     if not name_size:
@@ -143,7 +137,7 @@ def fixed_text(raw: bytes) -> str:
 
 
 def _count(path: Path, data: bytes, at: int, size: int, what: str) -> int:
-    """The number of records that is written at a place, as long as they fit into the file; 0 at the end of the file."""
+    """The number of records at an offset, as long as they fit into the file; 0 at the end of the file."""
     if at + 4 > len(data):
         return 0  # older programs leave the last sections out
     (count,) = struct.unpack_from("<I", data, at)
@@ -165,7 +159,7 @@ def _records(
 
 
 def _tracks(keys: np.ndarray) -> dict[str, VmdTrack]:
-    """Keys by bone, turned into our frame: z is turned round, and so are rotations about x and y."""
+    """Keys by bone in our frame: z changes sign, and so do rotations about x and y."""
     out = {}
     names, owner = np.unique(keys["name"], return_inverse=True)
     order = np.lexsort((np.arange(len(keys)), keys["frame"], owner))
@@ -186,7 +180,7 @@ def _tracks(keys: np.ndarray) -> dict[str, VmdTrack]:
 
 
 def _eased(curves: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """How far each channel is, from 0 to 1, at a share of the time between two keys: y where x is that share, on a
+    """Progress of each channel, from 0 to 1, at a share of the time between two keys: y where x is that share, on a
     Bezier curve.
 
     Args:
@@ -243,8 +237,8 @@ class MmdClip:
     """Motion of the bones of a model at 30 frames a second.
 
     Args:
-        bones: By their names: how far each is moved from its rest position, in its parent's axes [m], shape (N, 3), and
-            how it is turned from its rest pose, shape (N, 3, 3).
+        bones: By their names: displacement from the rest position, in the parent's axes [m], shape (N, 3), and rotation
+            from the rest pose, shape (N, 3, 3).
         model: Name of the model.
         ik_off: Bones whose inverse kinematics are off.
     """
@@ -271,11 +265,7 @@ def write_vmd(clip: MmdClip, path: str | Path) -> Path:
 
 
 def pack_vmd(clip: MmdClip, path: Path = Path("motion.vmd")) -> bytes:
-    """The bytes of a clip as VMD; a bone that stands still has one key.
-
-    Args:
-        clip: The clip.
-        path: For messages.
+    """The bytes of a clip as VMD; a bone that stands still has one key. The path is for messages.
 
     Raises:
         FormatError: A bone's name cannot be written in Shift JIS.

@@ -25,7 +25,6 @@ from bunraku.files.mmd.model import MAX_BODIES, MAX_BONES, MAX_JOINTS, MmdFile, 
 
 __all__ = ["pmx_bytes", "pmx_file", "save_pmx", "write_character"]
 
-
 _MIRROR = np.array([1.0, 1, -1])
 
 
@@ -57,10 +56,7 @@ def _signed(count: int) -> int:
 
 
 def pmx_bytes(file: MmdFile) -> bytes:
-    """The bytes of a PMX file; `read_pmx_file` reads them back.
-
-    Args:
-        file: What it shall say; the pictures of its textures are files of their own.
+    """The bytes of a PMX file, which `read_pmx_file` reads back; the pictures of its textures are files of their own.
 
     Raises:
         FormatError: It has more bones, rigid bodies or joints than are read.
@@ -179,23 +175,17 @@ def _bone(out: _Writer, bone: MmdBone, tail: int | None) -> None:
 
 def _frames(out: _Writer, file: MmdFile) -> None:
     """The two display frames that editors expect, and one of all further bones."""
-    out.pack("i", 3 if len(file.bones) > 1 else 2)
-    for name, english, special, bones in (
-        ("Root", "Root", 1, range(min(1, len(file.bones)))),
-        ("表情", "Exp", 1, range(0)),
-    ):
-        _frame(out, name, english, special, bones)
-    if len(file.bones) > 1:
-        _frame(out, "ボーン", "Bones", 0, range(1, len(file.bones)))
-
-
-def _frame(out: _Writer, name: str, english: str, special: int, bones: range) -> None:
-    out.text(name)
-    out.text(english)
-    out.pack("Bi", special, len(bones))
-    for bone in bones:
-        out.pack("B", 0)
-        out.index(bone, out.bone)
+    count = len(file.bones)
+    frames = [("Root", "Root", 1, range(min(1, count))), ("表情", "Exp", 1, range(0))]
+    frames += [("ボーン", "Bones", 0, range(1, count))] if count > 1 else []
+    out.pack("i", len(frames))
+    for name, english, special, bones in frames:
+        out.text(name)
+        out.text(english)
+        out.pack("Bi", special, len(bones))
+        for bone in bones:
+            out.pack("B", 0)
+            out.index(bone, out.bone)
 
 
 def _angles(turn: np.ndarray) -> np.ndarray:
@@ -230,12 +220,8 @@ def _joint(out: _Writer, joint: MmdJoint) -> None:
 
 
 def save_pmx(character: Character, path: str | Path, avatar: MmdModel | None = None) -> Path:
-    """Write a character as PMX, and its pictures into a folder beside it; nothing half-written is left behind.
-
-    Args:
-        character: With a rig.
-        path: The file.
-        avatar: Rigid bodies and joints of its bones; those of its model by default.
+    """Write a character with a rig as PMX, and its pictures into a folder beside it, with the rigid bodies and joints
+    of an avatar, by default those of its own model.
 
     Raises:
         CharacterError: It has no rig.
@@ -267,7 +253,7 @@ def save_pmx(character: Character, path: str | Path, avatar: MmdModel | None = N
 def write_character(
     character: Character, handles: Handles | None, path: Path, *, rig: bool = False, avatar: MmdModel | None = None
 ) -> Path:
-    """Write a character to PMX with its rig, and with the rigid bodies and joints of an avatar by its bones.
+    """`save_pmx` in the form that the registry calls.
 
     Raises:
         CharacterError: There is no rig to write.
@@ -281,8 +267,8 @@ def write_character(
 
 
 def pmx_file(character: Character) -> MmdFile:
-    """What a PMX of a character says, in MMD's frame and unit where `MmdFile` wants it. The texture of a material is
-    the number of its image, in words.
+    """The PMX of a character, in MMD's frame and unit where `MmdFile` wants it. The texture of a material is the number
+    of its image, as text.
 
     Raises:
         CharacterError: It has no rig.
@@ -325,16 +311,14 @@ def pmx_file(character: Character) -> MmdFile:
 
 
 def _mesh(out: MmdFile, character: Character, source: Source) -> np.ndarray:
-    """Put the document's vertices and triangles into a file; gives the character's vertex of each."""
-    document, start, base = source.document, 0, 0
+    """Put the document's vertices and triangles into a file; returns the character's vertex of each."""
+    document, base = source.document, 0
     smooth = vertex_normals(character.vertices.astype(np.float64), character.faces)
     chosen, uvs, normals, triangles = [], [], [], []
     materials = document.items("materials")
-    for part in source.parts:
+    for part, rows in source.placed():
         primitives = document.objects(document.item("meshes", part.mesh), "primitives")
-        for group in part.groups:
-            own = source.index[start : start + len(group.vertices)]
-            start += len(own)
+        for group, own in part.split(rows):
             attributes = primitives[group.primitives[0]].get("attributes", {})
             known = attributes.get("TEXCOORD_0")
             uv = np.zeros((len(own), 2)) if known is None else document.accessor(known, ("VEC2",)).astype(np.float64)
@@ -361,7 +345,7 @@ def _mesh(out: MmdFile, character: Character, source: Source) -> np.ndarray:
 
 
 def _material(document: Document, entry: dict[str, Any], corners: int) -> MmdMaterial:
-    """A material of MMD that is seen in the colour of one of glTF."""
+    """A material of MMD that shows the colour of one of glTF."""
     shader = entry.get("pbrMetallicRoughness", {})
     factor = np.array(shader.get("baseColorFactor", [1.0, 1, 1, 1]), float)
     seen = srgb_from_linear(factor[:3])
@@ -408,7 +392,7 @@ def _bones(character: Character) -> list[MmdBone]:
 
 
 def _layers(parents: np.ndarray) -> list[int]:
-    """The layer of each bone: MMD moves bones in the order of the file, so one whose parent comes later is in a higher
+    """The layer of each bone: MMD moves bones in the order of the file, so one whose parent comes later needs a higher
     layer than that.
     """
     out = [0] * len(parents)
@@ -429,7 +413,7 @@ def _tails(parents: np.ndarray) -> dict[int, int]:
 
 
 def _units(positions: np.ndarray) -> np.ndarray:
-    """Positions [m] as a file holds them, such that reading gives the same 32-bit numbers wherever there are such."""
+    """Positions [m] in MMD's unit, such that reading gives the same 32-bit numbers wherever possible."""
     wanted = positions.astype(np.float32)
     best = (positions / MMD_METRE).astype(np.float32)
     for way in (-np.inf, np.inf):

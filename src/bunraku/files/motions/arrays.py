@@ -25,30 +25,22 @@ __all__ = [
     "read_reference", "write_animation",
 ]  # fmt: skip
 
-
 AMASS_ARRAYS = frozenset({"poses", "trans", "root_orient", "pose_body"})
-"""Arrays that make an .npz one of AMASS."""
+"""Arrays that mark an .npz as one of AMASS."""
 
 _RATES = ("mocap_framerate", "mocap_frame_rate", "mocap_frame_rates")
 _UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)  # +Z up to +Y up
 MOST_FRAMES = 1_000_000  # more than two hours at 120 frames a second; files of zeros pack to next to nothing
-_STRAIGHT = 0.9  # who stands has the pelvis this share of a leg over the lower ankle, at least
+_STRAIGHT = 0.9  # a person who stands has the pelvis at least this share of a leg above the lower ankle
 _SIZES = (0.7, 1.3)  # of people, as shares of the reference body; what else is found says that the ground is not at 0
 
 
 def read_amass(path: Path, data: bytes) -> SkeletalMotion:
-    """Read an AMASS file.
+    """Read an AMASS file: SMPL's 22 joints, +Y up, at the rate of the file.
 
-    Rotations are turned from SMPL's T-pose to the reference body's, so limbs point where they did. The place of the
-    pelvis is that of the file, whose `trans` is the pelvis but for a constant of the body's shape; the skeleton is the
-    reference body's, scaled so that the feet reach the ground at height 0 where the person stands.
-
-    Args:
-        path: The file.
-        data: Its bytes.
-
-    Returns:
-        The 22 joints of SMPL, +Y up, at the rate of the file.
+    Rotations are converted from SMPL's T-pose to the reference body's, so limbs point where they did. The pelvis is at
+    the file's `trans`, which differs from it by a constant of the body's shape; the skeleton is the reference body's,
+    scaled so that the feet reach the ground at height 0 where the person stands.
 
     Raises:
         FormatError: The file is broken, holds pickled objects, or lacks what a motion needs.
@@ -105,9 +97,7 @@ def _rows(path: Path, array: np.ndarray, name: str) -> np.ndarray:
 
 
 def _sized(rotations: np.ndarray, trans: np.ndarray, fps: float) -> SkeletalMotion:
-    """On the reference body's skeleton, scaled to the person as far as the height of the pelvis while standing
-    tells.
-    """
+    """On the reference body's skeleton, scaled to the person by the height of the pelvis while standing."""
     from bunraku.core.body.reference import leg_length, reference_body  # after the formats, in the order of imports
 
     body = reference_body()
@@ -124,20 +114,14 @@ def _sized(rotations: np.ndarray, trans: np.ndarray, fps: float) -> SkeletalMoti
 
 
 HUMANML3D_FPS = 20.0
+"""Rate of all motions of the set (Guo et al. 2022) [1/s]."""
 MAX_FRAMES = 24_000
-"""Longest motion that is read: each frame takes a tenth of a millisecond, as its rotations are found anew."""
+"""Longest motion that is read: each frame takes a tenth of a millisecond to fit its rotations."""
 VECTOR_SIZE = 12 * JOINT_COUNT - 1
 
 
 def read_humanml3d(path: Path, data: bytes) -> SkeletalMotion:
-    """Read a file of `new_joint_vecs` or `new_joints`.
-
-    Args:
-        path: The file.
-        data: Its bytes.
-
-    Returns:
-        SMPL's 22 joints at 20 frames a second, through the positions of the file.
+    """Read a file of `new_joint_vecs` or `new_joints`: SMPL's 22 joints at 20 frames a second.
 
     Raises:
         FormatError: The file is broken, holds objects, or has another shape.
@@ -164,13 +148,8 @@ def read_humanml3d(path: Path, data: bytes) -> SkeletalMotion:
 
 
 def positions_of_vectors(vectors: np.ndarray) -> np.ndarray:
-    """Joint positions of feature vectors, from a start at x = z = 0 that faces +Z.
-
-    Args:
-        vectors: Rows as above, not normalised, shape (N, 263).
-
-    Returns:
-        Positions [m], shape (N, 22, 3).
+    """Joint positions [m], shape (N, 22, 3), of feature vectors (N, 263), not normalised, from a start at x = z = 0
+    that faces +Z.
     """
     x = np.asarray(vectors, float)
     turned, steps = np.zeros(len(x)), np.zeros((len(x), 3))
@@ -189,15 +168,11 @@ REFERENCE = "reference_"
 _NEEDED = ("translations", "rotations", "root_translation", "root_rotation", "fps")
 _OWN = ("own_kind", "own_height", "soft")
 _ALL_OWN = "native"
-"""What files say that hold one member for all three."""
+"""The single member that older files hold for all three."""
 
 
 def write_animation(animation: Animation, path: Path) -> Path:
-    """Write the handle motion of an animation; see `pack_animation` for the arrays.
-
-    Raises:
-        FormatError: The file cannot be written.
-    """
+    """Write the handle motion of an animation (see `pack_animation`)."""
     with atomic_write(path) as file:
         file.write(pack_animation(animation))
     return path
@@ -208,9 +183,8 @@ def pack_animation(animation: Animation) -> bytes:
 
     The arrays, all float32: `translations` (N, K, 3) [m], `rotations` (N, K, 3, 3), `root_translation` (N, 3) [m],
     `root_rotation` (N, 3, 3), `fps` () [1/s], `own_kind`, `own_height` and `soft` (), 0 or 1 (`HandleMotion`),
-    `handle_positions` (K, 3) [m];
-    and `handle_names` (K,) text. Where it is known, the
-    motion of the reference body that it was fitted from, under the same names with `reference_` before them.
+    `handle_positions` (K, 3) [m]; and `handle_names` (K,) text. Where it is known, the reference body's motion that it
+    was fitted from, under the same names with `reference_` before them.
     """
     return pack_motion(animation.motion, animation.handles, animation.reference)
 
@@ -232,7 +206,7 @@ def motion_arrays(motion: HandleMotion, prefix: str = "") -> dict[str, np.ndarra
 
 
 def read_any_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
-    """Read what an NPZ holds: a motion of AMASS if it has that set's arrays, a handle motion otherwise.
+    """Read an NPZ: a motion of AMASS if it has that set's arrays, a handle motion otherwise.
 
     Raises:
         FormatError: The file is broken, or is neither.
@@ -245,13 +219,8 @@ def read_any_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
 
 
 def read_npz_motion(path: Path, data: bytes, *, prefix: str = "") -> HandleMotion:
-    """Read a handle motion; rotations may be 6D or matrices.
-
-    Args:
-        path: The file.
-        data: Its bytes.
-        prefix: What stands before the names of the arrays: nothing, or `REFERENCE` for the motion of the reference
-            body.
+    """Read a handle motion, with rotations in 6D or as matrices; with the prefix `REFERENCE` the reference body's
+    motion.
 
     Raises:
         FormatError: The file is broken, or is not a handle motion.
@@ -286,11 +255,8 @@ def read_npz_motion(path: Path, data: bytes, *, prefix: str = "") -> HandleMotio
 
 
 def read_reference(path: Path, data: bytes) -> HandleMotion | None:
-    """The motion of the reference body that a handle motion was fitted from, or None where the file does not hold it.
-
-    Raises:
-        FormatError: The file is broken.
-        MotionError: What it holds breaks the rules of a motion.
+    """The reference body's motion that a handle motion was fitted from, or None where the file does not hold it. Errors
+    are those of `read_npz_motion`.
     """
     with open_npz(path, data) as archive:
         known = f"{REFERENCE}translations" in npz_names(archive)

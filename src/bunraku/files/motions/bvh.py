@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.core.files import MAX_TEXT_BYTES, atomic_write
+from bunraku.core.files import atomic_write
 from bunraku.core.motion import SkeletalMotion, Skeleton, resample_motion
 from bunraku.errors import FormatError, OptionError
 
 __all__ = ["BVH_UNITS", "BvhJoint", "parse_hierarchy", "read_bvh", "write_bvh"]
-
 
 MOST_JOINTS = 4096
 MOST_CHANNELS = 9
@@ -29,7 +28,7 @@ _WORDS = re.compile(
 
 @dataclass
 class BvhJoint:
-    """A joint, or the end of one.
+    """A joint or the end of one.
 
     Args:
         name: Its name; empty for an end site.
@@ -135,7 +134,7 @@ BVH_UNITS: dict[str, float] = {
     "ft": 0.3048,
     "m": 1.0,
 }
-"""Length of the units that are found in BVH files [m]; "cmu" is that of the CMU database's own skeletons."""
+"""Units of BVH files [m]; "cmu" is that of the CMU database's own skeletons."""
 
 PERSON = 2.2  # from the toes up the trunk and out to a hand [m]
 MOST_HEADER = 4 << 20
@@ -152,8 +151,8 @@ _NO_NUMBER = re.compile(rb"(?<!\S)(?![+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+
 def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None = None) -> SkeletalMotion:
     """Read a BVH file from its bytes.
 
-    Joints whose position moves: the root's is the motion's path; a joint with most of the skeleton below it takes its
-    place, as the hips below a still `Root` do; others keep the mean as their offset. Of several roots the one with most
+    Of joints whose position moves, the root gives the motion's path, a joint with most of the skeleton below it (the
+    hips below a still `Root`) replaces the root, and others keep their mean offset. Of several roots the one with most
     joints is read.
 
     Args:
@@ -166,14 +165,13 @@ def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None
         The motion at the file's rate, +Y up, in metres.
 
     Raises:
-        FormatError: The file is broken, cut off, too large, without frames, or holds what is no number.
+        FormatError: The file is broken, cut off, too large, without frames, or holds something that is not a number.
         OptionError: There is no such unit or axis.
     """
     if unit is not None and unit not in BVH_UNITS:
         raise OptionError(f"'{unit}' is no unit; there are {', '.join(BVH_UNITS)}")
     if up not in (None, "+y", "+z"):
         raise OptionError(f"up in a BVH file is +y or +z, not {up}")
-    _check_size(path, len(data))
     start = _MOTION.search(data, 0, MOST_HEADER)
     if start is None:
         parse_hierarchy(
@@ -191,15 +189,6 @@ def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None
     motion = _assembled(path, joints, tree, values, rotations, fps)
     scale = BVH_UNITS[unit] if unit else _unit(joints)
     return _in_our_frame(motion, scale, up)
-
-
-def _check_size(path: Path, size: int) -> None:
-    if size > MAX_TEXT_BYTES:
-        raise FormatError(
-            path,
-            f"{size >> 20} MiB are too many for a motion, at most {MAX_TEXT_BYTES >> 20} are read; cut it into "
-            "shorter ones",
-        )
 
 
 def _frames(path: Path, data: bytes, start: int, columns: int) -> tuple[np.ndarray, float]:
@@ -243,7 +232,7 @@ def _frames(path: Path, data: bytes, start: int, columns: int) -> tuple[np.ndarr
 
 
 def _numbers(path: Path, text: bytes, need: int, columns: int) -> np.ndarray:
-    """The numbers of the text; what is no number is an error unless it stands behind all that are needed."""
+    """The numbers of the text; anything else is an error unless it comes after all that are needed."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", DeprecationWarning)  # how older versions of numpy say it
@@ -312,9 +301,7 @@ def _euler(angles: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
 
 
 def _positions(joint: BvhJoint, values: np.ndarray) -> np.ndarray:
-    """Offset of a joint from its parent in every frame, shape (N, 3) or (1, 3): its position channels where it has
-    some.
-    """
+    """Offset of a joint from its parent in every frame, shape (N, 3), or (1, 3) without position channels."""
     out = np.array([joint.offset])
     channels = [(axis, column) for axis, kind, column in joint.channels if kind == "position"]
     if not channels:
@@ -363,7 +350,7 @@ def _assembled(
 
 
 def _below(parents: np.ndarray, root: int) -> list[int]:
-    """A joint and all below it; parents stand before children."""
+    """A joint and all below it; parents come before children."""
     inside = np.zeros(len(parents), bool)
     inside[root] = True
     for joint in range(root + 1, len(parents)):
@@ -372,8 +359,8 @@ def _below(parents: np.ndarray, root: int) -> list[int]:
 
 
 def _unit(joints: list[BvhJoint]) -> float:
-    """The unit [m] in which the skeleton, with its end sites, is most nearly as large as a person's, however it
-    rests.
+    """The unit [m] that brings the size of the skeleton, with its end sites, closest to a person's, in any rest
+    pose.
     """
     reach, size = [0.0] * len(joints), 0.0  # longest way down from each joint, longest way between any two
     for index in range(len(joints) - 1, -1, -1):
@@ -388,7 +375,7 @@ def _unit(joints: list[BvhJoint]) -> float:
 
 
 def _in_our_frame(motion: SkeletalMotion, scale: float, up: str | None) -> SkeletalMotion:
-    """In metres, and turned from +Z to +Y up where that is how it stands."""
+    """In metres, and rotated from +Z to +Y up where that is how it stands."""
     skeleton = motion.skeleton
     if up is None:
         shown = np.unique(np.linspace(0, len(motion) - 1, 50).astype(int))
@@ -423,12 +410,9 @@ def write_bvh(
         motion: At least one frame.
         path: The file.
         fps: Frames a second of the file [1/s]; those of the motion by default.
-        unit: Unit of lengths, "cm" as most programs take it, or another of `bunraku.files.motions.bvh.BVH_UNITS`.
-        up: "+y", or "+z" for programs that take the file's axes for their own.
-        order: Order of the rotation channels, "zxy" as most files have it.
-
-    Returns:
-        The file that was written.
+        unit: Unit of lengths, one of `BVH_UNITS`; most programs take "cm".
+        up: "+y", or "+z" for programs that use the file's axes as they are.
+        order: Order of the rotation channels, "zxy" as in most files.
 
     Raises:
         FormatError: The file cannot be written.
@@ -497,7 +481,9 @@ def _hierarchy(skeleton: Skeleton, offsets: np.ndarray, order: str) -> tuple[lis
 
 
 def _angles(rotations: np.ndarray, order: str, before: np.ndarray | None) -> np.ndarray:
-    """Angles of rotations (N, J, 3, 3) [degrees], shape (N, J, 3), without jumps by whole turns from frame to frame."""
+    """Angles of rotations (N, J, 3, 3) [degrees], shape (N, J, 3), without jumps by full circles from frame to
+    frame.
+    """
     from scipy.spatial.transform import Rotation
 
     with warnings.catch_warnings():

@@ -36,13 +36,8 @@ def sample_file(name: str) -> Path:
 
 
 def sample_character(name: str) -> Character:
-    """A sample character, without a rig.
-
-    Args:
-        name: One of `sample_names`.
-
-    Returns:
-        The character: closed parts of 6,000 to 9,000 vertices together, wound outward, with one colour a face.
+    """A sample character without a rig, one of `sample_names`: closed parts of 6,000 to 9,000 vertices together, wound
+    outward, with one colour a face.
 
     Raises:
         OptionError: The name is unknown.

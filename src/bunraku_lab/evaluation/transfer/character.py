@@ -1,6 +1,4 @@
-"""One character of the table of motion transfer: what is measured of it with every motion, how far it stands off the
-ground.
-"""
+"""One character of the table of motion transfer: what is measured of it with every motion."""
 
 from __future__ import annotations
 
@@ -24,17 +22,9 @@ from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts
 
 __all__ = [
-    "SUFFIXES",
-    "Source",
-    "carried_heads",
-    "facing_character",
-    "ground_heights",
-    "limb_angles",
-    "measure_character",
-    "named_front",
-    "off_ground",
-]
-
+    "SUFFIXES", "Source", "carried_heads", "facing_character", "ground_heights", "limb_angles", "measure_character",
+    "named_front", "off_ground",
+]  # fmt: skip
 
 LEAP = 0.6
 """Who is in the air for no longer leaps [s]; runs of animals do so at every stride."""
@@ -58,8 +48,7 @@ def ground_heights(animation: Animation) -> np.ndarray:
 
 
 def off_ground(heights: np.ndarray, fps: float) -> float:
-    """How far a body is off its ground at the most, over its height: how deep it sinks, or how high it hovers for
-    longer than a leap lasts.
+    """How deep a body sinks at the most, or how high it hovers for longer than a leap lasts, over its height.
 
     Args:
         heights: Of the lowest point, as of `ground_heights`, shape (N,).
@@ -198,9 +187,7 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
 
 
 def _there_and_back(path: Path, character: Character, name: str) -> _Back:
-    """Mean error of the vertices of a character's own clip, over its height, after the way to the reference body and
-    back; none without clips.
-    """
+    """Mean error of a character's own clip after the way to the reference body and back, over its height."""
     from bunraku.files import clip_names, load_animation
     from bunraku.pipelines.animator import Animator
     from bunraku.pipelines.requests import TransferRequest
@@ -228,8 +215,7 @@ def _there_and_back(path: Path, character: Character, name: str) -> _Back:
 
 
 def limb_angles(parts: RigParts, heads: np.ndarray, source: np.ndarray) -> np.ndarray:
-    """Angles between limbs of a result and of its source [degrees], shape (N, limbs): upper arms, forearms, thighs and
-    shins.
+    """Angles between limbs of a result and of its source [degrees], shape (N, limbs): arms and legs.
 
     Args:
         parts: The rig that names the limbs.
@@ -250,9 +236,7 @@ def _rig_heads(parts: RigParts, animation: RigAnimation, frames: np.ndarray) -> 
 
 
 def carried_heads(parts: RigParts, animation: Animation | RigAnimation, frames: np.ndarray) -> np.ndarray:
-    """Where the skinning of an animation takes a rig's joints: as it takes the vertices that both parts of the joint
-    hold, in the mean.
-    """
+    """Where skinning takes a rig's joints: the mean of the vertices that both parts of the joint hold."""
     own = parts.handles.weights.astype(np.float64)
     world = animation.motion.transforms(animation.handles.positions)[frames].astype(np.float64)
     heads = np.tile(parts.joints.positions, (len(world), 1, 1))
