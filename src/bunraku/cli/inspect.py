@@ -56,18 +56,13 @@ def avatar_facts(character: Character) -> dict[str, Any]:
     kinds = dict(zip(("BDEF1", "BDEF2", "BDEF4", "SDEF", "QDEF"), map(int, deforms), strict=True))
     return {
         "model": " / ".join(dict.fromkeys(name for name in (mmd.name, mmd.english) if name)),
-        "version": mmd.version,
-        "bones": len(mmd.bones),
+        "version": mmd.version, "bones": len(mmd.bones),
         "bones_that_take_over": sum(bone.append is not None for bone in mmd.bones),
-        "inverse_kinematics": [bone.name for bone in mmd.bones if bone.ik is not None],
-        "morphs": len(mmd.morphs),
-        "rigid_bodies": len(mmd.bodies),
-        "rigid_bodies_dynamic": sum(body.dynamic for body in mmd.bodies),
-        "rigid_joints": len(mmd.joints),
-        **shared,
-        "deforms": {kind: count for kind, count in kinds.items() if count},
-        **warnings,
-    }
+        "inverse_kinematics": [bone.name for bone in mmd.bones if bone.ik is not None], "morphs": len(mmd.morphs),
+        "rigid_bodies": len(mmd.bodies), "rigid_bodies_dynamic": sum(body.dynamic for body in mmd.bodies),
+        "rigid_joints": len(mmd.joints), **shared,
+        "deforms": {kind: count for kind, count in kinds.items() if count}, **warnings,
+    }  # fmt: skip
 
 
 def vmd_facts(path: Path) -> dict[str, Any]:
@@ -78,17 +73,12 @@ def vmd_facts(path: Path) -> dict[str, Any]:
     motion = load_vmd(path)
     switched_off = {name for _, states in motion.switches for name, on in states.items() if not on}
     return {
-        "kind": "MMD motion",
-        "model": motion.model,
-        "frames": motion.last_frame + 1,
-        "fps": VMD_FPS,
-        "seconds": round(motion.last_frame / VMD_FPS, 3),
-        "bones": sorted(motion.bones),
-        "morphs": sorted(motion.morphs),
-        "keys": sum(len(track.frames) for track in motion.bones.values()),
+        "kind": "MMD motion", "model": motion.model, "frames": motion.last_frame + 1, "fps": VMD_FPS,
+        "seconds": round(motion.last_frame / VMD_FPS, 3), "bones": sorted(motion.bones),
+        "morphs": sorted(motion.morphs), "keys": sum(len(track.frames) for track in motion.bones.values()),
         "convention": "MikuMikuDance" if mmd_skeleton_map(list(motion.bones)) is not None else "unknown",
         "inverse_kinematics_off": sorted(switched_off),
-    }
+    }  # fmt: skip
 
 
 def apparel_facts(character: Character) -> dict[str, Any]:
@@ -345,19 +335,11 @@ def _character(character: Character, unit: str) -> dict[str, Any]:
         or character.height
     )
     facts: dict[str, Any] = {
-        "kind": "character",
-        "name": character.name,
-        "vertices": len(character.vertices),
-        "vertices_welded": welded,
-        "faces": len(character.faces),
-        "loose_parts": parts,
-        "height": _digits(height),
-        "unit": _unit(height, suffix, unit),
-        "extent": [_digits(x) for x in extent],
-        "lowest_corner": [_digits(x) for x in low],
-        "orientation": orientation,
-        "rig": None,
-    }
+        "kind": "character", "name": character.name, "vertices": len(character.vertices), "vertices_welded": welded,
+        "faces": len(character.faces), "loose_parts": parts, "height": _digits(height),
+        "unit": _unit(height, suffix, unit), "extent": [_digits(x) for x in extent],
+        "lowest_corner": [_digits(x) for x in low], "orientation": orientation, "rig": None,
+    }  # fmt: skip
     if character.rig is not None:
         influences = int((character.rig.weights > 0).sum(axis=1).max(initial=0))
         facts["rig"] = {
@@ -394,14 +376,10 @@ def _orientation(character: Character) -> dict[str, Any]:
     guess = resolved.guess
     assert guess is not None
     return {
-        "up": guess.up,
-        "front": guess.front,
-        "up_confidence": round(guess.up_confidence, 3),
-        "front_confidence": round(guess.front_confidence, 3),
-        "taken_up": resolved.up,
-        "taken_front": resolved.front,
-        "note": note,
-    }
+        "up": guess.up, "front": guess.front, "up_confidence": round(guess.up_confidence, 3),
+        "front_confidence": round(guess.front_confidence, 3), "taken_up": resolved.up,
+        "taken_front": resolved.front, "note": note,
+    }  # fmt: skip
 
 
 def _unit(height: float, suffix: str, unit: str) -> dict[str, str]:

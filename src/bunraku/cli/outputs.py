@@ -259,13 +259,9 @@ WithoutOption = Annotated[
 
 
 def check_outputs(
-    outputs: Sequence[Path],
-    previews: Sequence[Path],
-    inputs: Sequence[Path],
-    suffixes: Sequence[str] = OUTPUTS,
-    *,
+    outputs: Sequence[Path], previews: Sequence[Path], inputs: Sequence[Path], suffixes: Sequence[str] = OUTPUTS, *,
     overwrite: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Raise FormatError or OptionError unless all files can be written, with suffixes that each may have, over no
     input, and over no foreign file without `overwrite`.
     """

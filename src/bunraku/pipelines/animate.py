@@ -57,12 +57,9 @@ def rig(
 
 
 def with_skeleton(
-    character: Character | str | Path,
-    names: Literal["mixamo", "vrm", "unreal"],
-    *,
-    handles: Handles | Literal["predict", "rig"] = "predict",
-    progress: Progress | None = None,
-) -> Character:
+    character: Character | str | Path, names: Literal["mixamo", "vrm", "unreal"], *,
+    handles: Handles | Literal["predict", "rig"] = "predict", progress: Progress | None = None,
+) -> Character:  # fmt: skip
     """A person's mesh in a T-pose on a tree of joints for engines' humanoid retargeting; `animate` then moves these,
     and `save_character` writes them.
 
@@ -153,7 +150,8 @@ def generate(
     prompts = [prompt] if isinstance(prompt, str) else list(prompt)
     if not prompts:
         return []
-    seeds = [whole_number("seed", each) for each in seed] if isinstance(seed, Sequence) else whole_number("seed", seed)
+    several = cast("Sequence[int]", seed) if np.ndim(seed) else None
+    seeds = whole_number("seed", seed) if several is None else [whole_number("seed", each) for each in several]
     sampling = Sampling(seconds, 0 if isinstance(seeds, list) else seeds, steps, guidance, candidates)
     constraints = Constraints.of(loop=loop, after=after, path=path)
     requests = [Request(text, sampling, constraints, force=force) for text in prompts]

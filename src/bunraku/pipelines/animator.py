@@ -242,12 +242,9 @@ class Animator:
             request = replace(request, constraints=request.constraints.following(last))
 
     def generate(
-        self,
-        requests: Sequence[Request],
-        seeds: int | Sequence[int],
-        feature: object | None = None,
+        self, requests: Sequence[Request], seeds: int | Sequence[int], feature: object | None = None,
         body: Anatomy | None = None,
-    ) -> list[HandleMotion]:
+    ) -> list[HandleMotion]:  # fmt: skip
         """Handle motions of the reference body, all in one pass of the denoiser (Eq. 2 of TapMo).
 
         Args:
@@ -337,13 +334,9 @@ class Animator:
         )  # fmt: skip
 
     def _draw(
-        self,
-        sentences: Sequence[Sentence],
-        seeds: int | Sequence[int],
-        constraints: Constraints,
-        path: GroundPath | None,
-        drawing: SamplingSettings,
-    ) -> list[HandleMotion]:
+        self, sentences: Sequence[Sentence], seeds: int | Sequence[int], constraints: Constraints,
+        path: GroundPath | None, drawing: SamplingSettings,
+    ) -> list[HandleMotion]:  # fmt: skip
         """A motion of the reference body for each sentence, along a path in its metres."""
         from bunraku.generation.generate import continue_motion, generate_motions
 

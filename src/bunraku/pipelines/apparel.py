@@ -73,14 +73,9 @@ def shipped_displacement(clothed: ClothedCharacter | None = None) -> Displacemen
 
 
 def dressed(
-    animation: Animation | RigAnimation,
-    apparel: str | Path = "auto",
-    *,
-    stiffness: float = 1.0,
-    gravity: float = 1.0,
-    progress: Progress | None = None,
-    anatomy: Anatomy | None = None,
-) -> Animation | RigAnimation | PointAnimation:
+    animation: Animation | RigAnimation, apparel: str | Path = "auto", *, stiffness: float = 1.0,
+    gravity: float = 1.0, progress: Progress | None = None, anatomy: Anatomy | None = None,
+) -> Animation | RigAnimation | PointAnimation:  # fmt: skip
     """An animation with its apparel moved.
 
     Args:
@@ -127,14 +122,9 @@ def dressed(
 
 
 def learned(
-    animation: Animation | RigAnimation,
-    mask: np.ndarray | None = None,
-    *,
-    stiffness: float = 1.0,
-    network: DisplacementNetwork | None = None,
-    safe: bool = True,
-    progress: Progress | None = None,
-) -> PointAnimation:
+    animation: Animation | RigAnimation, mask: np.ndarray | None = None, *, stiffness: float = 1.0,
+    network: DisplacementNetwork | None = None, safe: bool = True, progress: Progress | None = None,
+) -> PointAnimation:  # fmt: skip
     """An animation at 30 frames a second whose apparel the displacement network moves.
 
     Args:
@@ -155,13 +145,9 @@ def learned(
 
 
 def chained(
-    animation: Animation | RigAnimation,
-    clothed: ClothedCharacter,
-    *,
-    stiffness: float = 1.0,
-    gravity: float = 1.0,
+    animation: Animation | RigAnimation, clothed: ClothedCharacter, *, stiffness: float = 1.0, gravity: float = 1.0,
     progress: Progress | None = None,
-) -> RigAnimation:
+) -> RigAnimation:  # fmt: skip
     """An animation on its bones, or on its handles as bones, with further bones for its apparel, which are simulated.
 
     Args:

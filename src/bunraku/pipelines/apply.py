@@ -29,12 +29,9 @@ GENERATED_STAGES = Stages(shape=True)
 
 
 def apply_motion(
-    motion: HandleMotion,
-    anatomy: Anatomy,
-    constraints: Iterable[Constraint] = (),
-    stages: Stages | None = None,
+    motion: HandleMotion, anatomy: Anatomy, constraints: Iterable[Constraint] = (), stages: Stages | None = None,
     progress: Progress | None = None,
-) -> Animation:
+) -> Animation:  # fmt: skip
     """A motion of the reference body, as `generate` makes them, on a character.
 
     Args:
@@ -67,14 +64,9 @@ def apply_motion(
 
 
 def apply_simulated(
-    motion: HandleMotion,
-    character: Character,
-    *,
-    in_place: bool = False,
-    stages: Stages | None = None,
-    fps: float = 30.0,
-    progress: Progress | None = None,
-) -> RigAnimation:
+    motion: HandleMotion, character: Character, *, in_place: bool = False, stages: Stages | None = None,
+    fps: float = 30.0, progress: Progress | None = None,
+) -> RigAnimation:  # fmt: skip
     """As `apply_rigged`, with hair and clothes that the physics of the character's file moves.
 
     Args:
@@ -98,12 +90,9 @@ def apply_simulated(
 
 
 def apply_rigged(
-    motion: HandleMotion,
-    parts: RigParts,
-    constraints: Iterable[Constraint] = (),
-    stages: Stages | None = None,
+    motion: HandleMotion, parts: RigParts, constraints: Iterable[Constraint] = (), stages: Stages | None = None,
     progress: Progress | None = None,
-) -> RigAnimation:
+) -> RigAnimation:  # fmt: skip
     """A motion of the reference body on the bones of a character, hair and clothes going along. The bones count as 30
     handles; the stage `shape` is left out, since bones keep their lengths.
 

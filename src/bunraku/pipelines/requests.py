@@ -217,14 +217,10 @@ class Constraints(tuple[Constraint, ...]):
 
     @classmethod
     def of(
-        cls,
-        *,
-        loop: bool = False,
-        in_place: bool = False,
+        cls, *, loop: bool = False, in_place: bool = False,
         after: HandleMotion | AnimatedCharacter | str | None = None,
-        path: GroundPath | Sequence[Sequence[float]] | None = None,
-        pins: Iterable[Pin] = (),
-    ) -> Self:
+        path: GroundPath | Sequence[Sequence[float]] | None = None, pins: Iterable[Pin] = (),
+    ) -> Self:  # fmt: skip
         """Those of a motion that is made anew; arguments as in `bunraku.animate`."""
         if path is not None and not isinstance(path, Constraint):
             path = ground_path(path)
@@ -255,12 +251,10 @@ class Constraints(tuple[Constraint, ...]):
     @property
     def after(self) -> HandleMotion | AnimatedCharacter | None:
         """The clip in whose last pose the motion starts; OptionError where it is named and not opened."""
-        found = self._one("after")
-        if not isinstance(found, Follow):
-            return None
-        if isinstance(found.clip, str):
+        found = cast("Follow | None", self._one("after"))
+        if found is not None and isinstance(found.clip, str):
             raise OptionError(f"the clip '{found.clip[:60]}' is only named; open it, and give the animation")
-        return found.clip
+        return None if found is None else found.clip
 
     def following(self, clip: HandleMotion | AnimatedCharacter) -> Self:
         """The same, following a clip in place of the one that was named."""
@@ -269,8 +263,7 @@ class Constraints(tuple[Constraint, ...]):
     @property
     def keep(self) -> Keep:
         """What stays of a clip that is edited."""
-        found = self._one("keep")
-        return found if isinstance(found, Keep) else Keep()
+        return cast("Keep | None", self._one("keep")) or Keep()
 
     @property
     def poses(self) -> list[Pose]:
@@ -411,9 +404,7 @@ class Request:
 
     @cached_property
     def parsed(self) -> Sentence:
-        """The sentence, parsed; OptionError where it is empty, too long or not understood, or a length is out of
-        range.
-        """
+        """The sentence, parsed; OptionError where it is refused, or a length is out of range."""
         from bunraku.language.parse import parse
 
         given = self.sentence

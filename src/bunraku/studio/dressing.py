@@ -178,14 +178,9 @@ def dress_take(body: Animation | RigAnimation, apparel: Apparel, report: Progres
 
 
 def redress_take(
-    take: Take,
-    apparel: Apparel,
-    handles: Handles,
-    *,
-    in_place: bool = False,
-    stages: Stages | None = None,
+    take: Take, apparel: Apparel, handles: Handles, *, in_place: bool = False, stages: Stages | None = None,
     report: Progress,
-) -> Take:
+) -> Take:  # fmt: skip
     """A take of the same motion whose apparel moves otherwise.
 
     Args:

@@ -23,21 +23,16 @@ __all__ = ["copy_entry", "open_archive", "pack_project", "read_entry", "unpack_p
 
 _END = struct.Struct("<4s4H2LH")
 _LARGEST_ENTRY = 600
-"""Bytes that an entry's line of the directory has on average, at the most."""
+"""Most bytes of an entry in the directory, on average."""
 
 
 @contextmanager
 def open_archive(path: Path, entries: int, size: int) -> Iterator[zipfile.ZipFile]:
-    """The archive of a file.
-
-    Args:
-        path: The file.
-        entries: How many entries it may have.
-        size: Bytes to which it may unpack.
+    """The archive of a file, with at most so many entries that unpack to at most `size` bytes.
 
     Raises:
-        FormatError: It is broken, has a password, is packed in a rare way, or is too large; or what is done with it in
-            the block finds it so.
+        FormatError: It is broken, has a password, is packed in a rare way, or is too large; also where that is found
+            within the block.
     """
     try:
         _check_directory(path, entries)
@@ -101,11 +96,8 @@ _MAY_HAVE = "apparel.npz"
 
 
 def pack_project(store: Store, character: str, view: dict[str, object], path: Path) -> None:
-    """Write a project with a character and its finished takes.
-
-    Raises:
-        NotThere: There is no such character.
-        FormatError: The file cannot be written.
+    """Write a project with a character and its finished takes; NotThere where there is no such character, FormatError
+    where the file cannot be written.
     """
     record, home = store.get("characters", character), store.folder_of("characters", character)
     takes = [take for take in store.all("takes") if take["character"] == character and take["state"] == "done"]

@@ -50,10 +50,9 @@ class Dressed:
 
     Args:
         body: What moves the body.
-        points: The same at the rate of apparel, with where that is.
-        stiffness: Factor on how stiff it was taken to be.
-        gravity: Factor on how strongly it was drawn downwards.
-        bones: The same on a rig with chains, where it swings on them.
+        points: The same at the rate of apparel, with its displacements.
+        stiffness, gravity: The factors that it was made with.
+        bones: The same on a rig with chains, where apparel swings on them.
     """
 
     body: Animation | RigAnimation
@@ -105,8 +104,8 @@ _VERSION = 1
 
 
 def packed_clip(take: Take) -> bytes:
-    """What the joints of a take do: magic, bytes of the header, a JSON header padded to four bytes, then float32
-    translations [m] (N, K, 3) and quaternions xyzw (N, K, 4), both in the frame of each joint's parent as in the GLB.
+    """The tracks of a take: magic, bytes of the header, a JSON header padded to four bytes, then float32 translations
+    [m] (N, K, 3) and quaternions xyzw (N, K, 4), both in the frame of each joint's parent as in the GLB.
 
     Where apparel is learned, for each primitive that the header names (`parts`: mesh, primitive, rows) follow uint32
     indices of its vertices that leave their skin (R,) and int16 displacements before the skin (N, R, 3), padded to four

@@ -132,19 +132,13 @@ def character_facts(character: Character, handles: Handles) -> dict[str, Any]:
     low, high = character.vertices[character.surface].min(axis=0), character.vertices[character.surface].max(axis=0)
     used = np.flatnonzero(handles.weights.max(axis=0) > 0.01)
     return {
-        "vertices": len(character.vertices),
-        "faces": len(character.faces),
-        "height": round(character.height, 4),
+        "vertices": len(character.vertices), "faces": len(character.faces), "height": round(character.height, 4),
         "bounds": [low.astype(float).round(4).tolist(), high.astype(float).round(4).tolist()],
-        "joints": 0 if character.rig is None else len(character.rig.names),
-        "rig": usable,
-        "physics": physics,
-        "skeleton": _has_skeleton(character),
-        "mmd": mmd_model(character) is not None,
-        "roles": handles.played.tolist(),
-        "positions": handles.positions.astype(float).round(5).tolist(),
+        "joints": 0 if character.rig is None else len(character.rig.names), "rig": usable, "physics": physics,
+        "skeleton": _has_skeleton(character), "mmd": mmd_model(character) is not None,
+        "roles": handles.played.tolist(), "positions": handles.positions.astype(float).round(5).tolist(),
         "used": used.tolist(),
-    }
+    }  # fmt: skip
 
 
 PREVIEWS = "clips"
@@ -237,12 +231,9 @@ class Workspace:
 
                 save_character(shown.character, mesh, shown.handles)
         return {
-            "clip": clip,
-            "skin": skin,
-            "fps": float(take.fps),
-            "frames": len(shown.motion),
+            "clip": clip, "skin": skin, "fps": float(take.fps), "frames": len(shown.motion),
             "seconds": round(len(shown.motion) / take.fps, 4),
             "stiffness": take.stiffness if isinstance(take, Dressed) else None,
             "gravity": take.gravity if isinstance(take, Dressed) else None,
             "worn": take.motion if isinstance(take, Dressed) else None,
-        }
+        }  # fmt: skip

@@ -82,14 +82,8 @@ def export_mesh(context, target, path):
     target.select_set(True)
     context.view_layer.objects.active = target
     try:
-        bpy.ops.export_scene.gltf(
-            filepath=path,
-            export_format="GLB",
-            use_selection=True,
-            export_animations=False,
-            export_skins=False,
-            export_yup=True,
-        )
+        how = {"export_format": "GLB", "export_animations": False, "export_skins": False, "export_yup": True}
+        bpy.ops.export_scene.gltf(filepath=path, use_selection=True, **how)
     finally:
         bpy.ops.object.select_all(action="DESELECT")
         for one in chosen:

@@ -191,23 +191,16 @@ async def about(request: Request) -> Any:
     state = studio_state(request)
     usd = ["usdz"] if importlib.util.find_spec("pxr") is not None else []
     return {
-        "version": __version__,
-        "limits": {"bytes": MOST_BYTES, "seconds": 120, "takes": 8},
+        "version": __version__, "limits": {"bytes": MOST_BYTES, "seconds": 120, "takes": 8},
         "reads": {"characters": CHARACTERS, "motions": MOTIONS, "projects": PROJECTS},
-        "writes": ["glb", "fbx", "bvh", "vrma", "vmd", "npz", *usd],
-        "fps": [FPS.low, FPS.high],
-        "presets": preset_rows(),
-        "samples": list(sample_names()),
-        "folder": state.store.folder.name,
-        "worker": {"warm": state.jobs.warm, "process": state.jobs.process_id},
-        "event": state.jobs.changes.last,
-        "trouble": state.store.trouble,
-        "set_aside": state.store.set_aside,
-        "characters": state.store.all("characters"),
-        "takes": state.store.all("takes"),
+        "writes": ["glb", "fbx", "bvh", "vrma", "vmd", "npz", *usd], "fps": [FPS.low, FPS.high],
+        "presets": preset_rows(), "samples": list(sample_names()), "folder": state.store.folder.name,
+        "worker": {"warm": state.jobs.warm, "process": state.jobs.process_id}, "event": state.jobs.changes.last,
+        "trouble": state.store.trouble, "set_aside": state.store.set_aside,
+        "characters": state.store.all("characters"), "takes": state.store.all("takes"),
         "projects": [shown_project(record) for record in state.store.all("projects")],
         "jobs": [public(job) for job in state.jobs.all() if job["state"] in ("waiting", "running", "interrupted")],
-    }
+    }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -242,15 +235,12 @@ async def understand(request: Request) -> Any:
     found = await run_in_threadpool(understood, words)
     clips = await run_in_threadpool(search, words)
     return {
-        "clips": [clip.name for clip in clips[:SUGGESTED]],
-        "ok": found.ok,
-        "language": found.language,
+        "clips": [clip.name for clip in clips[:SUGGESTED]], "ok": found.ok, "language": found.language,
         "english": found.english,
         "unknown": [{"word": word.word, "start": word.start, "stop": word.stop} for word in found.unknown],
-        "corrected": [list(pair) for pair in found.corrected],
-        "nearest": list(found.nearest),
+        "corrected": [list(pair) for pair in found.corrected], "nearest": list(found.nearest),
         "notes": list(found.notes),
-    }
+    }  # fmt: skip
 
 
 async def changes(request: Request) -> Any:

@@ -214,12 +214,9 @@ def studio_app(folder: Path, keys: Keys | None = None, warm: bool = True) -> Sta
     """The application.
 
     Args:
-        folder: Where it keeps everything.
+        folder: Where it keeps everything; FormatError where it cannot be used.
         keys: What lets a page in; a new token where None.
         warm: Start the worker with the application, and the sample where there is nothing yet.
-
-    Raises:
-        FormatError: The folder cannot be used.
     """
     keys = keys or Keys()
     state = State(Store(folder))
@@ -234,20 +231,12 @@ def studio_app(folder: Path, keys: Keys | None = None, warm: bool = True) -> Sta
             state.stop()
 
     api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, ("/openapi.json", ("GET",), described)]
+    routes = [Route(path, _answered(handler), methods=list(methods)) for path, methods, handler in api]
+    pages = [Route("/", _page), Route("/view.js", _view), Mount("/", app=StaticFiles(directory=STATIC))]
     app = Starlette(
-        routes=[
-            Mount(
-                "/api",
-                routes=[Route(path, _answered(handler), methods=list(methods)) for path, methods, handler in api],
-            ),
-            Route("/", _page),
-            Route("/view.js", _view),
-            Mount("/", app=StaticFiles(directory=STATIC)),
-        ],
-        middleware=[Middleware(Guard, keys=keys)],
-        lifespan=lifespan,
+        routes=[Mount("/api", routes=routes), *pages], middleware=[Middleware(Guard, keys=keys)], lifespan=lifespan,
         exception_handlers={HTTPException: _no_such_page},
-    )
+    )  # fmt: skip
     app.state.studio, app.state.keys = state, keys
     app.state.openapi = document_of(api, __version__, READS)
     return app
