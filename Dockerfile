@@ -1,15 +1,16 @@
 # The studio behind a password, for other machines:
 #   docker build -t bunraku .
 #   docker run --rm -p 8734:8734 -e BUNRAKU_STUDIO_PASSWORD='a long password' -v bunraku:/data bunraku
-FROM python:3.12-slim AS wheels
+FROM python:3.12.12-slim-bookworm AS wheels
 
 # some packages come as sources alone, in C++
 RUN apt-get update && apt-get install --yes --no-install-recommends g++
-COPY pyproject.toml README.md LICENSE NOTICE /source/
+COPY pyproject.toml requirements.lock README.md LICENSE NOTICE /source/
 COPY src /source/src
-RUN pip wheel --no-cache-dir --wheel-dir /wheels '/source[compressed,studio]'
+# the versions that were tested together
+RUN pip wheel --no-cache-dir --constraint /source/requirements.lock --wheel-dir /wheels '/source[compressed,studio]'
 
-FROM python:3.12-slim
+FROM python:3.12.12-slim-bookworm
 
 # a compiler for the loops that draw previews
 RUN apt-get update && apt-get install --yes --no-install-recommends gcc libc6-dev \

@@ -21,6 +21,8 @@ TORCH ?= torch==2.13.0
 # Which build of PyTorch `make develop` takes: "auto" asks uv for the one that fits the graphics card that is there, and for the one without CUDA where there is none;
 # "cpu", or another name that uv knows, asks for that; "pip" takes what pip finds, as its own settings (an index of yours, say) tell it.
 TORCH_BACKEND ?= auto
+# A file of versions to take, such as requirements.lock, which holds those that were tested together; tools/make_lock.py writes it.
+LOCK ?=
 PROMPT ?= a person walks forward
 SAMPLE ?= person
 COUNT ?= 100000
@@ -35,6 +37,7 @@ DEVELOP := .venv/.developing
 .DEFAULT_GOAL := help
 # Python compiles what it imports when it first does; compiling all that is installed would take 200 MB and half the time.
 PIP := .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile
+LOCKED := $(if $(LOCK),--constraint $(LOCK))
 
 .PHONY: help install develop demo studio quick test docs browser fuzz stops soak lint format wheel clean
 
@@ -62,11 +65,11 @@ develop: $(DEVELOP)
 	@touch $@
 
 $(READY): .venv/pyvenv.cfg pyproject.toml
-	$(PIP) -e .
+	$(PIP) $(LOCKED) -e .
 	@touch $@
 
 $(DEVELOP): .venv/.torch pyproject.toml
-	$(PIP) -e '.[dev]'
+	$(PIP) $(LOCKED) -e '.[dev]'
 	@touch $@ $(READY)
 
 demo: $(READY) demo/$(SAMPLE).glb

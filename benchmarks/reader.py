@@ -65,7 +65,7 @@ def rules(sentence: str) -> Frames:
 def _frames_of(clause: Any) -> Frames:
     from bunraku.language.posing import Posing
 
-    posing = clause.told if isinstance(clause.told, Posing) else None
+    posing = clause.detail if isinstance(clause.detail, Posing) else None
     stance = clause.stance or (posing.stance if posing else None)
     side = "left" if "left go" in clause.cues else "right" if "right go" in clause.cues else ""
     along = "backward" if "backwards" in clause.cues else "forward" if "forward" in clause.cues else ""

@@ -152,7 +152,7 @@ def time_size(size: int) -> dict[str, float]:
     from bunraku.core.animation import Animation
     from bunraku.core.geometry.simplify import network_mesh
     from bunraku.core.nn.checkpoints import shipped_checkpoint
-    from bunraku.core.skinning import skin, skin_basis, skin_reference
+    from bunraku.core.skinning import skin, skin_basis
     from bunraku_lab.nn.graph import EdgeConv, edge_conv_reference, mesh_graph
     from bunraku_lab.nn.handles import HandlePredictor
 
@@ -184,10 +184,6 @@ def time_size(size: int) -> dict[str, float]:
         animation = bunraku.animate(character, "a person walks forward", seconds=FRAMES / 20, handles=handles)
         transforms = animation.motion.transforms(handles.positions)
         row["skin"] = best(lambda: skin(character.vertices, handles.weights, transforms), 9)
-        few = max(1, FRAMES // 40)
-        row["skin_reference"] = (
-            best(lambda: skin_reference(character.vertices, handles.weights, transforms[:few]), 2) * FRAMES / few
-        )
         left = np.ascontiguousarray(transforms.transpose(0, 2, 1, 3)).reshape(3 * FRAMES, -1)
         right = skin_basis(character.vertices, handles.weights)
         product = best(lambda: left @ right, 9)

@@ -2,12 +2,16 @@ import functools
 import gc
 import json
 import os
+import signal
 import sys
 from pathlib import Path
 
 # Before numpy and torch are loaded, here and in every process that tests start. Threads spin while they wait for each
 # other, which was a fifth of the processor time of tests/pipelines; tests of threads set their own number.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # A shell that starts the tests in the background has Ctrl-C ignored, and so would all processes that tests start.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 if sys.dont_write_bytecode:  # else each process compiles torch's Python anew, which takes longer than all else it does
     sys.dont_write_bytecode = False
     del os.environ["PYTHONDONTWRITEBYTECODE"]

@@ -9,6 +9,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import bunraku
 
@@ -67,7 +69,7 @@ def test_unknown_name_is_an_attribute_error():
 def test_every_error_is_a_bunraku_error():
     errors = importlib.import_module("bunraku.errors")
     for name in errors.__all__:
-        assert issubclass(getattr(errors, name), bunraku.BunrakuError)
+        assert not name.endswith("Error") or issubclass(getattr(errors, name), bunraku.BunrakuError)
 
 
 def test_version_is_said_once():
@@ -117,6 +119,31 @@ def test_every_import_is_a_declared_dependency():
     }
     assert packages - declared <= optional  # used inside functions that say what is missing
     assert not declared - packages
+
+
+def test_the_lock_fits_what_is_declared():
+    """Every package that the image and CI install has one version there, within the bounds, and no host is named."""
+    pins = {}
+    for line in (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            name, version = re.fullmatch(r"([a-z0-9-]+)==([\w.+]+)", line).groups()
+            assert pins.setdefault(name, version) == version
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    texts = [*project["dependencies"], *(text for name in ("dev", "studio", "compressed") for text in extras[name])]
+    for text in texts:
+        requirement = Requirement(text)
+        name = canonicalize_name(requirement.name)
+        if name not in ("bunraku", "torch"):
+            assert requirement.specifier.contains(pins[name], prereleases=True), text
+    assert all("<" in text for text in project["dependencies"])
+
+
+def test_the_image_is_built_from_an_exact_base_with_the_lock():
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    bases = re.findall(r"^FROM (\S+)", text, re.MULTILINE)
+    assert len(bases) == 2 and all(re.fullmatch(r"python:\d+\.\d+\.\d+-slim-\w+", base) for base in bases)
+    assert "requirements.lock" in text and "requirements.lock" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 
 
 def test_the_api_page_has_every_public_name():

@@ -3,13 +3,7 @@
 
 import { Vector3 } from "three";
 import type { Model } from "./model";
-
-export interface Worn {
-  /** A byte for each vertex of the character. */
-  mask: Uint8Array;
-  /** Which of them each row of a primitive is, by mesh and primitive: "0:1". */
-  rows: Map<string, Uint32Array>;
-}
+import type { Worn } from "./types";
 
 export function parseWorn(data: ArrayBuffer): Worn {
   const view = new DataView(data);

@@ -15,9 +15,9 @@ import {
   type Object3D,
 } from "three";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
-import type { Worn } from "./brush";
 import { between, poseBones, type Clip } from "./clip";
 import { Springs, type SpringDocument } from "./springs";
+import type { Worn } from "./types";
 
 export interface Model {
   key: string;

@@ -3,9 +3,10 @@
 import { signal } from "@preact/signals";
 import type { Ray } from "three";
 import { bytes, poked } from "./api";
-import { packMask, parseWorn, Surface, type Worn } from "./brush";
+import { packMask, parseWorn, Surface } from "./brush";
 import type { Model } from "./model";
 import { attempt, brush, character, painting, remember } from "./state";
+import type { Worn } from "./types";
 
 /** What is painted, or being painted; the number changes whenever the mask does. */
 export const worn = signal<{ owner: string; worn: Worn; strokes: number } | null>(null);

@@ -204,3 +204,11 @@ export interface Doc {
   /** What moves: the handles, or the bones of the file's own skeleton. */
   rig: "handles" | "own";
 }
+
+/** Which vertices of a character are hair and clothes. */
+export interface Worn {
+  /** A byte for each vertex of the character. */
+  mask: Uint8Array;
+  /** Which of them each row of a primitive is, by mesh and primitive: "0:1". */
+  rows: Map<string, Uint32Array>;
+}

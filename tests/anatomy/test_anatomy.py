@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.joints import by_limb, find_joints, limb_views, reference_joints, refined_joints
+from bunraku.anatomy.legs import BodyPlan
 from bunraku.anatomy.names.bone_names import handle_of_joints, rig_handles
-from bunraku.anatomy.plan import BodyPlan
 from bunraku.anatomy.rest_pose import rest_rotations
 from bunraku.core.animation import Animation
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES, handle_names

@@ -273,7 +273,7 @@ def test_points_are_pushed_out_in_any_pose(ball):
 
 
 def test_only_points_near_the_body_are_looked_at_and_none_is_missed(ball):
-    """Against the distance of every point: whoever is less far than its gap, by less than the most, is moved."""
+    """Against the distance of every point: those nearer than their gaps, by less than the most, are moved."""
     random = np.random.default_rng(1)
     points = random.uniform(-0.4, 0.4, (3000, 3)).astype(np.float32)
     gap = random.uniform(-0.05, 0.5 * CELL, len(points)).astype(np.float32)

@@ -159,6 +159,29 @@ def test_an_interrupt_at_the_start_is_one_line(good, after):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows sends no such signal")
+def test_an_interrupt_that_is_ignored_stays_ignored():
+    """As for a command that a shell starts in the background."""
+    code = (
+        "import signal\n"
+        "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+        "import sys, bunraku.cli, bunraku.__main__ as command\n"
+        "real = bunraku.cli.main\n"
+        "bunraku.cli.main = lambda: (signal.raise_signal(signal.SIGINT), real())[1]\n"
+        "sys.argv = ['bunraku', '--version']\n"
+        "command.run()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stderr == "" and done.stdout.startswith("bunraku ")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows sends no such signal")
+def test_processes_that_tests_start_can_be_interrupted():
+    """Also where the tests themselves run in the background, as with `nohup make test &`."""
+    code = "import signal; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "True\n"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows sends no such signal")
 def test_an_interrupt_after_all_is_done_says_nothing():
     code = (
         "import atexit, os, signal, sys, bunraku.cli\n"

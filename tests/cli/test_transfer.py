@@ -19,7 +19,7 @@ from bunraku.cli import main
 from bunraku.cli.animate import characters_of, clips_of, passes
 from bunraku.cli.manifest import note_done
 from bunraku.cli.outputs import run_results, unfinished_results
-from bunraku.cli.transfer import Transfer, batches, holds_character, pairs_of, transfer_pairs
+from bunraku.cli.transfer import Transfer, batches, pairs_of, transfer_pairs
 from bunraku.core.animation import RigAnimation
 from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.body.reference import reference_body
@@ -27,7 +27,7 @@ from bunraku.core.files import weights_file
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import FormatError
-from bunraku.files import load_character
+from bunraku.files import holds_character, load_character
 from bunraku.files.clips import load_clip
 from bunraku.files.mmd.vmd import load_vmd
 from bunraku.files.motions.bvh import write_bvh

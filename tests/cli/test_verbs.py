@@ -221,6 +221,13 @@ def test_what_is_whole_is_named_when_the_rest_fails(tmp_path, monkeypatch, capsy
     assert "wrote walk.glb" in said.out and "the disk is full" in said.err
 
 
+def test_a_sample_becomes_the_file_that_is_named(tmp_path, fails):
+    assert main(["samples", "person", "-o", str(tmp_path / "hero.glb")]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["hero.glb"] and (tmp_path / "hero.glb").is_file()
+    assert "do not go into one file" in fails("samples", "person", "dog", "-o", tmp_path / "two.glb")
+    assert "end the name in .glb" in fails("samples", "person", "-o", tmp_path / "hero.obj")
+
+
 def test_limits_and_defaults_agree_with_the_library():
     sequence, generate = (
         importlib.import_module("bunraku.language.prompts"),

@@ -80,9 +80,8 @@ def test_nothing_is_left(tmp_path, how, after):
     started = below(process.pid)
     sender = os.killpg if how == "interrupt all" else os.kill
     sender(process.pid, signal.SIGKILL if how == "kill" else signal.SIGINT)
-    before = time.monotonic()
-    process.wait(20)
-    wait_for(lambda: not any(map(alive, started)), 2 - (time.monotonic() - before))
+    process.wait(60)
+    wait_for(lambda: not any(map(alive, started)), 60)  # they would sleep for longer
     if how != "kill":
         assert process.returncode == 130 and process.stderr.read() == ""
 
@@ -102,7 +101,7 @@ def test_an_error_ends_the_workers():
     with pytest.raises(ValueError, match="wrong"), Pool(1) as pool:
         pool.submit(time.sleep, 60)
         raise ValueError("wrong")
-    assert time.monotonic() - before < 5
+    assert time.monotonic() - before < 50  # and not the worker's 60 s
 
 
 PROGRAM = '''

@@ -281,11 +281,11 @@ def test_a_text_file_of_1_gb_is_refused_unread(tmp_path):
         file.write(b"It was a dark and stormy night. " * 100)
         file.truncate(1 << 30)
     tracemalloc.start()
-    start = time.perf_counter()
+    start = time.process_time()
     for reader in (load_motion, load_bvh):
         with pytest.raises(FormatError, match=r"novel\.bvh: 1024 MiB"):
             reader(path)
-    assert time.perf_counter() - start < 2 and tracemalloc.get_traced_memory()[1] < 10 << 20
+    assert time.process_time() - start < 2 and tracemalloc.get_traced_memory()[1] < 10 << 20
     tracemalloc.stop()
 
 
@@ -343,10 +343,10 @@ def test_files_that_mean_harm_get_one_sentence(tmp_path):
     header = "HIERARCHY\nROOT r\n{\nOFFSET 0 0 0\nCHANNELS 1 Xrotation\n%s}\nMOTION\nFrames: %d\nFrame Time: 0.1\n"
     with pytest.raises(FormatError, match="CHANNELS"):
         read(tmp_path, (header % ("", 1)).replace("CHANNELS 1", "CHANNELS " + "9" * 5000) + "0")
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(FormatError, match="no number"):
         read(tmp_path, header % ("", 1) + "1" * 100_000 + "x")
-    assert time.perf_counter() - start < 5  # and not the square of the length
+    assert time.process_time() - start < 5  # and not the square of the length
     with pytest.raises(FormatError, match="cut off"):
         read(tmp_path, header % ("", 1) + " \n \n")  # blanks are no number
     twice = (

@@ -74,10 +74,10 @@ def test_a_file_of_3_gb_is_refused_unread(tmp_path):
     path = tmp_path / "huge.glb"
     with path.open("wb") as file:
         file.truncate(3 << 30)
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(FormatError, match=r"3\.0 GiB but at most 2 GiB"):
         load_character(path)
-    assert time.perf_counter() - start < 0.5
+    assert time.process_time() - start < 0.5
 
 
 def test_truncated_files(tmp_path):

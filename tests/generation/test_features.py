@@ -14,11 +14,11 @@ from bunraku.generation.features import (
     decode,
     encode,
     feature_weights,
-    is_rotation,
     mirror,
     standing_legs,
 )
 from bunraku.generation.splicing import join_point, splice
+from bunraku_lab.training.rows.clips import is_rotation
 
 
 def smooth_motion(frames=60, seed=0, fps=20.0, canonical=False):

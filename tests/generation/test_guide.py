@@ -227,7 +227,7 @@ def test_standing_on_one_leg_is_nothing_to_be_joined_to(pack, features):
 def test_an_example_that_begins_bent_is_passed_over_where_there_is_another(pack):
     kick = pack.features(1)
     bent = kick.copy()
-    bent[0, 10:] += 0.5  # nobody stands like that
+    bent[0, 10:] += 0.5  # no person stands like that
     standing = np.repeat(kick[:1], 40, axis=0)
 
     class Known(ExamplePack):
@@ -364,7 +364,7 @@ def test_who_sits_with_crossed_legs_is_no_gesture_of_sitting(networks):
 
 
 @pytest.mark.parametrize(("seat", "texts"), [("ground", "on the floor"), ("chair", "on a chair")])
-def test_legs_are_crossed_where_somebody_sits(networks, seat, texts):
+def test_legs_are_crossed_where_a_person_sits(networks, seat, texts):
     for seed in range(3):
         for one in offered(networks, f"sits on the {seat} and crosses his legs", seed)[0]:
             assert one.name.startswith("gesture_cross_legs") and texts in one.texts[1]
@@ -373,7 +373,7 @@ def test_legs_are_crossed_where_somebody_sits(networks, seat, texts):
 def test_a_thing_goes_through_its_places_or_is_picked_up_as_captured(networks):
     def of(prompt):
         found, clauses = known(networks, prompt)
-        return [one.told for one in found._found[clauses[0].text]]
+        return [one.detail for one in found._found[clauses[0].text]]
 
     assert [one.steps[-1].place for one in of("puts a box on a shelf to the left")] == [("high", "left")]
     assert of("a person picks up something from the floor")[0] is None
@@ -426,7 +426,7 @@ def test_what_adds_nothing_is_a_gesture_with_its_count(networks, prompt, gesture
     assert [one.name.rpartition("_")[0] for one in examples] == [gesture] and counts == [count]
 
 
-def test_either_hand_waves_where_none_is_named_and_nobody_salutes_with_the_left(networks):
+def test_either_hand_waves_where_none_is_named_and_no_salute_is_with_the_left(networks):
     def hands(prompt):
         found, clauses = known(networks, prompt)
         return {found.of([(clauses[0], 120)], (seed, 0), 0).found[0].mirrored for seed in range(24)}

@@ -359,8 +359,9 @@ def test_takes():
 def test_the_sampler_retrieves_for_the_sentence_from_the_shipped_examples(running):
     """Motions of a network that attends to examples differ from those that it makes where none is usable."""
     from bunraku.generation import attended
-    from bunraku.generation.sampler import Solver, sample
+    from bunraku.generation.sampler import Solver
     from bunraku.language.encoders import text_encoder
+    from bunraku_lab.evaluation.motion.samples import sample
 
     name = "all-MiniLM-L6-v2+cues"
     encoder = text_encoder(name)

@@ -19,7 +19,6 @@ from bunraku.generation.sampler import (
     GUIDED_FROM,
     LED_UNTIL,
     ROOT,
-    Known,
     Noise,
     Solver,
     Steering,
@@ -27,13 +26,13 @@ from bunraku.generation.sampler import (
     alphas_cumprod,
     dpm_solver,
     guided,
-    sample,
+    row_noise,
     sample_windows,
     sampling_steps,
-    starting_noise,
     token_share,
 )
 from bunraku.language.encoders import TextBatch
+from bunraku_lab.evaluation.motion.samples import sample
 
 FEATURES = 6
 
@@ -41,6 +40,10 @@ FEATURES = 6
 @pytest.fixture
 def model(running):
     return running(features=FEATURES, handles=3)
+
+
+def noise_of(rows, frames, features, seed):
+    return np.stack([row_noise(frames, features, seed, row) for row in range(rows)])
 
 
 def normal(*shape, seed=0):
@@ -66,7 +69,7 @@ def test_dpm_solver_walks_the_path_of_diffusers(count):
     )  # fmt: skip
     scheduler.set_timesteps(timesteps=sampling_steps(count))
     torch = pytest.importorskip("torch")
-    noise = starting_noise(2, 12, 5, seed=3)
+    noise = noise_of(2, 12, 5, seed=3)
     x, path = torch.from_numpy(noise), []
     for step in scheduler.timesteps:
         path.append(x)
@@ -83,7 +86,7 @@ def test_dpm_solver_walks_the_path_of_diffusers(count):
 
 
 def test_the_sampler_finds_what_an_oracle_knows():
-    truth, noise = normal(2, 30, 4), starting_noise(2, 30, 4, 1)
+    truth, noise = normal(2, 30, 4), noise_of(2, 30, 4, 1)
     for steps in (1, 5, 20):
         close(dpm_solver(lambda x, step: truth, noise, sampling_steps(steps)), truth)
 
@@ -96,7 +99,7 @@ def test_the_sampler_draws_from_the_right_distribution():
         share = float(curve[step])
         return mean + share**0.5 * deviation**2 / (share * deviation**2 + 1 - share) * (x - share**0.5 * mean)
 
-    noise = starting_noise(1, 200, 100, 5)
+    noise = noise_of(1, 200, 100, 5)
     values = dpm_solver(best, noise, sampling_steps(50))
     assert float(values.mean()) == pytest.approx(mean, abs=0.02)
     assert float(values.std()) == pytest.approx(deviation, abs=0.03)
@@ -156,7 +159,7 @@ def test_known_frames_are_kept(model, encoder):
     values = normal(1, 24, FEATURES)
     share = np.zeros(24, np.float32)
     share[:6] = share[20:] = 1
-    found = sample(model, encoder.encode(["walks"]), 24, Solver(6), known=Known(values, share)).values
+    found = sample(model, encoder.encode(["walks"]), 24, Solver(6), known=(values, share)).values
     close(found[:, :6], values[:, :6])
     close(found[:, 20:], values[:, 20:])
     assert np.abs(found[:, 6:20] - values[:, 6:20]).max() > 0.1
@@ -172,7 +175,7 @@ def test_tokens_are_trusted_least_at_their_edges():
 def test_known_features_are_kept(model, encoder):
     values, share = normal(2, 24, FEATURES), np.zeros((24, FEATURES), np.float32)
     share[:, :2] = share[5, 3] = 1
-    text, known = encoder.encode(["walks", "runs"]), Known(values, share)
+    text, known = encoder.encode(["walks", "runs"]), (values, share)
     found = sample(model, text, 24, Solver(6), known=known).values
     kept = np.broadcast_to(share > 0, values.shape)
     close(found[kept], values[kept])
@@ -198,7 +201,7 @@ def test_padding_does_not_count_in_rescaling(model, encoder):
 
 
 def test_a_guide_is_where_the_motion_starts_from_and_others_beside_it_are_as_without(model, encoder):
-    noise = starting_noise(2, 40, FEATURES, 5).reshape(80, -1)
+    noise = noise_of(2, 40, FEATURES, 5).reshape(80, -1)
     windows = [Window(np.arange(row * 40, row * 40 + 40), np.ones(40, np.float32), row) for row in range(2)]
     text = encoder.encode(["a person waves", "a person kicks"])
     truth = np.sin(np.arange(80)[:, None] / 5 + np.arange(FEATURES)).astype(np.float32)

@@ -99,16 +99,16 @@ def test_what_is_no_deed_at_a_thing_or_not_all_that_is_done_is_none(text):
 
 def test_it_is_what_was_named_before():
     first, second = parse("a person walks to the door, then opens it").clauses
-    assert first.told is None and second.told.deed == "swing open"
+    assert first.detail is None and second.detail.deed == "swing open"
     (clause,) = parse("walks over to the horse and strokes its mane").clauses
-    assert [part.told and part.told.deed for part in clause.parts] == [None, "stroke"]
+    assert [part.detail and part.detail.deed for part in clause.parts] == [None, "stroke"]
     (clause,) = parse("a person lifts a box and throws it").clauses
     assert clause.text.endswith("throws it")
 
 
 def test_who_walks_and_sips_has_two_voices():
     (clause,) = parse("walks while sipping tea").clauses
-    assert clause.body.text == "a person walks" and clause.meanwhile.told.deed == "sip"
+    assert clause.body.text == "a person walks" and clause.meanwhile.detail.deed == "sip"
 
 
 def test_words_of_things_are_understood_where_something_is_done_with_them():
@@ -179,7 +179,7 @@ def test_other_ways_and_what_nobody_walks_on_are_none(text):
 
 def test_who_waves_on_the_way_through_snow_does_both():
     (clause,) = parse("a person walks through the snow while waving").clauses
-    assert clause.body.told.ground == "deep" and clause.meanwhile.actions == ("wave",)
+    assert clause.body.detail.ground == "deep" and clause.meanwhile.actions == ("wave",)
 
 
 def told(text):
@@ -240,7 +240,7 @@ def test_only_what_says_more_than_the_floor_is_more_than_picking_up():
 
 def test_a_thing_that_is_not_let_go_of_makes_one_clause():
     (one,) = parse("a person picks up a box, then places it on the shelf").clauses
-    assert [station.does for station in one.told.steps] == ["take", "hold", "put"]
+    assert [station.does for station in one.detail.steps] == ["take", "hold", "put"]
     assert one.seconds == pytest.approx(6)
     assert len(parse("a person puts a box down, then picks up a cup").clauses) == 2
 
@@ -325,6 +325,6 @@ def test_gestures_of_looking_and_what_is_done_beside_it_are_none(text):
 
 def test_what_limbs_do_beside_a_ground_is_a_voice_of_its_own_and_a_look_down_at_a_cliff_is_none():
     (clause,) = parse("stands at a precipice and looks down").clauses
-    assert clause.told.lean > 10 and not clause.voices
+    assert clause.detail.lean > 10 and not clause.voices
     (clause,) = parse("walks through the snow with the arms raised").clauses
-    assert clause.body.told.ground == "deep" and clause.meanwhile.text == "the arms raised"
+    assert clause.body.detail.ground == "deep" and clause.meanwhile.text == "the arms raised"

@@ -108,7 +108,7 @@ def test_the_mirror_image_of_what_is_said():
 
 def test_limbs_one_after_the_other_are_one_clause():
     (clause,) = parse("a person kneels down, then raises both arms, then lowers them").clauses
-    assert clause.told.stance.goes and len(clause.told.steps) == 2
+    assert clause.detail.stance.goes and len(clause.detail.steps) == 2
 
 
 def test_the_other_limb():
@@ -120,7 +120,7 @@ def test_the_other_limb():
 
 def test_a_limb_that_is_the_subject():
     clause = clause_of("one leg swings back and forth")
-    assert clause.told.steps[0].again and clause.told.targets[0].limb == "leg"
+    assert clause.detail.steps[0].again and clause.detail.targets[0].limb == "leg"
 
 
 def test_the_other_hand_is_free():
@@ -136,7 +136,7 @@ def test_who_is_down_stays_down():
     assert sat.stance is None and waves.stance.name == "seat" and raises.stance is None
     assert raises.limbs_meanwhile.stance is None
     *_, last = parse("kneels down, claps, then raises both arms").clauses
-    assert last.told.stance.name == "kneel" and not last.told.stance.goes
+    assert last.detail.stance.name == "kneel" and not last.detail.stance.goes
 
 
 def test_hands_that_take_a_limb():

@@ -10,6 +10,7 @@ from bunraku.apparel.physics.rig import apparel_rig
 from bunraku.cli.app import main
 from bunraku.core.animation import RigAnimation
 from bunraku.core.nn.checkpoints import shipped_checkpoint
+from bunraku.core.travel import GroundPath
 from bunraku.errors import CharacterError, OptionError
 from bunraku.files.mmd.write import pmx_bytes, pmx_file
 from bunraku.pipelines.animate import animate, generate, rig
@@ -56,6 +57,31 @@ def test_the_same_seed_gives_the_same_animation(person, walk):
     other = animate(person, PROMPT, seconds=2.0, seed=1)
     assert np.array_equal(again.vertices(), walk.vertices())
     assert difference(other.vertices(), walk.vertices(), person.height) > 0.05
+
+
+def test_files_numbers_of_numpy_and_points_are_taken(person, tmp_path):
+    path = bunraku.save_character(person, tmp_path / "person.glb")
+    short = {"seconds": 0.5, "steps": 1, "candidates": np.int32(1)}
+    known = animate(bunraku.load_character(path), PROMPT, seed=1, path=GroundPath(((0, 0), (0, 1))), **short)
+    given = animate(str(path), PROMPT, seed=np.int64(1), path=[(0, 0), (0, 1)], **short)
+    assert np.array_equal(given.vertices(), known.vertices())
+    assert np.array_equal(rig(path).positions, known.handles.positions)
+    moved = bunraku.transfer(path, generate(PROMPT, seed=np.int64(1), **short))
+    assert moved.character.name == known.character.name
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ({"seed": None}, "seed must be a whole number"),
+        ({"seed": 1.5}, "seed must be a whole number"),
+        ({"candidates": "many"}, "candidates must be a whole number"),
+        ({"path": [(0, 0, 0), (1, 2, 3)]}, "path is a GroundPath"),
+    ],
+)
+def test_arguments_of_a_wrong_type_get_a_sentence(person, how, said):
+    with pytest.raises(OptionError, match=said):
+        animate(person, PROMPT, **how)
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(0.01, (0, 0, 0)), (128.0, (0, 0, 0)), (1.0, (3.0, 4.0, -2.0))])

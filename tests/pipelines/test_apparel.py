@@ -20,7 +20,7 @@ from bunraku.errors import CharacterError, OptionError
 from bunraku.files.samples import sample_character
 from bunraku.pipelines.animate import animate, rig
 from bunraku.pipelines.apparel import dressed, learned
-from bunraku.pipelines.clothes import MOST, apparel_of, excess_apparel_note
+from bunraku.pipelines.clothes import MOST, body_of_handles, excess_apparel_note, may_have_apparel, separate_apparel
 from bunraku.pipelines.requests import Apparel, Constraints, Loop, Request
 from bunraku.pipelines.transfer import transfer
 from bunraku_lab.nn.apparel import DisplacementNetwork, SegmentationNetwork
@@ -158,13 +158,14 @@ def test_joints_lie_between_their_handles():
 
 def test_animals_wear_nothing() -> None:
     dog = sample_character("dog")
-    assert not apparel_of(dog, rig(dog)).any()
+    assert not may_have_apparel(Anatomy.of(dog, rig(dog)))
 
 
 def test_a_mask_counts_on_anybody() -> None:
     dog = sample_character("dog")
     mask = dog.vertices[:, 1] > np.quantile(dog.vertices[:, 1], 0.8)
-    assert apparel_of(dog, rig(dog), mask).any()
+    weights, joints = body_of_handles(dog, rig(dog))
+    assert separate_apparel(dog, joints, weights, mask).apparel.any()
 
 
 def test_too_much_is_asked_about() -> None:

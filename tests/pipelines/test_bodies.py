@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.plan import BodyPlan
+from bunraku.anatomy.legs import BodyPlan
 from bunraku.core.body.reference import reference_body
 from bunraku.core.motion import MeshMotion
 from bunraku.language.parse import for_body, parse

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gaits import gait_of
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import further_limbs
@@ -20,7 +21,6 @@ from bunraku.generation.features import body_handle_motion
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.stages.animals import Gait, Swings, pairs_of
 from bunraku.retarget.stages.stage import Fitting
-from bunraku_lab.evaluation.motion.viewer import gait_of
 from bunraku_lab.synthetic.samples import make_sample
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}

@@ -10,8 +10,8 @@ import pytest
 import bunraku
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import attach_joints
+from bunraku.anatomy.legs import BodyPlan, check_plans
 from bunraku.anatomy.names.bone_names import handle_of_joints
-from bunraku.anatomy.plan import BodyPlan, check_plans
 from bunraku.core.animation import Animation
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.core.body.reference import reference_body

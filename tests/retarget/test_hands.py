@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from look import hands_in_body
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.names.bone_names import rig_handles
@@ -20,7 +21,6 @@ from bunraku.pipelines.animate import rig
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.pins import PINNED, Pin, end_positions, limb_ends, meet_pins, spread
 from bunraku.retarget.stages.hands import BodySurface, HandsClear
-from bunraku_lab.evaluation.motion.viewer import hands_in_body
 from bunraku_lab.synthetic.samples import make_sample
 
 PLAIN = Stages(ground=False, feet=False, smooth=False, floor=False)

@@ -352,7 +352,7 @@ def test_models_that_ask_for_hours_are_refused_before_they_are_posed():
     length = 600  # one chain, and half of it are goals of inverse kinematics that turn all above them, a thousand times
     chain = [bone(str(index), (0, index, 0), index - 1) for index in range(length)]
     greedy = MmdIk(length - 1, 1000, 1.0, tuple(MmdIkLink(index) for index in range(length - 2, length - 258, -1)))
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(MotionError, match="too many"):
         pose_mmd(
             model_of(*chain, *(bone(f"goal {number}", (1, 1, 1), ik=greedy, layer=1) for number in range(300))), {}
@@ -362,7 +362,7 @@ def test_models_that_ask_for_hours_are_refused_before_they_are_posed():
     ]
     with pytest.raises(MotionError, match="too many"):
         pose_mmd(model_of(*takers), {})
-    assert time.perf_counter() - start < 2
+    assert time.process_time() - start < 2
     with pytest.raises(MotionError, match="10,000,000 frames"):
         pose_mmd(plain, {}, frames=10_000_000)
 

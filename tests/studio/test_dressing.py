@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from packed import unpacked_apparel, unpacked_clip
 from scipy.spatial import cKDTree
 
 from bunraku import load_character
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.apparel.chains.avatars import VrmValues, between_frames, link_turns, vrm_steps
+from bunraku.apparel.chains.avatars import between_frames, link_turns, vrm_steps
 from bunraku.apparel.mask import artist_mask
 from bunraku.core.animation import Animation, PointAnimation, RigAnimation
 from bunraku.core.avatars import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
@@ -49,8 +50,6 @@ from bunraku.studio.wire import (
     packed_clip,
     save_handles,
     save_take,
-    unpacked_apparel,
-    unpacked_clip,
 )
 from bunraku.studio.workspace import Settings, Workspace, opened_character
 from bunraku_lab.synthetic.samples import make_sample
@@ -205,7 +204,7 @@ def test_what_is_worn_is_found(file):
 
 def test_too_many_places_are_refused_before_the_work(monkeypatch):
     dragon = sample_character("dragon")
-    monkeypatch.setattr(dressing, "MOST_PLACES", 100_000)
+    monkeypatch.setattr(dressing, "MOST_POSITIONS", 100_000)
     with pytest.raises(OptionError, match="take at most 0.4"):
         check_fits(Apparel("learn"), dragon, 4.0)
     check_fits(Apparel("learn"), dragon, 0.2)
@@ -447,7 +446,7 @@ def test_the_page_swings_springs_as_the_specification_says(swung, stiffness, dra
     turns, places = swaying()
     rest = rod().rig.positions
     heads = places + np.einsum("nij,j->ni", turns, rest[1] - rest[0])
-    values = VrmValues(*(np.array([[value]]) for value in (stiffness, drag, gravity)))
+    values = tuple(np.array([[value]]) for value in (stiffness, drag, gravity))
     turn, head = between_frames(turns[:, None], heads[:, None], 60.0)
     links = []
     for bone in np.diff(rest[1:], axis=0)[:, None]:

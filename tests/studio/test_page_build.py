@@ -50,6 +50,21 @@ def test_sliders_begin_at_the_guidance_and_the_steps_that_the_library_takes():
     assert found == {"GUIDANCE": GUIDANCE, "STEPS": STEPS}
 
 
+def test_no_modules_of_the_page_import_each_other_in_a_circle():
+    """Imports of types count too."""
+    sources = [path for path in (ROOT / "studio" / "src").iterdir() if path.suffix in (".ts", ".tsx")]
+    imports = {
+        path.name.partition(".")[0]: set(re.findall(r'from "\./([\w-]+)"', path.read_text(encoding="utf-8")))
+        for path in sources
+    }
+    assert imports["main"]
+    left = dict(imports)
+    while leaves := [name for name, others in left.items() if not others & left.keys()]:
+        for name in leaves:
+            del left[name]
+    assert not left
+
+
 def test_the_lock_file_names_no_registry():
     assert "resolved" not in (ROOT / "studio" / "package-lock.json").read_text(encoding="utf-8")
 

@@ -7,6 +7,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from packed import unpacked_clip
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.generation.library import all_clips, clip
@@ -16,7 +17,7 @@ from bunraku.pipelines.requests import Constraints
 from bunraku.studio.forms import Part, TakeForm, read_script
 from bunraku.studio.routes.reading import plain_name
 from bunraku.studio.takes import DRAFT_STAGES
-from bunraku.studio.wire import load_handles, unpacked_clip
+from bunraku.studio.wire import load_handles
 from bunraku.studio.workspace import Workspace
 
 

@@ -108,7 +108,7 @@ def test_twelve_tabs_and_three_hundred_lines_get_their_answers(studio):
     for line in lines:
         line.close()
     print(f"longest answer: {1000 * longest:.0f} ms")
-    assert longest < 5
+    assert longest < 30  # a line that is held waits for 60 s
 
 
 def test_two_tabs_do_not_overwrite_each_others_view(client):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 from conftest import as_somebody, no_space
+from packed import unpacked_clip
 
 import bunraku
 from bunraku.core.geometry.rotations import matrix_from_quaternion
@@ -21,7 +22,7 @@ from bunraku.core.skinning import skin
 from bunraku.files.clips import load_animation, load_clip_animation
 from bunraku.files.gltf.read import read_gltf
 from bunraku.studio.store import Store
-from bunraku.studio.wire import load_handles, unpacked_clip
+from bunraku.studio.wire import load_handles
 from bunraku.studio.workspace import Workspace
 
 FILES = Path(__file__).parents[1] / "files" / "data"

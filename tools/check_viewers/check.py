@@ -22,9 +22,11 @@ from viewers import blender_missing, blender_vertices, godot_missing, godot_vert
 import bunraku
 from bunraku.core.animation import PointAnimation
 from bunraku.errors import BunrakuError
+from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.motions.read import load_motion
+from bunraku.pipelines.requests import TransferRequest
 from bunraku.pipelines.to_reference import reference_motion
-from bunraku.pipelines.transfer import apply_transfer
+from bunraku.pipelines.transfer import fitted_transfer
 from bunraku.retarget.rig_parts import is_humanoid_rig
 
 SECONDS = 3.0
@@ -50,8 +52,10 @@ def written(path: Path, motion: Any, folder: Path) -> Iterator[tuple[str, Path, 
     handles = bunraku.rig(character)
     made: dict[str, Any] = {}
     if is_humanoid_rig(character):
-        made["rig"] = apply_transfer(character, motion, onto="rig")
-    made["handles"] = apply_transfer(character, motion, onto="handles", handles=handles)
+        made["rig"] = fitted_transfer(Animator.shipped(), character, motion, TransferRequest("rig"))
+    made["handles"] = fitted_transfer(
+        Animator.shipped(), character, motion, TransferRequest("handles", handles=handles)
+    )
     made["points"] = waving(made["handles"])
     for kind, animation in made.items():
         frames = [len(motion) // 4, len(motion) // 2, len(motion) - 1]

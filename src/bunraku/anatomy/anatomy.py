@@ -20,8 +20,7 @@ from bunraku.anatomy.joints import (
     reference_joints,
     refined_joints,
 )
-from bunraku.anatomy.legs import Leg, find_arms, find_legs
-from bunraku.anatomy.plan import BodyPlan, Reach, plan_of, standing, stride_scale
+from bunraku.anatomy.legs import BodyPlan, Leg, Reach, find_arms, find_legs, plan_of, standing, stride_scale
 from bunraku.anatomy.rest_pose import block_rest, rest_of_limbs, stance_of, upright
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
@@ -50,11 +49,8 @@ def decimated(character: Character, handles: Handles) -> tuple[Character, Handle
     vertices, used = character.vertices, np.flatnonzero(character.surface)
     low = vertices[used].min(axis=0)
     some = character.faces[:: max(1, len(character.faces) // MANY)]
-    area = (
-        float(vertex_areas(vertices[some.ravel()], np.arange(some.size).reshape(-1, 3)).sum())
-        * len(character.faces)
-        / len(some)
-    )
+    of_some = float(vertex_areas(vertices[some.ravel()], np.arange(some.size).reshape(-1, 3)).sum())
+    area = of_some * len(character.faces) / len(some)
     cell = max(float(np.sqrt(SPREAD * area / CELLS)), 1e-4 * float(np.ptp(vertices[used], axis=0).max()))
     corner = ((vertices[used] - low) / cell).astype(np.int64)
     wide = corner.max(axis=0) + 1
@@ -79,9 +75,8 @@ def decimated(character: Character, handles: Handles) -> tuple[Character, Handle
     again[kept] = np.arange(len(kept))
     light = Character(character.name, ((mean @ vertices[used]) / total)[kept], again[faces[first]])
     shares = ((mean @ weights) / total)[kept]
-    return light, Handles(
-        handles.positions, shares / shares.sum(axis=1, keepdims=True), handles.features, handles.roles, handles.rigid
-    )
+    shares = shares / shares.sum(axis=1, keepdims=True)
+    return light, Handles(handles.positions, shares, handles.features, handles.roles, handles.rigid)
 
 
 _FRONT = ("neck", "head", "head_top", "face")
@@ -194,12 +189,9 @@ class Anatomy:
         if self.known is not None:
             return self.known
         found = iter(self._estimates)
-        if self._views:
-            turns, joints = by_limb(
-                self.mesh_handles, lambda some: rest_of_limbs(self.mesh, some, next(found)), self._views
-            )
-        else:
-            turns, joints = rest_of_limbs(self.mesh, self.mesh_handles, next(found))
+        turns, joints = by_limb(
+            self.mesh_handles, lambda some: rest_of_limbs(self.mesh, some, next(found)), self._views
+        )
         for array in (turns, joints.positions, joints.parents, joints.present):
             array.setflags(write=False)
         return turns, joints

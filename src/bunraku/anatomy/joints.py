@@ -38,9 +38,8 @@ OVERLAP = 5e-3  # share of a part in which its parent has one too, under which t
 ASTRAY = 2.0  # the way from the middle of one part to that of the next by their joint, over the straight one, at most
 TRACE = 0.2  # weight, of a part's largest, under which a vertex is not of the part
 GROUP = 4000  # vertices of a part looked at to find where it meets another
-HIP_BY_THIGH = (
-    0.75  # how far a bent hip follows the thigh instead of the overlap of weights; by archive humanoids made to sit
-)
+HIP_BY_THIGH = 0.75
+"""How far a bent hip follows the thigh instead of the overlap of weights: measured on archive humanoids made to sit."""
 CLOSE = 0.1  # how fast closeness fades, as a share of a part's size
 
 
@@ -185,16 +184,11 @@ def _bent_hips(positions: np.ndarray, present: np.ndarray, h: np.ndarray, rotati
 
 
 def _unbent(
-    character: Character,
-    handles: Handles,
-    areas: np.ndarray,
-    pair: tuple[int, int],
-    rotations: np.ndarray,
+    character: Character, handles: Handles, areas: np.ndarray, pair: tuple[int, int], rotations: np.ndarray,
     joint: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """The vertices of which a handle and its parent both hold a share, shape (n,), what bends each of them back, shape
-    (n, 3, 3), and the mass of each in the overlap, by the area that it has when bent back, shape (n,). None where there
-    is no overlap.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:  # fmt: skip
+    """The vertices of which a handle and its parent both hold a share (n,), what bends each of them back (n, 3, 3), and
+    the mass of each in the overlap, by its area when bent back (n,). None where there is no overlap.
     """
     handle, parent = pair
     own, above = handles.weights[:, handle].astype(np.float64), handles.weights[:, parent].astype(np.float64)
@@ -206,9 +200,8 @@ def _unbent(
     faces = character.faces[near[character.faces].any(axis=1)]
     touched = np.unique(faces)
     share[touched] = np.where(near[touched], share[touched], own[touched] > above[touched])
-    blend = (1 - share[touched])[:, None, None] * rotations[parent].T + share[touched][:, None, None] * rotations[
-        handle
-    ].T
+    part = share[touched][:, None, None]
+    blend = (1 - part) * rotations[parent].T + part * rotations[handle].T
     unbend = inverses(blend + 1e-9 * np.eye(3))
     flat = np.zeros((len(own), 3))
     flat[touched] = np.einsum("vij,vj->vi", unbend, character.vertices[touched] - joint)
@@ -368,11 +361,8 @@ def by_limb(
             handle, above = view.members[role], int(joints.parents[role])
             while above > 0 and view.members[above] < 0:
                 above = HANDLE_PARENTS[above]
-            turns[handle], positions[handle], present[handle] = (
-                turned[role],
-                joints.positions[role],
-                joints.present[role],
-            )
+            turns[handle], present[handle] = turned[role], joints.present[role]
+            positions[handle] = joints.positions[role]
             parents[handle] = view.members[above] if above >= 0 else -1
     return turns, Joints(positions, parents, present)
 

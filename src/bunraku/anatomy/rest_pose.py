@@ -36,10 +36,8 @@ _FOLLOWERS = {f"{side}_{part}": f"{side}_elbow" for side in ("left", "right") fo
 _BUILT_BENT = ([30, 45, 70, 80], [1, 0, 0, 1])  # how far a bent leg is straightened, by its angle [degrees]
 _KNEE = ([20, 40], [0, 1])  # how far the parts of a leg turn on their own, by the bend of the knee [degrees]
 _ELBOW = ([30, 60], [0, 1])  # the same of an arm, by the bend of the elbow; short upper arms are found less exactly
-_SITS, _CROUCHES = (
-    ([55, 65], [0, 1]),
-    ([30, 40], [0, 1]),
-)  # how far a thigh takes its shin with it; without arms and with them
+_SITS, _CROUCHES = ([55, 65], [0, 1]), ([30, 40], [0, 1])
+"""How far a thigh takes its shin with it, by its angle [degrees]; without arms and with them."""
 WIDE = 30.0  # legs that point farther outwards are turned down [degrees]
 ALL_FOURS = 0.5  # arms that end lower than this share of the hips' height over the legs' ends stand, as front legs do
 SHORTEST = 0.02  # limbs shorter than this share of the height have no direction worth a turn
@@ -61,27 +59,19 @@ def rest_rotations(
     """
     out = np.tile(np.eye(3), (len(handles.positions), 1, 1))
     stands = upright(handles)
-    armed = bool(
-        joints.present[
-            [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow")]
-        ].all()
-    )
+    arms = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("shoulder", "elbow"))]
+    armed = bool(joints.present[arms].all())
 
     def direction(part: str, side: str) -> _Limb | None:
         """Of a limb; None where it is absent or too short."""
         handle, child = HANDLE_NAMES.index(f"{side}_{part}"), HANDLE_NAMES.index(f"{side}_{_LIMB_ENDS[part]}")
         if not joints.present[handle]:
             return None
-        if joints.present[child]:
-            own, want = (
-                joints.positions[child] - joints.positions[handle],
-                reference_joints.positions[child] - reference_joints.positions[handle],
-            )
-        else:
-            own, want = (
-                handles.positions[handle] - joints.positions[handle],
-                reference.positions[handle] - reference_joints.positions[handle],
-            )
+        bodies = (joints, handles), (reference_joints, reference)
+        own, want = (
+            (joint.positions[child] if joints.present[child] else body.positions[handle]) - joint.positions[handle]
+            for joint, body in bodies
+        )
         return None if np.linalg.norm(own) < SHORTEST * height else (own, want)
 
     for side in ("left", "right"):
@@ -98,18 +88,11 @@ def rest_rotations(
         if stands:
             hip, knee, ankle = (HANDLE_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle"))
             thigh, leg = direction("hip", side), None
-            if (
-                thigh is not None and joints.present[knee]
-            ):  # a hip sits deep in the body: the middle of the thigh is found more surely
-                thigh = (
-                    joints.positions[knee] - handles.positions[hip],
-                    reference_joints.positions[knee] - reference.positions[hip],
-                )
+            ours, theirs = joints.positions, reference_joints.positions
+            if thigh is not None and joints.present[knee]:  # deep in the body, a hip is less sure than a thigh's middle
+                thigh = ours[knee] - handles.positions[hip], theirs[knee] - reference.positions[hip]
             if joints.present[[hip, ankle]].all():
-                leg = (
-                    joints.positions[ankle] - joints.positions[hip],
-                    reference_joints.positions[ankle] - reference_joints.positions[hip],
-                )
+                leg = ours[ankle] - ours[hip], theirs[ankle] - theirs[hip]
             out[[hip, knee]] = _leg_rotations(thigh, direction("knee", side), leg, armed)
     for name, lead in _FOLLOWERS.items():
         out[HANDLE_NAMES.index(name)] = out[HANDLE_NAMES.index(lead)]

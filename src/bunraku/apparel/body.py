@@ -1,5 +1,5 @@
-"""The body under apparel: one set of joints for all characters, its surface without apparel, its points, and how deep a
-point is in it.
+"""The body under apparel: one set of joints for all characters, its surface without apparel, its points, and the depth
+of a point in it.
 """
 
 from __future__ import annotations
@@ -35,24 +35,16 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class UnifiedBody:
-    """A character's rig as SMPL's 22 joints.
+    """A character's rig as SMPL's 22 joints."""
 
-    Args:
-        parts: The rig's bones as parts of the reference body.
-        joints: Where the joints are in the rest pose [m], shape (22, 3); joints that the rig lacks lie between their
-            neighbours.
-        weights: Skinning weights of the vertices for the joints, shape (V, 22), float32, rows sum to 1.
-        bones: The bone that each joint is, shape (22,); of a joint that the rig lacks, that of the joint above it.
-        joint_of: The joint that each bone goes along with, shape (J,).
-        moved: Bones that physics move and those below them, shape (J,), bool.
-    """
-
-    parts: RigParts
+    parts: RigParts  # the rig's bones as parts of the reference body
+    # positions in the rest pose [m], shape (22, 3); joints that the rig lacks lie between their neighbours
     joints: np.ndarray
-    weights: np.ndarray
+    weights: np.ndarray  # skinning weights of the vertices for the joints, shape (V, 22), float32, rows sum to 1
+    # the bone that each joint is, shape (22,); of a joint that the rig lacks, that of the joint above it
     bones: np.ndarray
-    joint_of: np.ndarray
-    moved: np.ndarray
+    joint_of: np.ndarray  # the joint that each bone goes along with, shape (J,)
+    moved: np.ndarray  # bones that physics move and those below them, shape (J,), bool
 
     @classmethod
     def of(cls, character: Character) -> UnifiedBody:
@@ -67,8 +59,8 @@ class UnifiedBody:
                 f"{character.name}: its rig has no pelvis, arms and legs that are known; apparel data need a person's"
             )
         rig = character.rig
-        known = moved_joints(character)
-        moved = np.zeros(len(rig.names), bool) if known is None else known
+        by_physics = moved_joints(character)
+        moved = np.zeros(len(rig.names), bool) if by_physics is None else by_physics
         joint_of = _joints_of_bones(parts, moved)
         weights = np.zeros((len(character.vertices), JOINT_COUNT), np.float32)
         np.add.at(weights, (np.arange(len(weights))[:, None], joint_of[rig.indices]), rig.weights)
@@ -89,13 +81,6 @@ class UnifiedBody:
         affine[..., 3] += np.einsum("njab,jb->nja", affine[..., :3], self.joints)
         return affine.astype(np.float32)
 
-    def deviations(self, animation: RigAnimation) -> np.ndarray:
-        """What each bone does beside its joint, as affine transforms whose zeros mean nothing, shape (N, J, 3, 4),
-        float32.
-        """
-        affine = animation.transforms()
-        return affine - affine[:, self.bones[self.joint_of]]
-
 
 def _joints_of_bones(parts: RigParts, moved: np.ndarray) -> np.ndarray:
     assert parts.character.rig is not None
@@ -110,15 +95,10 @@ def _joints_of_bones(parts: RigParts, moved: np.ndarray) -> np.ndarray:
         elif parent >= 0:
             out[bone] = out[parent]
     if model is not None and len(model.bones) == len(out):
-        for bone, entry in enumerate(model.bones):  # helpers of MMD that turn wholly with another bone
+        for bone, entry in enumerate(model.bones):  # helpers of MMD that rotate fully with another bone
             append = entry.append
-            if (
-                append is not None
-                and append.rotation
-                and abs(append.ratio - 1) < 1e-6
-                and not moved[bone]
-                and parts.parts[bone] == NO_HANDLE
-            ):
+            helps = append is not None and append.rotation and abs(append.ratio - 1) < 1e-6
+            if helps and not moved[bone] and parts.parts[bone] == NO_HANDLE:
                 out[bone] = out[append.bone]
     return np.maximum(out, 0)
 
@@ -138,9 +118,7 @@ def _leads(parts: RigParts, joint_of: np.ndarray, moved: np.ndarray) -> np.ndarr
 
 
 def _positions(positions: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Joints that are missing lie half way between the joint above and the next one below that are there, or where the
-    one above is.
-    """
+    """Joints with missing ones half way between the joints above and below that are there, or at the one above."""
     out = positions.copy()
     for joint in range(1, JOINT_COUNT):
         if not present[joint]:
@@ -154,12 +132,7 @@ def _positions(positions: np.ndarray, present: np.ndarray) -> np.ndarray:
 
 
 def eq4_transforms(transforms: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Affine transforms that `skin` takes, from `[R | t]` of [MMDMC 4], shape (N, J, 3, 4), float32.
-
-    Args:
-        transforms: Rotation and position of each joint [m], shape (N, J, 3, 4).
-        joints: Positions in the rest pose [m], shape (J, 3).
-    """
+    """Affine transforms for `skin` from `[R | t]` of [MMDMC 4], both (N, J, 3, 4), and rest positions [m] (J, 3)."""
     out = np.array(transforms, np.float32)
     out[..., 3] -= np.einsum("njab,jb->nja", out[..., :3], np.asarray(joints, np.float32))
     return out
@@ -170,30 +143,15 @@ _MOST_FACES = 12_000
 
 @dataclass(frozen=True, eq=False)
 class BodyVolume:
-    """The part of a character that physics do not move, with fewer faces.
+    """The surface of a character without what physics move, with fewer faces."""
 
-    Args:
-        rest: Vertices in the rest pose [m], shape (B, 3).
-        faces: Shape (F, 3), int64.
-        weights: For the 22 joints, shape (B, 22).
-    """
-
-    rest: np.ndarray
-    faces: np.ndarray
-    weights: np.ndarray
+    rest: np.ndarray  # vertices in the rest pose [m], shape (B, 3)
+    faces: np.ndarray  # shape (F, 3), int64
+    weights: np.ndarray  # for the 22 joints, shape (B, 22)
 
     @classmethod
     def of(cls, body: UnifiedBody, apparel: np.ndarray, most_faces: int = _MOST_FACES) -> BodyVolume:
-        """Take a character's body.
-
-        Args:
-            body: The character's joints.
-            apparel: Its mask, shape (V,), bool.
-            most_faces: A body with more is simplified to about so many, which moves its surface by a millimetre or two.
-
-        Raises:
-            CharacterError: All of the character is apparel.
-        """
+        """The volume of a body and its mask (V,), bool; otherwise as `of_mesh`."""
         character = body.parts.character
         return cls.of_mesh(character.vertices, character.faces, body.weights, apparel, character.name, most_faces)
 
@@ -202,15 +160,8 @@ class BodyVolume:
         cls, vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel: np.ndarray, name: str,
         most_faces: int = _MOST_FACES,
     ) -> BodyVolume:  # fmt: skip
-        """Take the body of a mesh.
-
-        Args:
-            vertices: Rest mesh [m], shape (V, 3).
-            faces: Shape (F, 3).
-            weights: For the 22 joints, shape (V, 22).
-            apparel: Its mask, shape (V,), bool.
-            name: Of the character.
-            most_faces: As above.
+        """The volume of a rest mesh [m] with weights for the 22 joints (V, 22) and its mask (V,), bool. A body with
+        more faces than `most_faces` is simplified to about so many, which moves its surface by a millimetre or two.
 
         Raises:
             CharacterError: All of the character is apparel.
@@ -218,12 +169,11 @@ class BodyVolume:
         faces = faces[~apparel[faces].any(axis=1)]
         if not len(faces):
             raise CharacterError(f"{name}: all of it is apparel, so there is no body to be inside of")
-        points, index = np.unique(
-            np.round(vertices[np.unique(faces)].astype(np.float64), 6), axis=0, return_inverse=True
-        )
+        used = np.unique(faces)
+        points, index = np.unique(np.round(vertices[used].astype(np.float64), 6), axis=0, return_inverse=True)
         numbering = np.full(len(vertices), -1)
-        numbering[np.unique(faces)] = index.ravel()
-        shares = _means(weights[np.unique(faces)], index.ravel(), len(points))
+        numbering[used] = index.ravel()
+        shares = _means(weights[used], index.ravel(), len(points))
         faces = numbering[faces]
         faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
         if len(faces) <= most_faces:
@@ -239,11 +189,7 @@ class BodyVolume:
         return cls(few.astype(np.float64), np.ascontiguousarray(few_faces, np.int64), _means(shares, kept, len(few)))
 
     def posed(self, transforms: np.ndarray) -> np.ndarray:
-        """Vertices of frames [m], shape (N, B, 3).
-
-        Args:
-            transforms: Affine transforms of the joints, as `skin` takes them, shape (N, 22, 3, 4).
-        """
+        """Vertices of frames [m], shape (N, B, 3), by transforms of the joints as `eq4_transforms` gives them."""
         return skin(self.rest.astype(np.float32), self.weights, transforms)
 
 
@@ -253,37 +199,27 @@ def _means(values: np.ndarray, groups: np.ndarray, count: int) -> np.ndarray:
     return np.asarray(out / np.maximum(out.sum(axis=1, keepdims=True), 1e-12), np.float32)
 
 
-CELL = 0.015
-"""Of the grid, over the character's size [m]."""
-BAND = 0.09
-"""Distances beyond this are as good as this, over the character's size [m]."""
+CELL = 0.015  # of the grid, over the character's size [m]
+BAND = 0.09  # distances beyond this are cut to it, over the character's size [m]
 _MOST_CELLS = 2_000_000
 _FACES = 6_000
-OUTSIDE = 2.5
-"""Cells from the body beyond which distances outside of it are good to a cell or two: nothing asks for more there."""
+OUTSIDE = 2.5  # cells from the body beyond which distances outside of it are good to a cell or two
 _ROUGH = 1.5  # how far a surface may be from the cells of its triangles' middles [cells]
-CLOSE = 1.0  # cells from the surface within which every point is asked whether it is inside
-_KEPT = 3
-"""Grids of the last bodies; one takes up to 8 MB."""
+CLOSE = 1.0  # cells from the surface within which every point is tested
+_KEPT = 3  # grids of the last bodies; one takes up to 8 MB
 
 
 @dataclass(frozen=True, eq=False)
 class Unposed:
-    """The way back to the rest pose for M points of a frame: `back @ (x - shift)`.
+    """The way back to the rest pose for M points of a frame: `back @ (x - shift)`."""
 
-    Args:
-        back: Shape (M, 3, 3).
-        shift: [m], shape (M, 3).
-        joint: The joint that holds the body there, shape (M,).
-    """
-
-    back: np.ndarray
-    shift: np.ndarray
-    joint: np.ndarray
+    back: np.ndarray  # shape (M, 3, 3)
+    shift: np.ndarray  # [m], shape (M, 3)
+    joint: np.ndarray  # the joint that holds the body there, shape (M,)
 
     @classmethod
     def of(cls, blend: np.ndarray, joint: np.ndarray) -> Unposed:
-        """From the affine transforms of the body nearest to each point, shape (M, 3, 4), and the joints of it (M,)."""
+        """From the affine transforms (M, 3, 4) and the joints (M,) of the body nearest to each point."""
         turn = blend[..., :3]
         other = adjugates(turn)
         volume = (turn[:, 0] * other[:, :, 0]).sum(axis=-1)
@@ -304,21 +240,15 @@ class Unposed:
 
 @dataclass(frozen=True, eq=False)
 class BodyDepth:
-    """The signed distance from a body in its rest pose, above 0 outside.
+    """The signed distance from a body in its rest pose, above 0 outside."""
 
-    Args:
-        low: Where the grid begins [m], shape (3,).
-        cell: Width of a cell [m].
-        values: Distances at its corners [m], shape (X, Y, Z), float32.
-    """
-
-    low: np.ndarray
-    cell: float
-    values: np.ndarray
+    low: np.ndarray  # where the grid begins [m], shape (3,)
+    cell: float  # width of a cell [m]
+    values: np.ndarray  # distances at its corners [m], shape (X, Y, Z), float32
 
     @cached_property
     def _least(self) -> np.ndarray:
-        """The least value at the corners of the cell that begins at each corner, flat: nothing in it is below that."""
+        """The least value at the corners of the cell that begins at each corner, flat: no value in it is below that."""
         out = self.values
         for axis in range(3):
             turned = np.moveaxis(out, axis, 0)
@@ -327,9 +257,7 @@ class BodyDepth:
 
     @cached_property
     def _steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """How far apart in the flat grid neighbours along each axis are, and the eight corners of a cell; and the last
-        position in the grid [cells].
-        """
+        """Steps in the flat grid along each axis and to the eight corners of a cell; its last position [cells]."""
         shape = np.array(self.values.shape)
         steps = np.array([shape[1] * shape[2], shape[2], 1])
         return steps, _CORNERS @ steps, (shape - 1.001).astype(np.float32)[:, None]
@@ -339,9 +267,7 @@ class BodyDepth:
         return self._linear(*self._cells(points.T))
 
     def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The first corner of the cells that points (3, M) lie in, shape (M,), and where in them along each axis, from
-        0 to 1, shape (3, M).
-        """
+        """First corners of the cells with points (3, M), shape (M,), and positions in them, from 0 to 1, (3, M)."""
         position = (points - self.low[:, None]).astype(np.float32, copy=False)
         position /= np.float32(self.cell)
         np.maximum(position, 0, out=position)
@@ -366,8 +292,8 @@ class BodyDepth:
         return vy[0] + x * dx, slope / np.float32(self.cell)
 
     def push(self, points: np.ndarray, unposed: Unposed, gap: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
-        """What moves points of a pose out of the body until they are as far from it as `gap`: which points are moved,
-        shape (P,), and by how much [m], shape (P, 3).
+        """What moves points of a pose out of the body until they are as far from it as `gap`: the rows of the moved
+        points (P,), and by how much [m], shape (P, 3).
 
         Args:
             points: [m], shape (M, 3).
@@ -376,7 +302,7 @@ class BodyDepth:
             most: Points that would move by more stay: they are on the wrong side of something thin [m].
         """
         corner, share = self._cells(unposed.columns(points))
-        # mostly few are near, and only of them all corners are looked at
+        # mostly few are near, and all corners are read for these alone
         rows = np.flatnonzero(self._least[corner] < gap)
         if not len(rows):
             return rows, np.zeros((0, 3), np.float32)
@@ -389,7 +315,7 @@ class BodyDepth:
         return rows, (step[moved] / length)[:, None] * shift
 
     def pushed(self, points: np.ndarray, unposed: Unposed, gap: np.ndarray, most: float) -> np.ndarray:
-        """Points moved out of the body, shape (M, 3); what is given as in `push`."""
+        """Points moved out of the body, shape (M, 3); arguments as of `push`."""
         rows, step = self.push(points, unposed, gap, most)
         out = np.array(points)
         out[rows] += step
@@ -403,15 +329,9 @@ _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 def body_depth(
     vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel: np.ndarray, scale: float = 1.0
 ) -> BodyDepth | None:
-    """The grid of a character's body; None where all of it is apparel. Those of the last bodies are kept: apparel that
-    is made anew is of the same body.
-
-    Args:
-        vertices: Rest mesh [m], shape (V, 3).
-        faces: Shape (F, 3).
-        weights: For the 22 joints, shape (V, 22).
-        apparel: Its mask, shape (V,), bool.
-        scale: The clothed's size.
+    """The grid of a body by its rest mesh [m], weights for the 22 joints (V, 22) and mask (V,), and the scale as of
+    `ClothedCharacter`; None where all of it is apparel. Those of the last bodies are kept, because apparel is often
+    made again for the same body.
     """
     if not len(faces[~apparel[faces].any(axis=1)]):
         return None
@@ -441,13 +361,13 @@ def _grid(vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel:
     bare[tuple(np.clip(middle, 0, np.array(shape) - 1).T)] = False
     # what lies farther than this from the cells of all middles is farther than `OUTSIDE` from all faces
     about = distance_transform_edt(bare).reshape(-1)
-    some = about <= OUTSIDE + _ROUGH
+    near_surface = about <= OUTSIDE + _ROUGH
     gap = np.where(about * cell <= band, about * cell, np.inf)
-    gap[some] = surface_distances(points[some], rest, triangles, cell, np.inf)
+    gap[near_surface] = surface_distances(points[near_surface], rest, triangles, cell, np.inf)
     inside = _inside(points, gap, cell, shape, volume)
     # far outside it does not matter how far
-    some = inside & ~some & np.isfinite(gap)
-    gap[some] = surface_distances(points[some], rest, triangles, cell, np.inf)
+    near_surface = inside & ~near_surface & np.isfinite(gap)
+    gap[near_surface] = surface_distances(points[near_surface], rest, triangles, cell, np.inf)
     near = np.isfinite(gap)
     out = np.full(len(points), band, np.float32)
     out[near] = np.minimum(gap[near], band) * np.where(inside[near], -1, 1)
@@ -463,65 +383,48 @@ def _grid(vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel:
 
 def _inside(points: np.ndarray, gap: np.ndarray, cell: float, shape: tuple[int, ...], volume: BodyVolume) -> np.ndarray:
     """Whether the points of a grid that are near the body are in it, shape (P,), by winding numbers. These jump at the
-    surface and are smooth elsewhere: of what is not close to it every second point is asked first, and the others where
-    those about them differ.
-
-    Args:
-        points: Shape (P, 3), of a grid of this shape.
-        gap: How far they are from the surface; infinite where that does not matter, shape (P,).
-        cell: Of the grid.
-        volume: The body.
+    surface and are smooth elsewhere: of what is not close to it every second point is tested first, and the others
+    where those about them differ. Far points have infinite gaps.
     """
     near, close = np.isfinite(gap).reshape(shape), (gap < CLOSE * cell).reshape(shape)
     every = np.zeros(shape, bool)
     every[::2, ::2, ::2] = True
-    known = near & (close | every)
+    tested = near & (close | every)
     inside = np.zeros(shape, bool)
-    inside[known] = np.abs(winding_numbers(points[known.reshape(-1)], volume.rest, volume.faces)) > 0.5
-    asked = known & every
+    inside[tested] = np.abs(winding_numbers(points[tested.reshape(-1)], volume.rest, volume.faces)) > 0.5
+    asked = tested & every
     most, least = (filter(np.where(asked, inside, blank), size=3)
                    for filter, blank in ((maximum_filter, False), (minimum_filter, True)))  # fmt: skip
     alike = (most == least) & maximum_filter(asked, size=3)
-    inside = np.where(known, inside, most & alike)
-    rest = near & ~known & ~alike
+    inside = np.where(tested, inside, most & alike)
+    rest = near & ~tested & ~alike
     if rest.any():
         inside[rest] = np.abs(winding_numbers(points[rest.reshape(-1)], volume.rest, volume.faces)) > 0.5
     return np.asarray(inside.reshape(-1))
 
 
-_ROWS = 64  # of distances that are looked at together: they stay in the cache
+_ROWS = 64  # rows of distances at a time: they stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
 class BodyPoints:
-    """Points spread over the body.
+    """Points spread over the body."""
 
-    Args:
-        rest: Positions in the rest pose [m], shape (B, 3).
-        normals: Outward, shape (B, 3).
-        weights: Skinning weights for the 22 joints, shape (B, 22).
-        joint: The joint that holds each most, shape (B,).
-    """
-
-    rest: np.ndarray
-    normals: np.ndarray
-    weights: np.ndarray
-    joint: np.ndarray
+    rest: np.ndarray  # positions in the rest pose [m], shape (B, 3)
+    normals: np.ndarray  # outward, shape (B, 3)
+    weights: np.ndarray  # skinning weights for the 22 joints, shape (B, 22)
+    joint: np.ndarray  # the joint that holds each most, shape (B,)
 
     def posed(self, affine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and normals in a frame, shape (B, 3) each.
-
-        Args:
-            affine: Affine transforms of the joints, as `eq4_transforms` gives them, shape (22, 3, 4).
-        """
+        """Positions and normals in a frame, (B, 3) each, by transforms of the joints as of `eq4_transforms`."""
         return self.placed(self.blends(affine)), np.einsum("bac,bc->ba", affine[self.joint, :, :3], self.normals)
 
     def blends(self, affine: np.ndarray) -> np.ndarray:
-        """Affine transform of each point, shape (B, 3, 4); `affine` as above."""
+        """Affine transform of each point, shape (B, 3, 4), by those of the joints."""
         return (self.weights @ affine.reshape(len(affine), 12)).reshape(-1, 3, 4)
 
     def placed(self, blends: np.ndarray) -> np.ndarray:
-        """Where these take the points [m], shape (B, 3)."""
+        """Positions of the points by these [m], shape (B, 3)."""
         return np.asarray(np.einsum("bac,bc->ba", blends[..., :3], self.rest) + blends[..., 3])
 
 
@@ -541,12 +444,8 @@ def body_points(clothed: ClothedCharacter, most: int = 512) -> BodyPoints:
 
 
 def nearest_point(points: np.ndarray, positions: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The plane of the nearest body point: signed distance of each point from it, shape (M,), and its normal (M, 3);
-    far away where there is no body.
-
-    Args:
-        points: [m], shape (M, 3).
-        positions, normals: Of the posed body, shape (B, 3).
+    """The plane of the nearest of the posed body's points (B, 3): signed distance of each point (M, 3) from it [m],
+    shape (M,), and its normal (M, 3); far away where there is no body.
     """
     if not len(positions):
         return np.full(len(points), 10.0, np.float32), np.zeros_like(points)
@@ -555,7 +454,7 @@ def nearest_point(points: np.ndarray, positions: np.ndarray, normals: np.ndarray
 
 
 def nearest_index(points: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Number of the nearest of some places to each point, shapes (M, 3) and (B, 3) -> (M,)."""
+    """Index of the nearest position to each point, shapes (M, 3) and (B, 3) -> (M,)."""
     # one product: the square of a point's own length is the same for all
     table = np.empty((4, len(positions)), np.float32)
     np.multiply(positions.T, -2, out=table[:3])
@@ -565,6 +464,6 @@ def nearest_index(points: np.ndarray, positions: np.ndarray) -> np.ndarray:
     near = np.empty(len(points), np.int64)
     gaps = np.empty((min(_ROWS, len(points)), len(positions)), np.float32)
     for first in range(0, len(points), _ROWS):
-        some = ours[first : first + _ROWS]
-        np.matmul(some, table, out=gaps[: len(some)]).argmin(axis=1, out=near[first : first + _ROWS])
+        block = ours[first : first + _ROWS]
+        np.matmul(block, table, out=gaps[: len(block)]).argmin(axis=1, out=near[first : first + _ROWS])
     return near

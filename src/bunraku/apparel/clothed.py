@@ -20,22 +20,19 @@ __all__ = [
 LEGS = tuple(
     JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot") for side in ("left", "right")
 )
-"""Their joints."""
+"""Joints of the legs."""
 SIZE = 1.6
 """Height that the networks know characters at [m]; others are measured in units of theirs over this."""
 GRAVITY = 7.84
-"""Of MMD files, 98 of their units [m/s^2]."""
+"""Of MMD files, 98 of their units [m/s^2]; the displacement network was trained with it."""
 NORMAL_STIFFNESS = -0.4
-"""Of cloth that hangs, the median of the wardrobe: what a part counts for that neither springs nor limits hold."""
-SOFTEST, STIFFEST = -2.2, 2.0
-"""What the networks have seen."""
-FREE = np.pi
-"""Limit of a joint that may turn as it likes [rad]."""
-NARROW = 0.01
-"""The narrowest limit that is told from a locked joint [rad]."""
+"""Of cloth that hangs, the median of the wardrobe: the stiffness of a part without springs and limits."""
+SOFTEST, STIFFEST = -2.2, 2.0  # range of stiffness that the networks have seen
+FREE = np.pi  # limit of a joint without limits [rad]
+NARROW = 0.01  # the narrowest limit that differs from a locked joint [rad]
 LOADS = 0.3
-"""log10 of how many times its weight pulls at a part that moves: springs that so much turns as far as the limits let it
-hold as the limits do.
+"""log10 of the load on a moving part over its weight: springs that rotate as far under it as the limits allow hold as
+the limits do. Chosen by eye.
 """
 
 
@@ -43,15 +40,15 @@ def part_stiffness(
     spring: np.ndarray, mass: np.ndarray, length: np.ndarray, dial: float = 1.0, limit: np.ndarray | None = None
 ) -> np.ndarray:
     """Stiffness of parts as the networks take it: log10 of a joint's spring over the moment of a body at the part's
-    end, from -2.2, where it hangs freely, to 2, where it stands; shape (P,), float32. A part that limits hold in its
-    shape is as stiff as one whose springs let it turn no farther.
+    end, from -2.2, where it hangs freely, to 2, where it stands; shape (P,), float32. A part held by limits is as stiff
+    as one whose springs let it rotate no farther.
 
     Args:
         spring: Of a joint [N m / rad], shape (P,).
         mass: Of a body [kg], shape (P,).
         length: Of the part [m], shape (P,).
-        dial: Factor that the user requests.
-        limit: How far a joint may turn [rad], shape (P,); None for as far as it likes.
+        dial: The user's factor.
+        limit: How far a joint may rotate [rad], shape (P,); None for freely.
     """
     moment = np.maximum(np.asarray(mass, np.float64), 1e-4) * GRAVITY * np.maximum(length, 1e-3)
     spring = np.asarray(spring, np.float64)
@@ -67,15 +64,14 @@ class ClothedCharacter:
     """A character with apparel.
 
     Args:
-        rest: Rest mesh V [m], shape (V, 3), float32.
-        faces: Shape (F, 3).
+        rest, faces: Rest mesh V [m], float32, shapes (V, 3) and (F, 3).
         joints: J, SMPL's 22 joints in the rest pose [m], shape (22, 3).
-        weights: Skinning weights W for the joints, shape (V, 22); an apparel vertex has those of what carries it.
+        weights: Skinning weights W for the joints, shape (V, 22); an apparel vertex has those of its carrier.
         apparel: The mask, shape (V,), bool.
         part: Number of the apparel part of each vertex, -1 on the body, shape (V,).
         stiffness: Of each part (`part_stiffness`), shape (P,).
         damping: Of each part: share of the velocity that it loses in a second, shape (P,).
-        limit: Of each part: how far a joint of it may turn [rad], shape (P,); as far as it likes when None.
+        limit: Of each part: how far a joint of it may rotate [rad], shape (P,); freely when None.
         swing: How each vertex swings by the joints above it, rows of `Swing`, shape (V, SWING_NUMBERS); None where only
             the parts' stiffness is known.
 
@@ -106,45 +102,34 @@ class ClothedCharacter:
 
     @property
     def scale(self) -> float:
-        """Its size over the one that the networks know."""
+        """Its size over `SIZE`."""
         return max(float(np.ptp(self.rest[:, 1])), 1e-6) / SIZE
 
 
 _SIZES = {"lever": 3, "away": 3, "arm": 3, "axes": 9, "lower": 3, "upper": 3, "spring": 3, "friction": 1, "drag": 1,
           "weight": 1, "share": 1}  # fmt: skip
 SWING_NUMBERS = sum(_SIZES.values())
-AIR = 1.5
-"""Of the rate at which speed is lost what the air takes at the most, as in the simulation [1/s]."""
+AIR = 1.5  # largest rate at which the air takes speed, as in the simulation [1/s]
 SOLID = 2 / 3  # of a rod: as long is the pendulum that swings like it
 
 
 @dataclass(frozen=True, eq=False)
 class Swing:
-    """Of N vertices or nodes, in the rest pose.
+    """How N vertices or nodes swing, in the rest pose."""
 
-    Args:
-        lever: A small turn w of its chain takes it by w x lever [m], shape (N, 3).
-        away: From where its chain turns to it [m], shape (N, 3).
-        arm: From there to the mass of a pendulum that swings as its chain does [m], shape (N, 3).
-        axes: That it turns about, columns, shape (N, 3, 3).
-        lower, upper: How far about each [rad], shape (N, 3).
-        spring: About each, over the inertia [1/s^2], shape (N, 3).
-        friction, drag: Rates at which it loses speed against what carries it, and against the air [1/s], shape (N,).
-        weight: Its gravity over that of MMD's files, shape (N,).
-        share: How much of it swings; the rest stays where it is carried, shape (N,).
-    """
-
-    lever: np.ndarray
-    away: np.ndarray
-    arm: np.ndarray
-    axes: np.ndarray
+    lever: np.ndarray  # A small rotation w of its chain takes it by w x lever [m], shape (N, 3)
+    away: np.ndarray  # from the pivot of its chain to it [m], shape (N, 3)
+    arm: np.ndarray  # from there to the mass of a pendulum that swings as its chain does [m], shape (N, 3)
+    axes: np.ndarray  # axes of rotation, columns, shape (N, 3, 3)
+    # lower, upper: limits about each [rad], shape (N, 3)
     lower: np.ndarray
     upper: np.ndarray
-    spring: np.ndarray
+    spring: np.ndarray  # about each, over the inertia [1/s^2], shape (N, 3)
+    # friction, drag: rates at which it loses speed against its carrier, and against the air [1/s], shape (N,)
     friction: np.ndarray
     drag: np.ndarray
-    weight: np.ndarray
-    share: np.ndarray
+    weight: np.ndarray  # its gravity over that of MMD's files, shape (N,)
+    share: np.ndarray  # how much of it swings; the rest stays where it is carried, shape (N,)
 
     @classmethod
     def of_rows(cls, rows: np.ndarray) -> Swing:
@@ -155,35 +140,27 @@ class Swing:
     def rows(self) -> np.ndarray:
         """As rows of plain numbers, shape (N, SWING_NUMBERS), float32."""
         count = len(self.share)
-        return np.concatenate(
-            [getattr(self, one.name).reshape(count, -1) for one in fields(self)], axis=1, dtype=np.float32
-        )
+        columns = [getattr(self, field.name).reshape(count, -1) for field in fields(self)]
+        return np.concatenate(columns, axis=1, dtype=np.float32)
 
     def take(self, chosen: np.ndarray) -> Swing:
         """Some of them."""
-        return Swing(*(getattr(self, one.name)[chosen] for one in fields(self)))
+        return Swing(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def dialled(self, dial: float) -> Swing:
-        """With springs so many times as stiff, and limits narrower by the root of that."""
+        """With a factor on the springs, and limits narrower by its root."""
         narrow = float(np.sqrt(dial))
         return replace(self, lower=self.lower / narrow, upper=self.upper / narrow, spring=self.spring * dial)
 
-    def told(self, numbers: Mapping[str, float], links: int) -> Swing:
-        """As somebody says that their chain swings, in the numbers of `physics.chains.manners_file`: how far each of
-        its links turns, how stiff its springs are, how damped it is, and what pulls at it; what is not said stays.
-
-        Args:
-            numbers: By their names.
-            links: Of the chain.
-        """
+    def with_parameters(self, numbers: Mapping[str, float], links: int) -> Swing:
+        """With the parameters of a chain of `links` links from a file; what the file does not say stays."""
         out = self
         length = np.maximum(np.linalg.norm(self.arm, axis=1), 1e-3)
         if "limit" in numbers:
             turn = np.full_like(self.upper, min(np.radians(numbers["limit"]) * links, FREE))
             out = replace(out, lower=-turn, upper=turn)
         if "stiffness" in numbers:
-            spring = (numbers["stiffness"] * GRAVITY / length)[:, None] * np.ones(3, np.float32)
-            out = replace(out, spring=spring)
+            out = replace(out, spring=(numbers["stiffness"] * GRAVITY / length)[:, None] * np.ones(3, np.float32))
         if "damping" in numbers:
             loss = np.full_like(self.friction, -np.log1p(-min(numbers["damping"], 0.999)))
             out = replace(out, friction=np.maximum(loss - AIR, 0), drag=np.minimum(loss, AIR))
@@ -192,9 +169,7 @@ class Swing:
         return out
 
     def turns(self) -> np.ndarray:
-        """How far it turns across its lever by limits, and by what springs give way to its weight, lying level [rad],
-        shape (N, 2).
-        """
+        """Rotation across its lever by limits, and by springs that give way to its weight, level [rad], (N, 2)."""
         length = np.maximum(np.linalg.norm(self.lever, axis=1), 1e-6)
         across = np.linalg.norm(np.cross(self.axes.transpose(0, 2, 1), self.lever[:, None]), axis=-1) / length[:, None]
         fall = GRAVITY / np.maximum(np.linalg.norm(self.arm, axis=1), 1e-3)[:, None]
@@ -212,16 +187,25 @@ def guessed_swing(held: np.ndarray, stiffness: np.ndarray, damping: np.ndarray) 
 
     Args:
         held: From there to each node [m], shape (N, 3).
-        stiffness: As of `ClothedCharacter`, of each node, shape (N,).
-        damping: Share of the velocity that is lost in a second, shape (N,).
+        stiffness, damping: As of `ClothedCharacter`, of each node, shape (N,).
     """
     count = len(held)
     turn = np.clip(10.0 ** (LOADS - stiffness.astype(np.float64)), NARROW, FREE)[:, None] * np.ones(3)
     length = np.maximum(SOLID * np.linalg.norm(held, axis=1), 1e-3)
     spring = (10.0 ** stiffness.astype(np.float64) * GRAVITY / length)[:, None] * np.ones(3)
     loss = -np.log1p(-np.minimum(damping.astype(np.float64), 0.999))
-    one = np.ones(count)
+    ones = np.ones(count)
     axes = np.broadcast_to(np.eye(3), (count, 3, 3))
     return Swing(
-        held, held, SOLID * held, axes, -turn, turn, spring, np.maximum(loss - AIR, 0), np.minimum(loss, AIR), one, one
+        held,
+        held,
+        SOLID * held,
+        axes,
+        -turn,
+        turn,
+        spring,
+        np.maximum(loss - AIR, 0),
+        np.minimum(loss, AIR),
+        ones,
+        ones,
     )

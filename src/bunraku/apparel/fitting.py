@@ -1,6 +1,4 @@
-"""Clothed characters of meshes that say nothing of apparel: what carries each part, and the rig in which that holds
-it.
-"""
+"""Clothed characters of meshes that say nothing of apparel: the carrier of each part, and the rig for it."""
 
 from __future__ import annotations
 
@@ -11,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.nodes import apparel_parts, held_vertices, whole_pieces
-from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS, sided
 from bunraku.core.character import Character, Handles, Rig
 from bunraku.core.geometry.axes import directions_about, goes_round
 from bunraku.core.geometry.curves import smooth_step
@@ -22,22 +20,19 @@ __all__ = [
     "without_worn",
 ]  # fmt: skip
 
-_HIPS = tuple(JOINT_NAMES.index(name) for name in ("left_hip", "right_hip"))
-_ABOVE_COLLARS = tuple(JOINT_NAMES.index(name) for name in ("left_collar", "right_collar"))
-_ARMS = [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
-BESIDE = 0.1  # of a part: what arms hold so little of hangs on no arm, however near one is
-_LIMBS = [
-    [JOINT_NAMES.index(f"{side}_{part}") for part in parts]
-    for side in ("left", "right")
-    for parts in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
-]
-WORN = 0.9  # of a part: one of which a limb holds so much is carried by it
-_SMALL = 0.002  # of the apparel's vertices: parts with fewer stay with the body
+# Shares of a part, and lengths over the size [m]. All were chosen by eye.
+BESIDE = 0.1  # what arms hold so little of hangs on no arm, however near one is
+WORN = 0.9  # a part of which a limb holds so much is carried by it
+MOSTLY = 0.5  # share that must lie so near another layer, or that a limb holds
+LAYER = 0.04  # distance of two layers of a skirt at the most
+BORDER = 0.04  # distance from the body of the same sheet up to which apparel goes with it in part
 SPECK = 0.045  # of the height: what is no longer than this stays with the body
+_SMALL = 0.002  # of the apparel's vertices: parts with fewer stay with the body
 _NEAR = 12
-LAYER = 0.04  # of the size [m]: how far two layers of a skirt are from each other at the most
-MOSTLY = 0.5  # share of a part that must lie so near another
-BORDER = 0.04  # of the size: how far from the body of the same sheet apparel still goes with it in part
+_HIPS, _COLLARS = sided("hip"), sided("collar")
+_ARMS = list(sided("shoulder", "elbow", "wrist"))
+_ARM, _LEG = np.reshape(_ARMS, (2, 3)), np.reshape(sided("hip", "knee", "ankle"), (2, 3))
+_LIMBS = [limb.tolist() for limb in (_ARM[0], _LEG[0], _ARM[1], _LEG[1])]
 
 
 def joint_weights_of_handles(handles: Handles) -> np.ndarray:
@@ -51,14 +46,9 @@ def joint_weights_of_handles(handles: Handles) -> np.ndarray:
 def joints_of_handles(
     vertices: np.ndarray, weights: np.ndarray, areas: np.ndarray, positions: np.ndarray
 ) -> np.ndarray:
-    """Where the joints are that the handles turn about [m], shape (22, 3): in the middle of the skin that a handle
-    shares with the one above it; the pelvis is its handle.
-
-    Args:
-        vertices: Rest mesh [m], shape (V, 3).
-        weights: Of the 22 joints, shape (V, 22).
-        areas: Of the vertices, shape (V,).
-        positions: Of the handles, taken where two share nothing, shape (22 or more, 3).
+    """Joints that the handles rotate about [m], shape (22, 3): in the middle of the skin that a handle shares with the
+    one above it, by weights of the joints (V, 22) and areas (V,), or at the handle where two share nothing; the pelvis
+    is its handle.
     """
     out = np.array(positions[:JOINT_COUNT], np.float64)
     for joint in range(1, JOINT_COUNT):
@@ -72,13 +62,8 @@ def fitted_clothes(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray,
     stiffness: np.ndarray, damping: np.ndarray,
 ) -> ClothedCharacter:  # fmt: skip
-    """A clothed character whose apparel goes whole with the joint that its parts hang on, whatever its skin says.
-
-    Args:
-        vertices, faces, joints: As of `ClothedCharacter`.
-        weights: Of the body for the 22 joints, shape (V, 22).
-        apparel: The mask, shape (V,), bool.
-        stiffness, damping: Of each vertex, shape (V,).
+    """A clothed character whose apparel goes as a whole with the joint that its parts hang on, whatever its skin says,
+    by the weights of the body (V, 22), the mask, and the stiffness and damping of each vertex, shape (V,).
     """
     apparel = _without_specks(vertices, faces, apparel, SPECK * float(np.ptp(vertices[:, 1])))
     part = apparel_parts(vertices, faces, apparel)
@@ -92,40 +77,32 @@ def fitted_clothes(
     inner, outer = _joined(bare)
     for number in range(count):
         rows = np.flatnonzero(part == number)
-        own = held[part[held] == number]
+        roots = held[part[held] == number]
         sewn = outer[part[inner] == number]
         if len(sewn):  # it goes on as the body on the same surface: hair beside an arm as the hair above it
             share = weights[sewn].mean(axis=0)
-        elif tree is None or not len(own):
+        elif tree is None or not len(roots):
             share = weights[rows].mean(axis=0)
         else:
-            near = body[tree.query(vertices[own], min(_NEAR, len(body)))[1].reshape(-1)]
+            near = body[tree.query(vertices[roots], min(_NEAR, len(body)))[1].reshape(-1)]
             share = weights[near].mean(axis=0)
             if weights[rows][:, _ARMS].sum(axis=1).mean() < BESIDE:  # a knot at the hip lies beside a hand
                 share[_ARMS] = 0
         out[rows] = np.eye(JOINT_COUNT, dtype=np.float32)[_carrying(share)]
     part = _layers_as_one(bare, out)
     count = int(part.max(initial=-1)) + 1
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        total = np.bincount(part[apparel], values[apparel], count) / np.maximum(np.bincount(part[apparel]), 1)
-        return np.asarray(total, np.float32)
-
     if not count:
         return bare
-    return ClothedCharacter(vertices, faces, joints, out, apparel, part, mean(stiffness), mean(damping))
+    sizes = np.maximum(np.bincount(part[apparel]), 1)
+    means = (np.bincount(part[apparel], values[apparel], count) / sizes for values in (stiffness, damping))
+    return ClothedCharacter(vertices, faces, joints, out, apparel, part, *(mean.astype(np.float32) for mean in means))
 
 
 def without_worn(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray
 ) -> np.ndarray:
-    """A mask without what a limb wears: what a limb holds and goes round it, on a part that goes on beyond it, is a
-    sleeve or a leg of trousers. On the joint that carries the rest it would stay behind.
-
-    Args:
-        vertices, faces, joints: As of `ClothedCharacter`.
-        weights: Of the body for the 22 joints, shape (V, 22).
-        apparel: What a network found, shape (V,), bool.
+    """A mask (V,) without what limbs wear. What a limb holds and goes round it, on a part that goes on beyond it, is a
+    sleeve or a leg of trousers: on the joint that carries the rest it would stay behind.
     """
     out = np.array(apparel)
     part = apparel_parts(vertices, faces, apparel)
@@ -153,7 +130,7 @@ def _joined(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
 
 def _layers_as_one(clothed: ClothedCharacter, weights: np.ndarray) -> np.ndarray:
     """The parts, those that hang from the pelvis and lie on one another as one, shape (V,): two layers of a skirt that
-    moved each for itself would come through one another.
+    moved independently would come through one another.
     """
     part = np.array(clothed.part)
     count = int(part.max(initial=-1)) + 1
@@ -161,22 +138,22 @@ def _layers_as_one(clothed: ClothedCharacter, weights: np.ndarray) -> np.ndarray
     rows = [np.flatnonzero(part == number) for number in range(count)]
     hung = [number for number in range(count) if weights[rows[number][0]].argmax() == 0]
     trees = {number: cKDTree(clothed.rest[rows[number]]) for number in hung}
-    one = np.arange(count)
+    merged = np.arange(count)
     for number in sorted(hung, key=lambda number: len(rows[number])):
         points = clothed.rest[rows[number]]
         for other in hung:
-            if one[other] != one[number]:
+            if merged[other] != merged[number]:
                 gap = trees[other].query(points, distance_upper_bound=near)[0]
                 if np.isfinite(gap).mean() > MOSTLY:
-                    one[one == one[number]] = one[other]
+                    merged[merged == merged[number]] = merged[other]
     cloth = part >= 0
-    part[cloth] = np.unique(one[part[cloth]], return_inverse=True)[1]
+    part[cloth] = np.unique(merged[part[cloth]], return_inverse=True)[1]
     return part
 
 
 def eased_border(clothed: ClothedCharacter) -> np.ndarray:
-    """How far each vertex goes its own way, from 0 on the body and where apparel begins in the midst of a sheet to 1,
-    shape (V,): what is one surface must not be torn where the mask has an edge.
+    """How far each vertex moves freely, shape (V,): 0 on the body and where apparel begins within a sheet, rising to 1.
+    One surface must not be torn at the edge of the mask.
     """
     clean = clean_mesh(clothed.rest, clothed.faces)
     cloth = np.zeros(len(clean.vertices), bool)
@@ -192,11 +169,9 @@ def eased_border(clothed: ClothedCharacter) -> np.ndarray:
 
 
 def _carrying(share: np.ndarray) -> int:
-    """The joint that holds what is held by so much of each: what both legs hold hangs on the pelvis, what both collars
-    hold on the chest.
-    """
+    """The carrier of a part by the joints' shares: the pelvis for both legs, the chest for both collars."""
     joint = int(share.argmax())
-    for pair, above in ((_HIPS, 0), (_ABOVE_COLLARS, JOINT_NAMES.index("spine3"))):
+    for pair, above in ((_HIPS, 0), (_COLLARS, JOINT_NAMES.index("spine3"))):
         if joint in pair and share[list(pair)].min() > 0.25 * share[list(pair)].max():
             return above
     return joint
@@ -215,13 +190,9 @@ def _without_specks(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray
 
 
 def fitted_rig(character: Character, clothed: ClothedCharacter, bones: np.ndarray) -> Character:
-    """The character with apparel on the bone of the joint that carries it: hair that lies on an arm goes with the head.
-    Where apparel begins in the midst of a sheet, its skin passes over to that bone smoothly, so that nothing is torn.
-
-    Args:
-        character: With a rig.
-        clothed: The same mesh, its parts whole on one joint each.
-        bones: The bone of the rig that each of the 22 joints is, shape (22,).
+    """The character with apparel on the bone of the joint that carries it, by the bone of each of the 22 joints: hair
+    that lies on an arm goes with the head. Where apparel begins within a sheet, its skin blends into that bone, so that
+    nothing is torn.
     """
     rig = character.rig
     assert rig is not None
@@ -235,8 +206,8 @@ def fitted_rig(character: Character, clothed: ClothedCharacter, bones: np.ndarra
 
 
 def carried(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
-    """How much of each vertex goes with a joint whatever its skin said, shape (V,), and with which, shape (V,): apparel
-    with what carries its part, and the rest of a loose piece that is mostly apparel with the same.
+    """How much of each vertex goes with a joint whatever its skin said, shape (V,), and that joint, shape (V,): apparel
+    with the carrier of its part, and the rest of a loose piece that is mostly apparel with the same.
     """
     share, joint = eased_border(clothed), clothed.weights.argmax(axis=1)
     piece = whole_pieces(clothed.rest, clothed.faces, clothed.apparel)

@@ -1,9 +1,9 @@
 """What lies over what: a skirt over legs, and long hair over a skirt, as they do at rest.
 
-Apparel that hangs from the pelvis knows little of the legs under it. What the skin of the bare mesh does with it (it
-goes with the legs) looks stiff but lets no leg through. So where a leg has come through, apparel goes as far back to
-the skin as it must to lie over the leg again, and what is around it goes along. Then what was outside of it at rest,
-hair on its back, is laid over it in turn.
+Apparel that hangs from the pelvis knows little of the legs under it. The skin of the bare mesh takes it along with the
+legs: that looks stiff but lets no leg through. So where a leg has come through, apparel goes back to the skin as far as
+it must to lie over the leg again, and takes its surroundings along. Then what was outside of it at rest, hair on its
+back, is laid over it in turn.
 """
 
 from __future__ import annotations
@@ -36,19 +36,13 @@ MOST = 0.2  # farther than this nothing is laid over another, over the same [m]
 
 
 class _How(NamedTuple):
-    """How something lies over something else.
+    """How something lies over something else. Lengths are over the character's size [m]; all were chosen by eye."""
 
-    Args:
-        near: Points at rest under a vertex that it must stay over.
-        clear: How far over them it stays where it was farther off at rest, over the character's size [m].
-        beside: How far from the way out of a point it begins not to count, and counts no more, over the same [m].
-        reach: How near they must be at rest, over the same [m].
-    """
-
-    near: int
-    clear: float
+    near: int  # points at rest under a vertex that it must stay over
+    clear: float  # how far over them it stays where it was farther off at rest
+    # distances from the way out of a point at which it begins not to count, and counts no more
     beside: tuple[float, float]
-    reach: float
+    reach: float  # how near they must be at rest
 
 
 OVER_LEGS = _How(32, 0.015, (0.06, 0.14), np.inf)
@@ -56,14 +50,10 @@ OVER_PARTS = _How(12, 0.006, (0.06, 0.14), 0.08)
 
 
 class Layers:
-    """The stage for one clothed character.
-
-    Args:
-        clothed: The character; its body has weights of its own.
-        vertices: The apparel vertices that are moved, in order, shape (A,).
+    """The stage for one clothed character and its apparel vertices, in order, shape (A,).
 
     Attributes:
-        seen: The vertices of the mesh whose place as their skin moves them is asked for, shape (S,).
+        seen: Vertices of the mesh that `clip` needs as their skin moves them, shape (S,).
     """
 
     def __init__(self, clothed: ClothedCharacter, vertices: np.ndarray):
@@ -96,14 +86,14 @@ class Layers:
     def clip(
         self, positions: np.ndarray, skinned: np.ndarray, progress: Callable[[float], None] | None = None
     ) -> np.ndarray:
-        """The same for all frames of a clip, shapes (N, A, 3) and (N, S, 3); what is changed is smooth in time.
-        `progress` is called with the share done.
+        """Apparel of all frames of a clip laid over what it lies on at rest [m], shapes (N, A, 3) and, of the vertices
+        that are `seen`, (N, S, 3); changes are smooth in time. `progress` is called with the share done.
         """
         if not len(self.skirt):
             return positions
         change = np.zeros(positions.shape, np.float32)
-        for frame, (own, whole) in enumerate(zip(positions, skinned, strict=True)):
-            change[frame] = self(own, whole) - own
+        for frame, (moved, skin) in enumerate(zip(positions, skinned, strict=True)):
+            change[frame] = self(moved, skin) - moved
             if progress and frame % 16 == 0:
                 progress(frame / len(positions))
         rows = np.flatnonzero(change.any(axis=(0, 2)))
@@ -112,12 +102,7 @@ class Layers:
         return out
 
     def __call__(self, positions: np.ndarray, skinned: np.ndarray) -> np.ndarray:
-        """Apparel vertices laid over what they lie on at rest [m], shape (A, 3).
-
-        Args:
-            positions: Of the apparel vertices [m], shape (A, 3).
-            skinned: The vertices that are `seen` as their skin moves them [m], shape (S, 3).
-        """
+        """The same for one frame, shapes (A, 3) and (S, 3)."""
         if not len(self.skirt):
             return positions
         out, skinned = np.array(positions, np.float32), np.asarray(skinned, np.float32)
@@ -149,15 +134,8 @@ class Layers:
 
 
 class _Over:
-    """Apparel vertices, and what each lies over at rest.
-
-    Args:
-        clothed: The character.
-        part: Number of the sheet of each vertex, -1 on the body, shape (V,).
-        vertices: All apparel vertices that are moved, shape (A,).
-        rows: Which of them may lie over something, shape (R,).
-        under: The vertices that they may lie over, for each part, or for all (None).
-        how: How they do.
+    """Apparel vertices (A,), those in `rows` of which may lie over something, and what each lies over at rest: `under`
+    for each part of the sheets (V,), or for all (None).
     """
 
     def __init__(
@@ -195,7 +173,7 @@ class _Over:
         self._shares(positions, rest[self.vertices], part[self.vertices], SPREAD * scale)
 
     def _beneath(self, faces: np.ndarray, points: np.ndarray) -> None:
-        """The points that something lies over, and the faces that say which way is out of them."""
+        """The points that something lies over, and the faces that tell the way out of them."""
         used = np.zeros(int(faces.max()) + 1, bool)
         used[points] = True
         corners = faces[used[faces].any(axis=1)]
@@ -225,14 +203,10 @@ class _Over:
     def lacking(
         self, positions: np.ndarray, points: np.ndarray, most: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Where a chosen vertex is not as far over one of its points as it must be: the number of the vertex, shape
-        (L,), by how much [m], how much that counts, from 0, far beside the way out of the point, to 1, and these ways,
-        shape (3, L).
-
-        Args:
-            positions: Of all apparel vertices [m], shape (A, 3).
-            points: Of what is `used` [m], shape (U, 3).
-            most: Who lacks as much or more is passed over [m].
+        """Where a chosen vertex is not as far over one of its points as it must be: the row of the vertex, shape (L,),
+        by how much [m], its weight, from 0, far beside the way out of the point, to 1, and these ways, shape (3, L).
+        Positions are those of all apparel vertices (A, 3), points those that are `used` (U, 3); vertices that lack
+        `most` are passed over.
         """
         ways = vertex_normals(points, self.corners).astype(np.float32).T.take(self.under, axis=1)
         away = positions[self.mine].T.take(self.row, axis=1)
@@ -246,12 +220,7 @@ class _Over:
         return self.row[short], lack[short], beside, ways[:, short]
 
     def largest(self, row: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """The largest value of each chosen vertex, 0 where it has none, shape (C,), float32.
-
-        Args:
-            row: Whose each is, in order, shape (L,).
-            values: Shape (L,).
-        """
+        """The largest of values (L,) of each chosen vertex, by their rows in order (L,); 0 for none, shape (C,)."""
         out = np.zeros(len(self), np.float32)
         if len(row):
             begins = np.flatnonzero(np.diff(row, prepend=-1))
@@ -259,8 +228,8 @@ class _Over:
         return out
 
     def spread(self, values: np.ndarray, moved: np.ndarray) -> np.ndarray:
-        """Values of the chosen vertices, which count as much as they are `moved` (C,), smooth and for all vertices:
-        shape (R, D). What lies between moved ones is moved as they are.
+        """Values of the chosen vertices, weighted by how much they are `moved` (C,), smooth and for all vertices: shape
+        (R, D). A vertex between moved ones moves as they do.
         """
         near = self.around @ np.column_stack([values * moved[:, None], moved]).astype(np.float32)
         return np.asarray(self.back @ (near[:, :-1] / np.maximum(near[:, -1:], FEW)))

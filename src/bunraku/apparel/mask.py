@@ -24,24 +24,18 @@ NEAR = 1e-3  # a painted vertex stands for those of the character that are as ne
 
 
 def artist_mask(character: Character) -> np.ndarray | None:
-    """The mask beside a character's file, shape (V,), bool; None where there is none.
-
-    Raises:
-        FormatError: It is broken, or belongs to another mesh.
-    """
+    """The mask beside a character's file, shape (V,), bool; None for none. Errors as of `read_artist_mask`."""
     path = artist_mask_file(character)
     return None if path is None else read_artist_mask(path, character)
 
 
 def artist_mask_file(character: Character) -> Path | None:
-    """The file of such a mask: for `gene.pmx` the first of `gene.apparel.npy`, `.txt`, `.ply` and `.glb` that is
-    there.
-    """
+    """The file of such a mask: of `gene.pmx` the first of `gene.apparel.npy`, `.txt`, `.ply` and `.glb` that exists."""
     return file_beside(character, SUFFIXES)
 
 
 def file_beside(character: Character, suffixes: Sequence[str]) -> Path | None:
-    """The first file of a character's own name and one of some suffixes that lies beside its file; None for none."""
+    """The first file with a character's own name and one of some suffixes beside its file; None for none."""
     source = character.source
     path = getattr(source, "path", None) or getattr(getattr(source, "document", None), "path", None)
     if not isinstance(path, Path):
@@ -51,16 +45,13 @@ def file_beside(character: Character, suffixes: Sequence[str]) -> Path | None:
 
 
 def read_artist_mask(path: str | Path, character: Character) -> np.ndarray:
-    """A mask from a file.
+    """A mask from a file, shape (V,), bool.
 
     Args:
-        path: NPY with a number for each vertex, apparel above a half; text with the number of an apparel vertex in each
-            line, counted from 0; or a PLY or GLB of the same mesh whose vertices are painted red where they are
-            apparel. Its vertices may stand in another order.
-        character: The character that it is of.
-
-    Returns:
-        Shape (V,), bool.
+        path: NPY with a number for each vertex, apparel above a half; text with the index of an apparel vertex in each
+            line, counted from 0; or a PLY or GLB of the same mesh, in any order, whose vertices are painted red where
+            they are apparel.
+        character: Its character.
 
     Raises:
         FormatError: The file is broken, of another kind, or belongs to another mesh.
@@ -73,25 +64,19 @@ def read_artist_mask(path: str | Path, character: Character) -> np.ndarray:
     if suffix == ".npy":
         values = read_npy(path, data)
         if values.shape != (count,):
-            raise FormatError(
-                path,
-                f"the mask has shape {values.shape}, but the character has {count:,} vertices; make it for this mesh",
-            )
+            problem = f"the mask has shape {values.shape}, but the character has {count:,} vertices"
+            raise FormatError(path, f"{problem}; make it for this mesh")
         return np.asarray(values > 0.5)
     if suffix != ".txt":
-        raise FormatError(
-            path, "a mask of apparel is an .npy, a .txt, or a painted .ply or .glb; save it as one of these"
-        )
+        raise FormatError(path, "a mask of apparel is an .npy, a .txt, or a painted .ply or .glb; save one of these")
     try:
         numbers = np.array([int(line) for line in data.decode("utf-8-sig").split()], np.int64)
     except (UnicodeDecodeError, ValueError, OverflowError):
-        raise FormatError(
-            path, "this is not a list of vertex numbers; write the number of one apparel vertex in each line"
-        ) from None
+        problem = "this is not a list of vertex numbers; write the number of one apparel vertex in each line"
+        raise FormatError(path, problem) from None
     if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
-        raise FormatError(
-            path, f"it names a vertex that the character does not have (0 to {count - 1:,}); make it for this mesh"
-        )
+        problem = f"it names a vertex that the character does not have (0 to {count - 1:,})"
+        raise FormatError(path, f"{problem}; make it for this mesh")
     out = np.zeros(count, bool)
     out[numbers] = True
     return out
@@ -116,18 +101,12 @@ def _painted(path: Path, character: Character) -> np.ndarray:
     return out
 
 
-APPAREL_SHARE = 0.5
+APPAREL_SHARE = 0.5  # weight on moved joints from which on a vertex is apparel
 
 
 def apparel_mask(character: Character, model: MmdModel | VrmModel | None = None) -> np.ndarray | None:
-    """Vertices whose weight on joints that physics move exceeds a half, shape (V,), bool; None where the file says
-    nothing of physics.
-
-    A mask beside the file (`artist_mask`) replaces that.
-
-    Args:
-        character: With a rig.
-        model: What its file says, where that is known already.
+    """Vertices whose weight on joints that physics move exceeds a half, or the mask beside the file (`artist_mask`),
+    shape (V,), bool; None where neither is there. `model` is what its file says, where that is known already.
 
     Raises:
         FormatError: The nodes of its file, or the mask beside it, are broken.
@@ -142,9 +121,7 @@ def apparel_mask(character: Character, model: MmdModel | VrmModel | None = None)
 
 
 def moved_joints(character: Character, model: MmdModel | VrmModel | None = None) -> np.ndarray | None:
-    """Joints of the rig with dynamic rigid bodies or on springs, and all joints below them, shape (J,), bool; None as
-    above.
-    """
+    """Joints with dynamic bodies or on springs, and all below, (J,), bool; None where the file has no physics."""
     rig = character.rig
     model = model or mmd_model(character) or vrm_model(character)
     if model is None or rig is None:

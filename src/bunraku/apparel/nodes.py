@@ -21,18 +21,16 @@ __all__ = [
     "held_vertices", "node_swing", "part_lengths", "part_neighbours", "surface_distances", "whole_pieces",
 ]  # fmt: skip
 
-MOSTLY = 0.4
-"""Of a loose piece's points: a piece of which so many are apparel is apparel."""
+MOSTLY = 0.4  # of a loose piece's points: a piece of which so many are apparel is apparel
 LARGE = 0.3  # of all points: a piece with more may be the body itself
 
 
 def whole_pieces(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> np.ndarray:
-    """Number of the loose piece of the mesh of each vertex where much of that is apparel, -1 elsewhere, shape (V,): a
+    """Number of the loose piece of the mesh of each vertex where much of that is apparel, -1 elsewhere, shape (V,). A
     lock of hair whose upper half is not marked hangs on the head all the same, whatever arm lies beside it.
 
     Args:
-        vertices: Rest mesh [m], shape (V, 3).
-        faces: Shape (F, 3).
+        vertices, faces: Rest mesh [m], shapes (V, 3) and (F, 3).
         apparel: The mask, shape (V,), bool.
 
     Raises:
@@ -43,36 +41,27 @@ def whole_pieces(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -
     piece = mesh_parts(edges, count)
     sizes = np.bincount(piece)
     share = np.bincount(piece, cloth) / np.maximum(sizes, 1)
-    whole = (share >= MOSTLY) & (sizes < LARGE * count)
-    own = piece[index]
-    return np.asarray(np.where(whole[own], own, -1))
+    mostly = (share >= MOSTLY) & (sizes < LARGE * count)
+    number = piece[index]
+    return np.asarray(np.where(mostly[number], number, -1))
 
 
 def apparel_parts(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> np.ndarray:
-    """Number of the apparel part of each vertex, -1 on the body, shape (V,), int32.
-
-    Seams of the file do not part anything: vertices at the same position are one. Parts are numbered in the order of
-    their first vertices.
-
-    Args:
-        vertices: Rest mesh [m], shape (V, 3).
-        faces: Shape (F, 3).
-        apparel: The mask, shape (V,), bool.
-
-    Raises:
-        CharacterError: The mesh is broken.
+    """Number of the apparel part of each vertex, -1 on the body, shape (V,), int32, in the order of the parts' first
+    vertices. Vertices at one position are one, so seams of the file part nothing. Arguments and errors as of
+    `whole_pieces`.
     """
     index, edges, cloth = _welded(vertices, faces, apparel)
-    own = mesh_parts(edges[cloth[edges].all(axis=1)], len(cloth))[index]
+    part = mesh_parts(edges[cloth[edges].all(axis=1)], len(cloth))[index]
     out = np.full(len(vertices), -1, np.int32)
-    _, first, number = np.unique(own[apparel], return_index=True, return_inverse=True)
+    _, first, number = np.unique(part[apparel], return_index=True, return_inverse=True)
     out[apparel] = np.argsort(np.argsort(first))[number.reshape(-1)]
     return out
 
 
 def _welded(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The point of each vertex (V,), where vertices at one position are one; the edges between points (E, 2); and
-    which points are apparel, shape (P,).
+    """The point of each vertex (V,), where vertices at one position are one; the edges between points (E, 2); and the
+    points that are apparel, shape (P,), bool.
     """
     clean = clean_mesh(vertices, faces)
     cloth = np.zeros(len(clean.vertices), bool)
@@ -87,41 +76,25 @@ HELD = 0.08  # of a part's extent: vertices as near to what holds it are held
 
 @dataclass(frozen=True, eq=False)
 class ApparelNodes:
-    """M nodes of a clothed character's apparel.
+    """M nodes of a clothed character's apparel."""
 
-    Args:
-        vertex: Vertex that each is, shape (M,).
-        rest: Position in the rest pose [m], shape (M, 3).
-        joint: Joint that carries each, shape (M,).
-        weights: Skinning weights of each, shape (M, 22).
-        part: Part of each, shape (M,).
-        neighbours: Nearest nodes of the same part, itself where there are too few, shape (M, NEIGHBOURS).
-        held: From where its part is held to the node [m], shape (M, 3).
-        distance: Along the surface from where the part is held [m], shape (M,).
-        length: The largest such distance in its part [m], shape (M,).
-    """
-
-    vertex: np.ndarray
-    rest: np.ndarray
-    joint: np.ndarray
-    weights: np.ndarray
-    part: np.ndarray
+    vertex: np.ndarray  # vertex that each is, shape (M,)
+    rest: np.ndarray  # position in the rest pose [m], shape (M, 3)
+    joint: np.ndarray  # joint that carries each, shape (M,)
+    weights: np.ndarray  # skinning weights of each, shape (M, 22)
+    part: np.ndarray  # part of each, shape (M,)
+    # nearest nodes of the same part, the node itself where there are too few, shape (M, NEIGHBOURS)
     neighbours: np.ndarray
-    held: np.ndarray
-    distance: np.ndarray
-    length: np.ndarray
+    held: np.ndarray  # from where its part is held to the node [m], shape (M, 3)
+    distance: np.ndarray  # along the surface from where the part is held [m], shape (M,)
+    length: np.ndarray  # the largest such distance in its part [m], shape (M,)
 
     def __len__(self) -> int:
         return len(self.vertex)
 
 
 def apparel_nodes(clothed: ClothedCharacter, most: int = 256) -> ApparelNodes:
-    """Choose nodes: at least three of every part, the rest where the gaps are widest (farthest points).
-
-    Args:
-        clothed: The character.
-        most: How many; small apparel has fewer.
-    """
+    """At most so many nodes: at least three of every part, the rest where the gaps are widest (farthest points)."""
     cloth = np.flatnonzero(clothed.part >= 0)
     points, parts = clothed.rest[cloth].astype(np.float64), clothed.part[cloth]
     held, distance, length = _attachment(clothed)
@@ -136,7 +109,7 @@ def apparel_nodes(clothed: ClothedCharacter, most: int = 256) -> ApparelNodes:
 
 
 def part_lengths(clothed: ClothedCharacter) -> np.ndarray:
-    """How far the farthest vertex of each part is from where it is held, along the surface [m], shape (P,)."""
+    """Distance of the farthest vertex of each part from where it is held, along the surface [m], shape (P,)."""
     out = np.full(len(clothed.stiffness), 0.1, np.float32)
     cloth = clothed.part >= 0
     out[clothed.part[cloth]] = _attachment(clothed)[2][cloth]
@@ -144,7 +117,7 @@ def part_lengths(clothed: ClothedCharacter) -> np.ndarray:
 
 
 def surface_distances(clothed: ClothedCharacter) -> np.ndarray:
-    """How far each vertex is from where its part is held, along the surface [m], shape (V,); 0 on the body."""
+    """Distance of each vertex from where its part is held, along the surface [m], shape (V,); 0 on the body."""
     return _attachment(clothed)[1]
 
 
@@ -155,9 +128,7 @@ def held_vertices(clothed: ClothedCharacter) -> np.ndarray:
 
 
 def _spread(points: np.ndarray, parts: np.ndarray, most: int) -> np.ndarray:
-    """Farthest points, the first three of every part before the others; the order is such that any head of it is
-    spread too.
-    """
+    """Farthest points, the first three of every part before the others; any head of the order is spread too."""
     gap = np.full(len(points), np.inf)
     chosen: list[int] = []
 
@@ -183,23 +154,15 @@ def _spread(points: np.ndarray, parts: np.ndarray, most: int) -> np.ndarray:
 
 
 def part_neighbours(points: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """The nearest other points of the same part, nearest first; the point itself where there are too few.
-
-    Args:
-        points: [m], shape (M, 3).
-        parts: Part of each, shape (M,).
-
-    Returns:
-        Shape (M, NEIGHBOURS).
-    """
+    """The nearest other points [m] (M, 3) of the same part, or the point itself, shape (M, NEIGHBOURS)."""
     out = np.repeat(np.arange(len(points))[:, None], NEIGHBOURS, axis=1)
     for part in np.unique(parts):
         rows = np.flatnonzero(parts == part)
         near = min(NEIGHBOURS + 1, len(rows))
-        own = rows[cKDTree(points[rows]).query(points[rows], near)[1].reshape(len(rows), near)]
-        itself = own == rows[:, None]
+        nearest = rows[cKDTree(points[rows]).query(points[rows], near)[1].reshape(len(rows), near)]
+        itself = nearest == rows[:, None]
         itself[~itself.any(axis=1), -1] = True  # of points at one position, a few may not find themselves
-        out[rows, : near - 1] = own[~itself].reshape(len(rows), near - 1)
+        out[rows, : near - 1] = nearest[~itself].reshape(len(rows), near - 1)
     return out
 
 
@@ -251,15 +214,9 @@ def clothed_with_springs(
     clothed: ClothedCharacter, spring: np.ndarray, mass: np.ndarray, limit: np.ndarray, dial: float = 1.0,
     swing: Swing | None = None,
 ) -> ClothedCharacter:  # fmt: skip
-    """A clothed character whose parts are as stiff as a file says.
-
-    Args:
-        clothed: The character, of any stiffness.
-        spring: Of a joint of each part [N m / rad], shape (P,).
-        mass: Of a body of each [kg], shape (P,).
-        limit: How far a joint of each may turn [rad], shape (P,).
-        dial: Factor on the stiffness; limits are narrower by the root of it.
-        swing: Of its vertices, where it is known.
+    """A clothed character whose parts are as stiff as a file says: by the spring of a joint [N m / rad], the mass of a
+    body [kg] and the limit of a joint [rad] of each part, shape (P,), and the swing of its vertices, where it is known.
+    `dial` is a factor on the stiffness; limits are narrower by its root.
     """
     limit = np.clip(limit, NARROW, FREE).astype(np.float32)
     stiffness = part_stiffness(spring, mass, part_lengths(clothed), dial, limit)
@@ -268,40 +225,29 @@ def clothed_with_springs(
 
 
 def node_swing(clothed: ClothedCharacter, nodes: ApparelNodes) -> Swing:
-    """How nodes swing: as the file says, or else as the stiffness of their parts would mean.
-
-    Args:
-        clothed: The character.
-        nodes: Its nodes.
-    """
+    """How nodes of a character swing: as its file says, or else as the stiffness of their parts would mean."""
     if clothed.swing is not None:
         return Swing.of_rows(clothed.swing[nodes.vertex])
     return guessed_swing(nodes.held, clothed.stiffness[nodes.part], clothed.damping[nodes.part])
 
 
-LEAST_VALUE = np.float32(-1e4)
-"""Below any feature: what a part without points says."""
+LEAST_VALUE = np.float32(-1e4)  # below any feature, for a part without points
 
 
 @dataclass(frozen=True, eq=False)
 class NodeGraph:
-    """Neighbours and parts of M points of one mesh.
-
-    Args:
-        neighbours: Shape (M, K).
-        part: Part of each, by any numbers from 0, shape (M,).
-    """
+    """Neighbours (M, K) and parts (M,), by any numbers from 0, of M points of one mesh."""
 
     neighbours: np.ndarray
     part: np.ndarray
 
     @cached_property
     def _runs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points in the order of their parts, where each part begins in it, and which of these each point is of."""
+        """Points in the order of their parts, where each part begins in it, and the index of each point's part."""
         order = np.argsort(self.part, kind="stable")
-        _, starts, own = np.unique(self.part[order], return_index=True, return_inverse=True)
+        _, starts, index = np.unique(self.part[order], return_index=True, return_inverse=True)
         number = np.empty(len(order), np.int64)
-        number[order] = own
+        number[order] = index
         return order, starts, number
 
     @cached_property
@@ -316,21 +262,16 @@ class NodeGraph:
         return best
 
     def largest_of_part(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The largest of each channel in each part that has points, shape (P, C), and the row of each point, shape
-        (M,).
-        """
+        """The largest of each channel in each part with points, (P, C), and the row of each point's part, (M,)."""
         order, starts, number = self._runs
         return np.maximum(np.maximum.reduceat(values[order], starts, axis=0), LEAST_VALUE), number
 
 
 class EdgeBlock:
-    """An edge convolution within parts, with what the part as a whole says, added to what came in (Eq. 13 of MMDMC).
+    """An edge convolution within parts, with the maxima of the whole part, added to its input (Eq. 13 of MMDMC).
 
-    The convolution is (W1 - W2) x_i + b + max_j W2 x_j, whose two maps of the point itself are one.
-
-    Args:
-        width: Channels.
-        weights: Of the layer.
+    The convolution is (W1 - W2) x_i + b + max_j W2 x_j, whose two maps of the point itself are one. `width` is its
+    channels.
     """
 
     def __init__(self, width: int, weights: Weights):

@@ -83,10 +83,8 @@ def read_lines(path: Path, seconds: float, force: bool, named: bool = False) -> 
 
 
 def characters_of(folder: Path) -> dict[Path, str]:
-    """The characters of a folder, by their suffixes, each with the name of its own folder of results.
-
-    Raises:
-        FormatError: There is none, or the folder cannot be read.
+    """The characters of a folder, by their suffixes, each with the name of its own folder of results; FormatError where
+    there is none, or the folder cannot be read.
     """
     from bunraku.files import READERS
 

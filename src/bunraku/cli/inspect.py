@@ -71,11 +71,7 @@ def avatar_facts(character: Character) -> dict[str, Any]:
 
 
 def vmd_facts(path: Path) -> dict[str, Any]:
-    """What a VMD file holds.
-
-    Raises:
-        FormatError: The file cannot be read.
-    """
+    """What a VMD file holds; FormatError where the file cannot be read."""
     from bunraku.anatomy.names.skeleton_map import mmd_skeleton_map
     from bunraku.files import VMD_FPS, load_vmd
 

@@ -220,10 +220,8 @@ class _Run:
 
 @contextmanager
 def exclusive_output(files: Iterable[Path] = (), folders: Iterable[Path] = ()) -> Iterator[None]:
-    """While this lasts, no other run writes to these files, nor into these folders.
-
-    Raises:
-        FormatError: Another run writes there.
+    """While this lasts, no other run writes to these files, nor into these folders; FormatError where another run
+    writes there.
     """
     written, filled = (tuple(os.path.realpath(path) for path in paths) for paths in (files, folders))
     run = _Run(os.getpid(), _born(os.getpid()), written, filled)

@@ -258,11 +258,7 @@ class DirectingOptions:
     """
 
     def constraints(self) -> Constraints:
-        """The constraints; what is followed is named by its file.
-
-        Raises:
-            OptionError: A text is no path or no pin.
-        """
+        """The constraints, with the file of a clip to follow; OptionError where a text is not a path or a pin."""
         return Constraints.of(
             loop=self.loop, in_place=self.in_place, after=None if self.after is None else str(self.after),
             path=parse_path(self.path), pins=[parse_pin(pin) for pin in self.pin],

@@ -67,11 +67,7 @@ class Tools:
         return root
 
     def path(self, name: str) -> Path:
-        """The file of a name.
-
-        Raises:
-            FormatError: It lies outside the folder.
-        """
+        """The file of a name; FormatError where it lies outside the folder."""
         found = path_inside(self._root, name) if name.strip() else None
         if found is None:
             raise FormatError(name or "a file without a name", "name a file in the folder that is served, or below it")
@@ -244,11 +240,7 @@ class Tools:
         return self._output(output or f"{Path(character).stem}-{next(iter(clip_names([said])))}.glb")
 
     def _output(self, name: str) -> Path:
-        """A file to write.
-
-        Raises:
-            OptionError: A file of this name exists.
-        """
+        """A file to write; OptionError where a file of this name exists."""
         target = self.path(name)
         if target.exists():
             raise OptionError(f"{self._name(target)} is there already; name another file with `output`")
@@ -293,11 +285,7 @@ INSTRUCTIONS = (
 
 
 def mcp_server(folder: Path) -> Any:
-    """The server of the tools over a folder.
-
-    Raises:
-        MissingExtraError: The SDK is not installed.
-    """
+    """The server of the tools over a folder; MissingExtraError where the SDK is not installed."""
     try:
         from mcp.server.mcpserver import Image, MCPServer
         from mcp.server.mcpserver.exceptions import ToolError

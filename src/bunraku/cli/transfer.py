@@ -47,44 +47,9 @@ if TYPE_CHECKING:
     from bunraku.retarget.stages import Stages
 
 __all__ = [
-    "Pair", "Transfer", "animation_of", "batches", "clips_for", "holds_character", "names_of", "pairs_of",
+    "Pair", "Transfer", "animation_of", "batches", "clips_for", "names_of", "pairs_of",
     "transfer_pairs",
 ]  # fmt: skip
-
-
-def holds_character(path: Path) -> bool:
-    """Whether a file holds a character, with or without clips, and not only a motion. Folders hold frames of a moving
-    mesh.
-
-    Raises:
-        FormatError: The file is missing, or its kind is unknown.
-    """
-    from bunraku.core.files import check_input, open_input
-    from bunraku.files import detect
-
-    if path.is_dir():
-        return False
-    size = check_input(path)
-    with open_input(path) as file:
-        start = file.read(64)
-        try:
-            detect(path, start, "character")
-        except FormatError:
-            if path.suffix.lower() != ".vmd":
-                detect(path, start, "motion")
-            return False
-        gltf, fbx = start.startswith(b"glTF") or path.suffix.lower() == ".gltf", path.suffix.lower() == ".fbx"
-        if not gltf and not fbx:
-            return True
-        file.seek(0)
-        data = file.read(size)
-    if gltf:
-        from bunraku.files import open_document
-
-        return bool(open_document(path, data).items("meshes"))
-    from bunraku.files import fbx_facts
-
-    return bool(fbx_facts(path, data)["meshes"])
 
 
 @dataclass(frozen=True)
@@ -205,6 +170,8 @@ class Transfer:
         """Characters, motions, and files that are neither with the reason; the last only beside others, so that one
         does not stop all.
         """
+        from bunraku.files import holds_character
+
         characters: list[Path] = []
         motions: list[Path] = []
         bad: dict[Path, str] = {}
@@ -341,10 +308,8 @@ def batches(pairs: list[Pair], jobs: int | str) -> list[list[Pair]]:
 
 
 def animation_of(pair: Pair, settings: Transfer, progress: Progress | None = None) -> AnimatedCharacter:
-    """The motion of a pair on its character, apparel and all.
-
-    Raises:
-        BunrakuError: A file cannot be read, the two do not go together, or there is nothing to simulate.
+    """The motion of a pair on its character, apparel and all; BunrakuError where a file cannot be read, the two do not
+    go together, or there is nothing to simulate.
     """
     from bunraku.files import check_writer
     from bunraku.pipelines.animator import Animator

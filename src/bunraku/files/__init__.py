@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from bunraku.files.motions.bvh import write_bvh
     from bunraku.files.presets import Preset, preset_named, preset_rows, save_clips, save_for
     from bunraku.files.registry import (
-        READERS, UNIT_CHOICES, UNIT_NAMES, WRITERS, check_writer, in_metres, load_character, load_with_clips,
-        read_motion, resolve_unit, save, save_character,
+        READERS, UNIT_CHOICES, UNIT_NAMES, WRITERS, check_writer, holds_character, in_metres, load_character,
+        load_with_clips, read_motion, resolve_unit, save, save_character,
     )  # fmt: skip
     from bunraku.files.samples import sample_character, sample_file, sample_names
 
@@ -71,8 +71,8 @@ _NAMES = {
     "motions.bvh": "write_bvh",
     "presets": "Preset preset_named preset_rows save_clips save_for",
     "registry":
-        "READERS UNIT_CHOICES UNIT_NAMES WRITERS check_writer in_metres load_character load_with_clips read_motion "
-        "resolve_unit save save_character",
+        "READERS UNIT_CHOICES UNIT_NAMES WRITERS check_writer holds_character in_metres load_character load_with_clips "
+        "read_motion resolve_unit save save_character",
     "samples": "sample_character sample_file sample_names",
 }  # fmt: skip
 """Public names by the module below this one that has them."""

@@ -23,8 +23,9 @@ from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionErro
 from bunraku.files.gltf.read import rotated, scaled
 
 __all__ = [
-    "READERS", "UNIT_CHOICES", "UNIT_NAMES", "WRITERS", "SettledUnit", "check_unit", "check_writer", "in_metres",
-    "load_character", "load_with_clips", "read_motion", "resolve_unit", "save", "save_character",
+    "READERS", "UNIT_CHOICES", "UNIT_NAMES", "WRITERS", "SettledUnit", "check_unit", "check_writer",
+    "holds_character", "in_metres", "load_character", "load_with_clips", "read_motion", "resolve_unit", "save",
+    "save_character",
 ]  # fmt: skip
 
 _USD = (".usd", ".usda", ".usdc", ".usdz")
@@ -235,6 +236,37 @@ def _resolve(target: str) -> Callable[..., Any]:
     module, name = target.split(":")
     function: Callable[..., Any] = getattr(import_module(module), name)
     return function
+
+
+def holds_character(path: Path) -> bool:
+    """Whether a file holds a character, with or without clips, and not only a motion. Folders hold frames of a moving
+    mesh.
+
+    Raises:
+        FormatError: The file is missing, or its kind is unknown.
+    """
+    if path.is_dir():
+        return False
+    size = check_input(path)
+    with open_input(path) as file:
+        start = file.read(64)
+        try:
+            suffix = _suffix_of(path, "character", start)
+        except FormatError:
+            if path.suffix.lower() != ".vmd":
+                _suffix_of(path, "motion", start)
+            return False
+        if suffix not in (".glb", ".gltf", ".vrm", ".fbx"):
+            return True
+        file.seek(0)
+        data = file.read(size)
+    if suffix == ".fbx":
+        from bunraku.files.fbx.read import fbx_facts
+
+        return bool(fbx_facts(path, data)["meshes"])
+    from bunraku.files.gltf.open import open_document
+
+    return bool(open_document(path, data).items("meshes"))
 
 
 def _read(path: str | Path, kind: str, **options: object) -> Any:

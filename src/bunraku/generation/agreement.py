@@ -1,5 +1,5 @@
-"""Whether a motion does what its sentence plainly says, and what of a motion that is measured on: path, heading,
-heights, feet, hands.
+"""Whether a motion does what its sentence plainly says, and the measures of a motion: path, heading, heights, feet,
+hands.
 """
 
 from __future__ import annotations
@@ -39,65 +39,44 @@ def smooth(values: np.ndarray, seconds: float, fps: float) -> np.ndarray:
 
 
 def runs(mask: np.ndarray, least: float = 1, bridge: float = 0) -> list[tuple[int, int]]:
-    """Stretches (start, stop) where the mask holds for at least `least` frames, gaps of up to `bridge` frames counted
-    in.
-    """
+    """Runs (start, stop) in which the mask holds for `least` frames or more, gaps of up to `bridge` frames included."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    found: list[tuple[int, int]] = []
+    merged: list[tuple[int, int]] = []
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if found and start - found[-1][1] <= bridge:
-            found[-1] = (found[-1][0], stop)
+        if merged and start - merged[-1][1] <= bridge:
+            merged[-1] = (merged[-1][0], stop)
         else:
-            found.append((start, stop))
-    return [(start, stop) for start, stop in found if stop - start >= least]
+            merged.append((start, stop))
+    return [(start, stop) for start, stop in merged if stop - start >= least]
 
 
 @dataclass(frozen=True)
 class Phrase:
-    """Something that a motion does in some of its frames.
+    """Something that a motion does in some of its frames."""
 
-    Args:
-        kind: "go", "turn", "jump", "kick", "arm", "bend" or "still".
-        texts: Rewordings of the same, with verbs in braces.
-        start: First frame.
-        stop: Frame after the last.
-        part: Words that are still true where only a part of the frames is there; none where a part is nothing.
-        manner: For "go": direction and speed, to follow another verb, such as "backwards", "slowly".
-    """
-
-    kind: str
-    texts: tuple[str, ...]
+    kind: str  # "go", "turn", "jump", "kick", "arm", "bend" or "still"
+    texts: tuple[str, ...]  # rewordings of the same, with verbs in braces
+    # start, stop: first frame, and the one after the last
     start: int
     stop: int
+    # words that are still true where only a part of the frames is there; empty where a part is nothing
     part: tuple[str, ...] = ()
-    manner: tuple[str, ...] = ()
+    manner: tuple[str, ...] = ()  # for "go": direction and speed, to follow another verb, such as "backwards", "slowly"
 
 
 @dataclass(frozen=True)
 class Track:
-    """Measures of a motion of the reference body; +left is the body's own left.
+    """Measures of a motion of the reference body; +left is the body's own left."""
 
-    Args:
-        fps: Frames a second [1/s].
-        position: Path of the root on the ground (x, z) [m], shape (N, 2).
-        height: Root over its rest height, over the ground near it in time [m], shape (N,).
-        up: Cosine of the root's tilt, 1 upright, shape (N,).
-        angle: Heading [rad], positive to the left, smooth, shape (N,).
-        velocity: Forward and to the left, smooth [m/s], shape (N, 2).
-        course: Direction of the path itself [rad], unwrapped, shape (N,).
-        points: World position of each named handle [m], shape (N, 3) each.
-        feet: Lowest handle of each foot over the ground [m], shape (N, 2), left first.
-    """
-
-    fps: float
-    position: np.ndarray
-    height: np.ndarray
-    up: np.ndarray
-    angle: np.ndarray
-    velocity: np.ndarray
-    course: np.ndarray
-    points: dict[str, np.ndarray]
-    feet: np.ndarray
+    fps: float  # frames a second [1/s]
+    position: np.ndarray  # path of the root on the ground (x, z) [m], shape (N, 2)
+    height: np.ndarray  # root over its rest height, over the ground near it in time [m], shape (N,)
+    up: np.ndarray  # cosine of the root's tilt, 1 upright, shape (N,)
+    angle: np.ndarray  # heading [rad], positive to the left, smooth, shape (N,)
+    velocity: np.ndarray  # forward and to the left, smooth [m/s], shape (N, 2)
+    course: np.ndarray  # direction of the path itself [rad], unwrapped, shape (N,)
+    points: dict[str, np.ndarray]  # world position of each named handle [m], shape (N, 3) each
+    feet: np.ndarray  # lowest handle of each foot over the ground [m], shape (N, 2), left first
 
     @classmethod
     def of(cls, motion: HandleMotion) -> Track:
@@ -118,16 +97,18 @@ class Track:
         step = np.gradient(position, axis=0) * fps if len(position) > 1 else np.zeros_like(position)
         drift = smooth(step, 0.25, fps)
         back = matrix_y(-angle)
-        own = np.einsum("nij,nj->ni", back, np.stack([drift[:, 0], 0 * drift[:, 0], drift[:, 1]], 1))
+        local_drift = np.einsum("nij,nj->ni", back, np.stack([drift[:, 0], 0 * drift[:, 0], drift[:, 1]], 1))
         course = np.unwrap(np.arctan2(drift[:, 0], drift[:, 1]))
         height = motion.root_translation[:, 1].astype(float) - ground
-        return cls(fps, position, height, turn[:, 1, 1], angle, own[:, [2, 0]], course, points, feet - ground[:, None])
+        return cls(
+            fps, position, height, turn[:, 1, 1], angle, local_drift[:, [2, 0]], course, points, feet - ground[:, None]
+        )
 
     def __len__(self) -> int:
         return len(self.position)
 
     def frames(self, seconds: float) -> int:
-        """How many frames a time takes, at least one."""
+        """Number of frames of a time, at least one."""
         return max(1, round(seconds * self.fps))
 
     @property
@@ -147,9 +128,9 @@ _RISES = 0.15  # m; a hand or foot that is so much higher than the other is the 
 _FAST = 1.0  # m/s
 _STEP = 0.3  # m
 _WALK = 0.6  # m
-_PACE = 0.3  # m/s, slower than any walk: who is not half as fast stays where he is
+_PACE = 0.3  # m/s, slower than any walk: a person who is not half as fast stays
 _ON_FOOT = ("walk", "run")
-_STANDS = 0.3  # share of the time for which who goes may stand
+_STANDS = 0.3  # share of the time for which a person who goes may stand
 _ARCS, _EVEN = 3, 0.6  # thirds of a circle, and the share of an even turn that each has at the least
 _SLACK = np.radians(30)
 _SEAT = 0.2  # m
@@ -157,29 +138,22 @@ _CLEAR = 0.1  # m
 
 
 def agreement(clause: Clause, motion: HandleMotion) -> float | None:
-    """How far what a clause plainly says is true of a motion of the reference body.
-
-    Args:
-        clause: Of one thing that is done.
-        motion: That should do it.
-
-    Returns:
-        That of the claim that holds least, from -1, the contrary, to 1; None where nothing is claimed that could be
-        seen.
+    """How far what a clause of one action plainly says is true of a motion of the reference body: that of the claim
+    that holds least, from -1, the contrary, to 1; None where it claims nothing visible.
     """
     if clause.limbs_meanwhile is not None:
         clause = clause.body
-    if len(motion) < 8 or not (clause.told is None or isinstance(clause.told, Posing)):
+    if len(motion) < 8 or not (clause.detail is None or isinstance(clause.detail, Posing)):
         return None  # "to the left" is where a thing is put
     if "then" in clause.cues and len(clause.actions) != 1:
         return None  # of several things that follow each other, no one holds throughout
     track = Track.of(motion)
-    found = [score for claim in _CLAIMS if (score := claim(clause, track)) is not None]
-    return float(np.clip(min(found), -1, 1)) if found else None
+    scores = [score for claim in _CLAIMS if (score := claim(clause, track)) is not None]
+    return float(np.clip(min(scores), -1, 1)) if scores else None
 
 
 def _side(clause: Clause, part: str) -> int:
-    """1 where the left of this place is spoken of, -1 where the right is, 0 for neither or both."""
+    """1 where the left of this part is meant, -1 where the right is, 0 for neither or both."""
     return int(f"left {part}" in clause.cues) - int(f"right {part}" in clause.cues)
 
 
@@ -196,8 +170,8 @@ def _arm(clause: Clause, track: Track) -> float | None:
     return float(own - other) / _RISES if "arm out" in clause.traits else None
 
 
-def _over(track: Track, one: str, other: str) -> np.ndarray:
-    return track.points[one][:, 1] - track.points[other][:, 1]
+def _over(track: Track, upper: str, lower: str) -> np.ndarray:
+    return track.points[upper][:, 1] - track.points[lower][:, 1]
 
 
 def _leg(clause: Clause, track: Track) -> float | None:
@@ -213,7 +187,7 @@ def _leg(clause: Clause, track: Track) -> float | None:
 
 
 def _turn(clause: Clause, track: Track) -> float | None:
-    """The way round and how far; without a side, how far; and that who goes forward does not turn."""
+    """The direction and angle of a turn, or its angle alone; a clause that goes forward does not turn."""
     angle = float(track.angle[-1] - track.angle[0])
     requested = clause.turn
     if requested is None:
@@ -227,7 +201,7 @@ def _turn(clause: Clause, track: Track) -> float | None:
 
 
 def _way(clause: Clause, track: Track) -> float | None:
-    """Forward, backwards or to a side, seen from the heading at each time; where none is said, anywhere at all."""
+    """Forward, backwards or to a side, seen from the heading at each time; anywhere where no direction is said."""
     if "goes" not in clause.traits or "in place" in clause.cues or "to and fro" in clause.traits:
         return None
     ahead, aside = (track.velocity.mean(axis=0) * len(track) / track.fps).tolist()
@@ -243,15 +217,15 @@ def _way(clause: Clause, track: Track) -> float | None:
 
 
 def _stays(track: Track) -> float:
-    """Whether who goes does so for most of the time: twice the speed that he has in all but a part of it, over that of
-    slow walks, less 1.
+    """Whether a person who goes does so for most of the time: twice the speed reached in all but a part of it, over
+    that of slow walks, less 1.
     """
     speed = np.linalg.norm(track.velocity, axis=1)
     return float(min(2 * speed.mean(), 2.5 * np.quantile(speed, _STANDS)) / _PACE - 1)
 
 
 def _posture(clause: Clause, track: Track) -> float | None:
-    """Who sits down stands before and is low after; who gets up is low before and stands after."""
+    """A person who sits down stands before and is low after; a person who gets up is low before and stands after."""
     edge = track.frames(0.3)
     first, last = float(np.median(track.height[:edge])), float(np.median(track.height[-edge:]))
     if "gets up" in clause.traits:

@@ -1,12 +1,13 @@
 """Captured examples that the denoiser attends to: for each sentence the nearest of the pack, by the ranker's vectors.
 
-Nothing but the vectors decides, as in ReMoDiffuse (Zhang et al. 2023): what is of use in an example is learned.
+Only the vectors decide, as in ReMoDiffuse (Zhang et al. 2023): training learns what is of use in an example.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Collection, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -23,7 +24,7 @@ __all__ = ["ExampleBank", "example_bank", "take_of"]
 
 
 def take_of(name: str) -> str:
-    """The take that a clip, a stretch of one or a turn cut out of one is of: `cmu_13_29_jacks@40` -> `cmu_13_29`,
+    """The take of a clip, of a stretch of one or of a turn cut out of one: `cmu_13_29_jacks@40` -> `cmu_13_29`,
     `snu_WalkSad05@0` -> `snu_WalkSad`.
     """
     clip = name.partition("@")[0].removeprefix("turn_")
@@ -31,15 +32,9 @@ def take_of(name: str) -> str:
 
 
 class ExampleBank:
-    """Examples in a network's units with the vectors of their sentences, worked out as they are asked for.
-
-    Args:
-        pack: The captured ones among its examples are used; gestures made by code are not.
-        ranker: What placed them.
-        encoder: The denoiser's text encoder, whose tokens the ranker reads too.
-        statistics: Units of the network.
-        count: Examples of a sentence, R.
-        frames: Longest example; longer ones are cut.
+    """`count` examples of each sentence in a network's units (`statistics`), with the vectors of their sentences,
+    computed when needed. The captured ones of the pack are used, not gestures made by code; those longer than `frames`
+    are cut.
     """
 
     def __init__(
@@ -48,16 +43,19 @@ class ExampleBank:
     ):  # fmt: skip
         self.pack, self.ranker, self.encoder, self.statistics = pack, ranker, encoder, statistics
         self.count, self.frames = count, frames
-        self._takes = [take_of(one.name) for one in pack.examples]
-        self._usable = ~pack.made & np.array([bool(one.texts) for one in pack.examples], bool)
+        self._usable = ~pack.made & np.array([bool(example.texts) for example in pack.examples], bool)
         self._known: dict[tuple[int, bool], tuple[np.ndarray, np.ndarray]] = {}
+
+    @cached_property
+    def _takes(self) -> list[str]:
+        return [take_of(example.name) for example in self.pack.examples]
 
     def nearest(self, vector: np.ndarray, without: Collection[str] = ()) -> list[tuple[int, bool]]:
         """The nearest examples and whether the mirror image is meant; of an example and its mirror image the nearer.
 
         Args:
             vector: The ranker's unit vector of the sentence, shape (V,).
-            without: Takes that are not looked at (`take_of`).
+            without: Takes that are passed over (`take_of`).
         """
         scores = np.stack([self._scores(vector, mirrored) for mirrored in (False, True)])
         usable = self._usable & ~np.isin(self._takes, list(without)) if without else self._usable
@@ -73,12 +71,7 @@ class ExampleBank:
         return np.asarray(0.5 * (near + self.pack.motions[side].astype(float) @ vector))
 
     def __call__(self, text: TextBatch, without: Sequence[Collection[str]] | None = None) -> RetrievedExamples:
-        """Examples of each sentence.
-
-        Args:
-            text: Encoded sentences.
-            without: For each sentence the takes that are not looked at.
-        """
+        """Examples of each encoded sentence; `without` are the takes that are passed over for each."""
         vectors = self.vectors(text)
         excluded = [()] * len(vectors) if without is None else without
         rows = [self.nearest(*pair) for pair in zip(vectors, excluded, strict=True)]
@@ -110,8 +103,8 @@ class ExampleBank:
             features, text = self.pack.features(index)[: self.frames], self.pack.examples[index].texts[0]
             if mirrored:
                 features, text = mirror(features), mirror_words(text)
-            own = self.encoder.encode([text]).pooled[0]
-            self._known[key] = (self.statistics.normalise(features).astype(np.float16), own)
+            vector = self.encoder.encode([text]).pooled[0]
+            self._known[key] = (self.statistics.normalise(features).astype(np.float16), vector)
         return self._known[key]
 
 
@@ -122,8 +115,7 @@ def example_bank(
     """The bank of a denoiser that attends to examples; with the shipped pack it is kept between calls.
 
     Args:
-        config: Of the denoiser.
-        statistics: Its units.
+        config, statistics: Of the denoiser.
         pack: In place of the shipped examples.
         encoder: In place of the denoiser's own text encoder.
 

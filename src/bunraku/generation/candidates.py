@@ -37,18 +37,15 @@ STILL = 0.3  # m/s; a loop whose root goes no faster than this, all in all, is m
 
 
 def arrive(root: np.ndarray, fps: float, turn: float | None, travel: tuple[float, float] | None) -> np.ndarray:
-    """Root velocities changed as little and as evenly as they can be so that they lead to a given place.
+    """Root velocities changed as little and as evenly as possible so that they lead to a goal, shape (N, 3).
 
     Args:
-        root: Yaw velocity [rad/s] and planar velocity in the heading of each frame [m/s], shape (N, 3), as `features`
-            has them.
+        root: Yaw velocity [rad/s] and planar velocity in the heading of each frame [m/s], shape (N, 3), as in
+            `features`.
         fps: Frames a second [1/s].
-        turn: Turn of all frames together [rad]; None for the nearest whole number of turns.
-        travel: Way (x, z) of all frames together [m], seen from the heading before the first; None keeps the way unless
-            it is so short that it is meant to be none.
-
-    Returns:
-        Shape (N, 3).
+        turn: Rotation over all frames [rad]; None for the nearest whole number of rotations.
+        travel: Way (x, z) over all frames [m], seen from the heading before the first; None keeps the way unless it is
+            so short that it is meant to be none.
     """
     count = len(root)
     weight = np.ones(count)
@@ -72,16 +69,16 @@ def arrive(root: np.ndarray, fps: float, turn: float | None, travel: tuple[float
 STEPS = 8
 GUIDANCE = 3.5
 MADE_UNTIL = 0
-"""Step of the sampler down to which a gesture made by code stands for what the network predicts. It has seen none:
-from 100 on it already stills the hands of somebody who claps.
+"""Step of the sampler down to which a gesture made by code stands for the network's prediction. The network has seen no
+gestures: from 100 on it already stills the hands of a person who claps.
 """
 STANDING, GOING_DOWN = 6, 14
-"""Frames for which who is about to sit or lie down still stands, and frames in which that is let go of."""
+"""Frames for which a person who is about to sit or lie down still stands, and frames in which that is let go of."""
 
 
 @dataclass(frozen=True)
 class SamplingSettings:
-    """How a motion is drawn.
+    """How a motion is sampled.
 
     Args:
         steps: Sampling steps, 1 to 1,000; None takes the few that the denoiser was distilled into, or 8.
@@ -90,19 +87,17 @@ class SamplingSettings:
             generate for no mesh in particular.
         progress: Called with a stage's name and the share done.
         checkpoint: Weights of the denoiser in place of the shipped ones.
-        candidates: How many motions are drawn for each that is given back: the one that the ranker likes best
-            (`generation.ranking`), 1 to 16. The first has the noise that it has alone. Where none has the side, the
-            turn or the direction that the sentence says, as many are drawn again, three times at the most.
-        examples: All candidates but the first start from captured examples where there are any that fit
-            (`diffusion.examples`). They are of people.
+        candidates: Motions that are drawn for each that is given back, 1 to 16; the ranker chooses (`ranking`). The
+            first has the noise that it has alone. Where none has the side, the turn or the direction of the sentence,
+            as many are drawn again, at most three times.
+        examples: All candidates but the first start from captured examples of people where any fit (`guide`).
         all_led: The first does so too.
-        classifier_guidance: What is predicted is guided towards its sentences, as people do them
-            (`diffusion.sampling.classifier_guidance`).
-        note: Called with what should be known of a motion, one line each.
-        held: The networks; None loads those of `checkpoint` when they are asked for.
+        classifier_guidance: Predictions are guided towards their sentences, as people do them (`classifier_guidance`).
+        note: Called with notes on a motion, one line each.
+        held: The networks; None loads those of `checkpoint` when they are needed.
 
     Raises:
-        OptionError: A setting is outside what can be done.
+        OptionError: A setting is outside its range.
     """
 
     steps: int | None = None
@@ -124,22 +119,22 @@ class SamplingSettings:
 
     @property
     def networks(self) -> Networks:
-        """The networks that draw."""
+        """The networks that sample."""
         return self.held or Networks(self.checkpoint)
 
     @property
     def denoiser(self) -> Denoiser:
-        """What predicts: the denoiser of few steps where no other number of steps or guidance is asked for."""
+        """The denoiser of few steps without another number of steps or guidance; else the denoiser."""
         few = self.networks.few_steps if self.steps is None and self.guidance is None else None
         return few or self.networks.denoiser
 
     def of_body(self, model: Denoiser) -> bool:
-        """Whether what is drawn is a body's own motion: see `HandleMotion`."""
+        """Whether the motion is a body's own: see `HandleMotion`."""
         return self.mesh_feature is not None and bool(model.notes.get("creatures"))
 
     @property
     def solver(self) -> Solver:
-        """How they are denoised."""
+        """How motions are denoised."""
         from bunraku.generation.sampler import Solver
 
         progress = self.progress
@@ -167,15 +162,15 @@ def draw_candidates(
     """One candidate for each script from its own noise, all in one batch.
 
     Args:
-        texts: What the denoiser reads of the scripts.
+        texts: The scripts as the denoiser reads them.
         scripts: The clauses of each.
         noise: Seed and row of each (see `drawn_noise`).
-        how: How they are drawn.
+        how: The settings.
         loop: Make loops.
-        path: What the root follows, in metres of the reference body; None for its own way.
+        path: Path of the root, in metres of the reference body; None for its own way.
         examples: Examples that each starts from, and those of the gestures that are made at the same time; None for
             none.
-        critic: What guides them towards their sentences; None for nothing.
+        critic: Guides them towards their sentences; None for no guidance.
     """
     from bunraku.core.nn.layers import one_thread
     from bunraku.generation.composition import PartTrack, with_limbs
@@ -186,8 +181,9 @@ def draw_candidates(
     model = how.denoiser
     lengths = [frames_of([clause.seconds for clause in script], model.config.fps) for script in scripts]
     plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
-    told = [second is not None for _, second in examples]  # limbs are then laid over the motion
-    tracks = [track for row, script in enumerate(scripts) if (track := PartTrack.of(row, script, not told[row]))]
+    tracks = [  # limbs with an example are laid over the motion
+        track for row, script in enumerate(scripts) if (track := PartTrack.of(row, script, examples[row][1] is None))
+    ]
     sentences = [clause.body.text for script in scripts for clause in script]
     text = texts.batch(sentences + [sentence for track in tracks for sentence in track.sentences])
     statistics = FeatureStatistics(model.mean, model.std)
@@ -218,16 +214,14 @@ def draw_candidates(
             parts[own] = track.follow(parts[track.motion], parts[own])
         return np.concatenate([closed(part, model) for part in parts] if loop else parts)
 
-    steering, mesh = (
-        Steering(classifier_guidance, guide, refine if loop or tracks else None, held),
-        how.mesh_features(model, len(text.mask)),
-    )
+    steering = Steering(classifier_guidance, guide, refine if loop or tracks else None, held)
+    mesh = how.mesh_features(model, len(text.mask))
     with one_thread():
-        found = sample_plans(model, text, plans, how.solver, steering, seeds=noise, mesh_features=mesh)
-    for track, own in zip(tracks, found[len(scripts) :], strict=True):
-        found[track.motion] = replace(own, adaptation=track.adapt(found[track.motion].adaptation, own.adaptation))
+        samples = sample_plans(model, text, plans, how.solver, steering, seeds=noise, mesh_features=mesh)
+    for track, own in zip(tracks, samples[len(scripts) :], strict=True):
+        samples[track.motion] = replace(own, adaptation=track.adapt(samples[track.motion].adaptation, own.adaptation))
     drawn = []
-    for row, (part, script, own_lengths, example) in enumerate(zip(found, scripts, lengths, starts, strict=False)):
+    for row, (part, script, own_lengths, example) in enumerate(zip(samples, scripts, lengths, starts, strict=False)):
         frames = np.arange(sum(own_lengths) + loop) % len(part.values)
         timed = list(zip(script, own_lengths, strict=True))
         features = steadied(statistics.restore(part.values), loop)
@@ -254,8 +248,8 @@ def _held(
     ways: Sequence[np.ndarray] | None, stands: Sequence[bool], sizes: Sequence[int], statistics: FeatureStatistics,
     fps: float,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """What is known beforehand, in network units, and which features these are: both (F, D). The root's velocities
-    where it follows a path; legs that stand in the first frames of who is about to sit or lie down.
+    """Values in network units that are known beforehand, and which features these are: both (F, D). The root's
+    velocities where it follows a path; legs that stand in the first frames of a person who is about to sit or lie down.
     """
     values, share = (np.zeros((sum(sizes), FEATURE_SIZE), np.float32) for _ in range(2))
     pose, legs = standing_legs()
@@ -270,16 +264,16 @@ def _held(
             values[first, legs] = pose[legs]
             share[first, legs] = hold[:size, None]
         start += size
-    known = np.where(share > 0, statistics.normalise(values), 0).astype(np.float32)
-    return known, share
+    normalised = np.where(share > 0, statistics.normalise(values), 0).astype(np.float32)
+    return normalised, share
 
 
 def _guided(
     examples: Sequence[GuidanceExample | None], lengths: Sequence[list[int]], sizes: Sequence[int],
     statistics: FeatureStatistics, loop: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:  # fmt: skip
-    """What candidates start from, in network units, (F, D), how far, (F, 1), and down to which step of the sampler,
-    (F, 1); None where no one has an example.
+    """Motions that candidates start from, in network units, (F, D), how far, (F, 1), and down to which step of the
+    sampler, (F, 1); None without examples.
     """
     from bunraku.generation.sampler import LED_UNTIL
 
@@ -297,17 +291,15 @@ def _guided(
 
 
 def frames_of(seconds: Sequence[float], fps: float) -> list[int]:
-    """Frames of each part, at least one, so that the parts end where the sum of their seconds says, whatever the
-    rounding.
-    """
+    """Frames of each part, at least one, so that the parts end at the sums of their seconds, whatever the rounding."""
     ends = [round(float(end) * fps) for end in np.cumsum(seconds)]
     out = [max(1, after - before) for before, after in zip([0, *ends], ends, strict=False)]
     return out
 
 
 def closed(values: np.ndarray, model: Denoiser) -> np.ndarray:
-    """Values of a loop, shape (N, D) in network units, whose root ends facing as it starts, and where it starts if it
-    hardly travels.
+    """Values of a loop, shape (N, D) in network units, whose root ends with its first heading, and at its first
+    position if it hardly travels.
     """
 
     mean, std = model.mean[:3], model.std[:3]

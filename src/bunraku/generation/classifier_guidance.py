@@ -1,9 +1,9 @@
 """Guidance by a network that knows which motion belongs to which sentence: at every step the predicted x0 goes a little
-way up the gradient of the cosine of their vectors (as classifier guidance, Dhariwal and Nichol 2021, but on x0).
+up the gradient of the cosine of their vectors (as classifier guidance, Dhariwal and Nichol 2021, but on x0).
 
-The gradient is smoothed in time, so that it changes what is done and not the details, in which such a network can be
-deceived; and it is of one size whatever its length, since a prediction of the first steps resembles no motion and is
-far from any sentence. The root keeps its own way: with it walks became slower and nothing better.
+The gradient is smoothed in time, so that it changes the action and not the details, in which such a network can be
+deceived. It has one size whatever its length, since a prediction of the first steps resembles no motion and is far from
+any sentence. The root is not guided: with it walks became slower and nothing better.
 """
 
 from __future__ import annotations
@@ -20,43 +20,26 @@ from bunraku.generation.sampler import ROOT
 
 __all__ = ["Critic", "ClassifierGuidance", "Spoken", "smoothed"]
 
-STRENGTH = 0.2
-"""Root mean square of a step, in standard deviations of the features."""
-LAST = 100
-"""Step of the sampler below which nothing is guided: what is left there are details."""
-SPREAD = 2.0
-"""Standard deviation of the smoothing [frames]."""
-FEW = 10
-"""Where fewer steps than this predict a motion, each prediction is guided twice."""
-GROUP = 16
-"""Stretches that go through the network at once."""
+STRENGTH = 0.2  # root mean square of a step, in standard deviations of the features
+LAST = 100  # step of the sampler below which nothing is guided: what is left there are details
+SPREAD = 2.0  # standard deviation of the smoothing [frames]
+FEW = 10  # where fewer steps than this predict a motion, each prediction is guided twice
+GROUP = 16  # stretches that go through the network at once
 
 
 @dataclass(frozen=True)
 class Spoken:
-    """A stretch of the time line with the sentence that it should show.
+    """A stretch of the time line with its sentence."""
 
-    Args:
-        frames: Its first frame, and the one after its last.
-        vector: Of the sentence, of length 1, shape (E,).
-        until: Step of the sampler down to which it is not guided, because it is given; 1,000 where it never is.
-    """
-
-    frames: tuple[int, int]
-    vector: np.ndarray
+    frames: tuple[int, int]  # its first frame, and the one after its last
+    vector: np.ndarray  # of the sentence, of length 1, shape (E,)
+    # step of the sampler down to which it is not guided, because it is given; 1,000 where it never is
     until: int = 1000
 
 
 class ClassifierGuidance:
-    """What `sample_windows` calls with each predicted x0.
-
-    Args:
-        network: Trained with motions and sentences (`inference.extractor`), of people.
-        mean: Of the features, shape (D,).
-        std: Their standard deviation, shape (D,).
-        stretches: What is guided.
-        strength: Root mean square of a step.
-        rounds: How many times each prediction is guided.
+    """Guides each predicted x0 towards the sentences of its stretches, `rounds` times by steps with a root mean square
+    of `strength`; mean and deviation are those of the features, shape (D,).
     """
 
     def __init__(
@@ -68,26 +51,26 @@ class ClassifierGuidance:
 
     def __call__(self, x0: np.ndarray, step: int) -> np.ndarray:
         """x0 (F, D) in network units, nearer to the sentences."""
-        guided = [one for one in self.stretches if LAST <= step < one.until]
+        guided = [stretch for stretch in self.stretches if LAST <= step < stretch.until]
         if not guided:
             return x0
         out = x0.copy()
         for start in range(0, len(guided), GROUP):
-            some = guided[start : start + GROUP]
+            group = guided[start : start + GROUP]
             for _ in range(self.rounds):
-                for one, way in zip(some, self.gradients(out, some), strict=True):
+                for stretch, way in zip(group, self.gradients(out, group), strict=True):
                     size = max(float(np.sqrt((way * way).mean())), 1e-9)
-                    out[slice(*one.frames)] += np.float32(self.strength / size) * way
+                    out[slice(*stretch.frames)] += np.float32(self.strength / size) * way
         return out
 
     def gradients(self, x0: np.ndarray, stretches: Sequence[Spoken]) -> list[np.ndarray]:
         """The smoothed gradient of the cosine of each stretch with its sentence, without the root's, shape (N, D)."""
-        parts = [x0[slice(*one.frames)] for one in stretches]
+        parts = [x0[slice(*stretch.frames)] for stretch in stretches]
         lengths = np.array([len(part) for part in parts])
         values = np.zeros((len(parts), int(lengths.max()), x0.shape[1]), np.float32)
         for row, part in zip(values, parts, strict=True):
             row[: len(part)] = part
-        goals = np.stack([one.vector for one in stretches])
+        goals = np.stack([stretch.vector for stretch in stretches])
         gradient = self.network.cosine_gradient(values * self.std + self.mean, lengths, goals) * self.std
         gradient[..., ROOT] = 0
         if (lengths == lengths[0]).all():  # as the candidates of one sentence are
@@ -102,37 +85,24 @@ def smoothed(values: np.ndarray, spread: float = SPREAD) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Critic:
-    """What guides the motions of a batch.
+    """Guides the motions of a batch."""
 
-    Args:
-        network: Trained with motions and sentences, of people.
-        vectors: Of all their sentences, of length 1, shape (E,).
-        strength: Root mean square of a step.
-    """
-
-    network: Extractor
-    vectors: Mapping[str, np.ndarray]
-    strength: float = STRENGTH
+    network: Extractor  # trained with motions and sentences of people
+    vectors: Mapping[str, np.ndarray]  # of all their sentences, of length 1, shape (E,)
+    strength: float = STRENGTH  # root mean square of a step
 
     def guidance(
         self, model: Denoiser, scripts: Sequence[Sequence[str]], lengths: Sequence[Sequence[int]], sizes: Sequence[int],
         guide: tuple[np.ndarray, np.ndarray, np.ndarray] | None, steps: int = FEW,
     ) -> ClassifierGuidance:  # fmt: skip
-        """For motions that lie one after the other on the time line.
-
-        Args:
-            model: The denoiser.
-            scripts: Sentences of each.
-            lengths: Frames of each sentence.
-            sizes: Frames of each motion on the time line.
-            guide: As for `sample_windows`.
-            steps: Of the sampler.
+        """For motions one after the other on the time line: sentences of each, frames of each sentence, frames of each
+        motion, the guide as of `Steering`, and the steps of the sampler.
         """
         stretches: list[Spoken] = []
         begin = 0
-        for script, own, size in zip(scripts, lengths, sizes, strict=True):
+        for script, frames, size in zip(scripts, lengths, sizes, strict=True):
             first, end = begin, begin + size
-            for sentence, length in zip(script, own, strict=True):
+            for sentence, length in zip(script, frames, strict=True):
                 pieces = -(-length // LONGEST)
                 bounds = [first + round(length * piece / pieces) for piece in range(pieces + 1)]
                 for low, high in zip(bounds, bounds[1:], strict=False):

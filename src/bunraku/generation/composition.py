@@ -1,5 +1,5 @@
-"""What happens at the same time: two motions denoised together, and limbs laid over a motion; and small repairs of a
-drawn motion.
+"""Actions at the same time: two motions denoised together, and limbs laid over a motion; and small repairs of a sampled
+motion.
 """
 
 from __future__ import annotations
@@ -23,23 +23,14 @@ __all__ = ["PartTrack", "clause_spans", "overlaid", "steadied", "straightened", 
 _SAVITZKY_GOLAY = np.array([-3, 12, 17, 12, -3]) / 35
 """Least-squares parabolas through five frames (Savitzky & Golay 1964): nothing changes below 3 Hz, half goes at 6."""
 STRENGTH = 0.6
-MOST = 1.6
-"""Factor by which a turn is made faster or slower at the most."""
-INSIDE = np.radians(10)
-"""How far within the bounds of what was requested it then ends."""
-SWAY = 1.0
-"""Deviation of the mean that counts as the course [s]; a stride sways within."""
+MOST = 1.6  # largest factor by which a turn is made faster or slower
+INSIDE = np.radians(10)  # how far within the requested bounds it then ends
+SWAY = 1.0  # standard deviation of the mean that counts as the course [s]; a stride sways within
 
 
 def steadied(features: np.ndarray, loop: bool = False) -> np.ndarray:
-    """A motion with less of what is faster than people move; its travel over the ground stays.
-
-    Args:
-        features: Features of each frame (see `diffusion.features`), shape (N, D).
-        loop: The last frame is followed by the first.
-
-    Returns:
-        Shape (N, D), float32.
+    """A motion with less of what is faster than people move, shape (N, D), float32; its travel over the ground stays.
+    In a `loop` the last frame is followed by the first.
     """
     pose = features[:, 3:]
     smooth = correlated(pose, _SAVITZKY_GOLAY, edge="wrap" if loop else "nearest")
@@ -47,15 +38,13 @@ def steadied(features: np.ndarray, loop: bool = False) -> np.ndarray:
 
 
 def turned_as_asked(features: np.ndarray, script: Sequence[tuple[Clause, int]], fps: float) -> np.ndarray:
-    """A motion whose turns go as far as its clauses say, where they nearly do: faster or slower by at most `MOST`.
+    """A motion whose turns go as far as its clauses say, where they nearly do: faster or slower by at most `MOST`,
+    shape (N, D), float32.
 
     Args:
         features: Features of each frame, the root's yaw velocity [rad/s] first, shape (N, D).
         script: Its clauses with the frames that each lasts.
         fps: Frames a second [1/s].
-
-    Returns:
-        Shape (N, D), float32.
     """
     out = features.copy()
     for clause, part in clause_spans(script):
@@ -72,16 +61,7 @@ def turned_as_asked(features: np.ndarray, script: Sequence[tuple[Clause, int]], 
 
 
 def straightened(features: np.ndarray, script: Sequence[tuple[Clause, int]], fps: float) -> np.ndarray:
-    """A motion that keeps its course wherever a clause says "forward" and nothing of a turn.
-
-    Args:
-        features: Features of each frame, the root's yaw velocity [rad/s] first, shape (N, D).
-        script: Its clauses with the frames that each lasts.
-        fps: Frames a second [1/s].
-
-    Returns:
-        Shape (N, D), float32.
-    """
+    """A motion on its course where a clause says "forward" and no turn; arguments as of `turned_as_asked`."""
     out = features.copy()
     for clause, part in clause_spans(script):
         if clause.straight and len(out[part]):
@@ -99,35 +79,28 @@ def clause_spans(script: Iterable[tuple[Clause, int]]) -> Iterator[tuple[Clause,
 
 @dataclass(frozen=True)
 class PartTrack:
-    """A second time line for a motion in which something happens at the same time: it is conditioned on the gestures,
-    and moves as the first one else.
+    """A second time line for a motion with an action at the same time: it is conditioned on the gestures, and moves as
+    the first one otherwise.
 
-    The first does not see the second: a walk whose arms wave would soon stand still, as people do who wave.
-
-    Args:
-        motion: Which motion of the batch it belongs to.
-        sentences: What it is conditioned on, a sentence for each of the motion's.
-        handles: The handles that are its own, shape (K,), bool.
+    The first does not see the second: a walk with waving arms would soon stand still, as people do while they wave.
     """
 
-    motion: int
-    sentences: tuple[str, ...]
-    handles: np.ndarray
+    motion: int  # number of the motion of the batch that it belongs to
+    sentences: tuple[str, ...]  # its conditions, a sentence for each of the motion's
+    handles: np.ndarray  # the handles that are its own, shape (K,), bool
 
     @classmethod
     def of(cls, motion: int, script: Sequence[Clause], limbs: bool = True) -> PartTrack | None:
-        """The second time line of a motion with these clauses; None where nothing is done meanwhile in any.
-
-        Args:
-            motion: Its number.
-            script: Its clauses.
-            limbs: What limbs are told to do is on that line, too; else it is laid over the motion (`overlay`).
+        """The second time line of a motion with these clauses; None without simultaneous actions. Without `limbs`,
+        described limbs are laid over the motion instead (`with_limbs`).
         """
         voices = [clause.meanwhile for clause in script]
-        voices = [one if one is not None and (limbs or not isinstance(one.told, Posing)) else None for one in voices]
-        own = [kept_handles(made.part.split(" and ")) for made in voices if made is not None]
-        texts = tuple((made or clause.body).text for made, clause in zip(voices, script, strict=True))
-        return cls(motion, texts, np.any(own, axis=0)) if own else None
+        voices = [
+            voice if voice is not None and (limbs or not isinstance(voice.detail, Posing)) else None for voice in voices
+        ]
+        kept = [kept_handles(voice.part.split(" and ")) for voice in voices if voice is not None]
+        texts = tuple((voice or clause.body).text for voice, clause in zip(voices, script, strict=True))
+        return cls(motion, texts, np.any(kept, axis=0)) if kept else None
 
     def follow(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """The second time line's features, shape (N, 271), with all that is not its own as in the first."""
@@ -143,7 +116,7 @@ _HEAD = PARTS["head"]
 
 
 class _Affine(NamedTuple):
-    """What handles do to points at rest: v -> turn v + shift, shapes (..., 3, 3) and (..., 3)."""
+    """Affine maps of points at rest: v -> turn v + shift, shapes (..., 3, 3) and (..., 3)."""
 
     turn: np.ndarray
     shift: np.ndarray
@@ -161,12 +134,8 @@ class _Affine(NamedTuple):
 
 
 def with_limbs(features: np.ndarray, gesture: np.ndarray, script: Sequence[tuple[Clause, int]]) -> np.ndarray:
-    """A motion with the limbs of a gesture wherever its clauses say so.
-
-    Args:
-        features: Of each frame (`diffusion.features`), shape (N, D).
-        gesture: The same of somebody who does nothing else.
-        script: The motion's clauses with the frames that each lasts.
+    """A motion with the limbs of a gesture, of a person who does nothing else, wherever its clauses say so; both as
+    features (N, D).
     """
     out = features.copy()
     for clause, span in clause_spans(script):
@@ -176,34 +145,30 @@ def with_limbs(features: np.ndarray, gesture: np.ndarray, script: Sequence[tuple
 
 
 def overlaid(features: np.ndarray, gesture: np.ndarray, parts: Collection[str]) -> np.ndarray:
-    """A motion with some parts of the body as in a gesture.
-
-    Args:
-        features: Shape (N, D).
-        gesture: Shape (N, D).
-        parts: "upper body" of a trunk that leans, "head", "arms", "left arm", "right arm", "lower body".
+    """A motion with parts of the body as in a gesture, both shape (N, D): "upper body" of a trunk that leans, "head",
+    "arms", "left arm", "right arm", "lower body".
     """
-    own, made = _transforms(features), _transforms(gesture)
-    turn, shift = own.turn.copy(), own.shift.copy()
+    base, added = _transforms(features), _transforms(gesture)
+    turn, shift = base.turn.copy(), base.shift.copy()
 
     def put(handle: int, value: _Affine) -> None:
         turn[:, handle], shift[:, handle] = value
 
-    chest = own.at(_CHEST)
+    chest = base.at(_CHEST)
     if "upper body" in parts:
         for handle in PARTS["torso"]:
-            put(handle, made.at(handle).after(own.at(handle)))
-        chest = made.at(_CHEST).after(chest)
-    from_own, from_made = own.at(_CHEST).inverse(), made.at(_CHEST).inverse()
+            put(handle, added.at(handle).after(base.at(handle)))
+        chest = added.at(_CHEST).after(chest)
+    from_own, from_made = base.at(_CHEST).inverse(), added.at(_CHEST).inverse()
     replaced = {handle for part in parts if part.endswith(("arm", "arms")) for handle in PARTS[part]}
     for handle in PARTS["upper body"]:
         if handle in PARTS["torso"]:
             continue
-        local = from_own.after(own.at(handle))
+        local = from_own.after(base.at(handle))
         if handle in replaced:
-            local = from_made.after(made.at(handle))
+            local = from_made.after(added.at(handle))
         elif handle in _HEAD and ("head" in parts or "upper body" in parts):
-            local = from_made.after(made.at(handle)).after(local)
+            local = from_made.after(added.at(handle)).after(local)
         put(handle, chest.after(local))
     out = _features(features, _Affine(turn, shift))
     if "lower body" in parts:

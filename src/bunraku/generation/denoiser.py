@@ -1,4 +1,4 @@
-"""The denoiser of Shape-aware Motion Diffusion as it runs (section 3.2 of TapMo), its checkpoint, and what changes for
+"""The denoiser of Shape-aware Motion Diffusion at inference (section 3.2 of TapMo), its checkpoint, and its changes for
 few steps.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from bunraku.core.body.layout import HANDLE_PARENTS
 from bunraku.core.body.reference import capped
 from bunraku.core.geometry.rotations import matrix_from_6d
-from bunraku.core.nn.checkpoints import load_checkpoint, read_config
+from bunraku.core.nn.checkpoints import fitting_config, load_checkpoint, read_config
 from bunraku.core.nn.layers import Memory, Norm, Rotary, Weights, hidden_by, normed, silu
 from bunraku.errors import WeightsError
 from bunraku.generation.features import ROOT_SIZE
@@ -35,27 +35,21 @@ __all__ = [
 ]  # fmt: skip
 
 EXAMPLE_TOKENS = 2
-"""Motion tokens whose frames share one token of an example: examples need less detail, and attention to them is half
-of its price.
+"""Motion tokens whose frames share one token of an example: examples need less detail, and attention to them costs
+half.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class RetrievedExamples:
-    """Captured motions that show what each sentence of a batch says.
+    """Captured motions that show what each sentence of a batch says."""
 
-    Args:
-        values: Network units, zero behind an example's end, shape (B, R, N, D).
-        lengths: Real frames, 0 where there is no example, shape (B, R).
-        pooled: The vector of each example's own sentence, shape (B, R, P).
-    """
-
-    values: np.ndarray
-    lengths: np.ndarray
-    pooled: np.ndarray
+    values: np.ndarray  # network units, zero behind an example's end, shape (B, R, N, D)
+    lengths: np.ndarray  # real frames, 0 without an example, shape (B, R)
+    pooled: np.ndarray  # the vector of each example's own sentence, shape (B, R, P)
 
     def rows(self, rows: np.ndarray) -> RetrievedExamples:
-        """Some rows of the batch, in the order that is given."""
+        """These rows of the batch, in their order."""
         return RetrievedExamples(self.values[rows], self.lengths[rows], self.pooled[rows])
 
 
@@ -64,33 +58,26 @@ _MARK = "motion_out.weight"
 
 
 def fingerprint(state: Mapping[str, np.ndarray]) -> str:
-    """Tells weights of a denoiser from others: of its last layer, in half precision."""
-    found = state.get(_MARK)
-    return "" if found is None else hashlib.sha256(found.astype(np.float16).tobytes()).hexdigest()[:32]
+    """Identifies weights of a denoiser, by their last layer in half precision."""
+    last_layer = state.get(_MARK)
+    return "" if last_layer is None else hashlib.sha256(last_layer.astype(np.float16).tobytes()).hexdigest()[:32]
 
 
 @dataclass(frozen=True, eq=False)
 class FewSteps:
-    """Changes to a denoiser's weights, and the steps that they are for.
+    """Changes to a denoiser's weights, and the steps that they are for."""
 
-    Args:
-        of: `fingerprint` of the teacher.
-        visited: Diffusion steps, falling.
-        guidance: Scale of the teacher's guidance by sentences, which the changes hold.
-        changes: Up (O, R) and down (R, I) by the name of the matrix (O, I).
-    """
-
-    of: str
-    visited: tuple[int, ...]
-    guidance: float
-    changes: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    of: str  # `fingerprint` of the teacher
+    visited: tuple[int, ...]  # diffusion steps, falling
+    guidance: float  # scale of the teacher's guidance by sentences, which the changes hold
+    changes: Mapping[str, tuple[np.ndarray, np.ndarray]]  # up (O, R) and down (R, I) by the name of the matrix (O, I)
 
     def fits(self, state: Mapping[str, np.ndarray]) -> bool:
         """Whether these are the teacher's weights."""
         return self.of == fingerprint(state)
 
     def on(self, state: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-        """The teacher's weights, each changed when it is asked for, so that they are never all there twice.
+        """The teacher's weights, each changed when it is read, so that they are never all in memory twice.
 
         Raises:
             ValueError: A change is of no matrix of theirs.
@@ -121,7 +108,7 @@ class _Changed(Mapping[str, np.ndarray]):
 
 
 def load_few_steps(path: str | Path) -> FewSteps:
-    """Read what `bunraku train few-steps` wrote.
+    """Read the result of `bunraku train few-steps`.
 
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or names no steps.
@@ -129,8 +116,8 @@ def load_few_steps(path: str | Path) -> FewSteps:
     state, config = load_checkpoint(path, FEW_STEPS_KIND, half=True)
     visited: Any = config.get("visited")
     steps = visited if isinstance(visited, list) else []
-    whole = all(isinstance(one, int) and 0 <= one < TRAINING_STEPS for one in steps)
-    if not steps or not whole or any(a <= b for a, b in zip(steps, steps[1:], strict=False)):
+    valid = all(isinstance(step, int) and 0 <= step < TRAINING_STEPS for step in steps)
+    if not steps or not valid or any(a <= b for a, b in zip(steps, steps[1:], strict=False)):
         raise WeightsError(f"{path}: it names no falling diffusion steps; distil the denoiser again")
     names = sorted({name.rpartition(".")[0] for name in state})
     try:
@@ -148,16 +135,11 @@ KIND = "diffusion"
 class Denoiser:
     """Predicts x0 and the adaptation from a noisy motion, the step, a sentence and a mesh feature.
 
-    Motion enters and leaves in network units (see `FeatureStatistics`); the statistics travel with the weights.
-
-    Args:
-        config: Its sizes.
-        weights: Of a checkpoint.
-        notes: What the checkpoint says of its training.
-        visited: The few steps that the weights were distilled for, falling; none of others.
+    Motion enters and leaves in network units (see `FeatureStatistics`); the statistics travel with the weights, as do
+    notes on the training. `visited` are the few steps that the weights were distilled for, falling; empty for others.
 
     Raises:
-        ValueError: The weights have other sizes.
+        ValueError: The weights have other sizes than the config.
     """
 
     def __init__(
@@ -216,7 +198,7 @@ class Denoiser:
             mesh: Mesh features f_phi, shape (B, 448); None for no mesh in particular.
             keep_text: False where the sentence is dropped for classifier-free guidance, shape (B,).
             keep_mesh: False where the mesh feature is unknown, shape (B,).
-            examples: Captured examples of the sentences; they are dropped with them. None for none.
+            examples: Captured examples of the sentences, dropped with them; None for none.
         """
         batch, width = len(keep_text), self.config.width
         token = self._mesh_token(mesh, keep_mesh)
@@ -227,15 +209,20 @@ class Denoiser:
             mask.append(text_mask & keep_text[:, None])
         tokens = np.concatenate(memory, axis=1)
         memories = [Memory(*layer.memory(tokens)) for layer in self.layers]
-        found: list[Memory | None] = [None] * len(self.layers)
+        example_memories: list[Memory | None] = [None] * len(self.layers)
         hidden = None
         if self.config.examples:
             keys, values, real = self._example_tokens(examples, keep_text)
             hidden = hidden_by(real)
             rotary = self._example_rotary(keys.shape[1])
-            found = [layer.example_memory(keys, values, rotary) for layer in self.layers]
+            example_memories = [layer.example_memory(keys, values, rotary) for layer in self.layers]
         return Condition(
-            memories, hidden_by(np.concatenate(mask, axis=1)), self._sentence(pooled, keep_text), token, found, hidden
+            memories,
+            hidden_by(np.concatenate(mask, axis=1)),
+            self._sentence(pooled, keep_text),
+            token,
+            example_memories,
+            hidden,
         )
 
     def _mesh_token(self, mesh: np.ndarray | None, keep: np.ndarray) -> np.ndarray:
@@ -274,25 +261,22 @@ class Denoiser:
         )
 
     def _example_rotary(self, tokens: int) -> Rotary:
-        """Rotary positions of the examples' tokens, each example from its own start; the null example stands there."""
-        own = EXAMPLE_TOKENS * np.arange((tokens - 1) // self.config.examples)
-        places = np.concatenate([[0], np.tile(own, self.config.examples)])[:tokens]
-        return rotary_positions(places, self.config.width // self.config.heads)
+        """Rotary positions of the examples' tokens, each example from its own start; the null example is there, too."""
+        times = EXAMPLE_TOKENS * np.arange((tokens - 1) // self.config.examples)
+        positions = np.concatenate([[0], np.tile(times, self.config.examples)])[:tokens]
+        return rotary_positions(positions, self.config.width // self.config.heads)
 
     def __call__(
         self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition, adapts: bool = True
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Clean motion and adaptation.
+        """Clean motion x0 (B, N, D) in network units and the adaptation of local translations (B, N, K, 3) [m].
 
         Args:
             x: Noisy motion in network units, shape (B, N, D).
             step: Diffusion step in 0..999.
             lengths: Frames that are real in each row, shape (B,).
-            condition: What `condition` returned.
+            condition: Result of `condition`.
             adapts: Whether the adaptation is wanted.
-
-        Returns:
-            x0 (B, N, D) in network units and the adaptation of local translations (B, N, K, 3) [m].
         """
         batch, frames, features = x.shape
         h = self.hidden(x, step, lengths, condition)
@@ -308,27 +292,27 @@ class Denoiser:
         return motion, said
 
     def _tokens(self, x: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """What enters for each token, zero behind a motion's end, shape (B, T, d); and which tokens are real, shape
-        (B, T), None where all are.
+        """The input of each token, zero behind a motion's end, shape (B, T, d); and which tokens are real, shape (B,
+        T), None where all are.
         """
         batch, frames, features = x.shape
         patch = self.config.frames_per_token
         tokens = -(-frames // patch)
         padded = np.zeros((batch, tokens * patch, features), np.float32)
         padded[:, :frames] = x
-        whole = bool((lengths >= frames).all())
+        full = bool((lengths >= frames).all())
         real = np.arange(tokens * patch) < lengths[:, None]
-        if not whole:
+        if not full:
             padded *= real[..., None]
         entered = self.motion_in(padded.reshape(batch, tokens, patch * features))
-        return entered, None if whole else np.asarray(real.reshape(batch, tokens, patch).any(-1))
+        return entered, None if full else np.asarray(real.reshape(batch, tokens, patch).any(-1))
 
     def _step(self, step: int) -> np.ndarray:
         """The diffusion step as the layers see it, shape (1, d)."""
         return self.step_in[1](silu(self.step_in[0](waves(np.array([step], np.float32), self.config.width))))
 
     def hidden(self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition) -> np.ndarray:
-        """The last hidden states, which both heads read, shape (B, T, d) for T tokens; arguments as in `__call__`."""
+        """The last hidden states, which both heads read, shape (B, T, d) for T tokens; arguments as of `__call__`."""
         h, real = self._tokens(x, lengths)
         vector = silu(self._step(step) + condition.sentence)
         width = self.config.width
@@ -346,7 +330,7 @@ def joint_offsets(moves: np.ndarray, features: np.ndarray) -> np.ndarray:
     """The adaptation that moves joints: delta_k = delta_p + (R_p - R_k) d_k for a handle k and its parent p, shape (B,
     N, K, 3).
 
-    It is what `attach_joints` does to the translations when the joint of k is held d_k farther off. It turns with the
+    It is what `attach_joints` does to the translations when the joint of k is held d_k farther off. It rotates with the
     body and fades where nothing bends, so one d_k serves all poses.
 
     Args:
@@ -357,10 +341,10 @@ def joint_offsets(moves: np.ndarray, features: np.ndarray) -> np.ndarray:
     still = np.broadcast_to(np.eye(3, dtype=features.dtype), (*features.shape[:2], 1, 3, 3))
     rotations = np.concatenate([still, matrix_from_6d(local[..., 3:])], axis=2)
     parents = list(HANDLE_PARENTS[1:])
-    own = ((rotations[:, :, parents] - rotations[:, :, 1:]) @ moves[:, :, 1:, :, None])[..., 0]
-    offsets = [np.zeros_like(own[:, :, 0])]
+    shifts = ((rotations[:, :, parents] - rotations[:, :, 1:]) @ moves[:, :, 1:, :, None])[..., 0]
+    offsets = [np.zeros_like(shifts[:, :, 0])]
     for handle, parent in enumerate(parents, start=1):
-        offsets.append(offsets[parent] + own[:, :, handle - 1])
+        offsets.append(offsets[parent] + shifts[:, :, handle - 1])
     return np.stack(offsets, axis=2)
 
 
@@ -368,20 +352,14 @@ def load_denoiser(path: str | Path) -> Denoiser:
     """Read a denoiser, ready for sampling.
 
     Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
     return _built(path, *load_checkpoint(path, KIND, half=True))
 
 
 def load_denoiser_of_few_steps(path: str | Path, few: str | Path) -> Denoiser | None:
-    """Read a denoiser as `bunraku train few-steps` changed it; None where the changes are another denoiser's.
-
-    Args:
-        path: The checkpoint.
-        few: The changes.
-
-    Raises:
-        WeightsError: A file is missing, damaged, of another kind, or its config and weights disagree.
+    """Read a denoiser with the changes of `bunraku train few-steps`; None where the changes are another denoiser's.
+    Errors as of `load_denoiser`.
     """
     changes = load_few_steps(few)
     state, config = load_checkpoint(path, KIND, half=True)
@@ -398,22 +376,13 @@ def _built(
     path: str | Path, state: Mapping[str, np.ndarray], config: dict[str, Any], visited: tuple[int, ...] = ()
 ) -> Denoiser:
     notes = config.pop("notes", None)
-    try:
+    with fitting_config(path):
         weights = Weights(state)
         model = Denoiser(denoiser_config(config), weights, dict(notes or {}), visited)
         weights.done()
-    except Exception as error:
-        raise WeightsError(
-            f"{path}: the config and the weights of this denoiser disagree ({str(error).splitlines()[0]}); train it "
-            "again"
-        ) from error
     return model
 
 
 def text_encoder_name(path: str | Path) -> str:
-    """Of the text encoder that a denoiser was trained with.
-
-    Raises:
-        WeightsError: The file is missing, damaged or of another kind.
-    """
+    """Name of the text encoder that a denoiser was trained with. Errors as of `load_denoiser`."""
     return str(read_config(Path(path), KIND).get("text_encoder", DenoiserConfig.text_encoder))

@@ -1,6 +1,4 @@
-"""Motions and sentences in one space: the network behind the ranker, the critic and the judge, and its
-configuration.
-"""
+"""Motions and sentences in one space: the network of the ranker, the critic and the judge, and its configuration."""
 
 from __future__ import annotations
 
@@ -13,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.files import weights_file
-from bunraku.core.nn.checkpoints import config_of, dated_checkpoint, load_checkpoint
+from bunraku.core.nn.checkpoints import config_of, dated_checkpoint, fitting_config, load_checkpoint
 from bunraku.core.nn.layers import Linear, Norm, Weights, gelu, gelu_slope, softmax, split_heads
-from bunraku.errors import WeightsError
 from bunraku.generation.features import FEATURE_SIZE
 from bunraku.language.encoders import TextBatch, TextEncoder
 
@@ -24,16 +21,11 @@ __all__ = [
     "embed_sentences", "load_critic", "load_extractor", "load_ranker", "sentence_vectors",
 ]  # fmt: skip
 
-KIND, RANKER = "extractor", "ranker"
-"""Kinds of checkpoints: who judges, and who chooses."""
-LONGEST = 196
-"""Frames that the ranker looks at at once; longer parts are looked at in pieces."""
-SHORTEST = 8
-"""Frames under which a part says nothing."""
-RADIUS = 10.0
-"""Length of all vectors."""
-FARTHEST = 8.0
-"""Standard deviations up to which a feature counts, as in training of the denoiser."""
+KIND, RANKER = "extractor", "ranker"  # kinds of checkpoints: the judge, and the ranker
+LONGEST = 196  # frames that the ranker sees at once; longer parts are cut into pieces
+SHORTEST = 8  # parts of fewer frames are not judged
+RADIUS = 10.0  # length of all vectors
+FARTHEST = 8.0  # standard deviations up to which a feature counts, as in training of the denoiser
 
 
 @dataclass(frozen=True)
@@ -49,8 +41,7 @@ class ExtractorConfig:
         frames_per_token: Frames that share a token.
         features: Numbers a frame, D.
         text_encoder: Name of the text encoder.
-        text_size: Size of its tokens.
-        pooled_size: Size of its sentence vector.
+        text_size, pooled_size: Sizes of its tokens and of its sentence vector.
         dropout: Share of units left out while training.
     """
 
@@ -67,21 +58,15 @@ class ExtractorConfig:
     dropout: float = 0.1
 
 
-Back = Callable[[np.ndarray], np.ndarray]
-"""The gradient of what a function made -> that of what it was given."""
+Back = Callable[[np.ndarray], np.ndarray]  # the gradient by a function's output -> that by its input
 _NEVER = np.float32(-1e4)
 
 
 class Extractor:
     """Motion encoder and text encoder. The statistics of the training features travel with the weights.
 
-    Args:
-        config: Its sizes.
-        weights: Of a checkpoint.
-        notes: What the checkpoint says of its training.
-
     Raises:
-        ValueError: The weights have other sizes.
+        ValueError: The weights have other sizes than the config.
     """
 
     def __init__(self, config: ExtractorConfig, weights: Weights, notes: dict[str, Any] | None = None):
@@ -108,32 +93,22 @@ class Extractor:
         weights.array("log_scale")  # of the loss
 
     def motion(self, features: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-        """Vectors of motions.
+        """Vectors of motions, shape (B, E), of length `RADIUS`.
 
         Args:
             features: In the data's units, anything behind a motion's end, shape (B, N, D).
             lengths: Real frames, shape (B,).
-
-        Returns:
-            Shape (B, E), of length `RADIUS`.
         """
         return np.float32(RADIUS) * self._directions(features, lengths)[0]
 
     def cosine_gradient(self, features: np.ndarray, lengths: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        """The gradient, by each feature, of the cosine of each motion's vector with a goal of length 1.
-
-        Args:
-            features: As for `motion`.
-            lengths: As for `motion`.
-            goals: Shape (B, E).
-
-        Returns:
-            Shape (B, N, D).
+        """The gradient, by each feature, of the cosine of each motion's vector with a goal of length 1 (B, E), shape
+        (B, N, D); other arguments as of `motion`.
         """
         return self._directions(features, lengths)[1](goals.astype(np.float32))
 
     def _directions(self, features: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, Back]:
-        """Unit vectors of motions, shape (B, E)."""
+        """Unit vectors of motions, shape (B, E), and the way back."""
         batch, frames, size = features.shape
         patch = self.config.frames_per_token
         tokens = -(-frames // patch)
@@ -149,13 +124,13 @@ class Extractor:
         h += np.float32(0.5) * np.concatenate([np.cos(angle), np.sin(angle)], axis=-1)
         backs = []
         for layer in self._motion_layers:
-            h, one = layer(h, mask)
-            backs.append(one)
+            h, layer_back = layer(h, mask)
+            backs.append(layer_back)
         masked = np.where(mask[..., None], h, _NEVER)
         most = masked.argmax(1)  # a short event in a long motion survives in the maximum
         count = np.maximum(mask.sum(1), 1).astype(np.float32)[:, None]
         pooled = np.concatenate([_mean(h, mask), np.take_along_axis(masked, most[:, None], axis=1)[:, 0]], axis=-1)
-        found, end = _ended(pooled, self._motion_norm, self._motion_out)
+        unit, end = _ended(pooled, self._motion_norm, self._motion_out)
 
         def back(gradient: np.ndarray) -> np.ndarray:
             mean, largest = np.split(end(gradient), 2, axis=-1)
@@ -168,7 +143,7 @@ class Extractor:
             out *= real[..., None]
             return np.asarray(out[:, :frames] * within * (self._weights / self.std))
 
-        return found, back
+        return unit, back
 
     def text(self, text: TextBatch) -> np.ndarray:
         """Vectors of sentences, shape (B, E), of length `RADIUS`."""
@@ -231,16 +206,16 @@ def _through(gradient: np.ndarray, layer: Linear) -> np.ndarray:
 
 def _normed(x: np.ndarray, norm: Norm) -> tuple[np.ndarray, Back]:
     """A layer norm."""
-    own = x - x.mean(-1, keepdims=True)
-    inverse = 1 / np.sqrt((own * own).mean(-1, keepdims=True) + np.float32(norm.epsilon))
-    own *= inverse
+    centred = x - x.mean(-1, keepdims=True)
+    inverse = 1 / np.sqrt((centred * centred).mean(-1, keepdims=True) + np.float32(norm.epsilon))
+    centred *= inverse
 
     def back(gradient: np.ndarray) -> np.ndarray:
         scaled = gradient * norm.scale
-        mean, along = scaled.mean(-1, keepdims=True), (scaled * own).mean(-1, keepdims=True)
-        return np.asarray((scaled - mean - own * along) * inverse)
+        mean, along = scaled.mean(-1, keepdims=True), (scaled * centred).mean(-1, keepdims=True)
+        return np.asarray((scaled - mean - centred * along) * inverse)
 
-    return own * norm.scale + norm.shift, back
+    return centred * norm.scale + norm.shift, back
 
 
 def _ends(weights: Weights, config: ExtractorConfig) -> tuple[Linear, Linear]:
@@ -249,17 +224,17 @@ def _ends(weights: Weights, config: ExtractorConfig) -> tuple[Linear, Linear]:
 
 def _ended(x: np.ndarray, norm: Norm, ends: tuple[Linear, Linear]) -> tuple[np.ndarray, Back]:
     """Unit vectors of what was pooled, shape (B, 2 d) -> (B, E)."""
-    known, back_norm = _normed(x, norm)
-    wide = ends[0](known)
+    normed, back_norm = _normed(x, norm)
+    wide = ends[0](normed)
     said = ends[1](gelu(wide.copy()))
     length = np.maximum(np.sqrt((said * said).sum(-1, keepdims=True)), np.float32(1e-12))
-    found = said / length
+    unit = said / length
 
     def back(gradient: np.ndarray) -> np.ndarray:
-        across = (gradient - found * (gradient * found).sum(-1, keepdims=True)) / length
+        across = (gradient - unit * (gradient * unit).sum(-1, keepdims=True)) / length
         return back_norm(_through(_through(across, ends[1]) * gelu_slope(wide), ends[0]))
 
-    return np.asarray(found), back
+    return np.asarray(unit), back
 
 
 def _mean(x: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -268,15 +243,8 @@ def _mean(x: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def embed_motions(extractor: Extractor, motions: Sequence[np.ndarray], batch: int = 64) -> np.ndarray:
-    """Vectors of motions, in their order.
-
-    Args:
-        extractor: The network.
-        motions: Features in the data's units, each of shape (N, 271).
-        batch: Motions in one pass; it does not change the vectors.
-
-    Returns:
-        Shape (B, E), float64.
+    """Vectors of motions (N, 271) in the data's units, in their order, shape (B, E), float64; `batch` of them in one
+    pass.
     """
     order = sorted(range(len(motions)), key=lambda index: len(motions[index]))
     out = np.zeros((len(motions), extractor.config.embedding))
@@ -298,39 +266,30 @@ def sentence_vectors(extractor: Extractor, batch: TextBatch) -> np.ndarray:
 def embed_sentences(extractor: Extractor, encoder: TextEncoder, sentences: Sequence[str]) -> dict[str, np.ndarray]:
     """The vector of each sentence, float64, shape (E,): one for all rows of a table."""
     distinct = sorted(set(sentences))
-    found: dict[str, np.ndarray] = {}
+    vectors: dict[str, np.ndarray] = {}
     for start in range(0, len(distinct), 256):
         part = distinct[start : start + 256]
-        found.update(zip(part, sentence_vectors(extractor, encoder.encode(part)), strict=True))
-    return found
+        vectors.update(zip(part, sentence_vectors(extractor, encoder.encode(part)), strict=True))
+    return vectors
 
 
 def load_extractor(path: str | Path, kind: str = KIND) -> Extractor:
-    """Read an extractor, or a ranker, ready for use.
+    """Read an extractor, or a ranker.
 
     Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
     state, config = load_checkpoint(path, kind, half=True)
     notes = config.pop("notes", None)
-    try:
+    with fitting_config(path):
         weights = Weights(state)
-        shape = config_of(ExtractorConfig, config)
-        model = Extractor(shape, weights, dict(notes or {}))
+        model = Extractor(config_of(ExtractorConfig, config), weights, dict(notes or {}))
         weights.done()
-    except Exception as error:
-        raise WeightsError(
-            f"{path}: the config and the weights of this extractor disagree ({str(error).splitlines()[0]}); train it "
-            "again"
-        ) from error
     return model
 
 
 def load_ranker(path: str | Path | None = None) -> Extractor:
-    """The ranker, kept between calls as long as the file does not change.
-
-    Args:
-        path: Weights in place of the shipped ones.
+    """The shipped ranker, or another one, kept between calls as long as the file does not change.
 
     Raises:
         WeightsError: The weights are missing or broken.
@@ -339,8 +298,8 @@ def load_ranker(path: str | Path | None = None) -> Extractor:
 
 
 def load_critic() -> Extractor | None:
-    """The critic, which guides motions (`sampling.classifier_guidance`) and, trained apart from the
-    ranker, chooses none; None where the file was taken away.
+    """The critic, which guides motions (`classifier_guidance`) and, trained apart from the ranker, chooses none; None
+    where the file was taken away.
 
     Raises:
         WeightsError: The weights are broken.

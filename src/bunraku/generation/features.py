@@ -28,8 +28,7 @@ from bunraku.errors import MotionError
 
 __all__ = [
     "body_handle_motion", "decode", "encode", "feature_mask", "FEATURE_SIZE", "feature_weights", "FeatureStatistics",
-    "HANDLE_SIZE",
-    "is_rotation", "mirror", "root_velocities", "ROOT_SIZE", "standing_legs",
+    "HANDLE_SIZE", "mirror", "root_velocities", "ROOT_SIZE", "standing_legs",
 ]  # fmt: skip
 
 ROOT_SIZE, HANDLE_SIZE = 10, 9
@@ -95,11 +94,8 @@ def encode(motion: HandleMotion) -> np.ndarray:
 
 
 def decode(features: np.ndarray, fps: float = 20.0) -> HandleMotion:
-    """The handle motion of features: velocities are summed up from a canonical start at x = z = 0 that faces +Z.
-
-    Args:
-        features: Shape (N, 271).
-        fps: Frames a second [1/s].
+    """The handle motion of features (N, 271): velocities are summed up from a canonical start at x = z = 0 that faces
+    +Z.
 
     Raises:
         MotionError: The shape is another one, or a value is not finite.
@@ -123,12 +119,7 @@ def decode(features: np.ndarray, fps: float = 20.0) -> HandleMotion:
 
 
 def root_velocities(path: np.ndarray, fps: float) -> np.ndarray:
-    """The first three features of a root that goes a way, shape (N, 3).
-
-    Args:
-        path: Position (x, z) [m] and heading [rad] in each frame, shape (N, 3).
-        fps: Frames a second [1/s].
-    """
+    """The first three features of a root on a path of positions (x, z) [m] and headings [rad], both shape (N, 3)."""
     step, angle = np.diff(path[:, :2], axis=0, prepend=path[:1, :2]), path[:, 2]
     out = np.empty((len(path), 3))
     out[:, 0] = np.diff(angle, prepend=angle[:1]) * fps
@@ -154,7 +145,7 @@ _MIRROR_ORDER, _MIRROR_SIGN = _mirror_map()
 
 
 def mirror(features: np.ndarray) -> np.ndarray:
-    """Features of the motion seen in a mirror (x -> -x, left handles become right ones), shape [..., 271]."""
+    """Features of the motion in a mirror (x -> -x, left handles become right ones), shape [..., 271]."""
     return features[..., _MIRROR_ORDER] * _MIRROR_SIGN
 
 
@@ -166,7 +157,7 @@ def _groups() -> list[slice]:
 
 
 def feature_weights() -> np.ndarray:
-    """How much each feature counts in the motion loss, shape (271,), mean 1.
+    """Weight of each feature in the motion loss, shape (271,), mean 1.
 
     Fingers, head top, face and wings repeat their parents' motion on the reference body and its tail does not move, so
     they count less; the root moves everything, so it counts more.
@@ -181,12 +172,9 @@ def feature_weights() -> np.ndarray:
 
 @dataclass(frozen=True)
 class FeatureStatistics:
-    """Mean and deviation that bring features to about zero and one.
-
-    Args:
-        mean: Shape (271,).
-        std: Shape (271,), one value for each group of a kind (the three coordinates of a translation, the six numbers
-            of a rotation), with a floor of 3 cm and 0.12, so that a handle that hardly moves is not blown up.
+    """Mean and deviation that bring features to about zero and one, shape (271,) each. The deviation has one value for
+    each group of a kind (the three coordinates of a translation, the six numbers of a rotation), with a floor of 3 cm
+    and 0.12, so that a handle that hardly moves is not amplified.
     """
 
     mean: np.ndarray
@@ -220,23 +208,13 @@ class FeatureStatistics:
 
 
 def feature_mask(handles: np.ndarray) -> np.ndarray:
-    """Which features the handles decide, shape (271,), bool: ten numbers for the root and nine for each other (see
-    `features`).
-    """
+    """Which features these handles decide, shape (271,), bool: ten numbers for the root, nine for each other."""
     return np.concatenate([np.repeat(handles[:1], ROOT_SIZE), np.repeat(handles[1:], HANDLE_SIZE)])
 
 
-def is_rotation() -> np.ndarray:
-    """Which features are numbers of a rotation, shape (271,), bool."""
-    mask = np.zeros(FEATURE_SIZE, bool)
-    mask[4:ROOT_SIZE] = True
-    mask[ROOT_SIZE:].reshape(-1, HANDLE_SIZE)[:, 3:] = True
-    return mask
-
-
 def standing_legs() -> tuple[np.ndarray, np.ndarray]:
-    """Features of the reference body's rest pose, shape (271,), and which of them say how it stands: the height and
-    the tilt of its root, hips, knees and ankles, shape (271,), bool.
+    """Features of the reference body's rest pose, shape (271,), and which of them say how it stands: the height and the
+    tilt of its root, hips, knees and ankles, shape (271,), bool.
     """
     still = np.broadcast_to(np.eye(3, dtype=np.float32), (2, HANDLE_COUNT, 3, 3))
     nothing = np.zeros((2, HANDLE_COUNT, 3), np.float32)

@@ -30,21 +30,20 @@ __all__ = [
     "generate_motions", "generated_runs", "pose_frames", "span_frames",
 ]  # fmt: skip
 
-_APART = 1_000_003
-"""Between the noise of a motion's candidates, so that none is that of another motion of the batch."""
+_APART = 1_000_003  # between the noise of a motion's candidates, so that none is that of another motion of the batch
 
 
 def generate_motion(prompt: str, seconds: float, *, seed: int = 0, **sampling: Any) -> HandleMotion:
     """A handle motion of the reference body from a sentence (Eq. 2 of TapMo), at the model's 20 frames a second.
 
     Args:
-        prompt: What the character does, in English, at most 1,000 characters, of which some 30 words are read.
+        prompt: What the character does, at most 1,000 characters, of which about 30 words are read.
         seconds: Length [s].
         seed: The same seed and version give the same motion.
         sampling: See `SamplingSettings`.
 
     Raises:
-        OptionError: The prompt or a setting is outside what can be done.
+        OptionError: The prompt or a setting is outside its range.
         WeightsError: The weights are missing or broken.
     """
     return generate_motions([clauses_of([(prompt, seconds)])], seeds=seed, **sampling)[0]
@@ -60,12 +59,12 @@ def generate_motions(
         scripts: For each motion its clauses.
         seeds: One for each motion; a single number gives each motion noise of its own, the first as when it is alone.
         loop: Make loops: each motion's last frame is its first again, at another position where it travels.
-        path: What the root follows, in metres of the reference body; each motion then starts where the path does. Who
-            goes backwards in the first clause looks back along it.
+        path: Path of the root, in metres of the reference body; each motion then starts where the path does, and faces
+            back along it where its first clause goes backwards.
         sampling: See `SamplingSettings`.
 
     Raises:
-        OptionError: A length or a setting is outside what can be done.
+        OptionError: A length or a setting is outside its range.
         WeightsError: The weights are missing or broken.
     """
     how = SamplingSettings(**sampling)
@@ -93,39 +92,36 @@ def generate_motions(
     pack = networks.examples if how.candidates > plain and how.examples else None
     critic = networks.critic if how.classifier_guidance else None
     texts = Texts.of(networks, scripts, how.candidates > 1, pack is not None, critic)
-    known = None if pack is None else GuidanceExamples(pack, texts.shown)
-    if known is not None and not loop:
-        scripts = [[part for clause in script for part in known.parted(clause)] for script in scripts]
-    if known is not None and how.note:
-        for told in dict.fromkeys(_left_out(known, clause) for script in scripts for clause in script):
-            if told:
-                how.note(told)
-    guides = (
-        None
-        if critic is None
-        else Critic(critic, {text: vector.astype(np.float32) for text, vector in texts.guided.items()})
-    )
+    guidance = None if pack is None else GuidanceExamples(pack, texts.shown)
+    if guidance is not None and not loop:
+        scripts = [[part for clause in script for part in guidance.parted(clause)] for script in scripts]
+    if guidance is not None and how.note:
+        for note in dict.fromkeys(_left_out(guidance, clause) for script in scripts for clause in script):
+            if note:
+                how.note(note)
+    guided = {text: vector.astype(np.float32) for text, vector in texts.guided.items()}
+    guides = None if critic is None else Critic(critic, guided)
 
     def example(row: int, index: int) -> tuple[GuidanceExample | None, GuidanceExample | None]:
         """What a candidate starts from, and what the gestures do that are made at the same time."""
         attempt, number = divmod(index, how.candidates)
-        if known is None or (loop and len(scripts[row]) > 1):
+        if guidance is None or (loop and len(scripts[row]) > 1):
             return None, None
         lengths = frames_of([clause.seconds for clause in scripts[row]], model.config.fps)
-        whole = [clause if known.shows(clause) else clause.body for clause in scripts[row]]
+        shown = [clause if guidance.shows(clause) else clause.body for clause in scripts[row]]
         second = [clause.meanwhile or clause for clause in scripts[row]]
-        script, gestures = (list(zip(clauses, lengths, strict=True)) for clauses in (whole, second))
-        if number < plain and not known.unranked(script) and not known.unranked(gestures):
+        script, gestures = (list(zip(clauses, lengths, strict=True)) for clauses in (shown, second))
+        if number < plain and not guidance.unranked(script) and not guidance.unranked(gestures):
             return None, None
         turn = attempt * (how.candidates - plain) + max(number - plain, 0)
-        return known.of(script, noise[row], turn), known.of(gestures, noise[row], turn)
+        return guidance.of(script, noise[row], turn), guidance.of(gestures, noise[row], turn)
 
     def draw(rows: list[int], indices: list[int]) -> list[Candidate]:
         pairs = [(noise[row][0], noise[row][1] + _APART * index) for row, index in zip(rows, indices, strict=True)]
         again = how if not any(index >= how.candidates for index in indices) else replace(how, progress=None)
         examples = [example(row, index) for row, index in zip(rows, indices, strict=True)]
-        some = [scripts[row] for row in rows]
-        return draw_candidates(texts, some, pairs, again, loop, path, examples, guides)
+        chosen_scripts = [scripts[row] for row in rows]
+        return draw_candidates(texts, chosen_scripts, pairs, again, loop, path, examples, guides)
 
     rows = list(range(len(scripts)))
     if how.candidates > 1:
@@ -133,40 +129,37 @@ def generate_motions(
 
         def score(drawn: Sequence[Candidate]) -> np.ndarray:
             with one_thread():
-                motions = [one.motion for one in drawn]
-                return script_scores(networks.ranker, texts.ranked, motions, [one.script for one in drawn])
+                motions = [candidate.motion for candidate in drawn]
+                return script_scores(networks.ranker, texts.ranked, motions, [candidate.script for candidate in drawn])
 
-        found = choose(draw, len(scripts), how.candidates, score)
+        chosen = choose(draw, len(scripts), how.candidates, score)
     else:
-        found = draw(rows, [0] * len(rows))
-    own = how.of_body(model)
+        chosen = draw(rows, [0] * len(rows))
+    of_body = how.of_body(model)
     motions = []
-    for one, script in zip(found, scripts, strict=True):
-        made = decode(one.motion, model.config.fps).of_own_body(own)
+    for candidate, script in zip(chosen, scripts, strict=True):
+        motion = decode(candidate.motion, model.config.fps).of_own_body(of_body)
         if path is not None:
-            x, z, heading = way_of(path, len(made), model.config.fps, script)[0]
-            made = moved(made, heading, np.array([x, 0, z]))
-        motions.append(adapt(made, one.adaptation))
+            x, z, heading = way_of(path, len(motion), model.config.fps, script)[0]
+            motion = moved(motion, heading, np.array([x, 0, z]))
+        motions.append(adapt(motion, candidate.adaptation))
     return motions
 
 
-def _left_out(known: GuidanceExamples, clause: Clause) -> str:
-    """What of a clause no motion shows, or no gesture does, in a line; "" for nothing."""
-    word, action = known.unseen(clause)
+def _left_out(guidance: GuidanceExamples, clause: Clause) -> str:
+    """A line on what of a clause no motion, or no gesture, shows; "" for nothing."""
+    word, action = guidance.unseen(clause)
     if word:
         return f"no motion of '{word}' is known; this is one of '{action}'"
-    lacking = ", ".join(f"'{word}'" for word in known.lacking(clause))
+    lacking = ", ".join(f"'{word}'" for word in guidance.lacking(clause))
     if not lacking:
         return ""
     return f"no gesture of '{clause.text}' has {lacking}; the network makes the motion, and may leave that out"
 
 
 def adapt(motion: HandleMotion, adaptation: np.ndarray) -> HandleMotion:
-    """The motion with the adaptation added to its local translations (section 3.2 of TapMo).
-
-    Args:
-        motion: N frames of K handles.
-        adaptation: Offsets [m], shape (N, K, 3); the root's is left out.
+    """The motion with the adaptation [m], shape (N, K, 3), added to its local translations but the root's (section 3.2
+    of TapMo).
     """
     if not adaptation.any():
         return motion
@@ -220,23 +213,20 @@ def edit_motion(
     motion: HandleMotion, clause: Clause, *, keep: str | Sequence[str] = (), span: tuple[float, float] | None = None,
     poses: Sequence[float] = (), seed: int = 0, **sampling: Any,
 ) -> HandleMotion:  # fmt: skip
-    """The motion with all but what is kept generated anew from a clause.
+    """The motion with all but what is kept generated anew from a clause. Frames outside the span, those of `poses`, and
+    kept handles hold the arrays of `motion` bit for bit.
 
     Args:
         motion: Motion of the reference body at the model's 20 frames a second.
-        clause: What it does instead.
+        clause: The new action.
         keep: Parts or handles that stay as they are.
-        span: Seconds from and to which is generated; all of the motion by default. The frames outside stay as they are.
-        poses: Seconds of single frames in it that stay too: what is between them is generated.
+        span: Seconds between which frames are generated; the whole motion by default.
+        poses: Seconds of single frames in it that stay too.
         seed: The same seed and version give the same motion.
         sampling: See `SamplingSettings`.
 
-    Returns:
-        As many frames; those outside the span, those of `poses`, and the handles that are kept, hold the arrays of
-        `motion` bit for bit.
-
     Raises:
-        OptionError: Nothing is kept, or everything; or a setting is outside what can be done.
+        OptionError: Nothing is kept, or everything; or a setting is outside its range.
         MotionError: The motion has another number of handles or frames a second than the model.
         WeightsError: The weights are missing or broken.
     """
@@ -253,33 +243,29 @@ def edit_motion(
     _check(motion, model)
     low, high = max(first - AROUND, 0), min(after + AROUND, len(motion))
     part = motion.take(slice(low, high))
-    made = _generate(
+    generated = _generate(
         part, [(start - low, stop - low) for start, stop in runs], handles, [clause.text], [high - low], seed, how
     )
     kept = np.setdiff1d(np.arange(low, high), np.concatenate([np.arange(*run) for run in runs]))
     anchor = int(kept[0]) - low if len(kept) else 0  # a kept frame where there is one
-    made = placed_at(made, anchor, part, anchor)
-    whole = made.take(
-        np.clip(np.arange(len(motion)) - low, 0, len(made) - 1)
-    )  # what is kept beyond the part comes next
-    own = {name: getattr(motion, name) for name in ("own_kind", "own_height", "soft")}
-    return replace(put_back_runs(whole, motion, handles, runs, fade=0), **own)
+    generated = placed_at(generated, anchor, part, anchor)
+    # beyond the part all is kept
+    extended = generated.take(np.clip(np.arange(len(motion)) - low, 0, len(generated) - 1))
+    of_motion = {name: getattr(motion, name) for name in ("own_kind", "own_height", "soft")}
+    return replace(put_back_runs(extended, motion, handles, runs, fade=0), **of_motion)
 
 
 def continue_motion(motion: HandleMotion, script: Sequence[Clause], *, seed: int = 0, **sampling: Any) -> HandleMotion:
-    """A motion that starts in the last pose of another, at its position and speed.
+    """A new motion that starts in the last pose of another, bit for bit, at its position and speed.
 
     Args:
         motion: Motion of the reference body at the model's 20 frames a second.
-        script: What is done, clause by clause.
+        script: The actions, clause by clause.
         seed: The same seed and version give the same motion.
         sampling: See `SamplingSettings`.
 
-    Returns:
-        The new motion alone; its first frame is the last one of `motion`, bit for bit.
-
     Raises:
-        OptionError: A setting is outside what can be done.
+        OptionError: A setting is outside its range.
         MotionError: The motion has another number of handles or frames a second than the model.
         WeightsError: The weights are missing or broken.
     """
@@ -292,12 +278,13 @@ def continue_motion(motion: HandleMotion, script: Sequence[Clause], *, seed: int
     frames = np.minimum(np.arange(past - 1 + sum(lengths)), past - 1)
     still = history.take(frames)
     lengths[0] += past - 1
-    made = _generate(
+    generated = _generate(
         still, [(past, len(frames))], np.zeros(HANDLE_COUNT, bool), [clause.text for clause in script], lengths, seed,
         how,
     )  # fmt: skip
-    made = placed_at(made, past - 1, history, past - 1).take(slice(past - 1, len(made)))
-    return put_back(made, still.take(slice(past - 1, len(still))), np.zeros(HANDLE_COUNT, bool), 1, len(made), fade=0)
+    generated = placed_at(generated, past - 1, history, past - 1).take(slice(past - 1, len(generated)))
+    still = still.take(slice(past - 1, len(still)))
+    return put_back(generated, still, np.zeros(HANDLE_COUNT, bool), 1, len(generated), fade=0)
 
 
 def _check(motion: HandleMotion, model: Denoiser) -> None:
@@ -314,8 +301,8 @@ def _generate(
     original: HandleMotion, runs: Sequence[tuple[int, int]], handles: np.ndarray, texts: list[str], lengths: list[int],
     seed: int, how: SamplingSettings,
 ) -> HandleMotion:  # fmt: skip
-    """All frames of the original with some runs of frames made anew, but for the kept handles; the root's path from x
-    = z = 0 facing +Z.
+    """All frames of the original with runs of frames generated anew, but for the kept handles; the root's path from x =
+    z = 0 facing +Z.
     """
     from bunraku.core.nn.layers import one_thread
     from bunraku.generation.sampler import Steering
@@ -358,10 +345,10 @@ def _generate(
     with one_thread():
         mesh = how.mesh_features(model, len(text.mask))
         steering = Steering(refine=refine, known=(held, share))
-        (found,) = sample_plans(model, text, [plan], how.solver, steering, seeds=seed, mesh_features=mesh)
-    made = statistics.restore(found.values[:frames])
+        (sample,) = sample_plans(model, text, [plan], how.solver, steering, seeds=seed, mesh_features=mesh)
+    made = statistics.restore(sample.values[:frames])
     made[mask[:frames]] = features[mask[:frames]]
-    adaptation = found.adaptation[:frames].copy()
+    adaptation = sample.adaptation[:frames].copy()
     made_anew = np.zeros(frames, bool)
     for (first, after), reach in zip(runs, reaches, strict=True):
         made_anew[first:after] = True
@@ -373,15 +360,13 @@ def _generate(
 
 
 def _reach(first: int, after: int, frames: int) -> list[tuple[int, np.ndarray]]:
-    """The kept frames that a run meets, each with the frames of the run that are led to it, nearest first."""
+    """The kept frames that a run meets, each with the frames of the run that blend into it, nearest first."""
     edges = [(first - 1, 1)] * (first > 0) + [(after, -1)] * (after < frames)
     return [(edge, edge + way * np.arange(1, min(FADE, after - first) + 1)) for edge, way in edges]
 
 
 def _goal(features: np.ndarray, first: int, after: int, fps: float) -> tuple[float, tuple[float, float]]:
-    """Turn [rad] and way [m] of the original over the frames of a span, seen from the heading before it."""
+    """Rotation [rad] and way [m] of the original over the frames of a span, seen from the heading before it."""
     path = decode(np.concatenate([features[first - 1 : first], features[first:after]]), fps)
-    return float(features[first:after, 0].sum() / fps), (
-        float(path.root_translation[-1, 0]),
-        float(path.root_translation[-1, 2]),
-    )
+    x, _, z = path.root_translation[-1].tolist()
+    return float(features[first:after, 0].sum() / fps), (x, z)

@@ -30,47 +30,30 @@ __all__ = [
     "laid", "laid_script", "liveliest", "pose_distance",
 ]  # fmt: skip
 
-HURRY = 1.35
-"""Factor by which an example that is done once is sped up at the most to fit in."""
-FILLED = 0.6
-"""Share of the time that an example goes on for at least; shorter ones are taken where there are no others."""
-UPRIGHT = 0.9
-"""Of the root's axis, in who stands."""
-_LEAD = 30
-"""Frames that somebody stands before what is done once, at the most."""
-CROUCH = 0.12
-"""Height [m] by which somebody who stands is lower at the most."""
+HURRY = 1.35  # largest factor by which an example that is done once is sped up to fit in
+FILLED = 0.6  # least share of the time that an example fills; shorter ones are taken where there are no others
+UPRIGHT = 0.9  # of the root's axis, in a person who stands
+_LEAD = 30  # most frames of standing before an action that is done once
+CROUCH = 0.12  # height [m] by which a person who stands is lower at most
 NEAR = 1.0
-"""Difference of two poses, in network units, up to which what rests is joined to standing; what stands in mid-motion is
-joined whatever it is. The sampler repairs what is between.
+"""Difference of two poses, in network units, up to which rest is joined to standing; a motion that stands in its midst
+is joined whatever it is. The sampler repairs what is between.
 """
-AIRBORNE = 0.1
-"""Height of the root over standing [m] from which on nobody stays."""
-GOES = 1.0
-"""Speed [m/s] of who goes on."""
-EASE = 0.6
-"""Share of a pose's change that is left from frame to frame where a motion comes to rest."""
-SHORTEST_LOOP = 12
-"""Frames under which what is played on is a part of a movement, half a punch."""
-WEIGHTS = feature_weights()[3:]
-"""Of what a pose is: all but the root's velocities."""
-_FADE = 10
-"""Frames over which the sampler is left to itself where one sentence goes over into the next."""
+AIRBORNE = 0.1  # height of the root over standing [m] from which on a body cannot stay
+GOES = 1.0  # speed [m/s] of a person who walks on
+EASE = 0.6  # share of a pose's change that is left from frame to frame where a motion comes to rest
+SHORTEST_LOOP = 12  # shorter loops are a part of a movement, half a punch [frames]
+WEIGHTS = feature_weights()[3:]  # of a pose: all features but the root's velocities
+_FADE = 10  # frames over which the sampler is free where one sentence blends into the next
 
 
 @dataclass(frozen=True)
 class Guide:
-    """What the sampler starts from.
+    """What the sampler starts from."""
 
-    Args:
-        values: Network units, shape (N, 271).
-        share: How far each frame is the example's, shape (N,).
-        made: Whether that is a gesture made by code or a clip of one's own, shape (N,).
-    """
-
-    values: np.ndarray
-    share: np.ndarray
-    made: np.ndarray
+    values: np.ndarray  # network units, shape (N, 271)
+    share: np.ndarray  # how far each frame is the example's, shape (N,)
+    made: np.ndarray  # whether that is a gesture made by code or a user's own clip, shape (N,)
 
 
 def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
@@ -87,26 +70,26 @@ def laid(
     pack: ExamplePack, found: Found, frames: int, statistics: FeatureStatistics, random: np.random.Generator,
     manner: Manner = AS_USUAL,
 ) -> Guide:  # fmt: skip
-    """An example made as long as is wanted: what goes on is played on or cut, what is done once is joined to standing,
-    or done faster. Where it neither rests nor can be joined, the frames before and after it are the sampler's own. A
+    """An example at the wanted length: a loop is repeated or cut, an action that is done once is joined to standing, or
+    done faster. Where it neither rests nor can be joined, the frames before and after it are the sampler's own. A
     gesture is performed anew, for so long.
 
     Args:
-        pack: That it is of.
-        found: Which one.
+        pack: Of the example.
+        found: The example.
         frames: Wanted.
         statistics: Units of the network.
-        random: Draws when it begins, and all that differs in a gesture.
-        manner: How it is done. In a loop what goes on is done a whole number of times, and what is done once is no
-            example.
+        random: Draws when it begins, and all that varies in a gesture.
+        manner: How it is done. In a closed loop a cycle is done a whole number of times, and an action that is done
+            once is no example.
     """
     closed = manner.closed
     gesture = pack.gesture(found.number)
-    if gesture is not None and found.told is not None:
-        gesture = limb_gesture(found.told) if isinstance(found.told, Posing) else interaction_gesture(found.told)
+    if gesture is not None and found.detail is not None:
+        gesture = limb_gesture(found.detail) if isinstance(found.detail, Posing) else interaction_gesture(found.detail)
     elif gesture is not None and found.part:
         gesture = at_part(gesture, found.part)
-    if gesture is not None and manner.stance is not None and not isinstance(found.told, Posing):
+    if gesture is not None and manner.stance is not None and not isinstance(found.detail, Posing):
         gesture = in_stance(gesture, manner.stance)
     if gesture is not None and not (closed and gesture.cycle is None):
         features = _performed(pack, gesture, frames, random, manner)
@@ -134,15 +117,15 @@ def laid(
         start = int(random.integers(len(values) - frames + 1))
         return Guide(values[start : start + frames], np.ones(frames, np.float32), made)
     lead = min(int((frames - len(values)) * random.uniform(0.15, 0.5)), _LEAD)
-    first = last = "free"  # who goes on does not stand still before or after; the sampler goes on with it
+    first = last = "free"  # walks do not stand still before or after; the sampler goes on with them
     if not manner.lasts:
         first = _end(features[:END], values[:END], features[-1, 3], statistics, example.made)
         last = _end(features[-END:], values[-END:], features[0, 3], statistics, example.made)
     still = statistics.normalise(np.zeros(FEATURE_SIZE, np.float32))[:3]
     led = longer = values
     if len(values) < frames and (first, last) != ("free", "free") and pack.standing:
-        own = [index for index in pack.standing if pack.examples[index].made == example.made] or pack.standing
-        standing = [statistics.normalise(pack.features(index)).astype(np.float32) for index in own]
+        similar = [index for index in pack.standing if pack.examples[index].made == example.made] or pack.standing
+        standing = [statistics.normalise(pack.features(index)).astype(np.float32) for index in similar]
         before, after = (Joins(standing, near=NEAR if end == "stays" else np.inf) for end in (first, last))
         if first != "free" and lead > AROUND:  # nothing of the motion itself is cross-faded
             eased = held(values[::-1], AROUND, still, EASE)[::-1]
@@ -165,7 +148,7 @@ def laid(
 def _performed(
     pack: ExamplePack, gesture: Gesture, frames: int, random: np.random.Generator, manner: Manner
 ) -> np.ndarray:
-    """What the denoiser sees of a gesture that is done by one of the people who stand, shape (N, 271)."""
+    """Features of a gesture by one of the people who stand, shape (N, 271)."""
     from bunraku.generation.features import body_handle_motion
     from bunraku.gestures.perform import performed
 
@@ -175,9 +158,9 @@ def _performed(
 def _end(
     features: np.ndarray, values: np.ndarray, other: float, statistics: FeatureStatistics, made: bool = False
 ) -> str:
-    """What may be done where a motion ends, of its last frames, shape (M, D), in both units, and the height of the root
+    """What may follow the end of a motion, by its last frames, shape (M, D), in both units, and the height of the root
     at its other end [m]: it "stays"; it "moves" but stands, and can be joined to standing; or it is "free", left to the
-    sampler, as in the air, in a crouch and in a run. A gesture that is `made` by code rests where it says so.
+    sampler, as in the air, in a crouch and in a run. A gesture `made` by code rests where it says so.
     """
     if made and rests(values, statistics):
         return "stays"
@@ -191,7 +174,7 @@ def _end(
 
 
 def goes_on(pack: ExamplePack, found: Found) -> bool:
-    """Whether an example can be played on."""
+    """Whether an example can be repeated."""
     loop = pack.examples[found.number].loop
     if loop is not None and loop[0] - loop[1] >= SHORTEST_LOOP:
         return True  # without a look at its frames, which takes 10 ms
@@ -199,28 +182,28 @@ def goes_on(pack: ExamplePack, found: Found) -> bool:
 
 
 def _loop(pack: ExamplePack, found: Found) -> tuple[int, int] | None:
-    """Frames (i, j) such that playing on from j after i goes on with what is done: the whole example, where that is at
-    least as smooth as the frames that were found for it; None where it is done once, or they span half a movement.
+    """Frames (i, j) such that frame j after frame i continues the action: the whole example, where that is at least as
+    smooth as its stored loop; None where it is done once, or they span half a movement.
     """
     loop = pack.examples[found.number].loop
     if loop is None or pack.examples[found.number].made:
         return loop  # a gesture's cycle is between two rests
     features = pack.features(found.number)
-    whole = len(features) - 1, 0
+    all_frames = len(features) - 1, 0
     poses = features[:, 3:]
-    if pose_distance(*poses[[*whole]]) <= pose_distance(*poses[[*loop]]):
-        return whole
+    if pose_distance(*poses[[*all_frames]]) <= pose_distance(*poses[[*loop]]):
+        return all_frames
     return loop if loop[0] - loop[1] >= SHORTEST_LOOP else None
 
 
-def pose_distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """How far poses are from others, squared, shapes (..., 268) -> (...): features but for the root's velocities."""
-    return np.asarray((WEIGHTS * (one - other) ** 2).sum(axis=-1))
+def pose_distance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Squared distance of poses, shapes (..., 268) -> (...): features but for the root's velocities."""
+    return np.asarray((WEIGHTS * (first - second) ** 2).sum(axis=-1))
 
 
 def _crouches(here: float, there: float) -> bool:
-    """Whether nobody stays at this height of the root over standing [m], whose motion has this one at its other end:
-    the crouch before a jump, and not the seat that somebody gets up from, nor the floor on which somebody lies on.
+    """Whether a body cannot stay at this height of the root over standing [m] in a motion with the other height at its
+    other end: the crouch before a jump, and not a seat to get up from, nor the floor to lie on.
     """
     return here < -CROUCH and there < here + CROUCH and max(here, there) > -3 * CROUCH
 
@@ -263,12 +246,8 @@ def hurried(features: np.ndarray, frames: int) -> np.ndarray:
 
 
 def circled(features: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
-    """A cycle done as often as fits best into so many frames, a little faster or slower, shape (frames, D).
-
-    Args:
-        features: Motion that has it, shape (N, D).
-        loop: Frames (i, j) such that frame j may follow where frame i would be.
-        frames: Wanted.
+    """The cycle of a loop (i, j) of a motion (N, D), done as often as fits best into so many frames, a little faster or
+    slower, shape (frames, D).
     """
     cycle = features[loop[1] : loop[0]]
     times = max(round(frames / len(cycle)), 1)
@@ -285,52 +264,38 @@ def laid_script(
     pack: ExamplePack, parts: Sequence[tuple[Found | None, int]], frames: int, statistics: FeatureStatistics,
     random: np.random.Generator, manners: Sequence[Manner] = (),
 ) -> Guide:  # fmt: skip
-    """The examples of sentences in a row; frames of a sentence without one are the sampler's own.
-
-    Args:
-        pack: That they are of.
-        parts: For each sentence its example and its frames.
-        frames: On the time line, at least those of the parts.
-        statistics: Units of the network.
-        random: Draws when each begins.
-        manners: How each is done; as usual where there are none.
+    """The examples of sentences in a row, each with its frames and its manner, on a time line of at least as many
+    frames; frames of a sentence without one are the sampler's own.
     """
     values, share = np.zeros((frames, FEATURE_SIZE), np.float32), np.zeros(frames, np.float32)
     made = np.zeros(frames, bool)
     start = 0
     for number, (found, length) in enumerate(parts):
-        own = frames - start if number == len(parts) - 1 else length  # frames that make up for a short motion
+        wanted = frames - start if number == len(parts) - 1 else length  # frames that make up for a short motion
         if found is not None:
-            one = laid(pack, found, own, statistics, random, manners[number] if manners else AS_USUAL)
-            values[start : start + own] = one.values
-            before = np.arange(own) + 1 if number else np.full(own, _FADE)
-            after = np.arange(own)[::-1] + 1 if number < len(parts) - 1 else np.full(own, _FADE)
+            guide = laid(pack, found, wanted, statistics, random, manners[number] if manners else AS_USUAL)
+            values[start : start + wanted] = guide.values
+            before = np.arange(wanted) + 1 if number else np.full(wanted, _FADE)
+            after = np.arange(wanted)[::-1] + 1 if number < len(parts) - 1 else np.full(wanted, _FADE)
             edge = smooth_step(np.minimum(np.minimum(before, after) / _FADE, 1.0))
-            share[start : start + own] = one.share * edge
-            made[start : start + own] = one.made
-        start += own
+            share[start : start + wanted] = guide.share * edge
+            made[start : start + wanted] = guide.made
+        start += wanted
     return Guide(values, share, made)
 
 
 @dataclass(frozen=True)
 class GuidanceExample:
-    """The examples that one candidate starts from.
+    """The examples that one candidate starts from."""
 
-    Args:
-        pack: That they are of.
-        found: One for each sentence of the script, None where none fits.
-        seed: Of when each begins.
-        manners: How each is done.
-    """
-
-    pack: ExamplePack
-    found: tuple[Found | None, ...]
-    seed: tuple[int, ...]
-    manners: tuple[Manner, ...] = ()
+    pack: ExamplePack  # of the examples
+    found: tuple[Found | None, ...]  # one for each sentence of the script, None where none fits
+    seed: tuple[int, ...]  # of when each begins
+    manners: tuple[Manner, ...] = ()  # how each is done
 
     def on(self, lengths: Sequence[int], frames: int, statistics: FeatureStatistics, closed: bool = False) -> Guide:
-        """The guide of a time line of so many frames, of which the sentences have these; of a loop, which has one
-        sentence, where it is `closed`.
+        """The guide of a time line of so many frames, of which the sentences have these; `closed` for a loop, which has
+        one sentence.
         """
         random = np.random.default_rng(self.seed)
         if closed and self.found[0] is not None:
@@ -341,17 +306,13 @@ class GuidanceExample:
 
 
 NEAREST = 3
-ALIKE = 1.0
-"""Distance of poses by which others of these may begin less so than the nearest."""
-TRIED = 3
-"""Examples that are looked at for one."""
-LEFT = 0.35
-"""Share of gestures that are done with the left hand where nobody says with which."""
+ALIKE = 1.0  # further distance of poses from the nearest up to which others may begin, too
+TRIED = 3  # examples that are considered for one
+LEFT = 0.35  # share of gestures that are done with the left hand where no side is said
 SIDES = ("left", "right")
-PACES = {"slow": 0.72, "fast": 1.35}
-"""Tempo of a gesture by what is said of it."""
+PACES = {"slow": 0.72, "fast": 1.35}  # tempo of a gesture by its adverb
 ODD = 4.9
-"""Distance of a pose from those of people who stand with which nobody begins; that of a kick at its height is 4.8."""
+"""Distance of a pose from those of people who stand at which no motion begins; that of a kick at its height is 4.8."""
 
 
 class GuidanceExamples:
@@ -364,9 +325,9 @@ class GuidanceExamples:
 
     def __init__(self, pack: ExamplePack, clauses: Mapping[str, tuple[Clause, np.ndarray]]):
         self.pack = pack
-        retrieved = {text: retrieve(pack, *one) for text, one in clauses.items()}
-        self._found = {text: one.found for text, one in retrieved.items()}
-        self._lacking = {text: one.lacking for text, one in retrieved.items()}
+        retrieved = {text: retrieve(pack, *result) for text, result in clauses.items()}
+        self._found = {text: result.found for text, result in retrieved.items()}
+        self._lacking = {text: result.lacking for text, result in retrieved.items()}
 
     def shows(self, clause: Clause) -> bool:
         """Whether there is an example for a clause."""
@@ -385,9 +346,7 @@ class GuidanceExamples:
         return self._lacking.get(clause.text, ())
 
     def unseen(self, clause: Clause) -> tuple[str, str]:
-        """A word that says a clause's only action while no caption and no example has it, and that action; "" and ""
-        for none.
-        """
+        """A word for a clause's only action that no caption and no example has, and that action; "" and "" for none."""
         found = self._found.get(clause.text, [])
         if len(clause.actions) != 1 or any(self.pack.examples[one.number].made for one in found):
             return "", ""
@@ -397,8 +356,8 @@ class GuidanceExamples:
         return word, clause.actions[0]
 
     def unranked(self, script: Sequence[tuple[Clause, int]]) -> bool:
-        """Whether a clause requests what the ranker has never seen, a gesture that is made by code or a clip of one's
-        own: the network may not have learned it either.
+        """Whether a clause requests what the ranker has never seen, a gesture made by code or a user's own clip: the
+        network may not have learned it either.
         """
         return any(
             self.pack.examples[found.number].unranked
@@ -407,12 +366,8 @@ class GuidanceExamples:
         )
 
     def of(self, script: Sequence[tuple[Clause, int]], noise: tuple[int, int], number: int) -> GuidanceExample | None:
-        """What a candidate starts from; None where no clause has an example.
-
-        Args:
-            script: Clauses with the frames that each lasts.
-            noise: Seed and row of the motion's own noise: it orders the examples.
-            number: Of the candidate among those that start from examples.
+        """The examples that a candidate starts from, by its number among those that do; None where no clause has one.
+        Seed and row of the motion's noise order the examples.
         """
         seed = (noise[0] % 2**63, noise[1] % 2**63)
         random = np.random.default_rng(seed)
@@ -441,14 +396,14 @@ class GuidanceExamples:
         return found._replace(mirrored=bool(random.random() < LEFT))
 
     def _following(self, last: Found, fitting: list[Found]) -> list[Found]:
-        """The few that begin most as another ends: who sits on a chair does not get up from the floor."""
+        """The few that begin most as another ends: a person on a chair does not get up from the floor."""
         end = self._pose(last, -1)
-        away = np.sqrt([float(pose_distance(self._pose(one, 0), end)) for one in fitting])
+        away = np.sqrt([float(pose_distance(self._pose(candidate, 0), end)) for candidate in fitting])
         order = np.argsort(away, kind="stable")[:NEAREST]
         return [fitting[index] for index in order[away[order] <= away.min(initial=np.inf) + ALIKE].tolist()]
 
     def _begins_oddly(self, found: Found) -> bool:
-        """Whether who stands as an example begins does so bent, as between two exercises, or with a leg far up."""
+        """Whether a person who stands as an example begins is bent, as between two exercises, or has a leg far up."""
         first = self.pack.features(found.number)[0]
         if first[3] < -CROUCH or not self.pack.standing:
             return False
@@ -465,7 +420,7 @@ class GuidanceExamples:
 
 
 def _manner(clause: Clause) -> Manner:
-    """How a clause says that something is done."""
+    """How a clause says that an action is done."""
     said = [pace for cue, pace in PACES.items() if cue in clause.cues]
     goes = "goes" in clause.traits or goes_ahead(clause.actions)
     lasts = goes and all(map(is_cyclic, clause.actions)) and clause.count is None and "halts" not in clause.traits

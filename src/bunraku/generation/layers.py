@@ -1,4 +1,4 @@
-"""What a denoiser is built of: its configuration, the presets, and its layers as they run in numpy."""
+"""Layers of the denoiser in numpy, its configuration and the presets."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ __all__ = [
     "waves",
 ]  # fmt: skip
 
-TRAINING_STEPS = 1000
-"""Of noise, from the clean motion on; a sampler visits some of them."""
+TRAINING_STEPS = 1000  # of noise, from the clean motion on; a sampler visits some of them
 
 _RETIRED = ("architecture", "convolution")
 """Fields of older checkpoints; what they switched on had weights of its own, by which it is refused."""
@@ -27,51 +26,34 @@ _RETIRED = ("architecture", "convolution")
 
 @dataclass(frozen=True)
 class DenoiserConfig:
-    """All that builds a denoiser; a checkpoint carries it.
+    """All that builds a denoiser; a checkpoint carries it."""
 
-    Args:
-        width: Size of a token, d.
-        layers: Decoder layers.
-        heads: Attention heads.
-        feedforward: Inner size of the feed-forward blocks.
-        frames: Longest motion in one pass.
-        frames_per_token: Frames that share a token.
-        features: Numbers a frame, D.
-        handles: Mesh handles, K.
-        mesh_features: Size of f_phi.
-        text_encoder: Name of the text encoder that it was trained with.
-        text_size: Size of its tokens.
-        pooled_size: Size of its sentence vector.
-        fps: Frames a second [1/s].
-        adaptation_mesh: Whether the adaptation's linear layer sees the mesh token beside the hidden state.
-        adaptation_frame: What that layer says: "root", offsets in the root's frame as in the paper; or "joints", how
-            far the joint between each handle and its parent should be moved, which gives `joint_offsets`.
-        examples: Captured examples, retrieved for the sentence, that motion tokens attend to; 0 for none.
-    """
-
-    width: int = 256
-    layers: int = 8
-    heads: int = 4
-    feedforward: int = 1024
-    frames: int = 196
-    frames_per_token: int = 4
-    features: int = FEATURE_SIZE
-    handles: int = HANDLE_COUNT
-    mesh_features: int = 448
-    text_encoder: str = "all-MiniLM-L6-v2"
+    width: int = 256  # size of a token, d
+    layers: int = 8  # decoder layers
+    heads: int = 4  # attention heads
+    feedforward: int = 1024  # inner size of the feed-forward blocks
+    frames: int = 196  # longest motion in one pass
+    frames_per_token: int = 4  # frames that share a token
+    features: int = FEATURE_SIZE  # numbers a frame, D
+    handles: int = HANDLE_COUNT  # mesh handles, K
+    mesh_features: int = 448  # size of f_phi
+    text_encoder: str = "all-MiniLM-L6-v2"  # name of the text encoder that it was trained with
+    # text_size, pooled_size: sizes of its tokens and of its sentence vector
     text_size: int = 384
     pooled_size: int = 384
-    fps: float = 20.0
-    adaptation_mesh: bool = False
+    fps: float = 20.0  # frames a second [1/s]
+    adaptation_mesh: bool = False  # whether the adaptation's linear layer sees the mesh token beside the hidden state
+    # output of that layer: "root", offsets in the root's frame as in the paper; or "joints", how far the joint between
+    # each handle and its parent should be moved, which gives `joint_offsets`
     adaptation_frame: str = "root"
-    examples: int = 0
+    examples: int = 0  # captured examples, retrieved for the sentence, that motion tokens attend to; 0 for none
 
 
 def denoiser_config(data: Mapping[str, object]) -> DenoiserConfig:
-    """The config that a checkpoint carries, also one with fields that are no longer in use.
+    """The config of a checkpoint, also one with fields that are no longer in use.
 
     Raises:
-        OptionError: As `config_of`.
+        OptionError: As of `config_of`.
     """
     return config_of(DenoiserConfig, {name: value for name, value in data.items() if name not in _RETIRED})
 
@@ -84,37 +66,28 @@ PRESETS: dict[str, DenoiserConfig] = {
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """What the layers read beside the motion.
+    """What the layers read beside the motion."""
 
-    Args:
-        memories: Of sentence and mesh, in each layer.
-        hidden: Of them, as `hidden_by` gives it.
-        sentence: Shape (B, d).
-        mesh: The mesh token, shape (B, d).
-        examples: Of examples, in each layer; None in one that does not look at them.
-        hidden_examples: Of these.
-    """
-
-    memories: Sequence[Memory]
-    hidden: np.ndarray | None
-    sentence: np.ndarray
-    mesh: np.ndarray
-    examples: Sequence[Memory | None]
-    hidden_examples: np.ndarray | None
+    memories: Sequence[Memory]  # of sentence and mesh, in each layer
+    hidden: np.ndarray | None  # of them, as of `hidden_by`
+    sentence: np.ndarray  # shape (B, d)
+    mesh: np.ndarray  # the mesh token, shape (B, d)
+    examples: Sequence[Memory | None]  # of examples, in each layer; None in one that does not attend to them
+    hidden_examples: np.ndarray | None  # of these
 
     def rows(self, rows: slice) -> Condition:
-        """Of some rows of the batch."""
+        """Of these rows of the batch."""
         return Condition(
-            [Memory(one.keys[rows], one.values[rows]) for one in self.memories],
+            [Memory(memory.keys[rows], memory.values[rows]) for memory in self.memories],
             None if self.hidden is None else self.hidden[rows], self.sentence[rows], self.mesh[rows],
-            [None if one is None else Memory(one.keys[rows], one.values[rows]) for one in self.examples],
+            [None if memory is None else Memory(memory.keys[rows], memory.values[rows]) for memory in self.examples],
             None if self.hidden_examples is None else self.hidden_examples[rows],
         )  # fmt: skip
 
 
 def rotary_positions(tokens: np.ndarray, size: int) -> Rotary:
-    """Cosines and sines of rotary positions (Su et al. 2021) of tokens at these places in time, shape (T,), each of
-    shape (T, size / 2).
+    """Cosines and sines of rotary positions (Su et al. 2021) of tokens at these times, shape (T,), each of shape (T,
+    size / 2).
     """
     rates = np.float32(1000.0) ** (-np.arange(0, size, 2, dtype=np.float32) / np.float32(size))
     angle = tokens[:, None].astype(np.float32) * rates
@@ -130,12 +103,8 @@ def waves(angle: np.ndarray, width: int) -> np.ndarray:
 
 
 class DecoderLayer:
-    """Self-attention, cross-attention, feed-forward; each behind an adaptive norm and a gate.
-
-    Args:
-        config: Sizes.
-        weights: Of the layer.
-        examples: Whether this layer attends to examples.
+    """Self-attention, cross-attention, feed-forward; each behind an adaptive norm and a gate. `examples` tells whether
+    this layer attends to examples.
     """
 
     def __init__(self, config: DenoiserConfig, weights: Weights, examples: bool):
@@ -162,7 +131,7 @@ class DecoderLayer:
         return split_heads(self.cross_memory(tokens), self.heads, 2)
 
     def example_memory(self, keys: np.ndarray, values: np.ndarray, rotary: Rotary) -> Memory | None:
-        """Keys and values of examples' tokens (B, M, d); None in a layer that does not look at them."""
+        """Keys and values of examples' tokens (B, M, d); None in a layer that does not attend to them."""
         if self.examples is None:
             return None
         (key,) = split_heads(self.example_key(keys), self.heads)
@@ -176,11 +145,11 @@ class DecoderLayer:
         """The next hidden states, shape (B, T, d).
 
         Args:
-            x: Hidden states, shape (B, T, d), which it takes to write on.
+            x: Hidden states, shape (B, T, d), which it writes on.
             steer: Scale, shift and gate of each block, shape (B, 9, or 12 with examples, d).
             rotary: Of the tokens.
             real: Which tokens are real, shape (B, T); None where all are.
-            condition: What they read.
+            condition: As of `Condition`.
             index: Of the layer.
         """
         parts = (steer + self.offset)[:, :, None].swapaxes(0, 1)

@@ -20,25 +20,17 @@ from bunraku.errors import OptionError, WeightsError
 if TYPE_CHECKING:
     from bunraku.generation.pack import ExamplePack
 
-__all__ = ["Clip", "Source", "all_clips", "clip", "features_of", "motion_of", "search"]
+__all__ = ["Clip", "Source", "all_clips", "clip", "features_of", "search"]
 
 _NAME, _TAG, _SENTENCE, _ACTION = 3.0, 2.0, 1.0, 2.0
-"""What a word counts for that stands in the name, in a tag or in the sentence of a clip, and an action in common."""
-_BEGUN = 0.5
-"""Share of that for a word of which the beginning is typed."""
-_LETTERS = 2
-"""Fewest letters that begin a word."""
+"""Weight of a word in the name, in a tag or in the sentence of a clip, and of a common action."""
+_BEGUN = 0.5  # share of that for a word of which the beginning is typed
+_LETTERS = 2  # fewest letters that begin a word
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where clips are from.
-
-    Args:
-        begins: How the names of their stretches begin.
-        credit: Who is to be named.
-        terms: What may be done with them.
-    """
+    """Source of clips: how the names of their stretches begin, the credit that is due, and the terms of use."""
 
     begins: tuple[str, ...]
     credit: str
@@ -52,10 +44,10 @@ class Clip:
     Args:
         name: Its name.
         sentence: What is done in it.
-        seconds: How long it lasts [s].
-        loops: Whether it can be played on without an end.
-        tags: What it is found by: a kind first, then the actions of the lexicon that are done.
-        source: Who it is from, on which terms.
+        seconds: Its length [s].
+        loops: Whether it can be repeated without an end.
+        tags: Words to find it by: a kind first, then the actions of the lexicon that are done.
+        source: Its source and terms.
         stretch: The stretch of the examples that it is.
     """
 
@@ -71,17 +63,18 @@ class Clip:
         """Its motion, of the reference body, 20 frames a second; `bunraku.transfer` puts it on a character.
 
         Args:
-            seconds: How long it is to last [s]: one that loops is played on, others are held at their end, and what is
-                longer is cut. None for as long as it lasts.
-            loop: Of one that loops, as many whole rounds as come nearest to that, so that its last frame goes on with
-                its first; others are as without.
+            seconds: Wanted length [s]: a loop is repeated, other clips are held at their end, and what is longer is
+                cut. None for the clip's own.
+            loop: Of a loop, as many whole rounds as come nearest to that, so that its first frame follows its last;
+                others are as without.
 
         Raises:
             OptionError: It cannot last so long.
             WeightsError: The examples are missing or broken.
         """
+        from bunraku.generation.features import decode
 
-        return motion_of(self.stretch, seconds, loop)
+        return decode(features_of(self.stretch, seconds, loop))
 
 
 @functools.cache
@@ -89,25 +82,27 @@ def all_clips() -> tuple[Clip, ...]:
     """All clips, by kind and name."""
     table = tomllib.loads(resources.files("bunraku.generation").joinpath("library.toml").read_text(encoding="utf-8"))
     sources = [Source(tuple(row["begins"]), row["credit"], row["terms"]) for row in table["source"]]
-    found = []
+    clips = []
     for name, row in table["clips"].items():
-        source = next(one for one in sources if row["of"].startswith(one.begins))
+        source = next(candidate for candidate in sources if row["of"].startswith(candidate.begins))
         tags = tuple(row["tags"])
-        found.append(Clip(name, row["says"], float(row["seconds"]), row["loops"], tags, source, row["of"]))
-    return tuple(found)
+        clips.append(Clip(name, row["says"], float(row["seconds"]), row["loops"], tags, source, row["of"]))
+    return tuple(clips)
 
 
 def clip(name: str) -> Clip:
     """The clip of a name.
 
     Raises:
-        OptionError: There is none; the sentence names some like it.
+        OptionError: There is none; the sentence names similar ones.
     """
-    found = next((one for one in all_clips() if one.name == name), None)
-    if found is None:
+    match = next((entry for entry in all_clips() if entry.name == name), None)
+    if match is None:
         like = search(name.replace("-", " "))[:3] or all_clips()[:3]
-        raise OptionError(f"there is no clip '{name[:40]}'; there are {', '.join(one.name for one in like)} and more")
-    return found
+        raise OptionError(
+            f"there is no clip '{name[:40]}'; there are {', '.join(entry.name for entry in like)} and more"
+        )
+    return match
 
 
 @dataclass(frozen=True)
@@ -120,12 +115,12 @@ class _Words:
     actions: frozenset[str]
 
     def worth(self, word: str) -> float:
-        """What a typed word counts for."""
+        """Weight of a typed word."""
         best = 0.0
         for words, worth in ((self.name, _NAME), (self.tags, _TAG), (self.sentence, _SENTENCE)):
             if word in words:
                 best = max(best, worth)
-            elif len(word) >= _LETTERS and any(one.startswith(word) for one in words):
+            elif len(word) >= _LETTERS and any(longer.startswith(word) for longer in words):
                 best = max(best, worth * _BEGUN)
         return best
 
@@ -139,15 +134,15 @@ def _stems(text: str) -> frozenset[str]:
 
 @functools.cache
 def _index() -> tuple[tuple[_Words, ...], Counter[str], Counter[str]]:
-    """The words of each clip, and in how many each stem and each action is."""
+    """The words of each clip, and the number of clips with each stem and each action."""
     from bunraku.language.lexicon import actions_of
 
     rows = tuple(
         _Words(
-            _stems(one.name.replace("-", " ")), frozenset[str]().union(*map(_stems, one.tags)), _stems(one.sentence),
-            frozenset((*actions_of(one.sentence), *one.tags[1:])),
+            _stems(entry.name.replace("-", " ")), frozenset[str]().union(*map(_stems, entry.tags)),
+            _stems(entry.sentence), frozenset((*actions_of(entry.sentence), *entry.tags[1:])),
         )
-        for one in all_clips()
+        for entry in all_clips()
     )  # fmt: skip
     stems = Counter(word for row in rows for word in row.name | row.tags | row.sentence)
     return rows, stems, Counter(action for row in rows for action in row.actions)
@@ -161,7 +156,7 @@ def search(text: str = "", tags: Sequence[str] = ()) -> list[Clip]:
     (`language.lexicon`).
 
     Args:
-        text: What is looked for; empty for all.
+        text: Wanted; empty for all.
         tags: Tags that each must have.
     """
     from bunraku.language.lexicon import actions_of, words_of
@@ -169,52 +164,40 @@ def search(text: str = "", tags: Sequence[str] = ()) -> list[Clip]:
     from bunraku.language.vocabulary import FUNCTION_WORDS
 
     text = " ".join(text.replace("-", " ").split())
-    some = [(one, row) for one, row in zip(all_clips(), _index()[0], strict=True) if set(tags) <= set(one.tags)]
+    tagged = [(entry, row) for entry, row in zip(all_clips(), _index()[0], strict=True) if set(tags) <= set(entry.tags)]
     if not text:
-        return [one for one, _ in some]
-    found = _found(text, some)
+        return [entry for entry, _ in tagged]
+    found = _found(text, tagged)
     if not found and any(word not in FUNCTION_WORDS for word in words_of(text)[0]):
         english = understood(text[:1000]).english
-        found = [] if english == text else _found(english, some)
+        found = [] if english == text else _found(english, tagged)
     if not found:
         wanted = set(actions_of(text))
-        found = [(1.0, one) for one, row in some if wanted & row.actions]
+        found = [(1.0, entry) for entry, row in tagged if wanted & row.actions]
     name = text.lower().replace(" ", "-")
-    return [one for _, one in sorted(found, key=lambda pair: (pair[1].name != name, -pair[0], pair[1].name))]
+    return [entry for _, entry in sorted(found, key=lambda pair: (pair[1].name != name, -pair[0], pair[1].name))]
 
 
-def _found(text: str, some: Sequence[tuple[Clip, _Words]]) -> list[tuple[float, Clip]]:
+def _found(text: str, entries: Sequence[tuple[Clip, _Words]]) -> list[tuple[float, Clip]]:
     from bunraku.language.lexicon import actions_of
 
     rows, stems, actions = _index()
     typed, wanted = _stems(text), frozenset(actions_of(text)) - {"other"}
-    found = []
-    for one, row in some:
+    scored = []
+    for entry, row in entries:
         score = sum(row.worth(word) * math.log(1 + len(rows) / (1 + stems[word])) for word in typed)
         score += sum(_ACTION * math.log(1 + len(rows) / (1 + actions[action])) for action in wanted & row.actions)
         if score > 0:
-            found.append((score, one))
-    return found
+            scored.append((score, entry))
+    return scored
 
 
-_EASE = 0.3
-"""Share of a pose's change that is left from frame to frame where a clip is held at its end."""
-
-
-def motion_of(stretch: str, seconds: float | None = None, loop: bool = False) -> HandleMotion:
-    """The motion of a stretch on the reference body, for `Clip.motion`."""
-    from bunraku.generation.features import decode
-
-    return decode(features_of(stretch, seconds, loop))
+_EASE = 0.3  # share of a pose's change that is left from frame to frame where a clip is held at its end
 
 
 def features_of(stretch: str, seconds: float | None = None, loop: bool = False) -> np.ndarray:
-    """What the denoiser sees of a stretch (see `generation.features`), shape (N, 271), as long as it is to last.
-
-    Args:
-        stretch: A name of the examples (`Clip.stretch`).
-        seconds: As of `Clip.motion`.
-        loop: As of `Clip.motion`.
+    """Features of a stretch by a name of the examples (`Clip.stretch`), shape (N, 271); other arguments as of
+    `Clip.motion`.
 
     Raises:
         OptionError: It cannot last so long.
@@ -243,7 +226,7 @@ def features_of(stretch: str, seconds: float | None = None, loop: bool = False) 
 
 
 def _rounds(values: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
-    """As many whole rounds of a loop as come nearest to so many frames: all that are played on are alike."""
+    """As many whole rounds of a loop as come nearest to so many frames: all that are repeated are alike."""
     from bunraku.generation.splicing import played
 
     start, length = loop[0], loop[0] - loop[1]
@@ -253,5 +236,5 @@ def _rounds(values: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarra
 
 @functools.lru_cache(maxsize=2)
 def _numbers(pack: ExamplePack) -> dict[str, int]:
-    """Which example each stretch is."""
-    return {one.name: number for number, one in enumerate(pack.examples)}
+    """The index of each stretch."""
+    return {example.name: number for number, example in enumerate(pack.examples)}

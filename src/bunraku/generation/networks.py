@@ -1,4 +1,4 @@
-"""The networks that make a motion from a sentence, and what they read of it: each text is encoded once."""
+"""The networks that make a motion from a sentence, and the texts as they read them: each text is encoded once."""
 
 from __future__ import annotations
 
@@ -28,10 +28,8 @@ __all__ = ["Networks", "Texts", "load_generator"]
 
 @dataclass(frozen=True)
 class Networks:
-    """The networks that make a motion, each loaded when it is first asked for and then kept.
-
-    Args:
-        checkpoint: Weights of the denoiser in place of the shipped ones.
+    """The networks that make a motion, each loaded when it is first used and then kept. `checkpoint` replaces the
+    shipped weights of the denoiser.
 
     Raises:
         WeightsError: The weights of a network are missing or broken; raised when it is first used.
@@ -41,7 +39,7 @@ class Networks:
 
     @cached_property
     def denoiser(self) -> Denoiser:
-        """What predicts the clean motion (section 3.2 of TapMo)."""
+        """Predicts the clean motion (section 3.2 of TapMo)."""
         return _denoiser(*dated_checkpoint("diffusion", self.checkpoint))
 
     @cached_property
@@ -59,20 +57,20 @@ class Networks:
 
     @property
     def few_steps_file(self) -> Path:
-        """Where the changes are; it need not exist."""
+        """Path of the changes; it need not exist."""
         beside = dated_checkpoint("diffusion", self.checkpoint)[0].with_name("few-steps.safetensors")
         return beside if beside.is_file() else weights_file("few-steps.safetensors")
 
     @cached_property
     def ranker(self) -> Extractor:
-        """What chooses among candidates."""
+        """Chooses among candidates."""
         from bunraku.generation.extractor import load_ranker
 
         return load_ranker()
 
     @cached_property
     def critic(self) -> Extractor | None:
-        """What guides motions towards their sentences; None where its file was taken away."""
+        """Guides motions towards their sentences; None where its file was taken away."""
         from bunraku.generation.extractor import load_critic
 
         return load_critic()
@@ -86,18 +84,14 @@ class Networks:
 
 
 def load_generator(checkpoint: str | Path | None = None) -> tuple[Denoiser, TextEncoder]:
-    """The denoiser and its text encoder, kept between calls as long as the file does not change.
-
-    Weights trained with CLIP look for its folder in the environment variable BUNRAKU_CLIP.
-
-    Args:
-        checkpoint: Weights in place of the shipped ones.
+    """The denoiser, shipped or from a checkpoint, and its text encoder, kept between calls as long as the file does not
+    change. Weights trained with CLIP look for its folder in the environment variable BUNRAKU_CLIP.
 
     Raises:
         WeightsError: The weights are missing or broken.
     """
-    found = dated_checkpoint("diffusion", checkpoint)
-    return _denoiser(*found), _encoder(*found)
+    dated_path = dated_checkpoint("diffusion", checkpoint)
+    return _denoiser(*dated_path), _encoder(*dated_path)
 
 
 @functools.lru_cache(maxsize=2)
@@ -124,41 +118,25 @@ def _load_few(path: Path, changed: int, few: Path, few_changed: int) -> Denoiser
 
 @dataclass(frozen=True, eq=False)
 class Texts:
-    """The texts of some scripts as the networks read them.
+    """The texts of scripts as the networks read them."""
 
-    Args:
-        rows: The row of `tokens` of each text.
-        tokens: What the denoiser's text encoder makes of the texts of clauses and of the gestures made meanwhile.
-        ranked: The ranker's vectors of the texts of clauses, shape (E,) each.
-        shown: The ranker's unit vector of each clause as said of a person, by its text; none where no examples are
-            looked up.
-        guided: The critic's, of what all of the body but a gesture does.
-    """
-
-    rows: dict[str, int]
-    tokens: TextBatch
-    ranked: dict[str, np.ndarray]
+    rows: dict[str, int]  # the row of `tokens` of each text
+    tokens: TextBatch  # the denoiser's encoded texts of clauses and of the gestures made meanwhile
+    ranked: dict[str, np.ndarray]  # the ranker's vectors of the texts of clauses, shape (E,) each
+    # the ranker's unit vector of each clause as said of a person, by its text; empty without examples
     shown: dict[str, tuple[Clause, np.ndarray]]
-    guided: dict[str, np.ndarray]
+    guided: dict[str, np.ndarray]  # the critic's, of what all of the body but a gesture does
 
     @classmethod
     def of(
         cls, networks: Networks, scripts: Sequence[Sequence[Clause]], ranks: bool, shows: bool, critic: Extractor | None
     ) -> Texts:
-        """The texts of scripts.
-
-        Args:
-            networks: That read them.
-            scripts: For each motion its clauses.
-            ranks: Whether the ranker is to choose among candidates.
-            shows: Whether examples are to be looked up.
-            critic: What guides motions; None for nothing.
-        """
+        """The texts of scripts, for the ranker (`ranks`), for examples (`shows`), and for a critic."""
         from bunraku.generation.extractor import RADIUS, sentence_vectors
 
         clauses = [clause for script in scripts for clause in script]
         clauses += [part for clause in clauses for part in clause.parts] if shows else []
-        voices = [one for clause in clauses for one in (clause, *clause.voices)] if shows else []
+        voices = [voice for clause in clauses for voice in (clause, *clause.voices)] if shows else []
         bodies = [clause.body for clause in clauses] if critic is not None else []
         plain = {text: None for clause in clauses for text in (clause.body.text, (clause.meanwhile or clause).text)}
         ranker = networks.ranker if ranks or shows else None
@@ -170,18 +148,20 @@ class Texts:
             for network in networks_of
         ]
         with one_thread():
-            batches = [own.encode(texts) if texts else None for own, texts in zip(encoders[:2], wanted, strict=False)]
+            batches = [
+                encoder.encode(texts) if texts else None for encoder, texts in zip(encoders[:2], wanted, strict=False)
+            ]
         tokens = networks.encoder.encode(list(plain))
         with one_thread():
             batches.append(encoders[2].encode(wanted[2]) if ranks else None)
-            found: list[dict[str, np.ndarray]] = []
+            by_text: list[dict[str, np.ndarray]] = []
             for network, texts, batch in zip(networks_of, wanted, batches, strict=True):
                 vectors = () if network is None or batch is None else sentence_vectors(network, batch)
-                found.append(dict(zip(texts, vectors, strict=True)))
-        shown = {clause.text: (clause, found[0][clause.person] / RADIUS) for clause in voices}
-        guided = {clause.text: found[1][clause.person] / RADIUS for clause in bodies}
-        return cls({text: row for row, text in enumerate(plain)}, tokens, found[2], shown, guided)
+                by_text.append(dict(zip(texts, vectors, strict=True)))
+        shown = {clause.text: (clause, by_text[0][clause.person] / RADIUS) for clause in voices}
+        guided = {clause.text: by_text[1][clause.person] / RADIUS for clause in bodies}
+        return cls({text: row for row, text in enumerate(plain)}, tokens, by_text[2], shown, guided)
 
     def batch(self, texts: Sequence[str]) -> TextBatch:
-        """The tokens of some texts, in the order that is given."""
+        """The tokens of these texts, in their order."""
         return self.tokens.some([self.rows[text] for text in texts])

@@ -1,8 +1,9 @@
-"""Captured examples in one file: short stretches of motion with sentences, and where the ranker's network places both.
+"""Captured examples in one file: short stretches of motion with sentences, and the ranker's vectors of both.
 
 A stretch is kept as the motion of a skeleton of 22 joints: the root's position and the joints' rotations at 20 frames a
 second, in steps of half a millimetre and of a milliradian, their differences packed by LZMA: 50 bytes a frame. What the
-sentences say, and where somebody stands well, is kept in a JSON file beside it, so that no run works it out again.
+sentences say, and in which stretches a person stands well, is kept in a JSON file beside it, so that no run works it
+out again.
 """
 
 from __future__ import annotations
@@ -36,18 +37,15 @@ __all__ = [
 
 KIND = "examples"
 FPS = 20.0
-MADE = "gesture_"
-"""How the names of those begin that are made by code."""
-OWN = "own_"
-"""How the names of those begin that somebody has added to the shipped ones."""
+MADE = "gesture_"  # beginning of the names of examples made by code
+OWN = "own_"  # beginning of the names of examples that a user has added
 IDLE = "#idle"
-"""How the names of those end in which somebody stands by whom gestures are made."""
+"""End of the names of stretches of people who stand; gestures are made by these."""
 BUSY = "#busy"
-"""The same of those who do something with their hands; gestures take all but these from them."""
+"""The same of people who use their hands; gestures take all but these from them."""
 _AND = ", "
 _OTHER_SIDE = {"left": "right", "right": "left"}
-MOST_FRAMES = 2_000
-"""Of one stretch; what a file says beyond is damage."""
+MOST_FRAMES = 2_000  # of one stretch; more in a file is damage
 _METRES, _RADIANS = 5e-4, 1e-3
 _NUMBERS = 3 + 3 * JOINT_COUNT
 _FILTERS = lzma_filters(9 | lzma.PRESET_EXTREME, 1 << 16)
@@ -58,11 +56,11 @@ class Example:
     """One stretch of a captured or keyframed clip.
 
     Args:
-        name: The clip it is of, and its first frame there.
-        texts: Sentences that tell it, the fullest first; none where somebody only stands, for others to be joined to.
+        name: Its clip, and its first frame there.
+        texts: Sentences for it, the fullest first; none where a person only stands, for others to be joined to.
         frames: How many it has.
-        loop: Frames (i, j) such that playing on from j after i is smooth and the sentences stay true; None where it is
-            done once.
+        loop: Frames (i, j) such that frame j after frame i is smooth and the sentences stay true; None where it is done
+            once.
     """
 
     name: str
@@ -72,7 +70,7 @@ class Example:
 
     @property
     def unranked(self) -> bool:
-        """Whether the ranker has never seen its like: it is made by code, or a clip of one's own."""
+        """Whether the ranker has never seen its like: it is made by code, or a user's own clip."""
         return self.name.startswith((MADE, OWN))
 
     @property
@@ -82,43 +80,37 @@ class Example:
 
     @property
     def idle(self) -> bool:
-        """Whether somebody stands in it who shifts the weight and breathes."""
+        """Whether it is of a person who stands, shifts the weight and breathes."""
         return self.name.endswith(IDLE)
 
     @property
     def busy(self) -> bool:
-        """Whether somebody stands in it who does something with the hands."""
+        """Whether it is of a person who stands and uses the hands."""
         return self.name.endswith(BUSY)
 
     @property
     def stands(self) -> bool:
-        """Whether gestures are made by who stands in it."""
+        """Whether gestures are made by the person in it."""
         return self.idle or self.busy
 
 
 class Said(NamedTuple):
-    """What the sentences of an example say, by the lexicon.
+    """What the sentences of an example say, by the lexicon."""
 
-    Args:
-        actions: What they agree on (`main_actions`).
-        cues: Of all of them.
-        traits: Of all of them.
-        besides: What the fullest says beyond the actions.
-    """
-
-    actions: frozenset[str]
+    actions: frozenset[str]  # what they agree on (`main_actions`)
+    # cues, traits: of all of them
     cues: frozenset[str]
     traits: frozenset[str]
-    besides: frozenset[str] = frozenset()
+    besides: frozenset[str] = frozenset()  # actions of the fullest beyond those
 
     @property
     def mirrored_cues(self) -> frozenset[str]:
         """The cues of the sentences with left and right exchanged."""
-        found = set()
+        cues = set()
         for cue in self.cues:
             side, _, part = cue.partition(" ")
-            found.add(f"{_OTHER_SIDE[side]} {part}" if side in _OTHER_SIDE else cue)
-        return frozenset(found)
+            cues.add(f"{_OTHER_SIDE[side]} {part}" if side in _OTHER_SIDE else cue)
+        return frozenset(cues)
 
 
 def said_by(texts: Sequence[str]) -> Said:
@@ -134,42 +126,32 @@ _said_by = functools.lru_cache(maxsize=4096)(said_by)
 
 @dataclass(frozen=True, eq=False)
 class ExamplePack:
-    """Examples with their vectors, each as it is and in the mirror.
+    """Examples with their vectors, each as it is and in the mirror."""
 
-    Args:
-        examples: E of them.
-        data: Packed stretches.
-        owners: Which example each sentence is of, shape (T,).
-        texts: Unit vectors of the sentences and of the mirrored ones, shape (2, T, V).
-        motions: Unit vectors of the stretches and of their mirror images, shape (2, E, V).
-        ranker: What tells the ranker's weights that made the vectors.
-        stored: What `Said` holds of each example, each field parted by commas; none where nobody stored it.
-        stored_standing: What `stand_well` finds; None where nobody stored it.
-    """
-
-    examples: tuple[Example, ...]
-    data: tuple[bytes, ...]
-    owners: np.ndarray
-    texts: np.ndarray
-    motions: np.ndarray
-    ranker: str
+    examples: tuple[Example, ...]  # E of them
+    data: tuple[bytes, ...]  # packed stretches
+    owners: np.ndarray  # the example of each sentence, shape (T,)
+    texts: np.ndarray  # unit vectors of the sentences and of the mirrored ones, shape (2, T, V)
+    motions: np.ndarray  # unit vectors of the stretches and of their mirror images, shape (2, E, V)
+    ranker: str  # fingerprint of the ranker's weights that made the vectors
+    # `Said` of each example, each field parted by commas; empty where it is not stored
     stored: Sequence[Sequence[str]] = ()
-    stored_standing: Sequence[int] | None = None
+    stored_standing: Sequence[int] | None = None  # result of `stand_well`; None where it is not stored
 
     @functools.cached_property
     def made(self) -> np.ndarray:
         """Which ones are gestures made by code, shape (E,), bool."""
-        return np.array([one.name.startswith(MADE) for one in self.examples], bool)
+        return np.array([example.name.startswith(MADE) for example in self.examples], bool)
 
     @functools.cached_property
     def handled(self) -> tuple[int, ...]:
-        """The gesture that stands for whatever is done with things; none in a pack without it."""
+        """The gesture that stands for all that is done with things; none in a pack without it."""
         return tuple(index for index in np.flatnonzero(self.made).tolist() if self.said(index).actions == {"handle"})
 
     @functools.cached_property
     def standing_poses(self) -> dict[int, np.ndarray]:
-        """Those that are there for others to be joined to, in which somebody stands on both legs: their mean poses, as
-        the denoiser sees them but for the root's velocities, shape (268,).
+        """Stretches for others to be joined to, of a person who stands on both legs: their mean poses, as the denoiser
+        sees them but for the root's velocities, shape (268,).
         """
         chosen = [index for index in self._standing_well if not self.examples[index].stands]
         if not chosen:
@@ -181,17 +163,17 @@ class ExamplePack:
 
     @property
     def standing(self) -> tuple[int, ...]:
-        """Which ones are there for others to be joined to: in which somebody stands, on both legs."""
+        """Indices of these."""
         return tuple(self.standing_poses)
 
     @functools.cached_property
     def idles(self) -> tuple[SkeletalMotion, ...]:
-        """People who stand, by whom gestures are made."""
+        """People who stand; gestures are made by them."""
         return tuple([_skeletal(self, index) for index in self._standing_well if self.examples[index].idle])
 
     @functools.cached_property
     def busy(self) -> tuple[SkeletalMotion, ...]:
-        """People who stand and do something with their hands, whose legs, trunk and head gestures take."""
+        """People who stand and use their hands; gestures take their legs, trunk and head."""
         return tuple([_skeletal(self, index) for index in self._standing_well if self.examples[index].busy])
 
     @functools.cached_property
@@ -208,22 +190,22 @@ class ExamplePack:
         """The gesture that an example is; None where it is captured, or no gesture of this version."""
         from bunraku.gestures.catalogue import gesture_of
 
-        one = self.examples[index]
-        return gesture_of(one.texts) if one.made and one.texts else None
+        example = self.examples[index]
+        return gesture_of(example.texts) if example.made and example.texts else None
 
     def features(self, index: int) -> np.ndarray:
-        """What the denoiser sees of an example (see `diffusion.features`), shape (N, 271)."""
+        """Features of an example, shape (N, 271)."""
         return _features(self.data[index], self.examples[index].frames)
 
 
 def stand_well(pack: ExamplePack) -> list[int]:
-    """Which of those without a sentence serve: others are joined to one in which somebody stands on both legs, and
-    gestures are made by one who stands well.
+    """Usable ones of those without a sentence: others are joined to one of a person who stands on both legs, and
+    gestures are made by a person who stands well.
     """
     from bunraku.generation.splicing import on_one_leg
     from bunraku.gestures.standing import stands_well
 
-    wordless = [index for index, one in enumerate(pack.examples) if not one.texts]
+    wordless = [index for index, example in enumerate(pack.examples) if not example.texts]
     others = [index for index in wordless if not pack.examples[index].stands]
     lifted = {
         index for index, features in zip(others, _encoded_at_once(pack, others), strict=True) if on_one_leg(features)
@@ -279,10 +261,10 @@ def packed_stretch(root: np.ndarray, rotations: np.ndarray) -> bytes:
 
 
 def unpacked_stretch(data: bytes, frames: int) -> tuple[np.ndarray, np.ndarray]:
-    """Root (N, 3) and rotations (N, 22, 3, 3) of what `packed_stretch` packed.
+    """Root (N, 3) and rotations (N, 22, 3, 3) of packed bytes.
 
     Raises:
-        WeightsError: The bytes are none of that.
+        WeightsError: The bytes are damaged.
     """
     return _as_motion(_stretch_values(data, frames))
 
@@ -303,12 +285,10 @@ def _stretch_values(data: bytes, frames: int) -> np.ndarray:
 
 
 def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object]) -> Path:
-    """Write examples with what is to be known of them: where they are from, and how they were chosen; and beside them
-    (`said_path`) what their sentences say.
-    """
+    """Write examples with notes on their sources and choice; and beside them (`said_path`) what their sentences say."""
     from bunraku.core.nn.checkpoints import save_checkpoint
 
-    table = [[one.name, list(one.texts), one.frames, list(one.loop or ())] for one in pack.examples]
+    table = [[example.name, list(example.texts), example.frames, list(example.loop or ())] for example in pack.examples]
     tensors: dict[str, np.ndarray] = {
         "data": np.frombuffer(b"".join(pack.data), np.uint8),
         "sizes": np.array([len(part) for part in pack.data], np.int32),
@@ -321,33 +301,28 @@ def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object])
 
 
 def said_path(path: str | Path) -> Path:
-    """Where it stands what the sentences of a pack say: beside it."""
+    """File beside a pack with what its sentences say."""
     return Path(path).with_suffix(".json")
 
 
 def write_said(path: str | Path, pack: ExamplePack) -> None:
-    """Write beside a pack what its sentences say and where somebody stands well.
-
-    Args:
-        path: Of the pack.
-        pack: It.
-    """
+    """Write beside a pack what its sentences say and in which stretches a person stands well."""
     from bunraku.core.files import atomic_write
 
-    rows = [json.dumps([_AND.join(sorted(names)) for names in said_by(one.texts)]) for one in pack.examples]
+    rows = [json.dumps([_AND.join(sorted(names)) for names in said_by(example.texts)]) for example in pack.examples]
     head = f'{{"of": "{_contents(pack)}", "stand": {stand_well(pack)}, "rows": [\n'
     with atomic_write(said_path(path)) as file:
         file.write((head + ",\n".join(rows) + "\n]}\n").encode())
 
 
 def _contents(pack: ExamplePack) -> str:
-    """What tells the sentences of a pack, the lexicon that reads them, and those who stand, from others."""
-    found = hashlib.sha256(resources.files("bunraku.language").joinpath("lexicon.json").read_bytes())
-    found.update(json.dumps([one.texts for one in pack.examples]).encode())
-    for one, data in zip(pack.examples, pack.data, strict=False):  # a pack that is damaged has fewer
-        if not one.texts:
-            found.update(data)
-    return found.hexdigest()[:16]
+    """Fingerprint of the sentences of a pack, of the lexicon that reads them, and of its stretches of standing."""
+    digest = hashlib.sha256(resources.files("bunraku.language").joinpath("lexicon.json").read_bytes())
+    digest.update(json.dumps([example.texts for example in pack.examples]).encode())
+    for example, data in zip(pack.examples, pack.data, strict=False):  # a pack that is damaged has fewer
+        if not example.texts:
+            digest.update(data)
+    return digest.hexdigest()[:16]
 
 
 def _with_stored(pack: ExamplePack, path: str | Path) -> ExamplePack:
@@ -394,14 +369,14 @@ def read_pack(path: str | Path) -> ExamplePack:
             for name, texts, frames, loop in config["examples"]
         ]
         owners = state["owners"]
-        found = ExamplePack(
+        pack = ExamplePack(
             tuple(examples), tuple([data[start:stop] for start, stop in zip(ends, ends[1:], strict=False)]), owners,
             state["texts"], state["motions"], str(config["ranker"]),
         )  # fmt: skip
-        fits = found.texts.shape[:2] == (2, len(owners)) and found.motions.shape[:2] == (2, len(examples))
+        fits = pack.texts.shape[:2] == (2, len(owners)) and pack.motions.shape[:2] == (2, len(examples))
         if not fits or len(sizes) != len(examples) or not ((owners >= 0) & (owners < len(examples))).all():
             raise ValueError("its tables have different lengths")
-    return _with_stored(found, path)
+    return _with_stored(pack, path)
 
 
 def load_examples() -> ExamplePack | None:
@@ -422,15 +397,15 @@ def load_examples() -> ExamplePack | None:
 
 @functools.lru_cache(maxsize=2)
 def _load(path: Path, changed: int, ranker: Path, ranker_changed: int) -> ExamplePack:
-    found = read_pack(path)
-    if found.ranker != fingerprint(ranker):
+    pack = read_pack(path)
+    if pack.ranker != fingerprint(ranker):
         raise WeightsError(
             f"{path}: the examples were made with another ranker than {ranker.name} beside them; build them again with "
             "'bunraku data examples', or take them away"
         )
-    return found
+    return pack
 
 
 def fingerprint(path: Path) -> str:
-    """What tells a ranker's weights from others."""
+    """Identifies a ranker's weights."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]

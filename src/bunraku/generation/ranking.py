@@ -1,7 +1,7 @@
 """The best of several candidates, by a network that was trained apart from the judge of the tables, and by rule.
 
 Each sentence of a script is compared with its own part of the motion; a motion's score is the mean of their cosines.
-What a sentence plainly says (`generation.agreement`) weighs more: a punch with the wrong hand is no choice.
+What a sentence plainly says (`agreement`) weighs more: a punch with the wrong hand is no choice.
 """
 
 from __future__ import annotations
@@ -21,45 +21,29 @@ from bunraku.language.sentence import Clause
 __all__ = ["Candidate", "choose", "script_agreement", "script_scores"]
 
 WEIGHT = 0.5
-"""Of what is plainly said beside a cosine; candidates' cosines differ by a tenth."""
-CAPTURED = 0.1
-"""For a candidate that starts from a captured example: the ranker hardly sees that a motion is too small."""
-ENOUGH = 0.75
-"""Agreement below which a motion is drawn again."""
-ATTEMPTS = 4
-"""How often candidates are drawn at the most."""
+"""Of the agreement beside a cosine; candidates' cosines differ by a tenth. Chosen by eye, as are the next two."""
+CAPTURED = 0.1  # for a candidate that starts from a captured example: the ranker hardly sees that a motion is too small
+ENOUGH = 0.75  # agreement below which a motion is drawn again
+ATTEMPTS = 4  # most draws of candidates
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One candidate.
+    """One candidate."""
 
-    Args:
-        motion: Features of each frame, shape (N, 271).
-        adaptation: Offsets of local translations [m], shape (N, K, 3).
-        script: Its clauses with the frames that each lasts.
-        agreement: How far it does what they plainly say; None where they say nothing of the kind.
-        captured: It starts from a captured example.
-    """
-
-    motion: np.ndarray
-    adaptation: np.ndarray
-    script: Sequence[tuple[Clause, int]]
-    agreement: float | None = None
-    captured: bool = False
+    motion: np.ndarray  # features of each frame, shape (N, 271)
+    adaptation: np.ndarray  # offsets of local translations [m], shape (N, K, 3)
+    script: Sequence[tuple[Clause, int]]  # its clauses with the frames that each lasts
+    agreement: float | None = None  # how far it does what they plainly say; None where they make no claim
+    captured: bool = False  # it starts from a captured example
 
 
 def script_scores(
     ranker: Extractor, text: Mapping[str, np.ndarray], motions: Sequence[np.ndarray],
     scripts: Sequence[Sequence[tuple[Clause, int]]],
 ) -> np.ndarray:  # fmt: skip
-    """How well each motion does what its script says, the mean cosine over its sentences, shape (M,).
-
-    Args:
-        ranker: From `matching.load_ranker`.
-        text: Its vectors of the sentences (`matching.embed_sentences`).
-        motions: Features of each motion (see `diffusion.features`), shape (N, 271).
-        scripts: For each motion its clauses with the frames that each lasts.
+    """How well each motion (N, 271) does what its script says, shape (M,): the mean cosine of the ranker's vectors over
+    its sentences.
     """
     pieces: list[np.ndarray] = []
     owners: list[tuple[int, str, int]] = []
@@ -80,38 +64,32 @@ def script_scores(
 
 
 def script_agreement(motion: np.ndarray, script: Sequence[tuple[Clause, int]], led: bool = False) -> float | None:
-    """How far a motion does what its sentences plainly say: the `agreement` of the one that holds least.
-
-    Args:
-        motion: Features, shape (N, 271).
-        script: Its clauses with the frames that each lasts.
-        led: It starts from examples, so that limbs go where they are told.
+    """How far a motion (N, 271) does what its sentences plainly say: the `agreement` of the one that holds least. `led`
+    motions start from examples, so that limbs go where the sentence says.
     """
-    found = []
+    scores = []
     for clause, span in clause_spans(script):
-        if led and isinstance(clause.told, Posing):
+        if led and isinstance(clause.detail, Posing):
             continue
         part = motion[span]
         score = agreement(clause, decode(part)) if len(part) >= SHORTEST else None
         if score is not None:
-            found.append(score)
-    return min(found, default=None)
+            scores.append(score)
+    return min(scores, default=None)
 
 
 def choose(
     draw: Callable[[list[int], list[int]], list[Candidate]], motions: int, candidates: int,
     score: Callable[[Sequence[Candidate]], np.ndarray],
 ) -> list[Candidate]:  # fmt: skip
-    """The best candidate of each motion; where not even that does what is plainly said, more are drawn.
+    """The best candidate of each motion, the same whatever motions stand beside it; where not even that does what is
+    plainly said, more are drawn.
 
     Args:
-        draw: Draws candidates: asked for motions and, for each, which of its candidates.
+        draw: Draws candidates of motions, by the motion and the index of each.
         motions: How many there are.
         candidates: Of each, at a time.
-        score: What the ranker says of them, shape (M,).
-
-    Returns:
-        One for each motion, the same whatever motions stand beside it.
+        score: The ranker's scores, shape (M,).
     """
     best: dict[int, tuple[float, Candidate]] = {}
     wanted = list(range(motions))
@@ -119,10 +97,10 @@ def choose(
         rows = [motion for motion in wanted for _ in range(candidates)]
         indices = [attempt * candidates + index for _ in wanted for index in range(candidates)]
         drawn = draw(rows, indices)
-        for motion, one, cosine in zip(rows, drawn, score(drawn).tolist(), strict=True):
-            total = cosine + WEIGHT * (one.agreement or 0.0) + CAPTURED * one.captured
+        for motion, candidate, cosine in zip(rows, drawn, score(drawn).tolist(), strict=True):
+            total = cosine + WEIGHT * (candidate.agreement or 0.0) + CAPTURED * candidate.captured
             if motion not in best or total > best[motion][0]:
-                best[motion] = (total, one)
+                best[motion] = (total, candidate)
         wanted = [motion for motion in wanted if (said := best[motion][1].agreement) is not None and said < ENOUGH]
         if not wanted:
             break

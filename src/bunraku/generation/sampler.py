@@ -18,37 +18,29 @@ from bunraku.generation.layers import TRAINING_STEPS
 from bunraku.language.encoders import TextBatch
 
 __all__ = [
-    "Known", "Noise", "Predictor", "Sample", "Solver", "Steering", "Window", "alphas_cumprod", "between", "dpm_solver",
-    "guided", "row_noise", "sample", "sample_windows", "sampling_steps", "starting_noise", "token_share",
+    "Noise", "Predictor", "Sample", "Solver", "Steering", "Window", "alphas_cumprod", "between", "dpm_solver",
+    "guided", "row_noise", "sample_windows", "sampling_steps", "token_share",
 ]  # fmt: skip
 
 _BITS = 24
 _LANES = 16
-"""Numbers that are made together: the first half are lengths, the second angles (Box & Muller 1958)."""
+"""Numbers that are drawn together: the first half are lengths, the second angles (Box & Muller 1958)."""
 
 
 class Noise:
-    """Normal numbers from a Mersenne twister (Matsumoto & Nishimura 1998).
-
-    Args:
-        seed: Any number; its lowest 32 bits count.
-    """
+    """Normal numbers from a Mersenne twister (Matsumoto & Nishimura 1998); the lowest 32 bits of the seed count."""
 
     def __init__(self, seed: int):
         self._twister = np.random.RandomState(seed & 0xFFFFFFFF)
 
     def draw(self, *shape: int) -> np.ndarray:
-        """The next numbers, float32: at least 16 at a time.
-
-        Args:
-            shape: Of what is drawn.
-        """
+        """The next numbers of this shape, float32: at least 16 at a time."""
         count = int(np.prod(shape))
         uniform = self._uniform(count)
-        whole = count // _LANES * _LANES
+        full = count // _LANES * _LANES
         out = np.empty(count, np.float32)
-        out[:whole] = _normal(uniform[:whole])
-        if whole < count:  # the last 16 are drawn anew
+        out[:full] = _normal(uniform[:full])
+        if full < count:  # the last 16 are drawn anew
             out[count - _LANES :] = _normal(self._uniform(_LANES))
         return out.reshape(shape)
 
@@ -66,18 +58,13 @@ def _normal(uniform: np.ndarray) -> np.ndarray:
 
 
 def generator(seed: int, row: int) -> Noise:
-    """What draws the noise of one row of a batch, so that a row is the same in any batch."""
+    """The noise of one row of a batch, so that a row is the same in any batch."""
     return Noise((seed + row * 0x9E3779B97F4A7C15) % 2**63)
 
 
 def row_noise(frames: int, features: int, seed: int, row: int = 0) -> np.ndarray:
     """x_T of one row of a batch, from a generator of (seed, row) of its own, shape (frames, features)."""
     return generator(seed, row).draw(frames, features)
-
-
-def starting_noise(rows: int, frames: int, features: int, seed: int) -> np.ndarray:
-    """x_T, shape (rows, frames, features): one `row_noise` for each row."""
-    return np.stack([row_noise(frames, features, seed, row) for row in range(rows)])
 
 
 FEW, MANY = (4, (-3.5, 2.0)), (20, (-6.0, 4.0))
@@ -116,7 +103,7 @@ def sampling_steps(count: int) -> list[int]:
 
 
 Predict = Callable[[np.ndarray, int], np.ndarray]
-StepProgress = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 
 def _moments(step: int, curve: np.ndarray) -> tuple[float, float, float]:
@@ -127,7 +114,7 @@ def _moments(step: int, curve: np.ndarray) -> tuple[float, float, float]:
 
 
 def dpm_solver(
-    predict: Predict, noise: np.ndarray, steps: list[int], progress: StepProgress | None = None, order: int = 2
+    predict: Predict, noise: np.ndarray, steps: list[int], progress: Progress | None = None, order: int = 2
 ) -> np.ndarray:
     """DPM-Solver++ (2M): from x_T to x_0 with one prediction of x0 a step.
 
@@ -166,52 +153,21 @@ LED_UNTIL = 600
 ROOT = slice(0, 10)  # its features (`diffusion.features`)
 GROUP = 16  # windows that go through the denoiser at once; more gain nothing on a CPU and take memory
 
-Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Known:
-    """What the motion must keep.
-
-    Args:
-        values: Clean frames in network units, shape (B, N, D); anything where `share` is 0.
-        share: How far each frame, or each feature of each frame, is held, 1 for fully, shape (N,), (N, D) or (B, N, D).
-    """
-
-    values: np.ndarray
-    share: np.ndarray
-
-    def spread(self) -> tuple[np.ndarray, np.ndarray]:
-        """Values and share on one time line, shapes (B N, D) and (B N, D or 1)."""
-        share = self.share[:, None] if self.share.ndim == 1 else self.share
-        rows, frames, features = self.values.shape
-        spread = np.broadcast_to(share, (rows, frames, share.shape[-1]))
-        return self.values.reshape(-1, features), spread.reshape(rows * frames, -1)
-
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of the time line that the denoiser sees at once.
+    """A stretch of the time line that the denoiser sees at once."""
 
-    Args:
-        frames: Which frames of the time line, shape (L,); a loop's run on from its end to its start, and may come
-            twice.
-        share: What the window's prediction of each frame counts among those of all windows, shape (L,).
-        row: The sentence, and mesh feature, that it is given.
-    """
-
+    # frames of the time line, shape (L,); a loop's run on from its end to its start, and may come twice
     frames: np.ndarray
-    share: np.ndarray
-    row: int
+    share: np.ndarray  # weight of the window's prediction of each frame among those of all windows, shape (L,)
+    row: int  # its sentence, and mesh feature
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What a sampler gives.
-
-    Args:
-        values: Motions in network units, shape (B, N, D).
-        adaptation: Offsets on the local translations [m], shape (B, N, K, 3).
+    """Motions of a sampler in network units, shape (..., N, D), and offsets on the local translations [m], shape (...,
+    N, K, 3).
     """
 
     values: np.ndarray
@@ -219,7 +175,7 @@ class Sample:
 
 
 def between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """The first, and the second by its share; where that is 0 or 1, bit for bit what is meant."""
+    """The first, and the second by its share; exact where that is 0 or 1."""
     way = second - first
     return np.where(share < 0.5, first + share * way, second - way * (1 - share))
 
@@ -251,19 +207,12 @@ def token_share(frames: int, patch: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Solver:
-    """How motions are denoised.
+    """How motions are denoised."""
 
-    Args:
-        steps: Predictions of x0 that are made, one after the other.
-        guidance: Scale of classifier-free guidance; 1 is the conditional model alone and takes half the time.
-        rescale: Share of guidance rescaling, 0 to 1.
-        progress: Called with (done, total) steps.
-    """
-
-    steps: int = 8
-    guidance: float = 3.0
-    rescale: float = 0.0
-    progress: Progress | None = None
+    steps: int = 8  # predictions of x0, one after the other
+    guidance: float = 3.0  # scale of classifier-free guidance; 1 is the conditional model alone and takes half the time
+    rescale: float = 0.0  # share of guidance rescaling, 0 to 1
+    progress: Progress | None = None  # called with (done, total) steps
 
 
 @dataclass(frozen=True)
@@ -271,9 +220,9 @@ class Steering:
     """What acts on the predicted x0 of a time line at each step, in this order.
 
     Args:
-        classifier_guidance: Changes what the network predicts (F, D) at the step that it is told.
-        guide: What is predicted while the noise is strong, how far, and down to which step, at most `LED_UNTIL`, shapes
-            (F, D), (F, 1) and (F, 1): where the motion starts from.
+        classifier_guidance: Changes the network's prediction (F, D) at a step.
+        guide: The start of the motion, which replaces predictions while the noise is strong, how far, and down to which
+            step, at most `LED_UNTIL`, shapes (F, D), (F, 1) and (F, 1).
         refine: Changes the predicted x0 (F, D).
         known: Values to keep and how far, shapes (F, D) and (F, D) or (F, 1).
     """
@@ -284,42 +233,12 @@ class Steering:
     known: tuple[np.ndarray, np.ndarray] | None = None
 
 
-def sample(
-    model: Denoiser, text: TextBatch, frames: int | Sequence[int], solver: Solver = Solver(), *,
-    mesh_features: np.ndarray | None = None, seed: int = 0, known: Known | None = None,
-) -> Sample:  # fmt: skip
-    """Draw one motion for each sentence, all in one batch.
-
-    Args:
-        model: The denoiser.
-        text: B encoded sentences.
-        frames: Length N of the motions, at most the model's `frames`; or that of each, and all are padded with zeros to
-            the longest.
-        solver: How they are denoised.
-        mesh_features: f_phi of each row's character, shape (B, 448); None for no mesh in particular.
-        seed: Of the starting noise.
-        known: What to keep: it overwrites the predicted x0 at each step (section A.3).
-    """
-    rows = len(text.mask)
-    lengths = [frames] * rows if isinstance(frames, int) else list(frames)
-    longest = max(lengths)
-    windows = [
-        Window(np.arange(row * longest, row * longest + length), np.ones(length, np.float32), row)
-        for row, length in enumerate(lengths)
-    ]
-    noise = starting_noise(rows, longest, model.config.features, seed).reshape(rows * longest, -1)
-    steering = Steering(known=None if known is None else known.spread())
-    found = sample_windows(model, text, windows, noise, solver, steering, mesh_features=mesh_features)
-    values, adaptation = (part.reshape(rows, longest, *part.shape[1:]) for part in (found.values, found.adaptation))
-    return Sample(values, adaptation)
-
-
 def sample_windows(
     model: Denoiser, text: TextBatch, windows: Sequence[Window], noise: np.ndarray, solver: Solver = Solver(),
     steering: Steering = Steering(), *, mesh_features: np.ndarray | None = None,
 ) -> Sample:  # fmt: skip
-    """Denoise a time line through windows, all of them at each step: where they overlap, x0 is the mean of what they
-    predict.
+    """Denoise a time line through windows, all of them at each step: where they overlap, x0 is the mean of their
+    predictions. Values (F, D) and adaptation (F, K, 3) are zero in frames that no window counts in.
 
     Neighbours thus agree while the motion takes shape, and not only afterwards (as in DiffCollage, Zhang et al. 2023,
     and the first take of DoubleTake, Shafir et al. 2023). Motions of a batch lie one after the other on the time line,
@@ -333,9 +252,6 @@ def sample_windows(
         solver: How it is denoised.
         steering: What acts on the predictions.
         mesh_features: f_phi of each sentence's character, shape (B, 448).
-
-    Returns:
-        Values (F, D) and adaptation (F, K, 3); zero in frames that no window counts in.
     """
     predictor = Predictor(model, text, windows, len(noise), solver, steering, mesh_features)
     values = dpm_solver(predictor, noise, predictor.visited, solver.progress, 1 if model.visited else 2)
@@ -343,19 +259,11 @@ def sample_windows(
 
 
 class Predictor:
-    """What a solver asks for: x0 of a time line at a step, as all windows and all that steers say.
-
-    Args:
-        model: The denoiser; one that learned few steps visits those and takes its guidance from its weights.
-        text: Encoded sentences, which the windows name by their rows.
-        windows: What the denoiser sees at once.
-        frames: Of the time line, F.
-        solver: How it is denoised.
-        steering: What acts on the predictions.
-        mesh_features: f_phi of each sentence's character, shape (B, 448).
+    """x0 of a time line at a step, by all windows and all that steers; a model that learned few steps visits those and
+    takes its guidance from its weights. `frames` are those of the time line, other arguments as of `sample_windows`.
 
     Attributes:
-        visited: The steps, falling; the last one tells the adaptation.
+        visited: The steps, falling; the last one gives the adaptation.
         adaptation: Of the last step, shape (F, K, 3).
     """
 
@@ -411,8 +319,8 @@ class Predictor:
 
 
 class _Group:
-    """Windows that go through the denoiser together, with what does not depend on the step. All of a group are led by
-    a guide in all of their frames, or none is.
+    """Windows that go through the denoiser together, with what does not depend on the step. A guide leads all of a
+    group in all of their frames, or none.
     """
 
     def __init__(
@@ -444,12 +352,12 @@ class _Group:
         )  # fmt: skip
 
     def laid(self, values: np.ndarray) -> np.ndarray:
-        """What the windows say (G, L, C) on the time line, each by its share of all that see a frame, shape (F, C)."""
+        """The windows' values (G, L, C) on the time line, each by its share of all that see a frame, shape (F, C)."""
         return np.asarray(self._laid @ values.reshape(-1, values.shape[-1]))
 
     def predict(self, model: Denoiser, x: np.ndarray, step: int, final: bool) -> tuple[np.ndarray, np.ndarray | None]:
-        """x0 (G, L, D) of each window, from x_t on the time line (F, D), and at the final step the adaptation (G, L,
-        K, 3).
+        """x0 (G, L, D) of each window, from x_t on the time line (F, D), and at the final step the adaptation (G, L, K,
+        3).
         """
         seen, patch = x[self.frames], model.config.frames_per_token
         x0, adaptation = self._run(model, seen, step, self.lengths, final)
@@ -478,12 +386,10 @@ class _Group:
             motion, adaptation = run(slice(1))
         else:  # in halves on every processor, whether or not they run at once, so that all give the same
             half = (len(seen) + 1) // 2
-            whole = len(seen)
-            first, second = parallel(lambda: run(slice(half)), lambda: run(slice(half, whole)))
+            first, second = parallel(lambda: run(slice(half)), lambda: run(slice(half, len(seen))))
             motion = np.concatenate([first[0], second[0]])
-            adaptation = None
-            if first[1] is not None and second[1] is not None:
-                adaptation = np.concatenate([first[1], second[1]])
+            both = first[1] is not None and second[1] is not None
+            adaptation = np.concatenate([first[1], second[1]]) if both else None  # type: ignore[list-item]
         if twice == 2:
             real = np.arange(x.shape[1]) < lengths[:count, None]
             motion = guided(motion[:count], motion[count:], self.guidance, self.rescale, real)

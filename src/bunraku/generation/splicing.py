@@ -12,11 +12,10 @@ from bunraku.generation.features import FeatureStatistics, decode, feature_weigh
 
 __all__ = [
     "AROUND", "END", "FEWEST", "Joins", "held", "join_point", "on_one_leg", "played", "rests", "splice",
-    "standing_stretches",
+
 ]  # fmt: skip
 
-END = 4
-"""Frames that say whether somebody rests."""
+END = 4  # frames that tell whether a motion rests
 _BLEND = 6
 
 
@@ -24,18 +23,16 @@ def join_point(
     tail: np.ndarray, head: np.ndarray, weights: np.ndarray, blend: int = _BLEND,
     most: tuple[int | None, int | None] = (None, None),
 ) -> tuple[int, int, float]:  # fmt: skip
-    """Where to leave one motion and enter another so that pose and velocity agree best.
+    """Frame i of a tail to leave, frame j of a head to enter, such that pose and velocity agree best, and the mean
+    squared difference there.
 
     Args:
         tail: Motion to leave in its last quarter, shape (N, D), network units.
         head: Motion to enter in its first quarter, shape (M, D).
         weights: Share of each feature, shape (D,).
         blend: Frames that both must still have after that.
-        most: Frames at the most, beside the blend, that are lost of the tail's end and of the head's beginning; None
-            for a quarter.
-
-    Returns:
-        Frame i of the tail, frame j of the head, and the mean squared difference there.
+        most: Most frames, beside the blend, that are lost of the tail's end and of the head's beginning; None for a
+            quarter.
     """
     last = max(len(tail) - blend + 1, 1)
     first = min(3 * len(tail) // 4, last - 1) if most[0] is None else max(last - 1 - most[0], 0)
@@ -56,7 +53,7 @@ def splice(tail: np.ndarray, head: np.ndarray, i: int, j: int, blend: int = _BLE
 
 
 def played(values: np.ndarray, loop: tuple[int, int], target: int) -> np.ndarray:
-    """A motion played on from frame j after frame i until it has at least `target` frames."""
+    """A motion repeated from frame j after frame i until it has at least `target` frames."""
     i, j = loop
     longer = values
     while len(longer) < target:
@@ -65,13 +62,8 @@ def played(values: np.ndarray, loop: tuple[int, int], target: int) -> np.ndarray
 
 
 def held(values: np.ndarray, frames: int, still: np.ndarray, ease: float = 0.0) -> np.ndarray:
-    """A motion with its last pose held for so many frames, its root coming to rest.
-
-    Args:
-        values: Frames, shape (N, D).
-        frames: To add.
-        still: What a resting root's velocities are, shape (3,).
-        ease: Share of the pose's change that is left from frame to frame; 0 stops it at once.
+    """A motion (N, D) with its last pose held for so many more frames, its root coming to the velocities of a resting
+    one (3,). `ease` is the share of the pose's change that is left from frame to frame; 0 stops it at once.
     """
     hold = np.repeat(values[-1:], frames, axis=0)
     count = np.arange(1, len(hold) + 1, dtype=np.float32)[:, None]
@@ -82,37 +74,25 @@ def held(values: np.ndarray, frames: int, still: np.ndarray, ease: float = 0.0) 
 
 
 def rests(values: np.ndarray, statistics: FeatureStatistics) -> bool:
-    """Whether somebody who moves like this could stay so: the root is slow and the pose hardly changes.
-
-    Args:
-        values: Frames at an end of a motion, network units, shape (N, D).
-        statistics: These units.
+    """Whether a body that moves like this could stay so: the root is slow and the pose hardly changes. `values` are
+    frames at an end of a motion, in network units (`statistics`), shape (N, D).
     """
     speed = np.abs(statistics.restore(values)[:, :3]).max()
     return bool(speed < 0.5 and (np.diff(values, axis=0)[:, 4:] ** 2).mean() < 0.02)
 
 
-FEWEST = 24
-"""Frames of a stretch of standing that is kept."""
+FEWEST = 24  # fewest frames of a stretch of standing
 TRIED = 20
-NEAR = 0.5
-"""Difference of two poses that are joined, at the most, where nothing is done about it afterwards."""
-BLEND = 10
-"""Frames over which one goes over into the other."""
-LIFTED = 0.15
-"""Height of an ankle over the other [m] with which a foot is up."""
+NEAR = 0.5  # largest difference of two poses that are joined, where no sampler follows
+BLEND = 10  # frames over which one blends into the other
+LIFTED = 0.15  # height of an ankle over the other [m] with which a foot is up
 _LOST = 3
-AROUND = BLEND + _LOST
-"""Frames at an end that joining may change."""
+AROUND = BLEND + _LOST  # frames at an end that joining may change
 
 
 class Joins:
-    """Banks of standing and of walking, and how a motion is joined to them.
-
-    Args:
-        standing: Stretches in which somebody stands and hardly moves, shape (N, D) each, network units.
-        walking: Walks and runs, with the frames between which they can be played again (see `splicing.played`).
-        near: Mean squared difference in network units up to which two poses are joined.
+    """Banks of standing and of walking in network units, walks with the frames of their loops (see `played`), and how a
+    motion is joined to them: two poses up to `near` apart, in mean squared difference.
     """
 
     def __init__(
@@ -123,16 +103,8 @@ class Joins:
         self.standing, self.walking = list(standing), list(walking)
 
     def around(self, values: np.ndarray, target: int, goes: bool, random: np.random.Generator) -> np.ndarray:
-        """The motion with standing before and after it, or walking on after it, as far as poses agree.
-
-        Args:
-            values: Its frames, shape (N, D).
-            target: Frames wanted.
-            goes: Somebody walks or runs in it, and may walk on.
-            random: Draws the pieces.
-
-        Returns:
-            The very array where nothing fits, else a longer one of at most `target` frames.
+        """The motion (N, D) with standing before and after it, or walking on after it where it `goes`, as far as poses
+        agree, at most `target` frames; the very array where nothing fits.
         """
         room = target - len(values)
         before = int(random.integers(6, 50)) if random.random() < 0.6 else 0
@@ -189,27 +161,6 @@ class Joins:
 
 
 def on_one_leg(features: np.ndarray) -> bool:
-    """Whether a foot is up in a frame of a motion, as at the height of a kick.
-
-    Args:
-        features: Of each frame (see `diffusion.features`), shape (N, 271).
-    """
+    """Whether a foot is up in a frame of a motion, as at the height of a kick, by its features (N, 271)."""
     points = Track.of(decode(features)).points
     return bool(np.abs(points["left_ankle"][:, 1] - points["right_ankle"][:, 1]).max() > LIFTED)
-
-
-def standing_stretches(values: np.ndarray, statistics: FeatureStatistics) -> list[np.ndarray]:
-    """Stretches in which somebody stands upright on both legs and hardly moves."""
-    if len(values) < FEWEST:
-        return []
-    features = statistics.restore(values)
-    change = (np.diff(values[:, 4:], axis=0, prepend=values[:1, 4:]) ** 2).mean(1)
-    calm = (
-        (change < 0.004) & (np.abs(features[:, :3]).max(1) < 0.25) & (features[:, 3] > -0.1) & (features[:, 8] > 0.95)
-    )
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], calm.astype(np.int8), [0]])))
-    return [
-        values[start:stop]
-        for start, stop in zip(edges[::2], edges[1::2], strict=True)
-        if stop - start >= FEWEST and not on_one_leg(features[start:stop])
-    ]

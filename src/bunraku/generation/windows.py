@@ -24,16 +24,11 @@ SHORTEST = 40  # frames; training saw hardly anything shorter
 
 @dataclass(frozen=True)
 class Plan:
-    """How one motion is made.
+    """How one motion is made."""
 
-    Args:
-        frames: Frames on the time line; more than wanted where the motion is very short, and the rest is cut off.
-        windows: What the denoiser sees, frames counted from the motion's first and rows from its first sentence.
-        seams: Frames where one window hands over to the next, falling between this one and the one before.
-    """
-
-    frames: int
-    windows: tuple[Window, ...]
+    frames: int  # frames on the time line; more than wanted where the motion is very short, and the rest is cut off
+    windows: tuple[Window, ...]  # frames counted from the motion's first and rows from its first sentence
+    # frames where one window hands over to the next, falling between this one and the one before
     seams: tuple[int, ...]
 
 
@@ -43,7 +38,7 @@ def plan_windows(lengths: Sequence[int], longest: int, *, loop: bool = False, ov
     Args:
         lengths: Frames of each sentence, in a row.
         longest: Frames that the denoiser sees at most.
-        loop: Whether the last frame runs on into the first.
+        loop: Whether the first frame follows the last.
         overlap: Frames that neighbouring windows share, where both are as long.
     """
     overlap = min(overlap, longest // 3)
@@ -56,22 +51,17 @@ def plan_windows(lengths: Sequence[int], longest: int, *, loop: bool = False, ov
     start = 0
     for row, length in enumerate(lengths):
         ends = 2 if loop else (row > 0) + (row < len(lengths) - 1)  # where it meets another sentence
-        whole = length + ends * (overlap // 2) <= longest
-        count = 1 if whole else -(-length // (longest - overlap))
+        fits = length + ends * (overlap // 2) <= longest
+        count = 1 if fits else -(-length // (longest - overlap))
         if loop and len(lengths) == 1:
             count = max(count, 2)  # the seam of one window is in the middle of the other
         bounds = [start + round(length * part / count) for part in range(count + 1)]
         pieces += [(first, after, row) for first, after in zip(bounds, bounds[1:], strict=False)]
         start += length
     count = len(pieces)
-    fades = [  # half of what piece i shares with the next one
-        min(
-            overlap // 2,
-            (pieces[i][1] - pieces[i][0]) // 2,
-            (pieces[(i + 1) % count][1] - pieces[(i + 1) % count][0]) // 2,
-        )
-        for i in range(count)
-    ]
+    halves = [(after - first) // 2 for first, after, _ in pieces]
+    # half of what piece i shares with the next one
+    fades = [min(overlap // 2, halves[i], halves[(i + 1) % count]) for i in range(count)]
     if not loop:
         fades[-1] = 0
     windows = []
@@ -98,7 +88,7 @@ def sample_plans(
     model: Denoiser, text: TextBatch, plans: Sequence[Plan], solver: Solver, steering: Steering | None = None, *,
     seeds: int | Sequence[int] | Sequence[tuple[int, int]] = 0, mesh_features: np.ndarray | None = None,
 ) -> list[Sample]:  # fmt: skip
-    """Make several motions in one batch.
+    """Make several motions in one batch: one sample for each plan, values (N, D) and adaptation (N, K, 3).
 
     Args:
         model: The denoiser.
@@ -109,9 +99,6 @@ def sample_plans(
         seeds: Of the starting noise; one number gives each motion noise of its own, the first as when it is alone. See
             `drawn_noise`.
         mesh_features: f_phi for each sentence, shape (B, 448).
-
-    Returns:
-        One sample for each plan, values (N, D) and adaptation (N, K, 3).
     """
     windows: list[Window] = []
     frame = row = 0
@@ -121,11 +108,11 @@ def sample_plans(
     lengths, size = [plan.frames for plan in plans], model.config.features
     drawn = drawn_noise(seeds, len(plans))
     noise = [row_noise(length, size, *pair) for length, pair in zip(lengths, drawn, strict=True)]
-    found = sample_windows(
+    sample = sample_windows(
         model, text, windows, np.concatenate(noise), solver, steering or Steering(), mesh_features=mesh_features
     )
     ends = np.cumsum(lengths)[:-1]
-    parts = np.split(found.values, ends), np.split(found.adaptation, ends)
+    parts = np.split(sample.values, ends), np.split(sample.adaptation, ends)
     return [Sample(*part) for part in zip(*parts, strict=True)]
 
 

@@ -26,6 +26,7 @@ from bunraku.gestures.pose import (
     Key,
     Pose,
     Repeat,
+    added,
     again,
     foot_on,
     moved,
@@ -35,22 +36,9 @@ from bunraku.gestures.pose import (
 from bunraku.gestures.standing import SIDES
 
 __all__ = [
-    "Part",
-    "PlaceRow",
-    "STANDING",
-    "at_part",
-    "gesture_of",
-    "gesture_row",
-    "gestures",
-    "hand_row",
-    "part_in",
-    "place_pose",
-    "pose_row",
-    "read_gestures",
-    "read_parts",
-    "read_places",
-    "things_file",
-]
+    "Part", "PlaceRow", "STANDING", "at_part", "gesture_of", "gesture_row", "gestures", "hand_row", "part_in",
+    "place_pose", "pose_row", "read_gestures", "read_parts", "read_places", "things_file",
+]  # fmt: skip
 
 
 FILE = Path(__file__).with_name("gestures.toml")
@@ -79,6 +67,7 @@ def _read(row: Table, rows: Table, path: Path) -> Gesture:
 
 
 def gesture_row(row: Table, named: dict[str, Table], frames: Table) -> Gesture:
+    """The gesture of a row, with the hands, feet, poses and frames that it names."""
     poses = {name: pose_row(pose, named) for name, pose in named["poses"].items()}
     cycle = tuple(row["cycle"]) if "cycle" in row else None
     keys: Sequence[Key]
@@ -99,24 +88,24 @@ def gesture_row(row: Table, named: dict[str, Table], frames: Table) -> Gesture:
     return Gesture(row["name"], tuple(row["texts"]), tuple(keys), cycle, steps, repeat, handed, row.get("at", ""))
 
 
-def pose_row(row: Table, named: dict[str, Table]) -> Pose:
-    row = dict(row)
-    if "hands" in row:
-        row["right"] = row["left"] = row.pop("hands")
-    if "feet" in row:
-        row["right_foot"] = row["left_foot"] = row.pop("feet")
-    made: dict[str, Any] = {}
+def pose_row(row: Table, named: Mapping[str, Table] | None = None) -> Pose:
+    """The pose of a row, with the hands and feet that it names."""
+    named = named or {"hands": {}, "feet": {}}
+    pose: dict[str, Any] = {}
     for name, value in row.items():
-        if name in ("right", "left"):
-            made[name] = hand_row(named["hands"][value] if isinstance(value, str) else value)
-        elif name in ("right_foot", "left_foot"):
-            made[name] = _foot(named["feet"][value] if isinstance(value, str) else value)
+        if name in ("hands", "right", "left"):
+            hand = hand_row(named["hands"][value] if isinstance(value, str) else value)
+            pose |= {"right": hand, "left": hand} if name == "hands" else {name: hand}
+        elif name in ("feet", "right_foot", "left_foot"):
+            foot = _foot(named["feet"][value] if isinstance(value, str) else value)
+            pose |= {"right_foot": foot, "left_foot": foot} if name == "feet" else {name: foot}
         else:
-            made[name] = _value(value)
-    return Pose(**made)
+            pose[name] = _value(value)
+    return Pose(**pose)
 
 
 def hand_row(row: Table) -> Hand:
+    """The hand of a row."""
     return Hand(**{name: _value(value) for name, value in row.items()})
 
 
@@ -134,7 +123,7 @@ def _laid(
     start: float | None = None,
     end: float = 0.0,
 ) -> tuple[list[Key], Repeat]:
-    """Keys of frames whose loop is played so often, and which are one time of it; `start` and `end` seconds from rest
+    """Keys of frames whose loop is played `times` times, and which are one of them; `start` and `end` seconds from rest
     to them and back.
     """
     x, y, z = drift
@@ -171,13 +160,8 @@ def _value(value: Any) -> Any:
 @functools.cache
 def read_parts() -> dict[str, tuple[str, Pose]]:
     """By name, the words for each part of the body at which a hand can do something, and how it is there."""
-    own = next(one for one in _sections() if one.startswith("[parts]"))
-    rows = tomllib.loads(own)["parts"]
-    named: dict[str, Table] = {"hands": {}, "feet": {}}
-    return {
-        name: (row["said"], pose_row({kind: value for kind, value in row.items() if kind != "said"}, named))
-        for name, row in rows.items()
-    }
+    rows = tomllib.loads(next(section for section in _sections() if section.startswith("[parts]")))["parts"]
+    return {name: (row.pop("said"), pose_row(row)) for name, row in rows.items()}
 
 
 @functools.cache
@@ -194,20 +178,20 @@ def _sections() -> tuple[str, ...]:
 
 @functools.cache
 def gesture_of(texts: tuple[str, ...]) -> Gesture | None:
-    """The gesture that these sentences tell; None for none. Only its own part of the file is parsed, since all of it
-    takes longer than all else that is done for a gesture.
+    """The gesture with these texts; None for none. Only its own part of the file is parsed: all of it takes longer than
+    all else that is done for a gesture.
     """
     if not texts:
         return None
-    shared = "".join(one for one in _sections() if not one.startswith(("[[gesture]]", "[frames.", "[parts]")))
+    shared = [section for section in _sections() if not section.startswith(("[[gesture]]", "[frames.", "[parts]"))]
     for section in _sections():
         if not section.startswith("[[gesture]]") or json.dumps(texts[0], ensure_ascii=False) not in section:
             continue
         (row,) = tomllib.loads(section)["gesture"]
         if tuple(row["texts"]) == texts:
-            of = row.get("frames", {}).get("of")
-            frames = "".join(one for one in _sections() if of is not None and one.startswith(f"[frames.{of}]"))
-            return _read(row, {"frames": {}, **tomllib.loads(shared + frames)}, FILE)
+            head = f"[frames.{row['frames']['of']}]" if "frames" in row else "[frames.]"
+            frames = [section for section in _sections() if section.startswith(head)]
+            return _read(row, {"frames": {}, **tomllib.loads("".join(shared + frames))}, FILE)
     return None
 
 
@@ -217,16 +201,14 @@ STANDING = Gesture("standing", (), ((0.0, Pose()), (9.5, Pose())))
 
 ASIDE = {"left": 1.0, "aside": 1.0, "right": -1.0, "": 0.0}
 """To the left or to the right; what is put elsewhere goes to the left, and in the mirror image to the right."""
-AWAY = 68.0
-"""How far from straight ahead a place aside is [degrees]."""
-HIPS, CHEST, HEAD = 18.0, 26.0, 14.0
-"""How far pelvis, chest and head turn towards it [degrees]."""
-OVER = 0.06
-"""How far the pelvis goes to that side [m]."""
+AWAY, HIPS, CHEST, HEAD, OVER = 68.0, 18.0, 26.0, 14.0, 0.06
+"""How far from straight ahead a place aside is, how far pelvis, chest and head turn towards it [degrees], and how far
+the pelvis goes to that side [m]; chosen by eye.
+"""
 
 
 class PlaceRow(NamedTuple):
-    """How somebody is at a place for things: both hands there, one hand there, the other one then, and the body."""
+    """The body at a place for things: both hands there, one hand there, the other one then, and the rest."""
 
     both: Hand
     one: Hand
@@ -247,9 +229,9 @@ def read_places() -> dict[str, PlaceRow]:
 
 
 def _place(row: dict[str, Any]) -> PlaceRow:
-    pose = {kind: value for kind, value in row.items() if kind not in ("both", "one", "other")}
+    pose = pose_row({kind: value for kind, value in row.items() if kind not in ("both", "one", "other")})
     other = hand_row(row["other"]) if "other" in row else HANGING
-    return PlaceRow(hand_row(row["both"]), hand_row(row["one"]), other, pose_row(pose, {"hands": {}, "feet": {}}))
+    return PlaceRow(hand_row(row["both"]), hand_row(row["one"]), other, pose)
 
 
 def _at_height(height: float) -> PlaceRow:
@@ -276,7 +258,7 @@ def _mixed(one: Any, other: Any, share: float) -> Any:
 
 
 def place_pose(height: str | float, way: str, hands: str, held: bool = False) -> Pose:
-    """Somebody with both hands, or one of them, at a place.
+    """The body with both hands, or one of them, at a place.
 
     Args:
         height: Of the palms, by its name or in metres.
@@ -297,32 +279,25 @@ def place_pose(height: str | float, way: str, hands: str, held: bool = False) ->
         )
         return Hand(palm, fingers, faces, elbow, on=carrier)
 
-    made = {}
-    for name, sign in SIDES:
-        used = hands in ("both", name) or (hands == "one" and name == "right")
-        made[name] = placed(own, sign) if used else row.other
+    used = {name: hands in ("both", name) or (hands == "one" and name == "right") for name, _ in SIDES}
+    both = {name: placed(own, sign) if used[name] else row.other for name, sign in SIDES}
     hips = matrix_y(np.array(np.radians(side * HIPS))) @ np.array(base.hips) + [side * OVER, 0, 0]
     lean, head = base.lean, base.head
     return replace(
-        base, right=made["right"], left=made["left"], hips=vector(hips), turn=side * HIPS,
+        base, **both, hips=vector(hips), turn=side * HIPS,
         lean=(lean[0], lean[1] + side * CHEST, lean[2]), head=(head[0], head[1] + side * HEAD, head[2]),
     )  # fmt: skip
 
 
 class Part(NamedTuple):
-    """A part of the body that a sentence names.
+    """A part of the body that a sentence names."""
 
-    Args:
-        name: Of `[parts]` in `gestures.toml`.
-        words: Those of the sentence that say it.
-    """
-
-    name: str
-    words: tuple[str, ...]
+    name: str  # of `[parts]` in `gestures.toml`
+    words: tuple[str, ...]  # those of the sentence that say it
 
 
 def part_in(text: str) -> Part | None:
-    """The part of the body that a text names, by the most words; None where it names none that a hand reaches."""
+    """The part of the body that a text names with the most words; None for none that a hand reaches."""
     words = re.findall(r"[a-z]+", text.lower())
     found = [
         Part(name, tuple(words[start : start + len(phrase)]))
@@ -360,7 +335,7 @@ def at_part(gesture: Gesture, name: str) -> Gesture:
             return pose
         away = turn @ (np.array(pose.right.palm) - own.right.palm)
         palm = tuple((np.array(there.right.palm) + away).tolist())
-        lean, head, hips = (_sum(getattr(pose, part), getattr(there, part)) for part in ("lean", "head", "hips"))
+        lean, head, hips = (added(getattr(pose, part), getattr(there, part)) for part in ("lean", "head", "hips"))
         return replace(pose, right=replace(there.right, palm=palm), lean=lean, head=head, hips=hips)
 
     return replace(gesture, keys=tuple((time, moved(pose)) for time, pose in gesture.keys), at=name)
@@ -372,8 +347,3 @@ def _frame(hand: Hand) -> np.ndarray:
     out = np.array(hand.faces) - along * (along @ np.array(hand.faces))
     out /= np.linalg.norm(out)
     return np.stack([along, out, np.cross(along, out)], axis=1)
-
-
-def _sum(one: Sequence[float], other: Sequence[float]) -> tuple[float, float, float]:
-    x, y, z = (a + b for a, b in zip(one, other, strict=True))
-    return x, y, z

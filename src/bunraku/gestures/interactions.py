@@ -182,13 +182,13 @@ CHEST = 0.25
 PERIOD, GAZE_TIMES = 6.0, 3
 """Seconds of a gaze to both sides and back, and how often it goes so."""
 LEAST = 3.0
-"""How far it goes to both sides of who looks at one thing [degrees]."""
+"""How far the gaze goes to both sides of a single thing [degrees]."""
 GAZE_LEANS = 12.0
 """Lean of the trunk from which on arms keep the balance, and knees bend by so much again [degrees]."""
 BENT = 2.0
 """How often so from where on hands are on the knees."""
 OUT = Hand((0.36, 0.98, -0.04), (0.3, -0.9, 0.2), (-0.9, 0.0, 0.2), (0.35, 0.0, -1.0))
-"""A hand of who leans over a depth."""
+"""A hand of a body that leans over a depth."""
 
 
 def _gaze_gesture(gaze: Gaze) -> Gesture:
@@ -212,7 +212,7 @@ STANCE = 0.62
 WALK_TIMES = 4
 """Cycles that are laid."""
 ROLL = 26.0
-"""How far the heel of who walks is up when the foot leaves the ground [degrees]."""
+"""How far the heel is up when the foot leaves the ground [degrees]."""
 STRIKE = 14.0
 """How far the toes are up when it comes down [degrees]."""
 ABOUT = 5.0
@@ -221,45 +221,25 @@ ABOUT = 5.0
 
 @dataclass(frozen=True)
 class TerrainGait:
-    """A row of `[grounds]`.
+    """A row of `[grounds]`."""
 
-    Args:
-        stride: How far a cycle of two steps goes [m].
-        period: How long it takes [s].
-        lift: How high an ankle is lifted over the ground [m].
-        width: Of a foot from the middle [m].
-        sinks: How much lower the pelvis is than in who stands [m].
-        lean: Of the trunk ahead [degrees].
-        sway: How far the pelvis goes to the foot that stands [m].
-        head: How far the head is bent [degrees].
-        flat: Whether feet are put down flat.
-        toes: How far heels are up all the time [degrees].
-        tips: How far the trunk tips to both sides, slowly, in who keeps the balance [degrees].
-        looks: How far the head turns to both sides [degrees].
-        knees: How far knees go outwards.
-        arms: Of both sides; hanging for none.
-        right: Of the right one, where it is another.
-        swing: How far hands go to and fro [m].
-        held: Whether hands stay where they are ahead of the pelvis, on what is pushed.
-    """
-
-    stride: float
-    period: float
-    lift: float
-    width: float
-    sinks: float
-    lean: float
-    sway: float
-    head: float = 0.0
-    flat: bool = False
-    toes: float = 0.0
-    tips: float = 0.0
-    looks: float = 0.0
-    knees: float = 0.15
-    arms: Hand = HANGING
-    right: Hand | None = None
-    swing: float = 0.0
-    held: bool = False
+    stride: float  # how far a cycle of two steps goes [m]
+    period: float  # how long it takes [s]
+    lift: float  # how high an ankle is lifted over the ground [m]
+    width: float  # Of a foot from the middle [m]
+    sinks: float  # how much lower the pelvis is than in standing [m]
+    lean: float  # of the trunk ahead [degrees]
+    sway: float  # how far the pelvis goes to the foot that stands [m]
+    head: float = 0.0  # how far the head is bent [degrees]
+    flat: bool = False  # whether feet are put down flat
+    toes: float = 0.0  # how far heels are up all the time [degrees]
+    tips: float = 0.0  # how far the trunk tips to both sides, slowly, to keep the balance [degrees]
+    looks: float = 0.0  # how far the head turns to both sides [degrees]
+    knees: float = 0.15  # how far knees go outwards
+    arms: Hand = HANGING  # Of both sides; hanging for none
+    right: Hand | None = None  # of the right one, where it is another
+    swing: float = 0.0  # how far hands go to and fro [m]
+    held: bool = False  # whether hands stay where they are ahead of the pelvis, on what is pushed
 
 
 @functools.cache

@@ -1,4 +1,7 @@
-"""What a sentence says limbs do, as a gesture: poses of a stance, of limbs that are held, and of those that move."""
+"""What a sentence says limbs do, as a gesture: poses of a stance, of limbs that are held, and of those that move.
+
+Constants here were chosen by eye on the reference body, 1.84 m tall.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +21,10 @@ from bunraku.gestures.pose import (
     Key,
     Pose,
     Repeat,
-    Vector,
-    again,
+    added,
     mirrored_pose,
+    repeated_gesture,
     through,
-    vector,
 )
 from bunraku.gestures.standing import AT, SIDES, still
 from bunraku.language.limb_phrases import Target
@@ -34,52 +36,48 @@ __all__ = ["in_stance", "limb_gesture", "limbed", "stance_pose", "way_down"]
 AHEAD, SIDE, BACK, TWIST = 28.0, 25.0, 34.0, 46.0
 """How far the trunk leans or twists as usual [degrees]."""
 BENDS, BOWS = 2.2, 1.9
-"""How much farther who bends, or bows, goes than who leans."""
+"""How much farther bending and bowing go than leaning."""
 NODS, TURNS, TILTS = 38.0, 58.0, 28.0
 """The same of the head."""
-MOST_LEAN = 80.0
+MOST_LEAN, HANGS = 80.0, 24.0
+"""How far the trunk leans at the most to reach something, and the lean from which on other arms hang down from the
+shoulders [degrees].
+"""
 BEHIND = 0.1
-"""How far behind the pelvis a place is that nobody bends for [m]."""
+"""How far behind the pelvis a place is that the trunk does not bend for [m]."""
 _THROUGH = {"back": "floor", "belly": "both knees"}
-HANGS = 24.0
-"""Lean from which on arms that nothing is said of hang down from the shoulders [degrees]."""
+"""The stance between standing and lying down."""
 
 
 def limbed(stance: Stance, targets: Sequence[Target]) -> Pose:
-    """Somebody with limbs where some targets say; where two say something of the same limb, both count.
+    """The body with limbs where some targets say; where two say something of the same limb, both count.
 
     Args:
-        stance: How somebody is.
+        stance: Of the body.
         targets: Of single ways: where something goes to and fro, one of its ends.
     """
     stance = stance._replace(name="chair") if stance.name == "seat" else stance
-    pose = with_legs(
-        stance_pose(stance), stance, [one for one in targets if one.limb in ("leg", "knee", "heel", "hips")]
-    )
-    for one in targets:
-        if one.limb == "trunk":
-            pose = _with_trunk(pose, stance, one)
-        elif one.limb == "head":
-            pose = _with_head(pose, one)
-        elif one.limb == "shoulders":
-            pose = replace(pose, shrug=0.0 if "down" in one.ways else 1.3 * min(one.amount, 1.1))
+    pose = with_legs(stance_pose(stance), stance, [one for one in targets if one.limb in (*_LEGS, "hips")])
     arms = [one for one in targets if one.limb in ("arm", "elbow")]
-    arms += [
-        Target("arm", "both", frozenset(["back"]), "floor", "on") for one in targets
-        if one.limb == "trunk" and one.at == "arm"
-    ]  # fmt: skip
-    pose = _reaching(pose, stance, arms)
-    return _with_arms(pose, stance, arms)
+    for target in targets:
+        if target.limb == "trunk":
+            pose = _with_trunk(pose, stance, target)
+            arms += [Target("arm", "both", frozenset(["back"]), "floor", "on")] * (target.at == "arm")
+        elif target.limb == "head":
+            pose = _with_head(pose, target)
+        elif target.limb == "shoulders":
+            pose = replace(pose, shrug=0.0 if "down" in target.ways else 1.3 * min(target.amount, 1.1))
+    return _with_arms(_reaching(pose, stance, arms), stance, arms)
 
 
 def stance_pose(stance: Stance) -> Pose:
-    """Somebody who is so, and of whose limbs nothing is said."""
+    """The body in a stance, with limbs of which nothing is said."""
     pose = postures("stances")["chair" if stance.name == "seat" else stance.name]
     return mirrored_pose(pose) if stance.side == "left" else pose
 
 
 def in_stance(gesture: Gesture, stance: Stance) -> Gesture:
-    """A gesture of who stands, done by who sits, kneels or lies; one that moves the legs as it is."""
+    """A gesture of a standing person, done sitting, kneeling or lying; one that moves the legs as it is."""
     poses = [pose for _, pose in gesture.keys]
     if gesture.steps or any(pose.tilt or Foot() != pose.right_foot or Foot() != pose.left_foot for pose in poses):
         return gesture
@@ -88,7 +86,7 @@ def in_stance(gesture: Gesture, stance: Stance) -> Gesture:
     def placed(pose: Pose) -> Pose:
         right = base.right if pose.right == HANGING else pose.right
         left = base.left if pose.left == HANGING else pose.left
-        lean, head = _sum(pose.lean, base.lean), _sum(pose.head, base.head)
+        lean, head = added(pose.lean, base.lean), added(pose.head, base.head)
         return replace(base, right=right, left=left, lean=lean, head=head, shrug=pose.shrug)
 
     return replace(gesture, keys=tuple([(time, placed(pose)) for time, pose in gesture.keys]))
@@ -96,7 +94,7 @@ def in_stance(gesture: Gesture, stance: Stance) -> Gesture:
 
 def way_down(stance: Stance) -> list[Pose]:
     """Poses on the way from standing."""
-    if stance.name in _THROUGH:  # who lies down sits or kneels first
+    if stance.name in _THROUGH:
         other = Stance(_THROUGH[stance.name])
         return [*way_down(other), stance_pose(other)]
     found = postures("ways").get("chair" if stance.name == "seat" else stance.name)
@@ -105,14 +103,13 @@ def way_down(stance: Stance) -> list[Pose]:
 
 def joints_of(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
     """World rotations (22, 3, 3) and positions (22, 3) [m] of the joints in a pose."""
-    moments = np.zeros(1)
-    motion = posed(Tracks.of([(0.0, pose), (1.0, pose)]), np.array([0.0, 1.0]), moments, still(1), 20.0)
+    motion = posed(Tracks.of([(0.0, pose), (1.0, pose)]), np.array([0.0, 1.0]), np.zeros(1), still(1), 20.0)
     rotations, positions = motion.world()
     return rotations[0].astype(float), positions[0].astype(float)
 
 
 def _with_trunk(pose: Pose, stance: Stance, target: Target) -> Pose:
-    """The trunk leant, bent or twisted; who stands keeps the balance with the pelvis."""
+    """The trunk leant, bent or twisted; a standing body keeps the balance with the pelvis."""
     far, ways = target.amount, target.ways
     ahead = aside = turn = 0.0
     more = BENDS if "bent" in ways else BOWS if "bowed" in ways else 1.0
@@ -129,8 +126,8 @@ def _with_trunk(pose: Pose, stance: Stance, target: Target) -> Pose:
     over = max(ahead - 45, 0) * 0.5 if stance.name == "stand" else 0.0  # the pelvis takes what the spine does not
     x, y, z = pose.hips
     hips = (x + 0.0025 * aside, y, z - 0.0022 * ahead) if stance.name in ("stand", "squat") else pose.hips
-    lean = _sum(pose.lean, (ahead - over, turn, aside))
-    head = _sum(pose.head, (0.3 * max(-ahead, 0.0), 0.3 * turn, 0.0))
+    lean = added(pose.lean, (ahead - over, turn, aside))
+    head = added(pose.head, (0.3 * max(-ahead, 0.0), 0.3 * turn, 0.0))
     return replace(pose, lean=lean, hips=hips, tilt=pose.tilt + over, head=head)
 
 
@@ -138,9 +135,8 @@ def _with_head(pose: Pose, target: Target) -> Pose:
     far, ways = target.amount, target.ways
     ahead = NODS * far * (float(bool(ways & {"down", "ahead"})) - float(bool(ways & {"back", "up"})))
     side = float("left" in ways) - float(bool(ways & {"right", "side"}))
-    turned = "turned" in ways
-    angles = (ahead, side * TURNS * min(far, 1.3), 0.0) if turned else (ahead, 0.0, -side * TILTS * far)
-    return replace(pose, head=_sum(pose.head, angles))
+    angles = (side * TURNS * min(far, 1.3), 0.0) if "turned" in ways else (0.0, -side * TILTS * far)
+    return replace(pose, head=added(pose.head, (ahead, *angles)))
 
 
 def _reaching(pose: Pose, stance: Stance, arms: Sequence[Target]) -> Pose:
@@ -159,7 +155,7 @@ def _reaching(pose: Pose, stance: Stance, arms: Sequence[Target]) -> Pose:
         before, nearest = pose, far
         x, y, z = pose.hips
         hips = (x, y - 0.012, z - 0.009) if stance.name == "stand" else pose.hips
-        pose = replace(pose, lean=_sum(pose.lean, (5.0, 0.0, 0.0)), hips=hips)
+        pose = replace(pose, lean=added(pose.lean, (5.0, 0.0, 0.0)), hips=hips)
     return before
 
 
@@ -169,18 +165,16 @@ def _sides(target: Target) -> tuple[str, ...]:
 
 
 def _with_arms(pose: Pose, stance: Stance, arms: Sequence[Target]) -> Pose:
-    said = {side: [one for one in arms if side in _sides(one)] for side, _ in SIDES}
     rotations, positions = joints_of(pose)
-    made = {"left": pose.left, "right": pose.right}
+    leant = abs(pose.lean[0]) + abs(pose.tilt) > HANGS and stance.name in ("stand", "squat")
+    hands = {}
     for side, sign in SIDES:
-        own = said[side]
-        default = made[side]
-        hangs = default == HANGING and abs(pose.lean[0]) + abs(pose.tilt) > HANGS and stance.name in ("stand", "squat")
-        if not own and hangs:
-            own = [Target("arm", side, frozenset(["down"]))]
-        if own:
-            made[side] = hand_of(_joined(own), side, sign, stance, rotations, positions)
-    return replace(pose, left=made["left"], right=made["right"])
+        said = [one for one in arms if side in _sides(one)]
+        if not said and leant and getattr(pose, side) == HANGING:
+            said = [Target("arm", side, frozenset(["down"]))]
+        if said:
+            hands[side] = hand_of(_joined(said), side, sign, stance, rotations, positions)
+    return replace(pose, **hands)
 
 
 def _joined(targets: Sequence[Target]) -> Target:
@@ -190,40 +184,34 @@ def _joined(targets: Sequence[Target]) -> Target:
     return last._replace(ways=ways, limb="elbow" if any(one.limb == "elbow" for one in targets) else "arm")
 
 
-def _sum(one: Vector, other: Vector) -> Vector:
-    return vector(np.add(one, other))
-
-
 NAME = "limbs"
 THERE, RETURN = 0.95, 1.0
 """Seconds to where a limb goes, and back."""
-STAYS, SHORTLY = 1.8, 0.9
-"""Seconds that it is there: at the end, and before something else is done."""
-DOWN = 0.8
-"""Seconds of each part of the way down from standing."""
-ALIVE = 4.0
-"""Period in which who holds limbs somewhere moves a little [s]."""
+STAYS, SHORTLY, DOWN, ALIVE = 1.8, 0.9, 0.8, 4.0
+"""Seconds that a limb is there at the end, and before something else is done; of each part of the way down from
+standing; and of the small movement of a body that holds its limbs.
+"""
 PERIODS = {"arm": 1.3, "elbow": 1.3, "leg": 1.5, "knee": 1.5, "heel": 1.4, "head": 1.9, "trunk": 2.4, "hips": 1.8}
 """Seconds of once to and fro."""
 SHAPES, BESIDE = frozenset(("bent", "tiptoe")), frozenset(("apart", "together"))
 """Ways of legs that go together with others."""
+_LEGS = ("leg", "knee", "heel")
 LIES = 60.0
-"""Tilt of the pelvis from which on somebody lies [degrees]."""
-ROUND = 8
-"""Poses of a circle."""
-TIMES = 4
+"""Tilt of the pelvis from which on the body lies [degrees]."""
+ROUND, TIMES = 8, 4
+"""Poses of a circle, and how often something is done that is done again and again."""
 FROM = {"arm": ("ahead", "up", "back", "down"), "leg": ("ahead", "side", "back", "side")}
 """The ways that a limb goes through in a circle; others go ahead, to the right, back and to the left."""
 
 
 @functools.lru_cache(maxsize=64)
 def limb_gesture(posing: Posing) -> Gesture:
-    """What a sentence says limbs do, by somebody who stands, or is as it says."""
+    """What a sentence says limbs do, by a person who stands or is in the stance that it says."""
     stance = posing.stance or Stance()
     posing = _bent_together(posing)
     base = limbed(stance, posing.held)
     low = stance.name != "stand"
-    legs = any(one.limb in ("leg", "knee", "heel") for one in posing.targets) and not low
+    legs = any(one.limb in _LEGS for one in posing.targets) and not low
     keys: list[Key] = []
     if low and stance.goes:
         keys = [(0.0, Pose())]
@@ -238,11 +226,10 @@ def limb_gesture(posing: Posing) -> Gesture:
         poses, period = _cycle(stance, posing.held, posing.steps[0])
         if len(poses) > 2:
             return _circled(base, poses, period, legs)
-        played, repeat = again(poses, period, TIMES, start=THERE, end=RETURN, rest=base)
-        return Gesture(NAME, (), played, (repeat.start, repeat.stop - repeat.period), legs, repeat)
+        return repeated_gesture(NAME, poses, period, TIMES, steps=legs, start=THERE, end=RETURN, rest=base)
     keys.append((start, base))
     lowered = [one for one in posing.steps[0].targets if one.limb in ("arm", "leg", "knee") and one.ways == {"down"}]
-    if lowered:  # who lowers something has it up before
+    if lowered:  # what is lowered is up before
         raised = [one._replace(ways=frozenset(["up"])) for one in lowered]
         keys = [(time, pose if time < start else limbed(stance, [*posing.held, *raised])) for time, pose in keys]
     stays = posing.steps[-1].stays or bool(lowered)
@@ -260,11 +247,9 @@ def limb_gesture(posing: Posing) -> Gesture:
             moment = keys[-1][0]
             continue
         before = _replaced(before, step.targets)
-        pose = limbed(stance, before)
-        if step.alternately:
-            pose = limbed(stance, [*posing.held, *_of_side(step.targets, "left")])
+        pose = limbed(stance, [*posing.held, *_of_side(step.targets, "left")] if step.alternately else before)
+        keys.append((moment + THERE, pose))
         moment += THERE
-        keys.append((moment, pose))
         moment += STAYS if last else SHORTLY
         keys.append((moment, pose))
     if stays:
@@ -276,7 +261,7 @@ def limb_gesture(posing: Posing) -> Gesture:
 
 
 def _bent_together(posing: Posing) -> Posing:
-    """Who bends with the hands on the knees has them there only while he is bent."""
+    """Hands on the knees of a bending person are there only while the trunk is bent."""
     bends = any(one.limb == "trunk" and one.ways & {"ahead", "down"} for step in posing.steps for one in step.targets)
     low = [one for one in posing.held if one.at in LOW] if bends else []
     if not low:
@@ -330,16 +315,9 @@ def _cycle(stance: Stance, held: Sequence[Target], step: Step) -> tuple[list[Pos
 
 def _other_end(target: Target) -> Target:
     """The other end of what goes to and fro: what is said of both stays."""
-    opposite = {
-        "back": {"ahead"},
-        "ahead": {"back"},
-        "down": {"up"},
-        "right": {"left"},
-        "left": {"right"},
-        "in": {"side"},
-    }
+    opposite = {"back": "ahead", "ahead": "back", "down": "up", "right": "left", "left": "right", "in": "side"}
     (to,) = target.to
-    ways = target.ways - opposite.get(to, set()) | {"together" if to == "in" else to}
+    ways = target.ways - {opposite.get(to)} | {"together" if to == "in" else to}
     return target._replace(ways=frozenset(ways), to=frozenset())
 
 
@@ -377,7 +355,7 @@ def _circled(base: Pose, poses: Sequence[Pose], period: float, legs: bool) -> Ge
 
 
 def _alive(pose: Pose) -> Pose:
-    """A pose a little later, of somebody who holds it: nobody is quite still."""
+    """A pose a little later in a body that holds it, since no body is quite still."""
     x, y, z = pose.hips
     ahead, turn, aside = pose.lean
     nod, look, tilt = pose.head

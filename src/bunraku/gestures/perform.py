@@ -68,49 +68,28 @@ def _turned(hand: HandTrack, angle: np.ndarray) -> HandTrack:
 
 @dataclass(frozen=True)
 class Variation:
-    """How far two performances of one gesture differ.
+    """How far two performances of one gesture differ; all was chosen by eye."""
 
-    Args:
-        tempo: Largest factor of the tempo, either way.
-        heavy: The same of what steps, jumps or falls, whose time gravity keeps.
-        size: Largest factor of the size of the movement, either way.
-        touching: The same of hands that touch the body.
-        each: How far each time differs in size from the one before, either way.
-        timing: How far each time differs in length, either way.
-        reach: Standard deviation of where hands are that touch nothing [m].
-        elbows: The same of to where elbows are bent, over a direction.
-        bearing: The same of how trunk and head are held [degrees].
-        follows: Least and largest factor of how far pelvis, trunk and head go with the hands.
-        leaning: The same as `reach` of how far the pelvis of who stands is over one of both feet [m].
-        stride: Largest factor of the length and the width of steps, either way.
-        sinks: How much lower who steps goes at the most [m].
-        holds: Least and largest factor of how long a pose is held.
-        pauses: Share of the times after which there is a pause.
-        pause: Its shortest and longest [s].
-        before: Longest wait before it [s].
-        after: The same after it.
-        hurry: Factor by which it is sped up at the most to fit in.
-    """
-
-    tempo: float = 1.28
-    heavy: float = 1.1
-    size: float = 1.22
-    touching: float = 1.08
-    each: float = 0.12
-    timing: float = 0.1
-    reach: float = 0.045
-    elbows: float = 0.2
-    bearing: float = 4.0
+    tempo: float = 1.28  # largest factor of the tempo, either way
+    heavy: float = 1.1  # the same of what steps, jumps or falls, whose time gravity keeps
+    size: float = 1.22  # largest factor of the size of the movement, either way
+    touching: float = 1.08  # the same of hands that touch the body
+    each: float = 0.12  # how far each time differs in size from the one before, either way
+    timing: float = 0.1  # how far each time differs in length, either way
+    reach: float = 0.045  # standard deviation of where hands are that touch nothing [m]
+    elbows: float = 0.2  # the same of to where elbows are bent, over a direction
+    bearing: float = 4.0  # the same of how trunk and head are held [degrees]
+    # least and largest factor of how far pelvis, trunk and head go with the hands
     follows: tuple[float, float] = (0.5, 1.2)
-    leaning: float = 0.03
-    stride: float = 1.2
-    sinks: float = 0.05
-    holds: tuple[float, float] = (0.6, 1.8)
-    pauses: float = 0.2
-    pause: tuple[float, float] = (0.15, 0.6)
-    before: float = 1.0
-    after: float = 1.2
-    hurry: float = 1.35
+    leaning: float = 0.03  # the same as `reach` of how far the pelvis of a standing body is over one foot [m]
+    stride: float = 1.2  # largest factor of the length and the width of steps, either way
+    sinks: float = 0.05  # how much lower a stepping body goes at the most [m]
+    holds: tuple[float, float] = (0.6, 1.8)  # least and largest factor of how long a pose is held
+    pauses: float = 0.2  # share of the times after which there is a pause
+    pause: tuple[float, float] = (0.15, 0.6)  # its shortest and longest [s]
+    before: float = 1.0  # longest wait before it [s]
+    after: float = 1.2  # the same after it
+    hurry: float = 1.35  # factor by which it is sped up at the most to fit in
 
 
 VARIED = Variation()
@@ -120,8 +99,8 @@ _TRUNK = np.array([0.0, 1.25, 0.0])
 _RISES = 0.03
 _SPINE = ("spine1", "spine2", "spine3", "neck", "head")
 SHIFTS, MOST_SHIFTED = (0.1, 0.24), 2.5
-"""How far the pelvis of who makes a gesture goes to and fro at the least, drawn from these [m], as of the middle half
-of captured people who make one; and how many times as far as of somebody who only stands at the most.
+"""How far the pelvis goes to and fro during a gesture at the least, drawn from these [m], as that of the middle half of
+captured people who make one; and how many times as far as in standing at the most.
 """
 TURNS = (10.0, 24.0)
 """The same of how far it turns to and fro [degrees], and up to as many times as far."""
@@ -130,11 +109,11 @@ DIPS, OUT = (0.015, 0.045), 0.7
 that [m].
 """
 WITH_BUSY = 0.85
-"""Share of gestures of the hands that are made by somebody who was captured with busy hands, whose legs and trunk are
+"""Share of gestures of the hands that are made by a person who was captured with busy hands, whose legs and trunk are
 livelier: beside them a shaken head is not seen.
 """
 LIES = 20.0
-"""Tilt of the pelvis from which on nobody stands [degrees]."""
+"""Tilt of the pelvis from which on the body lies [degrees]."""
 
 
 def performed(
@@ -147,18 +126,18 @@ def performed(
     fps: float = FPS,
     busy: Sequence[SkeletalMotion] = (),
 ) -> SkeletalMotion:
-    """A gesture done in so many frames by somebody who stands before and after it.
+    """A gesture done in so many frames by a person who stands before and after it.
 
     Args:
         gesture: What is done.
         frames: How many.
-        idles: People who stand, of whom one is drawn; none for one made by code.
+        idles: Captured standing people, one of which is drawn; none for one made by code.
         random: Draws all that differs.
         manner: What is said of it.
         variation: How far performances differ.
         fps: Frames a second [1/s].
-        busy: People who stand and do something with their hands, whose legs, trunk and head most gestures take; idle
-            hands are always those of `idles`.
+        busy: Captured standing people with busy hands, whose legs, trunk and head most gestures take; idle hands are
+            always those of `idles`.
     """
     heavy = gesture.steps or any(pose.hips[1] > _RISES for _, pose in gesture.keys)
     most = variation.heavy if heavy else variation.tempo
@@ -182,8 +161,8 @@ def performed(
 
 
 def _level(standing: Standing) -> Standing:
-    """Somebody who looks straight ahead on average, up and down as before: of a look up by who looks at the ground
-    nothing is left.
+    """A person who looks straight ahead on average, up and down as before: in one who looks at the ground, nothing is
+    left of a look up.
     """
     world = standing.rotations[:, 0]
     for joint in _SPINE:
@@ -193,7 +172,7 @@ def _level(standing: Standing) -> Standing:
 
 
 def _turning(standing: Standing, random: np.random.Generator) -> Standing:
-    """Somebody whose pelvis turns to and fro at least as far as that of people who use their hands."""
+    """A person whose pelvis turns to and fro at least as far as that of people who use their hands."""
     pelvis = standing.rotations[:, 0]
     angle = np.unwrap(np.arctan2(pelvis[:, 0, 2], pelvis[:, 2, 2]))
     reach = np.degrees(np.ptp(angle))
@@ -204,7 +183,7 @@ def _turning(standing: Standing, random: np.random.Generator) -> Standing:
 
 
 def _dipping(tracks: Tracks, random: np.random.Generator) -> Tracks:
-    """Key poses in which the knees of who stands give way a little where a hand goes out."""
+    """Key poses in which the knees of a standing body give way a little where a hand goes out."""
     stands = np.minimum(*[tracks.feet[side].rests for side, _ in SIDES])
     away = [
         np.where(hand.rests | (hand.on == 3), 0, np.linalg.norm(hand.palm - HANGING.palm, axis=1))
@@ -242,17 +221,12 @@ def _standing(
 
 
 def _range(positions: np.ndarray) -> float:
-    """How far somebody (N, 3) comes over the ground [m]."""
+    """How far a body (N, 3) comes over the ground [m]."""
     return max(float(np.linalg.norm(np.ptp(positions[:, [0, 2]], axis=0))), 1e-3)
 
 
 def _scheduled(
-    gesture: Gesture,
-    span: float,
-    tempo: float,
-    random: np.random.Generator,
-    manner: Manner,
-    variation: Variation,
+    gesture: Gesture, span: float, tempo: float, random: np.random.Generator, manner: Manner, variation: Variation
 ) -> tuple[list[Key], np.ndarray, np.ndarray]:
     """Keys of so many seconds, when each is reached, and the size of the movement there."""
     parts, endless = _times_of(gesture, span, tempo, random, manner, variation)
@@ -283,12 +257,7 @@ _Part = tuple[Sequence[Key], float, float, float]
 
 
 def _times_of(
-    gesture: Gesture,
-    span: float,
-    tempo: float,
-    random: np.random.Generator,
-    manner: Manner,
-    variation: Variation,
+    gesture: Gesture, span: float, tempo: float, random: np.random.Generator, manner: Manner, variation: Variation
 ) -> tuple[list[_Part], bool]:
     """The parts of a gesture in a row, and whether the last may be cut off."""
     keys, repeat = gesture.keys, gesture.repeat
@@ -309,7 +278,7 @@ def _times_of(
             start += timed[-1][0] / tempo + random.uniform(*variation.pause)
         return parts, False
     head = [key for key in keys if key[0] < repeat.start - 1e-6]
-    ends = keys[-1][0] > repeat.stop + 1e-6  # otherwise nothing follows it: who crawls does not stop in mid-crawl
+    ends = keys[-1][0] > repeat.stop + 1e-6  # a crawl does not stop in the middle
     tail = [key for key in keys if ends and key[0] > repeat.stop - 1e-6]
     once = [key for key in keys if repeat.start - 1e-6 <= key[0] < repeat.start + repeat.period - 1e-6]
     if manner.closed:
@@ -421,7 +390,9 @@ def _varied(
         free[side] = ~touches
     if gesture.steps:
         return _strode(replace(tracks, hands=hands), random, variation)
-    placed = np.any([tracks.hands[side].on == 3 for side, _ in SIDES], axis=0)  # who bends less does not get there
+    placed = np.any(
+        [tracks.hands[side].on == 3 for side, _ in SIDES], axis=0
+    )  # a body that bends less does not get there
     body = np.where(placed, np.maximum(size, 1), size)[:, None]
     hips = tracks.hips
     if all(tracks.feet[side].rests.all() for side, _ in SIDES):
@@ -443,7 +414,7 @@ def _within(deviation: float) -> tuple[float, float]:
 
 
 def _strode(tracks: Tracks, random: np.random.Generator, variation: Variation) -> Tracks:
-    """Key poses of who steps: steps longer or shorter, wider or narrower, trunk and head held otherwise."""
+    """Key poses of steps that are longer or shorter, wider or narrower, with trunk and head held otherwise."""
     if np.abs(tracks.tilt).max() > LIES or any((tracks.hands[side].on == 3).any() for side, _ in SIDES):
         return tracks
     longer, wider = variation.stride ** random.uniform(-1, 1, 2)

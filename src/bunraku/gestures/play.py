@@ -19,28 +19,20 @@ from bunraku.gestures.standing import AT, PALM, SIDES, Standing, swaying
 __all__ = ["CARRIERS", "FPS", "FootTrack", "HandTrack", "Tracks", "gesture_motion", "posed"]
 
 
-CARRIERS: dict[int, int | None] = {0: AT["head"], 1: AT["spine3"], 2: AT["pelvis"], 3: None}
-"""The joint that carries a hand, by its number; none for the ground."""
-_NUMBER = {"head": 0, "chest": 1, "hips": 2, "ground": 3}
+CARRIERS: dict[str, int | None] = {"head": AT["head"], "chest": AT["spine3"], "hips": AT["pelvis"], "ground": None}
+"""The joint that carries a hand, by what carries it; none for the ground."""
 
 
 @dataclass(frozen=True)
 class HandTrack:
-    """A hand in L key poses.
+    """A hand in L key poses."""
 
-    Args:
-        palm: Shape (L, 3) [m].
-        ways: Unit vectors: where fingers point, where the palm faces, to where the elbow is bent, shape (L, 3, 3).
-        on: What carries it (`CARRIERS`), shape (L,).
-        rests: Whether it hangs as that of who only stands, shape (L,).
-        raised: How far the shoulder goes up and ahead with it [degrees], shape (L, 2).
-    """
-
-    palm: np.ndarray
+    palm: np.ndarray  # shape (L, 3) [m]
+    # unit vectors: where fingers point, where the palm faces, to where the elbow is bent, shape (L, 3, 3)
     ways: np.ndarray
-    on: np.ndarray
-    rests: np.ndarray
-    raised: np.ndarray
+    on: np.ndarray  # what carries it (the number of a row of `CARRIERS`), shape (L,)
+    rests: np.ndarray  # whether it hangs as that of a body that only stands, shape (L,)
+    raised: np.ndarray  # how far the shoulder goes up and ahead with it [degrees], shape (L, 2)
 
     @classmethod
     def of(cls, hands: Sequence[Hand]) -> HandTrack:
@@ -49,7 +41,7 @@ class HandTrack:
         return cls(
             np.array([one.palm for one in hands], float),
             ways / np.linalg.norm(ways, axis=-1, keepdims=True),
-            np.array([_NUMBER[one.on] for one in hands]),
+            np.array([list(CARRIERS).index(one.on) for one in hands]),
             np.array([replace(one, on=HANGING.on) == HANGING for one in hands]),
             np.array([_raised(one) for one in hands]),
         )
@@ -57,33 +49,19 @@ class HandTrack:
 
 @dataclass(frozen=True)
 class FootTrack:
-    """A foot in L key poses.
+    """A foot in L key poses."""
 
-    Args:
-        ankle: Shape (L, 3) [m].
-        knee: Direction to which the knee is bent, shape (L, 3).
-        pitch: How far the heel is up over the toes, shape (L,) [degrees].
-        turn: How far the toes point outwards, shape (L,) [degrees].
-        rests: Whether it stands as that of who only stands, shape (L,).
-    """
-
-    ankle: np.ndarray
-    knee: np.ndarray
-    pitch: np.ndarray
-    turn: np.ndarray
-    rests: np.ndarray
+    ankle: np.ndarray  # shape (L, 3) [m]
+    knee: np.ndarray  # direction to which the knee is bent, shape (L, 3)
+    pitch: np.ndarray  # how far the heel is up over the toes, shape (L,) [degrees]
+    turn: np.ndarray  # how far the toes point outwards, shape (L,) [degrees]
+    rests: np.ndarray  # whether it stands as that of a body that only stands, shape (L,)
 
     @classmethod
     def of(cls, feet: Sequence[Foot]) -> FootTrack:
         """The feet of some poses."""
-        standing = Foot()
-        return cls(
-            np.array([one.ankle for one in feet], float),
-            np.array([one.knee for one in feet], float),
-            np.array([one.pitch for one in feet], float),
-            np.array([one.turn for one in feet], float),
-            np.array([one == standing for one in feet]),
-        )
+        columns = ([getattr(foot, name) for foot in feet] for name in ("ankle", "knee", "pitch", "turn"))
+        return cls(*(np.array(column, float) for column in columns), np.array([foot == Foot() for foot in feet]))
 
 
 @dataclass(frozen=True)
@@ -102,14 +80,11 @@ class Tracks:
     @classmethod
     def of(cls, keys: Sequence[Key]) -> Tracks:
         """The poses of some keys."""
-        poses: list[Pose] = [pose for _, pose in keys]
-        lean, head, shrug, hips, turn, tilt = (
-            np.array([getattr(pose, name) for pose in poses], float)
-            for name in ("lean", "head", "shrug", "hips", "turn", "tilt")
-        )
-        hands = {side: HandTrack.of([getattr(pose, side) for pose in poses]) for side, _ in SIDES}
-        feet = {side: FootTrack.of([getattr(pose, f"{side}_foot") for pose in poses]) for side, _ in SIDES}
-        return cls(lean, head, shrug, hips, turn, tilt, hands, feet)
+        columns = {name: [getattr(pose, name) for _, pose in keys] for name in Pose.__dataclass_fields__}
+        hands = {side: HandTrack.of(columns[side]) for side, _ in SIDES}
+        feet = {side: FootTrack.of(columns[f"{side}_foot"]) for side, _ in SIDES}
+        names = ("lean", "head", "shrug", "hips", "turn", "tilt")
+        return cls(*(np.array(columns[name], float) for name in names), hands, feet)
 
 
 def _raised(hand: Hand) -> tuple[float, float]:
@@ -121,12 +96,10 @@ def _raised(hand: Hand) -> tuple[float, float]:
 
 
 FPS = 20.0
-_AHEAD = 0.15
-"""How far ahead of the straight way a hand goes, over that way's length."""
-_TOES = 65.0
-"""How far toes bend up [degrees]."""
-_ROLLED = 0.6
-"""Share of the hand's roll that the forearm takes."""
+_AHEAD, _ROLLED, _TOES = 0.15, 0.6, 65.0
+"""How far ahead of the straight way a hand goes, over that way's length, the share of its roll that the forearm takes,
+and how far toes bend up [degrees]; chosen by eye.
+"""
 _TRUNK = (("spine1", 0.3), ("spine2", 0.35), ("spine3", 0.35))
 _HEAD = (("neck", 0.4), ("head", 0.6))
 _OUT = {"left": np.array([1.0, 1, 1]), "right": np.array([-1.0, 1, 1])}
@@ -156,7 +129,7 @@ def posed(tracks: Tracks, times: np.ndarray, moments: np.ndarray, standing: Stan
         tracks: L key poses.
         times: When each is reached, rising, shape (L,) [s].
         moments: Of the frames, shape (N,) [s].
-        standing: Who does it, in those frames.
+        standing: The person, in those frames.
         fps: Frames a second [1/s].
     """
     body = reference_body()
@@ -192,7 +165,7 @@ def _posed(keys: _Between, standing: Standing, rest: np.ndarray) -> tuple[np.nda
     """World rotations of the joints (N, 22, 3, 3) and the root's position (N, 3)."""
     tracks = keys.tracks
     local = standing.rotations.copy()
-    upright = np.clip(1 - np.abs(keys.of(tracks.tilt)) / 20, 0, 1)  # who lies does not sway
+    upright = np.clip(1 - np.abs(keys.of(tracks.tilt)) / 20, 0, 1)  # a body that lies does not sway
     local[:, 1:] = _share(local[:, 1:], upright)
     lean, head = (keys.of(one) + own for one, own in ((tracks.lean, standing.lean), (tracks.head, standing.head)))
     for parts, angles in ((_TRUNK, lean), (_HEAD, head)):
@@ -259,13 +232,7 @@ def _bent(start: np.ndarray, goal: np.ndarray, one: float, two: float, towards: 
 
 
 def _set_arm(
-    world: np.ndarray,
-    where: np.ndarray,
-    rest: np.ndarray,
-    side: str,
-    sign: float,
-    keys: _Between,
-    standing: Standing,
+    world: np.ndarray, where: np.ndarray, rest: np.ndarray, side: str, sign: float, keys: _Between, standing: Standing
 ) -> None:
     """Turns the joints of an arm, in place."""
     shoulder, elbow, wrist = (AT[f"{side}_{name}"] for name in ("shoulder", "elbow", "wrist"))
@@ -274,7 +241,7 @@ def _set_arm(
     ends = []
     for which in (keys.before, keys.after):
         palm, ways = outward * hand.palm[which], outward * hand.ways[which]
-        for carrier, joint in CARRIERS.items():
+        for carrier, joint in enumerate(CARRIERS.values()):
             own = hand.on[which] == carrier
             if joint is None or not own.any():
                 continue
@@ -310,13 +277,7 @@ def _set_arm(
 
 
 def _set_leg(
-    world: np.ndarray,
-    where: np.ndarray,
-    rest: np.ndarray,
-    side: str,
-    sign: float,
-    keys: _Between,
-    standing: Standing,
+    world: np.ndarray, where: np.ndarray, rest: np.ndarray, side: str, sign: float, keys: _Between, standing: Standing
 ) -> None:
     """Turns the joints of a leg, in place; feet stand in the world."""
     hip, knee, ankle, toes = (AT[f"{side}_{name}"] for name in ("hip", "knee", "ankle", "foot"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -12,26 +12,17 @@ import numpy as np
 from bunraku.core.geometry.curves import MonotoneCurve
 
 __all__ = [
-    "Foot",
-    "Gesture",
-    "HANGING",
-    "Hand",
-    "Key",
-    "Pose",
-    "Repeat",
-    "STEP",
-    "again",
-    "foot_on",
-    "mirrored_pose",
-    "moved",
-    "repeated_gesture",
-    "through",
-    "vector",
-]
+    "Foot", "Gesture", "HANGING", "Hand", "Key", "Pose", "Repeat", "STEP", "Vector", "added", "again", "foot_on",
+    "mirrored_pose", "moved", "repeated_gesture", "through", "vector",
+]  # fmt: skip
 
 
 Vector = tuple[float, float, float]
-DOWN = (0.0, -1.0, 0.0)
+
+
+def added(one: Vector, other: Vector) -> Vector:
+    """The sum of two vectors."""
+    return one[0] + other[0], one[1] + other[1], one[2] + other[2]
 
 
 def vector(values: np.ndarray) -> Vector:
@@ -42,21 +33,13 @@ def vector(values: np.ndarray) -> Vector:
 
 @dataclass(frozen=True)
 class Hand:
-    """Where a hand is and how it is held; if nothing else is said, as that of somebody who works at a table.
+    """Where a hand is and how it is held: by default as at work on a table."""
 
-    Args:
-        palm: Position of the middle of the palm.
-        fingers: Direction in which the fingers point.
-        faces: Direction in which the palm faces.
-        elbow: Direction from the line between shoulder and wrist to the elbow.
-        on: What carries the position: the "head", the "chest", the "hips", or the "ground", where it stays in the
-            world.
-    """
-
-    palm: Vector
-    fingers: Vector = (-0.3, 0.1, 1.0)
-    faces: Vector = DOWN
-    elbow: Vector = (0.6, -1.0, -0.3)
+    palm: Vector  # position of the middle of the palm
+    fingers: Vector = (-0.3, 0.1, 1.0)  # direction in which the fingers point
+    faces: Vector = (0.0, -1.0, 0.0)  # direction in which the palm faces
+    elbow: Vector = (0.6, -1.0, -0.3)  # direction from the line between shoulder and wrist to the elbow
+    # what carries the position: "head", "chest", "hips", or "ground" for one that stays in the world
     on: Literal["head", "chest", "hips", "ground"] = "chest"
 
 
@@ -66,48 +49,30 @@ HANGING = Hand((0.27, 0.845, 0.06), (0.0, -1.0, 0.12), (-1.0, 0.0, 0.1), (0.35, 
 
 @dataclass(frozen=True)
 class Foot:
-    """Where a foot is.
+    """Where a foot is."""
 
-    Args:
-        ankle: Position of the ankle.
-        pitch: How far the heel is up over the toes [degrees].
-        knee: Direction to which the knee is bent.
-        turn: How far the toes point outwards [degrees].
-    """
-
-    ankle: Vector = (0.12, 0.081, 0.0)
-    pitch: float = 0.0
-    knee: Vector = (0.15, 0.0, 1.0)
-    turn: float = 8.0
+    ankle: Vector = (0.12, 0.081, 0.0)  # position of the ankle
+    pitch: float = 0.0  # how far the heel is up over the toes [degrees]
+    knee: Vector = (0.15, 0.0, 1.0)  # direction to which the knee is bent
+    turn: float = 8.0  # how far the toes point outwards [degrees]
 
 
 @dataclass(frozen=True)
 class Pose:
-    """The body at one moment.
-
-    Args:
-        right: The right hand.
-        left: The left hand.
-        lean: Of the upper body: ahead, to the left about the vertical, to the right side [degrees].
-        head: The same of the head, seen from the chest.
-        shrug: How far both shoulders are up, 0 to 1.
-        hips: Where the pelvis goes from where it is when somebody stands [m]: x to the body's left.
-        turn: Of the pelvis to the left [degrees].
-        right_foot: The right foot.
-        left_foot: The left foot.
-        tilt: Of the pelvis ahead: 90 for who lies on the belly, -90 on the back [degrees].
-    """
+    """The body at one moment."""
 
     right: Hand = HANGING
     left: Hand = HANGING
+    # of the upper body: ahead, to the left about the vertical, to the right side [degrees]
     lean: Vector = (0.0, 0.0, 0.0)
-    head: Vector = (0.0, 0.0, 0.0)
-    shrug: float = 0.0
+    head: Vector = (0.0, 0.0, 0.0)  # the same of the head, seen from the chest
+    shrug: float = 0.0  # how far both shoulders are up, 0 to 1
+    # where the pelvis goes from where it is in a standing body [m]: x to the body's left
     hips: Vector = (0.0, 0.0, 0.0)
-    turn: float = 0.0
+    turn: float = 0.0  # of the pelvis to the left [degrees]
     right_foot: Foot = field(default_factory=Foot)
     left_foot: Foot = field(default_factory=Foot)
-    tilt: float = 0.0
+    tilt: float = 0.0  # of the pelvis ahead: 90 on the belly, -90 on the back [degrees]
 
 
 Key = tuple[float, Pose]
@@ -116,18 +81,12 @@ Key = tuple[float, Pose]
 
 @dataclass(frozen=True)
 class Repeat:
-    """Which of a gesture's keys are one time of what is done again and again.
+    """Which of a gesture's keys are one time of what is done again and again."""
 
-    Args:
-        start: When the first time begins [s].
-        period: How long each takes [s].
-        times: How many there are.
-        drift: How far each goes on from the one before [m]: x to the body's left, y up, z ahead.
-    """
-
-    start: float
-    period: float
-    times: int
+    start: float  # when the first time begins [s]
+    period: float  # how long each takes [s]
+    times: int  # how many there are
+    # how far each goes on from the one before [m]: x to the body's left, y up, z ahead
     drift: Vector = (0.0, 0.0, 0.0)
 
     @property
@@ -138,30 +97,19 @@ class Repeat:
 
 @dataclass(frozen=True)
 class Gesture:
-    """Something that people do mostly with their hands.
+    """Something that people do mostly with their hands."""
 
-    Args:
-        name: In the words of the lexicon, or a new one.
-        texts: Sentences that tell it, the fullest first. Sides are the right one's.
-        keys: Key poses in order of time; the first is where it begins and the last where it ends.
-        cycle: Seconds (start, end) that can be played again and again; None where it is done once.
-        steps: Feet go where the keys say; else they stand all the time.
-        repeat: Its single times, where it is done again and again and they can be counted.
-        handed: It is done with these very hands by everybody: nobody shakes hands with the left.
-        at: The part of the body at which the right hand does it, where that may be another (`gestures.parts`); "" for
-            none.
-        begins: What comes before its cycle is always shown; else somebody may be at it from the first moment.
-    """
-
-    name: str
-    texts: tuple[str, ...]
-    keys: tuple[Key, ...]
+    name: str  # in the words of the lexicon, or a new one
+    texts: tuple[str, ...]  # sentences that say it, the fullest first; sides are those of the right hand
+    keys: tuple[Key, ...]  # key poses in order of time; the first is where it begins and the last where it ends
+    # seconds (start, end) that can be played again and again; None where it is done once
     cycle: tuple[float, float] | None = None
-    steps: bool = False
-    repeat: Repeat | None = None
-    handed: bool = False
+    steps: bool = False  # feet go where the keys say; else they stand all the time
+    repeat: Repeat | None = None  # its single times, where it is done again and again and they can be counted
+    handed: bool = False  # it is always done with these very hands: no person shakes hands with the left
+    # the part of the body at which the right hand does it, where that may be another (`gestures.parts`); "" for none
     at: str = ""
-    begins: bool = False
+    begins: bool = False  # what comes before its cycle is always shown; else it may go on from the first moment
 
     @property
     def seconds(self) -> float:
@@ -183,15 +131,15 @@ def again(
     rest: Pose | None = None,
     drift: Vector = (0.0, 0.0, 0.0),
 ) -> tuple[tuple[Key, ...], Repeat]:
-    """Keys of something that is done again and again between two rests, and which of them are one time of it.
+    """Keys of a cycle that is repeated between two rests, and which of them are one time of it.
 
     Args:
         poses: Of one cycle, evenly in time; the first follows the last.
         period: Of a cycle [s].
         times: How many.
-        start: Seconds from standing with hanging arms to the first pose.
-        end: Seconds from the last pose to that again.
-        rest: What it begins and ends with in place of hanging arms.
+        start: Seconds from rest to the first pose.
+        end: Seconds from the last pose to rest.
+        rest: What it begins and ends with; standing with hanging arms for none.
         drift: How far each cycle goes on from the one before [m], as in `Repeat`.
     """
     rest = rest or Pose()
@@ -202,8 +150,7 @@ def again(
     over = start + period * times
     last, still = (moved(pose, [times * step for step in drift]) for pose in (poses[0], rest))
     keys += [(over, last), (over + end, still)]
-    x, y, z = drift
-    return tuple(keys), Repeat(start, period, times, (x, y, z))
+    return tuple(keys), Repeat(start, period, times, (drift[0], drift[1], drift[2]))
 
 
 def repeated_gesture(
@@ -228,17 +175,13 @@ def moved(pose: Pose, by: Sequence[float]) -> Pose:
     if not any(by):
         return pose
 
-    def on(position: Sequence[float], side: int) -> Vector:
-        return position[0] + side * by[0], position[1] + by[1], position[2] + by[2]
-
-    def hand(one: Hand, side: int) -> Hand:
-        return replace(one, palm=on(one.palm, side)) if one.on == "ground" else one
-
-    return replace(
-        pose, hips=on(pose.hips, 1), right=hand(pose.right, -1), left=hand(pose.left, 1),
-        right_foot=replace(pose.right_foot, ankle=on(pose.right_foot.ankle, -1)),
-        left_foot=replace(pose.left_foot, ankle=on(pose.left_foot.ankle, 1)),
-    )  # fmt: skip
+    parts: dict[str, Any] = {}
+    for side, sign in (("right", -1), ("left", 1)):
+        outward = sign * by[0], by[1], by[2]
+        hand, foot = getattr(pose, side), getattr(pose, f"{side}_foot")
+        parts[side] = replace(hand, palm=added(hand.palm, outward)) if hand.on == "ground" else hand
+        parts[f"{side}_foot"] = replace(foot, ankle=added(foot.ankle, outward))
+    return replace(pose, hips=added(pose.hips, (by[0], by[1], by[2])), **parts)
 
 
 def mirrored_pose(pose: Pose) -> Pose:
@@ -253,27 +196,26 @@ def mirrored_pose(pose: Pose) -> Pose:
 
 STEP = 0.05
 """Seconds between two poses."""
-_BALL = np.array([0.054, -0.155])
-"""From the ball of a foot to its ankle, up and ahead [m]."""
-_HEEL = np.array([0.081, 0.05])
-"""The same from the heel."""
-_GROUND = 0.027
-"""Height of the ball [m]."""
+_BALL, _HEEL, _GROUND = (0.054, -0.155), (0.081, 0.05), 0.027
+"""From the ball of a foot of the reference body to its ankle, and from its heel, up and ahead, and the height of the
+ball [m].
+"""
 
 
 def through(keys: Sequence[Key]) -> tuple[Key, ...]:
-    """Poses that pass through some others, smooth in position and speed; what is the same in two in a row stays.
+    """Poses each 0.05 s that pass through some others, smooth in position and speed; what two in a row share stays.
 
     Args:
         keys: Moments [s], in steps of 0.05, and what is reached then; hands are on the same all the time.
     """
-    at = _passing([time for time, _ in keys], [pose for _, pose in keys])
-    count = round((keys[-1][0] - keys[0][0]) / STEP)
-    return tuple((round(keys[0][0] + STEP * index, 3), at(keys[0][0] + STEP * index)) for index in range(count + 1))
+    curve = MonotoneCurve([time for time, _ in keys], [_numbers(pose) for _, pose in keys])
+    carriers, begin = (keys[0][1].right.on, keys[0][1].left.on), keys[0][0]
+    moments = [begin + STEP * index for index in range(round((keys[-1][0] - begin) / STEP) + 1)]
+    return tuple((round(moment, 3), _pose(iter(curve(moment).tolist()), carriers)) for moment in moments)
 
 
 def foot_on(out: float, ahead: float, pitch: float = 0.0, turn: float = 8.0) -> Foot:
-    """A foot that is on the ground with its ball where the heel is up, and with its heel where the toes are.
+    """A foot on the ground, with its ball if the heel is up, and with its heel if the toes are.
 
     Args:
         out: Of the ankle of a flat foot from the middle [m].
@@ -286,12 +228,6 @@ def foot_on(out: float, ahead: float, pitch: float = 0.0, turn: float = 8.0) -> 
     height = (_GROUND if pitch > 0 else 0.0) + up * cosine - along * sine
     position = ahead - along + up * sine + along * cosine
     return Foot((out, height, position), pitch, turn=turn)
-
-
-def _passing(times: Sequence[float], poses: Sequence[Pose]) -> Callable[[float], Pose]:
-    curve = MonotoneCurve(times, [_numbers(pose) for pose in poses])
-    carriers = poses[0].right.on, poses[0].left.on
-    return lambda moment: _pose(iter(curve(moment).tolist()), carriers)
 
 
 def _numbers(pose: Pose) -> list[float]:

@@ -1,4 +1,4 @@
-"""Who makes a gesture: somebody who stands, sways and breathes, made by code or captured."""
+"""A standing person who makes a gesture: sways and breathes, made by code or captured."""
 
 from __future__ import annotations
 
@@ -6,24 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_MIRROR, JOINT_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import heading, matrix_y
 from bunraku.core.motion import SkeletalMotion
 
 __all__ = [
-    "AT",
-    "PALM",
-    "SIDES",
-    "Hanging",
-    "Planted",
-    "Standing",
-    "captured",
-    "mirrored",
-    "stands_well",
-    "still",
-    "swaying",
-]
+    "AT", "PALM", "SIDES", "Hanging", "Planted", "Standing", "captured", "mirrored", "stands_well", "still", "swaying",
+]  # fmt: skip
 
 AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 """Numbers of the joints by their names."""
@@ -31,79 +21,58 @@ SIDES = (("left", 1.0), ("right", -1.0))
 """Both sides, with the sign of x on them."""
 PALM = 0.09
 """From the wrist to the middle of the palm [m]."""
-ANKLE = 0.035
-"""How far an ankle of a foot that stands is over or under its height at rest, at the most [m]."""
-APART = 0.55
-"""How far apart feet stand at the most [m]."""
-BESIDE = 0.12
-"""How far apart they are from side to side at the least, for who sits down [m]."""
-TURNED = 30.0
-"""How far the head is turned from the pelvis at the most: who looks about makes no gesture [degrees]."""
+ANKLE, APART, BESIDE, TURNED = 0.035, 0.55, 0.12, 30.0
+"""How far an ankle of a standing foot is from its height at rest at the most, how far apart feet are at the most, and
+from side to side at the least [m], and how far the head is turned from the pelvis at the most [degrees]; chosen by eye.
+"""
 _STILL = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
 
 
 @dataclass(frozen=True)
 class Hanging:
-    """A hand that does nothing, in N frames.
+    """A hand that does nothing, in N frames."""
 
-    Args:
-        palm: In the frame of the chest, from its joint [m], shape (N, 3).
-        ways: Where the fingers point, where the palm faces, to where the elbow is bent, in that frame, (N, 3, 3).
-    """
-
-    palm: np.ndarray
-    ways: np.ndarray
+    palm: np.ndarray  # in the frame of the chest, from its joint [m], shape (N, 3)
+    ways: np.ndarray  # where fingers point, palm faces and elbow is bent, in that frame, shape (N, 3, 3)
 
 
 @dataclass(frozen=True)
 class Planted:
-    """A foot that stands, in N frames.
+    """A foot that stands, in N frames."""
 
-    Args:
-        ankle: Position [m], shape (N, 3).
-        knee: Direction to which the knee is bent, shape (N, 3).
-        rotation: Of the foot in the world, shape (N, 3, 3).
-        toes: Of the toes in the world, shape (N, 3, 3).
-    """
-
-    ankle: np.ndarray
-    knee: np.ndarray
-    rotation: np.ndarray
-    toes: np.ndarray
+    ankle: np.ndarray  # position [m], shape (N, 3)
+    knee: np.ndarray  # direction to which the knee is bent, shape (N, 3)
+    rotation: np.ndarray  # of the foot in the world, shape (N, 3, 3)
+    toes: np.ndarray  # of the toes in the world, shape (N, 3, 3)
 
 
 @dataclass(frozen=True)
 class Standing:
-    """Somebody who stands, in N frames, facing +z.
+    """A standing person in N frames, facing +z."""
 
-    Args:
-        hips: Where the pelvis is from where it is at rest [m], shape (N, 3).
-        rotations: Of the joints relative to their parents; those of arms and legs are not read, shape (N, 22, 3, 3).
-        lean: Added to that of the keys, shape (N, 3) [degrees].
-        head: The same of the head.
-        hands: By side; None where they hang as the keys say.
-        feet: By side; None where they stand as the keys say.
-        sways: The pelvis sways even where the feet step.
-    """
-
-    hips: np.ndarray
+    hips: np.ndarray  # where the pelvis is from where it is at rest [m], shape (N, 3)
+    # of the joints relative to their parents; those of arms and legs are not read, shape (N, 22, 3, 3)
     rotations: np.ndarray
-    lean: np.ndarray
-    head: np.ndarray
-    hands: dict[str, Hanging | None]
-    feet: dict[str, Planted | None]
-    sways: bool = False
+    lean: np.ndarray  # added to that of the keys, shape (N, 3) [degrees]
+    head: np.ndarray  # the same of the head
+    hands: dict[str, Hanging | None]  # by side; None where they hang as the keys say
+    feet: dict[str, Planted | None]  # by side; None where they stand as the keys say
+    sways: bool = False  # the pelvis sways even where the feet step
 
 
 def still(frames: int) -> Standing:
-    """Somebody who does not move at all, for so many frames."""
+    """A person who does not move at all, for so many frames."""
     none = np.zeros((frames, 3))
-    nothing: dict[str, None] = {side: None for side, _ in SIDES}
-    return Standing(none, np.tile(_STILL, (frames, 1, 1, 1)), none, none, dict(nothing), dict(nothing))
+    return Standing(none, np.tile(_STILL, (frames, 1, 1, 1)), none, none, *_as_keys())
+
+
+def _as_keys() -> tuple[dict[str, Hanging | None], dict[str, Planted | None]]:
+    """Hands and feet that are as the keys say."""
+    return {side: None for side, _ in SIDES}, {side: None for side, _ in SIDES}
 
 
 def swaying(seed: int, moments: np.ndarray) -> Standing:
-    """Small slow movements of who stands, made by code.
+    """Small slow movements of a standing person, made by code.
 
     Args:
         seed: Of their phases.
@@ -115,21 +84,12 @@ def swaying(seed: int, moments: np.ndarray) -> Standing:
     large = np.array([0.010, 0.006, 0.9, 1.5, 2.0, 1.0])
     sway = large * np.sin(2 * np.pi * slow * moments[:, None] + phases)
     none = np.zeros(len(moments))
-    return Standing(
-        np.stack([sway[:, 0], none, sway[:, 1]], axis=1),
-        np.tile(_STILL, (len(moments), 1, 1, 1)),
-        np.stack([sway[:, 2], none, none], axis=1),
-        sway[:, 3:],
-        {side: None for side, _ in SIDES},
-        {side: None for side, _ in SIDES},
-        sways=True,
-    )
+    hips, lean = np.stack([sway[:, 0], none, sway[:, 1]], axis=1), np.stack([sway[:, 2], none, none], axis=1)
+    return Standing(hips, np.tile(_STILL, (len(moments), 1, 1, 1)), lean, sway[:, 3:], *_as_keys(), sways=True)
 
 
 def stands_well(motion: SkeletalMotion) -> bool:
-    """Whether both feet stand flat side by side in all frames and the head looks ahead, so that somebody could make a
-    gesture there.
-    """
+    """Whether both feet stand flat side by side in all frames and the head looks ahead, as a gesture needs it."""
     rest = reference_body().joints
     rotations, positions = motion.world()
     across = positions[:, AT["left_hip"]] - positions[:, AT["right_hip"]]
@@ -144,20 +104,13 @@ def stands_well(motion: SkeletalMotion) -> bool:
 
 def mirrored(motion: SkeletalMotion) -> SkeletalMotion:
     """The mirror image of a motion of the reference body's 22 joints."""
-    other = [AT[_other(name)] for name in JOINT_NAMES]
     flip = np.array([-1.0, 1, 1])
-    rotations = motion.rotations[:, other] * np.outer(flip, flip)
+    rotations = motion.rotations[:, list(JOINT_MIRROR)] * np.outer(flip, flip)
     return SkeletalMotion(motion.skeleton, rotations, motion.root_translation * flip, motion.fps)
 
 
-def _other(name: str) -> str:
-    """A joint of the other side."""
-    side, _, part = name.partition("_")
-    return {"left": f"right_{part}", "right": f"left_{part}"}.get(side, name)
-
-
 def captured(motion: SkeletalMotion, at: np.ndarray) -> Standing:
-    """Somebody who was captured standing.
+    """A person who was captured standing.
 
     Args:
         motion: Of the reference body's 22 joints, at rest where its feet are.
@@ -184,18 +137,12 @@ def captured(motion: SkeletalMotion, at: np.ndarray) -> Standing:
     for side, sign in SIDES:
         wrist, elbow, shoulder = (AT[f"{side}_{part}"] for part in ("wrist", "elbow", "shoulder"))
         pointing = world[:, wrist] @ [sign, 0, 0]
-        ways = np.stack(
-            [
-                pointing,
-                world[:, wrist] @ [0, -1.0, 0],
-                _aside(where[:, shoulder], where[:, elbow], where[:, wrist], world[:, shoulder] @ [0, 0, -1.0]),
-            ],
-            axis=1,
-        )
+        bent = _aside(where[:, shoulder], where[:, elbow], where[:, wrist], world[:, shoulder] @ [0, 0, -1.0])
+        ways = np.stack([pointing, world[:, wrist] @ [0, -1.0, 0], bent], axis=1)
         palm = where[:, wrist] + PALM * pointing - where[:, chest]
         hands[side] = Hanging((palm[:, None] @ world[:, chest])[:, 0], ways @ world[:, chest])
-        _hip, _knee, ankle, toes = (AT[f"{side}_{part}"] for part in ("hip", "knee", "ankle", "foot"))
-        # who sits down bends the knees over the toes, wherever those of a straight leg happen to point
+        ankle, toes = AT[f"{side}_ankle"], AT[f"{side}_foot"]
+        # knees bend over the toes when the person sits down, wherever those of a straight leg happen to point
         bend = world[:, ankle] @ [0.15 * sign, 0, 1.0] * [1, 0, 1]
         feet[side] = Planted(where[:, ankle], bend, world[:, ankle], world[:, toes])
     still = np.zeros((len(at), 3))

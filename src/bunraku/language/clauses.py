@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 
@@ -12,30 +13,18 @@ from bunraku.language.limb_phrases import names_limb
 from bunraku.language.posing import Posing, posing_of
 
 __all__ = [
-    "SHORTEST_CLAUSE",
-    "as_caption",
-    "as_parsed",
-    "as_present",
-    "begins",
-    "handed_on",
-    "limbs_described",
-    "moved_part",
-    "of_creature",
-    "of_person",
-    "parts_of",
-    "shared",
-    "split_clauses",
-    "split_voices",
-    "subject_of",
-    "timed_clauses",
+    "SHORTEST_CLAUSE", "as_caption", "as_parsed", "as_present", "handed_on", "limbs_described", "moved_part",
+    "of_creature", "of_person", "parts_of", "shared", "split_clauses", "split_voices", "subject_of", "timed_clauses",
     "with_subject",
-]
+]  # fmt: skip
 
 
 GOING, LEAST_GOING = 2.5, 1.5
-"""Time that goes on doing something is worth beside these, and the least that it gets before they get less [s]."""
+"""Seconds that walking and the like are worth beside what is done once, and the least that they get before all get
+less; chosen by eye.
+"""
 SHORTEST_CLAUSE = 1.0
-"""Seconds under which clauses are too short to be done one by one; the sentence stays whole then."""
+"""Seconds under which clauses are too short to be done one by one; the sentence stays whole then. Chosen by eye."""
 
 _LATER = r"(?:then|after\s+that|after\s+this|after\s+which|afterwards?|finally|lastly|next(?!\s+to)|subsequently)"
 _ORDER = re.compile(
@@ -52,7 +41,6 @@ _AFTER_FIRST = re.compile(r"^after\s+(?:having\s+)?(?P<earlier>[^,]+?),\s*(?P<la
 _HINGE = re.compile(
     r"\s*,?\s+(?P<word>before|after)\s+(?:having\s+)?(?P<rest>(?!landing|being).+)$", re.IGNORECASE | re.DOTALL
 )
-_COMMA = re.compile(r"\s*,\s*(?:and\s+)?", re.IGNORECASE)
 _NO_VERB = re.compile(
     r"(?:left|right|forwards?|backwards?|back(?!\s+(?:up|away|off))|sideways|to|towards?|into|onto|in|on|at|around|up|down|away|out|off|again|over|with|from"
     r"|the\s+other|another|some|for|once|twice|faster|slower|more|less|higher|lower)\b",
@@ -61,23 +49,18 @@ _NO_VERB = re.compile(
 _REPORTED_BY = re.compile(
     r"(?P<who>(?:an?|the)\s+[^,.;]+?)(?:,\s+|\s+)(?P<rest>(?:\w+ly\s+)?\w+ing\b.*)", re.IGNORECASE
 )
-"""Somebody who is told in many words before a participle."""
+"""A subject of many words before a participle."""
 _LONGEST_NAME = 3
-"""Words that name somebody, behind an article."""
-_FINITE = ("third", "is")
-_CLAUSE = ("third", "gerund", "plain", "is")
+"""Words of a subject behind an article."""
 _ONGOING = re.compile(r"\b(?P<joint>and|then)\s+(?:is|are|was|were)\s+(?P<verb>\w+ing)\b", re.IGNORECASE)
-"""What somebody is doing beside what was said with a finite verb."""
+"""What goes on beside what was said with a finite verb."""
 _ADDS = re.compile(r"(?P<joint>\s*,\s*(?:and\s+)?|\s+and\s+)", re.IGNORECASE)
 """Between two things that may be done one after the other."""
 
 
-def begins(text: str, *forms: str) -> bool:
-    """Whether a text begins with a verb in one of some forms, adverbs before it apart.
-
-    Args:
-        text: In English.
-        forms: "third", "gerund", "plain", "past", or "is" for "is" and "are" before something else.
+def _begins(text: str, *forms: str) -> bool:
+    """Whether a text begins with a verb in one of some forms, adverbs before it apart: "third", "gerund", "plain",
+    "past", or "is" for "is" and "are" before something else.
     """
     return _verb(words_of(text)[0], *forms) is not None
 
@@ -85,14 +68,11 @@ def begins(text: str, *forms: str) -> bool:
 def _verb(words: Sequence[str], *forms: str) -> int | None:
     """The number of the verb that some words begin with; None where they do not."""
     table = lexicon()
+    known = {"third": table.third, "gerund": table.gerund, "plain": table.verbs, "past": table.past}
     for number, word in enumerate(words):
-        if (
-            ("third" in forms and word in table.third)
-            or ("gerund" in forms and word in table.gerund)
-            or ("plain" in forms and word in table.verbs)
-            or ("past" in forms and word in table.past)
-            or ("is" in forms and word in ("is", "are") and number + 1 < len(words))
-        ):
+        if any(form != "is" and word in known[form] for form in forms):
+            return number
+        if "is" in forms and word in ("is", "are") and number + 1 < len(words):
             return number
         if not (word in ("also", "again") or (word.endswith("ly") and len(word) > 2)):
             return None
@@ -110,10 +90,10 @@ def split_clauses(sentence: str) -> list[str]:
     text = " ".join(sentence.replace('"', " ").split())
     parts = _ORDER.split(_BEGINS.sub("", text))
     pieces = [piece for part in parts for piece in _hinged(part)]
-    items = [item for piece in pieces for item in _listed(piece, len(pieces) > 1)]
+    listed = [item for piece in pieces for item in _listed(piece, len(pieces) > 1)]
     clauses: list[str] = []
-    for item in (item for one in items for item in _turned_first(one)):
-        clause = _OPENING.sub("", item).strip(" ,.;!")
+    for half in (half for item in listed for half in _turned_first(item)):
+        clause = _OPENING.sub("", half).strip(" ,.;!")
         if clauses and clause and (_NO_VERB.match(clause) or not clause[0].isalpha()):
             clauses[-1] += f", then {clause}"  # "runs left, then right"
         elif clause:
@@ -142,15 +122,16 @@ def subject_of(clause: str) -> tuple[str, str]:
         if not name.replace("-", "").replace("'", "").replace("_", "").isalnum():
             break
         rest = clause[stop:].lstrip()
-        if (number > 1 or most == 1) and begins(rest, "third", "gerund", "is", "past"):
+        if (number > 1 or most == 1) and _begins(rest, "third", "gerund", "is", "past"):
             return clause[:stop].strip(), rest
     return "", clause
 
 
 def of_creature(clause: str) -> str:
-    """What is said of a person, or of nobody, said of the creature that does it: "a person walks" as "it walks".
+    """A clause about a person, or without a subject, as one about a creature: "a person walks" as "it walks". A named
+    creature stays.
 
-    Conditioned on a person's words, the network lets a dog walk as people do. A creature that is named stays.
+    Conditioned on a person's words, the network lets a dog walk as people do.
     """
     subject, rest = subject_of(clause)
     if not subject:
@@ -162,9 +143,9 @@ def of_creature(clause: str) -> str:
 
 
 def of_person(clause: str) -> str:
-    """The clause with "a person" for whoever does it, where that says nothing of how: "a guard marches" as "a person
-    marches", and "a chef cuts bread" as "a person cuts bread", since nobody has arms for both. "A drunk man walks"
-    stays.
+    """The clause with "a person" as its subject, if the subject says nothing of the motion: "a guard marches" as "a
+    person marches", but "a drunk man walks" stays. "A chef cuts bread" becomes "a person cuts bread", since the arms
+    cannot do both.
 
     A sentence encoder takes "guard" for a stance of boxers.
     """
@@ -178,10 +159,10 @@ def of_person(clause: str) -> str:
 
 
 def as_caption(clause: str) -> str:
-    """A clause that names nobody as captions say it: "kick a ball" and "kicks a ball" as "a person kicks a ball".
+    """A clause without a subject as captions say it: "kick a ball" and "kicks a ball" as "a person kicks a ball".
 
-    The network is told sentences of that form; on 40 captions made into commands chosen motions find their sentence in
-    0.57, and in 0.62 as captions. What would say something else then ("sit ups") stays.
+    The network was trained on sentences of that form; of 40 captions made into commands, chosen motions find their
+    sentence in 0.57, and in 0.62 as captions. What would say something else then ("sit ups") stays.
     """
     if subject_of(clause)[0]:
         return clause
@@ -202,28 +183,28 @@ def as_caption(clause: str) -> str:
         said += clause[copied : spans[number][0]] + form
         copied = spans[number][1]
     said += clause[copied:]
-    same = all(told(said) == told(clause) for told in (actions_of, said_cues, said_traits))
+    same = all(read(said) == read(clause) for read in (actions_of, said_cues, said_traits))
     return said if same else clause
 
 
 def as_parsed(text: str) -> str:
-    """A sentence whose verbs stand by a participle as one that says what is done: "an old guard in a coat, walking and
-    looking around" as "a person is walking and looking around", and "a person walking forward picks something up" as "a
-    person is walking forward and picks something up".
+    """A sentence whose verbs are participles with finite verbs: "an old guard in a coat, walking and looking around" as
+    "a person is walking and looking around", and "a person walking forward picks something up" as "a person is walking
+    forward and picks something up".
     """
     subject, rest = subject_of(text)
     if not subject:
         found = _REPORTED_BY.match(text)
-        if found is None or actions_of(found["who"]) or not begins(found["rest"], "gerund"):
+        if found is None or actions_of(found["who"]) or not _begins(found["rest"], "gerund"):
             return text
         subject, rest = "a person", found["rest"]
         text = f"{subject} is {rest}"
+    if _begins(rest, "third", "past"):
+        return _ONGOING.sub(_finite, text)
+    if not _begins(rest, "gerund"):
+        return text
     words, spans = words_of(rest)
     along = lexicon().grammar["along"]
-    if begins(rest, "third", "past"):
-        return _ONGOING.sub(_finite, text)
-    if not begins(rest, "gerund"):
-        return text
     for number, word in enumerate(words[2:], 2):
         before = words[number - 1]
         if word in lexicon().third and (before.endswith("ly") or before in along) and words[number - 2] != ",":
@@ -241,13 +222,13 @@ def _finite(found: re.Match[str]) -> str:
 
 
 def as_present(clause: str) -> str:
-    """A clause of what somebody did as of what he does, as captions tell it: "the man walked" as "the man walks"."""
+    """A clause in the past as one in the present, as captions are: "the man walked" as "the man walks"."""
     subject, rest = subject_of(clause)
     return f"{subject} {_now(rest)}" if subject else clause
 
 
 def _now(predicate: str) -> str:
-    """What begins with a verb of the past as said of now; others as they are."""
+    """What begins with a verb in the past, in the present; others as they are."""
     words, spans = words_of(predicate)
     verb = _verb(words, "past")
     if verb is None:
@@ -257,52 +238,47 @@ def _now(predicate: str) -> str:
 
 
 def handed_on(clauses: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
-    """Clauses with their seconds in which a thing that is taken in one and put somewhere in the next is one clause,
-    since hands do not let go of it between; so is what says more of how somebody is down: "sits down and crosses the
-    legs", and what limbs do one after the other: "kneels, then raises both arms".
+    """Clauses with their seconds, some of them joined: if a thing is taken in one and put somewhere in the next, since
+    hands do not let go of it between; if one says more of a posture ("sits down", "crosses the legs"); and if limbs do
+    both ("kneels", "raises both arms").
 
     Args:
         clauses: Texts in English, and seconds of each.
     """
     found: list[tuple[str, float]] = []
     for text, seconds in clauses:
-        if found and (first := read_as(Handling, found[-1][0])) and (second := read_as(Handling, text)):
-            joined = f"{found[-1][0].rstrip(' .,')}, then {subject_of(text)[1]}"
-            if first.steps[-1].does != "put" and second.steps[0].does == "hold" and read_as(Handling, joined):
-                found[-1] = joined, found[-1][1] + seconds
-                continue
-        if found and _of_limbs(joined := f"{found[-1][0].rstrip(' .,')}, then {subject_of(text)[1]}"):
+        joined = _joined(found[-1][0], text) if found else ""
+        if joined:
             found[-1] = joined, found[-1][1] + seconds
-            continue
-        if found and _more_of(found[-1][0], text):
-            found[-1] = f"{found[-1][0].rstrip(' .,')} and {subject_of(text)[1]}", found[-1][1] + seconds
-            continue
-        found.append((text, seconds))
+        else:
+            found.append((text, seconds))
     return found
 
 
+def _joined(before: str, text: str) -> str:
+    """Two clauses as one; "" where they are done one after the other."""
+    first, predicate = before.rstrip(" .,"), subject_of(text)[1]
+    joined = f"{first}, then {predicate}"
+    taken, put = read_as(Handling, before), read_as(Handling, text)
+    if taken and put and taken.steps[-1].does != "put" and put.steps[0].does == "hold" and read_as(Handling, joined):
+        return joined
+    limbs = limbs_described(joined)
+    if limbs is not None and not limbs.rest:
+        return joined
+    rows, earlier, later = lexicon().actions, actions_of(before), actions_of(text)
+    covered = frozenset[str]().union(*(rows[action].covers for action in later))
+    more = earlier and later and all(rows[action].down for action in (*earlier, *later)) and covered.issuperset(earlier)
+    return f"{first} and {predicate}" if more else ""
+
+
 def limbs_described(clause: str) -> Posing | None:
-    """What a clause says limbs do, who does it or which limb its subject; None where it says nothing of that."""
+    """What a clause says limbs do, whether its subject is a person or a limb; None where it says nothing of that."""
     subject, predicate = subject_of(clause)
     return posing_of(clause if subject and names_limb(subject) else predicate)
 
 
-def _of_limbs(text: str) -> bool:
-    """Whether a text says nothing but what limbs do."""
-    posing = limbs_described(text)
-    return posing is not None and not posing.rest
-
-
-def _more_of(first: str, second: str) -> bool:
-    """Whether a clause says how somebody is down who goes down in the one before."""
-    rows = lexicon().actions
-    before, after = actions_of(first), actions_of(second)
-    covered = frozenset[str]().union(*(rows[action].covers for action in after))
-    return bool(before and after) and all(rows[one].down for one in (*before, *after)) and covered.issuperset(before)
-
-
 def parts_of(clause: str) -> list[str]:
-    """What a clause says one after the other if nobody can do it all at once, each with its subject: "a boy throws a
+    """What a clause says one after the other, each with its subject, if it cannot be done all at once: "a boy throws a
     ball and stretches" as "a boy throws a ball" and "a boy stretches". None where it says one thing, or two at once
     ("while").
 
@@ -314,16 +290,16 @@ def parts_of(clause: str) -> list[str]:
         return []
     bare = re.sub(r"^(?:is|are)\s+", "", rest)
     pieces = _ADDS.split(_now(bare))
-    forms = [form for form in ("third", "gerund", "plain") if begins(pieces[0], form)]
+    forms = [form for form in ("third", "gerund", "plain") if _begins(pieces[0], form)]
     parts = [pieces[0]]
     for joint, piece in zip(pieces[1::2], map(_now, pieces[2::2]), strict=True):
-        if begins(piece, *forms) and not _NO_VERB.match(piece) and all(map(_says, (piece, parts[-1]))):
+        if _begins(piece, *forms) and not _NO_VERB.match(piece) and all(map(_says, (piece, parts[-1]))):
             parts.append(piece)
         else:
             parts[-1] += joint + piece
-    told = [frozenset(actions_of(part)) for part in parts]
+    said = [frozenset(actions_of(part)) for part in parts]
     parts = with_names(parts)
-    if len(parts) < 2 or any(one & other for one, other in zip(told, told[1:], strict=False)):
+    if len(parts) < 2 or any(before & after for before, after in itertools.pairwise(said)):
         return []
     return [as_caption(with_subject(part, subject)) for part in parts]
 
@@ -333,9 +309,9 @@ def _says(piece: str) -> bool:
 
 
 def shared(clauses: Sequence[str], seconds: float) -> list[float]:
-    """Seconds of each of some clauses in a row: what is done once gets the time that it takes (`Action.seconds`), and
-    what goes on (walking, waving) shares the rest evenly. Where there is not enough time, or nothing goes on, all get
-    more or less in proportion.
+    """Seconds of each of some clauses in a row: what is done once gets its `Action.seconds`, and what goes on (walking,
+    waving) shares the rest evenly. Where there is not enough time, or nothing goes on, all get more or less in
+    proportion.
     """
     once = [_time_of(clause) for clause in clauses]
     going = once.count(0.0)
@@ -368,13 +344,14 @@ def _time_of(clause: str) -> float:
 def _hinged(piece: str) -> list[str]:
     """A piece parted at "before" and "after", in the order in which things happen."""
     found = _AFTER_FIRST.match(piece)
-    if found and begins(found["earlier"], "gerund") and _begins_clause(found["later"], *_CLAUSE):
+    finite = ("third", "gerund", "plain", "is")
+    if found and _begins(found["earlier"], "gerund") and _begins(subject_of(found["later"])[1], *finite):
         return [found["earlier"], *_hinged(found["later"])]
-    for found in re.finditer(_HINGE, piece):
-        rest = found["rest"]
-        if found.start() and (begins(rest, "gerund") or (subject_of(rest)[0] and _begins_clause(rest, *_FINITE))):
-            head = piece[: found.start()]
-            return [head, *_hinged(rest)] if found["word"].lower() == "before" else [*_hinged(rest), head]
+    for found in _HINGE.finditer(piece):
+        subject, predicate = subject_of(found["rest"])
+        if found.start() and (_begins(found["rest"], "gerund") or (subject and _begins(predicate, "third", "is"))):
+            head, rest = piece[: found.start()], _hinged(found["rest"])
+            return [head, *rest] if found["word"].lower() == "before" else [*rest, head]
     return [piece]
 
 
@@ -384,27 +361,26 @@ def _listed(piece: str, ordered: bool) -> list[str]:
     ("dances with steps, turns and jumps"), so where nothing else in the sentence says order, a list after "with" or
     "of" is none either.
     """
-    first, *others = _COMMA.split(piece)
+    first, *others = re.split(r"\s*,\s*(?:and\s+)?", piece, flags=re.IGNORECASE)
     if not ordered and re.search(r"\b(?:with|of)\b|:", first):
         return [piece]
     begin = subject_of(_OPENING.sub("", first))[1]
     for form in ("third", "gerund", "plain", "past") if others else ():
-        if all(begins(item, form) for item in (begin, *others)):
+        if all(_begins(item, form) for item in (begin, *others)):
             head, _, last = others[-1].rpartition(" and ")
-            return [first, *others[:-1], head, last] if head and begins(last, form) else [first, *others]
+            return [first, *others[:-1], head, last] if head and _begins(last, form) else [first, *others]
     return [piece]
 
 
 def _turned_first(piece: str) -> list[str]:
-    """ "turns around and waves" and "walks forward and salutes" as their two halves, where nobody does the second while
-    he does the first: after a turn or getting up anything, and after a walk what people stop for. "Walks and waves" is
-    one.
+    """ "turns around and waves" and "walks forward and salutes" as two halves, if the second cannot be done during
+    the first: anything during a turn or getting up, and during a walk what people stop for. "Walks and waves" is one.
     """
     head, joint, last = piece.rpartition(" and ")
     if not joint or " and " in head or "," in piece or " while " in piece:
         return [piece]
     begin = subject_of(_OPENING.sub("", head))[1]
-    if not any(begins(begin, form) and begins(last, form) for form in ("third", "gerund", "plain", "past")):
+    if not any(_begins(begin, form) and _begins(last, form) for form in ("third", "gerund", "plain", "past")):
         return [piece]
     rows = lexicon().actions
     first, second = ([rows[action] for action in actions_of(half)] for half in (head, last))
@@ -419,14 +395,9 @@ def with_subject(clause: str, subject: str) -> str:
     """
     if not subject:
         return clause
-    if begins(clause, "third", "past"):
+    if _begins(clause, "third", "past"):
         return f"{subject} {clause}"
-    return f"{subject} is {clause}" if begins(clause, "gerund") else clause
-
-
-def _begins_clause(text: str, *forms: str) -> bool:
-    """Whether a text begins with a verb in one of some forms, with a subject or without."""
-    return begins(subject_of(text)[1], *forms)
+    return f"{subject} is {clause}" if _begins(clause, "gerund") else clause
 
 
 _GESTURING = ("arms", "head", "arms and head")

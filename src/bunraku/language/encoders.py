@@ -1,7 +1,7 @@
 """Text encoders: a sentence as at most 30 tokens of the last layer but one, and one vector for the whole.
 
-TapMo takes the tokens of CLIP's penultimate layer (section 3.2). Nobody ships CLIP's text weights, so the default is
-all-MiniLM-L6-v2; `CLIPEncoder` reads the user's own CLIP folder. A checkpoint names the encoder it was trained with.
+TapMo takes the tokens of CLIP's penultimate layer (section 3.2). No package ships CLIP's text weights, so the default
+is all-MiniLM-L6-v2; `CLIPEncoder` reads the user's own CLIP folder. A checkpoint names the encoder it was trained with.
 """
 
 from __future__ import annotations
@@ -320,7 +320,7 @@ def text_encoder(name: str = MiniLMEncoder.name, folder: str | Path | None = Non
 
 @functools.lru_cache(maxsize=1)
 def _shipped(path: Path, changed: int) -> MiniLMEncoder:
-    """The encoder that comes with Bunraku: one for all who read sentences with it."""
+    """The encoder that comes with Bunraku: shared by all readers of sentences."""
     return MiniLMEncoder()
 
 

@@ -37,18 +37,12 @@ _GRAMS = 3, 4, 5
 
 @dataclass(frozen=True)
 class TaggerConfig:
-    """The network.
+    """The network."""
 
-    Args:
-        buckets: Rows of the matrix of pieces.
-        width: Numbers of a piece's vector.
-        hidden: Of the layer.
-        verbs: The movements, each as the table of words has it in English: "{wave}", "{raise} <the arms>".
-    """
-
-    buckets: int = 16384
-    width: int = 24
-    hidden: int = 96
+    buckets: int = 16384  # rows of the matrix of pieces
+    width: int = 24  # numbers of a piece's vector
+    hidden: int = 96  # of the layer
+    # the movements, each as the table of words has it in English: "{wave}", "{raise} <the arms>"
     verbs: tuple[str, ...] = ()
 
 

@@ -10,6 +10,7 @@ import unicodedata
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from bunraku.language.prompts import narrow
 from bunraku.language.word_table import Concept, forms
 
 __all__ = ["fold", "scan_spaced", "scan_unspaced", "spaced_words"]
@@ -60,6 +61,7 @@ def _weight(form: _Form) -> tuple[int, int, int]:
 
 
 def _split(text: str) -> tuple[tuple[str, ...], tuple[bool, ...]]:
+    """The words of a form, and which of them are stems."""
     words = _PIECE.findall(text) if " " in text or "'" in text or "-" in text else (text,)
     return tuple(word.rstrip("~") for word in words), tuple(word.endswith("~") for word in words)
 
@@ -68,28 +70,18 @@ def _split(text: str) -> tuple[tuple[str, ...], tuple[bool, ...]]:
 def _spaced_lexicon(language: str) -> dict[str, list[_Form]]:
     """Forms by their first word."""
     found: dict[str, list[_Form]] = {}
-
-    def add(form: _Form) -> None:
-        found.setdefault(form.words[0], []).append(form)
-
     for text, kind, value, position in forms(language, fold):
         *others, head = text.split("&")
         needed = [pair for other in others for pair in zip(*_split(other), strict=True)]
         reflexive = any(word in ("se", "sich") for word, _ in needed)
         beside = tuple(pair for pair in needed if pair[0] not in ("se", "sich"))
-        *particles, head = head.split("+")
+        particle, _, head = head.rpartition("+")
         words, stem = _split(head)
-        if particles:
-            for joined in (particles[0], particles[0] + "zu", particles[0] + "ge"):
-                add(_Form((joined + words[0], *words[1:]), stem, kind, value, beside, "", reflexive))
-        particle = particles[0] if particles else ""
-        add(_Form(words, stem, kind, value, beside, particle, reflexive, kind == "part" and position > 0))
+        form = _Form(words, stem, kind, value, beside, particle, reflexive, kind == "part" and position > 0)
+        joined = [particle, particle + "zu", particle + "ge"] if particle else []
+        for one in (*(form._replace(words=(front + words[0], *words[1:]), particle="") for front in joined), form):
+            found.setdefault(one.words[0], []).append(one)
     return found
-
-
-@functools.cache
-def _words_of(language: str, section: str) -> frozenset[str]:
-    return frozenset(form for form, kind, _, _ in forms(language, fold) if kind == section)
 
 
 def _readings(token: str, language: str) -> Iterator[tuple[str, str]]:
@@ -134,15 +126,11 @@ class _Scan:
                         yield form, pronoun
 
     def in_a_row(self, form: _Form, index: int) -> bool:
-        rest = self.tokens[index + 1 : index + len(form.words)]
-        return (
-            len(rest) == len(form.words) - 1
-            and not any(self.taken[index : index + len(form.words)])
-            and all(
-                _is(token, word, stem, self.language)
-                for token, word, stem in zip(rest, form.words[1:], form.stem[1:], strict=True)
-            )
-        )
+        stop = index + len(form.words)
+        if stop > len(self.tokens) or any(self.taken[index:stop]):
+            return False
+        rows = zip(self.tokens[index + 1 : stop], form.words[1:], form.stem[1:], strict=True)
+        return all(_is(token, word, stem, self.language) for token, word, stem in rows)
 
     def scattered(self, form: _Form, at: int, pronoun: bool, clause: tuple[int, int]) -> list[int] | None:
         """Tokens of a clause that a form needs besides those in a row; None where they are not all there."""
@@ -203,22 +191,20 @@ def scan_spaced(text: str, language: str) -> list[Concept]:
         language: "de", "fr" or "es".
     """
     scan, found = _Scan(text, language), []
-    clauses, determiners = scan.clauses(), _words_of(language, "determiners")
+    clauses = scan.clauses()
+    determiners = {form for form, kind, _, _ in forms(language, fold) if kind == "determiners"}
     # verbs of several words first, so that what belongs to them is not read as something else
     best: dict[int, _Form] = {}
     options = []
     for at in range(len(scan.tokens)):
         for form, pronoun in scan.first_words(at):
-            if form.kind == "determiners" or not scan.in_a_row(form, at):
-                continue
-            noun = at > 0 and scan.tokens[at - 1] in determiners and form.kind in ("noun", "part", "being")
-            weight = _weight(form)
-            options.append((weight[0] + (0.5 if noun else 0), weight[1:], -at, form, pronoun))
+            if form.kind != "determiners" and scan.in_a_row(form, at):
+                noun = at > 0 and scan.tokens[at - 1] in determiners and form.kind in ("noun", "part", "being")
+                count, *weight = _weight(form)
+                options.append((count + 0.5 * noun, weight, -at, form, pronoun))
     for _, _, negative, form, pronoun in sorted(options, key=lambda option: option[:3], reverse=True):
         at = -negative
-        if not scan.in_a_row(form, at):
-            continue
-        used = scan.scattered(form, at, pronoun, clauses[at])
+        used = scan.scattered(form, at, pronoun, clauses[at]) if scan.in_a_row(form, at) else None
         if used is not None:
             best[at] = form
             for index in (*range(at, at + len(form.words)), *used):
@@ -242,14 +228,9 @@ def scan_spaced(text: str, language: str) -> list[Concept]:
             at += len(form.words)
             continue
         if not scan.taken[at]:
-            if token.isdigit():
-                found.append(Concept("number", token, start, stop))
-            elif not token[0].isalnum():
-                found.append(Concept("comma" if token in ",;:" else "stop", token, start, stop))
-            elif token in _REFLEXIVE:
-                found.append(Concept("ignored", token, start, stop))
-            else:
-                found.append(Concept("unknown", scan.raw[at], start, stop))
+            sign = "comma" if token in ",;:" else "stop" if not token[0].isalnum() else ""
+            kind = "number" if token.isdigit() else sign or ("ignored" if token in _REFLEXIVE else "unknown")
+            found.append(Concept(kind, scan.raw[at] if kind == "unknown" else token, start, stop))
         at += 1
     return found
 
@@ -262,6 +243,11 @@ _GODAN = {
     "う": ("い", "って", "った", "わ", "え", "おう"),
 }  # fmt: skip
 """Ends of a verb with a changing last sound: before ます, with て and た, before ない, as an order, and as "let us"."""
+_SURU = (
+    ("する", "plain"), ("し", "stem"), ("して", "te"), ("した", "plain"), ("しろ", "plain"), ("しよう", "plain"),
+    ("やる", "plain"), ("やり", "stem"), ("やって", "te"), ("やった", "plain"),
+)  # fmt: skip
+"""する, and やる for games and music."""
 _AFTER_TE = re.compile(
     r"(?:い(?:ます|ました|る|た|て)|る(?=$|[、。\s])|ください|下さい|おり|いき(?:ます)?|いく|きます|くる|みる|みます)"
 )
@@ -296,11 +282,7 @@ def _conjugated(form: str) -> list[tuple[str, str]]:
     """A Japanese verb in the forms that sentences have, each "plain", "te" or "stem"."""
     if form.endswith("+"):
         noun = form[:-1].removesuffix("を")
-        gaps = ("", "を")
-        return [
-            (noun, "plain"),
-            *((noun + gap + end, mark) for gap in gaps for end, mark in _surus()),
-        ]
+        return [(noun, "plain"), *((noun + gap + end, mark) for gap in ("", "を") for end, mark in _SURU)]
     if "・" in form:
         stem = form.replace("・る", "")
         ends = (("る", "plain"), ("", "stem"), ("て", "te"), ("た", "plain"), ("ろ", "plain"), ("よう", "plain"))
@@ -318,14 +300,6 @@ def _conjugated(form: str) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-def _surus() -> list[tuple[str, str]]:
-    """する, and やる for games and music."""
-    return [
-        ("する", "plain"), ("し", "stem"), ("して", "te"), ("した", "plain"), ("しろ", "plain"), ("しよう", "plain"),
-        ("やる", "plain"), ("やり", "stem"), ("やって", "te"), ("やった", "plain"),
-    ]  # fmt: skip
-
-
 def scan_unspaced(text: str, language: str) -> list[Concept]:
     """The words of a sentence in their order.
 
@@ -334,9 +308,7 @@ def scan_unspaced(text: str, language: str) -> list[Concept]:
         language: "ja" or "zh".
     """
     lexicon, longest = _unspaced_lexicon(language)
-    plain = "".join(  # wide digits and letters as narrow ones, each still one letter
-        wide if len(wide := unicodedata.normalize("NFKC", letter)) == 1 else letter for letter in text
-    ).lower()
+    plain = narrow(text).lower()
     found: list[Concept] = []
     index = 0
     while index < len(plain):

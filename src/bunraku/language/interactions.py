@@ -33,45 +33,27 @@ __all__ = [
 
 
 class Contact(NamedTuple):
-    """What hands do with a thing.
+    """What hands do with a thing."""
 
-    Args:
-        deed: Of `[deeds]` in `things.toml`.
-        hands: "both", "left", "right", or "one" for either.
-        height: Where palms meet the thing, for a body of 1.84 m [m]; 0 where the deed itself says it.
-        surface: Which way the thing faces there: "top", "front" or "grip".
-        way: "left" or "right"; "" for straight ahead.
-    """
-
-    deed: str
-    hands: str
-    height: float = 0.0
-    surface: str = "front"
-    way: str = ""
+    deed: str  # of `[deeds]` in `things.toml`
+    hands: str  # "both", "left", "right", or "one" for either
+    height: float = 0.0  # where palms meet the thing, for a body of 1.84 m [m]; 0 where the deed itself says it
+    surface: str = "front"  # which way the thing faces there: "top", "front" or "grip"
+    way: str = ""  # "left" or "right"; "" for straight ahead
 
 
 class Terrain(NamedTuple):
-    """What is walked on, in, or with.
+    """What is walked on, in, or with."""
 
-    Args:
-        ground: Of `[grounds]` in `things.toml`.
-        height: Where both palms are that push or pull something [m]; 0 for arms that do nothing of the kind.
-    """
-
-    ground: str
-    height: float = 0.0
+    ground: str  # of `[grounds]` in `things.toml`
+    height: float = 0.0  # where both palms are that push or pull something [m]; 0 for arms that do nothing of the kind
 
 
 class Place(NamedTuple):
-    """Where a thing is.
+    """Where a thing is."""
 
-    Args:
-        height: Of the lexicon's `levels`; "" where nothing is said of it.
-        way: "left", "right", "aside" for either of them; "" for straight ahead.
-    """
-
-    height: str = ""
-    way: str = ""
+    height: str = ""  # of the lexicon's `levels`; "" where nothing is said of it
+    way: str = ""  # "left", "right", "aside" for either of them; "" for straight ahead
 
     def __bool__(self) -> bool:
         return bool(self.height or self.way)
@@ -82,32 +64,21 @@ class Place(NamedTuple):
 
 
 class HandlingStep(NamedTuple):
-    """One thing that is done with what is handled.
+    """One thing that is done with what is handled."""
 
-    Args:
-        does: "take", "hold" or "put".
-        place: Where.
-    """
-
-    does: str
-    place: Place
+    does: str  # "take", "hold" or "put"
+    place: Place  # where
 
 
 @dataclass(frozen=True)
 class Handling:
-    """What is taken, held and put somewhere.
+    """What is taken, held and put somewhere."""
 
-    Args:
-        steps: One after the other; all heights are given.
-        hands: "both", "left", "right", or "one" for either.
-        said: More is said than that something is taken from the floor, put down or carried, as people were captured.
-        repeated: It is done again and again.
-    """
-
-    steps: tuple[HandlingStep, ...]
-    hands: str
+    steps: tuple[HandlingStep, ...]  # one after the other; all heights are given
+    hands: str  # "both", "left", "right", or "one" for either
+    # more is said than that something is taken from the floor, put down or carried, as people were captured
     said: bool = False
-    repeated: bool = False
+    repeated: bool = False  # it is done again and again
 
     @property
     def only_held(self) -> bool:
@@ -120,17 +91,11 @@ _Kind = TypeVar("_Kind", Handling, Contact, Terrain, Gaze)
 
 
 class Reading(NamedTuple):
-    """What one verb of a clause says.
+    """What one verb of a clause says."""
 
-    Args:
-        meaning: In fields.
-        words: The numbers of the words that say it.
-        alone: The clause says nothing else.
-    """
-
-    meaning: Interaction
-    words: frozenset[int]
-    alone: bool
+    meaning: Interaction  # in fields
+    words: frozenset[int]  # the numbers of the words that say it
+    alone: bool  # the clause says nothing else
 
 
 def read_as(kind: type[_Kind], text: str) -> _Kind | None:

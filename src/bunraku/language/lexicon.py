@@ -23,147 +23,84 @@ GESTURES_COVER = ("idle", "raise arm", "talk", "twist", "put down", "reach", "st
 
 @dataclass(frozen=True)
 class Action:
-    """A row of `actions`.
+    """A row of `actions`."""
 
-    Args:
-        said: Phrases that say it.
-        locomotion: The locomotion of its verbs: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none.
-        part: What its verbs move: "legs", "arms", "head", "arms and head"; "" for neither or all.
-        cyclic: It is still the same when it is done again.
-        seconds: How long captured people take for it when it is done once, a median, rounded up [s]; 0 for what goes
-            on.
-        covers: Actions that a sentence that says this one says no more.
-        gesture: It is made by code, since hardly any was captured.
-        alone: Nothing else is done meanwhile but what is `turning`: turning, getting up.
-        turning: It goes together with a turn.
-        halts: A person who walks stops for it, if it is not said that both are done at once.
-        ahead: It leads somewhere, so that "forward" says something of it.
-        down: The body is down at its end, if it is not said that it gets up.
-        vague: It is said only where nothing else is.
-        passing: It hardly disturbs in an example of something else: standing, a few steps, a thing in the hand.
-    """
-
-    said: tuple[str, ...]
-    locomotion: str = ""
-    part: str = ""
-    cyclic: bool = False
+    said: tuple[str, ...]  # phrases that say it
+    locomotion: str = ""  # the locomotion of its verbs: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none
+    part: str = ""  # what its verbs move: "legs", "arms", "head", "arms and head"; "" for neither or all
+    cyclic: bool = False  # it is still the same when it is done again
+    # how long captured people take for it when it is done once, a median, rounded up [s]; 0 for what goes on
     seconds: float = 0.0
-    covers: frozenset[str] = frozenset()
-    gesture: bool = False
-    alone: bool = False
-    turning: bool = False
-    halts: bool = False
-    ahead: bool = False
-    down: bool = False
-    vague: bool = False
+    covers: frozenset[str] = frozenset()  # actions that a sentence that says this one says no more
+    gesture: bool = False  # it is made by code, since hardly any was captured
+    alone: bool = False  # nothing else is done meanwhile but what is `turning`: turning, getting up
+    turning: bool = False  # it goes together with a turn
+    halts: bool = False  # a person who walks stops for it, if it is not said that both are done at once
+    ahead: bool = False  # it leads somewhere, so that "forward" says something of it
+    down: bool = False  # the body is down at its end, if it is not said that it gets up
+    vague: bool = False  # it is said only where nothing else is
+    # it hardly disturbs in an example of something else: standing, a few steps, a thing in the hand
     passing: bool = False
 
 
 @dataclass(frozen=True)
 class Otherwise:
-    """A row of `otherwise`.
+    """A row of `otherwise`."""
 
-    Args:
-        locomotion: Kinds of locomotion.
-        bodies: Kinds of body (`parse.KINDS`).
-        verb: What is said in place of the verb, in the third person; "" for nothing else.
-        moves: How the body then moves, as `Clause.moves`.
-        note: The note that is printed then; "{clause}" stands for the clause.
-    """
-
-    locomotion: tuple[str, ...]
-    bodies: tuple[str, ...]
-    verb: str = ""
-    moves: str = ""
-    note: str = ""
+    locomotion: tuple[str, ...]  # kinds of locomotion
+    bodies: tuple[str, ...]  # kinds of body (`parse.KINDS`)
+    verb: str = ""  # what is said in place of the verb, in the third person; "" for nothing else
+    moves: str = ""  # how the body then moves, as `Clause.moves`
+    note: str = ""  # the note that is printed then; "{clause}" stands for the clause
 
 
 class Pattern(NamedTuple):
-    """A phrase of which no word may be missing.
+    """A phrase of which no word may be missing."""
 
-    Args:
-        section: Of the lexicon.
-        name: Of its row.
-        words: What each word may be; None for any.
-        before: What the word before must not be.
-        after: What the word after must not be, or, where `ahead` holds, what the words after must be.
-        ahead: Whether `after` is asked for.
-        first: Whether the text must begin with it.
-        last: Whether the text must end with it.
-        gap: Whether its last word may stand anywhere later.
-        alone: Whether it is one word, whatever stands around it.
-    """
-
-    section: str
-    name: str
-    words: tuple[frozenset[str] | None, ...]
-    before: frozenset[str]
+    section: str  # of the lexicon
+    name: str  # of its row
+    words: tuple[frozenset[str] | None, ...]  # what each word may be; None for any
+    before: frozenset[str]  # what the word before must not be
+    # what the word after must not be, or, where `ahead` holds, what the words after must be
     after: tuple[frozenset[str], ...]
-    ahead: bool
-    first: bool
-    last: bool
-    gap: bool
-    alone: bool
+    ahead: bool  # whether `after` is asked for
+    first: bool  # whether the text must begin with it
+    last: bool  # whether the text must end with it
+    gap: bool  # whether its last word may stand anywhere later
+    alone: bool  # whether it is one word, whatever stands around it
 
 
 @dataclass(frozen=True)
 class Lexicon:
-    """The tables, ready to be looked up.
+    """The tables, ready to be looked up."""
 
-    Args:
-        verbs: Verbs with their forms: third person, gerund, and any others.
-        third: All forms in the third person.
-        gerund: All gerunds.
-        past: The verb of each form of the past that is no other form of a verb.
-        lemmas: The verb of each form, its own plain one among them.
-        actions: The rows of that section.
-        locomotion: The locomotion of each form of a verb that has one.
-        parts: What each form of a verb moves, where it moves a part of the body.
-        phrases: All phrases by the words that they may begin with.
-        cues: The names of that section.
-        places: What a side may be the side of, and the words that say it.
-        synonyms: What is read in place of each synonym, by its name.
-        ground: How a body that moves so is on the ground.
-        otherwise: What some kinds of body do in place of a locomotion.
-        numbers: What words count.
-        holding: Verbs that say where a part of the body is, in all their forms.
-        handling_verbs: What each form of a verb does with a thing.
-        heights: Words for places of things, by their heights.
-        levels: What these are in metres, for a body of 1.84 m.
-        contrary: Cues and traits of which an example does not say another than is said.
-        grammar: Sets of words, by what they are.
-        irregular: The plain form of inflected words that no rule of `vocabulary.stem` has.
-        limbs: `parts`, the limb of each part of the body that can go somewhere; `goes`, where a limb goes by a verb
-            alone.
-        posing: Phrases of limbs, by the words that they may begin with.
-        words: All words of the phrases, and of the rows' names.
-    """
-
-    verbs: dict[str, tuple[str, ...]]
-    third: frozenset[str]
-    gerund: frozenset[str]
-    past: dict[str, str]
-    lemmas: dict[str, str]
-    actions: dict[str, Action]
-    locomotion: dict[str, str]
-    parts: dict[str, str]
-    phrases: dict[str, list[Pattern]]
-    cues: tuple[str, ...]
-    places: dict[str, frozenset[str]]
-    synonyms: dict[str, str]
-    ground: dict[str, str]
-    otherwise: tuple[Otherwise, ...]
-    numbers: dict[str, int]
-    holding: frozenset[str]
-    handling_verbs: dict[str, str]
-    heights: dict[str, frozenset[str]]
-    levels: dict[str, float]
-    contrary: tuple[frozenset[str], ...]
-    grammar: dict[str, frozenset[str]]
-    irregular: dict[str, str]
+    verbs: dict[str, tuple[str, ...]]  # verbs with their forms: third person, gerund, and any others
+    third: frozenset[str]  # all forms in the third person
+    gerund: frozenset[str]  # all gerunds
+    past: dict[str, str]  # the verb of each form of the past that is no other form of a verb
+    lemmas: dict[str, str]  # the verb of each form, its own plain one among them
+    actions: dict[str, Action]  # the rows of that section
+    locomotion: dict[str, str]  # the locomotion of each form of a verb that has one
+    parts: dict[str, str]  # what each form of a verb moves, where it moves a part of the body
+    phrases: dict[str, list[Pattern]]  # all phrases by the words that they may begin with
+    cues: tuple[str, ...]  # the names of that section
+    places: dict[str, frozenset[str]]  # what a side may be the side of, and the words that say it
+    synonyms: dict[str, str]  # what is read in place of each synonym, by its name
+    ground: dict[str, str]  # how a body that moves so is on the ground
+    otherwise: tuple[Otherwise, ...]  # what some kinds of body do in place of a locomotion
+    numbers: dict[str, int]  # what words count
+    holding: frozenset[str]  # verbs that say where a part of the body is, in all their forms
+    handling_verbs: dict[str, str]  # what each form of a verb does with a thing
+    heights: dict[str, frozenset[str]]  # words for places of things, by their heights
+    levels: dict[str, float]  # what these are in metres, for a body of 1.84 m
+    contrary: tuple[frozenset[str], ...]  # cues and traits of which an example does not say another than is said
+    grammar: dict[str, frozenset[str]]  # sets of words, by what they are
+    irregular: dict[str, str]  # the plain form of inflected words that no rule of `vocabulary.stem` has
+    # `parts`, the limb of each part of the body that can go somewhere; `goes`, where a limb goes by a verb alone;
+    # `of verbs`, parts that go without saying with a verb, unless the sentence names their side
     limbs: dict[str, Any]
-    posing: dict[str, list[Pattern]]
-    words: frozenset[str]
+    posing: dict[str, list[Pattern]]  # phrases of limbs, by the words that they may begin with
+    words: frozenset[str]  # all words of the phrases, and of the rows' names
 
 
 @functools.cache

@@ -35,27 +35,18 @@ _BEFORE_NOUNS = frozenset(
 
 
 class Target(NamedTuple):
-    """Where a limb goes.
+    """Where a limb goes."""
 
-    Args:
-        limb: "arm", "elbow", "leg", "knee", "heel", "head", "trunk", "hips" or "shoulders".
-        side: "left", "right", "both", or "one" for either.
-        ways: "up", "down", "ahead", "back", "side", "left", "right", "apart", "together", "crossed", "bent",
-            "straight", "tiptoe", "lifted", "still"; "turned" of what turns about its own axis, "bowed" of a trunk.
-        at: The part of the body or the height where it goes; "" for none.
-        by: How it is there: "on", "front", "behind", "above", "under", or "level" for a height.
-        at_side: The side of that part; "" where nothing is said of it.
-        amount: How far, of what is usual.
-        to: Ways of the other end of what goes to and fro, "round" of what circles; none of what goes there once.
-    """
-
-    limb: str
-    side: str = "both"
+    limb: str  # "arm", "elbow", "leg", "knee", "heel", "head", "trunk", "hips" or "shoulders"
+    side: str = "both"  # "left", "right", "both", or "one" for either
+    # "up", "down", "ahead", "back", "side", "left", "right", "apart", "together", "crossed", "bent", "straight",
+    # "tiptoe", "lifted", "still"; "turned" of what turns about its own axis, "bowed" of a trunk
     ways: frozenset[str] = frozenset()
-    at: str = ""
-    by: str = ""
-    at_side: str = ""
-    amount: float = 1.0
+    at: str = ""  # the part of the body or the height where it goes; "" for none
+    by: str = ""  # how it is there: "on", "front", "behind", "above", "under", or "level" for a height
+    at_side: str = ""  # the side of that part; "" where nothing is said of it
+    amount: float = 1.0  # how far, of what is usual
+    # ways of the other end of what goes to and fro, "round" of what circles; none of what goes there once
     to: frozenset[str] = frozenset()
 
     @property
@@ -67,21 +58,13 @@ class Target(NamedTuple):
 
 
 class Phrase(NamedTuple):
-    """Words that say one thing.
+    """Words that say one thing."""
 
-    Args:
-        kind: Of its row in the table; "other" of what is in none.
-        value: The same.
-        words: As they stand there.
-        start: The number of the first word.
-        stop: The number of the word after.
-    """
-
-    kind: str
-    value: str
-    words: tuple[str, ...]
-    start: int
-    stop: int
+    kind: str  # of its row in the table; "other" of what is in none
+    value: str  # the same
+    words: tuple[str, ...]  # as they stand there
+    start: int  # the number of the first word
+    stop: int  # the number of the word after
 
 
 def phrases_of(words: Sequence[str]) -> list[Phrase]:

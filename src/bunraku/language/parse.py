@@ -7,23 +7,8 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 
 from bunraku.errors import OptionError
-from bunraku.language.clauses import (
-    SHORTEST_CLAUSE,
-    as_caption,
-    as_parsed,
-    as_present,
-    handed_on,
-    limbs_described,
-    moved_part,
-    of_creature,
-    of_person,
-    parts_of,
-    shared,
-    split_voices,
-    subject_of,
-    timed_clauses,
-    with_subject,
-)
+from bunraku.language import clauses as split
+from bunraku.language.clauses import subject_of, with_subject
 from bunraku.language.interactions import interaction_of, says_more, with_names
 from bunraku.language.lexicon import (
     Otherwise,
@@ -44,16 +29,14 @@ __all__ = ["INSTEAD", "KINDS", "clause_of", "clauses_of", "for_body", "parse"]
 
 
 _STANCES = {"sit": "seat", "kneel": "kneel", "both knees": "both knees", "lie": "back", "squat": "squat"}
-"""How somebody is after an action (`Stance`)."""
-_ROUND = frozenset(("spin", "circle"))
-"""Actions of who turns all the way round."""
+"""The `Stance` after an action."""
 
 
 def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
     """A prompt as a sentence: what is done one after the other, each with its time.
 
     Args:
-        prompt: In English or a language of `language.words`; several sentences in a row with their seconds
+        prompt: In English or a language of `word_table.LANGUAGES`; several sentences in a row with their seconds
             ("walks:4; jumps:2; waves:3").
         seconds: What parts without seconds of their own share [s], at least 0.5.
         force: Take it even where no movement in it is understood.
@@ -63,43 +46,48 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
     """
     if not isinstance(prompt, str):
         raise OptionError("the prompt must be a sentence")
-    timed = timed_sequence(parse_sequence(narrow(prompt)), seconds)
-    parts = [(check_understood(part, force), length) for part, length in timed]
-    clauses = [
-        clause for found, length in parts for clause in handed_on(timed_clauses(as_parsed(found.english), length))
+    timed = [
+        (check_understood(part, force), length)
+        for part, length in timed_sequence(parse_sequence(narrow(prompt)), seconds)
     ]
-    clauses = list(zip(with_names([text for text, _ in clauses]), [length for _, length in clauses], strict=True))
-    found = [part for part, _ in parts]
-    read = [clause_of(as_caption(as_present(text)), length) for text, length in clauses]
-    loop = any("loop" in said_traits(part.prompt) for part in found)
-    notes = [note for part in found for note in part.notes]
+    parts = [part for part, _ in timed]
+    clauses = [
+        clause
+        for part, length in timed
+        for clause in split.handed_on(split.timed_clauses(split.as_parsed(part.english), length))
+    ]
+    texts = with_names([text for text, _ in clauses])
+    frames = [
+        clause_of(split.as_caption(split.as_present(text)), length)
+        for text, (_, length) in zip(texts, clauses, strict=True)
+    ]
+    loop = any("loop" in said_traits(part.prompt) for part in parts)
+    notes = [note for part in parts for note in part.notes]
     return Sentence(
         prompt,
-        "; ".join(part.english for part in found),
-        found[0].language,
-        tuple(_with_stances(read)),
-        tuple(word for part in found for word in part.unknown),
-        tuple(pair for part in found for pair in part.corrected),
+        "; ".join(part.english for part in parts),
+        parts[0].language,
+        tuple(_with_stances(frames)),
+        tuple(word for part in parts for word in part.unknown),
+        tuple(pair for part in parts for pair in part.corrected),
         (*notes, "it asks for a loop: add --loop (loop=True in Python)") if loop else tuple(notes),
         loop=loop,
     )
 
 
 def _with_stances(clauses: Iterable[Clause]) -> Iterator[Clause]:
-    """Clauses in a row in which arms and head are moved as somebody is by then: who has sat down claps sitting."""
+    """Clauses in a row with the stance that the body has by then: after "sits down" it claps sitting."""
     stance: Stance | None = None
     for clause in clauses:
-        told = clause.told
-        if isinstance(told, Posing):
-            if told.stance is None and stance is not None:
-                clause = replace(clause, told=replace(told, stance=stance))
-            stance = (told.stance or stance or Stance())._replace(goes=False)
+        detail = clause.detail
+        if isinstance(detail, Posing):
+            if detail.stance is None and stance is not None:
+                clause = replace(clause, detail=replace(detail, stance=stance))
+            stance = (detail.stance or stance or Stance())._replace(goes=False)
         elif clause.actions:
             down = next((_STANCES[action] for action in reversed(clause.actions) if action in _STANCES), "")
-            stays = stance is not None and all(
-                lexicon().actions[one].part not in ("", "legs") for one in clause.actions
-            )
-            if stays and not down:
+            of_legs = any(lexicon().actions[action].part in ("", "legs") for action in clause.actions)
+            if stance is not None and not down and not of_legs:
                 clause = replace(clause, stance=stance)
             else:
                 stance = Stance(down) if down and "gets up" not in clause.traits else None
@@ -116,57 +104,49 @@ def clauses_of(script: Iterable[tuple[str, float]]) -> tuple[Clause, ...]:
 
 
 def clause_of(text: str, seconds: float = 0.0) -> Clause:
-    """One clause in its fields.
+    """The frame of one clause: what its text asks for, in fields. All that is read of a clause is read here.
 
     Args:
         text: In English.
         seconds: How long it lasts [s].
     """
-    posing, subject = limbs_described(text), subject_of(text)[0]
+    posing, subject = split.limbs_described(text), subject_of(text)[0]
     if posing is not None:
         whole = _clause(text, seconds)
         body = _clause(with_subject(posing.rest, subject), seconds) if posing.rest else None
-        if body is not None and not (says_more(whole.told) and body.told != whole.told):
-            return replace(whole, voices=(body, _limbs(posing, subject, seconds)))
+        if body is not None and not (says_more(whole.detail) and body.detail != whole.detail):
+            limbs = _clause(with_subject(posing.text, subject), seconds)
+            part = " and ".join(posing.parts)
+            return replace(whole, voices=(body, replace(limbs, detail=replace(posing, rest=""), part=part)))
         # limbs may be how a thing is met: "stands at a cliff and looks down"
-        things = body is not None or any(one.at in ("floor", "chair") for one in posing.targets)
-        return whole if things and says_more(whole.told) else replace(whole, told=posing)
-    voices = tuple(_clause(voice, seconds) for voice in split_voices(text))
-    parts = [] if voices else parts_of(text)
-    if not parts or seconds / len(parts) < SHORTEST_CLAUSE:
+        things = body is not None or any(target.at in ("floor", "chair") for target in posing.targets)
+        return whole if things and says_more(whole.detail) else replace(whole, detail=posing)
+    voices = tuple(_clause(voice, seconds) for voice in split.split_voices(text))
+    parts = [] if voices else split.parts_of(text)
+    if not parts or seconds / len(parts) < split.SHORTEST_CLAUSE:
         return _clause(text, seconds, voices)
-    return _clause(text, seconds, (), tuple(map(clause_of, parts, shared(parts, seconds))))
+    return _clause(text, seconds, (), tuple(map(clause_of, parts, split.shared(parts, seconds))))
 
 
 def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = (), parts: tuple[Clause, ...] = ()) -> Clause:
-    person, (subject, predicate) = of_person(text), subject_of(text)
+    person, (subject, predicate) = split.of_person(text), subject_of(text)
     cues, traits, actions = said_cues(person), said_traits(person), actions_of(person)
+    sided = {"left turn", "right turn", "left go", "right go"} & cues
+    straight = ("forward" in cues or "goes on" in traits) and not sided and "winding" not in traits
     return Clause(
-        text, seconds, subject, person, actions, moved_part(text), locomotion_of(predicate), cues, traits,
-        _turn(cues, traits, actions), _goes_straight(cues, traits), count_of(person), added_words(predicate, actions),
+        text, seconds, subject, person, actions, split.moved_part(text), locomotion_of(predicate), cues, traits,
+        _turn(cues, traits, actions), straight, count_of(person), added_words(predicate, actions),
         interaction_of(person), voices=voices, parts=parts,
     )  # fmt: skip
 
 
-def _limbs(posing: Posing, subject: str, seconds: float) -> Clause:
-    """What limbs do meanwhile as a clause of its own."""
-    said = _clause(with_subject(posing.text, subject), seconds)
-    return replace(said, told=replace(posing, rest=""), part=" and ".join(posing.parts))
-
-
-def _goes_straight(cues: frozenset[str], traits: frozenset[str]) -> bool:
-    """Whether somebody goes forward or on, with nothing of a turn, a curve or a side."""
-    sided = {"left turn", "right turn", "left go", "right go"} & cues
-    return ("forward" in cues or "goes on" in traits) and not sided and "winding" not in traits
-
-
 def _turn(cues: frozenset[str], traits: frozenset[str], actions: tuple[str, ...]) -> Turn | None:
-    """How far somebody turns; None where nothing of the kind is said, or both sides are, or only the head does."""
+    """How far the body turns; None where nothing of the kind is said, or both sides are, or only the head does."""
     side = int("left turn" in cues) - int("right turn" in cues)
     if {"left turn", "right turn"} <= cues:
         return None
     turns = "turns" in traits and {"half", "full", "quarter"} & cues
-    if not side and not turns and not ("full" in cues and _ROUND.intersection(actions)):
+    if not side and not turns and not ("full" in cues and {"spin", "circle"}.intersection(actions)):
         return None
     least, most = 50.0, 130.0
     if "all round" in traits:
@@ -180,9 +160,6 @@ def _turn(cues: frozenset[str], traits: frozenset[str], actions: tuple[str, ...]
 
 KINDS = ("person", "two legs", "four legs", "many legs", "no legs", "snake", "fish")
 """What bodies stand and move with: arms and two legs, legs alone, none; a long tail on the ground, one in water."""
-
-
-_NO_LEGS = "'{clause}' moves legs, and none are found on this body; it {instead} instead"
 INSTEAD = {"snake": "slithers", "fish": "swims", "no legs": "glides, bends and bobs"}
 """What bodies without legs do where a sentence says walk."""
 
@@ -194,12 +171,12 @@ def for_body(sentence: Sentence, kind: str, parts: Collection[str] = (), as_peop
     the network lets a dog walk on two legs.
 
     Args:
-        sentence: From `parse.parse`.
+        sentence: From `parse`.
         kind: One of `KINDS`.
         parts: What the body has of "arms", "forelegs" (arms that it stands on) and "wings".
         as_people: Whether it moves as people do.
     """
-    clauses = tuple(_done(clause, kind, "wings" in parts, as_people) for clause in sentence.clauses)
+    clauses = tuple(_for_body(clause, kind, "wings" in parts, as_people) for clause in sentence.clauses)
     cannot = dict.fromkeys(note for clause in sentence.clauses if (note := _in_vain(clause, kind, parts)))
     return replace(sentence, clauses=clauses, cannot=tuple(cannot))
 
@@ -208,7 +185,7 @@ def _row(locomotion: str, kind: str) -> Otherwise | None:
     return next((row for row in lexicon().otherwise if locomotion in row.locomotion and kind in row.bodies), None)
 
 
-def _done(clause: Clause, kind: str, wings: bool, as_people: bool) -> Clause:
+def _for_body(clause: Clause, kind: str, wings: bool, as_people: bool) -> Clause:
     """What a body does in place of a clause."""
     row = _row(clause.locomotion, kind)
     moves = row.moves if row else "fly" if clause.locomotion == "fly" and wings else ""
@@ -219,50 +196,44 @@ def _done(clause: Clause, kind: str, wings: bool, as_people: bool) -> Clause:
         said = clause_of(head + said_otherwise(predicate, row.verb), clause.seconds)
     ground = _on_ground(said)
     text = said.text
-    if moves == "fly":
-        text = _of_bird(text)
+    if moves == "fly":  # the one flight that the network knows is a bird's
+        subject, rest = subject_of(text)
+        text = f"a bird {rest}" if subject else with_subject(text, "a bird")
     elif not as_people:
-        text = _of_kind(said)
+        text = _of_creature(said)
     if text != said.text:
         said = clause_of(text, clause.seconds)
     return replace(said, moves=moves or ("lie" if ground and kind == "snake" else ground))
 
 
 def _on_ground(clause: Clause) -> str:
-    """How a clause says to be on the ground: "step" with a foot always on it, as in a walk, "run" for who leaves it
-    shortly, "stay" for as long as a jump lasts, and "" where it says of leaving it for longer: in the air or in water,
-    on a ladder, on the hands, on a seat.
+    """How a clause is done on the ground: "step" with a foot always on it, as in a walk, "run" with short flights,
+    "stay" with those of a jump, and "" where it leaves the ground for longer: in the air or in water, on a ladder, on
+    the hands, on a seat.
     """
     if clause.locomotion in ("fly", "swim") or "off the ground" in clause.traits:
         return ""
     return "stay" if "leaps" in clause.traits else lexicon().ground.get(clause.locomotion, "stay")
 
 
-def _of_kind(clause: Clause) -> str:
-    """A clause said of a creature, and one of walking or running of "it", whichever is named: the network has seen few
-    kinds walk, and a rat or a frog that is named hardly stirs. Who only goes goes forward: told "it trots" and no more,
-    a wolf, a cow and a horse fell down.
+def _of_creature(clause: Clause) -> str:
+    """A clause about a creature, and one of walking or running about "it", whichever creature is named: the network has
+    seen few kinds walk, and a rat or a frog that is named hardly stirs. A bare verb gets "forward": conditioned on "it
+    trots" alone, a wolf, a cow and a horse fell down.
     """
     if clause.locomotion not in ("walk", "run"):
-        return of_creature(clause.text)
+        return split.of_creature(clause.text)
     subject, rest = subject_of(clause.text)
     said = f"{rest} forward" if all(word.endswith("ly") for word in rest.split()[1:]) else rest
-    return f"it {said}" if subject else of_creature(said)
-
-
-def _of_bird(text: str) -> str:
-    """A clause of flight said of a bird: the one flight that the network knows, whoever has the wings."""
-    subject, rest = subject_of(text)
-    return f"a bird {rest}" if subject else with_subject(text, "a bird")
+    return f"it {said}" if subject else split.of_creature(said)
 
 
 def _in_vain(clause: Clause, kind: str, parts: Collection[str]) -> str:
     """What a clause requests that a body cannot do; "" for nothing."""
-    instead = INSTEAD.get(kind)
-    if instead and (clause.part == "legs" or clause.locomotion in ("walk", "run")):
-        return _NO_LEGS.format(clause=clause.text, instead=instead)
     row, note = _row(clause.locomotion, kind), ""
-    if clause.part == "arms" and "forelegs" in parts:
+    if kind in INSTEAD and (clause.part == "legs" or clause.locomotion in ("walk", "run")):
+        note = f"'{{clause}}' moves legs, and none are found on this body; it {INSTEAD[kind]} instead"
+    elif clause.part == "arms" and "forelegs" in parts:
         note = "'{clause}' moves arms, and this body stands on them; it lifts a foreleg shortly, if at all"
     elif clause.part == "arms" and not {"arms", "wings"} & set(parts):
         note = "'{clause}' moves arms, and none are found on this body; its trunk and head move instead"

@@ -1,5 +1,5 @@
-"""What readers of clauses share: where a verb stands, which hand or part of the body a clause names, how often
-something is done, and which of its words are not understood.
+"""What the readers of a clause share: where its verbs stand, which hand or part of the body it names, how often it is
+done, and what its words add.
 """
 
 from __future__ import annotations
@@ -12,25 +12,14 @@ from bunraku.language.vocabulary import FUNCTION_WORDS, action_stems, caption_st
 from bunraku.language.word_table import table
 
 __all__ = [
-    "added_words",
-    "body_stems",
-    "count_of",
-    "does_else",
-    "named_hands",
-    "names_a_thing",
-    "object_of",
-    "stems_of",
-    "tells_all",
-    "unseen_word",
-    "verbs_in",
-    "way_in",
-    "zone_of",
-]
+    "added_words", "body_stems", "count_of", "does_else", "named_hands", "names_a_thing", "object_of", "tells_all",
+    "unseen_word", "verbs_in", "way_in", "zone_of",
+]  # fmt: skip
 
 
 def verbs_in(words: Sequence[str], verbs: Mapping[str, str]) -> list[tuple[int, str]]:
-    """The numbers of the words that are verbs of a table, and what each says. After "the" and "from" no verb stands,
-    and what is a noun to the lexicon is a verb where something follows that it has: "hands a letter".
+    """The numbers of the words that are verbs of a table, and what each says. No verb stands after "the" and "from"; a
+    noun of the lexicon is a verb if an object follows: "hands a letter".
     """
     table = lexicon()
     before = table.grammar["before names"] | table.grammar["determiners"]
@@ -73,19 +62,19 @@ def names_a_thing(words: Sequence[str], some: range) -> bool:
 
 def does_else(text: str, verb: int, zone: range) -> bool:
     """Whether a clause says an action beside a verb and what belongs to it; standing is none. A gesture that is said
-    there is one, too: who cleans the floor with a mop sweeps.
+    there is one, too: to clean the floor with a mop is to sweep.
 
     Args:
         text: In English.
         verb: The number of the word that is the verb.
         zone: Those that belong to it.
     """
-    rows, starts = lexicon().actions, said_phrases(text)["actions"]
-    others = [action for action in actions_of(text) if starts[action] != verb]
-    return any(
-        (rows[action].gesture or not verb < starts[action] < zone.stop) and not (rows[action].vague or action == "idle")
-        for action in others
-    )
+    starts = said_phrases(text)["actions"]
+    for action in actions_of(text):
+        row, inside = lexicon().actions[action], verb < starts[action] < zone.stop
+        if starts[action] != verb and (row.gesture or not inside) and not (row.vague or action == "idle"):
+            return True
+    return False
 
 
 def named_hands(words: Sequence[str]) -> str:
@@ -112,9 +101,8 @@ def way_in(words: Sequence[str], zone: range) -> str:
 
 MOST = 99
 """How often something is done at the most."""
-_TIMES = frozenset(("time", "times"))
 _OBJECT = 3
-"""Words after a verb that says where a part of the body is among which the part is; that is what they add."""
+"""Words after a verb that says where a part of the body is among which the part is."""
 _LIMBS = {"arms": ("arm", "hand"), "legs": ("leg", "foot"), "head": ("head",)}
 """Words for the limbs of a part of the body."""
 
@@ -129,7 +117,7 @@ def count_of(text: str) -> int | None:
         count = numbers.get(word) or (int(word) if word.isdecimal() and len(word) <= 2 else 0)
         if not 0 < count <= MOST:
             continue
-        if word in lexicon().grammar["adverbs"] or (at + 1 < len(words) and words[at + 1] in _TIMES):
+        if word in lexicon().grammar["adverbs"] or (at + 1 < len(words) and words[at + 1] in ("time", "times")):
             return count
         if at and {at + 1, at + 2} & starts:
             return count
@@ -145,7 +133,7 @@ def body_stems() -> frozenset[str]:
 
 
 @functools.lru_cache(maxsize=1024)
-def stems_of(texts: tuple[str, ...]) -> frozenset[str]:
+def _stems_of(texts: tuple[str, ...]) -> frozenset[str]:
     """Stems of all words of some sentences."""
     return frozenset(stems(word for text in texts for word in words_of(text)[0]))
 
@@ -163,8 +151,8 @@ def _own(action: str) -> frozenset[str]:
 
 @functools.lru_cache(maxsize=64)
 def _limbs(action: str) -> frozenset[str]:
-    """Stems of the words for the limbs that a gesture moves, and for the arms of who does anything with them; how other
-    actions hold them is a pose of its own.
+    """Stems of the words for the limbs that a gesture moves, and for arms that do anything; how other actions hold them
+    is a pose of its own.
     """
     row = lexicon().actions[action]
     moved = [words for part, words in _LIMBS.items() if part in row.part and (row.gesture or part == "arms")]
@@ -181,7 +169,7 @@ def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:
     """
     own, limbs = (frozenset[str]().union(*map(find, actions)) for find in (_own, _limbs))
     if any(lexicon().actions[action].gesture for action in actions):
-        own |= _own("idle")  # who makes a gesture stands, said or not
+        own |= _own("idle")  # a gesture is made standing, said or not
     verbs = action_stems()
     found = []
     words = words_of(text)[0]
@@ -205,7 +193,7 @@ def unseen_word(text: str, action: str) -> str:
     """
     said = [word for word in words_of(text)[0] if word.isalpha() and word not in FUNCTION_WORDS]
     said = [word for word in said if stem(word) in _own(action)]
-    named = stems_of((action,))
+    named = _stems_of((action,))
     if any(stem(word) in named or stem(word) in caption_stems() for word in said):
         return ""
     return said[0] if said else ""
@@ -213,4 +201,4 @@ def unseen_word(text: str, action: str) -> str:
 
 def tells_all(added: Collection[str], texts: tuple[str, ...]) -> bool:
     """Whether all of the words that a clause adds are among those of some sentences."""
-    return all(stem(word) in stems_of(texts) for word in added)
+    return all(stem(word) in _stems_of(texts) for word in added)

@@ -1,5 +1,5 @@
-"""What a clause says limbs do: how the body is (stands, sits, kneels, lies, squats), which limbs go where, what else
-goes on meanwhile, and the manner in which a gesture is made.
+"""What a clause says limbs do: the stance of the body, which limbs go where, what else goes on meanwhile, and how a
+gesture is made.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from bunraku.language.lexicon import Action, actions_of, lexicon, said_phrases, words_of
+from bunraku.language.lexicon import actions_of, lexicon, said_phrases, words_of
 from bunraku.language.limb_phrases import LIMBS, OTHER, Phrase, Target, participle, phrases_of, segments_of, targets_of
 
 __all__ = ["AS_USUAL", "Manner", "Posing", "Stance", "Step", "posing_of"]
@@ -19,65 +19,41 @@ __all__ = ["AS_USUAL", "Manner", "Posing", "Stance", "Step", "posing_of"]
 
 _LEGS = frozenset(("leg", "knee", "heel"))
 _LOW = frozenset(("knee", "leg", "heel", "floor", "buttocks"))
-"""Places that hands reach with the help of all of the body."""
+"""Places that hands reach with the help of the whole body."""
 _POSTURES = frozenset(("lean", "bend", "tilt", "stretch", "spread", "cross", "clasp", "hang"))
-"""Verbs of which "-ing" beside something else says how somebody is held."""
-_PLAIN = frozenset(("walk", "run"))
-"""Actions that a manner changes; others have their own."""
+"""Verbs of which "-ing" beside something else says a posture."""
 _PARTS = {"head": "head", "trunk": "upper body", "shoulders": "arms"}
-_GOES_ON = frozenset(("and", "then", "comma"))
 
 
 class Step(NamedTuple):
-    """What limbs do at a time.
+    """What limbs do at a time."""
 
-    Args:
-        targets: Where they go.
-        stays: They are held there.
-        again: They go there and back again and again.
-        alternately: First the one of the left, then that of the right side.
-        besides: What limbs did before is kept meanwhile.
-    """
-
-    targets: tuple[Target, ...]
-    stays: bool = False
-    again: bool = False
-    alternately: bool = False
-    besides: bool = False
+    targets: tuple[Target, ...]  # where they go
+    stays: bool = False  # they are held there
+    again: bool = False  # they go there and back again and again
+    alternately: bool = False  # first the one of the left, then that of the right side
+    besides: bool = False  # what limbs did before is kept meanwhile
 
 
 class Stance(NamedTuple):
-    """How somebody is.
+    """How the body stands, sits, kneels or lies."""
 
-    Args:
-        name: "stand", "chair", "seat" of who sits anywhere, "floor", "crossed" (who sits there with crossed legs),
-            "kneel", "both knees", "squat", "back" or "belly" (who lies).
-        side: That of the knee that is down; "" for either.
-        goes: It is said that somebody goes down to it.
-    """
-
+    # "stand", "chair", "seat" (sits anywhere), "floor", "crossed" (sits there with crossed legs), "kneel", "both
+    # knees", "squat", "back" or "belly" (lies on it)
     name: str = "stand"
-    side: str = ""
-    goes: bool = False
+    side: str = ""  # that of the knee that is down; "" for either
+    goes: bool = False  # the clause says that the body goes down to it
 
 
 @dataclass(frozen=True)
 class Posing:
-    """What a clause says limbs do.
+    """What a clause says limbs do."""
 
-    Args:
-        stance: How somebody is; None where nothing is said of it.
-        held: Where limbs are all the time.
-        steps: What they do, one after the other.
-        rest: What goes on meanwhile, as the words stand there; "" for nothing.
-        text: The words of the limbs.
-    """
-
-    stance: Stance | None
-    held: tuple[Target, ...]
-    steps: tuple[Step, ...]
-    rest: str = ""
-    text: str = ""
+    stance: Stance | None  # of the body; None where nothing is said of it
+    held: tuple[Target, ...]  # where limbs are all the time
+    steps: tuple[Step, ...]  # what they do, one after the other
+    rest: str = ""  # what goes on meanwhile, as the words stand there; "" for nothing
+    text: str = ""  # the words of the limbs
 
     @property
     def bare(self) -> Posing:
@@ -88,8 +64,8 @@ class Posing:
     def mirrored(self) -> Posing:
         """The same with left and right exchanged."""
         stance = self.stance and self.stance._replace(side=OTHER.get(self.stance.side, self.stance.side))
-        steps = tuple([step._replace(targets=tuple([one.mirrored for one in step.targets])) for step in self.steps])
-        return replace(self, stance=stance, held=tuple([one.mirrored for one in self.held]), steps=steps)
+        steps = tuple(step._replace(targets=tuple(one.mirrored for one in step.targets)) for step in self.steps)
+        return replace(self, stance=stance, held=tuple(one.mirrored for one in self.held), steps=steps)
 
     @property
     def targets(self) -> tuple[Target, ...]:
@@ -98,11 +74,11 @@ class Posing:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Parts of the body that are told (`body.parts.PARTS`)."""
+        """Parts of the body that are named (`body.layout.PARTS`)."""
         found: dict[str, None] = {}
-        for one in self.targets:
-            arm = f"{one.side} arm" if one.side in OTHER else "arms"
-            found[arm if one.limb in ("arm", "elbow") else _PARTS.get(one.limb, "lower body")] = None
+        for target in self.targets:
+            arm = f"{target.side} arm" if target.side in OTHER else "arms"
+            found[arm if target.limb in ("arm", "elbow") else _PARTS.get(target.limb, "lower body")] = None
         return tuple(found)
 
 
@@ -111,37 +87,40 @@ def posing_of(predicate: str) -> Posing | None:
     """What a clause says limbs do; None where it says nothing of that, or something that needs the same limbs besides.
 
     Args:
-        predicate: In English, without who does it.
+        predicate: In English, without its subject.
     """
     words, spans = words_of(predicate)
     phrases = phrases_of(words)
     segments = segments_of(phrases)
-    reader, left, told = _Reader(), list[tuple[str, list[Phrase]]](), list[list[Phrase]]()
+    reader = _Reader()
+    unread, read = list[list[Phrase]](), list[list[Phrase]]()
+    joins: list[str] = []  # of what is not read
     open_limbs: list[Phrase] = []
-    unread: list[Phrase] | None = None
-    for number, (join, own) in enumerate(segments):
-        some, open_limbs = [*open_limbs, *own], []
+    goes_on = False
+    for number, (join, segment) in enumerate(segments):
+        whole, open_limbs = [*open_limbs, *segment], []
         following, after = segments[number + 1] if number + 1 < len(segments) else ("", [])
         shared = following == "and" and (after[0].kind != "does" or participle(after[0]))
-        if shared and {one.kind for one in own} <= {"part", "side"}:
-            open_limbs = some  # "the arms and the legs spread"
-        elif reader.read(join, some):
-            told.append(some)
-            unread = None
-        elif join == "with" and unread is not None:
-            unread.extend(some)  # "kicks with the right leg"
+        if shared and {phrase.kind for phrase in segment} <= {"part", "side"}:
+            open_limbs = whole  # "the arms and the legs spread"
+        elif reader.read(join, whole):
+            read.append(whole)
+            goes_on = False
+        elif join == "with" and goes_on:
+            unread[-1].extend(whole)  # "kicks with the right leg"
         else:
-            left.append((join, some))
-            unread = some
+            unread.append(whole)
+            joins.append(join)
+            goes_on = True
     reader.cross_legs()
-    if reader.manners and _PLAIN.issuperset(actions_of(_text(predicate, spans, [some for _, some in left], {}))):
-        reader.held += reader.manners
+    if reader.manners and {"walk", "run"}.issuperset(actions_of(_text(predicate, spans, unread, {}))):
+        reader.held += reader.manners  # other actions have a manner of their own
     if not (reader.held or reader.steps) or open_limbs:
         return None
-    begins = {one.start: before.stop for before, one in itertools.pairwise(phrases)}
-    rest, text = (_text(predicate, spans, some, begins) for some in ([some for _, some in left], told))
+    begins = {phrase.start: before.stop for before, phrase in itertools.pairwise(phrases)}
+    rest, text = (_text(predicate, spans, parts, begins) for parts in (unread, read))
     found = Posing(reader.stance, tuple(reader.held), tuple(reader.steps), rest, text)
-    at_once = len(left) == 1 and left[0][0] != "with" and all(join != "then" for join, _ in segments)
+    at_once = len(unread) == 1 and joins != ["with"] and all(join != "then" for join, _ in segments)
     return found if not rest or (at_once and _free(rest, found)) else None
 
 
@@ -157,10 +136,10 @@ class _Reader:
         self.manners: list[Target] = []
 
     def read(self, join: str, phrases: Sequence[Phrase]) -> bool:
-        """Whether some phrases are of limbs, or of how somebody is; then they are read."""
-        kinds = {one.kind for one in phrases}
-        for one in phrases:
-            if one.kind == "manner" and (meant := posing_of(one.value)) is not None:
+        """Whether some phrases are of limbs, or of a stance; then they are read."""
+        kinds = {phrase.kind for phrase in phrases}
+        for phrase in phrases:
+            if phrase.kind == "manner" and (meant := posing_of(phrase.value)) is not None:
                 self.manners += meant.targets
         if "other" in kinds or kinds <= {"manner", "amount"}:
             return "other" not in kinds
@@ -171,24 +150,22 @@ class _Reader:
         return self._limbs(join, phrases, kinds)
 
     def cross_legs(self) -> None:
-        """Who sits, on no chair, and crosses the legs sits on the floor, cross-legged."""
-        targets = [*self.held, *(one for step in self.steps for one in step.targets)]
-        crosses = any(one.limb == "leg" and "crossed" in one.ways for one in targets)
+        """A body that sits, on no chair, with crossed legs sits on the floor, cross-legged."""
+        targets = [*self.held, *(target for step in self.steps for target in step.targets)]
+        crosses = any(target.limb == "leg" and "crossed" in target.ways for target in targets)
         if self.stance is None or self.stance.name not in ("seat", "floor") or not crosses:
             return
         self.stance = self.stance._replace(name="crossed")
-        self.held = [one for one in self.held if one.limb != "leg"]
-        left = [step._replace(targets=tuple([one for one in step.targets if one.limb != "leg"])) for step in self.steps]
-        self.steps = [step for step in left if step.targets]
+        self.held = [target for target in self.held if target.limb != "leg"]
+        left = [[target for target in step.targets if target.limb != "leg"] for step in self.steps]
+        self.steps = [step._replace(targets=tuple(some)) for step, some in zip(self.steps, left, strict=True) if some]
 
     def _stance(self, join: str, phrases: Sequence[Phrase]) -> bool:
         verb = next(one for one in phrases if one.kind == "stance").value
         parts = {one.value: one.words[-1] for one in phrases if one.kind == "part"}
         sides = [one.value for one in phrases if one.kind == "side"]
         ways = {one.value for one in phrases if one.kind == "way"}
-        if "up" in ways or self.stance is not None:
-            return False
-        if self.steps and join != "while":
+        if "up" in ways or self.stance is not None or (self.steps and join != "while"):
             return False
         side = next((one for one in sides if one in OTHER), "")
         if verb == "stand" and "leg" in parts and parts["leg"] in ("leg", "foot"):
@@ -222,12 +199,11 @@ class _Reader:
 
     def _limbs(self, join: str, phrases: Sequence[Phrase], kinds: AbstractSet[str]) -> bool:
         verbs = [one for one in phrases if one.kind == "does"]
-        goes_on = join in _GOES_ON and not (join == "comma" and "part" in kinds)
+        goes_on = join in ("and", "then", "comma") and not (join == "comma" and "part" in kinds)
         inherits = goes_on and (self.mode == "step" or not kinds & {"way", "level", "by"})
         verb = self.verb if inherits else ""
         if verbs:  # "lowers the raised arm", "keeps the arms stretched"
-            told = [one.value for one in verbs if not participle(one) and one.value != "hold"]
-            verb = told[0] if told else verbs[-1].value
+            verb = next((one.value for one in verbs if not participle(one) and one.value != "hold"), verbs[-1].value)
         if join == "with" and kinds <= {"part", "side"}:
             return self._by_hand(phrases)
         if verb == "hold" and verbs and self.steps and "part" not in kinds:
@@ -259,14 +235,14 @@ class _Reader:
         hands = all(LIMBS.get(one.value, "side") == "arm" for one in phrases if one.kind == "part")
         if not (hands and side and self.last) or any(one.limb in ("trunk", "hips", "shoulders") for one in self.last):
             return False
-        told = tuple([one._replace(side=side) if one.limb == "arm" else one for one in self.last])
-        if not any(one.limb == "arm" for one in told):
-            told = _held_by(told[0], side)
+        targets = tuple(one._replace(side=side) if one.limb == "arm" else one for one in self.last)
+        if not any(one.limb == "arm" for one in targets):
+            targets = _held_by(targets[0], side)
         if self.steps and self.steps[-1].targets == self.last:
-            self.steps[-1] = self.steps[-1]._replace(targets=told)
+            self.steps[-1] = self.steps[-1]._replace(targets=targets)
         else:
-            self.held = [*self.held[: len(self.held) - len(self.last)], *told]
-        self.last = told
+            self.held = [*self.held[: len(self.held) - len(self.last)], *targets]
+        self.last = targets
         return True
 
 
@@ -279,14 +255,13 @@ def _held_by(target: Target, side: str) -> tuple[Target, ...]:
 
 
 def _acts(join: str, phrases: Sequence[Phrase], verbs: Sequence[Phrase]) -> bool:
-    """Whether verbs say what somebody does, and not how he is: "leaning back" is a posture where it is joined to
-    something else, and so is a form that says nothing ("spread") after its limb.
+    """Whether verbs say a movement, not a posture: "leaning back" is a posture if it is joined to something else. So is
+    a form that says nothing ("spread") after its limb.
     """
     word, table = verbs[0].words[0], lexicon()
-    if any(one.value == "hold" for one in verbs):
+    pointing = word in table.gerund and phrases[0].kind in ("part", "side")  # "one arm pointing up"
+    if pointing or any(one.value == "hold" for one in verbs):
         return False
-    if word in table.gerund and phrases[0].kind in ("part", "side"):
-        return False  # "one arm pointing up"
     if word in table.gerund:
         return join in ("", "and", "then") or verbs[0].value not in _POSTURES
     return word in table.third or (word in table.verbs and join != "with" and phrases[0] is verbs[0])
@@ -301,22 +276,24 @@ def _text(
 
 
 def _free(rest: str, posing: Posing) -> bool:
-    """Whether who does something can pose limbs meanwhile: nobody does on legs what legs are told otherwise, and arms
-    that swing or are bent go with the legs of who walks.
+    """Whether the limbs are free to be posed during something else: it does not need them, and arms that swing or are
+    bent go with the legs of a walk.
     """
     if posing.stance is not None and posing.stance.name != "stand":
         return False
-    if any(one.limb in {*_LEGS, "hips"} and "still" not in one.ways for one in posing.targets):
-        return False
-    if any(one.at in _LOW or one.to & {"ahead", "back"} or _loose(one) for one in posing.targets):
-        return False
+    for one in posing.targets:
+        loose = one.limb in ("arm", "elbow") and one.ways <= {"bent", "straight"} and not (one.at or one.to)
+        moves_legs = one.limb in {*_LEGS, "hips"} and "still" not in one.ways
+        if loose or moves_legs or one.at in _LOW or one.to & {"ahead", "back"}:
+            return False
     if any(one.limb == "trunk" for step in posing.steps for one in step.targets):
         return False
     rows = [lexicon().actions[action] for action in actions_of(rest)]
     arms = [part for part in posing.parts if part.endswith(("arm", "arms"))]  # they go along with a trunk
     spared = arms and all(part in ("left arm", "right arm") and _spares(rest, part) for part in arms)
     for row in rows:
-        on_foot = _on_foot(row) or any(lexicon().actions[one].locomotion in ("walk", "run") for one in row.covers)
+        on_foot = bool(row.locomotion) or row.part == "legs" or row.turning or row.ahead
+        on_foot = on_foot or any(lexicon().actions[one].locomotion in ("walk", "run") for one in row.covers)
         busy = "arms" in row.part and not spared if arms else row.part == "head" and "head" in posing.parts
         turns = row.alone and not posing.steps
         if busy or not (on_foot or turns or row.part or posing.parts == ("head",)):
@@ -330,33 +307,15 @@ def _spares(rest: str, arm: str) -> bool:
     return OTHER[side] in words and side not in words and "both arms" not in said_phrases(rest)["cues"]
 
 
-def _loose(target: Target) -> bool:
-    """Whether an arm is only said to be bent or straight."""
-    return target.limb in ("arm", "elbow") and target.ways <= {"bent", "straight"} and not (target.at or target.to)
-
-
-def _on_foot(row: Action) -> bool:
-    """Whether an action is one of the legs, whatever it does with the arms."""
-    return bool(row.locomotion) or row.part == "legs" or row.turning or row.ahead
-
-
 @dataclass(frozen=True)
 class Manner:
-    """What a sentence says of how a gesture is made.
+    """What a sentence says of how a gesture is made."""
 
-    Args:
-        count: How often; None where it says nothing of that.
-        pace: Factor of its tempo.
-        closed: It is a loop, whose last frame is followed by the first.
-        lasts: Who does it goes somewhere, for all of its time, and does not stand before or after.
-        stance: How somebody is who makes it; None for who stands, or goes where it says.
-    """
-
-    count: int | None = None
-    pace: float = 1.0
-    closed: bool = False
-    lasts: bool = False
-    stance: Stance | None = None
+    count: int | None = None  # how often; None where it says nothing of that
+    pace: float = 1.0  # factor of its tempo
+    closed: bool = False  # it is a loop, whose last frame is followed by the first
+    lasts: bool = False  # the body goes somewhere all the time, and does not stand before or after
+    stance: Stance | None = None  # of the body; None for one that stands, or goes where the gesture says
 
 
 AS_USUAL = Manner()

@@ -15,89 +15,62 @@ from bunraku.language.posing import Posing, Stance
 __all__ = ["Clause", "Sentence", "Turn", "UnknownWord", "in_stretches"]
 
 SHORT = 0.5
-"""What is left of a clause that is shorter than this [s] is not parted from it."""
+"""A rest of a clause that is shorter than this stays with it [s]; chosen by eye."""
 
 
 @dataclass(frozen=True)
 class UnknownWord:
-    """A word that is not understood.
+    """A word that is not understood."""
 
-    Args:
-        word: As it stands in the sentence.
-        start: Of its first letter.
-        stop: After its last letter.
-    """
-
-    word: str
-    start: int
-    stop: int
+    word: str  # as it stands in the sentence
+    start: int  # of its first letter
+    stop: int  # after its last letter
 
 
 @dataclass(frozen=True)
 class Turn:
-    """How far a clause says that somebody turns.
+    """How far a clause says that the body turns."""
 
-    Args:
-        side: 1 to the left, -1 to the right, 0 for either.
-        least: The least angle [rad].
-        most: The most [rad].
-    """
-
-    side: int
-    least: float
-    most: float
+    side: int  # 1 to the left, -1 to the right, 0 for either
+    least: float  # the least angle [rad]
+    most: float  # the most [rad]
 
 
 @dataclass(frozen=True)
 class Clause:
-    """One thing that is done.
+    """One thing that is done."""
 
-    Args:
-        text: In English, what the text encoder reads.
-        seconds: How long it lasts [s].
-        subject: Who does it; "" where nobody is named.
-        person: The text as said of a person, in which captured examples and the ranker's vectors are looked up.
-        actions: What is done, in the lexicon's words, in the order in which it is said; none where nothing is known.
-        part: What the verb moves: "legs", "arms", "head", "arms and head", or "" for neither or all.
-        locomotion: The locomotion: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none of them.
-        cues: Sides, directions, turns, counts, speeds and postures (`cues.CUES`).
-        traits: What else it says, such as "sits down" or "chair" (the lexicon's table of that name).
-        turn: How far it turns; None where it says nothing of that.
-        straight: Whether somebody goes forward or on, with nothing of a turn, a curve or a side.
-        count: How often it is done; None where it says nothing of that.
-        added: Words for parts of the body and movements that it says beyond its actions.
-        told: What is done with a thing, follows from where somebody walks or looks, or is done by limbs, where that is
-            all that it says.
-        stance: How somebody is who does it, if that follows from what was said before.
-        moves: What the body of `for_body` then does: "fly", "swim" and "slither", or how it is on the ground: "step",
-            "run", "stay", "lie"; "" for neither.
-        voices: Where a movement of the legs is joined with a gesture, the one and the other; none otherwise.
-        parts: What it says one after the other if nobody does it all at once (`clauses.parts_of`); none where it says
-            one thing.
-    """
-
-    text: str
-    seconds: float = 0.0
-    subject: str = ""
-    person: str = ""
+    text: str  # in English, what the text encoder reads
+    seconds: float = 0.0  # how long it lasts [s]
+    subject: str = ""  # "" where none is named
+    person: str = ""  # the text as said of a person, in which captured examples and the ranker's vectors are looked up
+    # what is done, in the lexicon's words, in the order in which it is said; none where nothing is known
     actions: tuple[str, ...] = ()
-    part: str = ""
-    locomotion: str = ""
-    cues: frozenset[str] = frozenset()
+    part: str = ""  # what the verb moves: "legs", "arms", "head", "arms and head", or "" for neither or all
+    locomotion: str = ""  # the locomotion: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none of them
+    cues: frozenset[str] = frozenset()  # sides, directions, turns, counts, speeds and postures (`encoders.CUES`)
+    # what else it says, such as "sits down" or "chair" (the lexicon's table of that name)
     traits: frozenset[str] = frozenset()
-    turn: Turn | None = None
-    straight: bool = False
-    count: int | None = None
-    added: tuple[str, ...] = ()
-    told: Interaction | Posing | None = None
-    stance: Stance | None = None
+    turn: Turn | None = None  # how far the body turns; None where it says nothing of that
+    straight: bool = False  # whether it leads forward or on, with nothing of a turn, a curve or a side
+    count: int | None = None  # how often it is done; None where it says nothing of that
+    added: tuple[str, ...] = ()  # words for parts of the body and movements that it says beyond its actions
+    # what is done with a thing, follows from where a person walks or looks, or is done by limbs, where that is all
+    # that it says
+    detail: Interaction | Posing | None = None
+    stance: Stance | None = None  # of the body that does it, if that follows from what was said before
+    # what the body of `for_body` then does: "fly", "swim" and "slither", or how it is on the ground: "step", "run",
+    # "stay", "lie"; "" for neither
     moves: str = ""
+    # where a movement of the legs is joined with a gesture, the one and the other; none otherwise
     voices: tuple[Clause, ...] = field(default=())
+    # what it says one after the other if it cannot be done all at once (`clauses.parts_of`); none where it says one
+    # thing
     parts: tuple[Clause, ...] = field(default=())
 
     @property
     def body(self) -> Clause:
-        """What all of the body but a gesture does."""
+        """What is done beside the gesture."""
         return self.voices[0] if self.voices else self
 
     def lasting(self, seconds: float) -> Clause:
@@ -109,8 +82,8 @@ class Clause:
     @property
     def limbs_meanwhile(self) -> Posing | None:
         """What limbs do while something else goes on; None for nothing."""
-        told = None if self.meanwhile is None else self.meanwhile.told
-        return told if isinstance(told, Posing) else None
+        detail = None if self.meanwhile is None else self.meanwhile.detail
+        return detail if isinstance(detail, Posing) else None
 
     @property
     def meanwhile(self) -> Clause | None:
@@ -120,29 +93,17 @@ class Clause:
 
 @dataclass(frozen=True)
 class Sentence:
-    """A prompt that has been read.
+    """A prompt that has been read."""
 
-    Args:
-        prompt: As it was given.
-        english: What is read of it, in English.
-        language: "en", "de", "fr", "es", "ja" or "zh"; "" for a script that is not read.
-        clauses: What is done one after the other.
-        unknown: Words that are not understood.
-        corrected: Words taken for typing errors, and what is read in their place.
-        notes: What somebody who gave the prompt should know, one line each.
-        loop: Whether it asks for a loop: "walk cycle".
-        cannot: What a body cannot do of it, one line each (`for_body`).
-    """
-
-    prompt: str
-    english: str
-    language: str
-    clauses: tuple[Clause, ...]
-    unknown: tuple[UnknownWord, ...] = ()
-    corrected: tuple[tuple[str, str], ...] = ()
-    notes: tuple[str, ...] = ()
-    loop: bool = False
-    cannot: tuple[str, ...] = ()
+    prompt: str  # as it was given
+    english: str  # what is read of it, in English
+    language: str  # "en", "de", "fr", "es", "ja" or "zh"; "" for a script that is not read
+    clauses: tuple[Clause, ...]  # what is done one after the other
+    unknown: tuple[UnknownWord, ...] = ()  # words that are not understood
+    corrected: tuple[tuple[str, str], ...] = ()  # words taken for typing errors, and what is read in their place
+    notes: tuple[str, ...] = ()  # what the writer of the prompt should know, one line each
+    loop: bool = False  # whether it asks for a loop: "walk cycle"
+    cannot: tuple[str, ...] = ()  # what a body cannot do of it, one line each (`for_body`)
 
     @property
     def seconds(self) -> float:
@@ -151,15 +112,12 @@ class Sentence:
 
 
 def in_stretches(sentence: Sentence, longest: float) -> list[Sentence]:
-    """A sentence in stretches of about the same length, each at most so long [s]; one that is no longer stays whole.
-
-    Clauses are cut where a stretch ends.
-    """
+    """A sentence in stretches of about the same length, each at most `longest` seconds, which may cut clauses."""
     count = max(math.ceil(sentence.seconds / longest - 1e-9), 1)
-    share, out, start = sentence.seconds / count, [], 0.0
+    share, found = sentence.seconds / count, []
     left = [(clause, clause.seconds) for clause in sentence.clauses]
-    for _ in range(count):
-        room, own = share, []
+    for number in range(count):
+        room, clauses = share, []
         while left and room > 1e-6:
             clause, seconds = left.pop(0)
             taken = min(seconds, room)
@@ -167,9 +125,8 @@ def in_stretches(sentence: Sentence, longest: float) -> list[Sentence]:
                 left.insert(0, (clause, seconds - taken))
             else:
                 taken = seconds
-            own.append(clause.lasting(taken))
+            clauses.append(clause.lasting(taken))
             room -= taken
-        if own:
-            out.append(replace(sentence, clauses=tuple(own), notes=() if start else sentence.notes))
-        start += share
-    return out
+        if clauses:
+            found.append(replace(sentence, clauses=tuple(clauses), notes=() if number else sentence.notes))
+    return found

@@ -37,69 +37,42 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class Kind:
-    """Things that are alike to the hands.
+    """Things that are alike to the hands."""
 
-    Args:
-        name: Of it.
-        height: Where palms meet it, for a body of 1.84 m [m]; 0 for none.
-        head: Where its head is [m]; 0 for none.
-        surface: Which way what is touched faces: "top", "front", or "grip" for a bar or a handle ahead.
-        hands: By which it is taken: "both", "one", "" for either.
-        place: Things are put there, and taken from there.
-        deeds: What is done with it (`[deeds]` of `things.toml`) by what its verb says.
-        going: How a person walks with it (`[grounds]` there) by what a verb says.
-        kinds: Its own name, and those of the kinds that it is.
-    """
-
-    name: str
-    height: float = 0.0
-    head: float = 0.0
-    surface: str = "front"
-    hands: str = ""
-    place: bool = False
+    name: str  # Of it
+    height: float = 0.0  # where palms meet it, for a body of 1.84 m [m]; 0 for none
+    head: float = 0.0  # where its head is [m]; 0 for none
+    surface: str = "front"  # which way what is touched faces: "top", "front", or "grip" for a bar or a handle ahead
+    hands: str = ""  # by which it is taken: "both", "one", "" for either
+    place: bool = False  # things are put there, and taken from there
+    # what is done with it (`[deeds]` of `things.toml`) by what its verb says
     deeds: dict[str, str] = field(default_factory=dict)
+    # how a person walks with it (`[grounds]` there) by what a verb says
     going: dict[str, str] = field(default_factory=dict)
-    kinds: frozenset[str] = frozenset()
+    kinds: frozenset[str] = frozenset()  # its own name, and those of the kinds that it is
 
 
 class Gaze(NamedTuple):
-    """Where a thing is seen.
+    """Where a thing is seen."""
 
-    Args:
-        pitch: How far the gaze is down [degrees].
-        sweep: How far it goes to both sides [degrees].
-        lean: How far the trunk leans over it [degrees].
-    """
-
-    pitch: float = 0.0
-    sweep: float = 0.0
-    lean: float = 0.0
+    pitch: float = 0.0  # how far the gaze is down [degrees]
+    sweep: float = 0.0  # how far it goes to both sides [degrees]
+    lean: float = 0.0  # how far the trunk leans over it [degrees]
 
 
 class Ground(NamedTuple):
-    """A meaning of a word for what is walked on or in.
+    """A meaning of a word for what is walked on or in."""
 
-    Args:
-        name: Of `[grounds]` in `things.toml`.
-        after: Words that stand before it there.
-    """
-
-    name: str
-    after: frozenset[str]
+    name: str  # of `[grounds]` in `things.toml`
+    after: frozenset[str]  # words that stand before it there
 
 
 class Named(NamedTuple, Generic[Value]):
-    """A noun of a text.
+    """A noun of a text."""
 
-    Args:
-        start: The number of its first word.
-        stop: The number of the word after its last.
-        means: What it is.
-    """
-
-    start: int
-    stop: int
-    means: Value
+    start: int  # the number of its first word
+    stop: int  # the number of the word after its last
+    means: Value  # what it is
 
     @property
     def span(self) -> range:
@@ -109,37 +82,22 @@ class Named(NamedTuple, Generic[Value]):
 
 @dataclass(frozen=True)
 class Things:
-    """The tables, ready to be looked up.
+    """The tables, ready to be looked up."""
 
-    Args:
-        kinds: What each noun is, with its own height.
-        verbs: What each form of a verb says is done.
-        defaults: What is done where no thing is named.
-        parts: Parts of animals that are as high as their heads.
-        gazes: Where what a noun means is seen, the likeliest first, each with the name of the row.
-        unknown: What a thing is that no noun says.
-        level: Where such a thing is seen.
-        looks: All forms of verbs of looking, and whether what is seen follows without "at".
-        ways: Names of the rows of `gazes` that a word before a noun says.
-        grounds: What walking is like there.
-        walks: The word before a ground that each form of a verb of walking stands for; "-" for none.
-        verb_grounds: The ground that a form of a verb says alone: to wade is to be in water.
-        actions: Actions that are no more than walking or looking there, or handling a thing.
-    """
-
-    kinds: dict[str, Kind]
-    verbs: dict[str, str]
-    defaults: dict[str, str]
-    parts: frozenset[str]
+    kinds: dict[str, Kind]  # what each noun is, with its own height
+    verbs: dict[str, str]  # what each form of a verb says is done
+    defaults: dict[str, str]  # what is done where no thing is named
+    parts: frozenset[str]  # parts of animals that are as high as their heads
+    # where what a noun means is seen, the likeliest first, each with the name of the row
     gazes: dict[str, list[tuple[str, Gaze]]]
-    unknown: Kind
-    level: Gaze
-    looks: dict[str, bool]
-    ways: dict[str, list[str]]
-    grounds: dict[str, list[Ground]]
-    walks: dict[str, str]
-    verb_grounds: dict[str, str]
-    actions: dict[str, frozenset[str]]
+    unknown: Kind  # what a thing is that no noun says
+    level: Gaze  # where such a thing is seen
+    looks: dict[str, bool]  # all forms of verbs of looking, and whether what is seen follows without "at"
+    ways: dict[str, list[str]]  # names of the rows of `gazes` that a word before a noun says
+    grounds: dict[str, list[Ground]]  # what walking is like there
+    walks: dict[str, str]  # the word before a ground that each form of a verb of walking stands for; "-" for none
+    verb_grounds: dict[str, str]  # the ground that a form of a verb says alone: to wade is to be in water
+    actions: dict[str, frozenset[str]]  # actions that are no more than walking or looking there, or handling a thing
 
 
 @functools.cache
@@ -152,16 +110,16 @@ def things() -> Things:
     for name, row in data["kinds"].items():
         kinds[name] = kind = _kind(name, row, kinds.get(row.get("is", ""), Kind("")))
         for noun, _, height in (said.partition("=") for said in row.get("nouns", "").split()):
-            nouns[_spaced(noun)] = _as_high(kind, float(height)) if height else kind
+            nouns[noun.replace("_", " ")] = _as_high(kind, float(height)) if height else kind
     gazes: dict[str, list[tuple[str, Gaze]]] = {}
     for name, row in data["sights"].items():
         for noun, _, pitch in (said.partition("=") for said in row["nouns"].split()):
             seen = Gaze(float(pitch or row["pitch"]), row.get("sweep", 0.0), row.get("lean", 0.0))
-            gazes.setdefault(_spaced(noun), []).append((name, seen))
+            gazes.setdefault(noun.replace("_", " "), []).append((name, seen))
     grounds: dict[str, list[Ground]] = {}
     for name, row in data["grounds"].items():
         for noun in row["nouns"].split():
-            grounds.setdefault(_spaced(noun), []).append(Ground(name, frozenset(row["after"].split())))
+            grounds.setdefault(noun.replace("_", " "), []).append(Ground(name, frozenset(row["after"].split())))
     ways: dict[str, list[str]] = {}
     for name, said in data["sight words"].items():
         for word in said.split():
@@ -178,10 +136,6 @@ def things() -> Things:
         Gaze(float(data["sights"]["level"]["pitch"])), looks, ways, grounds, walks, verb_grounds,
         {name: frozenset(actions) for name, actions in data["actions"].items()},
     )  # fmt: skip
-
-
-def _spaced(noun: str) -> str:
-    return noun.replace("_", " ")
 
 
 def _kind(name: str, row: dict[str, Any], of: Kind) -> Kind:

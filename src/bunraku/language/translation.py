@@ -9,44 +9,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from bunraku.language.captions import conjugate
-from bunraku.language.lexicon import actions_of, goes_ahead
+from bunraku.language.foreign_words import scan_spaced, scan_unspaced
+from bunraku.language.lexicon import actions_of, goes_ahead, lexicon
 from bunraku.language.vocabulary import words_of
-from bunraku.language.word_table import LANGUAGES, Concept, table
+from bunraku.language.word_table import Concept, table
 
-__all__ = ["Clause", "OWN", "Translation", "clauses_of", "english_sentence", "head_of", "translate", "with_article"]
+__all__ = ["VerbPhrase", "Translation", "clauses_of", "english_sentence", "head_of", "translate", "with_article"]
 
 
-OWN = {
-    "wave": ("hand", "arm"), "clap": ("hand",), "kick": ("foot", "leg"), "nod": ("head",), "punch": ("fist", "hand"),
-    "box": ("fist", "hand"), "point": ("finger", "hand"), "bow": ("head", "body"), "salute": ("hand",),
-    "walk": ("foot", "leg"), "stomp": ("foot",), "crouch": ("knee",), "shrug": ("shoulder",), "hit": ("hand", "fist"),
-    "grab": ("hand",), "step": ("foot", "leg"), "jump": ("leg", "body"), "dance": ("body",), "turn": ("body",),
-    "bend": ("back", "body"), "stoop": ("back", "body"), "wag": ("tail",), "flap": ("wing",), "greet": ("hand",),
-}  # fmt: skip
-"""Parts that go without saying with a verb, unless the sentence names their side."""
 _ADJECTIVES_ONLY = frozenset({"old", "young", "big", "small"})
-_COUNT = {"1": "once", "2": "twice"}
 _NAMES = ("", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
 @dataclass
-class Clause:
-    """A verb with what belongs to it.
+class VerbPhrase:
+    """A verb with what belongs to it."""
 
-    Args:
-        link: The connector before it: "then", "and", "while", "comma", or "".
-        subject: Who does it, where that is said anew.
-        verb: In English with braces; "" where the verb before it goes on.
-        items: Parts, directions, manners and the like.
-    """
-
-    link: str = ""
-    subject: str = ""
-    verb: str = ""
-    items: list[Concept] = field(default_factory=list)
+    link: str = ""  # the connector before it: "then", "and", "while", "comma", or ""
+    subject: str = ""  # the subject, where it is named anew
+    verb: str = ""  # in English with braces; "" where the verb before it goes on
+    items: list[Concept] = field(default_factory=list)  # parts, directions, manners and the like
 
 
-def clauses_of(concepts: Sequence[Concept], language: str) -> list[Clause]:
+def clauses_of(concepts: Sequence[Concept], language: str) -> list[VerbPhrase]:
     """What a sentence says in the order in which it happens, a clause for each verb.
 
     Args:
@@ -58,8 +43,9 @@ def clauses_of(concepts: Sequence[Concept], language: str) -> list[Clause]:
     return _ordered(_clauses(words, language), asian=language in ("ja", "zh"))
 
 
-def _name(number: str) -> str:
-    return _NAMES[int(number)] if number.isdigit() and 0 < int(number) < len(_NAMES) else number
+def _own_parts(verb: str) -> list[str]:
+    """Parts of the body that go without saying with a verb."""
+    return str(lexicon().limbs["of verbs"].get(verb, "")).split()
 
 
 def with_article(noun: str) -> str:
@@ -79,7 +65,7 @@ def _measures(words: Sequence[Concept]) -> list[Concept]:
         word = words[index]
         after = words[index + 1] if index + 1 < len(words) else None
         if word.kind == "times":
-            word = replace(word, kind="count", value=_times(word.value.split()[0]))
+            word = replace(word, kind="count", value=_measure(word.value.split()[0], "times"))
         elif word.kind == "number" and after and after.kind == "unit":
             kind = "count" if after.value in ("times", "turns") else after.value
             word = replace(word, kind=kind, value=_measure(word.value, after.value), stop=after.stop)
@@ -100,15 +86,12 @@ def _measures(words: Sequence[Concept]) -> list[Concept]:
     return found
 
 
-def _times(number: str) -> str:
-    return _COUNT.get(number) or f"{_name(number)} times"
-
-
 def _measure(number: str, unit: str) -> str:
+    name = _NAMES[int(number)] if number.isdigit() and 0 < int(number) < len(_NAMES) else number
     if unit in ("times", "turns"):
-        return _times(number)
+        return {"1": "once", "2": "twice"}.get(number) or f"{name} times"
     if unit == "steps":
-        return "one step" if number == "1" else f"{_name(number)} steps"
+        return "one step" if number == "1" else f"{name} steps"
     return f"{'for ' if unit == 'seconds' else ''}{number} {unit}"
 
 
@@ -139,9 +122,8 @@ def _parts(words: Sequence[Concept], part_first: bool) -> list[Concept]:
         elif word.kind == "side":
             near = index - 1 if part_first else index + 1
             verb = words[near] if 0 <= near < len(words) else None  # 左手を振る, "salue de la main gauche"
-            if verb and verb.kind == "verb" and head_of(verb.value) in OWN:
-                value = f"{word.value} {OWN[head_of(verb.value)][0]}/"
-                found.append(replace(word, kind="part", value=value))
+            if verb and verb.kind == "verb" and (own := _own_parts(head_of(verb.value))):
+                found.append(replace(word, kind="part", value=f"{word.value} {own[0]}/"))
             elif word.value in ("left", "right"):
                 found.append(replace(word, kind="direction", value=f"to the {word.value}"))
         else:
@@ -155,9 +137,9 @@ def head_of(verb: str) -> str:
     return match.group(1) if match else ""
 
 
-def _clauses(words: Sequence[Concept], language: str) -> list[Clause]:
+def _clauses(words: Sequence[Concept], language: str) -> list[VerbPhrase]:
     """Verbs with what belongs to each."""
-    clauses = [Clause()]
+    clauses = [VerbPhrase()]
     waiting: list[Concept] = []  # Chinese: what stands before its verb
     ahead, like = False, False
     for index, word in enumerate(words):
@@ -171,12 +153,10 @@ def _clauses(words: Sequence[Concept], language: str) -> list[Clause]:
             if word.mark == "inside":
                 now.link = "then" if len(clauses) > 1 else now.link
                 continue
-            if kind == "first":
-                continue
-            if kind == "comma" and language == "ja":
+            if kind == "first" or (kind == "comma" and language == "ja"):
                 continue
             if now.verb or now.items:
-                clauses.append(Clause(link=kind))
+                clauses.append(VerbPhrase(link=kind))
             elif kind in ("while", "before", "after") or not now.link or now.link == "comma":
                 now.link = kind
         elif word.kind == "verb":
@@ -184,23 +164,22 @@ def _clauses(words: Sequence[Concept], language: str) -> list[Clause]:
                 if len(word.value) > len(now.verb):
                     now.verb = word.value
                 continue
-            if now.verb in ("{walk}", "{go}") and word.mark == "adverb":
-                now.verb = word.value
-                continue
-            if now.verb == "{go}" and (word.mark == "infinitive" or language == "zh") and not now.items:
+            goes_to = now.verb == "{go}" and (word.mark == "infinitive" or language == "zh") and not now.items
+            if goes_to or (now.verb in ("{walk}", "{go}") and word.mark == "adverb"):
                 now.verb = word.value
                 continue
             if now.verb:
                 link = "while" if word.mark == "gerund" else "then" if language in ("ja", "zh") else "and"
-                clauses.append(Clause(link=link))
+                clauses.append(VerbPhrase(link=link))
                 now = clauses[-1]
             now.verb = word.value
             now.items += waiting
             waiting, ahead = [], False
             if language == "ja" and index + 1 < len(words):
                 after = words[index + 1].kind
-                if after not in ("then", "and", "while", "before", "after", "stop") and _verb_later(words, index):
-                    clauses.append(Clause(link="then"))
+                later = any(other.kind == "verb" for other in words[index + 1 :])
+                if later and after not in ("then", "and", "while", "before", "after", "stop"):
+                    clauses.append(VerbPhrase(link="then"))
         elif word.kind == "like":
             if language == "ja" and now.items and now.items[-1].kind in ("being", "noun"):
                 now.items[-1] = replace(now.items[-1], kind="likeness")
@@ -228,18 +207,14 @@ def _same(one: str, other: str) -> bool:
     return head_of(one) == head_of(other) and (one.startswith(other) or other.startswith(one))
 
 
-def _verb_later(words: Sequence[Concept], index: int) -> bool:
-    return any(word.kind == "verb" for word in words[index + 1 :])
-
-
-def _adjectives(clauses: list[Clause]) -> list[Clause]:
+def _adjectives(clauses: list[VerbPhrase]) -> list[VerbPhrase]:
     """Manners said of the subject before or after it go in front of its name; verbless beginnings join what follows."""
     rows = {row["en"].split("/")[0]: row["en"].split("/")[1] for row in table()["manners"]}
     while len(clauses) > 1 and not clauses[0].verb and not any(item.kind == "steps" for item in clauses[0].items):
         first, second = clauses[0], clauses[1]
         subject = " and ".join(with_article(one) for one in (first.subject, second.subject) if one)
         link = first.link if first.link in ("while", "before", "after") else ""
-        clauses[:2] = [Clause(link, subject or "", second.verb, first.items + second.items)]
+        clauses[:2] = [VerbPhrase(link, subject, second.verb, first.items + second.items)]
     for clause in clauses:
         kept = []
         for item in clause.items:
@@ -255,9 +230,9 @@ def _adjectives(clauses: list[Clause]) -> list[Clause]:
     return clauses
 
 
-def _ordered(clauses: list[Clause], asian: bool) -> list[Clause]:
+def _ordered(clauses: list[VerbPhrase], asian: bool) -> list[VerbPhrase]:
     """Clauses in the order in which things happen: "before" and "after" become "then"."""
-    found: list[Clause] = []
+    found: list[VerbPhrase] = []
     index = 0
     while index < len(clauses):
         clause = clauses[index]
@@ -312,7 +287,7 @@ def english_sentence(concepts: Sequence[Concept], language: str) -> str:
     return _joined(clauses) if any(clause.verb or clause.items for clause in clauses) else ""
 
 
-def _joined(clauses: list[Clause]) -> str:
+def _joined(clauses: list[VerbPhrase]) -> str:
     subject = next((clause.subject for clause in clauses if clause.subject), "person")
     text = subject if subject.startswith(("a ", "an ")) else with_article(subject)
     plural = " and " in text
@@ -336,7 +311,7 @@ def _joined(clauses: list[Clause]) -> str:
     return re.sub(r"\bt-pose\b", "T-pose", " ".join(text.split()))
 
 
-def _phrase(clause: Clause) -> str:
+def _phrase(clause: VerbPhrase) -> str:
     """A clause without its subject, the verb in braces."""
     items, verb = list(clause.items), clause.verb
     steps = next((item for item in items if item.kind == "steps"), None)
@@ -356,7 +331,7 @@ def _phrase(clause: Clause) -> str:
 
 
 def _object(items: Sequence[Concept], default: str, head: str) -> Concept | None:
-    """What a verb is done to: a part of the body where that is usual, or else a thing or somebody."""
+    """What a verb is done to: a part of the body where that is usual, or else a thing or a being."""
     bodily = default.removeprefix("the ") in _body()
     if bodily or head in _TOUCHED:
         part = next((item for item in items if item.kind == "part"), None)
@@ -381,7 +356,7 @@ def _said(item: Concept, verb: str, head: str, slot: bool) -> tuple[float, str]:
     if item.kind == "part":
         if head == "move" and not slot:
             return 0, _part(item)
-        if not _sided(item) and item.value.split("/")[0] in OWN.get(head, ()):
+        if not _sided(item) and item.value.split("/")[0] in _own_parts(head):
             return 1, ""
         return 1, f"{'on' if head in _ON and not slot else 'with'} {_part(item)}"
     if item.kind in ("noun", "being"):
@@ -432,23 +407,18 @@ def _part(item: Concept) -> str:
 
 
 _MOST, _SOME = 0.4, 0.3
-"""Of a sentence's words the share that a language's table must have, with a verb among them and without."""
+"""Share of a sentence's words that a language's table must have, with a verb among them and without; chosen by eye."""
 
 
 @dataclass(frozen=True)
 class Translation:
-    """A sentence in English.
+    """A sentence in English."""
 
-    Args:
-        english: "a person walks forward, then waves with the left hand"; the sentence itself where it is English or in
-            no language of the table, and "" where it is in one and the table has no word of it.
-        language: "en", "de", "fr", "es", "ja" or "zh"; "" for another script.
-        concepts: Words of the table in their order, those that neither it nor the tagger has as "unknown"; none of
-            English.
-    """
-
+    # "a person walks forward, then waves with the left hand"; the sentence itself where it is English or in no
+    # language of the table, and "" where it is in one and the table has no word of it
     english: str
-    language: str
+    language: str  # "en", "de", "fr", "es", "ja" or "zh"; "" for another script
+    # words of the table in their order, those that neither it nor the tagger has as "unknown"; none of English
     concepts: tuple[Concept, ...] = ()
 
     @property
@@ -461,10 +431,9 @@ def translate(prompt: str) -> Translation:
     """A sentence in English, as the captions of training say it, with order, sides and numbers kept.
 
     Args:
-        prompt: In English or a language of the table, which is told by its script and by the words that the table has.
+        prompt: In English or a language of the table, which follows from its script and from the words that it shares
+            with the table.
     """
-    from bunraku.language.foreign_words import scan_unspaced
-
     scripts = set() if prompt.isascii() else {_script(letter) for letter in prompt if letter.isalpha()}
     if "kana" in scripts:
         return _translated(prompt, "ja", scan_unspaced(prompt, "ja"))
@@ -477,27 +446,23 @@ def translate(prompt: str) -> Translation:
         return Translation(prompt, "")
     words = words_of(prompt)
     english = sum(word.known for word in words) / len(words) if words else 1.0
-    if english < 1:
-        from bunraku.language.foreign_words import scan_spaced
-
-        shares = []
-        for other in ("de", "fr", "es"):
-            concepts = scan_spaced(prompt, other)
-            counted = [concept for concept in concepts if concept.kind not in ("comma", "stop", "number")]
-            share = 1 - sum(concept.kind == "unknown" for concept in counted) / len(counted) if counted else 0.0
-            says = any(concept.kind in ("verb", "unit") for concept in counted)
-            if share > max(english, _MOST if says else _SOME):
-                shares.append((says, share, other, concepts))
-        if shares:
-            says, _, language, concepts = max(shares, key=lambda found: found[:2])
-            found = _translated(prompt, language, concepts)
-            if says or any(concept.kind == "verb" for concept in found.concepts):
-                return found
+    shares = []
+    for other in ("de", "fr", "es") if english < 1 else ():
+        concepts = scan_spaced(prompt, other)
+        counted = [concept.kind for concept in concepts if concept.kind not in ("comma", "stop", "number")]
+        share = 1 - counted.count("unknown") / len(counted) if counted else 0.0
+        says = "verb" in counted or "unit" in counted
+        if share > max(english, _MOST if says else _SOME):
+            shares.append((says, share, other, concepts))
+    if shares:
+        says, _, language, concepts = max(shares, key=lambda found: found[:2])
+        found = _translated(prompt, language, concepts)
+        if says or any(concept.kind == "verb" for concept in found.concepts):
+            return found
     return Translation(prompt, "en")
 
 
 def _translated(prompt: str, language: str, concepts: list[Concept]) -> Translation:
-    assert language in LANGUAGES
     if any(concept.kind == "unknown" for concept in concepts):
         from bunraku.language.foreign_tagger import tagged  # numpy, which English needs not
 

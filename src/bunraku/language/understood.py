@@ -24,45 +24,30 @@ from bunraku.language.vocabulary import FUNCTION_WORDS, corrected, nearest_sente
 __all__ = ["Understanding", "check_understood", "understood"]
 
 _SHARE = 0.25
-"""Of a sentence's words that must be known: "lorem ipsum dolor sit amet" is no way to sit."""
-_AUXILIARIES = frozenset((
-    "do", "does", "did", "is", "are", "was", "can", "will", "should", "must", "don", "doesn", "didn", "isn", "aren",
-    "wasn", "won", "shouldn", "mustn",
-))  # fmt: skip
-"""Words before "not", and what is before "'t"."""
+"""Share of a sentence's words that must be known: "lorem ipsum dolor sit amet" is no way to sit. Chosen by eye."""
 _SURE = 0.6
-"""Of the words that are not the grammar's, the share that must be known or nearly so for any to be a typing error."""
+"""Share of the words that are not the grammar's that must be known or nearly so for any to be a typing error; chosen by
+eye.
+"""
 
 
 @dataclass(frozen=True)
 class Understanding:
-    """What is understood of a sentence.
+    """What is understood of a sentence."""
 
-    Args:
-        prompt: The sentence as it was given.
-        english: What the network is conditioned on.
-        ok: Whether the sentence says a movement that training shows.
-        language: "en", "de", "fr", "es", "ja" or "zh"; "" for a script that is not read.
-        known: Its words that are understood.
-        unknown: Those that are not, with their places in `prompt`.
-        corrected: Words taken for typing errors, and what is read in their place.
-        nearest: Three known sentences like it, where a word is not understood.
-        denied: What it says that is not done, such as "does not walk".
-    """
-
-    prompt: str
-    english: str
-    ok: bool
-    language: str = "en"
-    known: tuple[str, ...] = ()
-    unknown: tuple[UnknownWord, ...] = ()
-    corrected: tuple[tuple[str, str], ...] = ()
-    nearest: tuple[str, ...] = ()
-    denied: tuple[str, ...] = ()
+    prompt: str  # the sentence as it was given
+    english: str  # what the network is conditioned on
+    ok: bool  # whether the sentence says a movement that training shows
+    language: str = "en"  # "en", "de", "fr", "es", "ja" or "zh"; "" for a script that is not read
+    known: tuple[str, ...] = ()  # its words that are understood
+    unknown: tuple[UnknownWord, ...] = ()  # those that are not, with their places in `prompt`
+    corrected: tuple[tuple[str, str], ...] = ()  # words taken for typing errors, and what is read in their place
+    nearest: tuple[str, ...] = ()  # three known sentences like it, where a word is not understood
+    denied: tuple[str, ...] = ()  # what it says that is not done, such as "does not walk"
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What somebody who gave the sentence should know, one line each."""
+        """What the writer of the sentence should know, one line each."""
         said = []
         if self.language != "en" or self.corrected:
             said.append(f"read as: {self.english}")
@@ -106,16 +91,17 @@ def understood(prompt: str) -> Understanding:
 def _denied(english: str) -> tuple[tuple[str, ...], str]:
     """What a sentence says that is not done, and the sentence without it."""
     words, spans = words_in(english)
+    auxiliaries = lexicon().grammar["auxiliaries"]
     denied, rest, start = [], "", 0
     for number, word in enumerate(words):
         before = words[number - 1] if number else ""
-        if word not in ("not", "never", "t") or (word == "t" and not (before.endswith("n") and before in _AUXILIARIES)):
+        if word not in ("not", "never") and not (word == "t" and before.endswith("n") and before in auxiliaries):
             continue
         stop = number + 1
         while stop < len(words) and words[stop].endswith("ly"):
             stop += 1
         if stop < len(words) and words[stop] in lexicon().lemmas:
-            first = number - (before in _AUXILIARIES)
+            first = number - (before in auxiliaries)
             denied.append(english[spans[first][0] : spans[stop][1]])
             rest, start = rest + english[start : spans[first][0]], spans[stop][1]
     return tuple(denied), rest + english[start:]
@@ -134,9 +120,8 @@ def _english(prompt: str, language: str) -> Understanding:
     if said != prompt:
         found = _english(said, language)
         return replace(found, prompt=prompt, unknown=_placed(found.unknown, prompt))
-    told = thing_words(prompt)
     spans = words_in(prompt)[1]
-    starts = {spans[number][0] for number in told}
+    starts = {spans[number][0] for number in thing_words(prompt)}
     words = [word._replace(known=word.known or word.start in starts) for word in words_of(prompt)]
     slips = {word: corrected(word.text) for word in words if not word.known}
     telling = [word for word in words if word.text.lower() not in FUNCTION_WORDS]
@@ -149,16 +134,12 @@ def _english(prompt: str, language: str) -> Understanding:
     text = check_prompt(text)
     known = [slips.get(word) or word.text for word in words if word.known or slips.get(word)]
     unknown = [word for word in words if not (word.known or slips.get(word))]
+    ok = _says_something(text, known, len(words))
+    near = nearest_sentences(known, [word.text for word in unknown]) if unknown else ()
     return Understanding(
-        prompt,
-        text,
-        _says_something(text, known, len(words)),
-        language,
-        tuple(known),
-        tuple(UnknownWord(word.text, word.start, word.stop) for word in unknown),
-        tuple((word.text, slip) for word, slip in slips.items() if slip),
-        nearest_sentences(known, [word.text for word in unknown]) if unknown else (),
-    )
+        prompt, text, ok, language, tuple(known), tuple(UnknownWord(*word[:3]) for word in unknown),
+        tuple((word.text, slip) for word, slip in slips.items() if slip), near,
+    )  # fmt: skip
 
 
 def _placed(words: tuple[UnknownWord, ...], prompt: str) -> tuple[UnknownWord, ...]:
@@ -178,10 +159,12 @@ def _foreign(prompt: str, translation: Translation) -> Understanding:
     for concept in translation.concepts:
         if concept.kind in ("comma", "stop", "number", "ignored", "side", "unit"):
             continue
-        if concept.kind == "unknown" or not _english_known(concept.value):
-            unknown.append(UnknownWord(prompt[concept.start : concept.stop], concept.start, concept.stop))
+        word = UnknownWord(prompt[concept.start : concept.stop], concept.start, concept.stop)
+        english = words_of(re.sub(r"<.*>", "", concept.value).replace("/", " "))
+        if concept.kind == "unknown" or not all(part.known for part in english):
+            unknown.append(word)
         else:
-            known.append(prompt[concept.start : concept.stop])
+            known.append(word.word)
     words = words_of(translation.english)
     ok = bool(translation.english) and says_action(translation.english)
     missing = sum(concept.stop - concept.start for concept in translation.concepts if concept.kind == "unknown")
@@ -191,10 +174,6 @@ def _foreign(prompt: str, translation: Translation) -> Understanding:
         prompt, translation.english or check_prompt(prompt), ok, translation.language, tuple(known), tuple(unknown),
         (), near,
     )  # fmt: skip
-
-
-def _english_known(value: str) -> bool:
-    return all(word.known for word in words_of(re.sub(r"<.*>", "", value).replace("/", " ")))
 
 
 def _says_something(text: str, known: list[str], count: int) -> bool:
@@ -207,7 +186,7 @@ def _says_something(text: str, known: list[str], count: int) -> bool:
 
 
 def check_understood(prompt: str, force: bool = False) -> Understanding:
-    """What is understood of a sentence that a motion can be made from.
+    """What is understood of a sentence, if a motion can be made from it.
 
     Args:
         prompt: A sentence.

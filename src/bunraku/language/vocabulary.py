@@ -112,8 +112,8 @@ def _written() -> dict[str, Any]:
 
 @functools.cache
 def known_words() -> dict[str, int]:
-    """The words as they are written, with how many sentences have each; 1 for those of the tables. Names of characters
-    and of parts of the body are among them, whatever the captions say of them.
+    """The words as they are written, with how many sentences have each; 1 for those of the tables, with names of
+    characters and of parts of the body.
     """
     written: dict[str, int] = _written()["words"]
     named = [row["en"].replace("/", " ") for section in ("beings", "parts") for row in table()[section]]
@@ -150,12 +150,11 @@ def action_stems() -> frozenset[str]:
 
 def is_known(word: str) -> bool:
     """Whether training had a word, in any inflection; of one with hyphens whether it had all parts."""
-    if (plain := word.lower()) in FUNCTION_WORDS or plain in lexicon().lemmas or plain in lexicon().words:
-        return True
-    if plain in _written()["words"]:
+    plain = word.lower()
+    if any(plain in words for words in (FUNCTION_WORDS, lexicon().lemmas, lexicon().words, _written()["words"])):
         return True
     known = _stems()
-    if stem(word) in known or word.isdigit() or word.lower() in FUNCTION_WORDS:
+    if stem(word) in known or word.isdigit():
         return True
     parts = re.split(r"[-'’]", word)
     return len(parts) > 1 and all(not part or part.isdigit() or stem(part) in known or len(part) < 2 for part in parts)
@@ -179,10 +178,10 @@ def says_action(sentence: str) -> bool:
     )
 
 
-_OFTEN = 5
-"""Sentences that must have a word for it to be meant by another one, unless it is long."""
-_LONG = 8
-"""Letters without an ending from which on two slips are forgiven: "juggling" is no "jogging"."""
+_OFTEN, _LONG = 5, 8
+"""Sentences that must have a word for it to be meant by another one, unless it is long, and the letters without an
+ending from which on two slips are forgiven ("juggling" is no "jogging"); chosen by eye.
+"""
 
 
 def slips(one: str, other: str, most: int = 2) -> int:
@@ -207,7 +206,7 @@ def slips(one: str, other: str, most: int = 2) -> int:
 def _often() -> dict[str, list[str]]:
     """Words that may be meant, by their first letter, the most frequent first."""
     found: dict[str, list[str]] = {}
-    for word, count in sorted(known_words().items(), key=lambda item: -item[1]):
+    for word, count in sorted(known_words().items(), key=lambda item: (-item[1], item[0])):
         if len(word) >= 4 and (count >= _OFTEN or len(word) > _LONG or word in FUNCTION_WORDS):
             found.setdefault(word[0], []).append(word)
     return found
@@ -235,23 +234,17 @@ def corrected(word: str) -> str:
 
 
 def _likely(word: str, other: str) -> bool:
-    """Whether a letter too many, where the word is not long, stands there twice: "wallks" is "walks", but "chomp" is no
-    "chop".
-    """
+    """Whether a letter too many in a short word is doubled: "wallks" is "walks", but "chomp" is no "chop"."""
     if len(word) != len(other) + 1 or len(word) >= _LONG:
         return True
     twice = [index for index in range(len(other)) if word[index] == word[index + 1]]
     return any(word[:index] + word[index + 1 :] == other for index in twice)
 
 
-_LONGEST = 8
-"""Words of a phrase that is shown to somebody who looks for one."""
-_MOST_UNKNOWN = 4
-"""Unknown words that are looked up; each takes half a millisecond."""
+_LONGEST, _MOST_UNKNOWN = 8, 4
+"""Words of a phrase that is shown, and unknown words that are looked up; each takes half a millisecond."""
 _SHORT, _LIKE = 5, (0.7, 0.5)
-"""Letters of a short word, and the share that it, or a longer one, must have in common with a known word to be like
-it.
-"""
+"""Letters of a short word, and the share that it, or a longer one, has in common with a word like it; chosen by eye."""
 _DOING = ("do", "make", "take", "give")
 _PLAIN_WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
 
@@ -324,12 +317,9 @@ def nearest_sentences(words: Sequence[str], unknown: Sequence[str] = (), count: 
         _, verb, stems = phrases[index]
         return -scores[index] / (2 + len(stems)), -usual[verb], len(stems), index
 
-    order = sorted(range(len(phrases)), key=rank)
     found: dict[str, str] = {}
-    for index in order:
-        sentence, verb, _ = phrases[index]
-        if verb not in found:
-            found[verb] = sentence
+    for sentence, verb, _ in (phrases[index] for index in sorted(range(len(phrases)), key=rank)):
+        found.setdefault(verb, sentence)
         if len(found) == count:
             break
     return tuple(found.values())

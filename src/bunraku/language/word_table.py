@@ -27,22 +27,15 @@ LANGUAGES = {"de": "German", "fr": "French", "es": "Spanish", "ja": "Japanese", 
 
 @dataclass(frozen=True)
 class Concept:
-    """One word of the table in a sentence.
+    """One word of the table in a sentence."""
 
-    Args:
-        kind: "verb", "part", "side", "direction", "manner", "number", "unit", "times", "being", "noun", a connector
-            ("then", "and", "while", "before", "after", "first", "like"), "comma", "stop", "ignored" or "unknown".
-        value: In English, as the table has it; of "unknown" the word itself.
-        start: Of its first letter in the sentence.
-        stop: After its last letter.
-        mark: How it is inflected, where that matters: "plural", "gerund", "infinitive", "te" or "plain".
-    """
-
+    # "verb", "part", "side", "direction", "manner", "number", "unit", "times", "being", "noun", a connector ("then",
+    # "and", "while", "before", "after", "first", "like"), "comma", "stop", "ignored" or "unknown"
     kind: str
-    value: str
-    start: int
-    stop: int
-    mark: str = ""
+    value: str  # in English, as the table has it; of "unknown" the word itself
+    start: int  # of its first letter in the sentence
+    stop: int  # after its last letter
+    mark: str = ""  # how it is inflected, where that matters: "plural", "gerund", "infinitive", "te" or "plain"
 
 
 _KINDS = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal, TypedDict, TypeVar, Unpack, cast, overload
 
 import numpy as np
@@ -17,59 +18,68 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.request import Progress
 from bunraku.core.travel import GroundPath
 from bunraku.errors import MotionError, OptionError
+from bunraku.files import load_character
 from bunraku.generation.candidates import SamplingSettings
 from bunraku.language.parse import clause_of
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.apply import fitted_motion, reference_of
-from bunraku.pipelines.requests import Apparel, Constraints, Keep, Pose, Request, Sampling
+from bunraku.pipelines.requests import Apparel, Constraints, Keep, Pose, Request, Sampling, whole_number
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.pins import Pin, meet_pins
 
-__all__ = ["animate", "edit", "edited", "generate", "rig", "with_skeleton"]
+__all__ = ["animate", "edit", "edited", "generate", "opened", "rig", "with_skeleton"]
+
+
+def opened(character: Character | str | Path) -> Character:
+    """A character, read where its file is given; see `bunraku.load_character`."""
+    return load_character(character) if isinstance(character, str | Path) else character
 
 
 def rig(
-    character: Character, *, handles: Literal["predict", "rig"] = "predict", progress: Progress | None = None
+    character: Character | str | Path,
+    *,
+    handles: Literal["predict", "rig"] = "predict",
+    progress: Progress | None = None,
 ) -> Handles:
     """The handles of a character (Eq. 1 of TapMo): positions h, skinning weights s and the mesh feature f_phi.
 
     Args:
-        character: Any mesh, +Y up and facing +Z.
-        handles: "predict" them from the shape alone, or take those of the file's own "rig", told by the names of its
-            bones.
+        character: Any mesh, +Y up and facing +Z, or its file.
+        handles: "predict" them from the shape alone, or take the bones of the file's own "rig", by their names.
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Raises:
-        CharacterError: The handles are to be the rig's, and there is none, or its bones have no telling names.
+        CharacterError: The handles are to be the rig's, and there is none, or the names of its bones are not known.
         OptionError: `handles` is neither.
         WeightsError: The shipped weights are missing or broken.
     """
-    return Animator.shipped(progress).handles(character, handles)
+    return Animator.shipped(progress).handles(opened(character), handles)
 
 
 def with_skeleton(
-    character: Character,
+    character: Character | str | Path,
     names: Literal["mixamo", "vrm", "unreal"],
     *,
     handles: Handles | Literal["predict", "rig"] = "predict",
     progress: Progress | None = None,
 ) -> Character:
-    """A person's mesh in a T-pose on a tree of joints that engines' humanoid retargeting takes; `animate` then moves
-    these, and `save_character` writes them.
+    """A person's mesh in a T-pose on a tree of joints for engines' humanoid retargeting; `animate` then moves these,
+    and `save_character` writes them.
 
     Args:
-        character: A person, +Y up and facing +Z.
-        names: Whose names the joints get.
-        handles: The character's handles, of which the joints are made, or how to make them (see `rig`).
+        character: A person, +Y up and facing +Z, or its file.
+        names: The program that names the joints.
+        handles: The character's handles, which become joints, or how to make them (see `rig`).
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Raises:
-        CharacterError: It is no person.
-        OptionError: There are no names of this kind.
+        CharacterError: It is not a person.
+        OptionError: There are no such names.
         WeightsError: The shipped weights are missing or broken.
     """
     from bunraku.retarget.engine_skeleton import on_skeleton
 
+    character = opened(character)
     return on_skeleton(Anatomy.of(character, Animator.shipped(progress).handles(character, handles)), names)
 
 
@@ -119,40 +129,40 @@ def generate(
     Args:
         prompt: What the character does, in English or a language of `language.words`; several sentences in a row with
             their seconds ("walks:4; jumps:2; waves:3"); or a list of such prompts, which are made in one batch.
-        seconds: Length [s], 0.5 to 120; what prompts without seconds of their own share.
-        seed: The same seed and version give the same motion. One number gives each prompt of a list noise of its own,
-            the first as when it is alone; a list has one for each.
+        seconds: Length [s], 0.5 to 120, shared by sentences without seconds of their own.
+        seed: The same seed and version give the same motion. One number gives each prompt of a list different noise,
+            the first as when it is alone; a list has a seed for each prompt.
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
         mesh_feature: f_phi of the character, shape (448,); None generates for no mesh in particular.
-        loop: Make a loop: the last frame is the first again, at another place where the motion travels.
+        loop: Make a loop: the last frame equals the first, at another position where the motion travels.
         after: Motion of the reference body whose last pose is the first of the new motion.
         path: What the root follows on the ground, in metres of the reference body.
-        candidates: How many motions are drawn for each that is given back, the one that the ranker likes best, 1 to
-            16. A motion that follows another is drawn once.
-        body: The anatomy of the character that is to be moved: sentences are taken as such a body can, so that a fish
-            swims where the sentence says walk. `mesh_feature` is that of its handles where it is None.
-        force: Generate even where no movement of a sentence is understood.
+        candidates: Motions that are drawn, 1 to 16; a ranker chooses the best. A motion that follows another is drawn
+            once.
+        body: The anatomy of the character: sentences are adapted to it, so that a fish swims where the sentence says
+            walk. `mesh_feature` is that of its handles where it is None.
+        force: Generate where no movement of a sentence is understood.
         progress: Called with a stage's name and the share done.
 
     Raises:
-        OptionError: A prompt is empty, too long or not understood, a length is out of range, or a loop is to follow
-            another motion.
-        MotionError: `after` is no motion of the reference body at 20 frames a second.
+        OptionError: A prompt is refused, a length is out of range, or a loop is to follow another motion.
+        MotionError: `after` is not a motion of the reference body at 20 frames a second.
         WeightsError: The shipped weights are missing or broken.
     """
     prompts = [prompt] if isinstance(prompt, str) else list(prompt)
     if not prompts:
         return []
-    sampling = Sampling(seconds, seed if isinstance(seed, int) else 0, steps, guidance, candidates)
+    seeds = [whole_number("seed", each) for each in seed] if isinstance(seed, Sequence) else whole_number("seed", seed)
+    sampling = Sampling(seconds, 0 if isinstance(seeds, list) else seeds, steps, guidance, candidates)
     constraints = Constraints.of(loop=loop, after=after, path=path)
-    requests = [Request(one, sampling, constraints, force=force) for one in prompts]
-    motions = Animator.shipped(progress).generate(requests, seed, mesh_feature, body)
+    requests = [Request(text, sampling, constraints, force=force) for text in prompts]
+    motions = Animator.shipped(progress).generate(requests, seeds, mesh_feature, body)
     return motions[0] if isinstance(prompt, str) else motions
 
 
 def animate(
-    character: Character,
+    character: Character | str | Path,
     prompt: str,
     *,
     seconds: float = 6.0,
@@ -166,7 +176,7 @@ def animate(
     loop: bool = False,
     in_place: bool = False,
     after: HandleMotion | AnimatedCharacter | None = None,
-    path: GroundPath | None = None,
+    path: GroundPath | Sequence[Sequence[float]] | None = None,
     pins: Sequence[Pin] = (),
     stages: Stages | None = None,
     candidates: int = 3,
@@ -177,32 +187,28 @@ def animate(
     """Make a character do what a sentence says.
 
     Args:
-        character: Any mesh, +Y up and facing +Z.
+        character: Any mesh, +Y up and facing +Z, or its file.
         prompt: What it does, in English or a language of `language.words`; or several sentences in a row with their
-            seconds: "walks:4; jumps:2; waves:3". A body that is no person's does it as its own kind does, whoever is
-            named: "a person walks" makes a dog walk on four legs.
-        seconds: Length [s], 0.5 to 120; what sentences without seconds of their own share.
+            seconds: "walks:4; jumps:2; waves:3". Other bodies than a person's do it as their kind does: "a person
+            walks" makes a dog walk on four legs.
+        seconds: Length [s], 0.5 to 120, shared by sentences without seconds of their own.
         seed: The same seed and version give the same animation.
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `rig`).
-        apparel: "none" (or "rigid") moves hair and clothes with the body; "simulate" moves the bones of the character's
-            own rig, and hair and clothes by the rigid bodies or springs of its MMD or VRM file, or else by their own
-            bones; "learn" moves by a network what it takes to be apparel of any mesh, or what a mask says, named by its
-            file; "auto" simulates where the file has physics or such bones and learns where the mesh has apparel.
-        stiffness: Factor on how stiff apparel is, 0.001 to 1000.
-        gravity: Factor on the gravity of apparel that is simulated, 0 to 10.
-        loop: Make a loop: the last pose is the first again, at another place where the motion travels.
-        in_place: Take the travel over the ground out, as game engines want it that move the character themselves.
+        apparel: How hair and clothes move; see `Apparel`.
+        stiffness: Factor on the stiffness of apparel, 0.001 to 1000.
+        gravity: Factor on the gravity of simulated apparel, 0 to 10.
+        loop: Make a loop: the last pose equals the first, at another position where the motion travels.
+        in_place: Remove the travel over the ground, for game engines that move the character themselves.
         after: Start in the last pose of this: an animation of the same character, or a motion of the reference body.
-        path: What the root follows on the ground, in the character's metres; the clip starts where the path does.
-        pins: Where hands and feet are at some times, in the world of the clip.
+        path: What the root follows on the ground, in the character's metres, or its points; the clip starts where the
+            path does.
+        pins: Where hands and feet are at given times, in the world of the clip.
         stages: Which stages fit the motion to the character; `pipelines.apply.GENERATED_STAGES` when None.
-        candidates: How many motions are drawn, of which the ranker chooses the best, 1 to 16.
-        force: Animate even where no movement of a sentence is understood.
-        rig: What moves: "own" the bones of the file's skeleton, "handles" the 30 handles, "auto" the bones where they
-            are understood as those of a person, of four legs or of a bird and no handles are requested, and handles
-            otherwise.
+        candidates: Motions that are drawn, 1 to 16; a ranker chooses the best.
+        force: Animate where no movement of a sentence is understood.
+        rig: What moves; see `Request`.
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:
@@ -210,9 +216,8 @@ def animate(
         simulated, and a `PointAnimation` where it is learned.
 
     Raises:
-        OptionError: The prompt is empty, too long or not understood, the length is out of range, a loop is to follow
-            another clip, moving apparel is to be looped, to follow a clip, or simulated to be moved by handles, a path
-            is to be looped, walked on the spot or to follow a clip, or a pin cannot be met.
+        OptionError: The prompt is refused, a number is out of range, parts of the request do not go together, or a pin
+            cannot be met.
         CharacterError: `handles` are not 30, or cannot be taken from the rig; or there are no physics to simulate.
         WeightsError: The shipped weights are missing or broken.
     """
@@ -222,7 +227,7 @@ def animate(
         Apparel(apparel, stiffness, gravity),
         stages, "predict" if handles is None else handles, force, rig,
     )  # fmt: skip
-    return Animator.shipped(progress)(character, request)
+    return Animator.shipped(progress)(opened(character), request)
 
 
 _log = logging.getLogger(__name__)
@@ -235,8 +240,8 @@ def edited(animator: Animator, clip: Clip, request: Request) -> Clip:
     Args:
         animator: Holds the networks.
         clip: An animation, or a motion of the reference body at 20 frames a second.
-        request: What is done instead, and with `Keep`, `Pose` and `Pin` what stays. It has the clip's length, and one
-            candidate is drawn. Results and errors are those of `edit`.
+        request: What is done instead, and with `Keep`, `Pose` and `Pin` what stays. One candidate of the clip's length
+            is drawn. Results and errors are those of `edit`.
     """
     from bunraku.core.travel import put_back_runs
     from bunraku.generation.generate import edit_motion, generated_runs, pose_frames, span_frames
@@ -255,7 +260,7 @@ def edited(animator: Animator, clip: Clip, request: Request) -> Clip:
 
     if isinstance(clip, HandleMotion):
         if pins:
-            raise OptionError("pins are places of a character's hands and feet; edit an animation of it")
+            raise OptionError("pins are positions of a character's hands and feet; edit an animation of it")
         return cast(Clip, generated(clip, None))
     assert isinstance(clip, Animation)
     handles = clip.handles
@@ -272,7 +277,7 @@ def edited(animator: Animator, clip: Clip, request: Request) -> Clip:
     animator.progress("fit", 0.0)
     kept = np.zeros(len(handles.positions), bool)
     if parts:
-        kept = kept_handles(parts)[handles.played]  # a spare handle that plays a kept part is kept with it
+        kept = kept_handles(parts)[handles.played]  # a spare handle of a kept part is kept with it
     first, after = (0, len(made)) if span is None else span_frames(span, len(made), made.fps)
     runs = generated_runs(first, after, pose_frames(poses, len(made), made.fps))
     fitted = put_back_runs(fitted_motion(made, anatomy, request.stages), clip.motion, kept, runs)
@@ -301,16 +306,16 @@ def edit(
     Args:
         clip: An animation, or a motion of the reference body at 20 frames a second.
         prompt: What is done instead, in English or a language of `language.words`.
-        keep: What stays as it is: root, legs, arms, left arm, upper body, lower body, head, torso, tail, wings, ... or
-            single handles such as left_wrist; a list, or one text with commas.
-        span: Seconds from and to which is generated; all of the clip by default.
-        poses: Seconds of single poses that stay as they are; what is between them is generated.
-        pins: Where hands and feet of an animation are at some times; what is kept is bent near them too.
+        keep: What stays: root, legs, arms, left arm, upper body, lower body, head, torso, tail, wings, ... or single
+            handles such as left_wrist; a list, or one text with commas.
+        span: The first and the last second that are generated; all of the clip by default.
+        poses: Seconds of single poses that stay; what is between them is generated.
+        pins: Where hands and feet of an animation are at given times; what is kept is bent near them too.
         seed: The same seed and version give the same motion.
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
         stages: Which stages fit an animation's new motion to its character; all when None.
-        force: Generate even where no movement of the sentence is understood.
+        force: Generate where no movement of the sentence is understood.
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:
@@ -318,8 +323,8 @@ def edit(
         `reference`.
 
     Raises:
-        OptionError: Nothing is kept, or everything; the prompt is empty, too long or not understood; the span or a
-            pose is outside the clip; or a pin cannot be met.
+        OptionError: Nothing is kept, or everything; the prompt is refused; the span or a pose is outside the clip; or a
+            pin cannot be met.
         MotionError: The motion is not that of 30 handles at 20 frames a second.
         WeightsError: The shipped weights are missing or broken.
     """

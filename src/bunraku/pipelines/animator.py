@@ -26,7 +26,7 @@ from bunraku.generation.networks import Networks
 from bunraku.language.sentence import Sentence, in_stretches
 from bunraku.pipelines.apply import apply_motion, apply_rigged, reference_of, reference_path
 from bunraku.pipelines.bodies import adapt_to_body, apply_locomotion
-from bunraku.pipelines.requests import Apparel, Constraints, InPlace, Loop, Request, check_handles
+from bunraku.pipelines.requests import RATE, Apparel, Constraints, InPlace, Loop, Request, check_handles
 from bunraku.retarget.stages import Stages
 
 if TYPE_CHECKING:
@@ -36,14 +36,14 @@ __all__ = ["AT_ONCE", "Animator", "Body", "alike", "cell_progress", "own_rig"]
 
 
 LEAST = 0.1
-"""Seconds between two pictures of a bar."""
+"""Seconds between two pictures of a bar; chosen by eye."""
 
 
 def cell_progress() -> Progress | None:
-    """Bars of the notebook's cell that runs, one for each stage; None outside of notebooks."""
+    """Progress bars in the running cell of a notebook, one for each stage; None outside notebooks."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
-    if shell is None or type(shell).__name__ != "ZMQInteractiveShell":  # that of a kernel, not of a terminal
+    if shell is None or type(shell).__name__ != "ZMQInteractiveShell":  # a terminal
         return None
     from importlib import import_module
 
@@ -51,17 +51,12 @@ def cell_progress() -> Progress | None:
 
 
 class _Bars:
-    """Stages and how far they are.
-
-    Args:
-        shown: The module that shows things in a cell.
-    """
+    """Progress bars of stages; `shown` is the module `IPython.display`."""
 
     def __init__(self, shown: Any):
         self.shown, self.stages, self.handle, self.last = shown, {}, None, 0.0  # type: ignore[var-annotated]
 
     def __call__(self, stage: str, done: float) -> None:
-        """Show that a share of a stage, 0 to 1, is done."""
         self.stages[stage] = min(max(float(done), 0.0), 1.0)
         now = time.monotonic()
         if done < 1 and now - self.last < LEAST:
@@ -80,11 +75,9 @@ class _Bars:
 AT_ONCE = 8
 """Sentences in one pass of the network."""
 STRETCH = 40.0
-"""Length of a stretch of a longer clip [s]."""
+"""Length of a stretch of a longer clip [s]; chosen by eye."""
 HISTORY = 60
 """Frames of a stretch that the next one is made to follow."""
-APPAREL_RATE = 30.0
-"""Frames a second of bones that carry apparel [1/s]: it swings faster than 20 can show."""
 _log = logging.getLogger(__name__)
 
 
@@ -106,14 +99,12 @@ class Body:
 
     @property
     def takes_skeleton(self) -> bool:
-        """Whether a skeleton of an engine can be made for it: a person by 30 handles, which its own bones do not
-        move.
-        """
+        """Whether an engine's skeleton can be made for it: it is a person, and its own bones do not move it."""
         return self.parts is None and self.anatomy.is_person
 
 
 def _silent(*messages: object) -> None:
-    """Progress and notes that nobody looks at."""
+    """Progress and notes that are not shown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +115,7 @@ class Animator:
         predictor: Gives the handles of a character, and its mesh feature.
         networks: Denoiser, text encoder, ranker, critic, examples.
         progress: Called with a stage's name and the share done, 0 to 1.
-        note: Called with each thing that a sentence requests and the body cannot do.
+        note: Called with a sentence for each thing that is requested and the body cannot do.
     """
 
     predictor: Predictor = field(default_factory=Predictor)
@@ -138,21 +129,11 @@ class Animator:
         return cls(progress=progress or cell_progress() or _silent, note=note or _silent)
 
     def __call__(self, character: Character | Body, request: Request) -> AnimatedCharacter:
-        """A character that does what a request says.
+        """A character that does what a request says; results and errors are those of `bunraku.animate`.
 
         Args:
-            character: Any mesh, +Y up and facing +Z; or what `body` made of one.
+            character: Any mesh, +Y up and facing +Z; or its `body`.
             request: What it does, and how.
-
-        Returns:
-            An `Animation` at 20 frames a second, or a `RigAnimation` at 30 where apparel is simulated, or a
-            `PointAnimation` at 30 where it is learned.
-
-        Raises:
-            OptionError: The request cannot be met.
-            CharacterError: The handles are not 30, or cannot be taken from the rig; or there are no physics to
-                simulate.
-            WeightsError: Weights are missing or broken.
         """
         return next(self.each(character, [request]))
 
@@ -161,17 +142,17 @@ class Animator:
     ) -> Iterator[AnimatedCharacter]:
         """An animation of a character for each request, apparel and all, several in one pass of the denoiser.
 
-        An animation does not depend on those beside it, but for the last bits of its numbers: sums are rounded
-        otherwise in a pass of another size.
+        An animation does not depend on those beside it, except in the last bits: sums are rounded differently in a
+        pass of another size.
 
         Args:
-            character: As of a single request.
+            character: As for a single request.
             requests: They differ in sentence and seed alone.
-            only: Indices of those whose animations are wanted, all where None. Those beside them are generated along,
-                so that each is bit for bit the one that all of them would give.
+            only: Indices of the animations that are wanted, all where None. Those beside them are generated along, so
+                that each is bit for bit the one that all of them would give.
 
         Raises:
-            OptionError: The requests differ in more; and as of a single request.
+            OptionError: The requests differ in more; and as for a single request.
         """
         sentences, request, body = self._prepared(character, requests)
         for moved in self._moved(body, sentences, request, requests, only):
@@ -187,7 +168,7 @@ class Animator:
     def _prepared(
         self, character: Character | Body, requests: Sequence[Request]
     ) -> tuple[list[Sentence], Request, Body]:
-        """What is said, what all requests say, and the body; whatever cannot be met is refused before the work."""
+        """The sentences, what all requests share, and the body; what cannot be met is refused before the work."""
         sentences, request = _read(requests), _common(requests)
         request.check()
         _check_lengths(sentences)
@@ -204,11 +185,12 @@ class Animator:
         for note in dict.fromkeys(note for number in wanted for note in sentences[number].cannot):
             self.note(note)
         for start in range(0, len(requests), AT_ONCE):
-            some = range(start, min(start + AT_ONCE, len(requests)))
-            if any(number in some for number in wanted):
-                seeds = [requests[number].sampling.seed for number in some]
-                motions = self._draw([sentences[number] for number in some], seeds, request.constraints, path, drawing)
-                for number in some:
+            numbers = range(start, min(start + AT_ONCE, len(requests)))
+            if any(number in numbers for number in wanted):
+                seeds = [requests[number].sampling.seed for number in numbers]
+                group = [sentences[number] for number in numbers]
+                motions = self._draw(group, seeds, request.constraints, path, drawing)
+                for number in numbers:
                     if number in wanted:
                         yield self._fitted(motions[number - start], sentences[number], body, request)
 
@@ -219,8 +201,8 @@ class Animator:
         are (`bunraku.save_clips`). Requests that differ in sentence and seed alone share passes of the denoiser.
 
         Args:
-            character: As of a single request.
-            requests: What is done in each clip. What moves the character is that of the first.
+            character: As for a single request.
+            requests: What is done in each clip. The first one says what moves the character.
 
         Raises:
             OptionError: A request cannot be met.
@@ -229,26 +211,23 @@ class Animator:
         while left:
             lead = next(iter(left.values()))
             body = character = character if isinstance(character, Body) else self.body(character, lead)
-            some = {name: one for name, one in left.items() if alike(one, lead)}
-            yield from zip(some, self.each(body, list(some.values())), strict=True)
-            left = {name: one for name, one in left.items() if name not in some}
+            group = {name: request for name, request in left.items() if alike(request, lead)}
+            yield from zip(group, self.each(body, list(group.values())), strict=True)
+            left = {name: request for name, request in left.items() if name not in group}
 
     def stretches(self, character: Character | Body, request: Request) -> Iterator[AnimatedCharacter]:
-        """A clip of any length, stretch by stretch, so that no more than one is in memory
-        (`formats.gltf.stream.write_stretches` writes them as one clip).
-
-        Each stretch after the first starts in the last pose of the one before, at its place: its first frame is that
-        one's last.
+        """A clip of any length, stretch by stretch, so that only one is in memory (`files.write_stretches`).
+        The first frame of each stretch is the last of the one before.
 
         Args:
-            character: As of a single request.
-            request: What is done. Loops, paths, pins and apparel that moves go with clips of one pass.
+            character: As for a single request.
+            request: What is done. Loops, paths, pins and moving apparel go with clips of one pass only.
 
         Raises:
             OptionError: The request cannot be met so.
         """
         (sentence,) = _read([request])
-        kinds = {one.kind for one in request.constraints} - {"in_place", "after"}
+        kinds = {constraint.kind for constraint in request.constraints} - {"in_place", "after"}
         if kinds or request.apparel.moves:
             raise OptionError(
                 f"a clip of more than {SECONDS.high:g} seconds goes with no loop, path, pin or apparel that moves; "
@@ -273,10 +252,10 @@ class Animator:
 
         Args:
             requests: They differ in sentence and seed alone. A path is in metres of the reference body.
-            seeds: One for each motion; a single number gives each motion noise of its own, the first as when it is
+            seeds: One for each motion; a single number gives each motion different noise, the first as when it is
                 alone.
             feature: Mesh feature f_phi of the character, shape (448,); that of the handles of `body` when None.
-            body: Of the character that is to be moved: sentences are taken as such a body can.
+            body: The anatomy of the character, to which the sentences are adapted.
         """
         sentences, request = _read(requests), _common(requests)
         request.check()
@@ -297,12 +276,7 @@ class Animator:
 
         Args:
             character: Any mesh, +Y up and facing +Z.
-            handles: Those that are known, or how they are made: "predict" or "rig".
-
-        Raises:
-            CharacterError: They are to be the rig's, and there is none, or its bones have no telling names.
-            OptionError: They are to be made otherwise.
-            WeightsError: The weights are missing or broken.
+            handles: Known ones, or how to make them: "predict" or "rig". Errors are those of `bunraku.rig`.
         """
         if isinstance(handles, Handles):
             return handles
@@ -322,8 +296,8 @@ class Animator:
         """A character as a request moves it; several runs of one character share it.
 
         Raises:
-            CharacterError: Apparel is to be simulated, and its file says nothing of physics; its own bones are to move
-                it, and they are not understood; or as of `handles`.
+            CharacterError: Apparel is to be simulated without physics; the character's bones are to move it, and they
+                are not understood; or as for `handles`.
         """
         parts = own_rig(character, request)
         if parts is not None:
@@ -339,17 +313,12 @@ class Animator:
     def dress(
         self, moved: Animation | RigAnimation, apparel: Apparel, anatomy: Anatomy | None = None
     ) -> AnimatedCharacter:
-        """An animation with its apparel moved.
+        """An animation with its apparel moved; errors are those of `pipelines.apparel.dressed`.
 
         Args:
             moved: With apparel that goes with the body.
             apparel: How it moves.
-            anatomy: Of the character by what moves it; worked out where it is asked for and not given.
-
-        Raises:
-            CharacterError: It is to be simulated without physics, or learned where there is none.
-            FormatError: A mask is broken or belongs to another mesh.
-            WeightsError: The weights are missing or broken.
+            anatomy: Of the character by what moves it; found where it is needed and None.
         """
         if not apparel.moves:
             return moved
@@ -382,11 +351,11 @@ class Animator:
         if given is None:
             return generate_motions(scripts, seeds=seeds, loop=constraints.loop, path=path, **vars(drawing))
         before = given if isinstance(given, HandleMotion) else reference_of(given)
-        own = [seeds + index for index in range(len(scripts))] if isinstance(seeds, int) else list(seeds)
-        if len(own) != len(scripts):
-            raise OptionError(f"{len(scripts)} motions need as many seeds, not {len(own)}")
-        once = vars(replace(drawing, candidates=1))  # nothing is chosen of what goes on from a pose
-        return [continue_motion(before, script, seed=seed, **once) for script, seed in zip(scripts, own, strict=True)]
+        each = [seeds + index for index in range(len(scripts))] if isinstance(seeds, int) else list(seeds)
+        if len(each) != len(scripts):
+            raise OptionError(f"{len(scripts)} motions need as many seeds, not {len(each)}")
+        once = vars(replace(drawing, candidates=1))  # motions that follow a pose are not ranked
+        return [continue_motion(before, script, seed=seed, **once) for script, seed in zip(scripts, each, strict=True)]
 
     def _fitted(
         self, motion: HandleMotion, sentence: Sentence, body: Body, request: Request
@@ -397,17 +366,16 @@ class Animator:
         if body.parts is None:
             return apply_motion(motion, body.anatomy, constraints, stages, self.progress)
         if request.apparel.moves:
-            motion = resample(motion, APPAREL_RATE)
+            motion = resample(motion, RATE)  # apparel swings faster than the network's 20 frames a second can show
         return apply_rigged(motion, body.parts, constraints, stages, self.progress)
 
 
 def own_rig(character: Character, request: Request) -> RigParts | None:
-    """The rig whose bones move a character by a request; None where its handles do. Handles that are given or requested
-    are what moves.
+    """The rig whose bones move a character by a request; None where its handles do.
 
     Raises:
-        CharacterError: Apparel is to be simulated, and its file says nothing of physics; or its own bones are to move
-            it, and there are none, or they are not understood.
+        CharacterError: Apparel is to be simulated without physics; or the character's bones are to move it, and there
+            are none, or they are not understood.
     """
     if request.apparel.motion == "simulate":
         from bunraku.apparel.chains.moving import check_apparel
@@ -442,7 +410,7 @@ def _written_handles(character: Character) -> Handles | None:
 
 
 def _note_rig(character: Character, handles: Handles, request: Request) -> None:
-    """Tell what moves a character whose rig could have moved it."""
+    """Log that handles move a character, although it has a rig."""
     if character.rig is None or request.rig != "auto" or request.handles_given or handles.rigid:
         return  # a figure of rigid blocks moves as its bones would move it
     _log.warning("%s: %s; %d handles move it", character.name, _not_understood(character), len(handles.positions))
@@ -450,15 +418,15 @@ def _note_rig(character: Character, handles: Handles, request: Request) -> None:
 
 def _not_understood(character: Character) -> str:
     assert character.rig is not None
-    some = ", ".join(character.rig.names[:3])
+    names = ", ".join(character.rig.names[:3])
     return (
-        f"its rig of {len(character.rig.names)} bones ({some} ...) is not understood as that of a person, of four "
+        f"its rig of {len(character.rig.names)} bones ({names} ...) is not understood as that of a person, of four "
         "legs or of a bird, by names or shape"
     )
 
 
 def _check_lengths(sentences: Sequence[Sentence]) -> None:
-    """Raise OptionError where a sentence lasts longer than one pass can make it."""
+    """Raise OptionError where a sentence is too long for one pass."""
     for sentence in sentences:
         if not SECONDS.low <= sentence.seconds <= SECONDS.high + 1e-9:
             raise OptionError(
@@ -469,22 +437,20 @@ def _check_lengths(sentences: Sequence[Sentence]) -> None:
 
 
 def _read(requests: Sequence[Request]) -> list[Sentence]:
-    """The sentence of each request; what cannot be generated is refused before anything is loaded, and what is not
-    understood is reported.
-    """
-    sentences = [one.parsed for one in requests]
+    """The parsed sentence of each request; what is not understood is logged."""
+    sentences = [request.parsed for request in requests]
     for note in (note for sentence in sentences for note in sentence.notes):
         _log.warning("%s", note)
     return sentences
 
 
 def _common(requests: Sequence[Request]) -> Request:
-    """What requests say that differ in sentence and seed alone."""
+    """The first of requests that differ in sentence and seed alone."""
     if not requests:
         raise OptionError("there is nothing to generate; give at least one request")
     first = requests[0]
-    if not all(alike(one, first) for one in requests[1:]):
-        raise OptionError("requests of one pass differ in sentence and seed alone; make the others apart")
+    if not all(alike(request, first) for request in requests[1:]):
+        raise OptionError("requests of one pass differ in sentence and seed alone; make the others separately")
     return first
 
 

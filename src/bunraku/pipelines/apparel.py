@@ -62,14 +62,14 @@ def shipped_displacement(clothed: ClothedCharacter | None = None) -> Displacemen
     """The displacement network that comes with Bunraku.
 
     Args:
-        clothed: Whom it is for: there is one for characters whose files say how their apparel swings, and one for those
+        clothed: The character: there is a network for those whose files say how their apparel swings, and one for those
             of which it is guessed; the first when None.
 
     Raises:
         WeightsError: It is missing or broken.
     """
-    told = clothed is None or clothed.swing is not None
-    return _network(*dated_checkpoint("apparel" if told else "apparel-guessed"))
+    from_file = clothed is None or clothed.swing is not None
+    return _network(*dated_checkpoint("apparel" if from_file else "apparel-guessed"))
 
 
 def dressed(
@@ -85,11 +85,9 @@ def dressed(
 
     Args:
         animation: Of handles or of bones; its apparel goes with the body.
-        apparel: One of `APPAREL`, or a mask of the apparel that is to be learned.
-        stiffness: Factor on how stiff apparel is.
-        gravity: Factor on the gravity of what is simulated.
+        apparel, stiffness, gravity: As in `Apparel`.
         progress: Called with a stage's name and the share done.
-        anatomy: Of the character by the handles that move it; worked out where it is asked for and not given.
+        anatomy: Of the character by the handles that move it; found where it is needed and None.
 
     Raises:
         OptionError: `apparel` is none of these.

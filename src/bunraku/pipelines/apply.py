@@ -11,7 +11,8 @@ from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
 from bunraku.core.request import Constraint, Progress
-from bunraku.core.travel import GroundPath, bent_to_path
+from bunraku.core.travel import GroundPath, bent_to_path, follow
+from bunraku.core.travel import in_place as in_place_motion
 from bunraku.pipelines.requests import Constraints
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.pins import meet_pins
@@ -37,38 +38,31 @@ def apply_motion(
     """A motion of the reference body, as `generate` makes them, on a character.
 
     Args:
-        motion: N frames.
+        motion: N frames, generated for the same constraints: as a loop, along `reference_path`, after the same motion.
         anatomy: Of the character.
-        constraints: What it must meet. It was generated as a loop where it is one, for its path (`reference_path`), and
-            to follow the motion of the reference body that it follows.
+        constraints: What it must meet.
         stages: Which stages fit the motion to the character; `GENERATED_STAGES` when None.
         progress: Called with a stage's name and the share done, 0 to 1.
     """
-    if progress:
-        progress("fit", 0.0)
+    progress = progress or (lambda stage, done: None)
+    progress("fit", 0.0)
     constraints = Constraints(constraints)
     after, loop, path = constraints.after, constraints.loop, constraints.path
+    before = None if isinstance(after, HandleMotion) else after
     stages = stages or GENERATED_STAGES
-    if (
-        after is not None and not isinstance(after, HandleMotion) and after.reference is None
-    ):  # what the stage did to that clip is in the way back from it already
+    if before is not None and before.reference is None:  # the way back from it contains the effect of that stage
         stages = replace(stages, shape=False)
     fitted = fitted_motion(motion, anatomy, stages, loop)
-    if after is not None and not isinstance(after, HandleMotion):
-        from bunraku.core.travel import follow
-
-        fitted = follow(fitted, after.motion)
+    if before is not None:
+        fitted = follow(fitted, before.motion)
     if constraints.in_place:
-        from bunraku.core.travel import in_place as in_place_motion
-
         fitted = in_place_motion(fitted, loop)
     if path is not None:
         low = float(anatomy.character.vertices[:, 1].min())
         fitted = bent_to_path(fitted, path, size=float(anatomy.handles.positions[0, 1]) - low)
     if constraints.pins:
         fitted = meet_pins(fitted, anatomy, constraints.pins)
-    if progress:
-        progress("fit", 1.0)
+    progress("fit", 1.0)
     return Animation(anatomy.character, anatomy.handles, fitted, motion)
 
 
@@ -81,25 +75,26 @@ def apply_simulated(
     fps: float = 30.0,
     progress: Progress | None = None,
 ) -> RigAnimation:
-    """A motion of the reference body on the bones of a character, whose hair and clothes its file's physics move.
+    """As `apply_rigged`, with hair and clothes that the physics of the character's file moves.
 
     Args:
         motion: N frames.
         character: With a rig and physics, +Y up and facing +Z.
-        in_place: Take the travel over the ground out; apparel then hangs as on a treadmill.
+        in_place: Remove the travel over the ground; apparel then hangs as on a treadmill.
         stages: Which stages fit the motion to the rig; all when None.
         fps: Frames a second of the result [1/s]; apparel swings faster than 20 can show.
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Raises:
-        CharacterError: There is no physics in the file, or the names of its bones do not tell their parts.
+        CharacterError: There is no physics in the file, or its bones are not understood.
     """
-    from bunraku.apparel.chains.moving import simulated
+    from bunraku.apparel.chains.moving import with_apparel
     from bunraku.core.motion import resample
     from bunraku.retarget.rig_parts import RigParts
 
-    own = Constraints.of(in_place=in_place)
-    return simulated(apply_rigged(resample(motion, fps), RigParts.of(character), own, stages, progress), progress)
+    constraints = Constraints.of(in_place=in_place)
+    moved = apply_rigged(resample(motion, fps), RigParts.of(character), constraints, stages, progress)
+    return with_apparel(moved, progress)
 
 
 def apply_rigged(
@@ -109,13 +104,13 @@ def apply_rigged(
     stages: Stages | None = None,
     progress: Progress | None = None,
 ) -> RigAnimation:
-    """A motion of the reference body on the bones of a character, hair and clothes going along: it is fitted to the 30
-    handles that its bones are, as `apply_motion` does, but for the stage `shape`: bones keep their lengths.
+    """A motion of the reference body on the bones of a character, hair and clothes going along. The bones count as 30
+    handles; the stage `shape` is left out, since bones keep their lengths.
 
     Args:
         motion: N frames.
         parts: The rig.
-        constraints: What it must meet; what is followed moves the bones of the same rig.
+        constraints: What it must meet; a clip that is followed moves the bones of the same rig.
         stages: Which stages fit the motion to the rig; all when None.
         progress: Called with a stage's name and the share done, 0 to 1.
     """
@@ -126,8 +121,8 @@ def apply_rigged(
     after = constraints.after
     if isinstance(after, RigAnimation):
         constraints = constraints.following(handle_animation(after))
-    own = replace(stages or Stages(), shape=False)
-    return on_bones(parts, apply_motion(stiff(motion), parts.anatomy, constraints, own, progress).motion, motion)
+    stages = replace(stages or Stages(), shape=False)
+    return on_bones(parts, apply_motion(stiff(motion), parts.anatomy, constraints, stages, progress).motion, motion)
 
 
 def reference_path(path: GroundPath | None, anatomy: Anatomy) -> GroundPath | None:
@@ -136,7 +131,7 @@ def reference_path(path: GroundPath | None, anatomy: Anatomy) -> GroundPath | No
 
 
 def fitted_motion(motion: HandleMotion, anatomy: Anatomy, stages: Stages | None, loop: bool = False) -> HandleMotion:
-    """`fit_motion`, with the rounds before and after a loop in sight, so that no stage treats its ends as ends."""
+    """`fit_motion`; a loop is fitted with its rounds before and after, so that no stage treats its ends as ends."""
     if not loop or len(motion) < 3:
         return fit_motion(motion, anatomy, stages)
     from bunraku.core.travel import closed_loop, repeated
@@ -147,12 +142,8 @@ def fitted_motion(motion: HandleMotion, anatomy: Anatomy, stages: Stages | None,
 
 
 def reference_of(animation: AnimatedCharacter, anatomy: Anatomy | None = None) -> HandleMotion:
-    """The motion of the reference body that an animation plays: the one that it was fitted from, or the way back from
-    its own.
-
-    Args:
-        animation: Of 30 handles.
-        anatomy: Of its character by its handles; None works it out where it is needed.
+    """The motion of the reference body that an animation of 30 handles plays: the one that it was fitted from, or else
+    its own taken back. The anatomy, of its character by its handles, is found where it is needed and None.
     """
     if animation.reference is not None:
         return animation.reference

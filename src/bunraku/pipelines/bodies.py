@@ -1,6 +1,4 @@
-"""Bodies before they move: what was decided about one and how sure that is, what it does in place of what a sentence
-says, and what such a movement needs.
-"""
+"""Facts about a body, and how sentences and motions are adapted to it."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.handles.limbs import FAMILIES, limb_handles
-from bunraku.anatomy.plan import BodyPlan
+from bunraku.anatomy.legs import BodyPlan
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.language.parse import INSTEAD, for_body
@@ -25,9 +23,10 @@ __all__ = [
 ]  # fmt: skip
 
 
-LEAST = 0.004  # share of the surface from which a part counts as found
+LEAST = 0.004
+"""Share of the surface above which a part counts as found; chosen by eye."""
 SURE, LIKELY = 0.85, 0.7
-"""How clearly a part's handles hold it from which on it is sure, and likely."""
+"""Mean weight of a part's handles over the part from which on it is called sure, and likely; chosen by eye."""
 _MIDDLE: dict[str, tuple[str, ...]] = {
     "trunk": ("pelvis", "spine1", "spine2", "spine3"),
     "head": ("neck", "head", "head_top", "face"),
@@ -56,7 +55,7 @@ class PartFact:
 
     @property
     def words(self) -> str:
-        """All of it in words."""
+        """The same in words."""
         said = "sure" if self.sure >= SURE else "likely" if self.sure >= LIKELY else "a guess"
         return f"{self.name}: {100 * self.area:.0f} % of the surface, {100 * self.sure:.0f} % clear ({said})"
 
@@ -79,26 +78,22 @@ class BodyFacts:
 
     @property
     def lines(self) -> list[str]:
-        """All of it in words, a line each."""
+        """The same in words, a line each."""
         return [self.plan.words, *(part.words for part in self.parts), *self.cannot]
 
 
 def body_facts(anatomy: Anatomy) -> BodyFacts:
-    """What was decided about a character's body.
-
-    Args:
-        anatomy: Of the character.
-    """
+    """What was decided about a character's body."""
     plan, character, handles = anatomy.plan, anatomy.character, anatomy.handles
     areas = character.areas / max(float(character.areas.sum()), 1e-30)
     main, played = handles.weights.argmax(axis=1), handles.played
     parts = []
     for name, members in _PARTS.items():
-        own = np.isin(played, members)
-        held = own[main] & (areas > 0)
+        inside = np.isin(played, members)
+        held = inside[main] & (areas > 0)
         area = float(areas[held].sum())
         if area > LEAST:
-            clear = float((areas[held] * handles.weights[held][:, own].sum(axis=1)).sum() / area)
+            clear = float((areas[held] * handles.weights[held][:, inside].sum(axis=1)).sum() / area)
             shown = name.replace("arm", "foreleg") if plan.front and name.endswith("arm") else name
             parts.append(PartFact(shown, area, clear))
     parts.sort(key=lambda part: -part.area)
@@ -137,12 +132,7 @@ def moves_as_people(plan: BodyPlan) -> bool:
 
 
 def adapt_to_body(sentences: Sequence[Sentence], anatomy: Anatomy) -> tuple[list[Sentence], bool]:
-    """Sentences as a body does them, and whether it moves as people do.
-
-    Args:
-        sentences: From `language.parse`.
-        anatomy: Of the body.
-    """
+    """Parsed sentences as a body does them, and whether it moves as people do."""
     plan = anatomy.plan
     return [adapt_sentence(sentence, plan) for sentence in sentences], moves_as_people(plan)
 
@@ -153,13 +143,13 @@ def apply_locomotion(motion: HandleMotion, sentence: Sentence, anatomy: Anatomy,
 
     Args:
         motion: Of the reference body.
-        sentence: What it shows, as the body does it.
+        sentence: What it shows, adapted to the body.
         anatomy: Of the character.
         loop: Whether the motion is a loop.
     """
-    start, whole = 0.0, sentence.seconds
+    start = 0.0
     for locomotion, clauses in groupby(sentence.clauses, key=lambda clause: clause.moves):
-        share = sum(clause.seconds / whole for clause in clauses)
+        share = sum(clause.seconds / sentence.seconds for clause in clauses)
         where = slice(round(start * len(motion)), round((start + share) * len(motion)))
         motion = moved_so(motion, locomotion, where, anatomy, loop)
         start += share

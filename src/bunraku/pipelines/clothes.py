@@ -28,22 +28,22 @@ from bunraku.errors import CharacterError
 from bunraku.retarget.engine_skeleton import on_skeleton, t_pose
 
 __all__ = [
-    "apparel_of", "body_of_handles", "clothed_of", "with_apparel_chains", "rig_with_chains", "separate_apparel",
+    "body_of_handles", "clothed_of", "with_apparel_chains", "rig_with_chains", "separate_apparel",
     "excess_apparel_note", "may_have_apparel",
 ]  # fmt: skip
 
 _HEAD = JOINT_NAMES.index("head")
 MOST = 0.75
-"""Of the surface: who wears more is asked about."""
+"""Share of the surface above which an apparel mask is doubted; chosen by eye."""
 ONE, STIFF = 0.99, 0.8
-"""A machine or a skeleton: so much of its surface moves with one handle alone, which holds so much of it."""
+"""A machine or a skeleton: more than 0.8 of its surface is held by one handle each with a weight above 0.99; chosen by
+eye.
+"""
 
 
 def body_of_handles(character: Character, handles: Handles) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (V, 22) and places (22, 3) of the joints that the 30 handles of a body stand for.
-
-    Raises:
-        CharacterError: The handles are not the 30 of a body.
+    """Weights (V, 22) and positions (22, 3) [m] of the joints that the 30 handles of a body stand for; CharacterError
+    where the handles are not the 30 of a body.
     """
     if len(handles.positions) < HANDLE_COUNT:
         raise CharacterError(f"{character.name}: its handles are not the 30 of a body; let them be predicted")
@@ -54,11 +54,11 @@ def body_of_handles(character: Character, handles: Handles) -> tuple[np.ndarray,
 def separate_apparel(
     character: Character, joints: np.ndarray, weights: np.ndarray, mask: np.ndarray | None, stiffness: float = 1.0
 ) -> ClothedCharacter:
-    """A character whose apparel is told from its body, each part on the joint that carries it.
+    """A character with its apparel separated from its body, each part on the joint that carries it.
 
     Args:
         character: The mesh.
-        joints: Where the 22 joints are [m], shape (22, 3).
+        joints: Positions of the 22 joints [m], shape (22, 3).
         weights: Of the vertices for them, shape (V, 22).
         mask: Vertices that are apparel; what the segmentation network finds when None.
         stiffness: Factor on how stiff they are.
@@ -80,20 +80,6 @@ def separate_apparel(
     return replace(clothed, weights=np.where(own, np.eye(JOINT_COUNT, dtype=np.float32)[_HEAD], clothed.weights))
 
 
-def apparel_of(character: Character, handles: Handles, mask: np.ndarray | None = None) -> np.ndarray:
-    """Which vertices of a character are apparel, shape (V,), bool.
-
-    Args:
-        character: The mesh.
-        handles: Its 30 handles.
-        mask: As of `told_apart`.
-    """
-    weights, joints = body_of_handles(character, handles)
-    if mask is None and not may_have_apparel(Anatomy.of(character, handles)):
-        return np.zeros(len(character.vertices), bool)
-    return separate_apparel(character, joints, weights, mask).apparel
-
-
 def excess_apparel_note(character: Character, apparel: np.ndarray) -> str:
     """What to say where so much of a mesh is taken for apparel that it is hardly true; "" where it is not.
 
@@ -111,8 +97,8 @@ def excess_apparel_note(character: Character, apparel: np.ndarray) -> str:
 
 
 def may_have_apparel(anatomy: Anatomy) -> bool:
-    """Whether what the segmentation network finds on a body counts: it knows people, and calls the legs of a horse
-    sleeves, and the plates of a machine skirts. Long tails of hair may be taken for the wings of a person.
+    """Whether what the segmentation network finds on a body counts. It was trained on people: it takes the legs of a
+    horse for sleeves and the plates of a machine for skirts. A person's long hair may have been taken for wings.
     """
     areas = anatomy.character.areas
     stiff = float(areas[anatomy.handles.weights.max(axis=1) > ONE].sum()) > STIFF * float(areas.sum())
@@ -127,7 +113,7 @@ def with_apparel_chains(
 
     Args:
         character: With a rig.
-        clothed: The same mesh, told apart.
+        clothed: The same mesh with its apparel separated.
         bones: The bone of the rig that each of the 22 joints is, shape (22,).
         stiffness, gravity: Factors.
 

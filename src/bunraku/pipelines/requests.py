@@ -1,11 +1,10 @@
-"""What is requested: a sentence or a motion, sampling, constraints, how apparel moves, and which of several clips are
-loops.
-"""
+"""What is requested: a sentence or a motion, sampling, constraints, how apparel moves, and which clips are loops."""
 
 from __future__ import annotations
 
 import importlib
 import math
+import operator
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -55,12 +54,11 @@ class Apparel:
 
     Args:
         motion: "none" (or "rigid") moves them with the body; "simulate" by the rigid bodies or springs of an MMD or VRM
-            file, or else by the bones of hair and clothes of a person's rig; "chains" by chains of bones that are laid
-            over what a network finds on any mesh, and simulated; "learn" by a network; "auto" by the file's physics, or
-            else its bones, or else chains where the mesh has apparel; or the file of a mask of what is to be
-            learned.
-        stiffness: How stiff apparel is, as a factor, 0.001 to 1000.
-        gravity: How strongly what is simulated is drawn downwards, as a factor, 0 to 10.
+            file, or else by the bones of hair and clothes of a person's rig; "chains" by simulated chains of bones over
+            what a network finds on any mesh; "learn" by a network; "auto" by the first of physics, bones and chains
+            that there is; or the file of a mask of what is to be learned.
+        stiffness: Factor on the stiffness of apparel, 0.001 to 1000.
+        gravity: Factor on the gravity of simulated apparel, 0 to 10.
     """
 
     motion: str = "none"
@@ -83,14 +81,11 @@ class Apparel:
         return None if self.motion in APPAREL else Path(self.motion)
 
     def check(self, dashes: str = "") -> None:
-        """Whether apparel can move so.
-
-        Args:
-            dashes: What stands before the names of options in messages.
+        """Whether apparel can move so; `dashes` stand before the names of options in messages.
 
         Raises:
             OptionError: It cannot.
-            MissingExtraError: What simulates is not installed.
+            MissingExtraError: The physics engine is not installed.
         """
         from bunraku.apparel.physics.rig import check_engine
 
@@ -105,17 +100,10 @@ class Apparel:
             check_engine(f"apparel that moves by '{self.motion}'")
 
     def check_with(self, constraints: Sequence[Constraint], handles: bool = False, dashes: str = "") -> None:
-        """Whether apparel that moves so goes together with what a motion must meet.
-
-        Args:
-            constraints: Those of a request.
-            handles: Whether handles are given or requested.
-            dashes: What stands before the names of options in messages.
-
-        Raises:
-            OptionError: It does not.
+        """Whether apparel that moves so goes with the constraints, and with handles that are given or requested;
+        OptionError where it does not.
         """
-        kinds = {one.kind for one in constraints}
+        kinds = {constraint.kind for constraint in constraints}
         if self.motion == "simulate" and kinds & {"path", "pin"}:
             raise OptionError(
                 f"paths and pins are for characters moved by handles; leave out {dashes}apparel simulate, or "
@@ -147,7 +135,7 @@ _MADE_ANEW = ("path", "loop", "after", "in_place")
 
 @dataclass(frozen=True)
 class Loop(Constraint):
-    """The last pose is the first again, at another place where the motion travels."""
+    """The last pose equals the first, at another position where the motion travels."""
 
     kind: ClassVar[str] = "loop"
     alone: ClassVar[tuple[tuple[str, ...], str]] = (
@@ -158,7 +146,7 @@ class Loop(Constraint):
 
 @dataclass(frozen=True)
 class InPlace(Constraint):
-    """The path over the ground is taken out, as game engines want it that move the character themselves."""
+    """The travel over the ground is removed, for game engines that move the character themselves."""
 
     kind: ClassVar[str] = "in_place"
 
@@ -168,8 +156,8 @@ class Follow(Constraint):
     """The motion starts in the last pose of another.
 
     Args:
-        clip: An animation of the same character, or a motion of the reference body; or the name of one, as a JSON form
-            has it, which whoever reads that form opens.
+        clip: An animation of the same character, or a motion of the reference body; or its name in a JSON form, whose
+            reader opens it.
     """
 
     clip: HandleMotion | AnimatedCharacter | str
@@ -191,11 +179,11 @@ class _Named:
 
 @dataclass(frozen=True)
 class Keep(Constraint):
-    """What of a clip stays as it is while the rest is generated: parts of the body, and all outside a span of time.
+    """What stays of a clip while the rest is generated: parts of the body, and everything outside a span of time.
 
     Args:
-        parts: Such as legs, left arm, upper body (`body.parts`); none keeps no part.
-        span: Seconds from and to which is generated; None is all of the clip.
+        parts: Such as legs, left arm, upper body (`body.parts`).
+        span: The first and the last second that are generated; None is all of the clip.
     """
 
     parts: tuple[str, ...] = ()
@@ -206,11 +194,11 @@ class Keep(Constraint):
 
 @dataclass(frozen=True)
 class Pose(Constraint):
-    """A single pose of a clip that stays as it is; what is between such poses is generated.
+    """A single pose of a clip that stays; what is between such poses is generated.
 
     Args:
         time: Seconds from the start of the clip.
-        take: The name of another clip that it is taken from; None is the clip itself.
+        take: The name of the clip that the pose comes from; None is the clip itself.
         at: Seconds from the start of that clip; None is `time`.
     """
 
@@ -234,13 +222,15 @@ class Constraints(tuple[Constraint, ...]):
         loop: bool = False,
         in_place: bool = False,
         after: HandleMotion | AnimatedCharacter | str | None = None,
-        path: GroundPath | None = None,
+        path: GroundPath | Sequence[Sequence[float]] | None = None,
         pins: Iterable[Pin] = (),
     ) -> Self:
-        """Those of a motion that is made anew; arguments as of `bunraku.animate`."""
-        found: list[Constraint] = [*((Loop(),) if loop else ()), *((InPlace(),) if in_place else ())]
-        found += [] if after is None else [Follow(after)]
-        return cls((*found, *([] if path is None else [path]), *pins))
+        """Those of a motion that is made anew; arguments as in `bunraku.animate`."""
+        if path is not None and not isinstance(path, Constraint):
+            path = ground_path(path)
+        follow = None if after is None else Follow(after)
+        given = (Loop() if loop else None, InPlace() if in_place else None, follow, path)
+        return cls((*(constraint for constraint in given if constraint is not None), *pins))
 
     @property
     def path(self) -> GroundPath | None:
@@ -250,7 +240,7 @@ class Constraints(tuple[Constraint, ...]):
     @property
     def pins(self) -> list[Pin]:
         """Where hands and feet are at some times."""
-        return [cast("Pin", one) for one in self if one.kind == "pin"]
+        return [cast("Pin", constraint) for constraint in self if constraint.kind == "pin"]
 
     @property
     def loop(self) -> bool:
@@ -264,11 +254,7 @@ class Constraints(tuple[Constraint, ...]):
 
     @property
     def after(self) -> HandleMotion | AnimatedCharacter | None:
-        """The clip in whose last pose the motion starts.
-
-        Raises:
-            OptionError: It is named and not opened.
-        """
+        """The clip in whose last pose the motion starts; OptionError where it is named and not opened."""
         found = self._one("after")
         if not isinstance(found, Follow):
             return None
@@ -277,8 +263,8 @@ class Constraints(tuple[Constraint, ...]):
         return found.clip
 
     def following(self, clip: HandleMotion | AnimatedCharacter) -> Self:
-        """The same with the clip itself that is only named, or another one, followed."""
-        return type(self)((*(one for one in self if one.kind != "after"), Follow(clip)))
+        """The same, following a clip in place of the one that was named."""
+        return type(self)((*(constraint for constraint in self if constraint.kind != "after"), Follow(clip)))
 
     @property
     def keep(self) -> Keep:
@@ -289,50 +275,40 @@ class Constraints(tuple[Constraint, ...]):
     @property
     def poses(self) -> list[Pose]:
         """Single poses that stay of a clip that is edited."""
-        return [one for one in self if isinstance(one, Pose)]
+        return [constraint for constraint in self if isinstance(constraint, Pose)]
 
     def _one(self, kind: str) -> Constraint | None:
-        return next((one for one in self if one.kind == kind), None)
+        return next((constraint for constraint in self if constraint.kind == kind), None)
 
     def check(self, dashes: str = "", clip: bool = False) -> None:
-        """Whether all go together.
-
-        Args:
-            dashes: What stands before the names of options in messages.
-            clip: Whether a clip is edited, and no motion made anew.
-
-        Raises:
-            OptionError: They do not.
+        """Whether all go together; `clip` says that a clip is edited, and no motion made anew; OptionError where they
+        do not.
         """
         if len(self.pins) > MOST_PINS:
             raise OptionError(f"at most {MOST_PINS} pins are met, not {len(self.pins)}")
-        for one in self:
-            if one.kind in (_MADE_ANEW if clip else _OF_A_CLIP):
+        for constraint in self:
+            if constraint.kind in (_MADE_ANEW if clip else _OF_A_CLIP):
                 raise OptionError(
-                    f"'{one.kind}' is for clips that are {'made anew' if clip else 'edited'}; leave it out"
+                    f"'{constraint.kind}' is for clips that are {'made anew' if clip else 'edited'}; leave it out"
                 )
-            one.check(self, dashes)
+            constraint.check(self, dashes)
 
     def to_json(self) -> list[dict[str, Any]]:
         """The JSON form: a list of those of all."""
-        return [one.to_json() for one in self]
+        return [constraint.to_json() for constraint in self]
 
     @classmethod
     def from_json(cls, data: object) -> Self:
-        """The constraints of a JSON form.
-
-        Raises:
-            OptionError: It is none.
-        """
+        """The constraints of a JSON form; OptionError where it is not such a form."""
         if not isinstance(data, list | tuple):
             raise OptionError("constraints must be a list")
         found = []
-        for one in data:
-            kind = one.get("kind") if isinstance(one, dict) else None
+        for form in data:
+            kind = form.get("kind") if isinstance(form, dict) else None
             if not isinstance(kind, str) or kind not in CONSTRAINTS:
                 raise OptionError(f"a constraint is an object with a kind: {', '.join(CONSTRAINTS)}")
             module, name = CONSTRAINTS[kind].split(":")
-            found.append(getattr(importlib.import_module(module), name).from_json(one))
+            found.append(getattr(importlib.import_module(module), name).from_json(form))
         return cls(found)
 
 
@@ -340,6 +316,24 @@ HANDLES = ("predict", "rig")
 """How handles are made where none are given."""
 RIGS = ("auto", "own", "handles")
 """What of a character moves."""
+
+
+def whole_number(name: str, value: Any) -> int:
+    """A whole number of any type, such as numpy's; OptionError for other values."""
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise OptionError(f"{name} must be a whole number, not {str(value)[:40]}") from None
+
+
+def ground_path(points: Sequence[Sequence[float]]) -> GroundPath:
+    """The path of points on the ground, each x and z [m]; OptionError for other values."""
+    from bunraku.core.travel import GroundPath
+
+    try:
+        return GroundPath(tuple((float(x), float(z)) for x, z in points))
+    except (TypeError, ValueError):
+        raise OptionError("path is a GroundPath, or a list of points on the ground with x and z in metres") from None
 
 
 @dataclass(frozen=True)
@@ -350,10 +344,9 @@ class Sampling:
         seconds: Length of the clip, at least 0.5, and at most 120 in one pass; prompts in a row without seconds of
             their own share it.
         seed: The same seed and version give the same motion.
-        steps: Sampling steps, 1 to 1000; more is slower. Default: 4, which the network was distilled into.
+        steps: Sampling steps, 1 to 1000; more is slower. Default: 4, to which the network was distilled.
         guidance: How closely to follow the sentence, 0 to 20. Default: 3.5.
-        candidates: Motions that are drawn, of which the one is taken that a ranker likes best, 1 to 16; 1 is the
-            fastest.
+        candidates: Motions that are drawn, 1 to 16; a ranker chooses the best.
     """
 
     seconds: float = 6.0
@@ -362,14 +355,15 @@ class Sampling:
     guidance: float | None = None
     candidates: int = 3
 
+    def __post_init__(self) -> None:
+        for name in ("seed", "steps", "candidates"):
+            value = getattr(self, name)
+            if value is not None or name != "steps":
+                object.__setattr__(self, name, whole_number(name, value))
+
     def check(self, dashes: str = "") -> None:
-        """Whether a motion can be drawn so.
-
-        Args:
-            dashes: What stands before the names of options in messages.
-
-        Raises:
-            OptionError: A number is outside its limits.
+        """Whether a motion can be drawn so; `dashes` stand before the names of options in messages; OptionError where a
+        number is outside its limits.
         """
         WHOLE.check(self.seconds, f"{dashes}seconds")
         SEED.check(self.seed, f"{dashes}seed")
@@ -383,18 +377,18 @@ class Request:
     """What a character is to do.
 
     Args:
-        sentence: In English or a language of `language.words`; several in a row with their seconds: "walks:4; jumps:2".
-            One that is parsed already (`language.parse`) is not parsed again.
+        sentence: In English or a language of `language.words`; several in a row with their seconds: "walks:4; jumps:2";
+            or one that is parsed already (`language.parse`).
         sampling: How the motion is drawn.
-        constraints: What it must meet: a `GroundPath`, `Pin`, `Loop`, `Follow`, `InPlace`; of a clip that is edited a
-            `Keep`, `Pose`, `Pin`.
+        constraints: What it must meet: `GroundPath`, `Pin`, `Loop`, `Follow` and `InPlace` for a new motion, `Keep`,
+            `Pose` and `Pin` for a clip that is edited.
         apparel: How hair and clothes move.
         stages: Which stages fit the motion to the character; the defaults when None.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
-        force: Go on even where no movement of the sentence is understood.
+        force: Go on where no movement of the sentence is understood.
         rig: What moves: "own" the bones of the file's skeleton, "handles" the 30 handles, "auto" the bones where they
-            are understood as those of a person, of four legs or of a bird and no handles are requested, and handles
-            otherwise.
+            are understood as those of a person, of four legs or of a bird and no handles are requested, or else the
+            handles.
     """
 
     sentence: str | Sentence
@@ -417,10 +411,8 @@ class Request:
 
     @cached_property
     def parsed(self) -> Sentence:
-        """The sentence, parsed.
-
-        Raises:
-            OptionError: It is empty, too long or not understood, or a length is out of range.
+        """The sentence, parsed; OptionError where it is empty, too long or not understood, or a length is out of
+        range.
         """
         from bunraku.language.parse import parse
 
@@ -436,11 +428,7 @@ class Request:
         return replace(self, sampling=replace(self.sampling, seed=seed))
 
     def check(self, dashes: str = "", clip: bool = False) -> None:
-        """Whether this can be requested; what the sentence says is checked where it is read.
-
-        Args:
-            dashes: What stands before the names of options in messages.
-            clip: Whether a clip is edited.
+        """Whether this can be requested; the sentence is checked where it is read. Arguments as in `Constraints.check`.
 
         Raises:
             OptionError: A number is outside its limits, or parts of the request do not go together.
@@ -457,15 +445,11 @@ class Request:
 
     @property
     def handles_given(self) -> bool:
-        """Whether it says which handles there are, or that they are made in another way than by default."""
+        """Whether handles are given, or made in another way than by default."""
         return not isinstance(self.handles, str) or self.handles != "predict"
 
     def to_json(self) -> dict[str, Any]:
-        """The JSON form.
-
-        Raises:
-            OptionError: It holds handles or a clip themselves, and not their names.
-        """
+        """The JSON form; OptionError where it holds handles or a clip themselves, and not their names."""
         if not isinstance(self.handles, str):
             raise OptionError("handles that were made have no form in JSON; say how they are made: 'predict' or 'rig'")
         return {
@@ -477,11 +461,7 @@ class Request:
 
     @classmethod
     def from_json(cls, data: object) -> Request:
-        """The request of a JSON form, checked.
-
-        Raises:
-            OptionError: It is none, or cannot be requested.
-        """
+        """The request of a JSON form, checked; OptionError where it is not such a form, or cannot be requested."""
         form = from_json(_Form, data, "the request")
         stages = None
         if form.stages is not None:
@@ -492,13 +472,13 @@ class Request:
         found = cls(
             form.sentence, form.sampling, constraints, form.apparel, stages, form.handles, form.force, form.rig
         )  # fmt: skip
-        found.check(clip=any(one.kind in ("keep", "pose") for one in constraints))
+        found.check(clip=any(constraint.kind in _OF_A_CLIP for constraint in constraints))
         return found
 
 
 @dataclass(frozen=True)
 class _Form:
-    """The keys of a request's JSON form, with what is read by classes of its own as it is."""
+    """The keys of a request's JSON form; `object` is read by another class."""
 
     sentence: str
     sampling: Sampling = field(default_factory=Sampling)
@@ -533,7 +513,7 @@ class TransferRequest:
         stages: Which stages run; `pipelines.transfer.TRANSFER_STAGES` when None.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
         fps: Frames a second of the result [1/s].
-        names: The skeleton's joint by SMPL's name, for joints that are not found or found wrongly; "" for none.
+        names: The skeleton's joint by SMPL's name, for joints that are missed or mistaken; "" for none.
         clip: Number or name of the clip of a file with several.
     """
 
@@ -546,14 +526,7 @@ class TransferRequest:
     clip: int | str = 0
 
     def check(self, dashes: str = "") -> None:
-        """Whether this can be requested.
-
-        Args:
-            dashes: What stands before the names of options in messages.
-
-        Raises:
-            OptionError: It cannot.
-        """
+        """Raise OptionError unless this can be requested; `dashes` stand before the names of options in messages."""
         if self.onto not in ONTO:
             raise OptionError(
                 f"a motion goes onto 'handles', 'rig' or 'auto', not '{self.onto}'; choose one of the three"
@@ -570,8 +543,8 @@ LONGEST = 60
 
 
 def clip_names(prompts: Iterable[str]) -> dict[str, str]:
-    """Prompts by the names of their clips: those that stand before them, or their words, "walks forward" as
-    walks-forward; one that is there already gets a number.
+    """Prompts by the names of their clips: the name before a prompt, or its words, "walks forward" as walks-forward; a
+    second one of a name gets a number.
     """
     from bunraku.files import free_name
     from bunraku.language.prompts import split_name
@@ -585,7 +558,7 @@ def clip_names(prompts: Iterable[str]) -> dict[str, str]:
 
 
 def is_cycle(sentence: Sentence) -> bool:
-    """Whether a sentence tells of one thing that goes on as it is, as walking does and jumping does not."""
+    """Whether a sentence describes one movement that repeats, as walking does and jumping does not."""
     from bunraku.language.lexicon import is_cyclic
 
     if sentence.loop:
@@ -599,18 +572,16 @@ def is_cycle(sentence: Sentence) -> bool:
 
 
 def with_loops(requests: Mapping[str, Request]) -> dict[str, Request]:
-    """Requests of which those are loops whose sentences are parsed, tell of a cycle, and meet nothing that a loop does
-    not go with.
-    """
+    """Requests, those made loops whose parsed sentence describes a cycle and whose constraints allow a loop."""
     from bunraku.language.sentence import Sentence
 
     loops: dict[int, Constraints] = {}
     out = {}
     for name, request in requests.items():
-        own = request.constraints
-        free = not request.apparel.moves and all(one.kind == "in_place" for one in own)
+        given = request.constraints
+        free = not request.apparel.moves and all(constraint.kind == "in_place" for constraint in given)
         if free and isinstance(request.sentence, Sentence) and is_cycle(request.sentence):
-            closed = loops.setdefault(id(own), Constraints((Loop(), *own)))
+            closed = loops.setdefault(id(given), Constraints((Loop(), *given)))
             request = replace(request, constraints=closed)
         out[name] = request
     return out

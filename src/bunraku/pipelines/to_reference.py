@@ -25,10 +25,11 @@ from bunraku.retarget.rig_parts import RigParts
 
 __all__ = ["creature_motion", "reference_motion"]
 
-_CHUNK = 200  # frames registered at once: bounds memory
-TALL = (
-    0.85  # a mesh stands whose middle is so high over its lowest point, as a share of what lasts; raised arms add less
-)
+_CHUNK = 200  # frames registered at once, which bounds the memory
+TALL = 0.85
+"""A moving mesh stands where its mean height over its lowest point reaches this share of what it lastingly is. Raised
+arms add less; chosen by eye.
+"""
 
 
 def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, str] | None = None) -> HandleMotion:
@@ -37,7 +38,7 @@ def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, s
     Args:
         motion: Motion of a skeleton; handle motion of the reference body; an animated character; or a moving mesh.
         fps: Frames a second of the result [1/s].
-        names: The skeleton's joint by SMPL's name, for joints that are not found or found wrongly; "" for none.
+        names: The skeleton's joint by SMPL's name, for joints that are missed or mistaken; "" for none.
 
     Raises:
         MotionError: No pelvis and legs are found in the skeleton, or a handle motion is of something else.
@@ -65,10 +66,8 @@ def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, s
 def creature_motion(
     motion: Motion, *, fps: float = 20.0, names: Mapping[str, str] | None = None
 ) -> CreatureMotion | None:
-    """The motion of a body on four legs and more, on none or on wings, or of one that lies along its spine on two legs;
-    None of people and of others that go upright.
-
-    Arguments and errors are those of `reference_motion`.
+    """The motion of a body on four legs or more, on none or on wings, or on two legs along a level spine; None for
+    people and other upright bodies. Arguments and errors are those of `reference_motion`.
     """
     found = _creature_motion(motion, fps, names)
     if found is not None and found.plan.kind == "two legs" and not found.flies:
@@ -83,15 +82,15 @@ def _creature_motion(motion: Motion, fps: float, names: Mapping[str, str] | None
         return motion_of_skeleton(motion, fps, names)
     if isinstance(motion, RigAnimation | Animation):
         character, rig = motion.character, motion.character.rig
-        own = len(motion.handles.positions)
-        if isinstance(motion, Animation) and own == HANDLE_COUNT and (rig is None or own != len(rig.names) + 1):
+        count = len(motion.handles.positions)
+        if isinstance(motion, Animation) and count == HANDLE_COUNT and (rig is None or count != len(rig.names) + 1):
             found = motion_of_handles(motion.motion, Anatomy.of(character, motion.handles))
-        elif rig is not None and (isinstance(motion, RigAnimation) or own == len(rig.names) + 1):
+        elif rig is not None and (isinstance(motion, RigAnimation) or count == len(rig.names) + 1):
             world = motion.world() if isinstance(motion, RigAnimation) else bones_of(motion)
             try:
                 character, rotations, positions = _facing(character, *world)
                 found = motion_of_rig(RigParts.of(character), rotations, positions, motion.motion.fps)
-            except CharacterError:  # names that say nothing
+            except CharacterError:  # the names of its bones say nothing
                 found = _creature_of_mesh(replace(motion.character, rig=None), motion.vertices(), motion.fps)
     elif isinstance(motion, MeshMotion):
         found = _creature_of_mesh(_standing(motion), motion.vertices, motion.fps)
@@ -109,9 +108,7 @@ def _of_skeleton(motion: SkeletalMotion, fps: float, names: Mapping[str, str] | 
 
 
 def _of_animation(animation: Animation) -> HandleMotion:
-    """Of a clip that a file brings, whose handles are its bones; or of handles that have the reference body's
-    meaning.
-    """
+    """Of a clip of a file, whose handles are its bones; or of the 30 handles of the reference body."""
     from bunraku.retarget.to_reference import motion_to_reference
 
     character, rig = animation.character, animation.character.rig
@@ -122,7 +119,7 @@ def _of_animation(animation: Animation) -> HandleMotion:
         try:
             return _of_rig(character, *bones_of(animation), animation.motion.fps)
         except CharacterError:
-            pass  # names that say nothing
+            pass  # the names of its bones say nothing
     return _of_mesh(replace(character, rig=None), animation.vertices(), animation.motion.fps)
 
 
@@ -136,7 +133,7 @@ def _of_rig(character: Character, rotations: np.ndarray, positions: np.ndarray, 
 def _facing(
     character: Character, rotations: np.ndarray, positions: np.ndarray
 ) -> tuple[Character, np.ndarray, np.ndarray]:
-    """A character and the motion of its bones, turned to face +Z by what its rig says."""
+    """A character and the motion of its bones, rotated to face +Z by its rig."""
     from bunraku.anatomy.names.bone_names import rig_axes
     from bunraku.core.geometry.axes import upright_rotation
     from bunraku.files import rotated
@@ -145,31 +142,23 @@ def _facing(
     assert rig is not None
     axes = rig_axes(rig.names, rig.parents, rig.positions)
     if axes is not None and axes != ("+y", "+z"):
-        turn = upright_rotation(*axes)
-        character, rotations, positions = (
-            rotated(replace(character, source=None, avatar=None), *axes),
-            turn @ rotations @ turn.T,
-            positions @ turn.T,
-        )
+        upright = upright_rotation(*axes)
+        character = rotated(replace(character, source=None, avatar=None), *axes)
+        rotations, positions = upright @ rotations @ upright.T, positions @ upright.T
     return character, rotations, positions
 
 
 def _standing(motion: MeshMotion) -> Character:
-    """A moving mesh as it stands: in the first frame in which it is about as tall as it lastingly is."""
-    heights = np.concatenate(
-        [
-            (some := np.asarray(motion.vertices[start : start + _CHUNK])[..., 1]).mean(axis=1) - some.min(axis=1)
-            for start in range(0, len(motion.vertices), _CHUNK)
-        ]
-    )
+    """A moving mesh in the first frame in which it stands."""
+    starts = range(0, len(motion.vertices), _CHUNK)
+    chunks = (np.asarray(motion.vertices[start : start + _CHUNK])[..., 1] for start in starts)
+    heights = np.concatenate([chunk.mean(axis=1) - chunk.min(axis=1) for chunk in chunks])
     frame = int(tallest_steady(heights, motion.fps, TALL).argmax())
     return Character(motion.name, motion.vertices[frame], motion.faces)
 
 
 def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
-    """Of a moving mesh: its handles are predicted, registered (section A.2 of TapMo) and taken to the reference
-    body.
-    """
+    """Of a moving mesh, by registration of its predicted handles (section A.2 of TapMo)."""
     from bunraku.retarget.to_reference import motion_to_reference
 
     motion, handles = _registered(rest, vertices, fps)

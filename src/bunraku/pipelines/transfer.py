@@ -1,8 +1,8 @@
 """`transfer`: motion that exists already, put on any character.
 
-Every motion becomes one of the reference body first (`to_reference`). From there it goes to the handles of the
-character (TapMo, section 3.2) or to its own rig. What four legs or none carry is no motion of a person: it goes from
-how the one body stands to how the other does (`retarget.creatures`).
+Every motion of a person becomes one of the reference body first (`to_reference`), and from there goes to the handles of
+the character (TapMo, section 3.2) or to its own rig. Motion of other bodies goes from one rest pose to the other
+(`retarget.creatures`).
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.request import Progress
 from bunraku.errors import CharacterError
 from bunraku.files import bones_of
+from bunraku.pipelines.animate import opened
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.motions.read import Motion, load_motion
 from bunraku.pipelines.requests import RATE, Apparel, TransferRequest
@@ -32,7 +33,7 @@ from bunraku.retarget.stages.feet import is_treadmill
 from bunraku.retarget.to_rig import fit_rig
 
 __all__ = [
-    "TRANSFER_STAGES", "Source", "apply_transfer", "fitted_transfer", "played_by_mmd", "same_skeleton", "transfer",
+    "TRANSFER_STAGES", "Source", "fitted_transfer", "played_by_mmd", "same_skeleton", "transfer",
     "transferred",
 ]  # fmt: skip
 TRANSFER_STAGES = Stages(hands=True, shape=True)
@@ -48,7 +49,7 @@ class Source:
     Args:
         given: The motion, or its file.
         fps: Frames a second of the result [1/s].
-        names: The skeleton's joint by SMPL's name, for joints that are not found or found wrongly; "" for none.
+        names: The skeleton's joint by SMPL's name, for joints that are missed or mistaken; "" for none.
         clip: Number or name of the clip of a file with several.
     """
 
@@ -65,13 +66,12 @@ class Source:
     @cached_property
     def motion(self) -> Motion:
         """The motion as its file has it."""
-        return (
-            load_motion(self.given, fps=self.fps, clip=self.clip) if isinstance(self.given, str | Path) else self.given
-        )
+        given = self.given
+        return load_motion(given, fps=self.fps, clip=self.clip) if isinstance(given, str | Path) else given
 
     @cached_property
     def creature(self) -> CreatureMotion | None:
-        """The motion of a body on four legs or more, or on none; None where it is one of the reference body."""
+        """The motion of a body on four legs or more, or on none; None where it is a person's."""
         return creature_motion(self.motion, fps=self.fps, names=self.names)
 
     @cached_property
@@ -88,7 +88,7 @@ def transferred(
     Args:
         animator: Holds the networks.
         character: Any mesh, +Y up and facing +Z.
-        motion: As of `transfer`. A `Source` brings its own rate, names and clip.
+        motion: As in `transfer`.
         request: How it is put on the character. Results and errors are those of `transfer`.
     """
     request.check()
@@ -108,7 +108,7 @@ def transferred(
 
 
 def transfer(
-    character: Character,
+    character: Character | str | Path,
     motion: Motion | Source | str | Path,
     *,
     onto: Literal["auto", "handles", "rig"] = "auto",
@@ -125,21 +125,18 @@ def transfer(
     """Put a motion on a character: F(V, J, T), Eq. 1 of MMDMC.
 
     Args:
-        character: Any mesh, +Y up and facing +Z.
-        motion: Motion of any skeleton; handle motion of the reference body; an animated character; a moving mesh; or a
-            file of one of these. A `Source` brings its own `fps`, `names` and `clip`.
+        character: Any mesh, +Y up and facing +Z, or its file.
+        motion: Motion of any skeleton; handle motion of the reference body; an animated character; a moving mesh; a
+            file with any of these; or a `Source`, whose `fps`, `names` and `clip` then hold.
         onto: "handles" moves the 30 handles of the character, "rig" the bones of its own rig, "auto" the rig of a
             humanoid that has one and handles otherwise.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
-        apparel: "none" (or "rigid") moves hair and clothes with the body, "simulate" by the rigid bodies or springs of
-            an MMD or VRM file or else by their own bones, "learn" by a network that finds them on any mesh; a file's
-            name is that of a mask of what is to be learned; "auto" simulates where the file has physics or such bones
-            and learns where the mesh has apparel.
+        apparel: How hair and clothes move; see `Apparel`.
         stiffness: Factor on how stiff apparel is, 0.001 to 1000.
         gravity: Factor on the gravity of apparel that is simulated, 0 to 10.
         stages: Which stages run; `TRANSFER_STAGES` when None.
         fps: Frames a second of the result [1/s].
-        names: The skeleton's joint by SMPL's name, for joints that are not found or found wrongly; "" for none.
+        names: The skeleton's joint by SMPL's name, for joints that are missed or mistaken; "" for none.
         clip: Number or name of the clip of a file with several.
         progress: Called with a stage's name and the share done, 0 to 1.
 
@@ -149,13 +146,13 @@ def transfer(
 
     Raises:
         OptionError: `onto` is none of the three, or `fps` is not from 1 to 240.
-        CharacterError: The rig is to be moved, and there is none, or the names of its bones do not tell their parts;
-            or the motion is of four legs, or of none, and the character is not carried so.
+        CharacterError: The rig is to be moved, and there is none, or its bones are not understood; or the motion is
+            that of a body on four legs, or on none, and the character has another kind of body.
         MotionError: No pelvis and legs are found in the skeleton.
         FormatError: The file cannot be read.
     """
     request = TransferRequest(onto, Apparel(apparel, stiffness, gravity), stages, handles, fps, names, clip)
-    return transferred(Animator.shipped(progress), character, motion, request)
+    return transferred(Animator.shipped(progress), opened(character), motion, request)
 
 
 def fitted_transfer(
@@ -176,19 +173,16 @@ def fitted_transfer(
     animator.progress("fit", 0.0)
     if isinstance(reference, HandleMotion):
         reference = reference.of_own_body(False)  # generated for another body, or for none
+    result: Animation | RigAnimation
     if parts is not None:
-        result: Animation | RigAnimation = (
-            fit_rig(reference, parts, stages)
-            if isinstance(reference, HandleMotion)
-            else fit_creature_rig(reference, parts, stages)
-        )
+        fit = fit_rig if isinstance(reference, HandleMotion) else fit_creature_rig
+        result = fit(reference, parts, stages)  # type: ignore[arg-type]  # each gets its own kind
     else:
-        handles = animator.handles(character, request.handles)
+        anatomy = Anatomy.of(character, animator.handles(character, request.handles))
         if isinstance(reference, HandleMotion):
-            fitted = fit_motion(reference, Anatomy.of(character, handles), stages)
-            result = Animation(character, handles, fitted, reference)
+            result = Animation(character, anatomy.handles, fit_motion(reference, anatomy, stages), reference)
         else:
-            result = fit_creature(reference, Anatomy.of(character, handles), stages)
+            result = fit_creature(reference, anatomy, stages)
     animator.progress("fit", 1.0)
     return result
 
@@ -204,20 +198,6 @@ def _rig_parts(character: Character, request: TransferRequest) -> RigParts | Non
     except CharacterError:
         return None
     return parts if parts.humanoid else None
-
-
-def apply_transfer(
-    character: Character,
-    reference: HandleMotion | CreatureMotion,
-    *,
-    onto: Literal["auto", "handles", "rig"] = "auto",
-    handles: Handles | Literal["predict", "rig"] = "predict",
-    stages: Stages | None = None,
-    progress: Progress | None = None,
-) -> Animation | RigAnimation:
-    """`transfer` of what `reference_motion` or `creature_motion` gives; arguments are those of `transfer`."""
-    request = TransferRequest(onto, stages=stages, handles=handles)
-    return fitted_transfer(Animator.shipped(progress), character, reference, request)
 
 
 def same_skeleton(character: Character, motion: Motion) -> RigAnimation | None:

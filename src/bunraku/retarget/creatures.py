@@ -13,8 +13,8 @@ import numpy as np
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.anatomy.joints import downwards
+from bunraku.anatomy.legs import BodyPlan, Reach, check_plans
 from bunraku.anatomy.names.bone_names import NO_HANDLE, handle_of_joints
-from bunraku.anatomy.plan import BodyPlan, Reach, check_plans
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
 from bunraku.core.character import Character, Rig
@@ -340,14 +340,13 @@ def _parts(motion: SkeletalMotion, names: Mapping[str, str] | None) -> np.ndarra
         if joint >= 0 and (parts[joint] == NO_HANDLE or how == "given") and (how == "given" or part not in parts):
             parts[parts == part] = NO_HANDLE
             parts[joint] = part
-    for name, own in (names or {}).items():
-        if not own and name in JOINT_NAMES:
-            parts[parts == JOINT_NAMES.index(name)] = NO_HANDLE
+    left_out = [JOINT_NAMES.index(name) for name, own in (names or {}).items() if not own and name in JOINT_NAMES]
+    parts[np.isin(parts, left_out)] = NO_HANDLE
     return parts
 
 
 def motion_of_rig(rig: RigParts, turns: np.ndarray, positions: np.ndarray, fps: float) -> CreatureMotion | None:
-    """The motion of a rig that stands in its rest pose; None of a person and of any other body that walks upright on two legs.
+    """The motion of a rig that stands in its rest pose; None of a person and of any other body that walks upright.
 
     Args:
         rig: Facing +Z.

@@ -58,9 +58,8 @@ def laid(motion: HandleMotion, share: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def _blend(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Rotations (N, 3, 3) so far from one to another."""
-    return np.asarray(
-        matrix_from_quaternion(quaternion_slerp(quaternion_from_matrix(start), quaternion_from_matrix(end), share))
-    )
+    first, last = quaternion_from_matrix(start), quaternion_from_matrix(end)
+    return np.asarray(matrix_from_quaternion(quaternion_slerp(first, last, share)))
 
 
 HOVER = 0.8
@@ -78,7 +77,7 @@ BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
 SPEED = {"swim": 0.7, "slither": 0.5}  # heights of the root in a second
 STAYS = 0.25  # a motion that gets ahead by less than this share of that is given the speed
 AIR = {"stay": 0.75, "run": 0.2, "step": 0.15, "lie": 0.05, "slither": 0.05}
-"""How long before and after a frame the ground is touched at the latest [s]; a body that steps has one foot on it always."""
+"""How long before and after a frame the ground is touched at the latest [s]; a step always has a foot on it."""
 LEAST = 0.01  # what hovers by less, over the height, is left to the stages of fitting
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in ("left", "right")]
 _LINE = {"head": -1.2, "neck": -0.9, "spine3": -0.6, "spine2": -0.4, "spine1": -0.2, "tail": 0.9, "tail_tip": 1.7}
@@ -189,9 +188,8 @@ def _amount(count: int, frames: np.ndarray, fps: float) -> np.ndarray:
     """1 in some frames, 0 in others, and a soft way between, shape (N,)."""
     soft, at = RISE * fps, np.arange(count)
     up = np.ones(count) if frames[0] == 0 else smooth_step(at, frames[0] - 0.5 * soft, frames[0] + 0.5 * soft)
-    down = (
-        np.ones(count) if frames[-1] == count - 1 else smooth_step(at, frames[-1] + 0.5 * soft, frames[-1] - 0.5 * soft)
-    )
+    last = frames[-1]
+    down = np.ones(count) if last == count - 1 else smooth_step(at, last + 0.5 * soft, last - 0.5 * soft)
     return np.asarray(up * down)
 
 

@@ -91,10 +91,7 @@ def play_vmd(target: Character | MmdModel, vmd: VmdMotion, fps: float = VMD_FPS,
     tracks = {own[name]: track for name, track in vmd.sample(fps, own).items()}
     frames = np.arange(count) * (VMD_FPS / fps)
     goals = [bone.name for bone in model.bones if bone.ik is not None]
-    if ik is None:
-        on = {name: _switched(vmd, _cut(name, 20), frames) for name in goals}
-    else:
-        on = {name: np.full(count, ik) for name in goals}
+    on = {name: _switched(vmd, _cut(name, 20), frames) if ik is None else np.full(count, ik) for name in goals}
     return pose_mmd(model, tracks, on, frames=count, fps=fps)
 
 
@@ -148,7 +145,8 @@ def mmd_poses_to_smpl(poses: MmdPoses) -> SkeletalMotion:
     return to_smpl(motion, SkeletonMap(joints, found.how, found.convention))
 
 
-_JOINT = {name: index for index, name in enumerate(JOINT_NAMES)}
+_J = {name: index for index, name in enumerate(JOINT_NAMES)}
+_SIDED = ("collar", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")
 _HIPS, _CENTRE, _ARMS = 11 * MMD_METRE, 8 * MMD_METRE, np.radians(35)
 _KNEE = mmd_angles(np.radians([-180.0, 0, 0]), np.radians([-0.5, 0, 0]))
 
@@ -175,96 +173,61 @@ def vmd_motion(
 def standard_model() -> MmdModel:
     """A model without a mesh: the standard bones with the inverse kinematics of legs and toes, in an A-pose."""
     positions = _a_pose()
-    hips = (positions[_JOINT["left_hip"]] + positions[_JOINT["right_hip"]]) / 2
-    waist = np.array([0, positions[_JOINT["spine1"], 1], hips[2]])
+    hips = (positions[_J["left_hip"]] + positions[_J["right_hip"]]) / 2
+    waist = np.array([0, positions[_J["spine1"], 1], hips[2]])
     bones: list[MmdBone] = []
     number: dict[str, int] = {}
 
     def add(name: str, position: np.ndarray, parent: str = "", moves: bool = False, ik: MmdIk | None = None) -> None:
         number[name] = len(bones)
-        bones.append(
-            MmdBone(
-                name,
-                "",
-                np.asarray(position, float),
-                number.get(parent, -1),
-                layer=int(ik is not None),
-                moves=moves,
-                ik=ik,
-            )
-        )
+        above = number.get(parent, -1)
+        bones.append(MmdBone(name, "", np.asarray(position, float), above, int(ik is not None), moves=moves, ik=ik))
 
     add("全ての親", np.zeros(3), moves=True)
     add("センター", np.array([0, _CENTRE, 0]), "全ての親", True)
     add("グルーブ", np.array([0, _CENTRE, 0]), "センター", True)
     add("腰", waist, "グルーブ", True)
     add("上半身", waist, "腰")
-    add("上半身2", positions[_JOINT["spine3"]], "上半身")
-    add("首", positions[_JOINT["neck"]], "上半身2")
-    add("頭", positions[_JOINT["head"]], "首")
+    add("上半身2", positions[_J["spine3"]], "上半身")
+    add("首", positions[_J["neck"]], "上半身2")
+    add("頭", positions[_J["head"]], "首")
     add("下半身", waist, "腰")
     for mark, side in (("左", "left"), ("右", "right")):
-        for name, joint, parent in (
-            ("肩", "collar", "上半身2"),
-            ("腕", "shoulder", "肩"),
-            ("ひじ", "elbow", "腕捩"),
-            ("手首", "wrist", "手捩"),
-        ):
-            add(mark + name, positions[_JOINT[f"{side}_{joint}"]], parent if parent in number else mark + parent)
+        at = {part: positions[_J[f"{side}_{part}"]] for part in _SIDED}
+        for name, part, parent in (
+            ("肩", "collar", "上半身2"), ("腕", "shoulder", "肩"), ("ひじ", "elbow", "腕捩"), ("手首", "wrist", "手捩"),
+            ("足", "hip", "下半身"), ("ひざ", "knee", "足"), ("足首", "ankle", "ひざ"), ("つま先", "foot", "足首"),
+        ):  # fmt: skip
+            add(mark + name, at[part], parent if parent in number else mark + parent)
             twist = {"腕": ("腕捩", "elbow"), "ひじ": ("手捩", "wrist")}.get(name)
-            if twist:  # half way down the limb, turned by keys of its own
-                add(
-                    mark + twist[0],
-                    (positions[_JOINT[f"{side}_{joint}"]] + positions[_JOINT[f"{side}_{twist[1]}"]]) / 2,
-                    mark + name,
-                )
-        for name, joint, parent in (
-            ("足", "hip", "下半身"),
-            ("ひざ", "knee", "足"),
-            ("足首", "ankle", "ひざ"),
-            ("つま先", "foot", "足首"),
-        ):
-            add(mark + name, positions[_JOINT[f"{side}_{joint}"]], parent if parent in number else mark + parent)
-        ankle, toe = positions[_JOINT[f"{side}_ankle"]], positions[_JOINT[f"{side}_foot"]]
+            if twist:  # half way down the limb, rotated by keys of its own
+                add(mark + twist[0], (at[part] + at[twist[1]]) / 2, mark + name)
+        ankle, toe = at["ankle"], at["foot"]
         links = (MmdIkLink(number[mark + "ひざ"], *_KNEE), MmdIkLink(number[mark + "足"]))
         add(mark + "足IK親", ankle * [1, 0, 1], "全ての親", True)
         add(mark + "足ＩＫ", ankle, mark + "足IK親", True, MmdIk(number[mark + "足首"], 40, 2.0, links))
-        add(
-            mark + "つま先ＩＫ",
-            toe,
-            mark + "足ＩＫ",
-            True,
-            MmdIk(number[mark + "つま先"], 3, 4.0, (MmdIkLink(number[mark + "足首"]),)),
-        )
+        toes = MmdIk(number[mark + "つま先"], 3, 4.0, (MmdIkLink(number[mark + "足首"]),))
+        add(mark + "つま先ＩＫ", toe, mark + "足ＩＫ", True, toes)
     nothing = np.zeros((0, 3))
-    return MmdModel(
-        "",
-        "standard bones",
-        "",
-        tuple(bones),
-        (),
-        (),
-        (),
-        np.zeros(0, np.uint8),
-        MmdSdef(np.zeros(0, int), nothing, nothing, nothing),
-    )
+    blends = MmdSdef(np.zeros(0, int), nothing, nothing, nothing)
+    return MmdModel("", "standard bones", "", tuple(bones), (), (), (), np.zeros(0, np.uint8), blends)
 
 
 def _a_pose() -> np.ndarray:
     """Joints of the reference body with its hips where MMD has them and its arms hanging [m], shape (22, 3)."""
     joints = reference_body().joints.astype(float)
-    positions = joints * _HIPS / joints[[_JOINT["left_hip"], _JOINT["right_hip"]], 1].mean()
-    positions -= [0, 0, positions[[_JOINT["left_hip"], _JOINT["right_hip"]], 2].mean()]
+    hips = [_J["left_hip"], _J["right_hip"]]
+    positions = joints * _HIPS / joints[hips, 1].mean()
+    positions -= [0, 0, positions[hips, 2].mean()]
     for side, sign in (("left", 1), ("right", -1)):
-        shoulder = positions[_JOINT[f"{side}_shoulder"]].copy()
+        shoulder = positions[_J[f"{side}_shoulder"]].copy()
         cos, sin = np.cos(_ARMS), -sign * np.sin(_ARMS)
         turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
         for part in ("elbow", "wrist"):
-            positions[_JOINT[f"{side}_{part}"]] = shoulder + turn @ (positions[_JOINT[f"{side}_{part}"]] - shoulder)
+            positions[_J[f"{side}_{part}"]] = shoulder + turn @ (positions[_J[f"{side}_{part}"]] - shoulder)
     return positions
 
 
-_J = {name: index for index, name in enumerate(JOINT_NAMES)}
 _LEGS = ("left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle")
 
 
@@ -330,19 +293,12 @@ def _hips(model: MmdModel, found: SkeletonMap, motion: SkeletalMotion) -> np.nda
     rest = motion.skeleton.positions.astype(float)
     own, known = model.positions, reference_body().joints
     joints = [found.of(name) for name in _LEGS]
-    length = float(
-        np.mean(
-            [
-                np.linalg.norm(own[a] - own[b]) + np.linalg.norm(own[b] - own[c])
-                for a, b, c in (joints[0::2], joints[1::2])
-            ]
-        )
-    )
+    sides = joints[0::2], joints[1::2]
+    length = float(np.mean([np.linalg.norm(own[a] - own[b]) + np.linalg.norm(own[b] - own[c]) for a, b, c in sides]))
     source = leg_length(rest)
-    toes = known[[_J["left_foot"], _J["right_foot"]], 1].mean() * source / leg_length(known)
-    low = (
-        toes - motion.skeleton.offsets[[_J["left_foot"], _J["right_foot"]], 1].mean()
-    )  # of the source's ankles above its floor
+    feet = [_J["left_foot"], _J["right_foot"]]
+    toes = known[feet, 1].mean() * source / leg_length(known)
+    low = toes - motion.skeleton.offsets[feet, 1].mean()  # of the source's ankles above its floor
     ratio = length / max(source, 1e-9)
     return np.asarray(hips * ratio + [0, own[joints[4:6], 1].mean() - low * ratio, 0])
 
@@ -376,20 +332,14 @@ def _keys(model: MmdModel, rotations: np.ndarray, translations: np.ndarray) -> d
     for bone in model.order:
         append = model.bones[bone].append
         if append is not None and append.rotation:
-            source = (
-                rotations[:, append.bone]
-                if append.local
-                else taken_rotations.get(append.bone, keyed_rotations[:, append.bone])
-            )
+            keyed = taken_rotations.get(append.bone, keyed_rotations[:, append.bone])
+            source = rotations[:, append.bone] if append.local else keyed
             taken_rotations[bone] = matrix_from_axis_angle(append.ratio * axis_angle_from_matrix(source))
             if not still[bone]:
                 keyed_rotations[:, bone] = rotations[:, bone] @ np.swapaxes(taken_rotations[bone], -1, -2)
         if append is not None and append.translation:
-            move = (
-                translations[:, append.bone]
-                if append.local
-                else taken_moves.get(append.bone, keyed_moves[:, append.bone])
-            )
+            keyed = taken_moves.get(append.bone, keyed_moves[:, append.bone])
+            move = translations[:, append.bone] if append.local else keyed
             taken_moves[bone] = append.ratio * move
             if not still[bone]:
                 keyed_moves[:, bone] = translations[:, bone] - taken_moves[bone]
@@ -414,13 +364,8 @@ def _resampled(animation: RigAnimation) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _leg_goals(model: MmdModel) -> tuple[str, ...]:
-    """Bones whose inverse kinematics turn legs or feet; all that have some where the names do not tell what legs
-    are.
-    """
+    """Bones whose inverse kinematics move legs or feet; all that have some where the names do not say what legs are."""
     found = mmd_skeleton_map(model.names)
-    if found is None:
-        return tuple(bone.name for bone in model.bones if bone.ik is not None)
-    legs = {found.of(name) for name in _LEGS}
-    return tuple(
-        bone.name for bone in model.bones if bone.ik is not None and legs & {link.bone for link in bone.ik.links}
-    )
+    goals = [(bone.name, {link.bone for link in bone.ik.links}) for bone in model.bones if bone.ik is not None]
+    legs = None if found is None else {found.of(name) for name in _LEGS}
+    return tuple(name for name, links in goals if legs is None or legs & links)

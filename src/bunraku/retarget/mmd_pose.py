@@ -27,8 +27,7 @@ def check_work(model: MmdModel, frames: int) -> None:
     if work > MOST or work * frames > MOST_IN_ALL:
         raise MotionError(
             f"{model.name or 'this model'}: its bones and inverse kinematics ask for {work:,} steps in each of "
-            f"{frames:,} frames, too many;"
-            " lower the loops of its inverse kinematics or shorten the motion"
+            f"{frames:,} frames, too many; lower the loops of its inverse kinematics or shorten the motion"
         )
 
 
@@ -89,13 +88,9 @@ class MmdPoses:
 
 
 def pose_mmd(
-    model: MmdModel,
-    tracks: Tracks,
-    ik: Mapping[str, np.ndarray] | None = None,
-    *,
-    frames: int | None = None,
+    model: MmdModel, tracks: Tracks, ik: Mapping[str, np.ndarray] | None = None, *, frames: int | None = None,
     fps: float = 30.0,
-) -> MmdPoses:
+) -> MmdPoses:  # fmt: skip
     """Pose a model.
 
     Args:
@@ -122,10 +117,8 @@ def pose_mmd(
         state = _State(model, stop - start)
         for name, (moved, turned) in tracks.items():
             if name in known:
-                state.keyed_moves[:, known[name]], state.keyed_rotations[:, known[name]] = (
-                    moved[start:stop],
-                    turned[start:stop],
-                )
+                state.keyed_moves[:, known[name]] = moved[start:stop]
+                state.keyed_rotations[:, known[name]] = turned[start:stop]
         switches = {name: np.asarray(on)[start:stop] for name, on in (ik or {}).items()}
         state.solve(switches)
         rotations[start:stop], positions[start:stop] = state.rotations, state.positions
@@ -151,7 +144,7 @@ class _State:
         self.taken_moves: dict[int, np.ndarray] = {}
 
     def solve(self, switches: Mapping[str, np.ndarray]) -> None:
-        """World rotations and places from the keys."""
+        """World rotations and positions from the keys."""
         bones = self.model.bones
         self.local, self.moves = self.keyed_rotations.copy(), self.keyed_moves.copy()
         self.rotations, self.positions = np.empty_like(self.local), np.empty_like(self.moves)
@@ -199,9 +192,9 @@ class _State:
             else:
                 turn = self.taken_rotations.get(source, self.keyed_rotations[:, source])
                 turn = self.solved[source] @ turn if source in self.solved else turn
-            self.taken_rotations[bone] = (
-                matrix_from_axis_angle(append.ratio * axis_angle_from_matrix(turn)) if append.ratio != 1 else turn
-            )
+            if append.ratio != 1:
+                turn = matrix_from_axis_angle(append.ratio * axis_angle_from_matrix(turn))
+            self.taken_rotations[bone] = turn
         if append.translation:
             move = self.moves[:, source] if append.local else self.taken_moves.get(source, self.keyed_moves[:, source])
             self.taken_moves[bone] = append.ratio * move
@@ -230,12 +223,8 @@ class _State:
         for bone in planes:  # hinges start from rest, whatever their keys say
             self.local[chosen, bone] = np.eye(3)
         self._refresh(below[links[-1].bone], chosen)
-        if (
-            len(links) == 2
-            and links[0].bone in planes
-            and links[1].bone not in planes
-            and path.index(links[0].bone) < path.index(links[1].bone)
-        ):
+        hinged = [link.bone in planes for link in links]
+        if hinged == [True, False] and path.index(links[0].bone) < path.index(links[1].bone):
             self._bend(links, planes[links[0].bone], ik.target, where, angles, below, chosen)
             links = links[::-1]  # the hip first: the knee is as it shall be
         for loop in range(ik.loops):
@@ -261,15 +250,9 @@ class _State:
             self._place(bone, chosen)
 
     def _bend(
-        self,
-        links: list[MmdIkLink],
-        axis: int,
-        target: int,
-        where: np.ndarray,
-        angles: dict[int, np.ndarray],
-        below: dict[int, list[int]],
-        chosen: np.ndarray,
-    ) -> None:
+        self, links: list[MmdIkLink], axis: int, target: int, where: np.ndarray, angles: dict[int, np.ndarray],
+        below: dict[int, list[int]], chosen: np.ndarray,
+    ) -> None:  # fmt: skip
         """Turn a knee to the angle at which the target is as far from the hip as the goal is."""
         knee, hip = links[0].bone, links[1].bone
         assert links[0].lower is not None and links[0].upper is not None
@@ -279,9 +262,8 @@ class _State:
         y, z = (axis + 1) % 3, (axis + 2) % 3
         along = thigh[:, y] * shin[:, y] + thigh[:, z] * shin[:, z]
         across = thigh[:, z] * shin[:, y] - thigh[:, y] * shin[:, z]
-        want = (
-            ((where - self.positions[chosen, hip]) ** 2).sum(-1) - (thigh**2).sum(-1) - (shin**2).sum(-1)
-        ) / 2 - thigh[:, axis] * shin[:, axis]
+        reach = ((where - self.positions[chosen, hip]) ** 2).sum(-1)
+        want = (reach - (thigh**2).sum(-1) - (shin**2).sum(-1)) / 2 - thigh[:, axis] * shin[:, axis]
         spread = np.arccos(np.clip(want / np.maximum(np.hypot(along, across), 1e-12), -1, 1))
         middle = np.arctan2(across, along)
         low, high = float(links[0].lower[axis]), float(links[0].upper[axis])
@@ -293,31 +275,21 @@ class _State:
         self._refresh(below[hip], chosen)
 
     def _step(
-        self,
-        link: MmdIkLink,
-        axis: int | None,
-        angles: dict[int, np.ndarray],
-        ik: MmdIk,
-        where: np.ndarray,
-        loop: int,
+        self, link: MmdIkLink, axis: int | None, angles: dict[int, np.ndarray], ik: MmdIk, where: np.ndarray, loop: int,
         chosen: np.ndarray,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """One step of the descent: turn a link so that the target comes as near to the goal as it can."""
         bone, frame, position = link.bone, self.rotations[chosen, link.bone], self.positions[chosen, link.bone]
         now, want = _into(frame, self.positions[chosen, ik.target] - position), _into(frame, where - position)
         if axis is not None and link.lower is not None and link.upper is not None:
             y, z = (axis + 1) % 3, (axis + 2) % 3
-            turn = np.arctan2(
-                now[:, y] * want[:, z] - now[:, z] * want[:, y], now[:, y] * want[:, y] + now[:, z] * want[:, z]
-            )
+            across = now[:, y] * want[:, z] - now[:, z] * want[:, y]
+            turn = np.arctan2(across, now[:, y] * want[:, y] + now[:, z] * want[:, z])
             turn = np.clip(turn, -ik.limit, ik.limit) if ik.limit > 0 else turn
             low, high = float(link.lower[axis]), float(link.upper[axis])
             if loop == 0:  # a straight hinge may start towards the side to which it cannot bend
-                wrong = (
-                    ((angles[bone] + turn < low) | (angles[bone] + turn > high))
-                    & (angles[bone] - turn > low)
-                    & (angles[bone] - turn < high)
-                )
+                there, back = angles[bone] + turn, angles[bone] - turn
+                wrong = ((there < low) | (there > high)) & (back > low) & (back < high)
                 turn = np.where(wrong, -turn, turn)
             angles[bone] = np.clip(angles[bone] + turn, low, high)
             self.local[chosen, bone] = _about(axis, angles[bone])

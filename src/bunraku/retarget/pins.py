@@ -162,9 +162,8 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
         off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
         if np.abs(off).max() <= CLOSE * height:
             break
-        shifts = np.stack(
-            [spread(pinned[:, number], off[:, number], LEAD * motion.fps) for number in range(len(ends))], axis=1
-        )
+        lead = LEAD * motion.fps
+        shifts = np.stack([spread(pinned[:, n], off[:, n], lead) for n in range(len(ends))], axis=1)
         reach |= np.abs(shifts).max(axis=(1, 2)) > 0
         motion = with_feet_moved(motion, anatomy, limbs, shifts)
         off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
@@ -192,12 +191,10 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
     for pin in turned:
         reach |= np.abs(spread(_asked(pin, motion), np.ones((len(motion), 1)), LEAD * motion.fps))[:, 0] > 0
     met = _turned(motion, handles, joints, ends, turned)
-    arrays = {
-        name: np.where(
-            reach.reshape(-1, *[1] * (getattr(met, name).ndim - 1)), getattr(met, name), getattr(given, name)
-        )
-        for name in HandleMotion.arrays
-    }
+    arrays = {}
+    for name in HandleMotion.arrays:
+        after, before = getattr(met, name), getattr(given, name)
+        arrays[name] = np.where(reach.reshape(-1, *[1] * (after.ndim - 1)), after, before)
     return replace(met, **arrays)  # what no pin reaches stays bit for bit
 
 
@@ -223,9 +220,8 @@ def _turned(
         turns, pinned = np.zeros((len(motion), 3)), np.zeros(len(motion), bool)
         for pin in own:
             frames = pin.frames(len(motion), motion.fps)
-            turns[frames] = axis_angle_from_matrix(
-                np.asarray(pin.rotation) @ np.swapaxes(world[frames, end.handle, :, :3], -1, -2)
-            )
+            back = np.swapaxes(world[frames, end.handle, :, :3], -1, -2)
+            turns[frames] = axis_angle_from_matrix(np.asarray(pin.rotation) @ back)
             pinned[frames] = True
         turned = matrix_from_axis_angle(spread(pinned, turns, LEAD * motion.fps))
         pivot = world[:, end.handle, :, :3] @ end.point + world[:, end.handle, :, 3]

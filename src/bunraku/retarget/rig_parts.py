@@ -30,12 +30,13 @@ from bunraku.files import Source
 
 __all__ = ["HUMANOID", "RigParts", "is_humanoid_rig", "understood_rig"]
 
-HUMANOID = tuple(
-    HANDLE_NAMES.index(name)
-    for name in (
-        "pelvis",
-        *(f"{side}_{part}" for part in ("hip", "knee", "shoulder", "elbow") for side in ("left", "right")),
-    )
+HUMANOID = (
+    0,
+    *(
+        HANDLE_NAMES.index(f"{side}_{part}")
+        for part in ("hip", "knee", "shoulder", "elbow")
+        for side in ("left", "right")
+    ),
 )
 """Parts that a rig must have to take a person's motion bone by bone."""
 _WINGED = (*(HANDLE_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "wing") for side in ("left", "right")), 0)
@@ -167,9 +168,8 @@ class RigParts:
             if self.still[bone]:
                 continue
             if parent >= 0 and not self.still[parent]:
-                positions[:, bone] = positions[:, parent] + np.einsum(
-                    "nij,j->ni", rotations[:, parent], rest[bone] - rest[parent]
-                )
+                away = np.einsum("nij,j->ni", rotations[:, parent], rest[bone] - rest[parent])
+                positions[:, bone] = positions[:, parent] + away
                 rotations[:, bone] = rotations[:, parent] if part == NO_HANDLE else transforms[:, part, :, :3]
             else:
                 own = transforms[:, max(part, 0)]
@@ -178,7 +178,7 @@ class RigParts:
 
 
 def understood_rig(character: Character) -> RigParts | None:
-    """The rig of a person, of four legs or of a bird, read from the file, from the names of its bones or from their shape;
+    """The rig of a person, of four legs or of a bird, read from the file, the names of its bones or their shape;
     None where it is none of these, or there is none.
 
     Args:
@@ -235,23 +235,15 @@ def _avatar_parts(character: Character) -> np.ndarray | None:
     """
     source = character.source
     model = vrm_model(character) if isinstance(source, Source) else None
-    if (
-        model is None
-        or not model.humanoid
-        or character.rig is None
-        or len(source.skins.nodes) != len(character.rig.names)
-    ):
+    if model is None or not model.humanoid or character.rig is None:
+        return None
+    if len(source.skins.nodes) != len(character.rig.names):
         return None
     bones = {node: bone for bone, node in enumerate(source.skins.nodes)}
     out = np.full(len(bones), NO_HANDLE)
     for name, node in model.humanoid.items():
-        side, part = (
-            ("left", name[4:])
-            if name.startswith("left")
-            else ("right", name[5:])
-            if name.startswith("right")
-            else ("", name)
-        )
+        side = next((side for side in ("left", "right") if name.startswith(side)), "")
+        part = name.removeprefix(side)
         known = _VRM.get(part) or ("fingers" if part.startswith(("Thumb", "Index", "Middle", "Ring", "Little")) else "")
         label = f"{side}_{known}" if side else known
         if label in HANDLE_NAMES and node in bones:
@@ -309,9 +301,7 @@ def _joints(
             bone = int(parents[bone])
         above[handle] = parts[bone] if bone >= 0 else known
     positions[0] = handles.positions[0]
-    for handle in range(
-        1, HANDLE_COUNT
-    ):  # rigs whose bones of one part are in several places could go round in a circle
+    for handle in range(1, HANDLE_COUNT):  # rigs with bones of one part in several limbs could go round in a circle
         seen, index = [handle], int(above[handle])
         while index > 0 and index not in seen:
             seen.append(index)
@@ -332,11 +322,7 @@ def _turns(character: Character, handles: Handles, joints: Joints) -> np.ndarray
         for part, end in (("hip", "knee"), ("knee", "ankle")):
             handle, child = HANDLE_NAMES.index(f"{side}_{part}"), HANDLE_NAMES.index(f"{side}_{end}")
             if joints.present[[handle, child]].all():
-                above = (
-                    rotation_between(
-                        above @ (joints.positions[child] - joints.positions[handle]), known[child] - known[handle]
-                    )
-                    @ above
-                )
+                own = above @ (joints.positions[child] - joints.positions[handle])
+                above = rotation_between(own, known[child] - known[handle]) @ above
                 out[handle] = above
     return flat_feet(character, handles, out)

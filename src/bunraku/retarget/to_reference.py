@@ -37,19 +37,15 @@ def motion_to_reference(motion: HandleMotion, anatomy: Anatomy, own: bool = Fals
     """A handle motion of a character as the one of the reference body that `fit_motion` of such a motion without
     its ground stages takes back to the character's.
 
-    Limbs turn back from the character's rest directions, parts that the character lacks move with their parents,
-    and what its parts do beyond stiff joints is carried over in the reference's scale. Of several limbs that play
-    one part, the first speaks for all. The root's path keeps its height over the floor that the character's rest
-    pose stands on.
+    Limbs turn back from the character's rest directions, parts that the character lacks move with their parents, and
+    what its parts do beyond stiff joints is carried over in the reference's scale. Of several limbs that play one part,
+    the first counts. The root's path keeps its height over the floor that the character's rest pose stands on.
 
     Args:
         motion: Motion of the character's handles.
         anatomy: Of the character, in the pose that the motion is relative to.
-        own: The motion stays one of this very body. Otherwise it becomes a person's: parts stay closer to their
-            joints, there is no tail, and the reference body stands on y = 0.
-
-    Returns:
-        The motion of the reference body's handles.
+        own: The motion stays one of this very body. Otherwise it becomes a person's: parts stay closer to their joints,
+            there is no tail, and the reference body stands on y = 0.
     """
     handles, joints = anatomy.handles, anatomy.joints
     parents, present = reference_parts(handles, joints)
@@ -74,9 +70,8 @@ def _as_person(motion: HandleMotion) -> HandleMotion:
     changed["rotations"][:, _TAIL], changed["translations"][:, _TAIL] = np.eye(3), 0
     result = replace(motion, **changed)
     lowest = skin(body.vertices, body.handle_weights, result.transforms(body.handles.positions))[..., 1].min(axis=1)
-    return replace(
-        result, root_translation=motion.root_translation - np.array([0, np.quantile(lowest, 0.05), 0], np.float32)
-    )
+    floor = np.array([0, np.quantile(lowest, 0.05), 0], np.float32)
+    return replace(result, root_translation=motion.root_translation - floor)
 
 
 def bones_to_handles(parts: RigParts, world_rotations: np.ndarray, positions: np.ndarray, fps: float) -> HandleMotion:
@@ -93,10 +88,8 @@ def bones_to_handles(parts: RigParts, world_rotations: np.ndarray, positions: np
     pelvis = int(parts.leads[0])
     root = world_rotations[:, pelvis]
     back = np.swapaxes(root, -1, -2)
-    rotations, translations = (
-        np.tile(np.eye(3), (len(world_rotations), len(h), 1, 1)),
-        np.zeros((len(world_rotations), len(h), 3)),
-    )
+    rotations = np.tile(np.eye(3), (len(world_rotations), len(h), 1, 1))
+    translations = np.zeros((len(world_rotations), len(h), 3))
     centre = positions[:, pelvis] + np.einsum("nij,j->ni", root, h[0] - rest[pelvis])
     for handle in range(1, len(h)):
         bone = int(parts.leads[handle])
@@ -190,16 +183,14 @@ def registered_body(
     body = body or reference_body()
     areas = vertex_areas(body.vertices, body.faces)
     positions = handle_positions(body.vertices, body.handle_weights, areas)
-    arms = [
-        HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("elbow", "wrist", "fingers")
-    ]
+    outer = ("elbow", "wrist", "fingers")
+    arms = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in outer]
     carries = body.handle_weights[:, arms].sum(axis=1) < 0.5
     parts, lowest, carrying = [], [], []
     for start in range(0, len(motion), CHUNK):
         cut = slice(start, start + CHUNK)
-        posed = body.pose(
-            SkeletalMotion(motion.skeleton, motion.rotations[cut], motion.root_translation[cut], motion.fps)
-        )
+        part = SkeletalMotion(motion.skeleton, motion.rotations[cut], motion.root_translation[cut], motion.fps)
+        posed = body.pose(part)
         lowest.append(posed[..., 1].min(axis=1))
         carrying.append(posed[:, carries, 1].min(axis=1))
         parts.append(handle_motion_of_mesh(body.vertices, posed, body.handle_weights, positions, areas, motion.fps))

@@ -26,11 +26,9 @@ def stiff(motion: HandleMotion) -> HandleMotion:
 
 
 def fit_rig(
-    motion: HandleMotion,
-    character: Character | RigParts,
-    stages: Stages | None = None,
+    motion: HandleMotion, character: Character | RigParts, stages: Stages | None = None,
     heights: np.ndarray | None = None,
-) -> RigAnimation:
+) -> RigAnimation:  # fmt: skip
     """A handle motion of the reference body on the rig of a character.
 
     Args:
@@ -64,12 +62,9 @@ def _with_helpers(animation: RigAnimation, parts: RigParts) -> RigAnimation:
     inverse kinematics.
     """
     model, rig = mmd_model(parts.character), parts.character.rig
-    if (
-        model is None
-        or rig is None
-        or len(model.bones) != len(rig.names)
-        or not np.allclose(model.positions, rig.positions, atol=1e-4)
-    ):
+    if model is None or rig is None or len(model.bones) != len(rig.names):
+        return animation
+    if not np.allclose(model.positions, rig.positions, atol=1e-4):
         return animation
     tracks, switches = {}, {}
     for bone, entry in enumerate(model.bones):
@@ -82,10 +77,8 @@ def _with_helpers(animation: RigAnimation, parts: RigParts) -> RigAnimation:
     return RigAnimation.of_world(parts.character, poses.rotations, poses.positions, animation.fps, animation.reference)
 
 
-ALIKE, MOST = (
-    5.0,
-    20.0,
-)  # bones of one skeleton rest in directions that differ by so much in the mean, and at the most [degrees]
+ALIKE, MOST = 5.0, 20.0
+"""How much the rest directions of bones of one skeleton differ in the mean, and at the most [degrees]."""
 
 
 def copied_bones(
@@ -124,10 +117,8 @@ def copied_bones(
             continue
         if partner[above] != theirs.parents[partner[bone]]:
             return None
-        mine, other = (
-            own.positions[bone] - own.positions[above],
-            theirs.positions[partner[bone]] - theirs.positions[partner[above]],
-        )
+        mine = own.positions[bone] - own.positions[above]
+        other = theirs.positions[partner[bone]] - theirs.positions[partner[above]]
         lengths = np.linalg.norm(mine), np.linalg.norm(other)
         if min(lengths) > 1e-3 * character.height * min(1.0, source.height / character.height):
             ratios.append(lengths[0] / lengths[1])

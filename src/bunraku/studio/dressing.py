@@ -38,15 +38,13 @@ _MAGIC = b"BNRM"
 
 
 def save_worn(character: Character, found: np.ndarray | None, path: Path) -> None:
-    """Write what was found, and which vertices the page draws.
-
-    `BNRM`, the length of a JSON header padded to four bytes, the header (`vertices`, and `parts`: mesh, primitive,
-    rows), a bit for each vertex of the character, lowest first, padded to four bytes, and for each primitive the vertex
-    of the character that each of its rows is, uint32.
+    """Write what was found, and which vertices the page draws: `BNRM`, the length of a JSON header, the header
+    (`vertices`, and `parts`: mesh, primitive, rows), `packed_bits` of the mask, and for each primitive the vertex of
+    the character that each of its rows is, uint32.
 
     Args:
         character: The character.
-        found: Vertices that are apparel, shape (V,), bool; None where nobody could look.
+        found: Vertices that are apparel, shape (V,), bool; None where that is not known.
         path: The file.
 
     Raises:
@@ -57,15 +55,15 @@ def save_worn(character: Character, found: np.ndarray | None, path: Path) -> Non
     rows: list[np.ndarray] = []
     start, mesh = 0, 0
     for part in source.parts:
-        own: dict[int, np.ndarray] = {}
+        members: dict[int, np.ndarray] = {}
         for group in part.groups:
-            own |= dict.fromkeys(group.primitives, source.index[start : start + len(group.vertices)])
+            members |= dict.fromkeys(group.primitives, source.index[start : start + len(group.vertices)])
             start += len(group.vertices)
-        if not any(len(index) for index in own.values()):
+        if not any(len(index) for index in members.values()):
             continue
-        for primitive, member in enumerate(sorted(own)):
-            parts.append({"mesh": mesh, "primitive": primitive, "rows": len(own[member])})
-            rows.append(own[member].astype("<u4"))
+        for primitive, (_, index) in enumerate(sorted(members.items())):
+            parts.append({"mesh": mesh, "primitive": primitive, "rows": len(index)})
+            rows.append(index.astype("<u4"))
         mesh += 1
     count = len(character.vertices)
     words = json.dumps({"vertices": count, "parts": parts}).encode()
@@ -82,14 +80,8 @@ def packed_bits(mask: np.ndarray) -> bytes:
 
 
 def shown_mask(worn: Path, painted: Path) -> bytes:
-    """What the page gets: the file of `save_worn`, with what was painted in the place of what was found.
-
-    Args:
-        worn: The file of `save_worn`.
-        painted: The file that was painted, if it is there.
-
-    Raises:
-        FormatError: One of them is broken.
+    """The file of `save_worn` as the page gets it, with the painted mask where there is one; FormatError where a file
+    is broken.
     """
     data = read_bounded(worn)
     start, count = _head(worn, data)
@@ -103,11 +95,7 @@ def shown_mask(worn: Path, painted: Path) -> bytes:
 
 
 def found_mask(worn: Path) -> np.ndarray:
-    """What was found, shape (V,), bool.
-
-    Raises:
-        FormatError: The file is broken.
-    """
+    """What was found, shape (V,), bool; FormatError where the file is broken."""
     data = read_bounded(worn)
     start, count = _head(worn, data)
     return np.unpackbits(np.frombuffer(data[start:], np.uint8), count=count, bitorder="little").astype(bool)
@@ -132,15 +120,8 @@ def painted_file(source: Path) -> Path:
 
 
 def clean_mask(worn: Path, bits: bytes) -> np.ndarray:
-    """The mask that a page sent, shape (V,), bool.
-
-    Args:
-        worn: The file of `save_worn`.
-        bits: As of `packed_bits`.
-
-    Raises:
-        OptionError: It is of another mesh.
-        FormatError: The file is broken.
+    """The mask of `packed_bits` that a page sent for the file of `save_worn`, shape (V,), bool; OptionError where it is
+    of another mesh, FormatError where the file is broken.
     """
     _, count = _head(worn, read_bounded(worn))
     if len(bits) != len(packed_bits(np.zeros(count, bool))):
@@ -149,30 +130,21 @@ def clean_mask(worn: Path, bits: bytes) -> np.ndarray:
 
 
 def paint(mask: np.ndarray, path: Path) -> None:
-    """Write a painted mask.
-
-    Raises:
-        FormatError: It cannot be written.
-    """
+    """Write a painted mask; FormatError where it cannot be written."""
     packed = io.BytesIO()
     np.save(packed, mask, allow_pickle=False)
     with atomic_write(path) as file:
         file.write(packed.getvalue())
 
 
-MOST_PLACES = 30_000_000
+MOST_POSITIONS = 30_000_000
 """Vertices times frames of apparel that moves on its own, which takes 24 bytes for each."""
 LEAST = 0.01
 """Share of a mesh that is apparel where there is some."""
 
 
 def check_fits(apparel: Apparel, character: Character, seconds: float) -> None:
-    """Whether apparel of a clip can move so, before the work.
-
-    Args:
-        apparel: How it is to move.
-        character: The character.
-        seconds: Length of the clip.
+    """Whether apparel of a clip of some seconds can move so, before the work.
 
     Raises:
         CharacterError: It is to be simulated, and the file says nothing of physics.
@@ -183,7 +155,7 @@ def check_fits(apparel: Apparel, character: Character, seconds: float) -> None:
 
     if apparel.motion == "simulate":
         check_apparel(character)
-    most = MOST_PLACES / (RATE * len(character.vertices))
+    most = MOST_POSITIONS / (RATE * len(character.vertices))
     if apparel.motion in ("learn", "chains") and seconds > most:
         raise OptionError(
             f"moving apparel of {len(character.vertices):,} vertices does not fit into the studio for {seconds:g} "
@@ -192,17 +164,7 @@ def check_fits(apparel: Apparel, character: Character, seconds: float) -> None:
 
 
 def dress_take(body: Animation | RigAnimation, apparel: Apparel, report: Progress) -> Take:
-    """A take of an animation, with apparel that moves as is requested.
-
-    Args:
-        body: The animation, apparel going with the body.
-        apparel: How it is to move.
-        report: Called with a stage's name and the share done.
-
-    Raises:
-        CharacterError: The mesh has no apparel.
-        OptionError: See `check_fits`.
-    """
+    """A take of an animation with its apparel moved; errors are those of `check_fits` and `dressed`."""
     from bunraku.core.animation import PointAnimation
     from bunraku.pipelines.apparel import dressed
 
@@ -230,8 +192,8 @@ def redress_take(
         take: The take.
         apparel: How apparel moves.
         handles: Those of the character.
-        in_place: Whether the way over the ground was taken out of its motion.
-        stages: Which stages fit the motion to the character, where that has to be done again.
+        in_place: Whether the travel was removed from its motion.
+        stages: Which stages fit the motion to the character, where that is done again.
         report: Called with a stage's name and the share done.
 
     Raises:
@@ -258,8 +220,8 @@ def redress_take(
 
 
 def apparel_mask_of(character: Character, handles: Handles) -> np.ndarray | None:
-    """Which vertices of a character are apparel: as its file says, or else as a network finds; shape (V,), bool. None
-    where nobody can tell.
+    """Which vertices of a character are apparel, by its file or else by a network; shape (V,), bool; None where neither
+    says it.
     """
     from bunraku.apparel.fitting import joint_weights_of_handles, joints_of_handles
     from bunraku.apparel.learned.segmentation import find_apparel
@@ -295,10 +257,10 @@ def chains_of(anatomy: Anatomy) -> tuple[Chained | None, str]:
 def chain_facts(made: Chained) -> list[dict[str, Any]]:
     """What a page shows of chains: name, kind, points at rest [m], and the handle that carries each."""
     carriers: dict[int, int] = {}
-    told = []
+    facts = []
     for chain in made.chains:
         carrier = carriers.get(chain.holder, int(chain.holder))
         carriers |= dict.fromkeys(chain.bones.tolist(), carrier)
         points = chain.points.astype(float).round(5).tolist()
-        told.append({"name": chain.name, "kind": chain.kind, "joint": carrier, "points": points})
-    return told
+        facts.append({"name": chain.name, "kind": chain.kind, "joint": carrier, "points": points})
+    return facts

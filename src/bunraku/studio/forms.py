@@ -20,7 +20,7 @@ from bunraku.core.request import (
     to_json,
 )
 from bunraku.errors import OptionError
-from bunraku.files import preset_named
+from bunraku.files import UNIT_CHOICES, preset_named
 from bunraku.generation.library import clip as find_clip
 from bunraku.pipelines.requests import Apparel, Constraints, Keep, Pose, Request, Sampling
 
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from bunraku.retarget.pins import Pin
 
 __all__ = [
-    "ChangeForm", "ClipsForm", "Drawn", "DressForm", "MOST_PARTS", "MOST_SEED", "MOST_WORDS", "Motion", "Part",
-    "PoseForm", "TIME", "TakeForm", "TakeRecordForm", "check_asked", "check_pins", "read_path", "read_pins",
-    "read_script", "script_json", "sequence_of", "stages_without",
+    "ChangeForm", "CharacterForm", "ClipsForm", "Drawn", "DressForm", "ExportForm", "MOST_PARTS", "MOST_SEED",
+    "MOST_WORDS", "Motion", "Part", "PoseForm", "TIME", "TakeForm", "TakeRecordForm", "check_asked", "read_path",
+    "read_pins", "read_script", "script_json", "sequence_of", "stages_without",
 ]  # fmt: skip
 
 
@@ -45,11 +45,7 @@ Motion = Literal["rigid", "simulate", "chains", "learn"]
 
 
 def stages_without(names: Sequence[str]) -> Stages | None:
-    """The stages of generated motions but those named; None where none is.
-
-    Raises:
-        OptionError: There is no such stage.
-    """
+    """The stages of generated motions except those named, None where none is; OptionError for an unknown name."""
     from bunraku.pipelines.apply import GENERATED_STAGES
 
     known = sorted(field.name for field in fields(GENERATED_STAGES))
@@ -60,11 +56,7 @@ def stages_without(names: Sequence[str]) -> Stages | None:
 
 
 def read_pins(forms: Sequence[object]) -> list[Pin]:
-    """Pins of their JSON forms.
-
-    Raises:
-        OptionError: One is none.
-    """
+    """Pins of their JSON forms; OptionError where one is not a pin."""
     from bunraku.retarget.pins import Pin
 
     found = [Pin.from_json(form) for form in forms]
@@ -74,21 +66,8 @@ def read_pins(forms: Sequence[object]) -> list[Pin]:
     return found
 
 
-def check_pins(forms: Sequence[object]) -> None:
-    """Whether these are JSON forms of pins.
-
-    Raises:
-        OptionError: One is none.
-    """
-    read_pins(forms)
-
-
 def read_path(points: Sequence[object]) -> GroundPath | None:
-    """Points of a path on the floor, x and z [m]; None where there are none.
-
-    Raises:
-        OptionError: They are no such points.
-    """
+    """Points of a path on the floor, x and z [m]; None for no points, OptionError for other values."""
     from bunraku.core.travel import LONGEST, GroundPath
 
     if not points:
@@ -106,16 +85,8 @@ def read_path(points: Sequence[object]) -> GroundPath | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
-    """How takes are drawn.
-
-    Args:
-        seeds: One for each take.
-        steps: Of the sampler; None takes the default.
-        guidance: Of the sentence; None takes the default.
-        candidates: Motions of which one is chosen.
-        force: Go on where no movement is understood.
-        without: Names of stages that are left out.
-        pins: JSON forms of pins.
+    """How takes are drawn: as `Sampling` and `Request` say it, with a seed for each take, the names of stages that are
+    left out, and the JSON forms of pins.
     """
 
     seeds: tuple[float, ...] = (0,)
@@ -143,13 +114,7 @@ class Drawn:
 
 @dataclass(frozen=True, kw_only=True)
 class DressForm:
-    """How the apparel of takes moves.
-
-    Args:
-        apparel: With the body, by the physics of the file, by chains of bones, or as it is learned.
-        stiffness: Factor on how stiff apparel is.
-        gravity: Factor on the gravity of what is simulated.
-    """
+    """How the apparel of takes moves; see `Apparel`."""
 
     apparel: Motion = "rigid"
     stiffness: float = 1.0
@@ -171,13 +136,7 @@ MOST_WORDS = 1000
 
 @dataclass(frozen=True)
 class Part:
-    """A sentence of a script, or a clip of the library.
-
-    Args:
-        text: What the character does.
-        seconds: For how long.
-        clip: The name of a clip, which is played as it is; "" where the sentence is generated.
-    """
+    """A sentence of a script with its length [s], or a clip of the library by its name, which is played as it is."""
 
     text: str
     seconds: float = 4.0
@@ -192,10 +151,10 @@ class Part:
 
 
 def read_script(script: Sequence[Part]) -> tuple[Part, ...]:
-    """The sentences of a script one by one: what was typed in a row, such as "walks:4; jumps:2", is several.
+    """The sentences of a script one by one: a row such as "walks:4; jumps:2" is several.
 
     Raises:
-        OptionError: A sentence is empty, or all are too long.
+        OptionError: A sentence is empty, or all together are too long.
     """
     from bunraku.language.prompts import parse_sequence, timed_sequence
 
@@ -233,17 +192,14 @@ MOST_TITLE = 80
 
 
 @dataclass(frozen=True, kw_only=True)
-class TakeForm(Drawn):
+class TakeForm(Drawn, DressForm):
     """Takes that are made from sentences.
 
     Args:
         script: What the character does.
         draft: Show a quick one first.
         loop: Make loops.
-        in_place: Take the path over the ground out.
-        apparel: How apparel moves.
-        stiffness: How stiff apparel is.
-        gravity: How strongly what is simulated is drawn downwards.
+        in_place: Remove the travel over the ground.
         path: Points that the root passes, x and z [m].
         after: The take in whose last pose these start.
         rig: What moves: handles, or the bones of the file's own skeleton.
@@ -253,18 +209,16 @@ class TakeForm(Drawn):
     draft: bool = True
     loop: bool = False
     in_place: bool = False
-    apparel: Motion = "rigid"
-    stiffness: float = 1.0
-    gravity: float = 1.0
     path: tuple[object, ...] | None = None
     after: str | None = None
     rig: Literal["handles", "own"] = "handles"
 
-    def request(self, handles: Literal["predict", "rig"] = "predict") -> Request:
-        """The request, checked; the take that is followed is only named.
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        DressForm.__post_init__(self)
 
-        Args:
-            handles: How the handles of the character were made.
+    def request(self, handles: Literal["predict", "rig"] = "predict") -> Request:
+        """The request, checked; a take that is followed is only named. `handles` says how the character's were made.
 
         Raises:
             OptionError: It cannot be requested, or a sentence is not understood.
@@ -276,35 +230,28 @@ class TakeForm(Drawn):
                 loop=self.loop, in_place=self.in_place, after=self.after or None, path=read_path(self.path or ()),
                 pins=read_pins(self.pins),
             ),
-            self.dress.apparel_request, stages_without(self.without),
+            self.apparel_request, stages_without(self.without),
             "predict" if self.apparel == "simulate" else handles, self.force,
             self.rig if self.rig == "own" else "auto" if self.apparel in ("simulate", "learn") else "handles",
         )  # fmt: skip
         found.check()
         return found.with_parsed()
 
-    @property
-    def dress(self) -> DressForm:
-        """How apparel moves."""
-        return DressForm(apparel=self.apparel, stiffness=self.stiffness, gravity=self.gravity)
-
     def pieces(self, handles: Literal["predict", "rig"] = "predict") -> list[dict[str, Any]]:
-        """The JSON forms of clips and of requests of the sentences between them, of a script with clips.
-
-        Raises:
-            OptionError: It cannot be requested, or a sentence is not understood.
+        """The JSON forms of clips and of requests of the sentences between them, of a script with clips; OptionError
+        where it cannot be requested, or a sentence is not understood.
         """
         if self.after:
             raise OptionError("a script with clips follows no other take; put its clip or sentence before them")
         found: list[dict[str, Any]] = []
         for played, parts in itertools.groupby(read_script(self.script), lambda part: bool(part.clip)):
-            some = tuple(parts)
             if played:
-                found += [{"clip": part.clip, "seconds": part.seconds} for part in some]
-            else:
-                own = replace(self, script=some, loop=False, in_place=False, path=None, pins=(), apparel="rigid")
-                seconds = sum(part.seconds for part in some)
-                found.append({"seconds": seconds, "request": own.request(handles).to_json()})
+                found += [{"clip": part.clip, "seconds": part.seconds} for part in parts]
+                continue
+            script = tuple(parts)
+            bare = replace(self, script=script, loop=False, in_place=False, path=None, pins=(), apparel="rigid")
+            seconds = sum(part.seconds for part in script)
+            found.append({"seconds": seconds, "request": bare.request(handles).to_json()})
         return found
 
     def constraints(self) -> Constraints:
@@ -316,25 +263,53 @@ class TakeForm(Drawn):
 
     def asked(self) -> dict[str, Any]:
         """What a take's record keeps of it, for links."""
-        kept = (
-            "seeds",
-            "steps",
-            "guidance",
-            "loop",
-            "in_place",
-            "apparel",
-            "stiffness",
-            "gravity",
-            "path",
-            "pins",
-            "rig",
-        )
-        return {name: to_json(getattr(self, name)) for name in kept}
+        kept = "seeds steps guidance loop in_place apparel stiffness gravity path pins rig"
+        return {name: to_json(getattr(self, name)) for name in kept.split()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CharacterForm:
+    """What a page changes of a character.
+
+    Args:
+        name: Its name.
+        deleted: Whether it is given up.
+        up, front, unit, handles: How its file is read; see `workspace.Settings`.
+    """
+
+    name: str | None = None
+    deleted: bool | None = None
+    up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] | None = None
+    front: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] | None = None
+    unit: str | None = None
+    handles: Literal["predict", "rig"] | None = None
+
+    def __post_init__(self) -> None:
+        if self.unit is not None and self.unit not in UNIT_CHOICES:
+            raise OptionError(f"unit is one of {', '.join(UNIT_CHOICES)}")
+        if len(self.name or "") > MOST_TITLE:
+            raise OptionError(f"name has more than {MOST_TITLE} characters")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportForm:
+    """The file that a take is written as.
+
+    Args:
+        format: Its suffix.
+        fps: Frames a second [1/s].
+    """
+
+    format: Literal["glb", "bvh", "vrma", "vmd", "npz", "fbx", "usdz", "usdc", "mp4", "gif"] = "glb"
+    fps: float = 30.0
+
+    def __post_init__(self) -> None:
+        FPS.check(self.fps, "fps")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TakeRecordForm:
-    """What a page changes of a take that is there.
+    """What a page changes of a take.
 
     Args:
         star: Whether it is starred.
@@ -353,13 +328,7 @@ class TakeRecordForm:
 
 @dataclass(frozen=True)
 class PoseForm:
-    """A pose that stays.
-
-    Args:
-        time: Seconds of the clip.
-        take: The take that it is of; None is the clip itself.
-        at: Seconds of that take; None is `time`.
-    """
+    """A pose that stays; see `requests.Pose`."""
 
     time: float = 0.0
     take: str | None = None
@@ -377,13 +346,11 @@ class ChangeForm(Drawn):
     Args:
         prompt: What is done instead; nothing is generated where it is empty.
         keep: Parts that stay.
-        span: Seconds from and to which is generated.
+        span: The first and the last second that are generated.
         poses: Poses that stay.
-        apparel: How apparel moves, where that is to change.
-        stiffness: How stiff apparel is.
-        gravity: How strongly what is simulated is drawn downwards.
+        apparel, stiffness, gravity: How apparel moves, where that is to change.
         mirror: Left and right are exchanged; nothing else is then changed.
-        trim: Seconds from and to of what stays; all else goes.
+        trim: The first and the last second of what stays.
     """
 
     prompt: str = ""
@@ -410,10 +377,7 @@ class ChangeForm(Drawn):
             raise OptionError("trim is from an earlier second to a later one")
 
     def request(self, apparel: Apparel) -> Request:
-        """The request of an edit, checked.
-
-        Args:
-            apparel: How the apparel of the take moves.
+        """The request of an edit, checked, with how the apparel of the take moves.
 
         Raises:
             OptionError: Nothing is kept, or the sentence is not understood.
@@ -455,9 +419,8 @@ class ClipsForm:
 
     Args:
         takes: Their names, in order, each once.
-        fps: Frames a second [1/s].
-        preset: The program that the file is for, one of `files.presets`; "" for a plain GLB. Its rate holds where
-            `fps` is 0.
+        fps: Frames a second [1/s]; 0 for the preset's.
+        preset: The program that the file is for, one of `files.presets`; "" for a plain GLB.
     """
 
     takes: tuple[str, ...] = ()
@@ -474,15 +437,8 @@ class ClipsForm:
 
 
 def check_asked(how: object, script: object, asked: object) -> None:
-    """Whether what a project says of a take was requested by a page.
-
-    Args:
-        how: How the take was made.
-        script: Its script.
-        asked: What its record kept of the form.
-
-    Raises:
-        OptionError: It was not.
+    """Raise OptionError unless a page can have requested a take: how it was made, its script, and what its record kept
+    of the form.
     """
     kept: dict[str, Any] = asked if isinstance(asked, dict) else {}
     if how == "animate":

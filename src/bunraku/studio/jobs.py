@@ -1,6 +1,4 @@
-"""The queue: jobs run one after another in a process that can be killed and restarts, and what is reported about
-them.
-"""
+"""The queue: jobs run one after another in a process that may be killed and restarts, and reports about them."""
 
 from __future__ import annotations
 
@@ -12,6 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from itertools import takewhile
 from multiprocessing.connection import Connection
 from typing import Any, NotRequired, TypedDict, cast
 
@@ -52,24 +51,21 @@ class Changes:
                 self._forgotten = self._latest.pop(oldest)[0]
 
     def since(self, after: int) -> dict[str, Any]:
-        """What has changed after a number: the latest of each thing, in the order in which it happened.
+        """The latest change of each thing after a number, in order.
 
         Args:
-            after: The number that an earlier answer gave as `event`.
+            after: The `event` of an earlier answer.
 
         Returns:
-            `event`, the number to ask with next time; `changes`, pairs of what it is and its record; and `missed`,
-            whether all is to be asked for anew, since this run never gave that number or has forgotten what came after.
+            `event`, the number to ask with next time; `changes`, pairs of a kind and a record; and `missed`: all is to
+            be asked for anew, since this run never gave that number or has forgotten what came after.
         """
         with self._lock:
             if not self._forgotten <= after <= self._count:
                 return {"event": self._count, "missed": True, "changes": []}
-            found = []
-            for number, what, record in reversed(self._latest.values()):
-                if number <= after:
-                    break
-                found.append([what, dict(record)])
-            return {"event": self._count, "missed": False, "changes": found[::-1]}
+            newest = takewhile(lambda change: change[0] > after, reversed(self._latest.values()))
+            changes = [[what, dict(record)] for _, what, record in newest]
+            return {"event": self._count, "missed": False, "changes": changes[::-1]}
 
 
 _log = logging.getLogger(__name__)
@@ -78,9 +74,9 @@ MOST_WAITING = 64
 REMEMBERED = 500
 """Finished jobs that are kept for pages that were away."""
 QUIET = 1.0
-"""Seconds without work before a job is begun that nobody waits for."""
+"""Seconds without work before a background job is begun; chosen by eye."""
 PATIENCE = 4.0
-"""Seconds after which a job that was cancelled and does not stop is stopped by force."""
+"""Seconds that a cancelled job has to stop before its process is killed; chosen by eye."""
 KILLED = (
     "the process that does the work was stopped in the middle of this, by you or for lack of memory; everything else is"
     " safe, so try again, with a smaller mesh or fewer seconds if it happens twice"
@@ -89,8 +85,8 @@ OPEN_STATES = ("waiting", "running")
 
 
 class About(TypedDict, total=False):
-    """Which things a job is about: takes of a character that it makes, a character that it opens, finds out more of or
-    lays chains over, a take that it exports.
+    """Which things a job is about: takes that it makes of a character; a character that it opens, finds out more of or
+    lays chains over; a take that it exports.
     """
 
     character: str
@@ -103,7 +99,7 @@ class About(TypedDict, total=False):
 
 
 class Job(TypedDict):
-    """A job: what its task is, what it is given, what it is about, and how far it is."""
+    """A job: its task, the task's parameters, what it is about, and how far it is."""
 
     id: str
     created: float
@@ -165,7 +161,7 @@ class Jobs:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the process; what waits is written down and offered again by the next run."""
+        """End the process; jobs that wait are on disk, and the next run offers them again."""
         with self._wake:
             self._stopping = True
             self._wake.notify_all()
@@ -184,11 +180,7 @@ class Jobs:
             return sorted(self._jobs.values(), key=lambda job: float(job["created"]))
 
     def get(self, name: str) -> Job:
-        """A job.
-
-        Raises:
-            NotThere: There is none.
-        """
+        """A job; NotThere where there is none."""
         with self._lock:
             if name not in self._jobs:
                 raise NotThere("there is no such job any more; reload the page")
@@ -198,20 +190,16 @@ class Jobs:
         self, kind: str, title: str, params: Mapping[str, object], about: About | None = None, *,
         passing: bool = False, first: bool = False, later: bool = False,
     ) -> Job:  # fmt: skip
-        """Put a job at the end of the queue.
+        """Put a job into the queue; QueueFull where too many wait, FormatError where it cannot be written down.
 
         Args:
             kind: A task of `tasks.TASKS`.
-            title: What a person reads.
+            title: What a user reads.
             params: What the task takes.
-            about: Which things it is about, for those that listen.
+            about: Which things it is about.
             passing: It is not kept on disk and not offered again by the next run.
-            first: It goes before all that wait: it takes a moment.
-            later: Nobody waits for it: it is begun when nothing was done for `QUIET`.
-
-        Raises:
-            QueueFull: Too many wait.
-            FormatError: It cannot be written down.
+            first: It takes a moment, and goes before all that wait.
+            later: It goes on in the background: it is begun when nothing was done for `QUIET`.
         """
         with self._lock:
             if len(self._waiting) + len(self._later) + self._coming >= MOST_WAITING:
@@ -219,7 +207,7 @@ class Jobs:
             self._coming += 1
         record = {"kind": kind, "title": title, "params": params, "about": about or {}}
         passed = {"id": secrets.token_hex(8), "created": time.time()}
-        try:  # nobody who asks for the queue waits for the disk
+        try:  # outside the lock, so that no request waits for the disk
             new = {**record, **passed} if passing else self.store.new("jobs", record)
         finally:
             with self._lock:
@@ -247,7 +235,7 @@ class Jobs:
         """Take a job out of the queue, or stop it."""
         with self._wake:
             job = self.get(name)
-            queue = next((one for one in (self._waiting, self._later) if name in one), None)
+            queue = next((queue for queue in (self._waiting, self._later) if name in queue), None)
             if queue is not None:
                 queue.remove(name)
             elif job["state"] == "running":
@@ -297,11 +285,11 @@ class Jobs:
             self._worked = time.monotonic()
 
     def _quiet(self) -> bool:
-        """Whether a job is there that nobody waits for, and it is its time."""
+        """Whether it is time for a background job, and there is one."""
         return bool(self._later) and time.monotonic() - self._worked >= QUIET
 
     def _look_after(self) -> None:
-        """While nothing waits: hear that the process is warm, and bring it back where somebody killed it."""
+        """While nothing waits: hear that the process is warm, and start it again where it was killed."""
         if self._process is None or self._pipe is None or self._stopping:
             return
         with suppress(EOFError, OSError):
@@ -362,8 +350,8 @@ class Jobs:
         return True
 
     def _end(self, job: Job, state: str, said: Mapping[str, object]) -> None:
-        """Take in how a job ended: what it made first, so that who sees it done finds that; the disk is waited for
-        outside of the lock.
+        """Take in how a job ended. Its results come first, so that they are there when it is seen to be done; writing
+        them goes on outside the lock.
         """
         error = str(said.get("error", ""))
         try:
@@ -381,8 +369,8 @@ class Jobs:
                 self.store.change("jobs", job["id"], failed=True)
         with self._lock:
             job.update({"state": state, "done": 1.0 if state == "done" else job["done"], "error": error})
-            finished = [one for one in self._jobs.values() if one["state"] not in OPEN_STATES]
-            for old in sorted(finished, key=lambda one: float(one["created"]))[:-REMEMBERED]:
+            finished = [known for known in self._jobs.values() if known["state"] not in OPEN_STATES]
+            for old in sorted(finished, key=lambda known: float(known["created"]))[:-REMEMBERED]:
                 self._jobs.pop(old["id"], None)
             self.changes.tell("job", public(job))
 

@@ -71,21 +71,13 @@ def _check_directory(path: Path, entries: int) -> None:
 
 
 def read_entry(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """The bytes of an entry, at most `most` and one.
-
-    Raises:
-        KeyError: There is none.
-    """
+    """The bytes of an entry, at most `most` and one; KeyError where there is none."""
     with archive.open(name) as source:
         return source.read(most + 1)
 
 
 def copy_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -> None:
-    """Write an entry to a file, and no more of it than it says that it has.
-
-    Raises:
-        FormatError: The file cannot be written, or the entry has more.
-    """
+    """Write an entry to a file; FormatError where the file cannot be written, or the entry is longer than it says."""
     left = entry.file_size
     with writing(target):
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -146,10 +138,8 @@ def _entry(name: str) -> zipfile.ZipInfo:
 
 
 def unpack_project(store: Store, path: Path) -> dict[str, Any]:
-    """Add the character and takes of a project to the store: the character's id, and how the page stood.
-
-    Raises:
-        FormatError: The file is broken, no project, or too large.
+    """Add the character and takes of a project to the store: the character's id, and how the page stood; FormatError
+    where the file is broken, no project, or too large.
     """
     made: list[tuple[str, str]] = []
     try:
@@ -171,11 +161,7 @@ def unpack_project(store: Store, path: Path) -> dict[str, Any]:
 
 
 def _read_about(archive: zipfile.ZipFile) -> dict[str, Any]:
-    """What the project says, with nothing in it that a project does not have.
-
-    Raises:
-        OptionError: It says something that cannot be.
-    """
+    """What a project says; OptionError where it says anything that a project cannot say."""
     about = read_json(read_entry(archive, "project.json", MOST_JSON), "project.json", MOST_JSON)
     if about["version"] == VERSION:
         check_facts(
@@ -192,20 +178,20 @@ def _read_about(archive: zipfile.ZipFile) -> dict[str, Any]:
 def _added(
     store: Store, title: str, archive: zipfile.ZipFile, about: dict[str, Any], made: list[tuple[str, str]]
 ) -> dict[str, Any]:
-    """The things of a project that was checked, added to the store; `made` gets each as it is begun."""
+    """Add a checked project to the store; `made` gets each thing as it is begun."""
     old = about["character"]
     fresh = {name: old[name] for name in CHARACTER_FACTS if name in old}
     character = store.new("characters", {**fresh, "state": "opening", "error": "", "version": 1})
     made.append(("characters", character["id"]))
     folder = store.folder_of("characters", character["id"])
     if path_inside(folder, fresh["file"]) is None or not fresh["file"].startswith("source/"):
-        raise FormatError(title, "its character lies outside of it; save it again")
+        raise FormatError(title, "its character lies outside the project; save it again")
     for entry in archive.infolist():
         if entry.filename.startswith("character/") and not entry.is_dir():
             name = entry.filename.removeprefix("character/")
             target = path_inside(folder, name)
             if target is None or (name not in _FILES and not name.startswith("source/")):
-                raise FormatError(title, "a file in it is to lie outside of its folder; save it again")
+                raise FormatError(title, "a file in it would lie outside its folder; save it again")
             copy_entry(archive, entry, target)
     names = {}
     for take in about["takes"]:

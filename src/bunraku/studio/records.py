@@ -1,7 +1,8 @@
-"""What records and saved views must hold: the same for an earlier run's and for a project file's."""
+"""What records and saved views must hold, whether an earlier run or a project file brings them."""
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -11,7 +12,7 @@ from typing import Any, Literal
 from bunraku.core.request import GRAVITY, GUIDANCE, SECONDS, STEPS, STIFFNESS, Limit, from_json, read_json
 from bunraku.core.travel import LONGEST
 from bunraku.errors import OptionError
-from bunraku.studio.forms import MOST_PARTS, MOST_SEED, TIME, Motion, PoseForm, check_pins
+from bunraku.studio.forms import MOST_PARTS, MOST_SEED, TIME, Motion, PoseForm, read_pins
 from bunraku.studio.workspace import Settings
 
 __all__ = [
@@ -59,7 +60,7 @@ class _Chain:
 
 @dataclass(frozen=True)
 class _CharacterFacts:
-    """What is known of a character (`opened.told`)."""
+    """What is known of a character (`tasks.Open`)."""
 
     name: str
     file: str
@@ -90,7 +91,7 @@ class _CharacterFacts:
 
 @dataclass(frozen=True)
 class _Said:
-    """A sentence of a take, a clip of the library, or the name of the file that it came from."""
+    """A sentence, a clip of the library, or the name of a file that a take came from."""
 
     text: str
     seconds: float = 0.0
@@ -99,7 +100,7 @@ class _Said:
 
 @dataclass(frozen=True)
 class _TakeFacts:
-    """What is known of a take; what was asked for it is read by `studio.forms`."""
+    """What is known of a take; `asked` is read by `studio.forms`."""
 
     script: tuple[_Said, ...]
     asked: object = None
@@ -137,21 +138,15 @@ _OBJECTS = {"jobs": ("params", "about"), "projects": ("view",), "characters": ("
 
 
 def check_facts(kind: str, facts: Mapping[str, Any]) -> None:
-    """Whether these are facts of a character or a take, one key each.
-
-    Raises:
-        OptionError: One is missing, unknown, or of another type.
+    """Whether these are facts of a character or a take, one key each; OptionError where one is missing, unknown, or of
+    another type.
     """
     from_json(_FACTS[kind], dict(facts), f"a {kind[:-1]}")
 
 
 def read_record(kind: str, path: Path) -> tuple[Record | None, str]:
-    """The record of a file, and what is wrong with it: no record where it cannot be used.
-
-    A character of which the facts alone are wrong is one that is to be opened again: its state is "unclear".
-
-    Raises:
-        OSError: The file cannot be read.
+    """The record of a file, None where it cannot be used, and what is wrong with it; OSError where the file cannot be
+    read. A character with wrong facts alone gets the state "unclear", and is opened again.
     """
     with path.open("rb") as file:
         data = file.read(LARGEST + 1)
@@ -190,7 +185,7 @@ def written(record: Record) -> bytes:
 
 @dataclass(frozen=True)
 class _Sentence:
-    """A sentence as it is being typed, which may be empty, or too long for a take; or a clip of the library."""
+    """A sentence as it is typed, empty or too long for a take perhaps; or a clip of the library."""
 
     text: str
     seconds: float
@@ -202,26 +197,13 @@ class _Sentence:
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """How a page stands; the names are the page's.
+    """The state of a page; the names are the page's, and mean what they mean in `forms`.
 
     Args:
         character, take: What is chosen.
-        script: The sentences of the timeline.
-        sentence: Which of them is in the box.
-        seed: Of the first take.
-        count: How many takes are made.
-        loop: Make loops.
-        inPlace: Take the path over the ground out.
-        apparel: How hair and clothes move.
-        stiffness, gravity: How stiff they are, and how strongly they are drawn downwards, as factors.
-        live: Whether their springs swing in the page.
-        guidance, steps: Of the sampler; None takes its own.
-        pins: JSON forms of pins.
-        poses: Poses that stay.
-        path: Points that the root passes, x and z [m].
-        span: Seconds from and to which is generated.
-        keep: Parts that stay.
-        rig: What moves.
+        script: The sentences of the timeline, of which number `sentence` is in the box.
+        seed: Of the first of `count` takes.
+        live: Whether springs of hair and clothes swing in the page.
     """
 
     character: str | None = None
@@ -254,27 +236,22 @@ class View:
         GRAVITY.check(self.gravity)
         GUIDANCE.check(self.guidance)
         STEPS.check(self.steps)
-        for point in self.path:
-            for one in point:
-                Limit("x and z of a path", -LONGEST, LONGEST).check(one)
+        for coordinate in itertools.chain.from_iterable(self.path):
+            Limit("x and z of a path", -LONGEST, LONGEST).check(coordinate)
         for second in self.span or ():
             TIME.check(second, "span")
-        check_pins(self.pins)
+        read_pins(self.pins)
 
 
 def checked_view(view: object) -> dict[str, Any]:
-    """The view that a page sent; none is an empty one.
-
-    Raises:
-        OptionError: It holds what a page cannot show.
-    """
+    """The view that a page sent; none is an empty one; OptionError where it holds what a page cannot show."""
     form: Any = {} if view is None else view
     from_json(View, form, "the view")
     return dict(form)
 
 
 def read_view(view: object) -> dict[str, Any]:
-    """What can be shown of a view that was kept, by this version or another: the rest is left out."""
+    """What can be shown of a view that this version or another kept."""
     known: Sequence[str] = [field.name for field in fields(View)]
     found = {name: view[name] for name in known if name in view} if isinstance(view, dict) else {}
     for name in list(found):

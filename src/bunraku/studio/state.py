@@ -7,7 +7,7 @@ import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.studio.jobs import OPEN_STATES, About, Job, Jobs
@@ -17,7 +17,7 @@ from bunraku.studio.store import NotThere, Store
 __all__ = ["SAMPLE", "State"]
 
 SAMPLE = Path(__file__).parent / "sample.bunraku"
-"""A character in motion, for who opens the studio for the first time; `tools/make_studio_sample.py` writes it."""
+"""A character in motion, for the first start of the studio; `tools/make_studio_sample.py` writes it."""
 MOST_TAKES = 2000
 KEPT_EXPORTS = 3
 """Copies that were written and stay until others are."""
@@ -66,27 +66,16 @@ class State:
         self.jobs.stop()
 
     def new_takes(self, character: str, count: int, **about: object) -> list[dict[str, Any]]:
-        """Records of takes that are to be made.
-
-        Raises:
-            OptionError: There are too many.
-            FormatError: They cannot be written down.
-        """
+        """Records of takes to be made; OptionError for too many, FormatError where they cannot be written down."""
         if len(self.store.all("takes")) + count > MOST_TAKES:
             raise OptionError(f"there are {MOST_TAKES:,} takes; delete some that are not needed")
         made: list[dict[str, Any]] = []
         seeds = about.get("seeds")
         try:
             for number in range(count):
-                made.append(
-                    self.store.new(
-                        "takes",
-                        {
-                            "character": character, "state": "waiting", "star": False, "error": "", **about,
-                            "seed": seeds[number] if isinstance(seeds, list) else 0,
-                        },
-                    )
-                )  # fmt: skip
+                seed = seeds[number] if isinstance(seeds, list) else 0
+                fresh = {"character": character, "state": "waiting", "star": False, "error": ""}
+                made.append(self.store.new("takes", {**fresh, **about, "seed": seed}))
         except Exception:
             for take in made:
                 self.store.drop("takes", take["id"])
@@ -98,12 +87,8 @@ class State:
     def make(self, kind: str, title: str, character: str, takes: list[str], params: Mapping[str, object]) -> Any:
         """Queue the job that makes takes; they vanish where it cannot be queued."""
         try:
-            job = self.jobs.submit(
-                kind,
-                title,
-                {**params, "character": character, "takes": takes},
-                {"character": character, "takes": takes},
-            )
+            about: About = {"character": character, "takes": takes}
+            job = self.jobs.submit(kind, title, {**params, **about}, about)
         except Exception:
             for name in takes:
                 self.drop("takes", name)
@@ -111,15 +96,8 @@ class State:
         return {"job": job["id"], "takes": takes}
 
     def open(self, name: str, file: str) -> dict[str, Any]:
-        """Queue the opening of a character.
-
-        Args:
-            name: Its id.
-            file: Its file, relative to its folder.
-
-        Raises:
-            QueueFull: Too many jobs wait.
-            FormatError: It cannot be written down.
+        """Queue the opening of a character by its id and its file, relative to its folder. Errors are those of
+        `Jobs.submit`.
         """
         record = self.change("characters", name, file=file, state="opening", error="")
         params = {"character": name, "file": file, "settings": record["settings"]}
@@ -127,14 +105,12 @@ class State:
         return {"character": record, "job": job["id"]}
 
     def find_out(self, name: str) -> None:
-        """Queue what is longer looked for of a character, for when nobody waits for anything."""
+        """Queue, for quiet times, what takes longer to find of a character."""
         about: About = {"found": name}
         self.jobs.submit("find-out", "look at the character", {"character": name}, about, passing=True, later=True)
 
     def lay_chains(self, name: str) -> None:
-        """Queue the chains of a character's hair and clothes, for when nobody waits for anything; once, however often
-        they are asked for before they are begun.
-        """
+        """Queue, for quiet times, the chains of a character's hair and clothes, unless they are queued already."""
         about: About = {"laid": name}
         if not any(job["state"] == "waiting" and job["about"].get("laid") == name for job in self.jobs.all()):
             self.jobs.submit("lay-chains", "lay chains of bones", {"character": name}, about, passing=True, later=True)
@@ -167,6 +143,27 @@ class State:
             self.store.drop("exports", old["id"])
         return self.store.new("exports", {"file": file, "title": title, "state": "waiting"})
 
+    def export(self, kind: str, file: str, title: str, params: Mapping[str, object], **about: Any) -> dict[str, Any]:
+        """Queue the job that writes a copy. Errors are those of `Jobs.submit`.
+
+        Args:
+            kind: The task.
+            file: The name of the file.
+            title: The name that a user sees.
+            params: What the task takes besides the file.
+            **about: Which things the job is about.
+        """
+        made = self.new_export(file, title)
+        try:
+            job = self.jobs.submit(
+                kind, f"write {title}", {**params, "export": made["id"], "file": file},
+                cast(About, {**about, "export": made["id"]}),
+            )  # fmt: skip
+        except BaseException:
+            self.store.drop("exports", made["id"])
+            raise
+        return {"job": job["id"], "export": made["id"], "title": title}
+
     def revive(self, about: About) -> None:
         """Mark what a job is about as waiting again."""
         for name in about.get("takes", ()):
@@ -190,11 +187,8 @@ class State:
                         (self.store.folder_of("takes", name) / "draft.bin").unlink(missing_ok=True)
             return
         if "opens" in about:
-            values = (
-                {**said, "state": "ready", "error": ""}
-                if state == "done"
-                else {"state": state, "error": said.get("error", "")}
-            )
+            found = {**said, "state": "ready", "error": ""}
+            values = found if state == "done" else {"state": state, "error": said.get("error", "")}
             version = int(self.store.get("characters", about["opens"]).get("version", 0)) + 1
             self.note("characters", about["opens"], version=version, **values)
             if state == "done":

@@ -1,8 +1,8 @@
 """What the studio keeps: characters, takes and projects in a folder of the user's, written whole or not at all.
 
-A thing is a folder with a record, `record.json`, and the binary files that the worker wrote beside it. Only the
-server writes records, so nothing is written twice at once; a file that a record speaks of is there before the record.
-A folder whose record cannot be used is kept aside. What is given up has its record renamed, which needs no space.
+Each is a folder with a record, `record.json`, and the binary files that the worker wrote beside it. Only the server
+writes records, and a file that a record names is there before the record. A folder whose record cannot be used is kept
+aside. What is given up has its record renamed, which needs no space.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ KINDS = ("characters", "takes", "projects", "jobs", "exports")
 ASIDE = "set-aside"
 """The folder of what could not be read."""
 GIVEN_UP = "given-up.json"
-"""The record of what is given up: it goes when the studio starts again, or when the disk is full."""
+"""The record of what is given up: it is deleted when the studio starts again, or when the disk is full."""
 _ID = re.compile(r"[0-9a-f]{16}")
 _PROBE = 64 << 10
-"""Bytes that are written to learn whether the folder takes any: at the start, and after it took nothing."""
+"""Bytes that are written to try the folder: at the start, and after it refused a file."""
 
 
 class NotThere(BunrakuError):
@@ -41,7 +41,7 @@ class NotThere(BunrakuError):
 
 
 def default_folder() -> Path:
-    """Where the studio keeps its things unless the user names another place."""
+    """Where the studio keeps everything unless the user names another folder."""
     base = os.environ.get("XDG_DATA_HOME") or os.path.join(os.path.expanduser("~"), ".local", "share")
     return Path(base) / "bunraku" / "studio"
 
@@ -50,10 +50,8 @@ class Store:
     """The folder.
 
     Args:
-        folder: Made where it is not there. One that cannot be written to is read, and `trouble` says so.
-
-    Raises:
-        FormatError: It is not there and cannot be made.
+        folder: Made where it is missing; FormatError where that fails. One that cannot be written to is read, and
+            `trouble` says so.
     """
 
     def __init__(self, folder: Path):
@@ -140,7 +138,7 @@ class Store:
                 self.set_aside.append(self._aside(folder))
 
     def _aside(self, folder: Path) -> str:
-        """What is told of a folder that is kept aside."""
+        """A sentence about a folder that is kept aside."""
         sources = sorted(path.name for path in (folder / "source").rglob("*") if path.is_file())
         where = folder.relative_to(self.folder).as_posix()
         if sources:
@@ -148,11 +146,7 @@ class Store:
         return f"something could not be read and is kept in {where}; delete that folder if you do not miss it"
 
     def new(self, kind: str, record: Record) -> Record:
-        """Add a thing and give back its record with its id.
-
-        Raises:
-            FormatError: It cannot be written.
-        """
+        """Add a thing and give back its record with its id; FormatError where it cannot be written."""
         name = secrets.token_hex(8)
         folder = self.folder / kind / name
         record = {**record, "id": name, "created": time.time()}
@@ -170,22 +164,16 @@ class Store:
         return record
 
     def get(self, kind: str, name: str) -> Record:
-        """The record of a thing.
-
-        Raises:
-            NotThere: There is none.
-        """
+        """The record of a thing; NotThere where there is none."""
         record = self._records[kind].get(name) if isinstance(name, str) else None
         if record is None:
             raise NotThere(f"there is no such {kind[:-1]} any more; reload the page")
         return record
 
     def change(self, kind: str, name: str, /, **values: object) -> Record:
-        """Change a record and give it back; `deleted` gives the thing up, or takes that back, and needs no space.
+        """Change a record and give it back; `deleted` gives a thing up or takes that back, which needs no space.
 
-        Raises:
-            NotThere: There is no such thing.
-            FormatError: It cannot be written; then nothing has changed.
+        NotThere where there is no such thing; FormatError, with nothing changed, where it cannot be written.
         """
         with self._lock:  # the queue's thread and those of requests change the same things
             old = self.get(kind, name)
@@ -201,10 +189,8 @@ class Store:
         return record
 
     def note(self, kind: str, name: str, /, **values: object) -> Record:
-        """Change a record even where the disk refuses it: it is in memory then, and written when the disk takes it.
-
-        Raises:
-            NotThere: There is no such thing.
+        """Change a record even where the disk refuses it: it is in memory then, and written when the disk takes it;
+        NotThere where there is no such thing.
         """
         with self._lock:
             record = self._records[kind][name] = {**self.get(kind, name), **values}
@@ -243,19 +229,11 @@ class Store:
         return bool(found)
 
     def folder_of(self, kind: str, name: str) -> Path:
-        """The folder of a thing.
-
-        Raises:
-            NotThere: There is no such thing.
-        """
+        """The folder of a thing; NotThere where there is no such thing."""
         return self.folder / kind / str(self.get(kind, name)["id"])
 
     def file(self, kind: str, name: str, file: str) -> Path:
-        """A file of a thing; its name comes from the program and never from a client.
-
-        Raises:
-            NotThere: There is no such thing, or it has no such file yet.
-        """
+        """A file of a thing, whose name never comes from a client; NotThere where it is missing."""
         path = self.folder_of(kind, name) / file
         if not path.is_file():
             raise NotThere(f"this {kind[:-1]} is not finished yet; wait for it, or make it again")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
@@ -15,63 +15,64 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.files import atomic_write
 from bunraku.core.motion import HandleMotion, resample
 from bunraku.core.request import Progress
+from bunraku.core.travel import placed_at
 from bunraku.errors import OptionError
-from bunraku.generation.features import decode, encode
+from bunraku.generation.features import decode, encode, mirror
 from bunraku.generation.library import clip as find_clip
 from bunraku.generation.library import features_of
 from bunraku.generation.splicing import splice
-from bunraku.pipelines.animator import Animator, Body
-from bunraku.pipelines.apply import apply_motion, reference_of
+from bunraku.pipelines.animate import edited
+from bunraku.pipelines.animator import Animator, Body, own_rig
+from bunraku.pipelines.apply import GENERATED_STAGES, apply_motion, reference_of
 from bunraku.pipelines.requests import Apparel, Constraints, Follow, Request, TransferRequest
-from bunraku.pipelines.transfer import TRANSFER_STAGES, transferred
+from bunraku.pipelines.transfer import TRANSFER_STAGES, Source, transferred
 from bunraku.retarget.fit import Stages
+from bunraku.retarget.pins import meet_pins
 from bunraku.studio.dressing import check_fits, dress_take, redress_take
 from bunraku.studio.forms import DressForm, stages_without
 from bunraku.studio.wire import Take, body_of, packed_clip
 from bunraku.studio.workspace import PREVIEWS, Workspace
 
 __all__ = [
-    "Animate", "Bend", "DRAFT_STAGES", "Dress", "Edit", "Known", "Mirror", "Partly", "Play", "Preview",
-    "Task", "Transfer", "Trim", "finish_take", "handle_animation_of",
+    "Animate", "Bend", "Change", "DRAFT_STAGES", "Dress", "Edit", "Known", "Mirror", "Partly", "Play", "Preview",
+    "Task", "Transfer", "Trim", "finish_takes", "handle_animation_of",
 ]  # fmt: skip
 Partly = Callable[[dict[str, Any]], None]
 
 
 class Task(Protocol):
-    """Something that the worker does."""
+    """A task of the worker."""
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
-        """Do it; give what its record learns."""
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
+        """Do it, and give what its record learns."""
 
 
 def handle_animation_of(take: Take) -> Animation:
-    """What moves the handles of a take.
-
-    Raises:
-        OptionError: It moves the bones of its file.
-    """
+    """What moves the handles of a take; OptionError where it moves the bones of its file."""
     body = body_of(take)
     if not isinstance(body, Animation):
         raise OptionError("this take moves the bones of the file; make one that moves handles to change it")
     return body
 
 
-def finish_take(take: Take, name: str, owner: str, shop: Workspace, partly: Partly) -> None:
-    """Write a take that is finished, and tell so.
+def finish_takes(takes: Mapping[str, Take], owner: str, workspace: Workspace, partly: Partly) -> dict[str, Any]:
+    """Write finished takes; the ids are given back.
 
     Args:
-        take: The take.
-        name, owner: Ids of the take and of its character.
-        shop: Where it is written.
-        partly: Called with what its record learns.
+        takes: By their ids.
+        owner: The id of their character.
+        workspace: Where they are written.
+        partly: Called with what each record learns.
     """
-    partly({"take": name, "state": "done", **shop.keep(take, name, owner)})
+    for name in takes:
+        partly({"take": name, "state": "done", **workspace.keep(takes[name], name, owner)})
+    return {"takes": list(takes)}
 
 
 FPS = 20.0
-"""What the network knows; takes of other rates, carried over from files, are resampled before they are changed."""
+"""The network's rate [1/s]; takes of other rates, from files, are resampled before they are changed."""
 DRAFT_STAGES = Stages(smooth=False, feet=False, hands_clear=False, floor=False)
-"""Of a draft, which is there to be seen at once."""
+"""Stages of a draft, which is shown at once."""
 
 
 @dataclass(frozen=True)
@@ -95,28 +96,27 @@ class Animate:
     request: object
     draft: bool = True
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
-        from bunraku.pipelines.animator import Animator, own_rig
-
-        body = shop.body(self.character)
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
+        body = workspace.body(self.character)
         character, handles = body.character, body.anatomy.handles
-        request = _followed(shop, Request.from_json(self.request), self.character)
+        request = _followed(workspace, Request.from_json(self.request), self.character)
         check_fits(request.apparel, character, request.sampling.seconds)
         moved: Body | Character = character
         if own_rig(character, request) is None:
             request, moved = replace(request, handles=handles), body
 
-        def quickly(stage: str, done: float) -> None:
-            report("draft", 0.02 + 0.04 * done)
-
         if self.draft:
+
+            def quickly(stage: str, done: float) -> None:
+                report("draft", 0.02 + 0.04 * done)
+
             report("draft", 0.02)
             sampling = replace(request.sampling, seed=self.seeds[0], steps=None, guidance=None, candidates=1)
             quick = replace(
                 request, sampling=sampling, apparel=Apparel(), stages=DRAFT_STAGES, handles=handles, rig="handles"
             )  # fmt: skip
             (draft,) = Animator(Known(handles=handles), progress=quickly).moved(body, [quick])
-            partly({"take": self.takes[0], **shop.keep(draft, self.takes[0], self.character, draft=True)})
+            partly({"take": self.takes[0], **workspace.keep(draft, self.takes[0], self.character, draft=True)})
         ranges = {"generate": (0.1, 0.6), "fit": (0.7, 0.1)}
 
         def whole(stage: str, done: float) -> None:
@@ -126,16 +126,15 @@ class Animate:
         requests = [request.with_seed(seed) for seed in self.seeds]
         bodies = Animator(Known(handles=handles), progress=whole).moved(moved, requests)
         for name, made in zip(self.takes, bodies, strict=True):
-            take = dress_take(made, request.apparel, whole)
-            finish_take(take, name, self.character, shop, partly)
+            finish_takes({name: dress_take(made, request.apparel, whole)}, self.character, workspace, partly)
         return {"takes": list(self.takes)}
 
 
-def _followed(shop: Workspace, request: Request, owner: str) -> Request:
+def _followed(workspace: Workspace, request: Request, owner: str) -> Request:
     """The request with the take opened that it follows."""
     for one in request.constraints:
         if isinstance(one, Follow) and isinstance(one.clip, str):
-            before = body_of(shop.take(one.clip, owner))
+            before = body_of(workspace.take(one.clip, owner))
             return replace(request, constraints=request.constraints.following(before))
     return request
 
@@ -150,43 +149,35 @@ class Edit:
     parent: str
     request: object
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
-        from bunraku.pipelines.animate import edited
-        from bunraku.pipelines.animator import Animator
-        from bunraku.pipelines.apply import GENERATED_STAGES
-
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         request = Request.from_json(self.request)
         request = replace(request, stages=request.stages or GENERATED_STAGES)
-        clip = handle_animation_of(shop.take(self.parent, self.character)).at(FPS)
+        clip = handle_animation_of(workspace.take(self.parent, self.character)).at(FPS)
         for pose in request.constraints.poses:
             at = pose.time if pose.at is None else pose.at
             if pose.take and (pose.take != self.parent or at != pose.time):
-                clip = _with_pose(clip, shop.take(pose.take, self.character), pose.time, at)
+                clip = _with_pose(clip, workspace.take(pose.take, self.character), pose.time, at)
         for number, (name, seed) in enumerate(zip(self.takes, self.seeds, strict=True)):
 
             def ahead(stage: str, done: float, number: int = number) -> None:
                 report(stage, (number + 0.9 * done) / len(self.takes))
 
             made = edited(Animator.shipped(ahead), clip, request.with_seed(seed))
-            take = dress_take(made, request.apparel, report)
-            finish_take(take, name, self.character, shop, partly)
+            finish_takes({name: dress_take(made, request.apparel, report)}, self.character, workspace, partly)
         return {"takes": list(self.takes)}
 
 
 def _with_pose(clip: Animation, source: Take, time: float, at: float) -> Animation:
-    """The clip with one frame taken from another at that one's place in it, heading and way of the clip kept."""
-    from bunraku.core.travel import placed_at
-    from bunraku.pipelines.apply import reference_of
-
+    """The clip with one frame taken from another clip; position and heading are those of the clip."""
     source = handle_animation_of(source)
     frame = min(round(time * clip.fps), len(clip.motion) - 1)
     there = min(round(at * source.fps), len(source.motion) - 1)
 
     def patched(motion: HandleMotion, other: HandleMotion) -> HandleMotion:
-        one = placed_at(other.take(slice(there, there + 1)), 0, motion, frame)
+        pose = placed_at(other.take(slice(there, there + 1)), 0, motion, frame)
         arrays = {name: np.array(getattr(motion, name)) for name in HandleMotion.arrays}
         for name, array in arrays.items():
-            array[frame] = getattr(one, name)[0]
+            array[frame] = getattr(pose, name)[0]
         return motion.with_arrays(arrays)
 
     return Animation(
@@ -196,89 +187,77 @@ def _with_pose(clip: Animation, source: Take, time: float, at: float) -> Animati
 
 
 @dataclass(frozen=True)
-class Bend(DressForm):
-    """A take bent to its pins, with nothing generated."""
+class Change(DressForm):
+    """A take made from another, with nothing generated."""
 
     character: str
     takes: tuple[str]
     parent: str
+
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
+        report("fit", 0.2)
+        take = self.changed(workspace.take(self.parent, self.character), workspace, report)
+        return finish_takes({self.takes[0]: take}, self.character, workspace, partly)
+
+    def changed(self, parent: Take, workspace: Workspace, report: Progress) -> Take:
+        """The new take, by default `moved` and dressed."""
+        return dress_take(self.moved(parent), self.apparel_request, report)
+
+    def moved(self, parent: Take) -> Animation | RigAnimation:
+        """The motion of the new take."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Bend(Change):
+    """A take bent to its pins."""
+
     constraints: tuple[object, ...]
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
-        from bunraku.retarget.pins import meet_pins
-
-        parent = handle_animation_of(shop.take(self.parent, self.character))
-        report("fit", 0.2)
+    def moved(self, parent: Take) -> Animation:
+        clip = handle_animation_of(parent)
         pins = Constraints.from_json(self.constraints).pins
-        met = meet_pins(parent.motion, Anatomy.of(parent.character, parent.handles), pins)
-        made = Animation(parent.character, parent.handles, met, parent.reference)
-        take, (name,) = dress_take(made, self.apparel_request, report), self.takes
-        finish_take(take, name, self.character, shop, partly)
-        return {"takes": [name]}
+        met = meet_pins(clip.motion, Anatomy.of(clip.character, clip.handles), pins)
+        return Animation(clip.character, clip.handles, met, clip.reference)
 
 
 @dataclass(frozen=True)
-class Mirror(DressForm):
+class Mirror(Change):
     """A take with left and right exchanged, fitted anew."""
 
-    character: str
-    takes: tuple[str]
-    parent: str
-
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
-        from bunraku.generation.features import decode, encode, mirror
-        from bunraku.pipelines.apply import apply_motion, reference_of
-
-        parent = handle_animation_of(shop.take(self.parent, self.character))
-        report("fit", 0.2)
-        anatomy = Anatomy.of(parent.character, parent.handles)
-        motion = reference_of(parent, anatomy)
-        mirrored = decode(mirror(encode(motion)), motion.fps)
-        take, (name,) = apply_motion(mirrored, anatomy), self.takes
-        dressed = dress_take(take, self.apparel_request, report)
-        finish_take(dressed, name, self.character, shop, partly)
-        return {"takes": [name]}
+    def moved(self, parent: Take) -> Animation:
+        clip = handle_animation_of(parent)
+        anatomy = Anatomy.of(clip.character, clip.handles)
+        motion = reference_of(clip, anatomy)
+        return apply_motion(decode(mirror(encode(motion)), motion.fps), anatomy)
 
 
 @dataclass(frozen=True)
-class Trim(DressForm):
-    """A stretch of a take, as it is there."""
+class Trim(Change):
+    """A stretch of a take, unchanged."""
 
-    character: str
-    takes: tuple[str]
-    parent: str
     trim: tuple[float, float]
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
-        parent = body_of(shop.take(self.parent, self.character))
-        start, stop = (round(second * parent.fps) for second in self.trim)
-        if stop - start < 2 or start >= len(parent.motion):
+    def moved(self, parent: Take) -> Animation | RigAnimation:
+        body = body_of(parent)
+        start, stop = (round(second * body.fps) for second in self.trim)
+        if stop - start < 2 or start >= len(body.motion):
             raise OptionError("nothing is left of the take; choose a longer stretch of it")
-        take, (name,) = parent.take(slice(start, stop)), self.takes
-        dressed = dress_take(take, self.apparel_request, report)
-        finish_take(dressed, name, self.character, shop, partly)
-        return {"takes": [name]}
+        return body.take(slice(start, stop))
 
 
 @dataclass(frozen=True)
-class Dress(DressForm):
+class Dress(Change):
     """A take of the same motion whose apparel moves otherwise."""
 
-    character: str
-    takes: tuple[str]
-    parent: str
     in_place: bool = False
     without: tuple[str, ...] = ()
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
-        parent, (_, handles) = shop.take(self.parent, self.character), shop.character(self.character)
-        made = redress_take(
-            parent, self.apparel_request, handles, in_place=self.in_place,
+    def changed(self, parent: Take, workspace: Workspace, report: Progress) -> Take:
+        return redress_take(
+            parent, self.apparel_request, workspace.character(self.character)[1], in_place=self.in_place,
             stages=stages_without(self.without), report=report,
         )  # fmt: skip
-        (name,) = self.takes
-        finish_take(made, name, self.character, shop, partly)
-        return {"takes": [name]}
 
 
 @dataclass(frozen=True)
@@ -290,14 +269,10 @@ class Transfer(DressForm):
     file: str
     onto: Literal["auto", "handles"] = "handles"
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
-        from bunraku.pipelines.animator import Animator
-        from bunraku.pipelines.requests import TransferRequest
-        from bunraku.pipelines.transfer import Source, transferred
-
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         (name,) = self.takes
-        character, handles = shop.character(self.character)
-        source = Source(shop.folder_of("takes", name) / self.file)
+        character, handles = workspace.character(self.character)
+        source = Source(workspace.folder_of("takes", name) / self.file)
         apparel, animator = self.apparel_request, Animator.shipped(report)
         check_fits(apparel, character, 0)
         take = None
@@ -308,8 +283,7 @@ class Transfer(DressForm):
             take = transferred(animator, character, source, TransferRequest("handles", handles=handles))
         assert isinstance(take, Animation | RigAnimation)
         apparel = Apparel() if apparel.motion == "simulate" else apparel  # simulated already
-        finish_take(dress_take(take, apparel, report), name, self.character, shop, partly)
-        return {"takes": [name]}
+        return finish_takes({name: dress_take(take, apparel, report)}, self.character, workspace, partly)
 
 
 PREVIEW_FPS = 10.0
@@ -319,13 +293,7 @@ BLEND = 8
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a take: a clip of the library, or a request.
-
-    Args:
-        seconds: How long it lasts.
-        clip: Its name; "" for a request.
-        request: The JSON form of a request of one sentence or several.
-    """
+    """A part of a take with its length [s]: a clip of the library by its name, or the JSON form of a request."""
 
     seconds: float
     clip: str = ""
@@ -342,8 +310,8 @@ class Play(DressForm):
     pieces: tuple[Piece, ...]
     constraints: tuple[object, ...] = ()
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
-        body = shop.body(self.character)
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
+        body = workspace.body(self.character)
         character, handles, anatomy = body.character, body.anatomy.handles, body.anatomy
         apparel, constraints = self.apparel_request, Constraints.from_json(self.constraints)
         check_fits(apparel, character, sum(piece.seconds for piece in self.pieces))
@@ -358,7 +326,7 @@ class Play(DressForm):
                 take: Any = transferred(animator, character, motion, TransferRequest(apparel=apparel))
             else:
                 take = dress_take(apply_motion(motion, anatomy, constraints, TRANSFER_STAGES), apparel, ahead)
-            finish_take(take, name, self.character, shop, partly)
+            finish_takes({name: take}, self.character, workspace, partly)
         return {"takes": list(self.takes)}
 
     def _reference(self, animator: Animator, body: Body, seed: int, loop: bool) -> HandleMotion:
@@ -396,9 +364,9 @@ class Preview:
     character: str
     clips: tuple[str, ...]
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
-        anatomy = shop.body(self.character).anatomy
-        folder = shop.folder_of("characters", self.character) / PREVIEWS
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
+        anatomy = workspace.body(self.character).anatomy
+        folder = workspace.folder_of("characters", self.character) / PREVIEWS
         for number, name in enumerate(self.clips):
             report("fit", number / len(self.clips))
             path = folder / f"{name}.bin"

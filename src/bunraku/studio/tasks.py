@@ -45,11 +45,11 @@ class Open:
     file: str
     settings: Settings = field(default_factory=Settings)
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.files import save_character
         from bunraku.pipelines.animate import rig
 
-        folder = shop.folder_of("characters", self.character)
+        folder = workspace.folder_of("characters", self.character)
         report("read", 0.1)
         character, taken = opened_character(folder / self.file, self.settings)
         report("handles", 0.3)
@@ -65,15 +65,15 @@ class Open:
 
 @dataclass(frozen=True)
 class FindApparel:
-    """What is longer looked for of a character that is open already."""
+    """Find what takes longer of a character that is open: its apparel, and where hands and feet are."""
 
     character: str
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
-        body = shop.body(self.character)
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
+        body = workspace.body(self.character)
         report("look", 0.1)
-        worn = shop.folder_of("characters", self.character) / WORN
-        painted = shop.painted(self.character)
+        worn = workspace.folder_of("characters", self.character) / WORN
+        painted = workspace.painted(self.character)
         return {**apparel_facts(body.character, body.anatomy, worn, painted), "painted": painted}
 
 
@@ -83,18 +83,18 @@ class LayChains:
 
     character: str
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.apparel.chains.avatars import vrm_avatar
         from bunraku.files import save_character
 
         report("look", 0.1)
-        body = shop.body(self.character)
+        body = workspace.body(self.character)
         made, why = chains_of(body.anatomy)
         if made is None:
             reason = why.removeprefix(f"{body.character.name}: ").partition(";")[0]
             return {"chains": [], "unchained": f"{reason}; paint what is hair and clothes"}
         report("springs", 0.4)
-        path = shop.folder_of("characters", self.character) / CHAINED
+        path = workspace.folder_of("characters", self.character) / CHAINED
         save_character(made.character, path, rig=True, avatar=vrm_avatar(made))
         return {"chains": chain_facts(made), "unchained": ""}
 
@@ -121,13 +121,13 @@ class Export:
     take: str
     fps: float = 30.0
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.files import check_writer
 
-        target = shop.folder_of("exports", self.export) / self.file
+        target = workspace.folder_of("exports", self.export) / self.file
         check_writer(target)
         report("write", 0.1)
-        take = shop.take(self.take, self.character)
+        take = workspace.take(self.take, self.character)
         options = {} if target.suffix in (".npz", ".vmd") else {"fps": self.fps}
         if isinstance(take, Dressed):
             shown = take.points if take.bones is None else take.bones
@@ -150,15 +150,15 @@ class ExportClips:
     preset: str = ""
     title: str = "clips"
 
-    def __call__(self, shop: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.files import preset_named, save_clips, save_for
 
-        target = shop.folder_of("exports", self.export) / self.file
+        target = workspace.folder_of("exports", self.export) / self.file
         clips: dict[str, Animation | RigAnimation] = {}
         character: Character | None = None
         for number, (take, name) in enumerate(zip(self.takes, self.names, strict=True)):
             report("read", number / len(self.takes))
-            found = shop.take(take, self.character)
+            found = workspace.take(take, self.character)
             if isinstance(found, Dressed):
                 raise OptionError(
                     "apparel that moves on its own has no place among several clips; download those alone"
@@ -166,7 +166,7 @@ class ExportClips:
             character = character or found.character
             clips[name] = replace(found, character=character)  # each was read with a copy of it
         if self.preset:
-            clips = _named(clips, shop, self.character, preset_named(self.preset).skeleton)
+            clips = _named(clips, workspace, self.character, preset_named(self.preset).skeleton)
         if not self.preset:
             save_clips(clips, target, fps=self.fps)
         elif target.suffix == ".zip":
@@ -181,13 +181,13 @@ class ExportClips:
 
 
 def _named(
-    clips: dict[str, Animation | RigAnimation], shop: Workspace, character: str, names: str
+    clips: dict[str, Animation | RigAnimation], workspace: Workspace, character: str, names: str
 ) -> dict[str, Animation | RigAnimation]:
     """Clips of a person by its handles, on a tree of joints with a program's names; others as they are."""
     from bunraku.retarget.engine_skeleton import carried, on_skeleton
 
     moved = {name: clip for name, clip in clips.items() if isinstance(clip, Animation)}
-    body = shop.body(character) if len(moved) == len(clips) else None
+    body = workspace.body(character) if len(moved) == len(clips) else None
     if body is None or not body.takes_skeleton:
         return clips
     skeleton = on_skeleton(body.anatomy, names)
@@ -195,36 +195,26 @@ def _named(
 
 
 TASKS: dict[str, type[Task]] = {
-    "open": Open,
-    "find-out": FindApparel,
-    "lay-chains": LayChains,
-    "animate": Animate,
-    "edit": Edit,
-    "bend": Bend,
-    "dress": Dress,
-    "mirror": Mirror,
-    "trim": Trim,
-    "transfer": Transfer,
-    "play": Play,
-    "preview": Preview,
-    "export": Export,
-    "export-clips": ExportClips,
-}
+    "open": Open, "find-out": FindApparel, "lay-chains": LayChains,
+    "animate": Animate, "edit": Edit, "bend": Bend, "dress": Dress, "mirror": Mirror, "trim": Trim,
+    "transfer": Transfer, "play": Play, "preview": Preview,
+    "export": Export, "export-clips": ExportClips,
+}  # fmt: skip
 
 
-def run_task(shop: Workspace, task: str, params: object, report: Progress, partly: Partly) -> dict[str, Any]:
+def run_task(workspace: Workspace, task: str, params: object, report: Progress, partly: Partly) -> dict[str, Any]:
     """Run a task of `TASKS`.
 
     Args:
-        shop: What it works with.
+        workspace: What it works with.
         task: Its name.
         params: Its JSON form.
         report: Called with a stage's name and the share done.
-        partly: Called with what is there before the end.
+        partly: Called with results that are ready before the end.
 
     Raises:
         OptionError: There is no such task, or it cannot be done.
     """
     if task not in TASKS:
         raise OptionError(f"there is no task '{task}'")
-    return from_json(TASKS[task], params, f"the task {task}")(shop, report, partly)
+    return from_json(TASKS[task], params, f"the task {task}")(workspace, report, partly)

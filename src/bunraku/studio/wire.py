@@ -1,8 +1,8 @@
-"""A take on the wire, and on disk.
+"""A take as it is sent to the page, and on disk.
 
-The page gets a character's mesh and skin once, as GLB, and of each take only what the skin's joints do, and
-where apparel moves on its own how it leaves its skin: the very tracks that the GLB of the take would hold
-(`formats.gltf.bunraku_clip.joint_tracks`, `formats.gltf.write_points`), so what is shown is what is saved.
+The page gets a character's mesh and skin once, as GLB, and of each take only the tracks of its joints, and where
+apparel moves on its own how it leaves its skin. These are the tracks that the GLB of the take would hold, so what is
+shown is what is saved.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -35,7 +36,6 @@ from bunraku.files import (
 
 __all__ = [
     "APPAREL", "Dressed", "Take", "body_of", "load_handles", "load_take", "packed_clip", "save_handles", "save_take",
-    "unpacked_apparel", "unpacked_clip",
 ]  # fmt: skip
 
 APPAREL = "apparel.npz"
@@ -66,13 +66,7 @@ class Dressed:
     def of_chains(
         cls, body: Animation | RigAnimation, bones: RigAnimation, stiffness: float, gravity: float
     ) -> Dressed:
-        """A take of what chains made of a body's motion.
-
-        Args:
-            body: What moves the body.
-            bones: The same on a rig with chains.
-            stiffness, gravity: Factors.
-        """
+        """The take of a body's motion, and of the same on a rig with chains."""
         moved = body.at(bones.fps)
         skinned = moved.animation() if isinstance(moved, RigAnimation) else moved
         offsets = bones.vertices() - skinned.vertices()
@@ -134,11 +128,11 @@ def packed_clip(take: Take) -> bytes:
         unit = max((float(np.abs(group.shapes).max(initial=0)) for groups in meshes for group in groups), default=0.0)
         unit = max(unit, 1e-9) / np.iinfo(np.int16).max
         for mesh, groups in enumerate(meshes):
-            own = {member: group for group in groups for member in group.primitives}
-            for primitive, member in enumerate(sorted(own)):
-                rows = own[member].rows
+            by_member = {member: group for group in groups for member in group.primitives}
+            for primitive, member in enumerate(sorted(by_member)):
+                rows = by_member[member].rows
                 parts.append({"mesh": mesh, "primitive": primitive, "rows": len(rows)})
-                values = np.round(own[member].shapes / unit).astype("<i2").reshape(-1)
+                values = np.round(by_member[member].shapes / unit).astype("<i2").reshape(-1)
                 arrays += [rows.astype("<u4"), np.pad(values, (0, values.size % 2))]
         header |= {"unit": unit, "parts": parts}
     words = json.dumps(header).encode()
@@ -146,57 +140,33 @@ def packed_clip(take: Take) -> bytes:
     return b"".join([MAGIC, struct.pack("<I", len(words)), words, *(array.tobytes() for array in arrays)])
 
 
-def unpacked_clip(data: bytes) -> tuple[float, np.ndarray, np.ndarray]:
-    """Frames a second, translations (N, K, 3) and quaternions (N, K, 4) of `packed_clip`."""
-    length = struct.unpack("<I", data[4:8])[0]
-    header = json.loads(data[8 : 8 + length])
-    shape = header["frames"], header["joints"]
-    count = shape[0] * shape[1]
-    values = np.frombuffer(data[8 + length :], "<f4", count * 7)
-    return header["fps"], values[: count * 3].reshape(*shape, 3), values[count * 3 :].reshape(*shape, 4)
-
-
-def unpacked_apparel(data: bytes) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]:
-    """Of `packed_clip`, by mesh and primitive: vertices that leave their skin (R,), how far before it [m] (N, R, 3)."""
-    length = struct.unpack("<I", data[4:8])[0]
-    header = json.loads(data[8 : 8 + length])
-    at = 8 + length + header["frames"] * header["joints"] * 28
-    parts = {}
-    for part in header.get("parts", ()):
-        rows = np.frombuffer(data, "<u4", part["rows"], at)
-        values = np.frombuffer(data, "<i2", header["frames"] * len(rows) * 3, at + rows.nbytes)
-        at += rows.nbytes + 2 * (values.size + values.size % 2)
-        parts[part["mesh"], part["primitive"]] = rows, values.reshape(-1, len(rows), 3) * header["unit"]
-    return parts
-
-
 def save_take(take: Take, path: Path) -> None:
-    """Write a take so that `load_take` gives it back: its motion, and `APPAREL` beside it where that is learned.
-
-    Raises:
-        FormatError: The file cannot be written.
+    """Write a take so that `load_take` gives it back: its motion, and `APPAREL` beside it where that is learned;
+    FormatError where the file cannot be written.
     """
     if isinstance(take, Dressed):
         offsets = take.points.offsets
         moving = np.flatnonzero(offsets.any(axis=(0, 2)))
-        packed = io.BytesIO()
-        np.savez_compressed(
-            packed, vertices=moving.astype(np.int32), offsets=offsets[:, moving], stiffness=np.float32(take.stiffness),
-            gravity=np.float32(take.gravity), **({} if take.bones is None else _packed_bones(take.bones)),
-        )  # fmt: skip
-        with atomic_write(path.with_name(APPAREL)) as file:
-            file.write(packed.getvalue())
+        _write_arrays(path.with_name(APPAREL), np.savez_compressed, {
+            "vertices": moving.astype(np.int32), "offsets": offsets[:, moving],
+            "stiffness": np.float32(take.stiffness), "gravity": np.float32(take.gravity),
+            **({} if take.bones is None else _packed_bones(take.bones)),
+        })  # fmt: skip
         take = take.body
     if isinstance(take, Animation):
-        data = pack_animation(take)
-    else:
-        arrays: dict[str, Any] = {} if take.reference is None else motion_arrays(take.reference, REFERENCE)
-        arrays |= {"bone_rotations": take.rotations, "bone_translations": take.translations}
-        packed = io.BytesIO()
-        np.savez_compressed(packed, bone_fps=np.float32(take.fps), **arrays)
-        data = packed.getvalue()
+        with atomic_write(path) as file:
+            file.write(pack_animation(take))
+        return
+    arrays: dict[str, Any] = {} if take.reference is None else motion_arrays(take.reference, REFERENCE)
+    arrays |= {"bone_rotations": take.rotations, "bone_translations": take.translations}
+    _write_arrays(path, np.savez_compressed, {"bone_fps": np.float32(take.fps), **arrays})
+
+
+def _write_arrays(path: Path, pack: Callable[..., None], arrays: Mapping[str, Any]) -> None:
+    packed = io.BytesIO()
+    pack(packed, **arrays)
     with atomic_write(path) as file:
-        file.write(data)
+        file.write(packed.getvalue())
 
 
 def load_take(path: Path, character: Character, handles: Handles) -> Take:
@@ -243,19 +213,14 @@ def _packed_bones(bones: RigAnimation) -> dict[str, Any]:
 
 
 def _bones_of(found: dict[str, np.ndarray], path: Path, skinned: Animation) -> RigAnimation:
-    """The inverse of `_packed_bones`.
-
-    Raises:
-        FormatError: Its rig is of another mesh, or none.
-    """
+    """The inverse of `_packed_bones`; FormatError where its rig is of another mesh, or none."""
     try:
         names = tuple(str(name) for name in json.loads(found["rig_names"].astype(np.uint8).tobytes()))
         rig = Rig(names, *(found[f"rig_{name}"] for name in ("parents", "transforms", "indices", "weights")))
         character = replace(skinned.character, rig=rig, avatar=None)
         if len(rig.indices) != len(character.vertices):
             raise FormatError(path, "its chains are of another mesh; make the take again")
-        turns, shifts = found["rig_rotations"], found["rig_translations"]
-        return RigAnimation(character, turns, shifts, float(found["rig_fps"]))
+        return RigAnimation(character, found["rig_rotations"], found["rig_translations"], float(found["rig_fps"]))
     except (KeyError, TypeError, ValueError, CharacterError, MotionError):
         raise FormatError(path, "it holds no chains that can be read; make the take again") from None
 
@@ -275,20 +240,15 @@ def _load_body(path: Path, character: Character, handles: Handles) -> Animation 
 
 
 def save_handles(handles: Handles, path: Path) -> None:
-    """Write handles: positions, the four largest weights of each vertex, features, roles.
-
-    Raises:
-        FormatError: The file cannot be written.
+    """Write handles: positions, the four largest weights of each vertex, features, roles; FormatError where the file
+    cannot be written.
     """
     arrays = {"positions": handles.positions, "weights": handles.weights, "roles": handles.played}
     if handles.features is not None:
         arrays["features"] = handles.features
     if handles.rigid:
         arrays["rigid"] = np.ones(1)
-    packed = io.BytesIO()
-    np.savez(packed, allow_pickle=False, **arrays)  # who opens a large mesh would wait for compressing it
-    with atomic_write(path) as file:
-        file.write(packed.getvalue())
+    _write_arrays(path, np.savez, arrays)  # compressing a large mesh would take too long
 
 
 def load_handles(path: Path) -> Handles:

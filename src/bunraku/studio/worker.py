@@ -37,11 +37,11 @@ def page_sentence(error: Exception) -> str:
 
 
 SECONDS_APART = 0.1
-"""Between two messages of progress."""
+"""Between two messages of progress; chosen by eye."""
 
 
 class Cancelled(Exception):
-    """Somebody does not want the result any more."""
+    """The job was cancelled."""
 
 
 def work(folder: str, pipe: Connection, bell: Connection) -> None:
@@ -68,16 +68,16 @@ def work(folder: str, pipe: Connection, bell: Connection) -> None:
             name, task, arguments = pipe.recv()
         except (EOFError, OSError):
             return
-        told = 0.0
+        sent = 0.0
 
         def report(stage: str, done: float, name: str = name) -> None:
-            nonlocal told
+            nonlocal sent
             while bell.poll():
                 if bell.recv() == name:
                     raise Cancelled
             now = time.monotonic()
-            if now - told > SECONDS_APART:
-                told = now
+            if now - sent > SECONDS_APART:
+                sent = now
                 pipe.send((name, "progress", {"stage": stage, "done": round(float(done), 3)}))
 
         def partly(said: dict[str, object], name: str = name) -> None:
@@ -98,7 +98,6 @@ def work(folder: str, pipe: Connection, bell: Connection) -> None:
 
 
 def _explained(error: Exception) -> dict[str, Any]:
-
     if os.environ.get("BUNRAKU_DEBUG", "") not in ("", "0"):
         import traceback
 

@@ -15,7 +15,7 @@ from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.handles.orientation import resolve_axes
 from bunraku.core.animation import RigAnimation
 from bunraku.core.character import Character, Handles
-from bunraku.core.files import MAX_BYTES, atomic_write
+from bunraku.core.files import atomic_write
 from bunraku.errors import BunrakuError, CharacterError, OptionError
 from bunraku.files import in_metres, load_character, resolve_unit, rotated
 from bunraku.pipelines.animator import Body
@@ -27,8 +27,7 @@ __all__ = ["MAX_VERTICES", "PREVIEWS", "Settings", "Workspace", "apparel_facts",
 
 _log = logging.getLogger(__name__)
 MAX_VERTICES = 1_000_000
-"""A browser draws more only on a large machine."""
-assert MAX_BYTES  # the bound of files on disk; uploads have a smaller one
+"""Vertices that a browser draws on an ordinary machine; chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class Settings:
 
 
 def opened_character(path: Path, settings: Settings) -> tuple[Character, dict[str, Any]]:
-    """The character of a file in metres, standing along +Y and facing +Z, and what was taken for granted on the way.
+    """The character of a file in metres, standing along +Y and facing +Z, with the axes and the unit that were taken.
 
     Raises:
         FormatError: The file cannot be read.
@@ -89,13 +88,13 @@ def _has_skeleton(character: Character) -> bool:
 
 
 def apparel_facts(character: Character, anatomy: Anatomy, worn: Path, painted: bool = False) -> dict[str, Any]:
-    """What a page shows of a character and is longer looked for: apparel, and where hands and feet are.
+    """Facts of a character that take longer to find: its apparel, and where hands and feet are.
 
     Args:
         character: The character.
         anatomy: Of it.
-        worn: The file that gets which vertices are apparel.
-        painted: Whether somebody painted them, so that they are not what is found.
+        worn: The file that gets the mask of its apparel.
+        painted: Whether a user painted the mask, which is then kept.
 
     Raises:
         FormatError: That cannot be written.
@@ -105,11 +104,11 @@ def apparel_facts(character: Character, anatomy: Anatomy, worn: Path, painted: b
 
     try:
         mask = apparel_mask_of(character, anatomy.handles)
-    except Exception:  # clothes that nobody finds are no reason not to open a character
+    except Exception:  # a character opens even where its clothes cannot be found
         _log.exception("apparel could not be looked for")
         mask = None
     if not worn.is_file() or not painted:
-        save_worn(character, mask, worn)  # what is painted is not what was found
+        save_worn(character, mask, worn)
     ends = [
         {"part": end.part, "handle": end.handle, "point": np.round(end.point, 5).tolist()} for end in limb_ends(anatomy)
     ]
@@ -128,7 +127,7 @@ def character_facts(character: Character, handles: Handles) -> dict[str, Any]:
         usable = False
     try:
         physics = apparel_rig(character) is not None
-    except Exception:  # broken physics are no reason not to open a character
+    except Exception:  # a character opens even where its physics are broken
         physics = False
     low, high = character.vertices[character.surface].min(axis=0), character.vertices[character.surface].max(axis=0)
     used = np.flatnonzero(handles.weights.max(axis=0) > 0.01)
@@ -167,7 +166,7 @@ class Workspace:
         self._bodies: OrderedDict[str, Body] = OrderedDict()
 
     def warm_up(self) -> None:
-        """Load the networks, so that the first user does not wait for them."""
+        """Load the networks, so that the first job does not wait for them."""
         from bunraku.files import sample_character
         from bunraku.pipelines.animator import Animator
         from bunraku.pipelines.requests import Request, Sampling
@@ -200,7 +199,7 @@ class Workspace:
         return self._open[key]
 
     def painted(self, name: str) -> bool:
-        """Whether somebody painted what of a character is hair and clothes."""
+        """Whether a user painted which vertices of a character are hair and clothes."""
         folder = self.folder_of("characters", name)
         record = json.loads((folder / "record.json").read_text(encoding="utf-8"))
         return painted_file(folder / record["file"]).is_file()

@@ -49,7 +49,6 @@ __all__ = [
     "transferred",
 ]
 
-
 MOST_BONES = 4
 """Joints that move one vertex, as engines have it."""
 _LEGS = (1, 4, 7)  # left hip, knee, ankle in SMPL's order
@@ -215,11 +214,7 @@ class SourceBody:
 
 @lru_cache(maxsize=2)
 def source_body(vertices: int = 1000) -> SourceBody:
-    """The average reference body.
-
-    Args:
-        vertices: Of its mesh, about.
-    """
+    """The average reference body."""
     body = reference_body()
     mesh = network_mesh(body.vertices, body.faces, round(ROOM * vertices))
     rest = mesh.pull(body.vertices)

@@ -21,24 +21,10 @@ from bunraku.core.geometry.graph import bridge_edges, clean_mesh, mesh_parts, un
 from bunraku.core.geometry.surface import vertex_areas
 
 __all__ = [
-    "EmbeddedSkeleton",
-    "Template",
-    "Volume",
-    "bone_distances",
-    "bone_heat",
-    "cluster_vertices",
-    "cotangent_laplacian",
-    "embed_skeleton",
-    "embedded_bone_heat",
-    "embedded_human",
-    "geodesic_clusters",
-    "geodesic_graph",
-    "human_template",
-    "sphere_centres",
-    "surface_samples",
-    "volume_of",
-]
-
+    "EmbeddedSkeleton", "Template", "Volume", "bone_distances", "bone_heat", "cluster_vertices", "cotangent_laplacian",
+    "embed_skeleton", "embedded_bone_heat", "embedded_human", "geodesic_clusters", "geodesic_graph", "human_template",
+    "sphere_centres", "surface_samples", "volume_of",
+]  # fmt: skip
 
 _MEDOIDS = 24  # vertices near a cluster's mean that are tried as its medoid
 
@@ -72,9 +58,7 @@ def _seeds(graph: csr_matrix, areas: np.ndarray, count: int, rng: np.random.Gene
 
 
 def _medoid(graph: csr_matrix, members: np.ndarray, points: np.ndarray, areas: np.ndarray) -> int:
-    """The member with the least area-weighted sum of squared geodesic distances to the others, among those near their
-    mean.
-    """
+    """The member nearest to the mean with the least area-weighted sum of squared geodesic distances to the others."""
     mean = np.average(points[members], axis=0, weights=areas[members])
     order = np.argsort(np.square(points[members] - mean).sum(axis=1), kind="stable")
     tried = order[:: max(1, len(order) // (4 * _MEDOIDS))][:_MEDOIDS]
@@ -319,11 +303,7 @@ def _joint_costs(template: Template, points: np.ndarray, radii: np.ndarray, midd
 
 
 def _bone_costs(start: np.ndarray, end: np.ndarray, wanted: np.ndarray, size: float) -> np.ndarray:
-    """Cost of the length and the direction of bones from starts to ends, shapes [..., 3] x 2 -> [...].
-
-    Args:
-        wanted: The template's bone, at the size of the mesh, shape (3,).
-    """
+    """Cost of the length and the direction of bones from starts to ends, shapes [..., 3] x 2 -> [...]."""
     bone = end - start
     length = np.sqrt(np.square(bone).sum(-1) + 1e-12)
     want = float(np.linalg.norm(wanted))
@@ -369,14 +349,9 @@ def embed_skeleton(template: Template, volume: Volume, low: np.ndarray, high: np
 
 
 def _refined(
-    template: Template,
-    points: np.ndarray,
-    volume: Volume,
-    low: np.ndarray,
-    high: np.ndarray,
-    size: float,
+    template: Template, points: np.ndarray, volume: Volume, low: np.ndarray, high: np.ndarray, size: float,
     rounds: int = 6,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Joints moved by shrinking steps wherever that lowers the cost of what they touch."""
     points = points.copy()
     middle = float(low[0] + high[0]) / 2
@@ -456,13 +431,9 @@ def bone_distances(points: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> 
 
 
 def bone_heat(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    starts: np.ndarray,
-    ends: np.ndarray,
-    owners: Sequence[int] | np.ndarray,
+    vertices: np.ndarray, faces: np.ndarray, starts: np.ndarray, ends: np.ndarray, owners: Sequence[int] | np.ndarray,
     volume: Volume | None = None,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Weights of bones: the solution of `(-L + H) w = H p`.
 
     H of a vertex is c over the squared distance to its nearest visible bone, per unit of area; where several bones are

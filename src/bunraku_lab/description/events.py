@@ -1,6 +1,4 @@
-"""Rules that find what a motion plainly shows: what the limbs do (jumping, kicking, waving, sitting), and how the body
-travels (turning, walking, running, curving).
-"""
+"""Rules that find what a motion plainly shows: what limbs do (jump, kick, wave, sit) and how the body travels."""
 
 from __future__ import annotations
 
@@ -11,17 +9,9 @@ import numpy as np
 from bunraku.generation.agreement import SIDES, Phrase, Track, runs, smooth
 
 __all__ = [
-    "find_arms",
-    "find_bends",
-    "find_gaits",
-    "find_jumps",
-    "find_kicks",
-    "find_punches",
-    "find_seats",
-    "find_stillness",
-    "find_turns",
-    "peaks",
-]
+    "find_arms", "find_bends", "find_gaits", "find_jumps", "find_kicks", "find_punches", "find_seats", "find_stillness",
+    "find_turns", "peaks",
+]  # fmt: skip
 
 
 def peaks(values: np.ndarray, prominence: float, height: float | None = None) -> np.ndarray:
@@ -233,10 +223,8 @@ def find_bends(track: Track) -> list[Phrase]:
             and stands[part].all()
         ):
             texts = (
-                "{squat} down and {stand} up again",
-                "{bend} the knees into a squat and {rise} again",
-                "{do} a squat",
-            )
+                "{squat} down and {stand} up again", "{bend} the knees into a squat and {rise} again", "{do} a squat",
+            )  # fmt: skip
             found.append(Phrase("bend", texts, max(start - 2, 0), min(stop + 2, len(track))))
     lying = runs((track.up < 0.45) & (root < -0.6), track.frames(0.5), track.frames(0.5))
     upright = (track.up > 0.85) & (root > -0.2)
@@ -262,9 +250,7 @@ def find_bends(track: Track) -> list[Phrase]:
 
 
 def find_punches(track: Track) -> list[Phrase]:
-    """A fist that shoots forward until the arm is stretched, with its side; of somebody who is known to punch, since a
-    push or a throw does the same.
-    """
+    """A fist that shoots forward until the arm is stretched, with its side; of clips that are labelled as punches."""
     found = []
     for side in SIDES:
         wrist, shoulder = track.relative(f"{side}_wrist"), track.relative(f"{side}_shoulder")
@@ -281,9 +267,7 @@ def find_punches(track: Track) -> list[Phrase]:
 
 
 def find_seats(track: Track) -> list[Phrase]:
-    """Sitting down from standing and standing up from a seat; of somebody who is known to sit, since a squat that is
-    held looks the same.
-    """
+    """Sitting down from standing and standing up from a seat; of clips that are labelled as sitting."""
     upright = (track.up > 0.85) & (track.height > -0.1)
     low = (track.height < -0.2) & (track.up > 0.5) & (track.feet.max(1) < 0.2)
     found = []
@@ -341,20 +325,16 @@ def _turn_words(turn: float, side: str, there: bool) -> tuple[str, ...]:
         return ()
     if degrees <= 115:
         words = (
-            f"{{turn}} {side}",
-            f"{{turn}} to the {side}",
-            f"{{make}} a quarter turn to the {side}",
+            f"{{turn}} {side}", f"{{turn}} to the {side}", f"{{make}} a quarter turn to the {side}",
             f"{{turn}} 90 degrees to the {side}",
-        )
+        )  # fmt: skip
     elif degrees < 145:
         words = (f"{{turn}} {side}", f"{{turn}} to the {side}")
     elif degrees <= 215:
         words = (
-            f"{{turn}} around to the {side}",
-            f"{{make}} a half turn to the {side}",
-            f"{{turn}} 180 degrees to the {side}",
-            f"{{turn}} round to the {side}",
-        )
+            f"{{turn}} around to the {side}", f"{{make}} a half turn to the {side}",
+            f"{{turn}} 180 degrees to the {side}", f"{{turn}} round to the {side}",
+        )  # fmt: skip
     elif degrees < 310:
         words = (f"{{turn}} around to the {side}", f"{{turn}} far around to the {side}")
     elif degrees <= 410:
@@ -428,11 +408,9 @@ def find_gaits(track: Track, turns: list[Phrase], human: bool = True) -> list[Ph
         away[turn.start : turn.stop] = False
     direction = np.arctan2(smooth(track.velocity[:, 1], 0.3, track.fps), smooth(track.velocity[:, 0], 0.3, track.fps))
     classes = {
-        "forward": np.abs(direction) < 0.6,
-        "backwards": np.abs(direction) > 2.5,
-        "left": np.abs(direction - np.pi / 2) < 0.6,
-        "right": np.abs(direction + np.pi / 2) < 0.6,
-    }
+        "forward": np.abs(direction) < 0.6, "backwards": np.abs(direction) > 2.5,
+        "left": np.abs(direction - np.pi / 2) < 0.6, "right": np.abs(direction + np.pi / 2) < 0.6,
+    }  # fmt: skip
     for name, mask in classes.items():
         for start, stop in runs(away & mask, track.frames(0.8), track.frames(0.25)):
             length = float(np.linalg.norm(np.diff(track.position[start:stop], axis=0), axis=1).sum())

@@ -1,6 +1,4 @@
-"""Sentences of motions: computed from the motion itself ("turns left twice, then runs forward"), and of a training row,
-from its label, from the motion, or from both.
-"""
+"""Sentences of motions, computed from the motion itself, from a label, or from both."""
 
 from __future__ import annotations
 
@@ -36,20 +34,9 @@ from bunraku_lab.description.events import (
 )
 
 __all__ = [
-    "all_variants",
-    "borrowed_sentence",
-    "can_do",
-    "chain",
-    "clauses",
-    "computed_sentence",
-    "creature_subjects",
-    "describe",
-    "inside",
-    "joined",
-    "sentences",
-    "verbs",
-]
-
+    "all_variants", "borrowed_sentence", "can_do", "chain", "clauses", "computed_sentence", "creature_subjects",
+    "describe", "inside", "joined", "sentences", "verbs",
+]  # fmt: skip
 
 _LEAST = 16  # frames of a state that are worth a word
 _TIMES = {2: "twice", 3: "three times", 4: "four times", 5: "five times"}
@@ -87,9 +74,7 @@ def _overlap(phrase: Phrase, others: Sequence[Phrase]) -> float:
 
 
 def inside(phrases: Sequence[Phrase], start: int, stop: int) -> list[Phrase]:
-    """The phrases that are true in frames `start` to `stop` - 1, with frames counted from `start`; repeats are counted
-    in words.
-    """
+    """The phrases that are true in frames `start` to `stop` - 1; repeats are counted in words."""
     kept, broken = [], []
     for phrase in phrases:
         a, b = max(phrase.start, start), min(phrase.stop, stop)
@@ -160,8 +145,7 @@ def chain(parts: Sequence[str], variant: int = 0) -> str:
 
 
 def sentences(phrases: Sequence[Phrase], start: int, stop: int) -> list[str]:
-    """What happens in frames `start` to `stop` - 1, in order, in several wordings of the third person without a
-    subject.
+    """What happens in frames `start` to `stop` - 1, in order, in several wordings without a subject.
 
     Args:
         phrases: From `describe`.
@@ -221,9 +205,7 @@ def all_variants(text: str, species: str | None, action: str | None, mirrored: b
 
 
 def clauses(text: str, species: str | None, action: str | None) -> tuple[str, ...]:
-    """What the clip shows as phrases with their verbs in braces; none where nothing is known of it. Arguments as
-    above.
-    """
+    """What the clip shows as phrases with their verbs in braces; none where nothing is known of it."""
     if species and action:
         return creature_clauses(species, action, form="braces")
     found = caption_clauses(text, form="braces")
@@ -268,14 +250,7 @@ def _creature_frames(species: str) -> list[str]:
 def borrowed_sentence(
     phrases: Sequence[str], sentences: Sequence[str], species: str, random: np.random.Generator
 ) -> str:
-    """What a person does, said of a creature or, as often, of a person: "a horse waves".
-
-    Args:
-        phrases: With verbs in braces.
-        sentences: About a person.
-        species: Of the creature.
-        random: Chooses.
-    """
+    """What a person does, said of a creature or, as often, of a person: "a horse waves"."""
     if not phrases or random.random() < 0.5:
         return _one(sentences, random)
     phrase = _one(phrases, random)
@@ -284,12 +259,9 @@ def borrowed_sentence(
 
 
 def computed_sentence(
-    found: Sequence[Phrase],
-    labels: Sequence[Sequence[str]],
-    frames: int,
-    random: np.random.Generator,
+    found: Sequence[Phrase], labels: Sequence[Sequence[str]], frames: int, random: np.random.Generator,
     species: str | None = None,
-) -> str | None:
+) -> str | None:  # fmt: skip
     """A sentence from the motion, alone or together with the label.
 
     It stands alone only where it tells what the label tells: "moves forward" would be true of a drinker who takes a
@@ -327,9 +299,7 @@ def _covered(label: Sequence[str], found: Sequence[Phrase]) -> bool:
 def _of_creature(
     found: Sequence[Phrase], label: Sequence[str], random: np.random.Generator, species: str, variant: int
 ) -> str | None:
-    """ "gallops forward, then turns left" of a creature that goes, "attacks, turning left" of one that does something
-    else.
-    """
+    """ "gallops forward, then turns left" of a creature that goes, else "attacks, turning left"."""
     if not label:
         return None
     short = [
@@ -354,9 +324,7 @@ def _of_creature(
 def _with_label(
     found: Sequence[Phrase], label: Sequence[str], frames: int, random: np.random.Generator, variant: int
 ) -> str | None:
-    """ "{jog} in a circle to the left, slowly", or "{dance}, turning left twice"; None where the two do not go
-    together.
-    """
+    """ "{jog} in a circle to the left" or "{dance}, turning left twice"; None where the two do not go together."""
     clause = _one(label, random)
     own = verbs([clause])
     moving = [phrase for phrase in found if phrase.kind != "still"]

@@ -1,6 +1,4 @@
-"""Simulated apparel (`bunraku evaluate physics`): chains that stretch, bodies that do not come to rest, apparel inside
-the body, and the table of all of it.
-"""
+"""Simulated apparel (`bunraku evaluate physics`): stretch, rest, apparel inside the body, and their table."""
 
 from __future__ import annotations
 
@@ -31,20 +29,9 @@ from bunraku_lab.evaluation.report import Bar, measured_in, percent, reached_bar
 from bunraku_lab.synthetic.stock_motions import STOCK_MOTIONS, stock_motion
 
 __all__ = [
-    "Chain",
-    "PHYSICS_BARS",
-    "apparel_chains",
-    "body_speeds",
-    "chain_lengths",
-    "deep_share",
-    "evaluate_physics",
-    "joined",
-    "link_position",
-    "measure_physics",
-    "nearest_joint_vertices",
-    "sample_apparel",
-]
-
+    "Chain", "PHYSICS_BARS", "apparel_chains", "body_speeds", "chain_lengths", "deep_share", "evaluate_physics",
+    "joined", "link_position", "measure_physics", "nearest_joint_vertices", "sample_apparel",
+]  # fmt: skip
 
 _FREE = 1e-3  # a joint that lets its bodies come apart by more [m] is no link of a chain
 _SHORT = 5e-3  # chains under this have no length to speak of [m]
@@ -66,11 +53,9 @@ class Chain:
 
 
 def apparel_chains(character: Character, rig: ApparelRig) -> list[Chain]:
-    """Chains of a character: the shortest ways over its joints from bodies that follow their bones to those at the
-    ends.
+    """Chains of a character: the shortest paths over its joints from bodies that follow bones to those at the ends.
 
-    Joints that close loops (the cross-links of skirts) are not on them, nor are joints whose file lets the bodies come
-    apart.
+    Joints that close loops (the cross-links of skirts) are left out, and joints that let bodies come apart.
     """
     beside: dict[int, list[tuple[int, int]]] = {}
     for number, joint in enumerate(rig.joints):
@@ -118,17 +103,14 @@ def apparel_chains(character: Character, rig: ApparelRig) -> list[Chain]:
 
 
 def link_position(character: Character, rig: ApparelRig, body: int, joint: int) -> np.ndarray:
-    """Where a body hangs in the rest pose [m], shape (3,): at its joint, or, where the file holds it at its bone (mode
-    2), at the bone's head.
-    """
+    """Where a body hangs at rest [m], shape (3,): at its joint, or at the bone's head (mode 2)."""
     entry = rig.bodies[body]
     assert character.rig is not None
     return np.asarray(character.rig.positions[entry.bone] if entry.mode == 2 else rig.joints[joint].position)
 
 
 def chain_lengths(animation: RigAnimation, rig: ApparelRig, chains: list[Chain]) -> np.ndarray:
-    """How long the chains are in each frame [m], shape (N, C): along their joints, gaps between the two sides of a
-    joint included.
+    """How long the chains are in each frame [m], shape (N, C): along their joints, gaps at joints included.
 
     What is seen counts, which is the bones: a body that is held at its bone hangs on that bone's parent.
 
@@ -235,26 +217,17 @@ PHYSICS_BARS: dict[str, Bar] = {
 
 
 def evaluate_physics(
-    files: Sequence[str | Path] = (),
-    wardrobe: Sequence[CharacterSource] = (),
-    *,
-    motions: Sequence[str | Path] = (),
-    seconds: float = 60.0,
-    quick: bool = False,
-    jobs: int | str = 1,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
+    files: Sequence[str | Path] = (), wardrobe: Sequence[CharacterSource] = (), *, motions: Sequence[str | Path] = (),
+    seconds: float = 60.0, quick: bool = False, jobs: int | str = 1, progress: Progress | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Measure all rows.
 
     Args:
         files: PMX, PMD or VRM files.
         wardrobe: Characters of the wardrobe.
-        motions: Motion files; a walk, a dance and kicks made by code when there are none. A VMD is played as MMD plays
-            it.
-        seconds: Length of the clip that every character plays: the motions one after the other, each as long, repeated
-            where it is shorter [s].
-        quick: Leave out what takes longest: penetration, rest and whether the same comes out twice, which are None
-            then.
+        motions: Motion files, a VMD as MMD plays it; a walk, a dance and kicks made by code when there are none.
+        seconds: Length of the clip that every character plays [s], shared by the motions.
+        quick: Leave out what takes longest (penetration, rest, repeatability), which is None then.
         jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
         progress: Called with the name of a character and the share done.
 
@@ -303,12 +276,9 @@ def evaluate_physics(
 
 
 def _measured(
-    motions: Sequence[Path],
-    seconds: float,
-    quick: bool,
-    characters: list[tuple[int, str, Callable[[], Character]]],
+    motions: Sequence[Path], seconds: float, quick: bool, characters: list[tuple[int, str, Callable[[], Character]]],
     progress: Progress | None = None,
-) -> list[dict[str, Any] | str]:
+) -> list[dict[str, Any] | str]:  # fmt: skip
     """The row of each character, or why there is none."""
     out: list[dict[str, Any] | str] = []
     for _, name, load in characters:
@@ -327,12 +297,9 @@ def _lost(reason: str) -> dict[str, Any] | str:
 
 
 def measure_physics(
-    character: Character,
-    motions: Sequence[str | Path] = (),
-    seconds: float = 60.0,
-    quick: bool = False,
+    character: Character, motions: Sequence[str | Path] = (), seconds: float = 60.0, quick: bool = False,
     progress: Callable[[float], None] | None = None,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """The row of one character.
 
     Args:
@@ -340,7 +307,6 @@ def measure_physics(
         motions: As in `evaluate_physics`.
         seconds: As in `evaluate_physics`.
         quick: As in `evaluate_physics`.
-        progress: Called with the share done.
 
     Raises:
         CharacterError: It has no rig of a person, or nothing that physics move.
@@ -407,17 +373,14 @@ def joined(parts: Sequence[RigAnimation], blend: float = BLEND) -> tuple[RigAnim
         blend: Length of a way [s].
 
     Returns:
-        The whole, and the first frame and the one after the last of each part; ways belong to the part that they lead
-        to.
+        The whole, and the first frame and the one after the last of each part; a transition belongs to the next part.
     """
     fps, steps = parts[0].fps, max(1, round(blend * parts[0].fps))
     shares = np.arange(1, steps + 1) / (steps + 1)
     shares = shares * shares * (3 - 2 * shares)
     rotations, translations, bounds = (
-        [np.asarray(parts[0].rotations)],
-        [np.asarray(parts[0].translations)],
-        [(0, len(parts[0]))],
-    )
+        [np.asarray(parts[0].rotations)], [np.asarray(parts[0].translations)], [(0, len(parts[0]))],
+    )  # fmt: skip
     for part in parts[1:]:
         rig = part.character.rig
         assert rig is not None
@@ -467,13 +430,7 @@ def _parts(body: UnifiedBody, motions: Sequence[str | Path], seconds: float) -> 
 def _penetration(
     body: UnifiedBody, mask: np.ndarray, result: RigAnimation, frames: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Share of apparel that is deep in the body, and the share that is so at rest and is left out, since no motion put
-    it there.
-
-    Returns:
-        As simulated, rigid with the nearest joint, and rigid with what its bones hang on, shape (N, 3); and the share
-        at rest.
-    """
+    """Share of apparel that is deep in the body, without what is so at rest, and that share at rest."""
     character, rig = body.parts.character, body.parts.character.rig
     assert rig is not None
     volume, chosen = BodyVolume.of(body, mask), sample_apparel(mask)

@@ -1,6 +1,4 @@
-"""What evaluations share: figures beside the bars that they should reach, as text or Markdown, and parts of a long
-measurement that are kept one by one.
-"""
+"""What evaluations share: figures beside their bars as text or Markdown, and kept parts of a long measurement."""
 
 from __future__ import annotations
 
@@ -14,18 +12,9 @@ from typing import Any
 from bunraku.core.files import atomic_write
 
 __all__ = [
-    "Bar",
-    "KeptParts",
-    "Parts",
-    "Report",
-    "Table",
-    "at_once",
-    "bar_table",
-    "figure",
-    "measured_in",
-    "percent",
+    "Bar", "KeptParts", "Parts", "Report", "Table", "at_once", "bar_table", "figure", "measured_in", "percent",
     "reached_bars",
-]
+]  # fmt: skip
 
 
 def figure(value: float) -> str:
@@ -145,11 +134,9 @@ class Report:
 
 
 def bar_table(
-    bars: Mapping[str, Bar],
-    result: Mapping[str, Any],
-    title: str = "measure",
+    bars: Mapping[str, Bar], result: Mapping[str, Any], title: str = "measure",
     reached: Mapping[str, bool | None] | None = None,
-) -> Table:
+) -> Table:  # fmt: skip
     """Figures beside their bars.
 
     Args:
@@ -178,21 +165,12 @@ def at_once(name: str, measure: Callable[[], Any]) -> Any:
 
 @dataclass(frozen=True)
 class KeptParts:
-    """What was measured before, or is measured now and kept.
-
-    Args:
-        folder: That keeps it, of one measurement with all that it depends on.
-    """
+    """What was measured before, or is measured now and kept."""
 
     folder: Path
 
     def __call__(self, name: str, measure: Callable[[], Any]) -> Any:
-        """Give a part.
-
-        Args:
-            name: Of the part in this measurement.
-            measure: Called where it is not known yet.
-        """
+        """Give a part."""
         path = self.folder / f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.json"
         if path.is_file():
             return json.loads(path.read_text(encoding="utf-8"))

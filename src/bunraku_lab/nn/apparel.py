@@ -1,6 +1,4 @@
-"""The networks of apparel (section 4 of MMDMC): the segmentation network f_c, and the displacement network f_d with its
-head that cannot drift and its recurrent part.
-"""
+"""The networks of apparel (section 4 of MMDMC): segmentation f_c, and displacement f_d (head and recurrent part)."""
 
 from __future__ import annotations
 
@@ -11,7 +9,16 @@ import numpy as np
 import torch
 from torch import nn
 
-from bunraku.apparel.learned.features import BASIS, GLOBAL
+from bunraku.apparel.clothed import ClothedCharacter
+from bunraku.apparel.learned.features import (
+    BASIS,
+    GLOBAL,
+    LEAD_IN,
+    Frame,
+    MotionFeatures,
+    lead_in_transforms,
+    rest_transforms,
+)
 from bunraku.apparel.learned.network import (
     CHANGE,
     KEEP,
@@ -25,21 +32,15 @@ from bunraku.apparel.learned.network import (
     DisplacementConfig,
 )
 from bunraku.apparel.learned.segmentation import POINT_FEATURES, SampledMesh, SegmentationConfig
+from bunraku.apparel.nodes import ApparelNodes
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_MIRROR
 from bunraku_lab.nn.checkpoints import SavedNetwork
 from bunraku_lab.nn.graph import EdgeBlock, NodeGraph, node_graph
 
 __all__ = [
-    "AnchorHead",
-    "DisplacementNetwork",
-    "Inputs",
-    "NodeEncoder",
-    "Past",
-    "RecurrentPart",
-    "SegmentationNetwork",
-    "mesh_block",
-    "node_state",
-    "past_of_states",
-]
+    "AnchorHead", "DisplacementNetwork", "Inputs", "NodeEncoder", "Past", "RecurrentPart", "SegmentationNetwork",
+    "clip_features", "mesh_block", "mirror_global", "node_state", "past_of_states",
+]  # fmt: skip
 
 
 class Inputs:
@@ -139,8 +140,7 @@ class Past:
     Args:
         rest: Difference from the head (frame="joint"), in the frame of the carrying joint, or position from the pelvis
             (frame="world"), newest first, shape (3, M, 3).
-        whole: The last two displacements that were given out, in the frame of the carrying joint, newest first, shape
-            (2, M, 3).
+        whole: The last two displacements that were given out, in the joint's frame, newest first, shape (2, M, 3).
         positions: Positions of the last two frames in the world, newest first, shape (2, M, 3).
     """
 
@@ -315,3 +315,27 @@ def mesh_block(meshes: Sequence[SampledMesh]) -> tuple[torch.Tensor, NodeGraph]:
     """Features and graph of several meshes as one block."""
     features = torch.cat([torch.from_numpy(mesh.features) for mesh in meshes])
     return features, node_graph([mesh.neighbours for mesh in meshes], [mesh.part for mesh in meshes])
+
+
+def mirror_global(whole: np.ndarray) -> np.ndarray:
+    """`Frame.whole` of the mirror image in the plane x = 0, shape (..., GLOBAL)."""
+    joints = whole[..., :-3].reshape(*whole.shape[:-1], JOINT_COUNT, 9)[..., list(JOINT_MIRROR), :]
+    sign = np.array([-1, 1, 1, 1, -1, -1, -1, 1, 1], whole.dtype)
+    up = whole[..., -3:] * np.array([-1, 1, 1], whole.dtype)
+    return np.concatenate([(joints * sign).reshape(*whole.shape[:-1], -1), up], axis=-1)
+
+
+def clip_features(clothed: ClothedCharacter, nodes: ApparelNodes, transforms: np.ndarray) -> list[Frame]:
+    """Features of all frames of a clip at 30 frames a second that begins from the rest pose, after `LEAD_IN` frames
+    that lead there.
+
+    Args:
+        clothed: The character.
+        nodes: Its nodes.
+        transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
+    """
+    start = rest_transforms(clothed.joints, transforms[0])
+    state = MotionFeatures(clothed, nodes, start)
+    for pose in lead_in_transforms(clothed.joints, transforms[0], LEAD_IN):
+        state.advance(pose)
+    return [state.advance(pose) for pose in transforms]

@@ -14,18 +14,9 @@ from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku_lab.nn.checkpoints import SavedNetwork
 
 __all__ = [
-    "BlendShapes",
-    "EdgeMesh",
-    "MeshConv",
-    "NbsConfig",
-    "NbsNetwork",
-    "edge_mesh",
-    "hinted",
-    "local_rotations",
-    "moved_by",
-    "vertex_means",
-]
-
+    "BlendShapes", "EdgeMesh", "MeshConv", "NbsConfig", "NbsNetwork", "edge_mesh", "hinted", "local_rotations",
+    "moved_by", "vertex_means",
+]  # fmt: skip
 
 SLOPE = 0.2
 """Of the LeakyReLU."""
@@ -54,8 +45,7 @@ def edge_mesh(faces: np.ndarray, edges: np.ndarray, count: int) -> EdgeMesh:
 
     Args:
         faces: Vertex indices, shape (F, 3).
-        edges: All edges of the faces, and others that lie in no triangle, each once, smaller vertex first, shape (E,
-            2).
+        edges: All edges of the faces, and others in no triangle, each once, smaller vertex first, shape (E, 2).
         count: Number of vertices.
     """
     key = edges[:, 0] * count + edges[:, 1]
@@ -76,9 +66,6 @@ def edge_mesh(faces: np.ndarray, edges: np.ndarray, count: int) -> EdgeMesh:
 
 class MeshConv(nn.Module):
     """A linear map of `[e, a + c, b + d, |a - c|, |b - d|]`, which does not depend on which triangle comes first.
-
-    Args:
-        width_in, width_out: Channels.
 
     Shapes: (E, width_in) -> (E, width_out).
     """
@@ -160,11 +147,7 @@ class _Branch(nn.Module):
 
 
 class BlendShapes(nn.Module):
-    """Shapes of each vertex from geometry and skinning, and their coefficients from how each joint turns.
-
-    Args:
-        config: Shape of the networks.
-    """
+    """Shapes of each vertex from geometry and skinning, and their coefficients from how each joint turns."""
 
     def __init__(self, config: NbsConfig):
         super().__init__()
@@ -246,8 +229,6 @@ def shape_joints(weights: torch.Tensor) -> torch.Tensor:
 
 
 def local_rotations(turns: torch.Tensor) -> torch.Tensor:
-    """Turns of the joints to their parents, of turns in the world, both (P, J, 3, 3); the root's is none, since which
-    way a character faces changes no shape.
-    """
+    """Rotations relative to the parents, from rotations in the world, both (P, J, 3, 3); the root's is the identity."""
     above = [max(parent, 0) for parent in JOINT_PARENTS]
     return turns[:, above].transpose(2, 3) @ turns

@@ -22,17 +22,9 @@ from bunraku.core.nn.checkpoints import FORMAT, config_of, fitting_config, read_
 from bunraku.errors import WeightsError
 
 __all__ = [
-    "SavedNetwork",
-    "TrainingState",
-    "fitted_network",
-    "lab_checkpoint",
-    "load_checkpoint",
-    "load_network",
-    "load_training_state",
-    "save_checkpoint",
-    "save_network",
-    "save_training_state",
-]
+    "SavedNetwork", "TrainingState", "fitted_network", "lab_checkpoint", "load_checkpoint", "load_network",
+    "load_training_state", "save_checkpoint", "save_network", "save_training_state",
+]  # fmt: skip
 
 LAB_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
 """Where the checkpoints lie that no animation reads; they are in a checkout and not in the wheel."""
@@ -88,10 +80,6 @@ def fitted_network(build: Callable[[], Network], state: Mapping[str, torch.Tenso
     """A network with its weights. Its sizes are compared with those of the weights before it takes any memory, as a
     config may ask for more than there is.
 
-    Args:
-        build: Makes the network of its config.
-        state: The weights by name.
-
     Raises:
         ValueError: A weight is missing, or has another size.
     """
@@ -107,14 +95,9 @@ def fitted_network(build: Callable[[], Network], state: Mapping[str, torch.Tenso
 
 
 def save_network(
-    path: str | Path,
-    model: torch.nn.Module,
-    kind: str,
-    note: Mapping[str, object] | None = None,
-    half: bool = False,
-    *,
-    key: str = "network",
-) -> Path:
+    path: str | Path, model: torch.nn.Module, kind: str, note: Mapping[str, object] | None = None, half: bool = False,
+    *, key: str = "network",
+) -> Path:  # fmt: skip
     """Write a network's weights with its config, a dataclass.
 
     Args:

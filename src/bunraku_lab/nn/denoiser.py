@@ -26,21 +26,10 @@ from bunraku.generation.layers import DenoiserConfig, denoiser_config
 from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
 
 __all__ = [
-    "DecoderLayer",
-    "Denoiser",
-    "RetrievedExamples",
-    "adapted_denoiser",
-    "add_noise",
-    "alphas_cumprod",
-    "capped_on_people",
-    "frozen_digest",
-    "joint_offsets",
-    "load_denoiser",
-    "normal_noise",
-    "rotary_positions",
-    "save_adapter",
-    "save_denoiser",
-]
+    "DecoderLayer", "Denoiser", "RetrievedExamples", "adapted_denoiser", "add_noise", "alphas_cumprod",
+    "capped_on_people", "frozen_digest", "joint_offsets", "load_denoiser", "normal_noise", "rotary_positions",
+    "save_adapter", "save_denoiser",
+]  # fmt: skip
 
 
 def capped_on_people(residual: Tensor) -> Tensor:
@@ -87,18 +76,14 @@ class RetrievedExamples:
 
 
 def rotary_positions(tokens: Tensor, size: int) -> Rotary:
-    """Cosines and sines of rotary positions (Su et al. 2021) of tokens at these places in time, shape (T,), each of
-    shape (T, size / 2).
-    """
+    """Cosines and sines of rotary positions (Su et al. 2021) at these times, shape (T,) -> (T, size / 2) each."""
     rates = 1000.0 ** (-torch.arange(0, size, 2, device=tokens.device) / size)
     angle = tokens[:, None] * rates
     return angle.cos(), angle.sin()
 
 
 def normal_noise(value: Tensor, deviation: float) -> Tensor:
-    """The tensor, filled with normal noise; one on the meta device stays as it is, since torch takes two seconds to
-    load what would fill it.
-    """
+    """The tensor, filled with normal noise; on the meta device it stays, since filling it loads torch's compiler."""
     return value if value.is_meta else nn.init.normal_(value, std=deviation)
 
 
@@ -132,9 +117,7 @@ def _without_effect(linear: nn.Linear) -> nn.Linear:
 
 
 class _ExampleAttention(nn.Module):
-    """Motion tokens attend to tokens of examples: keys say what an example shows and is called, values what it
-    shows.
-    """
+    """Motion tokens attend to tokens of examples: keys say what an example is called, values what it shows."""
 
     def __init__(self, width: int, heads: int):
         super().__init__()
@@ -143,9 +126,7 @@ class _ExampleAttention(nn.Module):
         self.out = _without_effect(nn.Linear(width, width))
 
     def forward(self, x: Tensor, rotary: Rotary, examples: tuple[Tensor, ...]) -> Tensor:
-        """x (B, T, d); keys (B, M, d), values (B, M, d) and mask (B, 1, 1, M) of the examples' tokens, and their
-        rotary positions.
-        """
+        """x (B, T, d); keys, values (B, M, d) and mask (B, 1, 1, M) of the examples, and their rotary positions."""
         keys, values, mask, cos, sin = examples
         query, key = _heads(self.query(x), self.heads)[0], _heads(self.key(keys), self.heads)[0]
         value = _heads(self.value(values), self.heads)[0]
@@ -169,24 +150,16 @@ class DecoderLayer(nn.Module):
         self.offset = nn.Parameter(torch.zeros(9, width))
         self.self_in, self.self_out = nn.Linear(width, 3 * width), nn.Linear(width, width)
         self.cross_query, self.cross_memory, self.cross_out = (
-            nn.Linear(width, width),
-            nn.Linear(width, 2 * width),
-            nn.Linear(width, width),
-        )
+            nn.Linear(width, width), nn.Linear(width, 2 * width), nn.Linear(width, width),
+        )  # fmt: skip
         self.wide, self.narrow = nn.Linear(width, config.feedforward), nn.Linear(config.feedforward, width)
         self.offset_more = nn.Parameter(torch.zeros(3, width)) if config.examples else None
         self.examples = _ExampleAttention(width, config.heads) if examples else None
 
     def forward(
-        self,
-        x: Tensor,
-        memory: Tensor,
-        steer: Tensor,
-        rotary: Rotary,
-        mask: Tensor | None,
-        memory_mask: Tensor | None,
+        self, x: Tensor, memory: Tensor, steer: Tensor, rotary: Rotary, mask: Tensor | None, memory_mask: Tensor | None,
         examples: tuple[Tensor, ...] = (),
-    ) -> Tensor:
+    ) -> Tensor:  # fmt: skip
         """x (B, T, d), memory (B, M, d), steer (B, 9, or 12 with examples, d), masks (B, 1, 1, T) and (B, 1, 1,
         M), True where real.
         """
@@ -211,8 +184,7 @@ class DecoderLayer(nn.Module):
 
 
 def joint_offsets(moves: Tensor, features: Tensor) -> Tensor:
-    """The adaptation that moves joints: delta_k = delta_p + (R_p - R_k) d_k for a handle k and its parent p, shape (B,
-    N, K, 3).
+    """The adaptation that moves joints: delta_k = delta_p + (R_p - R_k) d_k for handle k of parent p, (B, N, K, 3).
 
     It is what `attach_joints` does to the translations when the joint of k is held d_k farther off. It turns with the
     body and fades where nothing bends, so one d_k serves all poses.
@@ -235,8 +207,7 @@ def joint_offsets(moves: Tensor, features: Tensor) -> Tensor:
 class Denoiser(nn.Module):
     """Predicts x0 and the adaptation from a noisy motion, the step, a sentence and a mesh feature (Eq. 2).
 
-    Motion enters and leaves in network units (see `FeatureStatistics`); the statistics travel with the weights as
-    buffers.
+    Motion enters and leaves in network units (`FeatureStatistics`), which travel with the weights as buffers.
     """
 
     mean: Tensor
@@ -290,15 +261,9 @@ class Denoiser(nn.Module):
         return bool(self.notes.get("characters"))
 
     def condition(
-        self,
-        text: Tensor | None,
-        text_mask: Tensor | None,
-        pooled: Tensor | None,
-        mesh: Tensor | None,
-        keep_text: Tensor,
-        keep_mesh: Tensor,
-        examples: RetrievedExamples | None = None,
-    ) -> tuple[Tensor, ...]:
+        self, text: Tensor | None, text_mask: Tensor | None, pooled: Tensor | None, mesh: Tensor | None,
+        keep_text: Tensor, keep_mesh: Tensor, examples: RetrievedExamples | None = None,
+    ) -> tuple[Tensor, ...]:  # fmt: skip
         """Memory tokens and the pooled vector, which do not depend on the step.
 
         Args:
@@ -386,9 +351,7 @@ class Denoiser(nn.Module):
         return motion, said
 
     def adaptation_input(self, hidden: Tensor, condition: tuple[Tensor, ...]) -> Tensor:
-        """What the adaptation's linear layer sees: last hidden states (B, T, d), with the mesh token where the config
-        says so.
-        """
+        """What the adaptation's layer sees: last hidden states (B, T, d), with the mesh token if the config says so."""
         if not self.config.adaptation_mesh:
             return hidden
         return torch.cat([hidden, condition[0][:, :1].to(hidden.dtype).expand(-1, hidden.shape[1], -1)], dim=-1)
@@ -472,13 +435,7 @@ def frozen_digest(model: Denoiser) -> str:
 
 
 def save_adapter(path: str | Path, model: Denoiser, notes: Mapping[str, object]) -> Path:
-    """Write the last layer of a denoiser's adaptation, and which denoiser it is of.
-
-    Args:
-        path: The file.
-        model: The denoiser.
-        notes: How it was trained.
-    """
+    """Write the last layer of a denoiser's adaptation, and which denoiser it is of."""
     layer = {name: value for name, value in model.state_dict().items() if name.startswith(LAYER)}
     shape = {"adaptation_mesh": model.config.adaptation_mesh, "adaptation_frame": model.config.adaptation_frame}
     return save_checkpoint(

@@ -15,17 +15,9 @@ from torch import nn
 from bunraku.anatomy.handles import networks as arrays
 
 __all__ = [
-    "AnchorBlock",
-    "EdgeBlock",
-    "EdgeConv",
-    "GraphLayer",
-    "HasNeighbours",
-    "MeshGraph",
-    "NodeGraph",
-    "edge_conv_reference",
-    "mesh_graph",
-    "node_graph",
-]
+    "AnchorBlock", "EdgeBlock", "EdgeConv", "GraphLayer", "HasNeighbours", "MeshGraph", "NodeGraph",
+    "edge_conv_reference", "mesh_graph", "node_graph",
+]  # fmt: skip
 
 
 class HasNeighbours(Protocol):
@@ -72,9 +64,6 @@ class _NeighbourMax(torch.autograd.Function):
 
 class EdgeConv(nn.Module):
     """max over neighbours j of `W1 x_i + W2 (x_j - x_i) + b` (Wang et al. 2019), as `(W1 - W2) x_i + b + max_j W2 x_j`.
-
-    Args:
-        width_in, width_out: Channels.
 
     Shapes: (V, width_in) -> (V, width_out).
     """
@@ -136,13 +125,9 @@ class MeshGraph:
 
 
 def mesh_graph(
-    positions: np.ndarray,
-    normals: np.ndarray,
-    edges: np.ndarray,
-    areas: np.ndarray,
-    anchors: int = 128,
+    positions: np.ndarray, normals: np.ndarray, edges: np.ndarray, areas: np.ndarray, anchors: int = 128,
     rng: np.random.Generator | None = None,
-) -> MeshGraph:
+) -> MeshGraph:  # fmt: skip
     """Tensors of a normalised mesh.
 
     Args:
@@ -159,8 +144,7 @@ def mesh_graph(
 
 
 class AnchorBlock(nn.Module):
-    """One round in which the anchors pass messages to one another: attention, then an MLP, each added to what was
-    there.
+    """One round in which the anchors pass messages: attention, then an MLP, each added to its input.
 
     Args:
         width: Channels.
@@ -201,11 +185,6 @@ class AnchorBlock(nn.Module):
 
 class GraphLayer(nn.Module):
     """`LayerNorm(EdgeConv(x) + spread(blocks(gather(x))))`, then GELU.
-
-    Args:
-        width_in, width_out: Channels.
-        heads: Attention heads among the anchors.
-        depth: Rounds among the anchors.
 
     Shapes: (V, width_in) -> (V, width_out).
     """
@@ -288,9 +267,6 @@ def _largest(x: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
 
 class EdgeBlock(nn.Module):
     """An edge convolution within parts, with what the part as a whole says, added to what came in.
-
-    Args:
-        width: Channels.
 
     Shapes: (M, width) -> (M, width).
     """

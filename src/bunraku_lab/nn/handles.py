@@ -1,6 +1,4 @@
-"""The networks of a character at rest: the Mesh Handle Predictor (section 3.1 of TapMo), and the network that knows
-which way up a character belongs and which way it faces.
-"""
+"""The networks of a character at rest: the Mesh Handle Predictor (section 3.1 of TapMo), and orientation."""
 
 from __future__ import annotations
 
@@ -16,13 +14,7 @@ from bunraku.errors import WeightsError
 from bunraku_lab.nn.checkpoints import SavedNetwork, load_checkpoint
 from bunraku_lab.nn.graph import GraphLayer, MeshGraph
 
-__all__ = [
-    "HandlePrediction",
-    "HandlePredictor",
-    "OrientationPredictor",
-    "grow_predictor",
-    "rotated_tokens",
-]
+__all__ = ["HandlePrediction", "HandlePredictor", "OrientationPredictor", "grow_predictor", "rotated_tokens"]
 
 
 class HandlePrediction(NamedTuple):
@@ -52,7 +44,6 @@ class HandlePredictor(SavedNetwork):
 
     @classmethod
     def config_from(cls, fields: dict[str, object]) -> PredictorConfig:
-        """See `SavedNetwork.config_from`."""
         return predictor_config(fields)
 
     def __init__(self, config: PredictorConfig | None = None):
@@ -103,9 +94,7 @@ def grow_predictor(model: HandlePredictor, path: str | Path) -> None:
 
 
 def rotated_tokens(tokens: torch.Tensor, rotations: torch.Tensor) -> torch.Tensor:
-    """Tokens of the mesh turned by each of some rotations by right angles, shapes (..., M, 10), (R, 3, 3) -> (..., R,
-    M, 10).
-    """
+    """Tokens of the mesh in some rotations, shapes (..., M, 10), (R, 3, 3) -> (..., R, M, 10)."""
     parts = tokens.unsqueeze(-3)
     back = rotations.transpose(-1, -2)
     shares = parts[..., 9:].expand(*tokens.shape[:-2], len(rotations), -1, 1)
@@ -176,9 +165,7 @@ class OrientationPredictor(SavedNetwork):
         return result
 
     def probabilities(self, tokens: torch.Tensor) -> torch.Tensor:
-        """How likely each of `ORIENTATIONS` is the right one, from the mesh and its mirror image, shape (M, 10) ->
-        (24,).
-        """
+        """Probability of each of `ORIENTATIONS`, from the mesh and its mirror image, shape (M, 10) -> (24,)."""
         mirror = tokens.new_tensor([-1.0, 1, 1, -1, 1, 1, 1, 1, 1, 1])
         turned = rotated_tokens(tokens, self.rotations)
         scores = self(torch.cat([turned, turned * mirror])).reshape(2, -1).mean(dim=0)

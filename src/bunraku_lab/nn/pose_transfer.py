@@ -15,18 +15,9 @@ from bunraku.core.geometry.rotations import matrix_from_quaternion
 from bunraku_lab.nn.checkpoints import SavedNetwork
 
 __all__ = [
-    "GraphUnit",
-    "PartGraph",
-    "TransferConfig",
-    "TransferNetwork",
-    "affine_of",
-    "dense",
-    "part_centres",
-    "part_graph",
-    "per_mesh_max",
-    "shares_of",
-]
-
+    "GraphUnit", "PartGraph", "TransferConfig", "TransferNetwork", "affine_of", "dense", "part_centres", "part_graph",
+    "per_mesh_max", "shares_of",
+]  # fmt: skip
 
 MOMENTUM = 0.1
 
@@ -103,9 +94,6 @@ class GraphUnit(nn.Module):
 
     The first linear map runs once a vertex: A x_i + B (x_j - x_i) is (A - B) x_i + B x_j.
 
-    Args:
-        width_in, width_out: Channels.
-
     Shapes: (N, width_in) -> (N, width_out).
     """
 
@@ -149,8 +137,7 @@ class TransferConfig:
     Args:
         parts: K.
         predictor: Whether the weights of the parts are predicted here; otherwise they are given.
-        tied: Of the parts, so many are given joints, the first ones: their transforms are known, and no decoder says
-            them.
+        tied: So many parts, the first ones, are given joints: their transforms are known and not decoded.
         levels: Channels of the graph units.
         code: Channels of a part's code.
         correction: Whether the decoder says how a target's part differs from the source's own, which it begins as; the
@@ -261,9 +248,7 @@ class TransferNetwork(SavedNetwork):
         return self.decoded(pose, shape.expand_as(pose), own)
 
     def pose_codes(self, rest: PartGraph, posed: PartGraph, weights: torch.Tensor) -> torch.Tensor:
-        """Codes of the source in its poses less those of the source at rest, shape (B, K, C); arguments are those of
-        `forward`.
-        """
+        """Codes of the source in its poses less those at rest, shape (B, K, C); see `forward`."""
         count = len(posed.sizes)
         moving = weights if len(rest.sizes) == count else weights.repeat(count, 1)
         out: torch.Tensor = self.encoder(posed, moving) - self.encoder(rest, weights)

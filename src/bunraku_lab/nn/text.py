@@ -1,6 +1,4 @@
-"""Networks of sentences: encoded sentences as tensors, and motions and sentences in one space (Guo et al. 2022, section
-A.2 of TapMo).
-"""
+"""Networks of sentences: encoded sentences, and motions and sentences in one space (section A.2 of TapMo)."""
 
 from __future__ import annotations
 

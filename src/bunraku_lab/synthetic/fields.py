@@ -1,6 +1,4 @@
-"""Soft shapes as signed distance fields, and clean triangles from them: marching cubes (Lorensen & Cline 1987),
-thinning to a size, and relaxing on the surface.
-"""
+"""Soft shapes as signed distance fields, and clean triangles: marching cubes (Lorensen & Cline 1987) and thinning."""
 
 from __future__ import annotations
 
@@ -16,7 +14,6 @@ __all__ = [
     "Field", "Lump", "ball", "bar", "field_mesh", "grid_surface", "limb", "marched", "marching_cubes", "mirror_mesh",
     "mirrored", "neighbour_average", "thinned",
 ]  # fmt: skip
-
 
 Vector = Sequence[float] | np.ndarray
 _EMPTY = 10.0
@@ -128,9 +125,7 @@ inner: float = 0.006,
 
 
 def mirrored(lumps: Iterable[Lump]) -> list[Lump]:
-    """The lumps and their images across x = 0, each left one followed by its right one; joints named Left... become
-    Right....
-    """
+    """The lumps and their images across x = 0, each left one before its right one; Left... becomes Right...."""
     flip = np.diag([-1.0, 1.0, 1.0])
     out = []
     for lump in lumps:
@@ -279,9 +274,7 @@ def grid_surface(values: np.ndarray, spacing: float, low: np.ndarray) -> tuple[n
 
 @cache
 def _cases() -> tuple[np.ndarray, np.ndarray]:
-    """For each set of inside corners how many triangles it has, shape (256,), and on which edges their corners lie,
-    shape (256, T, 3).
-    """
+    """For each set of inside corners the number of triangles, (256,), and their corners' edges, (256, T, 3)."""
     fans = [[triangle for loop in _loops(case) for triangle in _fan(loop)] for case in range(256)]
     count = np.array([len(fan) for fan in fans])
     out = np.zeros((256, count.max(), 3), np.int64)
@@ -291,9 +284,7 @@ def _cases() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _fan(loop: list[int]) -> list[tuple[int, int, int]]:
-    """Triangles of a closed line, around the first corner from which no other side lies in a side of the cube: the cube
-    beyond it might have the same.
-    """
+    """Triangles of a closed line, around a corner of which no diagonal lies in a side of the cube."""
     for start in range(len(loop)):
         turned = loop[start:] + loop[:start]
         if not any(_beside(turned[0], other) for other in turned[2:-1]):
@@ -311,8 +302,7 @@ def _loops(case: int) -> list[list[int]]:
     """The closed lines in which the surface crosses the sides of a cube, as numbers of edges.
 
     Each crossed edge belongs to two sides, and going around both as seen from outside, one leaves the inside there on
-    one side and enters it on the other. So a line from where the inside is left to where it was entered goes on at its
-    end, on the next side.
+    one side and enters it on the other, so a line from the one to the other goes on at its end on the next side.
     """
     number = {edge: i for i, edge in enumerate(_EDGES)} | {edge[::-1]: i for i, edge in enumerate(_EDGES)}
     follows: dict[int, int] = {}
@@ -418,8 +408,7 @@ def field_mesh(
         field: The shape.
         count: How many vertices to aim at.
         half: Build the half x >= 0 and mirror it, for an exactly symmetric mesh; the field must be symmetric.
-        crease: How much finer the mesh is where it bends: the edge length that a turn of the normal by one radian
-            counts as [m].
+        crease: Edge length that a bend of the normal by one radian counts as [m]: the mesh is finer there.
         steps: Rounds of relaxation.
 
     Returns:
@@ -482,9 +471,7 @@ def _border(count: int, faces: np.ndarray) -> np.ndarray:
 
 
 def _split_chords(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Put a vertex on each inner edge that joins two border vertices: the mirror image would have the same edge
-    again.
-    """
+    """Put a vertex on each inner edge that joins two border vertices, so that no edge equals its mirror image."""
     border = _border(len(vertices), faces)
     while True:
         ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)

@@ -1,6 +1,4 @@
-"""Figures that wardrobe characters are dressed on: a shape, its proportions, its rest pose and what clothes measure on
-it; mixed from reference bodies and drawn at random.
-"""
+"""Figures that wardrobe characters are dressed on: a shape, its proportions, its rest pose and what clothes measure."""
 
 from __future__ import annotations
 
@@ -17,7 +15,6 @@ from bunraku_lab.synthetic.makehuman import limb_rotations, pose_points, random_
 from bunraku_lab.synthetic.surfaces import nearest_shares
 
 __all__ = ["DRAWN", "Figure", "J", "Skin", "figure_of", "random_figure"]
-
 
 J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
 _ARMS = [J[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
@@ -205,9 +202,7 @@ class Figure:
         self, height: float, angles: np.ndarray, *, center: np.ndarray, band: float, spread: float = 0.3,
         points: np.ndarray | None = None,
     ) -> np.ndarray:  # fmt: skip
-        """How far the surface itself reaches in each direction, as `rim` but not convex: the farthest point in a
-        sector.
-        """
+        """How far the surface reaches in each direction, as `rim` but not convex."""
         cloud = self.trunk if points is None else points
         near = cloud[np.abs(cloud[:, 1] - height) < band][:, [0, 2]] - center
         if not len(near):
@@ -231,9 +226,7 @@ _HEAD = np.array(
 
 
 def _with_drawn_head(skin: Skin) -> Skin:
-    """The body with the plain head of a drawing instead of its own: round above, a small chin, next to no nose, no
-    ears.
-    """
+    """The body with the plain head of a drawing: round above, a small chin, next to no nose, no ears."""
     share = skin.weights[:, J["head"]]
     own = skin.points[share > 0.6]
     low, high = float(own[:, 1].min()), float(own[:, 1].max())
@@ -349,12 +342,7 @@ def random_figure(rng: np.random.Generator, detail: str = "plain") -> Figure:
 
 @lru_cache(maxsize=8)
 def _tessellation(detail: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Another mesh of the reference body.
-
-    Returns:
-        Faces (F, 3), and for each vertex the corners (V, 3) of the face of the body that it is on and its shares (V, 3)
-        of them.
-    """
+    """Another mesh of the reference body."""
     body = reference_body()
     points, faces = body.vertices.astype(np.float64), body.faces
     if detail == "coarse":

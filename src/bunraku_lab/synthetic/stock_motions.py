@@ -1,8 +1,6 @@
-"""A walk, a dance and kicks made by code, for tests of physics that need no files: of any length, the same on every
-machine.
+"""A walk, a dance and kicks made by code: of any length, the same on every machine.
 
-They are no captures: they ask of apparel what people ask of it (strides, turns, sudden legs), at speeds that people
-reach.
+They ask of apparel what people ask of it (strides, rotations, sudden legs), at speeds that people reach.
 """
 
 from __future__ import annotations
@@ -29,8 +27,7 @@ def stock_motion(kind: str, seconds: float = 6.0, fps: float = 30.0) -> HandleMo
     """A motion of the reference body.
 
     Args:
-        kind: "walk" (1.2 m/s), "dance" (sways, bends, a spin every six seconds) or "kick" (to the front, one leg after
-            the other).
+        kind: "walk" (1.2 m/s), "dance" (sways, bends, a spin every six seconds) or "kick" (legs in turn).
         seconds: Its length [s].
         fps: Frames a second [1/s].
 
@@ -57,14 +54,7 @@ def _turn(axis: np.ndarray, angles: np.ndarray | float) -> np.ndarray:
 
 
 def _arms(rotations: np.ndarray, low: np.ndarray, swing: np.ndarray, bend: float) -> None:
-    """Arms that hang, 0 the T-pose.
-
-    Args:
-        rotations: Where to write, shape (N, 22, 3, 3).
-        low: How far each arm is let down [rad], shape (N, 2), left first.
-        swing: How far each swings forwards [rad], shape (N, 2).
-        bend: Of the elbows [rad].
-    """
+    """Arms that hang, 0 the T-pose."""
     for column, (side, sign) in enumerate(_SIDES):
         rotations[:, _J[f"{side}_shoulder"]] = _turn(_X, -swing[:, column]) @ _turn(_Z, -sign * low[:, column])
         rotations[:, _J[f"{side}_elbow"]] = _turn(_Y, -sign * bend)

@@ -1,6 +1,4 @@
-"""Surfaces drawn directly: sheets between rows of points, strands along curves and domes for clothes and hair, and
-closed balls, tubes, skirts, plates and bevelled boxes, wound outward.
-"""
+"""Surfaces drawn directly: sheets, strands and domes, and closed balls, tubes, skirts, plates and boxes."""
 
 from __future__ import annotations
 
@@ -133,9 +131,7 @@ Mesh = tuple[np.ndarray, np.ndarray]
 
 
 def _rings(rows: np.ndarray, closed: bool) -> Mesh:
-    """A mesh of rows of points, shape (R, S, 3), each row a loop; with `closed` the last row joins the first, otherwise
-    both are capped.
-    """
+    """A mesh of loops of points, shape (R, S, 3); `closed` joins the last to the first, otherwise both are capped."""
     count, size = rows.shape[:2]
     index = np.arange(count * size).reshape(count, size)
     low = index if closed else index[:-1]
@@ -345,9 +341,7 @@ def box_mesh(centre: Sequence[float], size: Sequence[float], bevel: float, cells
 def cylinder_mesh(start: Sequence[float], end: Sequence[float], radii: tuple[float, float], around: int = 16,
 rows: int = 2,
                   bevel: float = 0.0) -> Mesh:  # fmt: skip
-    """A cylinder or cone with flat ends, whose walls and ends have their own vertices; `bevel` rounds the ends off by
-    one step [m].
-    """
+    """A cylinder or cone with flat ends of their own vertices; `bevel` rounds the ends off [m]."""
     a, b = np.asarray(start, float), np.asarray(end, float)
     along = (b - a) / np.linalg.norm(b - a)
     side = np.cross(along, np.eye(3)[int(np.argmin(np.abs(along)))])

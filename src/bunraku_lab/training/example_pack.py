@@ -1,6 +1,4 @@
-"""Which stretches of captured clips the sampler may start from, packed into one file: among them people who stand, for
-gestures.
-"""
+"""Which stretches of captured clips the sampler may start from, packed into one file."""
 
 from __future__ import annotations
 
@@ -36,7 +34,6 @@ from bunraku.generation.pack import (
     read_pack,
     write_pack,
 )
-from bunraku.generation.splicing import standing_stretches
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
 from bunraku.gestures.standing import stands_well
@@ -45,7 +42,7 @@ from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.lexicon import main_actions
 from bunraku.language.vocabulary import is_known, own_words, words_of, write_own_words
 from bunraku_lab.description.wording import computed_sentence, inside
-from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
+from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture, standing_stretches
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips
 
 __all__ = ["BUSY_BOUNDS", "ExampleSettings", "IDLE_BOUNDS", "IdleBounds", "build_examples", "idling"]
@@ -66,8 +63,7 @@ class IdleBounds:
         sinks: How far the pelvis is lower than at rest at the most [m].
         shifts: How far it goes over the ground at the most [m].
         hangs: How far wrists of who does nothing are under the shoulders at the least [m].
-        swings: How fast they are, seen from the pelvis, in the mean of a stretch at the most [m/s]; of who is busy the
-            faster one at the least.
+        swings: Highest mean speed of hands seen from the pelvis [m/s]; of busy hands the least of the faster one.
     """
 
     busy: bool = False
@@ -88,12 +84,7 @@ BUSY_BOUNDS = IdleBounds(busy=True, sinks=0.1, shifts=0.3, swings=0.2)
 
 
 def idling(clips: Mapping[str, ClipEntry], bounds: IdleBounds = IDLE_BOUNDS) -> Iterator[tuple[str, np.ndarray]]:
-    """The longest such stretch of each clip, as its name and its features, the longest first.
-
-    Args:
-        clips: Features of people by the names of their clips.
-        bounds: Who they are.
-    """
+    """The longest such stretch of each clip, as its name and its features, the longest first."""
     found: list[tuple[str, np.ndarray]] = []
     for name, entry in clips.items():
         stretch = _longest(entry["features"], bounds)
@@ -201,11 +192,6 @@ def build_examples(
 ) -> ExamplePack:
     """Choose stretches and write them.
 
-    Args:
-        settings: Which, and where to.
-        encoder: In place of the ranker's own.
-        progress: Called with a stage's name and the share done.
-
     Raises:
         FormatError: The data are missing or damaged.
         WeightsError: The ranker or that pack is damaged.
@@ -238,13 +224,9 @@ def build_examples(
     chosen = np.isin(owners, kept)
     place_of = {index: number for number, index in enumerate(kept)}
     pack = ExamplePack(
-        examples,
-        tuple(data),
-        np.array([place_of[owner] for owner in owners[chosen].tolist()], np.int32),
-        texts[:, chosen],
-        motions[:, kept],
-        fingerprint(path),
-    )
+        examples, tuple(data), np.array([place_of[owner] for owner in owners[chosen].tolist()], np.int32),
+        texts[:, chosen], motions[:, kept], fingerprint(path),
+    )  # fmt: skip
     licences = Counter(
         "Apache-2.0" if one.made else str(clips[one.name.split("#")[0]].get("licence", "unknown")) for one in examples
     )

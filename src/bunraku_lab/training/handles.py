@@ -1,6 +1,4 @@
-"""Training of the Mesh Handle Predictor (Eq. 5 of TapMo): other tessellations, holes and loose parts of its examples, a
-resumable run, and the mesh features of many characters afterwards.
-"""
+"""Training of the Mesh Handle Predictor (Eq. 5 of TapMo), and the mesh features of many characters afterwards."""
 
 from __future__ import annotations
 
@@ -35,20 +33,9 @@ from bunraku_lab.training.losses.handles import LossConfig
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, TrainingNote, TrainingSettings
 
 __all__ = [
-    "HandleTrainConfig",
-    "HandleTrainer",
-    "MeshAugmentation",
-    "augment_mesh",
-    "coarser",
-    "has_human_shape",
-    "noisy",
-    "pierced",
-    "slid",
-    "split",
-    "train_handles",
-    "validate_handles",
-    "write_mesh_bank",
-]
+    "HandleTrainConfig", "HandleTrainer", "MeshAugmentation", "augment_mesh", "coarser", "has_human_shape", "noisy",
+    "pierced", "slid", "split", "train_handles", "validate_handles", "write_mesh_bank",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -142,8 +129,7 @@ def pierced(mesh: TrainingMesh, rng: np.random.Generator, radius: float, holes: 
 
 
 def split(mesh: TrainingMesh, rng: np.random.Generator) -> TrainingMesh:
-    """Edges between parts are cut, all but a few that stand for the bridges which network meshes have between loose
-    parts.
+    """Cut the edges between parts, but for a few that stand for the bridges of network meshes.
 
     The parts are those of the rig, or what a random plane parts.
     """
@@ -166,13 +152,7 @@ def noisy(mesh: TrainingMesh, rng: np.random.Generator, positions: float, normal
 
 
 def augment_mesh(mesh: TrainingMesh, rng: np.random.Generator, config: MeshAugmentation | None = None) -> TrainingMesh:
-    """The example with its surface changed at random.
-
-    Args:
-        mesh: An example.
-        rng: Source of randomness.
-        config: How often and how much.
-    """
+    """The example with its surface changed at random."""
     config = config or MeshAugmentation()
     if rng.random() < config.split_rate:
         mesh = split(mesh, rng)
@@ -209,21 +189,15 @@ def has_human_shape(character: TrainingCharacter) -> bool:
 
 @torch.no_grad()
 def write_mesh_bank(
-    model: HandlePredictor,
-    characters: Iterable[TrainingCharacter] | Sequence[TrainingCharacter],
-    path: str | Path,
-    variants: int = 3,
-    seed: int = 0,
-    held_out: Collection[str] = (),
-    progress: Callable[[int], None] | None = None,
-) -> Path:
+    model: HandlePredictor, characters: Iterable[TrainingCharacter] | Sequence[TrainingCharacter], path: str | Path,
+    variants: int = 3, seed: int = 0, held_out: Collection[str] = (), progress: Callable[[int], None] | None = None,
+) -> Path:  # fmt: skip
     """Write f_phi of each character, as it is and in some other poses and proportions.
 
     Args:
         model: The trained predictor.
         characters: All of them; what follows a "~" in a name says which variant of a character it is.
-        path: An NPZ; it gets `features` (C, 448), `names` (C,), `split` (C,), "train" or "test", and `humanoid` (C,),
-            see `has_human_shape`.
+        path: NPZ to write: `features` (C, 448), `names`, `split` ("train" or "test") and `humanoid`, each (C,).
         variants: Changed forms of each character beside its own; those held out have none.
         seed: Of the changes.
         held_out: Names of the characters that no training may see: their rows are "test", for evaluation only.
@@ -250,12 +224,9 @@ def write_mesh_bank(
     path = Path(path)
     with atomic_write(path) as file:
         np.savez(
-            file,
-            features=np.stack(features).astype(np.float32),
-            names=np.array(names),
-            split=np.array(split),
+            file, features=np.stack(features).astype(np.float32), names=np.array(names), split=np.array(split),
             humanoid=np.array(humanoid),
-        )
+        )  # fmt: skip
     return path
 
 
@@ -306,14 +277,7 @@ def _graph(
 
 
 class HandleTrainer(AveragedRun[HandlePredictor]):
-    """One training run in memory: the network, its optimiser, and the characters.
-
-    Args:
-        config: Settings.
-        characters: To train on.
-        held_out: To validate on.
-        reference: The reference body's shapes, mixed in.
-    """
+    """One training run in memory: the network, its optimiser, and the characters."""
 
     kind = "handles"
     columns = None
@@ -321,12 +285,9 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
     every_row = True
 
     def __init__(
-        self,
-        config: HandleTrainConfig,
-        characters: Sequence[TrainingCharacter],
-        held_out: Sequence[TrainingCharacter],
+        self, config: HandleTrainConfig, characters: Sequence[TrainingCharacter], held_out: Sequence[TrainingCharacter],
         reference: Sequence[TrainingCharacter] = (),
-    ):
+    ):  # fmt: skip
         if not characters:
             raise OptionError("there are no characters to train on; build the cache first")
         self.config, self.epoch = config, 0
@@ -357,9 +318,7 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
         return min(max(parts), 1.0)
 
     def example_loss(self, mesh: TrainingMesh) -> tuple[torch.Tensor, dict[str, float]]:
-        """L_s + nu_p L_p + nu_r L_r [TapMo 5] with the further losses, for one mesh; and each loss before its
-        weight.
-        """
+        """L_s + nu_p L_p + nu_r L_r [TapMo 5] and further losses for one mesh; and each before its weight."""
         config, device = self.config.loss, self.config.device
         graph = _graph(mesh, self.config.predictor, device, self.rng)
         with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.config.bf16):
@@ -374,11 +333,9 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
             "sparsity": losses.sparsity_loss(weights),
         }
         i, j, gamma = losses.skinning_pairs(
-            torch.from_numpy(mesh.weights),
-            config.skinning_pairs,
-            self.generator,
+            torch.from_numpy(mesh.weights), config.skinning_pairs, self.generator,
             torch.from_numpy(np.ascontiguousarray(mesh.handles)),
-        )
+        )  # fmt: skip
         parts["skinning"] = losses.skinning_loss(logits, i.to(device), j.to(device), gamma.to(device), config.apart)
         if len(mesh.posed):
             parts["pose"] = config.pose_unit * losses.pose_loss(
@@ -440,7 +397,6 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
         return self.train_epoch(lambda: self.stop.asked)
 
     def begun(self) -> dict[str, float]:
-        """The first columns of a row of the log."""
         rate = self.optimizer.param_groups[0]["lr"]
         return {"epoch": self.epoch, "step": self.step, "seconds": round(self.seconds, 1), "rate": rate}
 
@@ -453,7 +409,6 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
         }
 
     def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
         return self.average.save(self.checkpoint, note | {"epochs": self.epoch})
 
     def extras(self) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
@@ -472,12 +427,6 @@ def validate_handles(
     model: HandlePredictor, characters: Sequence[TrainingCharacter], varied: bool = False, seed: int = 0
 ) -> dict[str, float]:
     """How good the predictor is on characters with known handles.
-
-    Args:
-        model: The predictor.
-        characters: With labels.
-        varied: Change each character's rest pose and proportions first.
-        seed: Of the poses.
 
     Returns:
         accuracy: Share of the labelled surface whose largest weight is the right handle's. purity: of the surface that
@@ -515,16 +464,7 @@ def validate_handles(
 
 
 def train_handles(config: HandleTrainConfig, report: Report | None = None, progress: Progress | None = None) -> Path:
-    """Train the predictor, or go on where the run in `config.out` stopped; at the end write `mesh_features.npz` for the
-    diffusion.
-
-    Args:
-        config: Settings.
-        report: Called after each epoch with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
+    """Train the predictor, or go on where the run in `config.out` stopped; then write `mesh_features.npz`.
 
     Raises:
         BunrakuError: No cache, the folder cannot be written, or the checkpoint to start from does not fit.

@@ -1,6 +1,4 @@
-"""Training of the tagger, which says what words of other languages mean: pairs of sentences, forms of the table of
-words, and which English sentences describe a movement as captions do.
-"""
+"""Training of the tagger, which says what words of other languages mean."""
 
 from __future__ import annotations
 
@@ -30,41 +28,17 @@ from bunraku.language.word_table import LANGUAGES, Concept, forms, table
 from bunraku_lab.training.runs.run import AveragedRun, StepSettings, TrainingNote
 
 __all__ = [
-    "FILES",
-    "Lesson",
-    "Likeness",
-    "MEANT",
-    "NOT_MEANT",
-    "Pair",
-    "TaggerNetwork",
-    "TaggerTrainConfig",
-    "TaggerTrainer",
-    "batch_of",
-    "drawn_number",
-    "lessons_of",
-    "likeness_of",
-    "measure",
-    "movements",
-    "read_pairs",
-    "save_tagger",
-    "sentence_losses",
-    "split_of",
-    "table_pairs",
-    "train_tagger",
-    "verbs_of_actions",
-]
-
+    "FILES", "Lesson", "Likeness", "MEANT", "NOT_MEANT", "Pair", "TaggerNetwork", "TaggerTrainConfig", "TaggerTrainer",
+    "batch_of", "drawn_number", "lessons_of", "likeness_of", "measure", "movements", "read_pairs", "save_tagger",
+    "sentence_losses", "split_of", "table_pairs", "train_tagger", "verbs_of_actions",
+]  # fmt: skip
 
 _QUIET = -6.0
 """What each movement is at the beginning, before the logistic function: no word says anything."""
 
 
 class TaggerNetwork(torch.nn.Module):
-    """The network.
-
-    Args:
-        config: Its sizes.
-    """
+    """The network."""
 
     def __init__(self, config: TaggerConfig):
         super().__init__()
@@ -98,12 +72,7 @@ class TaggerNetwork(torch.nn.Module):
 
 
 def sentence_losses(words: Tensor, lengths: Tensor) -> Tensor:
-    """Minus the logarithm of the probability that no word of a sentence says a movement, shape (B, V).
-
-    Args:
-        words: What the network says of each word.
-        lengths: Words of each sentence.
-    """
+    """Minus the logarithm of the probability that no word of a sentence says a movement, shape (B, V)."""
     row = torch.repeat_interleave(torch.arange(len(lengths), device=words.device), lengths)
     silence = torch.nn.functional.softplus(words)
     return words.new_zeros(len(lengths), words.shape[1]).index_add(0, row, silence)
@@ -201,12 +170,9 @@ Likeness = dict[str, dict[str, float]]
 
 
 def measure(
-    sentences: Iterable[str],
-    path: Path,
-    most: int = 250,
-    encoder: MiniLMEncoder | None = None,
+    sentences: Iterable[str], path: Path, most: int = 250, encoder: MiniLMEncoder | None = None,
     progress: Callable[[float], None] = lambda done: None,
-) -> Likeness:
+) -> Likeness:  # fmt: skip
     """How near sentences are to captions of what the rules find in them, kept in a file.
 
     Args:
@@ -214,7 +180,6 @@ def measure(
         path: A JSON file, which is gone on with.
         most: Sentences of each movement, drawn by lot.
         encoder: In place of the built-in one.
-        progress: Called with the share done.
     """
     found: Likeness = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     counts: Counter[str] = Counter()
@@ -258,9 +223,7 @@ def _captions(encoder: MiniLMEncoder) -> dict[str, np.ndarray]:
 
 
 def likeness_of(found: Likeness) -> Callable[[str], dict[str, float]]:
-    """A function that gives the cosine of each movement of a sentence: its own, or else the mean of those that say
-    the movement by the same word.
-    """
+    """The cosine of each movement of a sentence: its own, or else the mean of movements said by the same word."""
     by_word: dict[tuple[str, str], list[float]] = defaultdict(list)
     for sentence, cosines in found.items():
         for action, word in _said_by(sentence).items():
@@ -444,13 +407,7 @@ def batch_of(lessons: Sequence[Lesson]) -> tuple[Tensor, Tensor, Tensor, Tensor]
 
 
 class TaggerTrainer(AveragedRun[TaggerNetwork]):
-    """One training run in memory.
-
-    Args:
-        config: Settings.
-        lessons: To train on.
-        held_out: To validate on.
-    """
+    """One training run in memory."""
 
     kind = KIND
     columns = ("loss", "rate")
@@ -503,31 +460,20 @@ class TaggerTrainer(AveragedRun[TaggerNetwork]):
                 false += bool(names) and not lesson.said
         silent = sum(not lesson.said for lesson in self.held_out)
         return {
-            "validation": float(np.mean(losses)),
-            "precision": right / max(found, 1),
-            "recall": right / max(there, 1),
+            "validation": float(np.mean(losses)), "precision": right / max(found, 1), "recall": right / max(there, 1),
             "said_of_silent": false / max(silent, 1),
-        }
+        }  # fmt: skip
 
     def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
         notes = {"steps": note["steps"], "minutes": round(note["seconds"] / 60, 1), "lessons": len(self.saying)}
         return save_tagger(self.checkpoint, self.average, notes | note["results"])
 
 
 def train_tagger(
-    config: TaggerTrainConfig,
-    report: Callable[[dict[str, float]], None] | None = None,
-    progress: Callable[[str, float], None] | None = None,
-    encoder: MiniLMEncoder | None = None,
-) -> Path:
+    config: TaggerTrainConfig, report: Callable[[dict[str, float]], None] | None = None,
+    progress: Callable[[str, float], None] | None = None, encoder: MiniLMEncoder | None = None,
+) -> Path:  # fmt: skip
     """Train, or go on training, and return the path of the averaged weights.
-
-    Args:
-        config: The run.
-        report: Called with a row of the log at each validation.
-        progress: Called with a stage's name and the share done.
-        encoder: In place of the built-in text encoder.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another network.

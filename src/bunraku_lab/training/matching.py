@@ -1,6 +1,4 @@
-"""Training of networks that match motions and sentences: the run that they share, and the ranker, which chooses among
-the candidates that `animate` makes.
-"""
+"""Training of networks that match motions and sentences: the shared run, and the ranker."""
 
 from __future__ import annotations
 
@@ -28,16 +26,9 @@ from bunraku_lab.training.rows.clips import load_people
 from bunraku_lab.training.runs.run import AveragedRun, StepSettings, TrainingNote, bf16_is_fast
 
 __all__ = [
-    "MatchingRun",
-    "MatchingTrainConfig",
-    "RankerTrainConfig",
-    "RankerTrainer",
-    "captions_of",
-    "corrupted",
-    "for_encoder",
-    "start_from",
-    "train_ranker",
-]
+    "MatchingRun", "MatchingTrainConfig", "RankerTrainConfig", "RankerTrainer", "captions_of", "corrupted",
+    "for_encoder", "start_from", "train_ranker",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +57,6 @@ class MatchingTrainConfig(StepSettings):
     seed: int = 0
 
     def prepare(self) -> None:
-        """See `TrainingSettings.prepare`."""
         if self.batch < 2 or self.threads < 1:
             raise OptionError("batch must be 2 or more, threads 1 or more")
         super().prepare()
@@ -80,30 +70,16 @@ def for_encoder(network: ExtractorConfig, encoder: TextEncoder) -> ExtractorConf
 
 
 class MatchingRun(AveragedRun[Extractor]):
-    """One training run in memory.
-
-    Args:
-        config: Settings.
-        network: The network.
-        statistics: Of the training motions; the network's units.
-        bank: Their sentences, encoded.
-        clips: How many they are, for the notes.
-        kind: Of the checkpoint, and its name.
-    """
+    """One training run in memory."""
 
     columns = None
     least = 0.01
     flush = True
 
     def __init__(
-        self,
-        config: MatchingTrainConfig,
-        network: ExtractorConfig,
-        statistics: FeatureStatistics,
-        bank: TextBank,
-        clips: int,
-        kind: str,
-    ):
+        self, config: MatchingTrainConfig, network: ExtractorConfig, statistics: FeatureStatistics, bank: TextBank,
+        clips: int, kind: str,
+    ):  # fmt: skip
         self.config, self.bank, self.clip_count, self.kind = config, bank, clips, kind
 
         def begin(model: Extractor) -> None:
@@ -120,22 +96,15 @@ class MatchingRun(AveragedRun[Extractor]):
         return super().train_step()
 
     def begun(self) -> dict[str, float]:
-        """The first columns of a row of the log."""
         return {"step": self.step, "minutes": self.seconds / 60}
 
     def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
         notes = {"steps": self.step, "minutes": round(self.seconds / 60, 1), "clips": self.clip_count}
         return save_extractor(self.checkpoint, self.average, notes | note["results"], self.kind)
 
 
 def start_from(path: Path, model: Extractor, kind: str) -> None:
     """Give a new network the weights and the units of a checkpoint.
-
-    Args:
-        path: The checkpoint.
-        model: The new network.
-        kind: Of the checkpoint.
 
     Raises:
         OptionError: The checkpoint is of another network.
@@ -152,11 +121,9 @@ def start_from(path: Path, model: Extractor, kind: str) -> None:
 
 
 def captions_of(
-    config: MatchingTrainConfig,
-    encoder: TextEncoder,
-    sentences: Collection[str],
+    config: MatchingTrainConfig, encoder: TextEncoder, sentences: Collection[str],
     progress: Callable[[str, float], None],
-) -> TextBank:
+) -> TextBank:  # fmt: skip
     """The sentences of a run, encoded once and kept in its folder."""
     path = config.out / "captions.safetensors"
     return TextBank(encoder, sorted(sentences), path, lambda done, total: progress("captions", done / total))
@@ -206,14 +173,7 @@ def corrupted(values: np.ndarray, random: np.random.Generator, sided: bool) -> n
 
 
 class RankerTrainer(MatchingRun):
-    """One training run in memory.
-
-    Args:
-        config: Settings.
-        rows: Training rows; their statistics are the network's units.
-        bank: Their sentences, encoded.
-        held: Rows of clips that no training sees.
-    """
+    """One training run in memory."""
 
     config: RankerTrainConfig
 
@@ -223,9 +183,7 @@ class RankerTrainer(MatchingRun):
         super().__init__(config, config.network, rows.statistics, bank, len(rows.clips), RANKER)
 
     def losses(self, model: Extractor, batch: MotionBatch, random: np.random.Generator) -> tuple[Tensor, float, float]:
-        """The loss of a batch, the share of motions that find their sentence first, and of sentences that find their
-        motion first.
-        """
+        """The loss of a batch, and the shares of motions and of sentences that find their partner first."""
         size, device = len(batch.lengths), self.config.device
         turned = [mirror_words(sentence) for sentence in batch.sentences]
         sided = np.array([a != b for a, b in zip(batch.sentences, turned, strict=True)])
@@ -287,18 +245,10 @@ def alike(sentences: Sequence[str]) -> np.ndarray:
 
 
 def train_ranker(
-    config: RankerTrainConfig,
-    report: Callable[[dict[str, float]], None] | None = None,
-    encoder: TextEncoder | None = None,
-    progress: Callable[[str, float], None] | None = None,
-) -> Path:
+    config: RankerTrainConfig, report: Callable[[dict[str, float]], None] | None = None,
+    encoder: TextEncoder | None = None, progress: Callable[[str, float], None] | None = None,
+) -> Path:  # fmt: skip
     """Train, or go on training, and return the path of the averaged weights.
-
-    Args:
-        config: The run.
-        report: Called with a row of the log at each validation.
-        encoder: In place of the built-in text encoder.
-        progress: Called with a stage's name and the share done.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another network.

@@ -1,6 +1,4 @@
-"""Training of the orientation network: variants of characters, a resumable run with validation on unseen characters,
-and the weights of the simple evidence that is used beside it.
-"""
+"""Training of the orientation network, and the weights of the simple evidence beside it."""
 
 from __future__ import annotations
 
@@ -22,18 +20,9 @@ from bunraku_lab.nn.handles import OrientationPredictor
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
 
 __all__ = [
-    "FRONTS",
-    "OTHERS",
-    "OrientationTrainConfig",
-    "OrientationTrainer",
-    "UPRIGHT",
-    "fitted_temperature",
-    "orientation_results",
-    "train_orientation",
-    "validate_orientation",
-    "varied_tokens",
-]
-
+    "FRONTS", "OTHERS", "OrientationTrainConfig", "OrientationTrainer", "UPRIGHT", "fitted_temperature",
+    "orientation_results", "train_orientation", "validate_orientation", "varied_tokens",
+]  # fmt: skip
 
 UPRIGHT = ORIENTATIONS.index(("+y", "+z"))
 """The orientation of all training characters."""
@@ -44,12 +33,9 @@ OTHERS = [n for n, (up, _) in enumerate(ORIENTATIONS) if up != "+y"]
 
 
 def varied_tokens(
-    character: TrainingCharacter,
-    rng: np.random.Generator,
-    anchors: int = 128,
-    tilt: float = 0.26,
+    character: TrainingCharacter, rng: np.random.Generator, anchors: int = 128, tilt: float = 0.26,
     config: AugmentConfig | None = None,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Tokens of a random variant of an upright character that is still nearly upright, shape (M, 10).
 
     Args:
@@ -123,17 +109,13 @@ def orientation_results(logs: np.ndarray) -> dict[str, float]:
     own = list(dict.fromkeys(ups)).index("+y")
     front = logs[:, FRONTS].argmax(1) == FRONTS.index(UPRIGHT)
     return {
-        "up": float((by_up.argmax(1) == own).mean()),
-        "front": float(front.mean()),
-        "both": float((logs.argmax(1) == UPRIGHT).mean()),
-        "loss": float(-logs[:, UPRIGHT].mean()),
-    }
+        "up": float((by_up.argmax(1) == own).mean()), "front": float(front.mean()),
+        "both": float((logs.argmax(1) == UPRIGHT).mean()), "loss": float(-logs[:, UPRIGHT].mean()),
+    }  # fmt: skip
 
 
 def fitted_temperature(logs: np.ndarray) -> float:
-    """The temperature, 0.5 to 5, at which log-probabilities (N, 24) of upright characters have the least
-    cross-entropy.
-    """
+    """The temperature, 0.5 to 5, with the least cross-entropy of log-probabilities (N, 24)."""
     choices = np.exp(np.linspace(np.log(0.5), np.log(5), 60))
 
     def loss(temperature: float) -> float:
@@ -176,25 +158,15 @@ class OrientationTrainConfig(StepSettings):
 
 
 class OrientationTrainer(AveragedRun[OrientationPredictor]):
-    """One training run in memory: the network, its optimiser, and the characters.
-
-    Args:
-        config: Settings.
-        characters: To train on, all upright and facing +Z.
-        held_out: To validate on.
-        reference: The reference body's shapes, mixed in.
-    """
+    """One training run in memory: the network, its optimiser, and the characters."""
 
     kind = "orientation"
     columns = ("loss", "won", "rate")
 
     def __init__(
-        self,
-        config: OrientationTrainConfig,
-        characters: Sequence[TrainingCharacter],
-        held_out: Sequence[TrainingCharacter] = (),
-        reference: Sequence[TrainingCharacter] = (),
-    ):
+        self, config: OrientationTrainConfig, characters: Sequence[TrainingCharacter],
+        held_out: Sequence[TrainingCharacter] = (), reference: Sequence[TrainingCharacter] = (),
+    ):  # fmt: skip
         if not characters:
             raise OptionError("there are no characters to train on; build the cache first")
         self.config = config
@@ -212,9 +184,7 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         model.load_state_dict(given.state_dict())
 
     def loss(self, tokens: torch.Tensor, others: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Cross-entropy of the upright orientation against the three other fronts and a sample of the rest; and the
-        scores.
-        """
+        """Cross-entropy of the upright orientation against three other fronts and a sample; and the scores."""
         chosen = [*FRONTS, *others]
         scores = self.model.scores(tokens, self.model.rotations[chosen])
         offset = torch.zeros(len(chosen), device=scores.device)
@@ -253,7 +223,6 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         return results | {"temperature": self.temperature}
 
     def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
         shipped = OrientationPredictor(replace(self.average.config, temperature=self.temperature))
         shipped.load_state_dict(self.average.state_dict())
         return shipped.save(self.checkpoint, note, half=True)
@@ -271,14 +240,6 @@ def train_orientation(
     config: OrientationTrainConfig, report: Report | None = None, progress: Progress | None = None
 ) -> Path:
     """Train the orientation network, or go on where the run in `config.out` stopped.
-
-    Args:
-        config: Settings.
-        report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         BunrakuError: No cache, or the folder cannot be written.

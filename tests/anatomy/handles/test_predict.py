@@ -9,8 +9,14 @@ import pytest
 import trimesh
 
 import bunraku
-from bunraku.anatomy.handles.extra_limbs import find_appendages, split_limbs, with_appendages
-from bunraku.anatomy.handles.limbs import FAMILIES, edge_lengths, find_limbs
+from bunraku.anatomy.handles.limbs import (
+    FAMILIES,
+    edge_lengths,
+    find_appendages,
+    find_limbs,
+    split_limbs,
+    with_appendages,
+)
 from bunraku.anatomy.handles.predict import mesh_feature, predict_handles, smooth_weights, trim_weights
 from bunraku.anatomy.names.bone_names import resolve_joints, rig_handles
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES

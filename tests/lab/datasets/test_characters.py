@@ -195,16 +195,9 @@ def test_layouts(tmp_path, layout):
     assert rig.names == ("hips", "chest", "head") and rig.parents.tolist() == [-1, 0, 1]
     assert np.allclose(rig.positions, [[0, 0.5, 0.3], [0, 1.5, 0.3], [0, 2, 0.3]])
     expected = [
-        [1, 0, 0],
-        [1, 0, 0],
-        [1, 0, 0],
-        [0.5, 0.5, 0],
-        [0.3, 0.7, 0],
-        [0.5, 0.5, 0],
-        [0, 1, 0],
-        [0, 0.25, 0.75],
+        [1, 0, 0], [1, 0, 0], [1, 0, 0], [0.5, 0.5, 0], [0.3, 0.7, 0], [0.5, 0.5, 0], [0, 1, 0], [0, 0.25, 0.75],
         [0, 0, 1],
-    ]
+    ]  # fmt: skip
     assert np.allclose(rig.dense_weights(), expected)
     assert character.source.suffix == ".obj"  # what is written keeps the OBJ's materials and UVs
 

@@ -20,20 +20,18 @@ from bunraku.generation.features import body_handle_motion
 from bunraku_lab.datasets.motions.build import between_held_poses, checked, clip_weight
 from bunraku_lab.datasets.motions.clips import (
     KIND,
+    Stretch,
+    credit_lines,
     load_clip,
+    load_watched,
     pack_motion,
     read_bundle,
+    source_of,
+    subject_of,
     unpack_motion,
     write_bundle,
     write_clip,
     write_index,
-)
-from bunraku_lab.datasets.motions.sources import (
-    Stretch,
-    credit_lines,
-    load_watched,
-    source_of,
-    subject_of,
 )
 from bunraku_lab.training.rows.banks import load_mesh_bank
 from bunraku_lab.training.rows.clips import load_clips

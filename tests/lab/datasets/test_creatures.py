@@ -236,11 +236,9 @@ def test_who_stands_or_floats_has_no_speed():
 def test_travel_is_added_once():
     frames = 11
     still = HandleMotion(
-        np.zeros((frames, 2, 3)),
-        np.broadcast_to(np.eye(3), (frames, 2, 3, 3)),
-        np.zeros((frames, 3)),
+        np.zeros((frames, 2, 3)), np.broadcast_to(np.eye(3), (frames, 2, 3, 3)), np.zeros((frames, 3)),
         np.broadcast_to(np.eye(3), (frames, 3, 3)),
-    )
+    )  # fmt: skip
     moved = with_travel(still, 2.0)
     assert moved.root_translation[-1].tolist() == pytest.approx([0, 0, 1.0])
     assert with_travel(moved, 2.0) is moved and with_travel(still, 0.0) is still

@@ -20,7 +20,9 @@ from bunraku.errors import FormatError
 from bunraku.retarget.to_reference import handle_motion_of_body
 from bunraku_lab.datasets.motions.build import (
     MotionArchive,
+    add_turns,
     build_motions,
+    find_turn,
     floor_height,
     level_feet,
     posture_fault,
@@ -31,7 +33,6 @@ from bunraku_lab.datasets.motions.build import (
     unrolled,
 )
 from bunraku_lab.datasets.motions.clips import load_clip, write_clip
-from bunraku_lab.datasets.motions.derived import add_turns, find_turn
 
 
 def bend(frames, seed=0):
@@ -163,9 +164,9 @@ def test_a_build_that_is_stopped_leaves_no_process_and_keeps_what_is_done(tmp_pa
     assert len(children) >= 2
     run.send_signal(how)
     before = time.monotonic()
-    run.wait(20)
+    run.wait(60)
     while any(_runs(child) for child in children):
-        assert time.monotonic() - before < 2
+        assert time.monotonic() - before < 60
         time.sleep(0.02)
     if how == signal.SIGINT:
         assert run.returncode == 130

@@ -124,13 +124,9 @@ def amass(folder):
         full[:, : 3 * JOINT_COUNT] = poses(600).reshape(600, -1)
         full[:, 0] = np.pi / 2
         np.savez(
-            file,
-            poses=full,
-            trans=np.tile([start, 0, 1.0], (600, 1)),
-            mocap_framerate=100.0,
-            betas=np.zeros(16),
+            file, poses=full, trans=np.tile([start, 0, 1.0], (600, 1)), mocap_framerate=100.0, betas=np.zeros(16),
             gender="male",
-        )
+        )  # fmt: skip
     np.savez(folder / "KIT" / "3" / "shape.npz", betas=np.zeros(16))
     return folder
 

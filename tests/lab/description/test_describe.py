@@ -173,11 +173,9 @@ def mirrored_pairs(motion):
 
     def key(phrase, change):
         return (
-            phrase.start,
-            phrase.stop,
-            phrase.kind,
+            phrase.start, phrase.stop, phrase.kind,
             *(tuple(map(change, words)) for words in (phrase.texts, phrase.part, phrase.manner)),
-        )
+        )  # fmt: skip
 
     assert [key(phrase, mirror_words) for phrase in one] == [key(phrase, str) for phrase in other]
     length = len(motion)

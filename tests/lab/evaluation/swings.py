@@ -10,13 +10,9 @@ from bunraku.core.nn.layers import unit
 from bunraku.language.encoders import TextBatch
 
 PARTS = {
-    "left_elbow": "waves",
-    "right_knee": "kicks",
-    "spine1": "bows",
-    "head": "nods",
-    "left_hip": "steps",
+    "left_elbow": "waves", "right_knee": "kicks", "spine1": "bows", "head": "nods", "left_hip": "steps",
     "right_elbow": "points",
-}
+}  # fmt: skip
 
 
 class WordEncoder:

@@ -108,11 +108,9 @@ def test_what_faces_sideways_is_turned():
     transforms = rig.transforms.copy()
     transforms[:, :3, 3] = rig.positions @ turn.T
     sideways = Character(
-        person.name,
-        person.vertices @ turn.T,
-        person.faces,
+        person.name, person.vertices @ turn.T, person.faces,
         type(rig)(rig.names, rig.parents, transforms, rig.indices, rig.weights),
-    )
+    )  # fmt: skip
     a, b = subject(person, "person"), subject(sideways, "person")
     np.testing.assert_allclose(b.character.vertices, a.character.vertices, atol=1e-5)
     np.testing.assert_allclose(b.truth.joints, a.truth.joints, atol=1e-5)
@@ -181,11 +179,9 @@ def table(tmp_path_factory):
     loads = folder_subjects(filled(tmp_path_factory.mktemp("archive")), True)
     person = subject(make_sample("person", 0.3, rigged=True), "person")
     result = evaluate_handles(
-        loads,
-        detailed={"kaykit/Other": loads["kaykit/Other"], "person": lambda: person},
-        speed=False,
+        loads, detailed={"kaykit/Other": loads["kaykit/Other"], "person": lambda: person}, speed=False,
         progress=lambda stage, share: calls.append((stage, share)),
-    )
+    )  # fmt: skip
     return result, calls, loads
 
 
@@ -284,19 +280,9 @@ def stick_figure(seed: int | None = None) -> TrainingCharacter:
         weights = np.eye(22, dtype=np.float32)
         target = handle_target(weights, np.arange(22))
         return TrainingCharacter(
-            "stick",
-            positions,
-            none,
-            np.ones(22),
-            none,
-            weights,
-            positions,
-            parents,
-            np.arange(22),
-            target,
-            positions[0],
-            float(np.ptp(positions[:, 1])),
-        )
+            "stick", positions, none, np.ones(22), none, weights, positions, parents, np.arange(22), target,
+            positions[0], float(np.ptp(positions[:, 1])),
+        )  # fmt: skip
 
     if seed is None:
         return figure(joints)
@@ -397,13 +383,10 @@ def test_a_turn_about_the_contact_opens_nothing_and_a_bend_is_shear():
 
 
 BOXES = {
-    "torso": ((-0.25, 0.7, -0.12), (0.25, 1.3, 0.12)),
-    "head": ((-0.2, 1.3, -0.2), (0.2, 1.7, 0.2)),
-    "arm-left": ((0.25, 0.6, -0.08), (0.42, 1.28, 0.08)),
-    "arm-right": ((-0.42, 0.6, -0.08), (-0.25, 1.28, 0.08)),
-    "leg-left": ((0.01, 0, -0.1), (0.22, 0.7, 0.1)),
-    "leg-right": ((-0.22, 0, -0.1), (-0.01, 0.7, 0.1)),
-}
+    "torso": ((-0.25, 0.7, -0.12), (0.25, 1.3, 0.12)), "head": ((-0.2, 1.3, -0.2), (0.2, 1.7, 0.2)),
+    "arm-left": ((0.25, 0.6, -0.08), (0.42, 1.28, 0.08)), "arm-right": ((-0.42, 0.6, -0.08), (-0.25, 1.28, 0.08)),
+    "leg-left": ((0.01, 0, -0.1), (0.22, 0.7, 0.1)), "leg-right": ((-0.22, 0, -0.1), (-0.01, 0.7, 0.1)),
+}  # fmt: skip
 
 
 def test_what_one_handle_moves_is_one_piece():

@@ -147,12 +147,9 @@ def test_a_generated_clip_is_measured_with_and_without():
     handles = replace(rig_handles(character).top(4), features=np.zeros(448, np.float32))
     told = []
     table = measure_adaptation(
-        [("samples/dancer", replace(character, rig=None), handles)],
-        ["a person waves"],
-        seconds=2.0,
-        steps=8,
+        [("samples/dancer", replace(character, rig=None), handles)], ["a person waves"], seconds=2.0, steps=8,
         progress=lambda stage, share: told.append(share),
-    )
+    )  # fmt: skip
     row = table.rows[0]
     assert row.name == "samples/dancer" and not row.unseen and told[-1] == 1
     assert 0 < row.plain < row.loose and row.adapted > 0 and 0 <= row.delta < 0.05

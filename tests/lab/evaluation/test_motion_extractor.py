@@ -14,16 +14,9 @@ from bunraku_lab.nn.running import running_extractor
 from bunraku_lab.nn.text import Extractor, save_extractor
 
 TINY = ExtractorConfig(
-    width=16,
-    layers=1,
-    heads=2,
-    feedforward=32,
-    embedding=8,
-    text_size=8,
-    pooled_size=8,
-    text_encoder="words",
+    width=16, layers=1, heads=2, feedforward=32, embedding=8, text_size=8, pooled_size=8, text_encoder="words",
     dropout=0.0,
-)
+)  # fmt: skip
 
 
 def extractor(seed=0):
@@ -46,15 +39,9 @@ def data(tmp_path_factory):
 
 def settings(data, out, **changes):
     quick = {
-        "minutes": 0.0,
-        "steps": 40,
-        "batch": 10,
-        "rate": 3e-3,
-        "warmup": 5,
-        "decay": 0.9,
-        "bf16": False,
+        "minutes": 0.0, "steps": 40, "batch": 10, "rate": 3e-3, "warmup": 5, "decay": 0.9, "bf16": False,
         "validate_every": 20,
-    }
+    }  # fmt: skip
     return ExtractorTrainConfig(data=data, out=out, extractor=TINY, **{**quick, **changes})
 
 

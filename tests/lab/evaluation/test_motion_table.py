@@ -21,12 +21,7 @@ from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion import samples as motion_samples
 from bunraku_lab.evaluation.motion.blocks import BARS
 from bunraku_lab.evaluation.motion.metrics import body_handles, handle_fid, handle_samples
-from bunraku_lab.evaluation.motion.samples import (
-    Request,
-    SamplerSettings,
-    Window,
-    make_motions,
-)
+from bunraku_lab.evaluation.motion.samples import Request, SamplerSettings, Window, make_motions
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows
 from bunraku_lab.evaluation.motion.viewer_prompts import VIEWER_BARS
 from bunraku_lab.evaluation.report import KeptParts
@@ -38,15 +33,9 @@ from bunraku_lab.nn.text import Extractor, save_extractor
 
 def network(**changes):
     sizes = {
-        "width": 16,
-        "layers": 1,
-        "heads": 2,
-        "feedforward": 32,
-        "frames": 60,
-        "mesh_features": 448,
-        "text_size": 8,
+        "width": 16, "layers": 1, "heads": 2, "feedforward": 32, "frames": 60, "mesh_features": 448, "text_size": 8,
         "pooled_size": 8,
-    }
+    }  # fmt: skip
     return DenoiserConfig(**{**sizes, "text_encoder": "words", **changes})
 
 
@@ -64,15 +53,9 @@ def folder(tmp_path_factory):
     torch.manual_seed(0)
     save_denoiser(home / "tapmo.safetensors", Denoiser(network()), {"steps": 1})
     sizes = {
-        "width": 16,
-        "layers": 1,
-        "heads": 2,
-        "feedforward": 32,
-        "embedding": 4,
-        "text_size": 8,
-        "pooled_size": 8,
+        "width": 16, "layers": 1, "heads": 2, "feedforward": 32, "embedding": 4, "text_size": 8, "pooled_size": 8,
         "text_encoder": "words",
-    }
+    }  # fmt: skip
     save_extractor(home / "extractor.safetensors", Extractor(ExtractorConfig(**sizes)))
     return home
 
@@ -87,15 +70,8 @@ def words(monkeypatch):
 
 def settings(folder, work, **changes):
     small = {
-        "pool": 24,
-        "clips": 16,
-        "references": 30,
-        "runs": 3,
-        "candidates": 4,
-        "prompts": 3,
-        "repeats": 2,
-        "steps": 2,
-    }
+        "pool": 24, "clips": 16, "references": 30, "runs": 3, "candidates": 4, "prompts": 3, "repeats": 2, "steps": 2,
+    }  # fmt: skip
     return MotionEvalConfig(
         data=folder / "motions", checkpoint=folder / "tapmo.safetensors",
         extractor=folder / "extractor.safetensors", work=work, **{**small, **changes},
@@ -156,7 +132,7 @@ def test_the_same_seed_gives_the_same_table_and_a_cache_is_used(folder, tmp_path
     def refuse(*words, **options):
         raise AssertionError("the motions were made before")
 
-    monkeypatch.setattr("bunraku.generation.sampler.sample", refuse)
+    monkeypatch.setattr("bunraku_lab.evaluation.motion.samples.sample", refuse)
     again = evaluate_motion(settings(folder, tmp_path))
     assert again["rows"] == first["rows"]
 
@@ -249,15 +225,9 @@ def test_bad_settings_are_one_sentence(folder, tmp_path):
 
 def test_the_command_prints_the_table_and_json(folder, tmp_path, capsys):
     words = [
-        "evaluate",
-        "motion",
-        "--data",
-        str(folder / "motions"),
-        "--checkpoint",
-        str(folder / "tapmo.safetensors"),
-        "--steps",
-        "2",
-    ]
+        "evaluate", "motion", "--data", str(folder / "motions"), "--checkpoint", str(folder / "tapmo.safetensors"),
+        "--steps", "2",
+    ]  # fmt: skip
     words += ["--extractor", str(folder / "extractor.safetensors"), "--work", str(tmp_path)]
     words += ["--pool", "40", "--clips", "32", "--quick", "--only", "table", "--candidates", "4"]
     assert main([*words, "--json"]) == 0

@@ -25,14 +25,7 @@ from bunraku.retarget.mmd_motion import standard_model
 from bunraku.retarget.rig_parts import RigParts
 from bunraku_lab.evaluation.transfer.character import ground_heights, limb_angles, off_ground
 from bunraku_lab.evaluation.transfer.quadrupeds import measure_quadrupeds
-from bunraku_lab.evaluation.transfer.table import (
-    BARS,
-    KINDS,
-    evaluate_transfer,
-    leg_reach,
-    measure_soles,
-    pick_motions,
-)
+from bunraku_lab.evaluation.transfer.table import BARS, KINDS, evaluate_transfer, leg_reach, measure_soles, pick_motions
 from bunraku_lab.synthetic.samples import make_sample
 
 MMD = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/mmd")

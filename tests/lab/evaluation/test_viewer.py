@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from look import hands_in_body, sliding_contacts
 
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
@@ -14,7 +15,6 @@ from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion.viewer import (
     DOERS,
     floating,
-    hands_in_body,
     heading_drift,
     kicking_side,
     lowest_points,
@@ -22,7 +22,6 @@ from bunraku_lab.evaluation.motion.viewer import (
     punching_side,
     raised_side,
     sits,
-    sliding_contacts,
     stepped_side,
     tremor,
     turned,
@@ -221,11 +220,9 @@ def test_captured_clips_of_the_same_words(tmp_path):
     add("kicks", "a person kicks", "train", stretches=parts)
     write_index(tmp_path, index)
     wanted = {
-        "walk": Captured("", "walk", r"\bwalk", r"\bslow"),
-        "slow walk": Captured("", "walk", r"\bslow"),
-        "kick": Captured("", "kick"),
-        "run": Captured("", "run"),
-    }
+        "walk": Captured("", "walk", r"\bwalk", r"\bslow"), "slow walk": Captured("", "walk", r"\bslow"),
+        "kick": Captured("", "kick"), "run": Captured("", "run"),
+    }  # fmt: skip
     found = captured_clips(tmp_path, wanted)
     assert {name: len(clips) for name, clips in found.items()} == {"walk": 8, "slow walk": 1, "kick": 1, "run": 0}
     assert len(found["kick"][0]) == 30 and moving_speed(found["walk"][0]) == pytest.approx(1, rel=1e-3)

@@ -38,12 +38,10 @@ from bunraku_lab.nn.running import (
 from bunraku_lab.nn.text import Extractor, load_extractor, save_extractor
 
 KINDS = {
-    "plain": {},
-    "one frame a token": {"frames_per_token": 1},
-    "examples": {"examples": 3},
+    "plain": {}, "one frame a token": {"frames_per_token": 1}, "examples": {"examples": 3},
     "mesh in the adaptation": {"adaptation_mesh": True},
     "joints": {"features": 271, "handles": 30, "adaptation_frame": "joints"},
-}
+}  # fmt: skip
 
 
 def randomised(model, seed=0):
@@ -209,13 +207,9 @@ def test_a_resumed_run_is_the_uninterrupted_one(tmp_path):
     _train(model, optimizer, generator, 3)
     numpy_state = np.random.default_rng(4).bit_generator.state
     state = TrainingState(
-        3,
-        {"model": model.state_dict()},
-        {"adam": optimizer.state_dict()},
-        {"lr": 0.1},
-        {"rng": numpy_state},
+        3, {"model": model.state_dict()}, {"adam": optimizer.state_dict()}, {"lr": 0.1}, {"rng": numpy_state},
         {"noise": generator.get_state()},
-    )
+    )  # fmt: skip
     save_training_state(tmp_path / "s.safetensors", state)
     back = load_training_state(tmp_path / "s.safetensors")
     model, optimizer, _ = _parts()

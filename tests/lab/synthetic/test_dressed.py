@@ -33,11 +33,9 @@ J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
 def body_piece():
     body = reference_body()
     return Piece(
-        body.vertices.astype(np.float64),
-        body.faces,
-        body.joint_weights.astype(np.float64),
+        body.vertices.astype(np.float64), body.faces, body.joint_weights.astype(np.float64),
         body.handle_weights.astype(np.float64),
-    )
+    )  # fmt: skip
 
 
 def angle_below(joints, a, b):

@@ -92,15 +92,9 @@ def settings(swings, bank_path, denoiser, tmp_path):
     torch.nn.init.zeros_(model.adaptation_out.bias)
     path = save_denoiser(tmp_path / "denoiser.safetensors", model, {"characters": 3}, half=False)
     small = {
-        "pairs": 8,
-        "frames": 16,
-        "steps": 4,
-        "batch": 4,
-        "edges": 150,
-        "mesh_size": 4,
-        "validate_every": 2,
+        "pairs": 8, "frames": 16, "steps": 4, "batch": 4, "edges": 150, "mesh_size": 4, "validate_every": 2,
         "device": "cpu",
-    }
+    }  # fmt: skip
     return lambda **how: AdaptationConfig(
         **{"diffusion": path, "cache": bank_path, "data": swings, "out": tmp_path / "run", **small, **how}
     )

@@ -34,7 +34,6 @@ from bunraku_lab.training.apparel.displacement import (
     build_bank,
     truly_clothed,
 )
-from bunraku_lab.training.apparel.mesh_bank import build_meshes
 from bunraku_lab.training.apparel.refinement import (
     RefinementConfig,
     RefinementNetwork,
@@ -46,6 +45,7 @@ from bunraku_lab.training.apparel.refinement import (
 from bunraku_lab.training.apparel.segmentation import (
     SegmentationTrainConfig,
     SegmentationTrainer,
+    build_meshes,
     mask_iou,
     varied,
     welded_parts,

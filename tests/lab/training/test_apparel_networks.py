@@ -8,7 +8,7 @@ import torch
 from scipy.sparse.csgraph import dijkstra
 
 from bunraku.apparel.clothed import SIZE, ClothedCharacter
-from bunraku.apparel.learned.segmentation import SegmentationConfig, joint_distances, sampled_mesh
+from bunraku.apparel.learned.segmentation import SegmentationConfig, sampled_mesh
 from bunraku.apparel.nodes import apparel_parts
 from bunraku.core.body.layout import JOINT_COUNT
 from bunraku.core.body.reference import reference_body
@@ -27,6 +27,7 @@ from bunraku_lab.training.apparel.refinement import (
     refined,
     seam_of,
 )
+from bunraku_lab.training.apparel.segmentation import joint_distances
 from bunraku_lab.training.losses.motion import edge_loss, mask_loss, refinement_loss, smoothness_loss, vertex_loss
 
 

@@ -260,13 +260,9 @@ TOOL = Path(__file__).parents[3] / "tools" / "gpu.py"
 def call(tool, folder, *words, status=0):
     clean = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHONPATH", "BUNRAKU"))}
     done = subprocess.run(
-        [sys.executable, str(tool), *map(str, words)],
-        cwd=folder,
-        env=clean,
-        capture_output=True,
-        text=True,
+        [sys.executable, str(tool), *map(str, words)], cwd=folder, env=clean, capture_output=True, text=True,
         timeout=900,
-    )
+    )  # fmt: skip
     assert done.returncode == status, done.stderr
     return done.stdout + done.stderr
 

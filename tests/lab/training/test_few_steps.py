@@ -11,7 +11,8 @@ from bunraku.generation.classifier_guidance import ClassifierGuidance, Spoken
 from bunraku.generation.denoiser import load_denoiser, load_denoiser_of_few_steps, load_few_steps
 from bunraku.generation.extractor import RADIUS, ExtractorConfig
 from bunraku.generation.features import FeatureStatistics
-from bunraku.generation.sampler import Solver, Steering, Window, alphas_cumprod, sample, sample_windows
+from bunraku.generation.sampler import Solver, Steering, Window, alphas_cumprod, sample_windows
+from bunraku_lab.evaluation.motion.samples import sample
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.denoiser import load_denoiser as load_torch_denoiser
 from bunraku_lab.nn.denoiser import save_denoiser
@@ -147,15 +148,9 @@ def test_trajectories_begin_at_noised_captures_or_where_the_student_is(teacher, 
 def test_the_student_comes_near_to_its_teacher_and_runs(teacher, swings, encoder, tmp_path):
     """Four steps of a trained student end nearer to twenty guided ones than four steps without changes do."""
     how = {
-        "data": swings,
-        "diffusion": teacher,
-        "guidance": 1.5,
-        "rank": 8,
-        "batch": 8,
-        "rows": 8,
-        "rate": 3e-3,
+        "data": swings, "diffusion": teacher, "guidance": 1.5, "rank": 8, "batch": 8, "rows": 8, "rate": 3e-3,
         "critic": False,
-    }
+    }  # fmt: skip
     config = FewStepsConfig(out=tmp_path / "run", minutes=0, steps=150, validate_every=50, bf16=False, uses=4, **how)
     log = []
     path = train_few_steps(config, log.append, encoder=encoder)
@@ -176,15 +171,9 @@ def test_the_student_comes_near_to_its_teacher_and_runs(teacher, swings, encoder
 
 def test_a_stopped_run_goes_on(teacher, swings, encoder, tmp_path):
     how = {
-        "data": swings,
-        "diffusion": teacher,
-        "minutes": 0,
-        "validate_every": 2,
-        "batch": 4,
-        "rows": 4,
-        "bf16": False,
+        "data": swings, "diffusion": teacher, "minutes": 0, "validate_every": 2, "batch": 4, "rows": 4, "bf16": False,
         "critic": False,
-    }
+    }  # fmt: skip
     train_few_steps(FewStepsConfig(out=tmp_path / "run", steps=2, **how), encoder=encoder)
     path = train_few_steps(FewStepsConfig(out=tmp_path / "run", steps=4, **how), encoder=encoder)
     state = load_training_state(path.with_name("state.safetensors"))

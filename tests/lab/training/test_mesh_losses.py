@@ -224,19 +224,15 @@ def learning(bank):
 
 def test_rows_are_drawn_from_people_without_a_character_of_their_own(learning):
     draw = learning.draw(
-        np.random.default_rng(0),
-        np.array([40, 5, 60, 30]),
-        [None, None, "quaternius/animals_pack/Horse", None],
+        np.random.default_rng(0), np.array([40, 5, 60, 30]), [None, None, "quaternius/animals_pack/Horse", None],
         cross=0.0,
-    )
+    )  # fmt: skip
     assert draw.rows.tolist() == [0, 3] and draw.frames == 12 and draw.picked.shape == (2, 100)
     assert bool(learning.bank.humanoid[draw.characters].all()) and bool((draw.characters > 0).all())
     again = learning.draw(
-        np.random.default_rng(0),
-        np.array([40, 5, 60, 30]),
-        [None, None, "quaternius/animals_pack/Horse", None],
+        np.random.default_rng(0), np.array([40, 5, 60, 30]), [None, None, "quaternius/animals_pack/Horse", None],
         cross=0.0,
-    )
+    )  # fmt: skip
     assert torch.equal(draw.starts, again.starts) and torch.equal(draw.characters, again.characters)
     assert learning.draw(np.random.default_rng(0), np.array([40]), ["a creature"], 0.0) is None
 

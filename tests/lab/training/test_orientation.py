@@ -34,14 +34,9 @@ def characters():
 
 def settings(tmp_path, **changes):
     values = {
-        "cache": tmp_path / "cache",
-        "out": tmp_path / "run",
-        "minutes": 0,
-        "steps": 6,
-        "batch": 2,
-        "warmup": 2,
+        "cache": tmp_path / "cache", "out": tmp_path / "run", "minutes": 0, "steps": 6, "batch": 2, "warmup": 2,
         "validate_every": 3,
-    }
+    }  # fmt: skip
     return OrientationTrainConfig(predictor=SMALL, **(values | changes))
 
 

@@ -108,9 +108,8 @@ def guess_orientation(
 ) -> Orientation:
     """The likeliest up axis of a character, and the likeliest front with that axis up.
 
-    Evidence and what files of its kind are like are combined (`orientation_evidence`): the network, which
-    sees the shape; the ground, where the lowest point is at 0; the plane that mirrors left and right; what the
-    shape would rest on; where its top leans; where its colours vary most; and bones whose names tell left from right.
+    Combined are the network, which sees the shape, the evidence of `orientation_evidence.EVIDENCE`, what files of its
+    kind are like, and bones whose names tell left from right.
 
     Args:
         character: Any mesh.
@@ -233,12 +232,9 @@ def resolve_axes(
     suffix = _suffix(character) if suffix is None else suffix
     rule = has_rule(suffix) and said == [None, None]
     # What is said against a rule says that the file breaks it, so the rest is judged as in a format without one.
-    guess = guess_orientation(character, up=said[0], front=said[1], suffix=suffix if rule else _bare(suffix))
+    kind = "" if has_rule(suffix) and not rule else suffix
+    guess = guess_orientation(character, up=said[0], front=said[1], suffix=kind)
     return ResolvedAxes(*resolved_axes(guess, rule), guess)
-
-
-def _bare(suffix: str) -> str:
-    return "" if has_rule(suffix) else suffix
 
 
 def resolved_axes(guess: Orientation, rule: bool = False) -> tuple[str, str]:

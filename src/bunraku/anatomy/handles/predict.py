@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 
 from bunraku.anatomy.handles.blocks import rigid_handles
-from bunraku.anatomy.handles.extra_limbs import split_limbs, with_appendages
+from bunraku.anatomy.handles.limbs import split_limbs, with_appendages
 from bunraku.anatomy.handles.repairs import SeatParts, repaired
 from bunraku.core.body.layout import HANDLE_MIRROR
 from bunraku.core.body.reference import handle_positions

@@ -12,6 +12,7 @@ from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES, 
 from bunraku.core.body.reference import handle_positions
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.axes import AXES, axis_vector
+from bunraku.core.motion import line_up
 from bunraku.errors import CharacterError
 
 __all__ = ["NO_HANDLE", "handle_of_joints", "limb_parents", "resolve_joints", "rig_axes", "rig_handles"]
@@ -36,11 +37,8 @@ class _Tree:
         self.words = [re.sub(r"[^a-z]", "", name.lower()) for name in names]
         self.mass = None if mass is None else np.asarray(mass, float)
         for joint, (_, _, _, target) in enumerate(read):
-            if (
-                target
-                and (self.mass is None or self.mass[joint] <= 0)
-                and self.kinds[joint] not in ("front_foot", "hind_paw")
-            ):
+            idle = self.mass is None or self.mass[joint] <= 0
+            if target and idle and self.kinds[joint] not in ("front_foot", "hind_paw"):
                 self.kinds[joint] = "none"
         self.children: list[list[int]] = [[] for _ in names]
         for joint, parent in enumerate(self.parents):
@@ -51,21 +49,15 @@ class _Tree:
         self._drop_idle()
         self.copies = [re.sub(r"\.\d+$", "", name) for name in names]
         for joint, kind in enumerate(self.kinds):  # words that mean one thing alone and another in company
-            above = [self.kinds[a] for a in self.above(joint)]
+            above, word = [self.kinds[a] for a in self.above(joint)], self.words[joint]
+            again = kind in above and "front" not in word
             if kind == "hips" and self.sides[joint]:
                 self.kinds[joint] = "leg" if self._bears_a_leg(joint) else "none"
-            elif (
-                kind == "collar"
-                and self.words[joint].endswith("shoulder")
-                and "collar" in above
-                and "front" not in self.words[joint]
-            ):
+            elif kind == "collar" and again and word.endswith("shoulder"):
                 self.kinds[joint] = "shoulder"
-            elif (
-                kind == "foot" and "foot" in above and "foot" in self.words[joint] and "front" not in self.words[joint]
-            ):
+            elif kind == "foot" and again and "foot" in word:
                 self.kinds[joint] = "toe"
-            elif kind in _LIMB_KINDS and "twist" in self.words[joint] and not self.children[joint] and kind in above:
+            elif kind in _LIMB_KINDS and "twist" in word and not self.children[joint] and kind in above:
                 self.kinds[joint] = ""  # a helper beside the limb that goes on below its own parent
 
     def _settle_sides(self, names: Sequence[str]) -> None:
@@ -175,13 +167,9 @@ def handle_of_joints(
     _empty_hands(tree, out)
     _between(tree, out)
     for joint in tree.of("held", ""):
-        parent = tree.parents[joint]
-        if (
-            parent >= 0
-            and out[parent] >= _H["neck"]
-            and (tree.kinds[joint] == "held" or out[parent] in (_H["head"], _H["face"]))
-        ):
-            out[joint] = out[parent]
+        part = out[tree.parents[joint]] if tree.parents[joint] >= 0 else NO_HANDLE
+        if part >= _H["neck"] and (tree.kinds[joint] == "held" or part in (_H["head"], _H["face"])):
+            out[joint] = part
     return out
 
 
@@ -205,9 +193,8 @@ def _legs(tree: _Tree, out: np.ndarray) -> None:
         upper = [bool(re.search(r"up(per)?leg|legup|uparm|armup", tree.words[j])) for j in chain]
         capped = any(tree.kinds[a] == "hip_bone" for a in tree.above(chain[0]))
         if chain[0] in front:
-            parts = (
-                ["shoulder", "elbow", "wrist"] if len(chain) != 3 or not upper[1] else ["collar", "shoulder", "elbow"]
-            )
+            collared = len(chain) == 3 and upper[1]
+            parts = ["collar", "shoulder", "elbow"] if collared else ["shoulder", "elbow", "wrist"]
         elif len(chain) >= 3 and upper[1] and not capped:
             parts = ["hip", "hip", "knee", "ankle"]
         else:
@@ -229,9 +216,8 @@ def _segments(tree: _Tree, chain: tuple[int, ...]) -> list[int]:
     """The first bone of each segment of a leg: `thigh.L.001` below `thigh.L` is its second half, unless all bones of
     the leg are called alike.
     """
-    firsts = [
-        joint for rank, joint in enumerate(chain) if rank == 0 or tree.copies[joint] != tree.copies[chain[rank - 1]]
-    ]
+    copies = [tree.copies[joint] for joint in chain]
+    firsts = [joint for rank, joint in enumerate(chain) if rank == 0 or copies[rank] != copies[rank - 1]]
     return firsts if len(firsts) > 1 else list(chain)
 
 
@@ -260,17 +246,12 @@ def _trunk(tree: _Tree, out: np.ndarray) -> None:
     if tree.of("main"):
         mains = tree.of("main")
         middle = len(mains) // 2 if len(mains) > 4 else 1
-        for rank, joint in enumerate(mains):
-            out[joint] = (
-                _H["head"]
-                if rank == 0
-                else _H["spine2"]
-                if rank == 1 < middle
-                else pelvis
-                if rank <= middle - (len(mains) > 4)
-                else -2
-            )
-        tail = [j for j in mains if out[j] == -2]
+        last = middle - (len(mains) > 4)
+        out[mains[: last + 1]] = pelvis
+        if middle > 1:
+            out[mains[1:2]] = _H["spine2"]
+        out[mains[0]] = _H["head"]
+        tail = mains[max(last + 1, 2 if middle > 1 else 1) :]
     elif swims:  # Spine1 is behind the head, the middle of the fish is its pelvis, what follows drives the tail
         out[spine[0]], out[spine[1]] = _H["spine2"], pelvis
         tail = spine[2:] + tail
@@ -294,9 +275,8 @@ def _trunk(tree: _Tree, out: np.ndarray) -> None:
             else:
                 spine.insert(0, joint)
         for joint in tree.of("root"):
-            if tree.child_kinds(joint) & limbs or (
-                tree.child_kinds(joint) & {"spine", "hips"} and not (out == pelvis).any()
-            ):
+            below = tree.child_kinds(joint)
+            if below & limbs or (below & {"spine", "hips"} and not (out == pelvis).any()):
                 out[joint] = pelvis
         spine = _without_head(tree, _by_height(tree, spine), out)
         _spread(spine, out)
@@ -343,9 +323,8 @@ def _between(tree: _Tree, out: np.ndarray) -> None:
         for upper, lower in (("shoulder", "elbow"), ("hip", "knee")):
             if (out == _H[f"{side}_{upper}"]).any():
                 continue
-            first = min(
-                np.flatnonzero(out == _H[f"{side}_{lower}"]).tolist(), key=lambda j: len(tree.above(j)), default=-1
-            )
+            lowers = np.flatnonzero(out == _H[f"{side}_{lower}"]).tolist()
+            first = min(lowers, key=lambda j: len(tree.above(j)), default=-1)
             above = tree.parents[first] if first >= 0 else -1
             if above >= 0 and out[above] == NO_HANDLE and tree.parents[above] >= 0:
                 out[above] = _H[f"{side}_{upper}"]
@@ -390,11 +369,7 @@ def limb_parents(handles: np.ndarray, parents: Sequence[int] | np.ndarray, posit
     for joint, handle in enumerate(handles):
         if handle <= 0:
             continue
-        limb = []
-        part = HANDLE_PARENTS[handle]
-        while part > 0:
-            limb.append(part)
-            part = HANDLE_PARENTS[part]
+        limb = [part for part in line_up(int(handle), HANDLE_PARENTS)[1:] if part > 0]
         chain = above(joint)
         if any(handles[a] in limb or handles[a] == handle for a in chain):
             continue
@@ -430,22 +405,12 @@ def rig_axes(
     """
     handles = handle_of_joints(names, parents)
     centres = {int(h): positions[handles == h].mean(axis=0) for h in np.unique(handles) if h != NO_HANDLE}
-    ends = next(
-        (
-            [centres[a], centres[b]]
-            for a, b in zip(_FEET[::2], _FEET[1::2], strict=True)
-            if a in centres and b in centres
-        ),
-        None,
-    )
-    if ends is None or any(top not in centres for top in _TOPS):
+    both = [(a, b) for a, b in zip(_FEET[::2], _FEET[1::2], strict=True) if a in centres and b in centres]
+    if not both or any(top not in centres for top in _TOPS):
         return None
-    up = np.mean([centres[top] for top in _TOPS], axis=0) - np.mean(ends, axis=0)
-    pairs = [
-        centres[h] - centres[m]
-        for h, m in enumerate(HANDLE_MIRROR)
-        if HANDLE_NAMES[h].startswith("left_") and h in centres and m in centres
-    ]
+    up = np.mean([centres[top] for top in _TOPS], axis=0) - np.mean([centres[foot] for foot in both[0]], axis=0)
+    mirrored = [(h, m) for h, m in enumerate(HANDLE_MIRROR) if HANDLE_NAMES[h].startswith("left_")]
+    pairs = [centres[h] - centres[m] for h, m in mirrored if h in centres and m in centres]
     lengths = np.linalg.norm(pairs, axis=1)
     left = np.sum(pairs, axis=0)
     if np.linalg.norm(left) < 0.7 * lengths.sum():  # left and right of the parts do not agree
@@ -502,9 +467,8 @@ def rig_handles(character: Character, least: int = 2) -> Handles:
     if len(np.unique(known[known != NO_HANDLE])) < least:
         some = ", ".join(rig.names[:3])
         raise CharacterError(
-            f"{character.name}: the names of the rig's {len(rig.names)} bones ({some} ...) do not tell which part "
-            "each moves; "
-            "rename them (hips, spine, head, left_hand ...) or let the handles be predicted"
+            f"{character.name}: the names of the rig's {len(rig.names)} bones ({some} ...) do not tell which part each "
+            "moves; rename them (hips, spine, head, left_hand ...) or let the handles be predicted"
         )
     weights = dense @ np.eye(HANDLE_COUNT, dtype=np.float32)[resolve_joints(known, rig.parents)]
     total = weights.sum(axis=1, keepdims=True)

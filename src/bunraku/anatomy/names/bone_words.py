@@ -82,27 +82,10 @@ _WIDE = str.maketrans(
     "０１２３４５６７８９ＡＢＣＤＥＦＧＨＩＪＫＬＭＮＯＰＱＲＳＴＵＶＷＸＹＺ", "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 )
 _DROP = {
-    "j",
-    "bip",
-    "bip01",
-    "bip001",
-    "sec",
-    "c",
-    "def",
-    "org",
-    "mch",
-    "jnt",
-    "joint",
-    "bn",
-    "b",
-    "end",
-    "mixamorig",
-    "cc",
-    "base",
-    "valvebiped",
-    "stretch",
-    "x",
-}
+    "j", "bip", "bip01", "bip001", "sec", "c", "def", "org", "mch", "jnt", "joint", "bn", "b", "end", "mixamorig", "cc",
+    "base", "valvebiped", "stretch", "x",
+}  # fmt: skip
+_CJK = re.compile(r"[\u3040-\u30ff\u4e00-\u9fff]")
 SHARED = 0.9  # of the names of a rig begin with its own name, where any do
 
 
@@ -116,7 +99,7 @@ def without_prefix(names: Sequence[str]) -> tuple[str, ...]:
 
     A prefix ends before a capital or behind a sign, so that it is whole words.
     """
-    known = sorted(name for name in names if not re.search(r"[\u3040-\u30ff\u4e00-\u9fff]", name))
+    known = sorted(name for name in names if not _CJK.search(name))
     if len(known) < 4:
         return tuple(names)
     spare = int((1 - SHARED) * len(known) / 2)
@@ -139,7 +122,7 @@ def part_of_name(name: str) -> tuple[str, int, int, bool]:
         there is none), and whether the name is that of an inverse-kinematics target.
     """
     plain = plain_name(name).split(":")[-1].split("|")[-1]
-    if re.search(r"[\u3040-\u30ff\u4e00-\u9fff]", plain):
+    if _CJK.search(plain):
         side = 1 if plain.startswith("左") else -1 if plain.startswith("右") else 0
         rest = plain[1:] if side else plain
         if any(rest.startswith(finger) for finger in _MMD_FINGERS):
@@ -264,23 +247,17 @@ _KIND_OF_END = {
     "earring": "ribbon",
 }  # fmt: skip
 _JAPANESE: tuple[tuple[str, str], ...] = (
-    (
-        "hair",
-        r"髪|おさげ|お下げ|アホ毛|あほ毛|くせ毛|ツインテ|ポニテ|ポニー|もみあげ|揉み上げ|触角|触覚|三つ編|みつあみ|お団子|横毛|ハネ毛|はね毛|ヘア",
-    ),
-    (
-        "skirt",
-        r"スカート|裾|すそ|ドレス|コート|ワンピ|フリル|前垂|前掛|エプロン|袴|着物|浴衣|羽織|ローブ|腰布|ジャケット|上着",
-    ),
+    ("hair", r"髪|おさげ|お下げ|アホ毛|あほ毛|くせ毛|ツインテ|ポニテ|ポニー|もみあげ|揉み上げ|触角|触覚|三つ編|"
+     r"みつあみ|お団子|横毛|ハネ毛|はね毛|ヘア"),
+    ("skirt", r"スカート|裾|すそ|ドレス|コート|ワンピ|フリル|前垂|前掛|エプロン|袴|着物|浴衣|羽織|"
+     r"ローブ|腰布|ジャケット|上着"),
     ("cape", r"マント|ケープ|クローク|ベール|ヴェール|ショール|布|フード"),
     ("sleeve", r"袖|そで|スリーブ"),
     ("tail", r"尻尾|しっぽ|シッポ|尾$"),
     ("ear", r"耳"),
-    (
-        "ribbon",
-        r"リボン|ネクタイ|マフラー|スカーフ|紐|ひも|帯|ベルト|鈴|飾|ピアス|イヤリング|ペンダント|ネックレス|チェーン|房|タッセル|羽根|襟|セーラー?|ストラップ",
-    ),
-)
+    ("ribbon", r"リボン|ネクタイ|マフラー|スカーフ|紐|ひも|帯|ベルト|鈴|飾|ピアス|イヤリング|ペンダント|ネックレス|"
+     r"チェーン|房|タッセル|羽根|襟|セーラー?|ストラップ"),
+)  # fmt: skip
 _JAPANESE_COMPILED = tuple((kind, re.compile(pattern)) for kind, pattern in _JAPANESE)
 # What is moved by something else even where a word of apparel is in its name.
 _NOT = re.compile(
@@ -292,7 +269,7 @@ _LIMBS = ("fingers", "wrist", "elbow", "shoulder", "leg", "arm_leg", "foot", "to
 def apparel_of_name(name: str) -> str:
     """The kind of apparel that a bone's name tells, one of `APPAREL_KINDS`; "" where it tells none."""
     plain = unicodedata.normalize("NFKC", name).split(":")[-1].split("|")[-1]  # kana and letters of half and full width
-    if re.search(r"[\u3040-\u30ff\u4e00-\u9fff]", plain):
+    if _CJK.search(plain):
         if "IK" in plain:
             return ""
         return next((kind for kind, pattern in _JAPANESE_COMPILED if pattern.search(plain)), "")
@@ -302,8 +279,5 @@ def apparel_of_name(name: str) -> str:
     for kind, pattern in _APPAREL_COMPILED:
         if any(pattern.match(word) for word in words):
             return kind
-    for word in words:
-        end = _ENDS.search(word)
-        if end:
-            return _KIND_OF_END[end[1]]
-    return ""
+    ends = [end for word in words if (end := _ENDS.search(word))]
+    return _KIND_OF_END[ends[0][1]] if ends else ""

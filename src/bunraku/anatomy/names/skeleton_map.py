@@ -56,7 +56,7 @@ _MMD_SIDED = {
     "ankle": ("足首",),
     "foot": ("足先EX", "つま先EX", "つま先"),
 }  # fmt: skip
-_MMD_NEEDED = ("pelvis", "left_hip", "right_hip", "left_knee", "right_knee")
+_NEEDED = ("pelvis", "left_hip", "right_hip", "left_knee", "right_knee")
 
 
 def mmd_skeleton_map(names: Sequence[str]) -> SkeletonMap | None:
@@ -79,12 +79,11 @@ def mmd_skeleton_map(names: Sequence[str]) -> SkeletonMap | None:
         }
     found["spine3"] = first("上半身3", "上半身2")
     found["spine2"] = first("上半身2") if "上半身3" in number else -1
-    if min(found[name] for name in _MMD_NEEDED) < 0:
+    if min(found[name] for name in _NEEDED) < 0:
         return None
-    joints = np.array([found[name] for name in JOINT_NAMES])
-    return SkeletonMap(
-        tuple(int(joint) for joint in joints), tuple("name" if joint >= 0 else "" for joint in joints), "MikuMikuDance"
-    )
+    joints = [found[name] for name in JOINT_NAMES]
+    how = tuple("name" if joint >= 0 else "" for joint in joints)
+    return SkeletonMap(tuple(joints), how, "MikuMikuDance")
 
 
 ALIKE = 0.15  # twins differ by less than this share in length
@@ -175,11 +174,9 @@ def joints_by_structure(skeleton: Skeleton, mass: np.ndarray | None = None) -> d
     lines = [chain(joint) for joint in legs[1:]]
     if len(lines[0]) >= 4 and length[lines[0][1]] < SHORT_BONE * length[lines[0][2]]:
         lines = [line[1:] for line in lines]
-    toes = (
-        np.sum([positions[line[3]] - positions[line[2]] for line in lines if len(line) > 3], axis=0)
-        if len(lines[0]) > 3
-        else np.zeros(3)
-    )
+    toes = np.zeros(3)
+    if len(lines[0]) > 3:
+        toes = np.sum([positions[line[3]] - positions[line[2]] for line in lines if len(line) > 3], axis=0)
     forward = np.array([toes[0], 0, toes[2]]) if np.hypot(toes[0], toes[2]) > 1e-6 else np.array([0.0, 0, 1])
     left = np.cross([0, 1, 0], forward)
     for line, side in zip(lines, _sides(lines, positions, left), strict=True):
@@ -209,8 +206,6 @@ def _sides(lines: list[list[int]], positions: np.ndarray, left: np.ndarray) -> t
     across = [float(positions[line].mean(axis=0) @ left) for line in lines]
     return ("left", "right") if across[0] >= across[1] else ("right", "left")
 
-
-_NEEDED = ("pelvis", "left_hip", "right_hip", "left_knee", "right_knee")
 
 # What the words of a name mean once its side and prefix are off; earlier words are taken before later ones.
 _MIDDLE = {"pelvis": ("hips", "pelvis", "hip", "hipscenter"), "neck": ("neck",), "head": ("head",)}
@@ -277,18 +272,8 @@ def map_skeleton(skeleton: Skeleton, names: Mapping[str, str] | None = None) -> 
     handles = handle_of_joints(skeleton.names, parents, skeleton.positions)
     for index, name in enumerate(JOINT_NAMES):
         if not name.startswith("spine"):
-            take(
-                name,
-                next(
-                    (
-                        int(joint)
-                        for joint in np.flatnonzero(handles == index)
-                        if _fits(int(joint), index, joints, parents)
-                    ),
-                    -1,
-                ),
-                "rig",
-            )
+            own = np.flatnonzero(handles == index).tolist()
+            take(name, next((joint for joint in own if _fits(joint, index, joints, parents)), -1), "rig")
     if min(joints[_J[name]] for name in _NEEDED) < 0:
         for name, joint in joints_by_structure(skeleton).items():
             take(name, joint, "structure")
@@ -371,11 +356,8 @@ def _trunk(joints: np.ndarray, parents: list[int]) -> dict[str, int]:
     lines = [line_up(joint, parents)[1:] for joint in (top if min(arms) < 0 else arms)]
     chest = next((joint for joint in lines[0] if all(joint in line for line in lines)), -1)
     leg_lines = {joint for leg in legs if leg >= 0 for joint in line_up(leg, parents)}
-    spine = (
-        [joint for joint in reversed(line_up(chest, parents)) if joint not in leg_lines and joint not in joints]
-        if chest >= 0
-        else []
-    )
+    taken = leg_lines | set(joints.tolist())
+    spine = [joint for joint in reversed(line_up(chest, parents)) if joint not in taken] if chest >= 0 else []
     if spine:
         out["spine3"] = spine[-1]
         if len(spine) > 1:

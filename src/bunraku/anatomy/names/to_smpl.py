@@ -50,23 +50,16 @@ def to_smpl(motion: SkeletalMotion, skeleton_map: SkeletonMap | None = None) -> 
     found = skeleton_map or map_skeleton(motion.skeleton)
     world, positions = motion.world()
     rest = motion.skeleton.positions.astype(float)
-    rotations = (
-        rotations_of_rest(found, rest)
-        if rest_is_a_pose(motion.skeleton, found)
-        else _rotations_of_motion(found, world, positions)
-    )
+    by_rest = rest_is_a_pose(motion.skeleton, found)
+    rotations = rotations_of_rest(found, rest) if by_rest else _rotations_of_motion(found, world, positions)
     out = np.empty((len(motion), JOINT_COUNT, 3, 3))
     for joint, parent in enumerate(JOINT_PARENTS):
         source = found.joints[joint]
         out[:, joint] = world[:, source] @ rotations[joint] if source >= 0 else out[:, parent]
     offsets = _offsets(found, out, positions)
     parents = np.array(JOINT_PARENTS)
-    return SkeletalMotion(
-        Skeleton(JOINT_NAMES, parents, offsets),
-        local_rotations(out, parents),
-        positions[:, found.joints[0]],
-        motion.fps,
-    )
+    skeleton = Skeleton(JOINT_NAMES, parents, offsets)
+    return SkeletalMotion(skeleton, local_rotations(out, parents), positions[:, found.joints[0]], motion.fps)
 
 
 def rest_is_a_pose(skeleton: Skeleton, skeleton_map: SkeletonMap) -> bool:
@@ -75,13 +68,8 @@ def rest_is_a_pose(skeleton: Skeleton, skeleton_map: SkeletonMap) -> bool:
     """
     positions = skeleton.positions.astype(float)
     up, across = _up(skeleton_map, positions), _across(skeleton_map, positions, ("hip",))
-    legs = np.mean(
-        [
-            positions[skeleton_map.of(f"{side}_knee")] - positions[skeleton_map.of(f"{side}_hip")]
-            for side in ("left", "right")
-        ],
-        axis=0,
-    )
+    knees, hips = ([skeleton_map.of(f"{side}_{part}") for side in ("left", "right")] for part in ("knee", "hip"))
+    legs = np.mean(positions[knees] - positions[hips], axis=0)
     scale = max(float(np.linalg.norm(up)) * float(np.linalg.norm(legs)), 1e-12)
     wide = np.linalg.norm(across) > 1e-6 and abs(across @ up) < 0.7 * np.linalg.norm(across) * np.linalg.norm(up)
     return bool(up @ legs < -0.3 * scale and wide)
@@ -89,10 +77,8 @@ def rest_is_a_pose(skeleton: Skeleton, skeleton_map: SkeletonMap) -> bool:
 
 def _up(found: SkeletonMap, positions: np.ndarray) -> np.ndarray:
     """From between the hips to the neck, or to the highest part of the trunk that there is."""
-    top = next(
-        (found.of(name) for name in ("neck", "head", "spine3", "spine2", "spine1") if found.of(name) >= 0),
-        found.joints[0],
-    )
+    tops = [found.of(name) for name in ("neck", "head", "spine3", "spine2", "spine1")]
+    top = next((joint for joint in tops if joint >= 0), found.joints[0])
     return np.asarray(positions[top] - (positions[found.of("left_hip")] + positions[found.of("right_hip")]) / 2)
 
 
@@ -137,9 +123,8 @@ def rotations_of_rest(found: SkeletonMap, positions: np.ndarray) -> np.ndarray:
         out[_J[f"{side}_wrist"]] = out[_J[f"{side}_elbow"]]
         ankle, foot = _J[f"{side}_ankle"], _J[f"{side}_foot"]
         if min(found.joints[ankle], found.joints[foot]) >= 0:
-            out[[ankle, foot]] = _foot(
-                positions[found.joints[foot]] - positions[found.joints[ankle]], body, offsets[foot]
-            )
+            bone = positions[found.joints[foot]] - positions[found.joints[ankle]]
+            out[[ankle, foot]] = _foot(bone, body, offsets[foot])
     return out
 
 
@@ -172,21 +157,16 @@ def _rotations_of_motion(found: SkeletonMap, world: np.ndarray, positions: np.nd
         child = _CHILD.get(joint, -1)
         if joint in (0, _J["spine3"]):
             parts = ("hip",) if joint == 0 else ("collar", "shoulder")
-            top = next(
-                (some for some in (_J["neck"], _J["head"], 9, 6, 3) if found.joints[some] >= 0 and some > joint), -1
-            )
+            tops = (_J["neck"], _J["head"], 9, 6, 3)
+            top = next((some for some in tops if found.joints[some] >= 0 and some > joint), -1)
             across = local(np.stack([_across(found, points, parts) for points in positions]))
-            base = (
-                positions[:, source]
-                if joint
-                else (positions[:, found.of("left_hip")] + positions[:, found.of("right_hip")]) / 2
-            )
+            hips = (positions[:, found.of("left_hip")] + positions[:, found.of("right_hip")]) / 2
+            base = positions[:, source] if joint else hips
             low = known.joints[joint] if joint else (known.joints[1] + known.joints[2]) / 2
             up = local(positions[:, found.joints[top]] - base) if top >= 0 else np.zeros(3)
             if np.linalg.norm(np.cross(across, up)) > 1e-9:
-                out[joint] = (
-                    _axes(across, up) @ _axes(_across(identity, known.joints, parts), known.joints[top] - low).T
-                )
+                theirs = _axes(_across(identity, known.joints, parts), known.joints[top] - low)
+                out[joint] = _axes(across, up) @ theirs.T
         elif child >= 0 and found.joints[child] >= 0:
             want = known.skeleton.offsets[child].astype(float)
             bone = local(positions[:, found.joints[child]] - positions[:, source])
@@ -195,9 +175,8 @@ def _rotations_of_motion(found: SkeletonMap, world: np.ndarray, positions: np.nd
             out[joint] = plain @ _untwisted(np.swapaxes(own[:, parent], -1, -2) @ turned, want)
             lower = LIMB_CHILD.get(child, -1)
             if joint in LIMB_CHILD and lower >= 0 and found.joints[lower] >= 0:
-                bent = np.einsum(
-                    "nji,nj->ni", turned, positions[:, found.joints[lower]] - positions[:, found.joints[child]]
-                )
+                next_bone = positions[:, found.joints[lower]] - positions[:, found.joints[child]]
+                bent = np.einsum("nji,nj->ni", turned, next_bone)
                 hinge = _hinged(bent, want, 1 if joint in (_J["left_shoulder"], _J["right_shoulder"]) else -1)
                 out[joint] = out[joint] if hinge is None else plain @ hinge
         else:  # straight on its parent, in the mean
@@ -216,13 +195,8 @@ def _untwisted(relative: np.ndarray, axis: np.ndarray) -> np.ndarray:
 
 
 def _hinged(bent: np.ndarray, axis: np.ndarray, direction: int) -> np.ndarray | None:
-    """The roll of a limb that makes the next one bend forward (1) or backward (-1) in the mean, shape (3, 3); None
-    where it hardly bends.
-
-    Args:
-        bent: Where the next limb points in the limb's axes, shape (N, 3).
-        axis: Where the limb points, shape (3,).
-        direction: Elbows bend forward, knees backward.
+    """The roll of a limb that points along an axis (3,) and makes the next one, which points along `bent` (N, 3), bend
+    forward (1) or backward (-1) in the mean, shape (3, 3); None where it hardly bends.
     """
     axis = axis / max(float(np.linalg.norm(axis)), 1e-12)
     square = np.array([0.0, 0, direction]) - axis * (axis[2] * direction)
@@ -254,9 +228,8 @@ def _offsets(found: SkeletonMap, world: np.ndarray, positions: np.ndarray) -> np
             out[some] = direction * lengths[some] / max(float(lengths[todo].sum()), 1e-9)
             placed[some] = True
     plain = Skeleton(JOINT_NAMES, np.array(JOINT_PARENTS), out)
-    scale = (
-        leg_length(plain.positions) / leg_length(known.joints) if all(placed[some] for some in (4, 5, 7, 8)) else 1.0
-    )
+    legs = all(placed[some] for some in (4, 5, 7, 8))
+    scale = leg_length(plain.positions) / leg_length(known.joints) if legs else 1.0
     for joint in range(1, JOINT_COUNT):
         if not placed[joint]:
             out[joint] = known.skeleton.offsets[joint] * scale

@@ -8,7 +8,6 @@ from itertools import product
 
 import numpy as np
 
-from bunraku.apparel.chains.chain import Chain
 from bunraku.apparel.chains.chain_rig import Chained
 from bunraku.apparel.chains.moving import steady_simulation
 from bunraku.core.animation import RigAnimation
@@ -20,42 +19,38 @@ __all__ = ["VrmValues", "between_frames", "fitted_springs", "link_turns", "mmd_a
 RATE = 60  # steps a second
 
 
-@dataclass(frozen=True, eq=False)
-class VrmValues:
-    """Settings of a link: stiffness, drag and gravity power, each of shape (C, S) or one that fits."""
-
-    stiffness: np.ndarray
-    drag: np.ndarray
-    gravity: np.ndarray
+VrmValues = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Stiffness, drag and gravity power of links, each of shape (C, S) or one that fits."""
 
 
-def between_frames(turns: np.ndarray, places: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (N, ..., 3, 3) and positions (N, ..., 3) of frames at the times of VRM's steps: positions go straight,
-    rotations are those of the nearest frame. The first is the first frame's, the last the last one's.
+def between_frames(turns: np.ndarray, positions: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (N, ..., 3, 3) and positions (N, ..., 3) of frames at the times of VRM's steps: positions linear,
+    rotations those of the nearest frame.
     """
     parts = max(1, round(RATE / fps))
-    time = np.arange((len(places) - 1) * parts + 1) / parts
-    before = np.minimum(time.astype(np.int64), len(places) - 1)
-    after = np.minimum(before + 1, len(places) - 1)
-    share = (time - before).reshape(-1, *[1] * (places.ndim - 1))
-    return turns[np.where(time - before > 0.5, after, before)], (1 - share) * places[before] + share * places[after]
+    time = np.arange((len(positions) - 1) * parts + 1) / parts
+    before = np.minimum(time.astype(np.int64), len(positions) - 1)
+    after = np.minimum(before + 1, len(positions) - 1)
+    share = (time - before).reshape(-1, *[1] * (positions.ndim - 1))
+    return turns[np.where(time - before > 0.5, after, before)], (1 - share) * positions[before] + share * positions[
+        after
+    ]
 
 
 def vrm_steps(turns: np.ndarray, heads: np.ndarray, bones: np.ndarray, values: VrmValues) -> Iterator[np.ndarray]:
-    """Where the tails of C links are, without colliders, step by step as VRM's specification moves them: `x += (1 -
-    drag) dx + stiffness dt rest + gravity dt down`, and then back to its length. What hangs on a link does not pull at
-    it.
+    """Tails of C links, without colliders, step by step as VRM's specification moves them: `x += (1 - drag) dx +
+    stiffness dt rest + gravity dt down`, and then back to its length. What hangs on a link does not pull at it.
 
     Args:
-        turns: World rotation of what each link hangs on at each step, shape (T, C, 3, 3).
-        heads: Where each link begins [m], shape (T, C, 3).
+        turns: World rotation of the holder of each link at each step, shape (T, C, 3, 3).
+        heads: Beginning of each link [m], shape (T, C, 3).
         bones: From the beginning of each link to its tail at rest [m], shape (C, 3).
         values: S settings of each link.
 
     Yields:
         T times positions [m], shape (C, S, 3).
     """
-    stiffness, drag, gravity = np.broadcast_arrays(values.stiffness, values.drag, values.gravity)
+    stiffness, drag, gravity = np.broadcast_arrays(*values)
     length = np.linalg.norm(bones, axis=1)[:, None, None]
     aims = np.einsum("tcab,cb->tca", turns, bones / np.maximum(length[:, 0], 1e-9))[:, :, None]
     keep, back = (1 - drag)[..., None], (stiffness / RATE)[..., None]
@@ -70,12 +65,8 @@ def vrm_steps(turns: np.ndarray, heads: np.ndarray, bones: np.ndarray, values: V
 
 
 def link_turns(turns: np.ndarray, heads: np.ndarray, bones: np.ndarray, tails: np.ndarray) -> np.ndarray:
-    """World rotations of C links whose tails are known: by the least turn from where what they hang on holds them,
-    shape (T, C, 3, 3).
-
-    Args:
-        turns, heads, bones: As in `vrm_steps`.
-        tails: [m], shape (T, C, 3).
+    """World rotations of C links with known tails [m], shape (T, C, 3): the least rotation from where the holder takes
+    them, shape (T, C, 3, 3); other arguments as of `vrm_steps`.
     """
     aims = np.einsum("tcab,cb->tca", turns, bones)
     aims /= np.maximum(np.linalg.norm(aims, axis=-1, keepdims=True), 1e-9)
@@ -104,22 +95,15 @@ _GRID = np.array([(stiffness, drag, stiffness * sag) for stiffness, drag, sag in
 
 @dataclass(frozen=True)
 class _Sway:
-    """A motion made of sines.
+    """A motion made of sines."""
 
-    Args:
-        seconds: Its length [s].
-        turns: How far the body bends, turns and leans [rad].
-        aside, up: How far it goes aside and up and down, over its height.
-        pace: How fast it goes forward, heights a second; of the first, to and fro by a quarter of its height.
-        legs: How far legs swing from the hip [rad]; knees bend by twice as much.
-    """
-
-    seconds: float
-    turns: tuple[float, float, float]
+    seconds: float  # its length [s]
+    turns: tuple[float, float, float]  # how far the body bends, turns and leans [rad]
+    # aside, up: how far it goes aside and up and down, over its height
     aside: float
     up: float
-    pace: float
-    legs: float
+    pace: float  # how fast it goes forward, heights a second; 0 for to and fro by a quarter of its height
+    legs: float  # how far legs swing from the hip [rad]; knees bend by twice as much
 
 
 _STANDING = _Sway(5.0, (0.25, 0.6, 0.2), 0.1, 0.02, 0.0, 0.4)
@@ -128,83 +112,82 @@ _GOING = tuple(_Sway(6.0, (0.12 * much, 0.3 * much, 0.08 * much), 0.04, 0.015, p
 STEP = 0.9  # steps of each leg a second [1/s]
 
 
-def fitted_springs(made: Chained) -> list[np.ndarray]:
+def fitted_springs(chained: Chained) -> list[np.ndarray]:
     """Stiffness, drag and gravity power of each link of each chain, each of shape (R, 3)."""
-    values = VrmValues(*_GRID.T)
-    paths = [_Path.of(made, sway) for sway in (_STANDING, *_GOING)]
-    out: list[np.ndarray] = [np.zeros((len(chain), 3)) for chain in made.chains]
-    for link in range(max(map(len, made.chains), default=0)):
-        rows = [number for number, chain in enumerate(made.chains) if len(chain) > link]
-        bones = np.stack([made.chains[number].points[link + 1] - made.chains[number].points[link] for number in rows])
+    values = (_GRID[:, 0], _GRID[:, 1], _GRID[:, 2])
+    paths = [_Path.of(chained, sway) for sway in (_STANDING, *_GOING)]
+    out: list[np.ndarray] = [np.zeros((len(chain), 3)) for chain in chained.chains]
+    for link in range(max(map(len, chained.chains), default=0)):
+        rows = [number for number, chain in enumerate(chained.chains) if len(chain) > link]
+        lines = [chained.chains[number].points for number in rows]
+        bones = np.stack([line[link + 1] - line[link] for line in lines])
         best = sum(path.errors(link, rows, bones, values) for path in paths).argmin(axis=1)  # type: ignore[union-attr]
         for number, chosen in zip(rows, _GRID[best], strict=True):
             out[number][link] = chosen
         for path in paths:
-            path.go_on(rows, bones, VrmValues(*_GRID[best].T[:, :, None]))
+            path.go_on(rows, bones, (*_GRID[best].T[:, :, None],))
     return out
 
 
 class _Path:
-    """A motion, where the links of C chains go in our simulation, and where VRM's steps have brought the link above.
-
-    Args:
-        turns, heads: Of what the first link of each chain hangs on at each step, shapes (T, C, 3, 3) and (T, C, 3).
-        tails: Of each chain in our simulation, shape (N, R, 3).
-        rigid: How far these are in the mean from where they would be without one [m], shape (C,).
+    """A motion, where the links of C chains go in our simulation, and where VRM's steps have brought the link above:
+    rotations (T, C, 3, 3) and positions (T, C, 3) of the holder of each chain's first link, the tails of each chain (N,
+    R, 3), and their mean distance from where they would be without a simulation [m], (C,).
     """
 
     def __init__(self, turns: np.ndarray, heads: np.ndarray, tails: Sequence[np.ndarray], rigid: np.ndarray):
         self.turns, self.heads, self.tails, self.rigid = turns, heads, tails, rigid
 
     @classmethod
-    def of(cls, made: Chained, sway: _Sway) -> _Path:
-        moved = _swaying(made, sway)
-        rotations, places = steady_simulation(moved, made.rig()).animation.world()
+    def of(cls, chained: Chained, sway: _Sway) -> _Path:
+        moved = _swaying(chained, sway)
+        rotations, positions = steady_simulation(moved, chained.rig()).animation.world()
         still = moved.world()[1]
-        bones = [[*chain.bones[1:], end] for chain, end in zip(made.chains, made.ends, strict=True)]
+        bones = [[*chain.bones[1:], end] for chain, end in zip(chained.chains, chained.ends, strict=True)]
         holders, firsts = ([int(bone) for bone in row] for row in zip(
-            *((chain.holder, chain.bones[0]) for chain in made.chains), strict=True))  # fmt: skip
-        turns, heads = between_frames(rotations[:, holders], places[:, firsts], FPS)
-        rigid = [np.linalg.norm(places[:, own] - still[:, own], axis=-1).mean() for own in bones]
-        return cls(turns, heads, [places[:, own] for own in bones], np.maximum(rigid, 1e-6))
+            *((chain.holder, chain.bones[0]) for chain in chained.chains), strict=True))  # fmt: skip
+        turns, heads = between_frames(rotations[:, holders], positions[:, firsts], FPS)
+        rigid = [np.linalg.norm(positions[:, tails] - still[:, tails], axis=-1).mean() for tails in bones]
+        return cls(turns, heads, [positions[:, tails] for tails in bones], np.maximum(rigid, 1e-6))
 
     def errors(self, link: int, rows: list[int], bones: np.ndarray, values: VrmValues) -> np.ndarray:
-        """How far VRM's tails of some chains' links are from ours with each setting, over rigid, shape (C, S)."""
+        """Distance of VRM's tails of the chains' links from ours with each setting, over rigid, shape (C, S)."""
         true = np.stack([self.tails[number][:, link] for number in rows], axis=1)
         every = (len(self.heads) - 1) // (len(true) - 1)
-        out = np.zeros((len(rows), values.stiffness.shape[-1]))
-        own = VrmValues(*(np.broadcast_to(one, out.shape) for one in (values.stiffness, values.drag, values.gravity)))
-        for step, tails in enumerate(vrm_steps(self.turns[:, rows], self.heads[:, rows], bones, own)):
+        out = np.zeros((len(rows), values[0].shape[-1]))
+        stiffness, drag, gravity = (np.broadcast_to(value, out.shape) for value in values)
+        settings = (stiffness, drag, gravity)
+        for step, tails in enumerate(vrm_steps(self.turns[:, rows], self.heads[:, rows], bones, settings)):
             if step % every == 0:
                 away = tails - true[step // every][:, None]
                 out += np.sqrt(np.einsum("csa,csa->cs", away, away))
         return np.asarray(out / len(true) / self.rigid[rows][:, None])
 
     def go_on(self, rows: list[int], bones: np.ndarray, values: VrmValues) -> None:
-        """Take the links with the settings that were chosen as what the next ones hang on."""
+        """Take the links with the chosen settings as holders of the next ones."""
         turns, heads = self.turns[:, rows], self.heads[:, rows]
         tails = np.stack(list(vrm_steps(turns, heads, bones, values)))[:, :, 0]
         self.turns[:, rows], self.heads[:, rows] = link_turns(turns, heads, bones, tails), tails
 
 
-def _swaying(made: Chained, sway: _Sway) -> RigAnimation:
-    """A body that bends, turns and goes."""
-    rig = made.character.rig
+def _swaying(chained: Chained, sway: _Sway) -> RigAnimation:
+    """The animation of a `_Sway`."""
+    rig = chained.character.rig
     assert rig is not None
     time = np.arange(round(sway.seconds * FPS)) / FPS
     count = len(rig.names)
     rotations = np.tile(np.eye(3), (len(time), count, 1, 1))
     translations = np.zeros((len(time), count, 3))
     top = int(np.flatnonzero(rig.parents < 0)[0])
-    holders = {int(chain.holder) for chain in made.chains}
-    links = {int(bone) for chain in made.chains for bone in chain.bones}
+    holders = {int(chain.holder) for chain in chained.chains}
+    links = {int(bone) for chain in chained.chains for bone in chain.bones}
     angles = np.stack(
         [much * np.sin(2 * np.pi * rate * time) for much, rate in zip(sway.turns, (STEP, 0.4, 0.6), strict=True)],
         axis=1,
     )
     for bone in sorted(({top} | holders) - links):
         rotations[:, bone] = matrix_from_axis_angle((1.0 if bone == top else 0.7) * angles)
-    limbs = {body.bone for body in made.colliders}
+    limbs = {body.bone for body in chained.colliders}
     for bone in sorted(limbs - links):
         phase = 2 * np.pi * STEP * time + (np.pi if rig.positions[bone, 0] > 0 else 0.0)
         swing = -sway.legs * np.sin(phase)
@@ -216,56 +199,51 @@ def _swaying(made: Chained, sway: _Sway) -> RigAnimation:
     if not sway.pace:
         forward = 0.25 * np.sin(2 * np.pi * 0.3 * time)
     aside, up = sway.aside * np.sin(2 * np.pi * 0.5 * time), sway.up * np.sin(2 * np.pi * 1.9 * time)
-    translations[:, top] = made.character.height * np.stack([aside, up, forward], axis=1)
-    return RigAnimation(made.character, rotations, translations, FPS)
+    translations[:, top] = chained.character.height * np.stack([aside, up, forward], axis=1)
+    return RigAnimation(chained.character, rotations, translations, FPS)
 
 
 _DOWN = np.array([0.0, -1, 0])
 
 
-def mmd_avatar(made: Chained) -> MmdModel:
+def mmd_avatar(chained: Chained) -> MmdModel:
     """The rigid bodies and joints of a character's chains, by the bones of its rig; the writer makes the rest."""
-    rig = made.rig()
+    rig = chained.rig()
     none = np.zeros((0, 3))
     return MmdModel(
-        made.character.name, "", "PMX 2.0", (), (), rig.bodies, rig.joints, np.zeros(0, np.uint8),
+        chained.character.name, "", "PMX 2.0", (), (), rig.bodies, rig.joints, np.zeros(0, np.uint8),
         MmdSdef(np.zeros(0, np.int64), none, none, none),
     )  # fmt: skip
 
 
-def vrm_avatar(made: Chained) -> VrmModel:
+def vrm_avatar(chained: Chained) -> VrmModel:
     """The springs and colliders of a character's chains, by the bones of its rig."""
-    rig = made.character.rig
+    rig = chained.character.rig
     assert rig is not None
     colliders = []
-    for body in made.colliders:
+    for body in chained.colliders:
         half = 0.5 * body.size[1] * body.rotation[:, 1]
         middle = body.position - rig.positions[body.bone]
         colliders.append(VrmCollider(body.bone, "capsule", middle - half, float(body.size[0]), middle + half))
     springs = []
-    for chain, end, values in zip(made.chains, made.ends, fitted_springs(made), strict=True):
-        rooms = [_room(point, made) for point in chain.points[1:]]
-        joints = [
-            VrmSpringJoint(int(bone), float(stiffness), float(gravity), _DOWN, float(drag), _radius(chain, link, room))
-            for link, (bone, room, (stiffness, drag, gravity)) in enumerate(
-                zip(chain.bones, rooms, values, strict=True)
-            )
-        ]
+    for chain, end, values in zip(chained.chains, chained.ends, fitted_springs(chained), strict=True):
+        rooms = [_room(point, chained) for point in chain.points[1:]]
+        joints = []
+        for bone, width, room, setting in zip(chain.bones, chain.width, rooms, values, strict=True):
+            stiffness, drag, gravity = setting.tolist()
+            radius = float(np.clip(min(0.6 * width, room), 0.0, 0.04))
+            joints.append(VrmSpringJoint(int(bone), stiffness, gravity, _DOWN, drag, radius))
         joints.append(VrmSpringJoint(end, 1.0, 0.0, _DOWN, float(values[-1, 1]), 0.0))
         # what lies within a collider at rest would be thrown out of it
         springs.append(VrmSpring(chain.name, tuple(joints), (0,) if colliders and min(rooms) > 0 else ()))
     groups = (tuple(range(len(colliders))),) if colliders else ()
-    return VrmModel("1.0", made.character.name, {}, tuple(springs), tuple(colliders), groups)
+    return VrmModel("1.0", chained.character.name, {}, tuple(springs), tuple(colliders), groups)
 
 
-def _radius(chain: Chain, link: int, room: float) -> float:
-    return float(np.clip(min(0.6 * chain.width[link], room), 0.0, 0.04))
-
-
-def _room(point: np.ndarray, made: Chained) -> float:
-    """How far a point is from the nearest collider at rest [m]; far where there are none."""
+def _room(point: np.ndarray, chained: Chained) -> float:
+    """Distance of a point from the nearest collider at rest [m]; infinite without colliders."""
     out = np.inf
-    for body in made.colliders:
+    for body in chained.colliders:
         along = body.rotation[:, 1]
         half = 0.5 * body.size[1]
         at = np.clip((point - body.position) @ along, -half, half)

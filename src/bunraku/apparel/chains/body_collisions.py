@@ -51,9 +51,7 @@ class LegBalls:
     def __call__(
         self, affine: np.ndarray, clothed: ClothedCharacter, bones: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Centres of the balls [m], posed by the transforms of all bones (N, P, 3) and at rest (P, 3), and their radii
-        (P,).
-        """
+        """Centres of the balls [m], posed by transforms of all bones (N, P, 3) and at rest (P, 3); radii (P,)."""
         posed, rests, radii = [], [], []
         share = (np.arange(self.samples) + 0.5)[:, None] / self.samples
         for leg in _LEGS:
@@ -200,15 +198,8 @@ class _Column:
 
 
 def _turns(legs: np.ndarray, line: np.ndarray, out: np.ndarray, radii: np.ndarray, wide: float) -> np.ndarray:
-    """How far a column would have to rotate towards `out` for balls of legs to lie behind it [rad], 0 where they do,
-    shape (N, P).
-
-    Args:
-        legs: Centres of the balls [m], shape (N, P, 3).
-        line: Points of the column [m], shape (N, R + 1, 3).
-        out: The direction.
-        radii: Of the balls [m], shape (P,).
-        wide: Half the width of what the column holds [m].
+    """How far a column (N, R + 1, 3) would have to rotate towards `out` for balls of legs (N, P, 3) with radii (P,) to
+    lie behind it [rad], 0 where they do, shape (N, P). `wide` is half the width of what the column holds [m].
     """
     away, chain = legs - line[:, :1], line - line[:, :1]
     beyond, down = away @ out + radii, -away[..., 1]
@@ -323,15 +314,8 @@ CHAIN_REPAIRS: tuple[ChainRepair, ...] = (SmoothNeighbours(), SkirtsOverLegs(), 
 
 
 class _LegsBehind:
-    """How far points of skirts have to go outwards for the legs to lie behind them.
-
-    Args:
-        how: The thresholds.
-        clothed: The character.
-        points: At rest [m], shape (M, 3).
-        holders: The bone that carries each, shape (M,).
-        bones: The bone of the rig that each of the 22 joints is, shape (22,).
-        affine: Transforms of all bones, shape (N, B, 3, 4).
+    """How far points of skirts (M, 3), each with the bone that carries it (M,), have to go outwards for the legs to lie
+    behind them, by the transforms of all bones (N, B, 3, 4).
     """
 
     def __init__(
@@ -395,14 +379,8 @@ def _ways(
 
 
 class _Links:
-    """The links of chains, and points that they hold.
-
-    Attributes:
-        vertex: Vertex of each point, shape (M,).
-        link: Row of the link that holds most of it, shape (M,).
-        rest: Its position at rest [m], shape (M, 3).
-        gap: How near to the body it may come [m], shape (M,).
-        kind, holder: Kind of each link's chain, and the bone that it hangs on.
+    """The links of chains, and points that they hold: the vertex of each point and the row of its link, its position at
+    rest [m], and how near to the body it may come [m].
     """
 
     def __init__(self, how: PushOutOfBody, animation: RigAnimation, dressed: DressedChains, depth: BodyDepth):

@@ -24,36 +24,23 @@ __all__ = [
     "parameters_of_laid", "with_parameters", "write_parameters",
 ]  # fmt: skip
 
-KINDS = (*APPAREL_KINDS, "strand")
-"""Kinds of chains; a strand is one of which nothing is known."""
+KINDS = (*APPAREL_KINDS, "strand")  # kinds of chains; nothing is known of a strand
 
 
 @dataclass(frozen=True)
 class ChainParameters:
-    """How a chain swings.
+    """How a chain swings."""
 
-    Args:
-        limit: How far a link turns against the one above it [rad].
-        inward: How far of that it turns towards the body, as a share.
-        stiffness: Spring of a link, over the moment of the weight that hangs on it; 0 for none.
-        damping: Share of the velocity that is lost in a second.
-        mass: Of the first link [kg]; those below are lighter, the last has half.
-        gravity: Factor on gravity.
-        root: Of its limits, what the first link has; those below have more, the last all of them.
-    """
-
-    limit: float
-    inward: float
-    stiffness: float
-    damping: float
-    mass: float = 0.5
-    gravity: float = 1.0
-    root: float = 1.0
+    limit: float  # how far a link rotates against the one above it [rad]
+    inward: float  # share of the limit towards the body
+    stiffness: float  # spring of a link, over the moment of the weight that hangs on it; 0 for none
+    damping: float  # share of the velocity that is lost in a second
+    mass: float = 0.5  # of the first link [kg]; links below are lighter, the last has half
+    gravity: float = 1.0  # factor on gravity
+    root: float = 1.0  # share of the limits that the first link has; it rises to 1 at the last
 
     def turned(self, stiffness: float = 1.0, gravity: float = 1.0) -> ChainParameters:
-        """As a user's dials ask: springs so many times as stiff and limits narrower by the root of that, gravity so
-        many times as strong.
-        """
+        """With a user's factors on springs and gravity; limits are narrower by the root of the stiffness."""
         narrow = float(np.clip(stiffness, 0.01, 100.0) ** -0.5)
         return replace(
             self, stiffness=self.stiffness * stiffness, limit=min(self.limit * narrow, 1.4),
@@ -75,9 +62,9 @@ _PARAMETERS = {
     "strand": ChainParameters(18 * _DEGREE, 0.8, 0.8, 0.93),
 }
 
-# Of chains that are laid over a shape: what came nearest to the simulated wardrobe, kind by kind, on 18 characters for
-# training. There shape says nothing of limits and springs beyond the kind (a regression on length, width, place, number
-# and direction explains 1 % of the limits' variance on held-out characters), so they are guessed on the narrow side.
+# Of chains laid over a shape: what came nearest to the simulated wardrobe, kind by kind, on 18 characters for training.
+# There shape says nothing of limits and springs beyond the kind (a regression on length, width, position, number and
+# direction explains 1 % of the limits' variance on held-out characters), so they are guessed on the narrow side.
 _LAID = {
     "hair": ChainParameters(12 * _DEGREE, 1.0, 0.3, 0.93),
     "skirt": ChainParameters(13 * _DEGREE, 1.0, 0.3, 0.88),
@@ -89,20 +76,15 @@ _LAID = {
     "strand": ChainParameters(10 * _DEGREE, 1.0, 0.4, 0.93),
 }
 LONG = 0.15
-"""Of the size [m]: shorter chains hold their shape more."""
+"""Over the size; shorter chains hold their shape more. Chosen by eye, as are the next two."""
 SHORT_SHARE = 0.4  # of its limits, that the shortest chain has at least
 ROOT = 0.5  # of its limits, that the first link of a chain has
 
 
 def parameters_of_laid(kind: str, length: float) -> ChainParameters:
-    """How a chain swings that is laid over a shape.
-
-    Args:
-        kind: One of `KINDS`.
-        length: Over the size of the character.
-    """
-    manner = _LAID[kind]
-    return replace(manner, limit=manner.limit * float(np.clip(length / LONG, SHORT_SHARE, 1.0)), root=ROOT)
+    """Parameters of a chain laid over a shape, by its kind (`KINDS`) and its length over the size of the character."""
+    laid = _LAID[kind]
+    return replace(laid, limit=laid.limit * float(np.clip(length / LONG, SHORT_SHARE, 1.0)), root=ROOT)
 
 
 def parameters_of(kind: str) -> ChainParameters:
@@ -112,31 +94,20 @@ def parameters_of(kind: str) -> ChainParameters:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """R links in a row.
+    """R links in a row."""
 
-    Args:
-        name: Of its first bone.
-        kind: One of `KINDS`.
-        bones: Bone of the rig that each link is, shape (R,).
-        points: Where the links begin, and where the last one ends [m], shape (R + 1, 3).
-        holder: The bone that it hangs on; a link of another chain where it branches off.
-        width: Half the width of what each link holds [m], shape (R,).
-        thick: Half its thickness [m].
-        manner: How it swings.
-    """
-
-    name: str
-    kind: str
-    bones: np.ndarray
-    points: np.ndarray
-    holder: int
-    width: np.ndarray
-    thick: float
-    manner: ChainParameters
+    name: str  # of its first bone
+    kind: str  # one of `KINDS`
+    bones: np.ndarray  # bone of the rig that each link is, shape (R,)
+    points: np.ndarray  # beginnings of the links, and the end of the last one [m], shape (R + 1, 3)
+    holder: int  # the bone that it hangs on; a link of another chain where it branches off
+    width: np.ndarray  # half the width of what each link holds [m], shape (R,)
+    thick: float  # half its thickness [m]
+    parameters: ChainParameters  # how it swings
 
     @property
     def length(self) -> float:
-        """From its first point along its links to the last [m]."""
+        """Along its links [m]."""
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
 
     def __len__(self) -> int:
@@ -149,53 +120,47 @@ _BOUNDS = {"limit": (0.0, 90.0), "stiffness": (0.0, 1000.0), "damping": (0.0, 0.
 
 
 def parameters_beside(character: Character) -> dict[str, dict[str, float]]:
-    """What the file beside a character's says, by kinds and names of chains; nothing where there is none.
+    """Parameters from the file beside a character's, by kinds and names of chains; empty where there is none.
 
     Raises:
-        FormatError: It is broken, or says what is not known.
+        FormatError: It is broken, or has an unknown entry.
     """
     path = file_beside(character, (SUFFIX,))
     return {} if path is None else _read(path)
 
 
-def with_parameters(chains: Sequence[Chain], told: Mapping[str, Mapping[str, float]]) -> tuple[Chain, ...]:
-    """Chains that swing as is told: by their kind, and then by the longest beginning of their name that is told."""
+def with_parameters(chains: Sequence[Chain], tables: Mapping[str, Mapping[str, float]]) -> tuple[Chain, ...]:
+    """Chains with parameters from a file: by kind, and then by the longest beginning of their names."""
     out = []
     for chain in chains:
-        own = parameters_from_file(chain.kind, chain.name, told)
-        if "limit" in own:
-            own["limit"] = float(np.radians(own["limit"]))
-        out.append(replace(chain, manner=replace(chain.manner, **own)) if own else chain)
+        changes = parameters_from_file(chain.kind, chain.name, tables)
+        if "limit" in changes:
+            changes["limit"] = float(np.radians(changes["limit"]))
+        out.append(replace(chain, parameters=replace(chain.parameters, **changes)) if changes else chain)
     return tuple(out)
 
 
-def parameters_from_file(kind: str, name: str, told: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-    """What is told of a chain, in the numbers of the file.
-
-    Args:
-        kind: One of `KINDS`.
-        name: Of the chain.
-        told: By kinds and by what names begin with.
-    """
-    own: dict[str, float] = dict(told.get(kind, {}))
-    for begin in sorted(told, key=len):
+def parameters_from_file(kind: str, name: str, tables: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """Parameters of a chain in the units of the file, from tables by kinds and by beginnings of names."""
+    changes: dict[str, float] = dict(tables.get(kind, {}))
+    for begin in sorted(tables, key=len):
         if begin not in KINDS and name.startswith(begin):
-            own |= told[begin]
-    return own
+            changes |= tables[begin]
+    return changes
 
 
 def write_parameters(chains: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write such a file to start from: a table for each chain, in which every guess is a comment, so that it changes
-    nothing until somebody takes the sign away.
+    """Write a file of parameters to start from: a table for each chain, in which every guess is a comment, so that it
+    changes nothing until a user removes the sign.
 
     Args:
-        chains: Name, kind, links, what it hangs on (`hangs_on`), and the numbers of each.
+        chains: Name, kind, links, what it hangs on (`hangs_on`), and the parameters of each.
         path: The file.
 
     Raises:
         FormatError: It cannot be written.
     """
-    lines = ["# How apparel swings. Take away the sign # before what is to count, and change the number."]
+    lines = ["# How apparel swings. Remove the sign # before a number that you change."]
     for chain in chains:
         name, holder = (json.dumps(str(chain[key]), ensure_ascii=False) for key in ("name", "hangs_on"))
         lines += ["", f"[{name}]  # {chain['kind']}, {chain['links']} links on {holder}"]

@@ -10,7 +10,7 @@ import numpy as np
 from bunraku.apparel.chains.chain import Chain
 from bunraku.apparel.clothed import LEGS
 from bunraku.apparel.physics.bodies import body_limbs
-from bunraku.apparel.physics.rig import ApparelRig
+from bunraku.apparel.physics.rig import ApparelRig, still_body
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint
 from bunraku.core.body.layout import JOINT_COUNT, handle_names
@@ -39,10 +39,9 @@ def on_handle_rig(animation: Animation) -> RigAnimation:
     return RigAnimation.of_world(character, affine[..., :3], positions, animation.fps, animation.reference)
 
 
-GRAVITY = 98 * MMD_METRE  # what springs are measured by, as in MMD's files [m/s^2]
-GROUP, NOBODY = 0, 15  # collision group of the chains, and one that nothing is in
-CLOTH = ("skirt", "cape")
-"""Kinds whose chains are tied to their neighbours."""
+GRAVITY = 98 * MMD_METRE  # of MMD's files, by which springs are measured [m/s^2]
+GROUP, EMPTY_GROUP = 0, 15  # collision group of the chains, and one without bodies
+CLOTH = ("skirt", "cape")  # kinds whose chains are tied to their neighbours
 TWIST = np.radians(3.0)
 TIE = np.radians(30.0)
 GIVE = 0.12  # how far a tie lets neighbours come apart, over their distance
@@ -59,45 +58,44 @@ def chain_rig(
     Args:
         chains: Each after the one that it hangs on.
         positions: Of the rig's bones [m], shape (J, 3).
-        ties: Pairs of chains that are neighbours of one sheet; found by where they are when None (`neighbours_of`).
+        ties: Pairs of chains that are neighbours of one sheet; None finds them by position.
         colliders: Bodies that follow bones and keep the chains out.
     """
     bodies: list[MmdBody] = []
     joints: list[MmdJoint] = []
     gravity: list[float] = []
     by_bone: dict[int, int] = {}
-    own: list[list[int]] = []
+    linked: list[list[int]] = []
     centre = np.mean(positions, axis=0) if len(positions) else np.zeros(3)
     for chain in chains:
         above = by_bone.get(chain.holder)
         if above is None:
-            place = positions[chain.holder]
-            bodies.append(_still(f"holder {chain.holder}", chain.holder, place))
+            bodies.append(still_body(f"holder {chain.holder}", chain.holder, positions[chain.holder]))
             gravity.append(1.0)
             above = by_bone[chain.holder] = len(bodies) - 1
         links = len(chain)
-        masses = chain.manner.mass * (1 - 0.5 * np.arange(links) / max(links - 1, 1))
+        masses = chain.parameters.mass * (1 - 0.5 * np.arange(links) / max(links - 1, 1))
         numbers = []
         for link in range(links):
             start, end = chain.points[link], chain.points[link + 1]
             frame = _frame(end - start, _outward(chain, link, positions, centre))
             bodies.append(_link(chain, link, start, end, frame, float(masses[link])))
-            gravity.append(chain.manner.gravity)
+            gravity.append(chain.parameters.gravity)
             number = len(bodies) - 1
             # the moment of what hangs on the joint, if it lay level
             middle = 0.5 * (chain.points[link:-1] + chain.points[link + 1 :])
             lever = np.linalg.norm(middle - start, axis=1)
             moment = float((masses[link:] * lever).sum()) * GRAVITY
-            share = chain.manner.root + (1 - chain.manner.root) * link / max(links - 1, 1)
+            share = chain.parameters.root + (1 - chain.parameters.root) * link / max(links - 1, 1)
             joints.append(_joint(chain, (above, number), start, frame, moment, share))
             by_bone.setdefault(int(chain.bones[link]), number)
             numbers.append(number)
             above = number
-        own.append(numbers)
+        linked.append(numbers)
     for first, second in neighbours_of(chains) if ties is None else ties:
-        joints += _ties(chains[first], chains[second], own[first], own[second])
+        joints += _ties(chains[first], chains[second], linked[first], linked[second])
     for collider in colliders:
-        bodies.append(replace(collider, group=NOBODY, mask=1 << GROUP))
+        bodies.append(replace(collider, group=EMPTY_GROUP, mask=1 << GROUP))
         gravity.append(1.0)
     pulls = np.array(gravity)[:, None] * np.array([0.0, -GRAVITY, 0.0])
     same = bool(np.allclose(gravity, 1.0))
@@ -105,9 +103,7 @@ def chain_rig(
 
 
 def neighbours_of(chains: Sequence[Chain]) -> list[tuple[int, int]]:
-    """Pairs of chains of cloth that lie next to each other: those that begin about as high on the same bone, in their
-    order around it.
-    """
+    """Pairs of chains of cloth side by side, in their order around one bone, begun about as high."""
     groups: dict[tuple[str, int], list[int]] = {}
     for number, chain in enumerate(chains):
         if chain.kind in CLOTH:
@@ -148,21 +144,17 @@ def _frame(along: np.ndarray, outward: np.ndarray) -> np.ndarray:
     return np.stack([np.cross(y, z), y, z], axis=1)
 
 
-def _still(name: str, bone: int, position: np.ndarray) -> MmdBody:
-    return MmdBody(name, bone, "sphere", np.zeros(3), position, np.eye(3), 0.0, 0.0, 0.0, 0.0, 0.0, 0, GROUP, 0)
-
-
 def _link(chain: Chain, link: int, start: np.ndarray, end: np.ndarray, frame: np.ndarray, mass: float) -> MmdBody:
     length = float(np.linalg.norm(end - start))
-    loss = chain.manner.damping
+    loss = chain.parameters.damping
     if chain.kind in CLOTH:
         shape = "box"
         size = np.array([max(0.8 * chain.width[link], 0.008), max(0.46 * length, 0.008), chain.thick])
         # the first row of cloth lies on the hips: between them and a lifted thigh it would be crushed
-        meets = 0 if link == 0 and len(chain) > 1 else 1 << NOBODY
+        meets = 0 if link == 0 and len(chain) > 1 else 1 << EMPTY_GROUP
     else:
         radius = float(min(max(0.6 * chain.width[link], chain.thick), 0.45 * length, 0.04))
-        shape, size, meets = "capsule", np.array([radius, max(length - 2 * radius, 0.002), 0.0]), 1 << NOBODY
+        shape, size, meets = "capsule", np.array([radius, max(length - 2 * radius, 0.002), 0.0]), 1 << EMPTY_GROUP
     return MmdBody(
         f"{chain.name} {link + 1}", int(chain.bones[link]), shape, size, 0.5 * (start + end), frame, mass, loss, loss,
         0.0, 0.2, 1, GROUP, meets,
@@ -172,69 +164,47 @@ def _link(chain: Chain, link: int, start: np.ndarray, end: np.ndarray, frame: np
 def _joint(
     chain: Chain, bodies: tuple[int, int], start: np.ndarray, frame: np.ndarray, moment: float, share: float
 ) -> MmdJoint:
-    manner = replace(chain.manner, limit=chain.manner.limit * share)
+    swing = replace(chain.parameters, limit=chain.parameters.limit * share)
     # Bullet counts an angle from the second body to the first: about x, outwards is positive.
-    outward, inward = manner.limit, manner.limit * manner.inward
-    side = manner.limit * (SIDE if chain.kind in CLOTH else 1.0)
+    outward, inward = swing.limit, swing.limit * swing.inward
+    side = swing.limit * (SIDE if chain.kind in CLOTH else 1.0)
     low, high = np.array([-inward, -TWIST, -side]), np.array([outward, TWIST, side])
-    spring = manner.stiffness * moment / MMD_METRE**2
+    spring = swing.stiffness * moment / MMD_METRE**2
     none = np.zeros(3)
     return MmdJoint(chain.name, bodies, start, frame, none, none, low, high, none, spring * np.array([1.0, 1.5, 1.0]))
 
 
-def _ties(one: Chain, other: Chain, bodies: list[int], others: list[int]) -> list[MmdJoint]:
+def _ties(first: Chain, second: Chain, bodies: list[int], others: list[int]) -> list[MmdJoint]:
     """Ties between links of the same row, in every second row from the last up."""
     out = []
-    rows = range(min(len(one), len(other)) - 1, -1, -2)
-    for row in rows:
+    for row in range(min(len(first), len(second)) - 1, -1, -2):
         if row == 0 and len(bodies) > 1:
             continue
-        corners = np.stack([one.points[row], one.points[row + 1], other.points[row], other.points[row + 1]])
+        corners = np.stack([first.points[row], first.points[row + 1], second.points[row], second.points[row + 1]])
         down = corners[1] + corners[3] - corners[0] - corners[2]
         frame = _frame(down, np.cross(down, corners[3] - corners[1]))
         give = np.full(3, GIVE * float(np.linalg.norm(corners[3] - corners[1])))
-        turn = np.full(3, TIE)
-        none = np.zeros(3)
-        out.append(
-            MmdJoint(
-                f"{one.name} tie {row + 1}", (bodies[row], others[row]), corners.mean(axis=0), frame, -give, give,
-                -turn, turn, none, none,
-            )
-        )  # fmt: skip
+        turn, none, pair = np.full(3, TIE), np.zeros(3), (bodies[row], others[row])
+        name, middle = f"{first.name} tie {row + 1}", corners.mean(axis=0)
+        out.append(MmdJoint(name, pair, middle, frame, -give, give, -turn, turn, none, none))
     return out
 
 
 @dataclass(frozen=True, eq=False)
 class LaidChains:
-    """Chains over a mesh, numbered apart from any rig: bone j < 22 is a joint of the body, bone 22 + l a link.
+    """Chains over a mesh, numbered apart from any rig: bone j < 22 is a joint of the body, bone 22 + l a link."""
 
-    Args:
-        chains: Each after the one that it hangs on.
-        ties: Pairs of chains that are neighbours of one sheet.
-        vertices: Vertices that links hold, shape (A,).
-        links: Links that hold each of them, shape (A, L).
-        shares: How much each holds, shape (A, L); what is left of 1 is the body's.
-        near: Pairs of chains of one piece whose skin passes over into each other, and how much of it they share.
-    """
-
-    chains: tuple[Chain, ...]
-    ties: tuple[tuple[int, int], ...]
-    vertices: np.ndarray
+    chains: tuple[Chain, ...]  # each after the one that it hangs on
+    ties: tuple[tuple[int, int], ...]  # pairs of chains that are neighbours of one sheet
+    vertices: np.ndarray  # vertices that links hold, shape (A,)
+    # links, shares: the links that hold each, and by how much, shape (A, L); the rest of 1 is the body's
     links: np.ndarray
     shares: np.ndarray
+    # pairs of chains of one piece whose skin blends into each other, and how much of it they share
     near: tuple[tuple[int, int, float], ...] = ()
 
-    @property
-    def count(self) -> int:
-        """How many links there are."""
-        return sum(len(chain) for chain in self.chains)
-
     def moved(self, transforms: np.ndarray) -> LaidChains:
-        """With each chain taken along by what carries it.
-
-        Args:
-            transforms: Of the 22 joints, shape (22, 4, 4).
-        """
+        """With each chain taken along by its carrier, by the transforms of the 22 joints, shape (22, 4, 4)."""
         roots: dict[int, int] = {}
         chains = []
         for chain in self.chains:
@@ -245,45 +215,37 @@ class LaidChains:
         return replace(self, chains=tuple(chains))
 
     def turned(self, stiffness: float, gravity: float) -> LaidChains:
-        """With all manners dialled (`Manner.turned`)."""
-        chains = tuple(replace(chain, manner=chain.manner.turned(stiffness, gravity)) for chain in self.chains)
+        """With factors on the stiffness and gravity of all chains."""
+        chains = tuple(replace(chain, parameters=chain.parameters.turned(stiffness, gravity)) for chain in self.chains)
         return replace(self, chains=chains)
 
 
 @dataclass(frozen=True, eq=False)
 class Chained:
-    """A character whose rig has bones for its apparel.
+    """A character whose rig has bones for its apparel."""
 
-    Args:
-        character: The character, its rig with a bone for each link after its own, and one for the end of each chain.
-        chains: By the bones of that rig.
-        ties: As of `LaidChains`.
-        ends: Bone of the end of each chain.
-        colliders: Capsules of the legs.
-        near: As of `LaidChains`.
-    """
-
-    character: Character
-    chains: tuple[Chain, ...]
+    character: Character  # its rig has a bone for each link after its own bones, and one for the end of each chain
+    chains: tuple[Chain, ...]  # by the bones of that rig
+    # ties, near: as of `LaidChains`
     ties: tuple[tuple[int, int], ...]
-    ends: tuple[int, ...]
-    colliders: tuple[MmdBody, ...]
+    ends: tuple[int, ...]  # bone of the end of each chain
+    colliders: tuple[MmdBody, ...]  # capsules of the legs
     near: tuple[tuple[int, int, float], ...] = ()
 
     def rig(self, tied: bool = True) -> ApparelRig:
-        """Its rigid bodies and joints; without ties for what `together` joins, which is much faster."""
+        """Its rigid bodies and joints. Leave the ties out where `SmoothNeighbours` follows; that is much faster."""
         assert self.character.rig is not None
         return chain_rig(self.chains, self.character.rig.positions, self.ties if tied else (), self.colliders)
 
     def of_vertices(self, chosen: np.ndarray) -> set[int]:
-        """The chains that hold some of the chosen vertices, shape (V,), bool."""
+        """The chains that hold any of the chosen vertices, shape (V,), bool."""
         rig = self.character.rig
         assert rig is not None
         bones = set(rig.indices[chosen][rig.weights[chosen] > 0.05].tolist())
         return {number for number, chain in enumerate(self.chains) if bones & set(chain.bones.tolist())}
 
     def on(self, animation: RigAnimation) -> RigAnimation:
-        """An animation of the rig that the chains were added to, on this one: chains go with what they hang on."""
+        """An animation of the rig without chains on this one: chains go with what they hang on."""
         assert self.character.rig is not None
         frames, count = animation.rotations.shape[:2]
         rotations = np.tile(np.eye(3, dtype=np.float32), (frames, len(self.character.rig.names), 1, 1))
@@ -293,41 +255,35 @@ class Chained:
 
 
 def with_chains(character: Character, laid: LaidChains, bones: np.ndarray) -> Chained:
-    """A character's rig with a bone for each link of the chains that were laid over its mesh.
-
-    Args:
-        character: With a rig.
-        laid: Over the same vertices.
-        bones: The bone of the rig that each of the 22 joints is, shape (22,).
-    """
+    """A character's rig, by the bone of each of the 22 joints, with a bone for each link of laid chains."""
     rig = character.rig
     assert rig is not None
     first = len(rig.names)
-    number = np.concatenate([np.asarray(bones, np.int64), first + np.arange(laid.count)])
-    names, parents, places = list(rig.names), list(rig.parents), list(rig.positions)
+    number = np.concatenate([np.asarray(bones, np.int64), first + np.arange(sum(map(len, laid.chains)))])
+    names, parents, positions = list(rig.names), list(rig.parents), list(rig.positions)
     taken, chains = set(names), []
     ends: list[tuple[str, int, np.ndarray]] = []
     for chain in laid.chains:
         label = chain.name
         while f"{label}_1" in taken:
             label += "_"
-        own, holder = number[chain.bones], int(number[chain.holder])
-        for link, bone in enumerate(own):
+        links, holder = number[chain.bones], int(number[chain.holder])
+        for link, bone in enumerate(links):
             names.append(f"{label}_{link + 1}")
             taken.add(names[-1])
-            parents.append(holder if link == 0 else int(own[link - 1]))
-            places.append(chain.points[link])
+            parents.append(holder if link == 0 else int(links[link - 1]))
+            positions.append(chain.points[link])
             assert len(names) == bone + 1
-        ends.append((f"{label}_end", int(own[-1]), chain.points[-1]))
-        chains.append(replace(chain, name=label, bones=own, holder=holder))
+        ends.append((f"{label}_end", int(links[-1]), chain.points[-1]))
+        chains.append(replace(chain, name=label, bones=links, holder=holder))
     last = len(names)
-    for label, parent, place in ends:
+    for label, parent, position in ends:
         names.append(label)
         parents.append(parent)
-        places.append(place)
+        positions.append(position)
     transforms = np.tile(np.eye(4), (len(names), 1, 1))
     transforms[:first] = rig.transforms
-    transforms[first:, :3, 3] = np.array(places[first:]).reshape(-1, 3)
+    transforms[first:, :3, 3] = np.array(positions[first:]).reshape(-1, 3)
     indices, weights = _skin(rig, laid, number)
     grown = Rig(tuple(names), np.array(parents, np.int64), transforms, indices, weights)
     grown_character = replace(character, rig=grown)
@@ -338,7 +294,7 @@ def with_chains(character: Character, laid: LaidChains, bones: np.ndarray) -> Ch
 
 
 def _capsule(box: MmdBody) -> MmdBody:
-    """A capsule in the place of a limb's box."""
+    """A capsule in place of a limb's box."""
     order = np.argsort(box.size)
     radius = float(box.size[order[:2]].mean())
     along = box.rotation[:, order[2]]
@@ -349,7 +305,7 @@ def _capsule(box: MmdBody) -> MmdBody:
 
 
 def _skin(rig: Rig, laid: LaidChains, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bones and shares of all vertices: those of the apparel go with their links, and for the rest with their skin."""
+    """Bones and shares of all vertices: apparel goes with its links, and for the rest with its skin."""
     width = rig.indices.shape[1] + laid.links.shape[1]
     indices, weights = np.zeros((len(rig.indices), width), np.int32), np.zeros((len(rig.indices), width), np.float32)
     indices[:, : rig.indices.shape[1]], weights[:, : rig.indices.shape[1]] = rig.indices, rig.weights

@@ -26,19 +26,12 @@ Frames = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class DressedChains:
-    """Chains on a clothed character.
+    """Chains on a clothed character."""
 
-    Args:
-        chained: The character whose rig has bones for its chains.
-        clothed: The same mesh.
-        bones: The bone of the rig that each of the 22 joints is, shape (22,).
-        bare: The rig without the chains; its skin goes with the body.
-    """
-
-    chained: Chained
-    clothed: ClothedCharacter
-    bones: np.ndarray
-    bare: Rig
+    chained: Chained  # the character whose rig has bones for its chains
+    clothed: ClothedCharacter  # the same mesh
+    bones: np.ndarray  # the bone of the rig that each of the 22 joints is, shape (22,)
+    bare: Rig  # the rig without the chains; its skin goes with the body
 
     @property
     def chains(self) -> tuple[Chain, ...]:
@@ -175,14 +168,7 @@ class MendTears:
         return animation, torn
 
     def torn_parts(self, clothed: ClothedCharacter, shown: Frames, carried: Frames, count: int) -> set[int]:
-        """The parts that are torn.
-
-        Args:
-            clothed: The character.
-            shown: Its vertices with apparel moved.
-            carried: Its vertices with all going with the body.
-            count: How many frames there are.
-        """
+        """The parts that are torn, by vertices with apparel moved and all carried, in some of `count` frames."""
         return {part for part, share in self.torn_shares(clothed, shown, carried, count).items() if share > self.most}
 
     def torn_shares(self, clothed: ClothedCharacter, shown: Frames, carried: Frames, count: int) -> dict[int, float]:
@@ -238,9 +224,7 @@ class MendTears:
 
 
 def on_skin(animation: RigAnimation, bare: Rig, free: np.ndarray) -> RigAnimation:
-    """An animation whose vertices move freely by a share (V,), and for the rest as the skin of a rig says that has the
-    first bones of the animation's.
-    """
+    """An animation whose vertices move freely by a share (V,), and for the rest with the skin of its bare rig."""
     grown = animation.character.rig
     assert grown is not None
     share = free[:, None]

@@ -1,16 +1,15 @@
-"""Chains of a rig whose file says nothing of physics: the bones of hair, skirts and the like that the map of the body
-leaves over.
+"""Chains of a rig whose file says nothing of physics: bones of hair, skirts and the like that are no part of the body.
 
-Names tell first (`skeletons.apparel_names`). Where they are silent, shape tells: a bone below the body that no part of
-the body needs and that holds the end of something, a strand or an edge, and not a piece within a limb, as bones for
-twists and muscles do, or within the head, as eyes do.
+Names decide first (`apparel_of_name`). Where they are silent, shape decides: a bone below the body that no part of the
+body needs and that holds the end of something, a strand or an edge, and not a piece within a limb, as bones for twists
+and muscles do, or within the head, as eyes do.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from bunraku.anatomy.names.bone_names import NO_HANDLE
 from bunraku.anatomy.names.bone_words import apparel_of_name, part_of_name, without_prefix
 from bunraku.apparel.chains.chain import Chain, parameters_beside, parameters_of, with_parameters
 from bunraku.core.animation import bone_order
-from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, sided
 from bunraku.core.character import Character, Rig
 from bunraku.core.geometry.graph import clean_mesh
 from bunraku.retarget.rig_parts import RigParts, understood_rig
@@ -26,17 +25,14 @@ from bunraku.retarget.rig_parts import RigParts, understood_rig
 __all__ = ["apparel_bones", "bone_chains"]
 
 _SPARE = tuple(HANDLE_NAMES.index(name) for name in ("head_top", "tail", "tail_tip", "left_wing", "right_wing", "face"))
-"""Handles of what many characters have beside a body; on a person they are apparel, where names say so."""
-_ENDS = tuple(
-    HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("wrist", "fingers", "ankle", "foot")
-)
-"""Parts whose own bones hang on them like strands: fingers and toes."""
+"""Handles of what many characters have beside a body; on a person they are apparel where names say so."""
+_ENDS = sided("wrist", "fingers", "ankle", "foot")  # parts whose own bones hang on them like strands: fingers and toes
 _HEAD = HANDLE_NAMES.index("head")
 _BODY = ("wrist", "elbow", "shoulder", "collar", "leg", "foot", "hips", "spine", "neck", "head", "arm_leg")
-"""Kinds of bones of the body: what is called by one hangs on it, and swings by nothing."""
+"""Kinds of bones of the body; bones with such a name hang on it and do not swing."""
 _TRUNK = tuple(HANDLE_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3"))
 _SILENT = ("none", "held", "face", "face_bone", "fingers", "toe")
-"""Kinds of bones that move otherwise, whatever their shape, with all that hangs on them or that they hang on."""
+"""Kinds of bones that move otherwise, whatever their shape, as do all bones above and below them."""
 _FACE = re.compile(
     r"lid\b|lid[._]|forehead|temple|teeth|gums?\b|breast|boob|\bbust|jiggle|muscle|twist|helper|corrective"
 )
@@ -54,20 +50,13 @@ SHORTEST = 5e-3  # of a link, over the height
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """What each bone holds.
+    """What each bone holds."""
 
-    Args:
-        bone: The bone that holds most of each vertex, shape (V,).
-        free: The share of each vertex that no bone of the body holds, shape (V,).
-        mass: Sum of the weights of each bone, shape (J,).
-        rim: Vertices at an open edge of the surface, shape (V,), bool.
-        edges: Between vertices of the file, those of one place being one, shape (E, 2), and which that is, shape (V,).
-    """
-
-    bone: np.ndarray
-    free: np.ndarray
-    mass: np.ndarray
-    rim: np.ndarray
+    bone: np.ndarray  # the bone that holds most of each vertex, shape (V,)
+    free: np.ndarray  # the share of each vertex that no bone of the body holds, shape (V,)
+    mass: np.ndarray  # sum of the weights of each bone, shape (J,)
+    rim: np.ndarray  # vertices at an open edge of the surface, shape (V,), bool
+    # between points of the surface, shape (E, 2), and the point of each vertex, shape (V,)
     edges: tuple[np.ndarray, np.ndarray]
 
     @classmethod
@@ -94,12 +83,7 @@ class _Held:
 
 
 def apparel_bones(character: Character, parts: RigParts | None = None) -> dict[int, str]:
-    """The bones of a person's rig that hold apparel, each with its kind; none where the rig is not a person's.
-
-    Args:
-        character: With a rig.
-        parts: What its bones are, where that is known.
-    """
+    """The bones of a person's rig that hold apparel, each with its kind; none where the rig is not a person's."""
     rig = character.rig
     parts = parts or understood_rig(character)
     if rig is None or parts is None or not parts.humanoid:
@@ -117,20 +101,17 @@ def apparel_bones(character: Character, parts: RigParts | None = None) -> dict[i
         if parent in out:
             out[bone] = kind or out[parent]
         elif kind or _silent(character, parts, held, bone, below[bone], body, names):
-            out[bone] = kind or _kind_by_place(parts, bone)
+            above = _above(parts, bone, np.ones(len(body), bool))
+            out[bone] = kind or ("hair" if above >= 0 and parts.parts[above] == _HEAD else "strand")
     return {bone: kind for bone, kind in out.items() if held.mass[[bone, *below[bone]]].sum() > LIGHTEST}
 
 
 def bone_chains(character: Character, stiffness: float = 1.0, gravity: float = 1.0) -> list[Chain]:
-    """The chains of a person's rig, each after the one that it branches off from.
-
-    Args:
-        character: With a rig.
-        stiffness: Factor on how stiff they are.
-        gravity: Factor on gravity.
+    """The chains of a person's rig, each after the one that it branches off from, with factors on stiffness and
+    gravity.
 
     Raises:
-        FormatError: The file beside the character's that says how they swing is broken (`manners_file`).
+        FormatError: The file of parameters beside the character's is broken.
     """
     rig = character.rig
     kinds = apparel_bones(character)
@@ -145,25 +126,20 @@ def bone_chains(character: Character, stiffness: float = 1.0, gravity: float = 1
     for bone in reversed(bone_order(rig.parents)):
         if rig.parents[bone] >= 0:
             mass[rig.parents[bone]] += mass[bone]
-    told = parameters_beside(character)
     tops = [bone for bone in kinds if int(rig.parents[bone]) not in kinds]
     out = []
     while tops:
-        line = [tops.pop(0)]
-        while True:
-            after = sorted(children.get(line[-1], ()), key=lambda bone: -mass[bone])
-            after = [bone for bone in after if mass[bone] > 0]
-            if not after:
-                break
+        line, after = [], [tops.pop(0)]
+        while after:
             tops += after[1:]
             line.append(after[0])
+            after = sorted(children.get(line[-1], ()), key=lambda bone: -mass[bone])
+            after = [bone for bone in after if mass[bone] > 0]
         chain = _chain(character, rig, held, line, kinds[line[0]], height)
         if chain is not None:
-            (chain,) = with_parameters([chain], told)
-            manner = chain.manner.turned(stiffness, gravity)
-            out.append(Chain(chain.name, chain.kind, chain.bones, chain.points, chain.holder, chain.width, chain.thick,
-                             manner))  # fmt: skip
-    return out
+            out.append(chain)
+    chains = with_parameters(out, parameters_beside(character))
+    return [replace(chain, parameters=chain.parameters.turned(stiffness, gravity)) for chain in chains]
 
 
 def _body_bones(parts: RigParts) -> np.ndarray:
@@ -172,11 +148,10 @@ def _body_bones(parts: RigParts) -> np.ndarray:
     assert rig is not None
     out = np.array([part != NO_HANDLE and part not in _SPARE for part in parts.parts])
     leads = set(parts.leads.tolist())
-    for bone, name in enumerate(
-        without_prefix(rig.names)
-    ):  # what a map takes along with the head, without a word for it, may be hair
-        known = bone in leads or part_of_name(name)[0] not in ("", "root")
-        out[bone] &= known and not apparel_of_name(name)
+    for bone, name in enumerate(without_prefix(rig.names)):
+        # what a map takes along with the head, without a word for it, may be hair
+        named = bone in leads or part_of_name(name)[0] not in ("", "root")
+        out[bone] &= named and not apparel_of_name(name)
     for bone in reversed(bone_order(rig.parents)):
         if out[bone] and rig.parents[bone] >= 0:
             out[rig.parents[bone]] = True
@@ -195,7 +170,7 @@ def _silent(
     character: Character, parts: RigParts, held: _Held, bone: int, below: list[int], body: np.ndarray,
     names: Sequence[str],
 ) -> bool:  # fmt: skip
-    """Whether a bone whose name says nothing, and those below it, hold the end of something that hangs."""
+    """Whether a bone with a silent name, and those below it, hold the end of something that hangs."""
     rig = character.rig
     assert rig is not None
     kind, _, _, target = part_of_name(names[bone])
@@ -205,7 +180,7 @@ def _silent(
     around = [names[one] for one in (bone, *below, *(one for one in _line_up(rig.parents, bone) if not body[one]))]
     if any(part_of_name(name)[0] in _SILENT or _FACE.search(name.lower()) for name in around):
         return False
-    above = _carrier(parts, bone, body)
+    above = _above(parts, bone, body)
     carried = int(parts.parts[above]) if above >= 0 else 0
     if carried in _ENDS:
         return False
@@ -224,7 +199,7 @@ def _silent(
         return False
     if carried != _HEAD and _surrounds(parts, above, carried, points):
         return False
-    # a strand ends in the air: what it holds has an edge of its own, or touches the body in few places
+    # a strand ends in the air: what it holds has an edge of its own, or touches the body at few points
     if links > 1 or bool(held.rim[mine].any()) or held.touches(mine) < TOUCHES:
         return True
     beside = (rig.parents == rig.parents[bone]) & ~body & (held.mass > LIGHTEST)
@@ -238,7 +213,6 @@ def _of_body(name: str) -> bool:
 
 
 def _line_up(parents: np.ndarray, bone: int) -> list[int]:
-    """The bones above one."""
     out: list[int] = []
     while parents[bone] >= 0 and parents[bone] not in out:
         bone = int(parents[bone])
@@ -246,21 +220,19 @@ def _line_up(parents: np.ndarray, bone: int) -> list[int]:
     return out
 
 
-def _carrier(parts: RigParts, bone: int, body: np.ndarray) -> int:
-    """The bone of the body that carries a bone, -1 for none."""
-    rig = parts.character.rig
-    assert rig is not None
-    above = int(rig.parents[bone])
-    while above >= 0 and (not body[above] or parts.parts[above] == NO_HANDLE):
-        above = int(rig.parents[above])
+def _above(parts: RigParts, bone: int, chosen: np.ndarray) -> int:
+    """The nearest bone above one that has a handle and is chosen, shape (J,), bool; -1 for none."""
+    above = int(parts.parents[bone])
+    while above >= 0 and (not chosen[above] or parts.parts[above] == NO_HANDLE):
+        above = int(parts.parents[above])
     return above
 
 
 def _surrounds(parts: RigParts, above: int, carried: int, points: np.ndarray) -> bool:
-    """Whether points lie on all sides of the limb or trunk that carries them, as what helpers for twists hold does."""
+    """Whether points lie on all sides of the limb or trunk that carries them, as helpers for twists do."""
     rig = parts.character.rig
     assert rig is not None
-    after = [int(parts.leads[child]) for child, own in enumerate(HANDLE_PARENTS) if own == carried]
+    after = [int(parts.leads[child]) for child, parent in enumerate(HANDLE_PARENTS) if parent == carried]
     ends = [rig.positions[lead] for lead in after if lead >= 0]
     if above < 0 or not ends:
         return False
@@ -276,18 +248,8 @@ def _surrounds(parts: RigParts, above: int, carried: int, points: np.ndarray) ->
     return float(np.linalg.norm(sides.mean(axis=0))) < AROUND
 
 
-def _kind_by_place(parts: RigParts, bone: int) -> str:
-    """What a silent bone is by where it hangs: on the head it is hair, and a strand elsewhere."""
-    rig = parts.character.rig
-    assert rig is not None
-    above = int(rig.parents[bone])
-    while above >= 0 and parts.parts[above] == NO_HANDLE:
-        above = int(rig.parents[above])
-    return "hair" if above >= 0 and parts.parts[above] == _HEAD else "strand"
-
-
 def _chain(character: Character, rig: Rig, held: _Held, line: list[int], kind: str, height: float) -> Chain | None:
-    """A chain of bones; those at its end that hold no vertex more than others do go with the last that does."""
+    """A chain of bones; those at its end that hold most of no vertex go with the last that does."""
     while len(line) > 1 and not (held.bone == line[-1]).any():
         line = line[:-1]
     bones, starts = [line[0]], [rig.positions[line[0]]]

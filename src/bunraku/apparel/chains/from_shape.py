@@ -1,6 +1,4 @@
-"""Chains of a mesh without bones for its apparel, and the swing of parts that a file beside the character's
-describes.
-"""
+"""Chains of a mesh without bones for its apparel, and parts that swing as a file beside the character's says."""
 
 from __future__ import annotations
 
@@ -20,40 +18,30 @@ from bunraku.core.geometry.curves import smooth_step
 
 __all__ = ["part_kinds", "shape_chains", "with_parts_from_file"]
 
-LINK = 0.115
-"""Length of a link over the size [m]."""
-WIDE = {"skirt": 0.17, "cape": 0.17, "sleeve": 0.2}
-"""Width of a column over the size [m]."""
-LOCK = 0.13  # of other kinds
+# Lengths over the size [m]. All were chosen by eye.
+LINK = 0.115  # length of a link
+WIDE = {"skirt": 0.17, "cape": 0.17, "sleeve": 0.2}  # width of a column
+LOCK = 0.13  # width of a column of other kinds
 MOST_LINKS, MOST_COLUMNS = 6, 14
-LEAST = {"skirt": 8, "cape": 3}
-"""Columns that a sheet has at least."""
-SHORTEST = 0.05
-"""Over the size [m]: what reaches less far from where it is held stays there."""
-SHORT = 0.45
-"""Of the farthest end: a shorter end gets a chain of its own only where none is near."""
-LOOKED = 700
-"""Points among which ends are looked for."""
-SLOPE = 0.03
-"""Over the size [m]: points are ends where none near reaches so much farther."""
-NEXT = 2.2
-"""Neighbours of a sheet are nearer to each other than so many times the width of a column."""
-EVENED = 4
-"""How often ends are moved to the middle of what is nearest to them."""
-HOLDS = 0.9  # of a link: as far from where it begins its skin goes over to what it hangs on
+LEAST = {"skirt": 8, "cape": 3}  # columns that a sheet has at least
+SHORTEST = 0.05  # what reaches less far from where it is held stays there
+SHORT = 0.45  # of the farthest end: a shorter end gets a chain of its own only where none is near
+CANDIDATES = 700  # points among which ends are looked for
+SLOPE = 0.03  # points are ends where none near reaches so much farther
+NEXT = 2.2  # neighbours of a sheet are at most so many widths of a column apart
+EVENED = 4  # how often ends are moved to the middle of what is nearest to them
+HOLDS = 0.9  # of a link: so far from its beginning its skin blends into what it hangs on
 BROAD = 0.45  # of a column's width: standard deviation of what it holds
-EASED = 6
-"""How often shares are averaged along the surface."""
-HOLDERS = 6
-"""Links that hold a vertex."""
+EASED = 6  # how often shares are averaged along the surface
+HOLDERS = 6  # links that hold a vertex
 TIED = ("skirt", "cape", "sleeve")
-SHARED = 0.04
-"""Of what two columns hold: as much as this in common makes them neighbours."""
+SHARED = 0.04  # of what two columns hold: as much as this in common makes them neighbours
+LIGHT = 1e-3  # least gravity by which springs are measured, as a factor
 
 
 @dataclass(frozen=True, eq=False)
 class _Column:
-    """A chain of a piece: its points, shape (R + 1, 3), and how far along the surface its end is [m]."""
+    """A chain of a piece: its points, shape (R + 1, 3), and the distance of its end along the surface [m]."""
 
     points: np.ndarray
     end: float
@@ -63,22 +51,19 @@ class _Column:
         return len(self.points) - 1
 
     def at(self, along: np.ndarray) -> np.ndarray:
-        """How many links down distances along the surface are."""
+        """Distances along the surface in links."""
         return np.asarray(np.clip(along / self.end, 0, 1) * self.links)
 
     def beside(self, points: np.ndarray, along: np.ndarray) -> np.ndarray:
-        """How far points are from the place of the column as far along [m]."""
+        """Distance of points from the position of the column as far along [m]."""
         at = self.at(along)
         row = np.minimum(at.astype(np.int64), self.links - 1)
-        place = self.points[row] + (at - row)[:, None] * (self.points[row + 1] - self.points[row])
-        return np.asarray(np.linalg.norm(points - place, axis=1))
+        position = self.points[row] + (at - row)[:, None] * (self.points[row + 1] - self.points[row])
+        return np.asarray(np.linalg.norm(points - position, axis=1))
 
 
 def shape_chains(clothed: ClothedCharacter) -> LaidChains:
-    """Chains over the apparel of a mesh, and what of it they hold.
-
-    Args:
-        clothed: The character; its parts hang whole on one joint each.
+    """Chains over the apparel of a character whose parts hang on one joint each, and what of it they hold.
 
     Raises:
         CharacterError: The mesh is broken.
@@ -99,17 +84,15 @@ def shape_chains(clothed: ClothedCharacter) -> LaidChains:
         held, common = _hold(piece, columns, wide)
         links[piece.rows], shares[piece.rows] = held[0] + total, held[1]
         base = len(chains)
-        for place, column in enumerate(columns):
+        for order, column in enumerate(columns):
             bones = JOINT_COUNT + total + np.arange(column.links)
             total += column.links
             width = _half_width(piece, column, wide, size)
-            chains.append(
-                Chain(
-                    f"{piece.kind}_{number}_{place}", piece.kind, bones, column.points, piece.joint,
-                    np.full(column.links, width), float(np.clip(0.25 * width, 0.004 * size, 0.015 * size)),
-                    parameters_of_laid(piece.kind, column.end / size),
-                )
-            )  # fmt: skip
+            thick = float(np.clip(0.25 * width, 0.004 * size, 0.015 * size))
+            chains.append(Chain(
+                f"{piece.kind}_{number}_{order}", piece.kind, bones, column.points, piece.joint,
+                np.full(column.links, width), thick, parameters_of_laid(piece.kind, column.end / size),
+            ))  # fmt: skip
         for one, other in zip(*np.nonzero(np.triu(common > SHARED, 1)), strict=True):
             near.append((base + int(one), base + int(other), float(common[one, other])))
         if piece.kind in TIED:
@@ -121,14 +104,13 @@ def shape_chains(clothed: ClothedCharacter) -> LaidChains:
 
 
 def _columns(piece: Piece, size: float) -> list[_Column]:
-    """Where the chains of a piece run; none where it is too short."""
+    """The chains of a piece; none where it is too short."""
     wide = WIDE.get(piece.kind, LOCK) * size
     longest = float(piece.along.max())
     if longest < SHORTEST * size:
         return []
-    ends = _ends(piece, wide, size)
     out = []
-    for end in ends:
+    for end in _ends(piece, wide, size):
         length = float(piece.along[end])
         rows = int(np.clip(round(length / (LINK * size)), 1, MOST_LINKS))
         rows = max(rows, 2) if length > 0.08 * size else rows
@@ -137,10 +119,10 @@ def _columns(piece: Piece, size: float) -> list[_Column]:
 
 
 def _ends(piece: Piece, wide: float, size: float) -> list[int]:
-    """Points to which the columns run: the ends of the piece, so far apart as columns are wide."""
+    """Points to which the columns run: the ends of the piece, as far apart as columns are wide."""
     far = np.flatnonzero(piece.along > SHORTEST * size)
-    if len(far) > LOOKED:
-        far = np.sort(np.random.default_rng(0).choice(far, LOOKED, replace=False))
+    if len(far) > CANDIDATES:
+        far = np.sort(np.random.default_rng(0).choice(far, CANDIDATES, replace=False))
         far = np.union1d(far, [piece.along.argmax()])
     points, along = piece.points[far], piece.along[far]
     tree = cKDTree(points)
@@ -171,7 +153,7 @@ def _ends(piece: Piece, wide: float, size: float) -> list[int]:
 
 
 def _spine(piece: Piece, end: int, rows: int, wide: float) -> np.ndarray:
-    """Means of the points about some distances along, near the way to an end, shape (R + 1, 3)."""
+    """Means of the points about distances along the way to an end, shape (R + 1, 3)."""
     way = [end]
     while piece.before[way[-1]] >= 0:
         way.append(int(piece.before[way[-1]]))
@@ -180,9 +162,9 @@ def _spine(piece: Piece, end: int, rows: int, wide: float) -> np.ndarray:
     guide = np.stack([np.interp(stops, piece.along[way], piece.points[way][:, axis]) for axis in range(3)], axis=1)
     half = 0.35 * stops[1]
     out = []
-    for stop, place in zip(stops, guide, strict=True):
+    for stop, position in zip(stops, guide, strict=True):
         level = np.square(np.clip((piece.along - stop) / half, -8, 8))
-        across = np.square(np.linalg.norm(piece.points - place, axis=1) / (0.35 * wide))
+        across = np.square(np.linalg.norm(piece.points - position, axis=1) / (0.35 * wide))
         share = np.exp(-0.5 * np.minimum(level + across, 1000)) + 1e-300
         out.append(share @ piece.points / share.sum())
     return np.array(out)
@@ -197,7 +179,7 @@ def _half_width(piece: Piece, column: _Column, wide: float, size: float) -> floa
 
 
 def _beside(columns: list[_Column], wide: float) -> list[tuple[int, int]]:
-    """Pairs of columns that are neighbours in their order about the middle of them all."""
+    """Pairs of columns that are neighbours in their order about the middle of all."""
     if len(columns) < 2:
         return []
     middle = np.array([column.points.mean(axis=0) for column in columns])
@@ -219,9 +201,9 @@ def _hold(piece: Piece, columns: list[_Column], wide: float) -> tuple[tuple[np.n
     common = (share.T @ share) / np.maximum(np.outer(size, size), 1e-12)
     held = np.zeros((len(piece.rows), sum(column.links for column in columns)))
     first = 0
-    for place, column in enumerate(columns):
+    for number, column in enumerate(columns):
         at = column.at(piece.along)
-        free = smooth_step(at / HOLDS, 0.0, 1.0) * share[:, place]
+        free = smooth_step(at / HOLDS, 0.0, 1.0) * share[:, number]
         lower = np.clip(np.floor(at - 0.5), 0, column.links - 1).astype(np.int64)
         upper = np.minimum(lower + 1, column.links - 1)
         more = np.clip(at - 0.5 - lower, 0, 1)
@@ -248,49 +230,41 @@ def _smooth(piece: Piece, values: np.ndarray) -> np.ndarray:
 
 
 def _most(held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The links that hold most of each point, and how much, so that what falls away at the next one falls away to 0."""
+    """The links that hold most of each point, and how much, faded so that the next one falls away to 0."""
     count = min(HOLDERS, held.shape[1])
     order = np.argsort(-held, axis=1, kind="stable")[:, :count]
-    some = np.take_along_axis(held, order, axis=1)
+    held_most = np.take_along_axis(held, order, axis=1)
     total = held.sum(axis=1, keepdims=True)
     if held.shape[1] > count:
         next_one = -np.partition(-held, count, axis=1)[:, count : count + 1]
-        some = some - next_one
-    some = some * total / np.maximum(some.sum(axis=1, keepdims=True), 1e-12)
+        held_most = held_most - next_one
+    held_most = held_most * total / np.maximum(held_most.sum(axis=1, keepdims=True), 1e-12)
     links, shares = np.zeros((len(held), HOLDERS), np.int64), np.zeros((len(held), HOLDERS))
-    links[:, :count], shares[:, :count] = order, np.where(total > 1e-4, some, 0.0)
+    links[:, :count], shares[:, :count] = order, np.where(total > 1e-4, held_most, 0.0)
     return links, shares
 
 
-LIGHT = 1e-3
-"""Gravity counts as no weaker than so much of itself where springs are measured by the weight."""
+def with_parts_from_file(clothed: ClothedCharacter, tables: Mapping[str, Mapping[str, float]]) -> ClothedCharacter:
+    """A clothed character whose apparel swings as the tables of a file say (`parameters_beside`); the rest stays.
 
-
-def with_parts_from_file(clothed: ClothedCharacter, told: Mapping[str, Mapping[str, float]]) -> ClothedCharacter:
-    """A clothed character whose apparel swings as is told; what is not told stays.
-
-    A part gets the mean of what is told of the chains over it, by how much they hold. Where a file says how each vertex
-    swings, those that a chain holds swing so far in all as its links together. Mass counts for nothing here.
-
-    Args:
-        clothed: The character.
-        told: What is told, by kinds and names of chains (`manners_beside`).
+    A part gets the mean of the parameters of the chains over it, by how much they hold. Where each vertex has a
+    `swing`, those that a chain holds swing as far in all as its links together. Masses do not count here.
 
     Raises:
         CharacterError: The mesh is broken.
     """
-    if not told:
+    if not tables:
         return clothed
     laid = shape_chains(clothed)
-    own = [parameters_from_file(chain.kind, chain.name, told) for chain in laid.chains]
-    if not any(own):
+    changes = [parameters_from_file(chain.kind, chain.name, tables) for chain in laid.chains]
+    if not any(changes):
         return clothed
     held = _held(laid)
     counts = _counts(clothed, laid, held)
     total = np.maximum(counts.sum(axis=1), 1e-9)
     stiffness, damping = np.array(clothed.stiffness, np.float64), np.array(clothed.damping, np.float64)
     limit = np.array(clothed.limit, np.float64)
-    new = [_numbers(one) for one in own]
+    new = [_numbers(change) for change in changes]
     for number, (ratio, lost, turn) in enumerate(new):
         share = counts[:, number] / total
         if ratio is not None:
@@ -304,8 +278,8 @@ def with_parts_from_file(clothed: ClothedCharacter, told: Mapping[str, Mapping[s
         swing = np.array(swing)
         for number, chain in enumerate(laid.chains):
             rows = laid.vertices[(held[:, number] > 0.5 * held.sum(axis=1)) & (held[:, number] > 0)]
-            if own[number] and len(rows):
-                swing[rows] = Swing.of_rows(swing[rows]).told(own[number], len(chain)).rows()
+            if changes[number] and len(rows):
+                swing[rows] = Swing.of_rows(swing[rows]).with_parameters(changes[number], len(chain)).rows()
     return replace(
         clothed, stiffness=np.clip(stiffness, SOFTEST, STIFFEST).astype(np.float32),
         damping=damping.astype(np.float32), limit=limit.astype(np.float32), swing=swing,
@@ -313,12 +287,7 @@ def with_parts_from_file(clothed: ClothedCharacter, told: Mapping[str, Mapping[s
 
 
 def part_kinds(clothed: ClothedCharacter, laid: LaidChains) -> list[str]:
-    """The kind of each part, that of the chains that hold the most of it; "" where none does.
-
-    Args:
-        clothed: The character.
-        laid: The chains over its apparel.
-    """
+    """The kind of each part: that of the chains that hold most of it; "" where none does."""
     counts = _counts(clothed, laid, _held(laid))
     out = []
     for row in counts:
@@ -330,8 +299,8 @@ def part_kinds(clothed: ClothedCharacter, laid: LaidChains) -> list[str]:
 
 
 def _held(laid: LaidChains) -> np.ndarray:
-    """How much each chain holds of each vertex, shape (A, C)."""
-    owner = np.zeros(laid.count, np.int64)
+    """Share of each vertex that each chain holds, shape (A, C)."""
+    owner = np.zeros(sum(map(len, laid.chains)), np.int64)
     for number, chain in enumerate(laid.chains):
         owner[chain.bones - JOINT_COUNT] = number
     out = np.zeros((len(laid.vertices), len(laid.chains)))
@@ -347,11 +316,11 @@ def _counts(clothed: ClothedCharacter, laid: LaidChains, held: np.ndarray) -> np
     return out
 
 
-def _numbers(told: Mapping[str, float]) -> tuple[float | None, float | None, float | None]:
-    """Stiffness, damping and limit [rad] as parts have them; None for what is not told."""
-    limit = float(np.clip(np.radians(told["limit"]), NARROW, FREE)) if "limit" in told else None
+def _numbers(table: Mapping[str, float]) -> tuple[float | None, float | None, float | None]:
+    """Stiffness, damping and limit [rad] as parts have them; None for what the file does not say."""
+    limit = float(np.clip(np.radians(table["limit"]), NARROW, FREE)) if "limit" in table else None
     ratio = None if limit is None else LOADS - float(np.log10(limit))
-    if told.get("stiffness", 0.0) > 0:
-        spring = float(np.log10(told["stiffness"] / max(told.get("gravity", 1.0), LIGHT)))
+    if table.get("stiffness", 0.0) > 0:
+        spring = float(np.log10(table["stiffness"] / max(table.get("gravity", 1.0), LIGHT)))
         ratio = spring if ratio is None else max(ratio, spring)
-    return ratio, told.get("damping"), limit
+    return ratio, table.get("damping"), limit

@@ -1,8 +1,6 @@
-"""Pieces of apparel on a mesh: the surface of what hangs together, how far along it each point is from where it is
-held, and what kind of apparel it is.
+"""Connected pieces of apparel: how far along the surface each point is from where it is held, and the kind of apparel.
 
-Hair is held by the skull and all of it is one piece, however many locks it has; a cape and a skirt are held along the
-whole of their upper edge.
+All hair is one piece, held by the skull; a cape and a skirt are held along the whole of their upper edge.
 """
 
 from __future__ import annotations
@@ -16,68 +14,47 @@ from scipy.spatial import cKDTree
 
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.nodes import surface_distances
-from bunraku.core.body.layout import JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.body.layout import JOINT_NAMES, JOINT_PARENTS, sided
 from bunraku.core.geometry.axes import covered, direction_bins
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
 __all__ = ["Piece", "pieces_of"]
 
+# Lengths over the size [m]. All were chosen by eye.
 ROUND = 0.65  # of the directions about the body: a piece that covers so many is a skirt
 BROAD = 0.3  # of them: a piece on the trunk that covers so many is a cape
 BINS = 24
+# Points are joined to so many that are as near: cards of hair and layers of cloth lie on one another without an edge.
 NEAR, CLOSE = 6, 0.02
-"""Points are joined to so many that are as near [m, over the size]: cards of hair and layers of cloth lie on one
-another without an edge between them.
-"""
+# Points of cloth are joined to so many of those on a grid that are nearer than the wall: both walls of a cloth with
+# thickness, and a petticoat and its skirt, reach as far at the same position.
 WALL, GRID, ACROSS = 0.06, 0.02, 16
-"""Of cloth, points are joined to so many of those on a grid of `GRID` that are nearer than `WALL` (over the size [m]):
-both walls of a cloth with thickness, and a petticoat and its skirt, reach as far at the same place.
-"""
-SKULL = 1.3
-"""Hair within so many times the half axes of the skull is held, what lies above its lower quarter."""
-BALD = 0.75
-"""The half axes of a skull are at least so many times half its height, where hair hides it."""
-FAR = 0.04
-"""Over the size [m]: what lies farther from all that is held of a piece is held for itself."""
-UPPER = 0.35
-"""Of the height of a piece of cloth: only what is as high is taken to hold it."""
-EDGE = 0.02
-"""Over the size [m]: cloth is held so far down from its upper edge."""
+SKULL = 1.3  # half axes of the skull within which hair above its lower quarter is held
+BALD = 0.75  # least half axes of a skull that hair hides, over half its height
+FAR = 0.04  # what lies farther from all that is held of a piece is held for itself
+UPPER = 0.35  # of the height of a piece of cloth: only its points above this hold it
+EDGE = 0.02  # cloth is held so far down from its upper edge
 _HEAD = tuple(JOINT_NAMES.index(name) for name in ("head", "neck"))
 _HIPS = tuple(JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "left_hip", "right_hip"))
-_ARMS = tuple(JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")
-              for part in ("shoulder", "elbow", "wrist"))  # fmt: skip
+_CHEST = (JOINT_NAMES.index("spine2"), JOINT_NAMES.index("spine3"), *sided("collar"))
+_ARMS = sided("shoulder", "elbow", "wrist")
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """What hangs together.
+    """A connected piece."""
 
-    Args:
-        kind: One of `chain.KINDS`.
-        joint: The joint that carries it.
-        rows: Points of the surface (`clean_mesh`), shape (P,).
-        points: Where they are [m], shape (P, 3).
-        along: Distance along the surface from where it is held [m], 0 there, shape (P,).
-        before: The point of `rows` that each is reached from, -1 where it is held, shape (P,).
-        graph: Lengths of the edges between points [m], (P, P).
-    """
-
-    kind: str
-    joint: int
-    rows: np.ndarray
-    points: np.ndarray
-    along: np.ndarray
-    before: np.ndarray
-    graph: csr_matrix
+    kind: str  # one of `chain.KINDS`
+    joint: int  # the joint that carries it
+    rows: np.ndarray  # points of the surface (`clean_mesh`), shape (P,)
+    points: np.ndarray  # their positions [m], shape (P, 3)
+    along: np.ndarray  # distance along the surface from where it is held [m], shape (P,)
+    before: np.ndarray  # the point of `rows` that each is reached from, -1 where it is held, shape (P,)
+    graph: csr_matrix  # lengths of the edges between points [m], (P, P)
 
 
 def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:
-    """The pieces of a character's apparel, and the surface's point of each vertex, shape (V,).
-
-    Args:
-        clothed: The character; its parts hang whole on one joint each.
-    """
+    """The pieces of a character's apparel, and the surface's point of each vertex, shape (V,)."""
     clean = clean_mesh(clothed.rest, clothed.faces)
     count = len(clean.vertices)
     points = clean.vertices * clean.scale + clean.center
@@ -89,8 +66,7 @@ def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:
     joint[clean.index[cloth]] = clothed.weights[cloth].argmax(axis=1)
     edges = unique_edges(clean.faces, count)
     edges = edges[(part[edges] >= 0).all(axis=1)]
-    groups: list[tuple[str, int, np.ndarray]] = []
-    hair: list[np.ndarray] = []
+    groups, hair = list[tuple[str, int, np.ndarray]](), list[np.ndarray]()
     for number in range(int(part.max(initial=-1)) + 1):
         rows = np.flatnonzero(part == number)
         if len(rows) < 4:
@@ -110,23 +86,23 @@ def _piece(
     clothed: ClothedCharacter, kind: str, joint: int, rows: np.ndarray, points: np.ndarray, along: np.ndarray,
     edges: np.ndarray,
 ) -> Piece:  # fmt: skip
-    own, count = points[rows], len(rows)
-    place = np.full(len(points), -1)
-    place[rows] = np.arange(count)
-    pairs = place[edges]
+    positions, count = points[rows], len(rows)
+    index = np.full(len(points), -1)
+    index[rows] = np.arange(count)
+    pairs = index[edges]
     pairs = pairs[(pairs >= 0).all(axis=1)]
-    pairs = np.concatenate([pairs, _near(own, np.arange(count), NEAR + 1, CLOSE * clothed.scale)])
+    pairs = np.concatenate([pairs, _near(positions, np.arange(count), NEAR + 1, CLOSE * clothed.scale)])
     if kind in ("skirt", "cape"):
-        pairs = np.concatenate([pairs, _through(own, clothed.scale)])
-    seeds = _held(clothed, kind, own, along[rows])
-    seeds |= _apart(own, pairs, seeds, along[rows], FAR * clothed.scale)
-    pairs = _bridged(own, pairs, seeds)
+        pairs = np.concatenate([pairs, _through(positions, clothed.scale)])
+    seeds = _held(clothed, kind, positions, along[rows])
+    seeds |= _apart(positions, pairs, seeds, along[rows], FAR * clothed.scale)
+    pairs = _bridged(positions, pairs, seeds)
     pairs = np.unique(np.sort(pairs, axis=1), axis=0)
-    lengths = np.linalg.norm(own[pairs[:, 0]] - own[pairs[:, 1]], axis=1) + 1e-9
+    lengths = np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=1) + 1e-9
     graph = coo_matrix((lengths, (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
     graph = graph + graph.T
     far, before, _ = dijkstra(graph, indices=np.flatnonzero(seeds), min_only=True, return_predecessors=True)
-    return Piece(kind, joint, rows, own, far, np.where(before < 0, -1, before), graph)
+    return Piece(kind, joint, rows, positions, far, np.where(before < 0, -1, before), graph)
 
 
 def _held(clothed: ClothedCharacter, kind: str, points: np.ndarray, along: np.ndarray) -> np.ndarray:
@@ -146,20 +122,17 @@ def _held(clothed: ClothedCharacter, kind: str, points: np.ndarray, along: np.nd
 
 
 def _upper_edge(clothed: ClothedCharacter, points: np.ndarray) -> np.ndarray:
-    """Points that are as high as a sheet is in their direction, in its upper half, shape (P,), bool."""
+    """Points as high as a sheet is in their direction, in its upper half, shape (P,), bool."""
     middle = clothed.joints[0].astype(float)
-    angle = np.arctan2(points[:, 0] - middle[0], points[:, 2] - middle[2])
-    place = direction_bins(angle, BINS)
+    bins = direction_bins(np.arctan2(points[:, 0] - middle[0], points[:, 2] - middle[2]), BINS)
     top = np.full(BINS, -np.inf)
-    np.maximum.at(top, place, points[:, 1])
+    np.maximum.at(top, bins, points[:, 1])
     low, high = float(points[:, 1].min()), float(points[:, 1].max())
-    return (points[:, 1] > top[place] - EDGE * clothed.scale) & (points[:, 1] > low + 0.5 * (high - low))
+    return (points[:, 1] > top[bins] - EDGE * clothed.scale) & (points[:, 1] > low + 0.5 * (high - low))
 
 
 def _skull(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and half axes of the skull [m], each shape (3,): of what the head holds bare, and never far narrower than
-    high.
-    """
+    """Centre and half axes of the skull [m], (3,) each, by the bare surface of the head; never very narrow."""
     head = clothed.joints[_HEAD[0]].astype(float)
     held = clothed.weights[:, _HEAD[0]] > 0.5
     held &= clothed.rest[:, 1] > head[1]
@@ -183,28 +156,26 @@ def _skull(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _through(points: np.ndarray, size: float) -> np.ndarray:
-    """Pairs of points that lie near each other on whatever layer, shape (E, 2)."""
+    """Pairs of points that lie near each other on any layer, shape (E, 2)."""
     cells = np.floor(points / (GRID * size)).astype(np.int64)
-    some = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-    return _near(points, some, ACROSS, WALL * size)
+    chosen = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    return _near(points, chosen, ACROSS, WALL * size)
 
 
 def _near(points: np.ndarray, among: np.ndarray, count: int, reach: float) -> np.ndarray:
-    """Pairs of each point with those of some, at most so many, that are nearer than `reach` [m], shape (E, 2)."""
+    """Pairs of each point with at most `count` of those in `among` that are nearer than `reach` [m], shape (E, 2)."""
     count = min(count, len(among))
     gap, near = (
         found.reshape(len(points), count)
         for found in cKDTree(points[among]).query(points, count, distance_upper_bound=reach)
     )
-    one, column = np.nonzero(np.isfinite(gap))
-    other = among[near[one, column]]
-    return np.stack([one, other], axis=1)[one != other]
+    row, column = np.nonzero(np.isfinite(gap))
+    other = among[near[row, column]]
+    return np.stack([row, other], axis=1)[row != other]
 
 
 def _apart(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray, along: np.ndarray, far: float) -> np.ndarray:
-    """Where components that lie far from all that is held are held themselves, shape (P,), bool: the lowest band
-    of long hair, whose rest is not apparel.
-    """
+    """Points that hold components far from all that is held, (P,), bool: the lowest band of long hair."""
     label = mesh_parts(pairs, len(points))
     out = np.zeros(len(points), bool)
     loose = ~np.isin(label, label[seeds])
@@ -217,26 +188,26 @@ def _apart(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray, along: np.n
 
 
 def _bridged(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Pairs with one more from each component that no seed is in to the nearest point of one that has some."""
+    """Pairs with one more from each component without a seed to the nearest point of one that has some."""
     label = mesh_parts(pairs, len(points))
     reached = np.zeros(int(label.max()) + 1, bool)
     reached[label[seeds]] = True
     more = [pairs]
     while not reached.all():
-        known, rest = np.flatnonzero(reached[label]), np.flatnonzero(~reached[label])
-        gap, nearest = cKDTree(points[known]).query(points[rest])
+        inside, rest = np.flatnonzero(reached[label]), np.flatnonzero(~reached[label])
+        gap, nearest = cKDTree(points[inside]).query(points[rest])
         order = np.argsort(gap, kind="stable")
         _, first = np.unique(label[rest[order]], return_index=True)
         # the nearest half at once: those behind them are nearer to these than to what is held
         first = first[np.argsort(gap[order[first]], kind="stable")][: max(1, (len(first) + 1) // 2)]
         chosen = order[first]
-        more.append(np.stack([rest[chosen], known[nearest[chosen]]], axis=1))
+        more.append(np.stack([rest[chosen], inside[nearest[chosen]]], axis=1))
         reached[label[rest[chosen]]] = True
     return np.concatenate(more)
 
 
 def _around(clothed: ClothedCharacter, joint: int, points: np.ndarray) -> np.ndarray:
-    """Angle of points about the axis of what carries them, 0 in front."""
+    """Angle of points about the axis of their carrier, 0 in front."""
     start = clothed.joints[joint].astype(float)
     axis = np.array([0.0, 1, 0])
     if joint in _ARMS:
@@ -251,7 +222,7 @@ def _around(clothed: ClothedCharacter, joint: int, points: np.ndarray) -> np.nda
 
 
 def _kind(clothed: ClothedCharacter, joint: int, points: np.ndarray, along: np.ndarray) -> str:
-    """What a part is, by what carries it and how far it goes round that."""
+    """The kind of a part, by its carrier and how far it goes round that."""
     length = float(along.max())
     angle = _around(clothed, joint, points)
     cover = covered(angle, BINS)
@@ -273,13 +244,12 @@ def _kind(clothed: ClothedCharacter, joint: int, points: np.ndarray, along: np.n
         begins = points[along <= np.percentile(along, 20)].mean(axis=0) - clothed.joints[_HIPS[0]]
         behind = begins[2] < 0 and abs(begins[0]) < -begins[2]
         return "tail" if behind and (thin >= 0.35 or width < 0.1) else "ribbon"
-    if joint in (JOINT_NAMES.index("spine2"), JOINT_NAMES.index("spine3"), *(
-            JOINT_NAMES.index(f"{side}_collar") for side in ("left", "right"))):  # fmt: skip
+    if joint in _CHEST:
         return "cape" if cover > BROAD and length > 0.15 * clothed.scale else "ribbon"
     return "ribbon"
 
 
 def _thickness(points: np.ndarray) -> float:
-    """How thick points are over how wide, across their longest axis, from 0 (a sheet) to 1 (a rod)."""
+    """Thickness over width of points, across their longest axis, from 0 (a sheet) to 1 (a rod)."""
     values = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov((points - points.mean(axis=0)).T)), 0))
     return float(values[0] / max(values[1], 1e-9))

@@ -11,34 +11,27 @@ import numpy as np
 from bunraku.apparel.body import BodyPoints, body_points, eq4_transforms, nearest_point
 from bunraku.apparel.clothed import GRAVITY, ClothedCharacter, Swing
 from bunraku.apparel.nodes import ApparelNodes, node_swing
-from bunraku.core.body.layout import JOINT_COUNT, JOINT_MIRROR, JOINT_PARENTS
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, quaternion_from_matrix, quaternion_slerp
 
 __all__ = [
     "BASIS", "FREQUENCIES", "Frame", "GLOBAL", "LAGS", "LEAD_IN", "MotionFeatures", "MotionFilters", "OWN",
-    "OwnPendulum", "PENDULUMS", "Pendulums", "RATE", "STATIC_SCALARS", "STATIC_VECTORS", "VECTORS", "clip_features",
-    "lead_in_transforms", "mirror_global", "rest_transforms", "static_features",
+    "OwnPendulum", "PENDULUMS", "Pendulums", "RATE", "STATIC_SCALARS", "STATIC_VECTORS", "VECTORS",
+    "lead_in_transforms", "rest_transforms", "static_features",
 ]  # fmt: skip
 
 FREQUENCIES = (0.4, 0.7, 1.2, 2.0, 3.4)
-"""Of the oscillators [1/s]: apparel swings at 0.6 on the average, stiff pieces at 4."""
+"""Of the oscillators [1/s]: apparel of the wardrobe swings at 0.6 on average, stiff pieces at 4."""
 DAMPING = 0.3
-LAGS = (0.08, 0.25, 0.8)
-"""Times in which a lagging rotation follows [s]."""
+LAGS = (0.08, 0.25, 0.8)  # time constants with which a lagging rotation follows [s]
 PENDULUMS = ((0.0, 3.0), (20.0, 3.0), (80.0, 5.0), (200.0, 12.0))
-"""Of each, the stiffness of the spring to where it is carried [1/s^2] and the damping [1/s], for a unit of mass."""
+"""Of each, the stiffness of the spring to its carried position [1/s^2] and the damping [1/s], for a unit of mass."""
 SUBSTEPS = 4
 FILTER_GRAVITY = 9.81
 
 
 class MotionFilters:
-    """The state of the filters, frame by frame.
-
-    Args:
-        positions: Of the M carried nodes in the first frame [m], shape (M, 3).
-        turns: Of the J joints, shape (J, 3, 3).
-        fps: Frames a second [1/s].
-    """
+    """The filters' state for M carried nodes (M, 3), over the character's size, and J joints' rotations (J, 3, 3)."""
 
     def __init__(self, positions: np.ndarray, turns: np.ndarray, fps: float = 30.0):
         self.step = 1 / fps
@@ -50,17 +43,9 @@ class MotionFilters:
         self.follow = (1 - np.exp(-self.step / np.array(LAGS, np.float32)))[:, None, None, None]
 
     def advance(self, positions: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Go on by a frame.
-
-        The sway y of each oscillator is where a mass on a spring is, seen from what carries it:
-        `y'' + 2 zeta omega y' + omega^2 y = -p''`, by semi-implicit Euler steps.
-
-        Args:
-            positions: [m], shape (M, 3).
-            turns: Shape (J, 3, 3).
-
-        Returns:
-            Velocity [m/s] and acceleration [m/s^2] of the nodes, shape (M, 3) each; `sway` and `late` hold the rest.
+        """The next frame: velocity and acceleration of the nodes, shape (M, 3) each; `sway` and `late` hold the rest.
+        The sway y of each oscillator is where a mass on a spring is, seen from its carrier: `y'' + 2 zeta omega y' +
+        omega^2 y = -p''`, by semi-implicit Euler steps.
         """
         velocity = (positions - self.positions[1]) / self.step
         acceleration = (positions - 2 * self.positions[1] + self.positions[0]) / self.step**2
@@ -73,15 +58,13 @@ class MotionFilters:
 
 
 class Pendulums:
-    """Masses on rods of fixed length, which hang where the parts of the nodes are held, under gravity, damping against
-    what carries them and springs to where that takes them.
+    """Masses on rods of fixed length, which hang where the parts of the nodes are held, under gravity, with damping
+    against their carrier and springs to where it takes them.
 
     Args:
         positions: Of the M carried nodes in the first frame, over the character's size, shape (M, 3).
         held: From where its part is held to each node, over the size, shape (M, 3).
         turns: Frames of the carrying joints, shape (M, 3, 3).
-        size: The clothed's size [m].
-        fps: Frames a second [1/s].
     """
 
     def __init__(self, positions: np.ndarray, held: np.ndarray, turns: np.ndarray, size: float, fps: float = 30.0):
@@ -96,13 +79,8 @@ class Pendulums:
         self.speed = np.zeros_like(self.points)
 
     def advance(self, positions: np.ndarray, turns: np.ndarray) -> np.ndarray:
-        """Go on by a frame: where the masses are, from the carried nodes, in the world over the size, shape (P, M, 3).
-
-        Semi-implicit Euler steps, after each of which the rods have their lengths again.
-
-        Args:
-            positions: Shape (M, 3).
-            turns: Shape (M, 3, 3).
+        """The next frame: positions of the masses from the carried nodes, in the world over the size, shape (P, M, 3),
+        by semi-implicit Euler steps, after each of which the rods have their lengths again.
         """
         positions = np.asarray(positions, np.float32)
         rods = np.matmul(turns, self.held[..., None])[..., 0].astype(np.float32)
@@ -125,12 +103,7 @@ BLEND = 0.6  # share of the way in which the pose changes; in the rest of it app
 
 
 def rest_transforms(joints: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """`[R | t]` of the rest pose, standing where a frame does and looking where it looks, shape (22, 3, 4).
-
-    Args:
-        joints: J [m], shape (22, 3).
-        first: The frame, shape (22, 3, 4).
-    """
+    """`[R | t]` of the rest pose with joints J (22, 3) at a frame's position and heading, both shape (22, 3, 4)."""
     mean = first[:, :, :3].mean(axis=0)
     yaw = np.asarray(matrix_y(np.array(np.arctan2(mean[0, 2] - mean[2, 0], mean[0, 0] + mean[2, 2]))))
     positions = joints @ yaw.T
@@ -139,12 +112,8 @@ def rest_transforms(joints: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def lead_in_transforms(joints: np.ndarray, first: np.ndarray, frames: int) -> np.ndarray:
-    """Frames from the rest pose to the first frame of a clip, shape (frames, 22, 3, 4), float32.
-
-    Args:
-        joints: J [m], shape (22, 3).
-        first: The first frame, shape (22, 3, 4).
-        frames: How many; the pose changes in the first 60 % of them.
+    """Frames from the rest pose with joints J (22, 3) to the first frame of a clip, (22, 3, 4), shape (frames, 22, 3,
+    4), float32; the pose changes in the first 60 % of them.
     """
     start, end = rest_transforms(joints, first), np.asarray(first, np.float64)
     share = np.clip(np.arange(frames) / max(BLEND * frames, 1), 0, 1)
@@ -177,26 +146,19 @@ def _local(pose: np.ndarray, parents: np.ndarray) -> np.ndarray:
 
 
 OWN_SUBSTEPS = 4
-LEAST_RATIO = 0.15
-"""Of the critical damping there is at least so much, as in the simulation."""
+LEAST_RATIO = 0.15  # least share of the critical damping, as in the simulation
 STIFFEST = 900.0  # spring [1/s^2]
 SHORT = 5e-3  # arms count as no shorter [m]
 
 
 class OwnPendulum:
-    """Masses on arms of fixed length that turn about the pivots of M nodes.
-
-    Args:
-        swing: Of the nodes.
-        positions: Of the carried nodes in the first frame [m], shape (M, 3).
-        turns: Frames of the carrying joints, shape (M, 3, 3).
-        fps: Frames a second [1/s].
-        ease: Factor on the friction against what carries them, shape (M,) or one for all.
-        calm: Further such friction [1/s], likewise.
+    """Masses on arms of fixed length that rotate about the pivots of M nodes, which are carried as for `Pendulums`.
+    `ease` is a factor on the friction against their carriers, `calm` further such friction [1/s], each of shape (M,) or
+    one for all.
 
     Attributes:
-        bent: How far each turns about its axes [rad], shape (3, M).
-        beyond: How much farther it would turn without limits [rad], shape (M,).
+        bent: Rotation of each about its axes [rad], shape (3, M).
+        beyond: How much farther it would rotate without limits [rad], shape (M,).
     """
 
     def __init__(
@@ -230,12 +192,7 @@ class OwnPendulum:
         return np.ascontiguousarray(frames), np.ascontiguousarray((positions - away).T)
 
     def advance(self, positions: np.ndarray, turns: np.ndarray) -> np.ndarray:
-        """Go on by a frame: how far each node is from where it is carried, in the world [m], shape (M, 3).
-
-        Args:
-            positions: Of the carried nodes [m], shape (M, 3).
-            turns: Frames of the carrying joints, shape (M, 3, 3).
-        """
+        """The next frame: how far each node is from its carried position, in the world [m], shape (M, 3)."""
         frames, pivots = self._hung(positions, turns)
         frame_change, pivot_change = (frames - self.frames) / OWN_SUBSTEPS, (pivots - self.pivots) / OWN_SUBSTEPS
         held = (pivot_change + _out(frame_change, self.arm * self.length)) / self.step
@@ -270,7 +227,7 @@ def _cross_by_axis(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Rotation vectors of the least turns from unit vectors to the directions of others, shape (3, M)."""
+    """Rotation vectors of the least rotations from unit vectors to the directions of others, shape (3, M)."""
     axis = _cross_by_axis(start, end)
     sine = _length(axis)
     angle = np.arctan2(sine, np.einsum("am,am->m", start, end))
@@ -278,7 +235,7 @@ def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def _rotated_by(turn: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Vectors turned by rotation vectors, shapes (3, M)."""
+    """Vectors rotated by rotation vectors, shapes (3, M)."""
     square = np.einsum("am,am->m", turn, turn)
     angle = np.sqrt(square)
     sine = np.where(angle > 1e-6, np.sin(angle) / np.maximum(angle, 1e-9), 1.0)
@@ -287,21 +244,19 @@ def _rotated_by(turn: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return np.asarray(vectors + sine * once + cosine * _cross_by_axis(turn, once))
 
 
-RATE = 30.0
-"""Frames a second that the networks know [1/s]."""
-LEAD_IN = 30
-"""Frames from the rest pose into a clip."""
+RATE = 30.0  # frames a second that the networks know [1/s]
+LEAD_IN = 30  # frames from the rest pose into a clip
 OWN = ((1.0, 0.0), (0.25, 0.0), (1.0, 6.0))
-"""Factor on the friction of the pendulums of a node's own, and further friction [1/s]: as its chain is if all its
-joints turn alike, as where the first one turns most, and one that does not swing on.
+"""Factor on the friction of a node's own pendulums, and further friction [1/s]: its chain if all joints rotate alike;
+if the first one rotates most; and if it does not swing on.
 """
 BASIS = len(FREQUENCIES) + len(LAGS) + len(PENDULUMS) + 4 + len(OWN)
 """Vectors that a displacement may be made of: sways, lagging rotations, pendulums, the tilt, three pushes out of the
-body, and the pendulums that swing as the node's own chain would.
+body, and the node's own pendulums.
 """
 VECTORS = BASIS + 7
-"""Beside these: up, spin, velocity, acceleration, the body's normals at the node and where it hangs, and how fast its
-own pendulum goes.
+"""Beside these: up, spin, velocity, acceleration, the body's normals at the node and where it hangs, and the velocity
+of its own pendulum.
 """
 SCALARS = 4
 STATIC_VECTORS = 5
@@ -314,29 +269,21 @@ CLEAR = 0.01  # how near to the body apparel may come that was farther off at re
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame of a clothed character.
+    """One frame of a clothed character."""
 
-    Args:
-        vectors: In the frames of the carrying joints, shape (M, VECTORS, 3); the first BASIS of them are a basis of
-            displacements.
-        scalars: Signed distances from the body of the carried node and of where it hangs; how far its own pendulum
-            turns, and how far it presses against its limits; shape (M, SCALARS).
-        whole: The body's pose seen from the pelvis, shape (GLOBAL,).
-        turns: Frames R of the carrying joints, shape (M, 3, 3).
-        positions: Carried positions LBS(rest) [m], shape (M, 3).
-        body: Positions and normals of the body's points [m], shape (B, 3) each.
-    """
-
+    # in the frames of the carrying joints, shape (M, VECTORS, 3); the first BASIS of them are a basis of displacements
     vectors: np.ndarray
+    # signed distances from the body of the carried node and of where it hangs; how far its own pendulum rotates, and
+    # how far it presses against its limits; shape (M, SCALARS)
     scalars: np.ndarray
-    whole: np.ndarray
-    turns: np.ndarray
-    positions: np.ndarray
-    body: tuple[np.ndarray, np.ndarray]
+    whole: np.ndarray  # the body's pose seen from the pelvis, shape (GLOBAL,)
+    turns: np.ndarray  # frames R of the carrying joints, shape (M, 3, 3)
+    positions: np.ndarray  # carried positions LBS(rest) [m], shape (M, 3)
+    body: tuple[np.ndarray, np.ndarray]  # positions and normals of the body's points [m], shape (B, 3) each
 
 
 def static_features(clothed: ClothedCharacter, nodes: ApparelNodes) -> tuple[np.ndarray, np.ndarray]:
-    """What of the nodes never changes: vectors (M, STATIC_VECTORS, 3) and numbers (M, STATIC_SCALARS), float32."""
+    """What never changes of nodes: vectors (M, STATIC_VECTORS, 3) and numbers (M, STATIC_SCALARS), float32."""
     size = clothed.scale
     points = body_points(clothed)
     distance, normal = nearest_point(nodes.rest, points.rest, points.normals)
@@ -358,28 +305,22 @@ def static_features(clothed: ClothedCharacter, nodes: ApparelNodes) -> tuple[np.
     return vectors.astype(np.float32), scalars.astype(np.float32)
 
 
-def _swing_features(swing: Swing, held: np.ndarray, told: bool) -> np.ndarray:
-    """How nodes swing, as numbers: how far by limits and by springs, how fast, how damped, how much of them, by what
-    lever beside that of the whole part, and whether a file says so, shape (M, 7).
+def _swing_features(swing: Swing, held: np.ndarray, from_file: bool) -> np.ndarray:
+    """How nodes swing, as numbers, shape (M, 7): how far by limits and by springs, how fast, how damped, their share,
+    their lever over that of the whole part, and whether a file says so.
     """
     arm = np.maximum(np.linalg.norm(swing.arm, axis=1), SHORT)
     rate = np.sqrt(GRAVITY * swing.weight / arm + swing.spring.mean(axis=1))
     lever = np.linalg.norm(swing.lever, axis=1) / np.maximum(held, SHORT)
     return np.column_stack([
         np.log10(swing.turns() + 1e-3), np.log10(np.maximum(rate, 0.1)),
-        np.log10(swing.friction + swing.drag + 0.01), swing.share, np.minimum(lever, 3.0), np.full(len(arm), told),
+        np.log10(swing.friction + swing.drag + 0.01), swing.share, np.minimum(lever, 3.0), np.full(len(arm), from_file),
     ])  # fmt: skip
 
 
 class MotionFeatures:
-    """The features of a clothed character, frame by frame; `advance` with one pose after the other.
-
-    Args:
-        clothed: The character.
-        nodes: Its nodes.
-        first: The first pose, `[R | t]` of the joints (Eq. 1), shape (22, 3, 4); what lies before it is taken to be at
-            rest there.
-        fps: Frames a second [1/s].
+    """The features of a clothed character, frame by frame; call `advance` with one pose after the other. Before the
+    first pose, `[R | t]` of the joints (Eq. 1), shape (22, 3, 4), all is at rest there.
     """
 
     def __init__(self, clothed: ClothedCharacter, nodes: ApparelNodes, first: np.ndarray, fps: float = RATE):
@@ -409,11 +350,7 @@ class MotionFeatures:
         return _turned(blend[..., :3], self.nodes.rest) + blend[..., 3], affine[self.nodes.joint, :, :3]
 
     def advance(self, transforms: np.ndarray) -> Frame:
-        """The features of the next frame.
-
-        Args:
-            transforms: `[R | t]` of the joints, shape (22, 3, 4).
-        """
+        """The features of the next frame, by `[R | t]` of the joints, shape (22, 3, 4)."""
         nodes, size = self.nodes, self.size
         affine = self._affine(np.asarray(transforms, np.float32))
         positions, turns = self._carried(affine)
@@ -428,15 +365,12 @@ class MotionFeatures:
         late = [_turned(late[nodes.joint], held) for late in self.filters.late]
         spun = _cross(self._spin(joints)[nodes.joint], _turned(turns, held))
         swung = self.pendulums.advance(positions / size, turns)
-        own = self.own.advance(positions[self.repeated], turns[self.repeated]).reshape(len(OWN), -1, 3) / size
-        own_velocity, self.swung = (own[0] - self.swung) * self.fps, own[0]
-        world = np.stack(
-            [
-                *self.filters.sway, *late, *swung, normal, normal_hang, spun * 0.2, velocity * 0.3, acceleration * 0.05,
-                *own, own_velocity * 0.3,
-            ],
-            axis=2,
-        )  # fmt: skip
+        swings = self.own.advance(positions[self.repeated], turns[self.repeated]).reshape(len(OWN), -1, 3) / size
+        own_velocity, self.swung = (swings[0] - self.swung) * self.fps, swings[0]
+        world = np.stack([
+            *self.filters.sway, *late, *swung, normal, normal_hang, spun * 0.2, velocity * 0.3, acceleration * 0.05,
+            *swings, own_velocity * 0.3,
+        ], axis=2)  # fmt: skip
         inside = np.matmul(turns.transpose(0, 2, 1), world).transpose(0, 2, 1)
         sways, count = len(FREQUENCIES), len(FREQUENCIES) + len(LAGS) + len(PENDULUMS)
         late_inside = inside[:, sways : sways + len(LAGS)] - held[:, None]
@@ -444,14 +378,11 @@ class MotionFeatures:
         gaps = np.stack([near, near_hang], axis=1)
         push = normals * (np.clip(self.gap[:, None] - gaps, 0, 0.4 * size) / size)[..., None]
         self.push = self.push + self.follow * (push[:, 0] - self.push)
-        vectors = np.concatenate(
-            [
-                inside[:, :sways], late_inside, inside[:, sways + len(LAGS) : count], tilt[:, None], push,
-                self.push[:, None], inside[:, count + 5 : count + 5 + len(OWN)], up[:, None],
-                inside[:, count + 2 : count + 5], normals, inside[:, count + 5 + len(OWN) :],
-            ],
-            axis=1,
-        )  # fmt: skip
+        vectors = np.concatenate([
+            inside[:, :sways], late_inside, inside[:, sways + len(LAGS) : count], tilt[:, None], push,
+            self.push[:, None], inside[:, count + 5 : count + 5 + len(OWN)], up[:, None],
+            inside[:, count + 2 : count + 5], normals, inside[:, count + 5 + len(OWN) :],
+        ], axis=1)  # fmt: skip
         bent = self.own.bent[:, : len(nodes)]
         scalars = np.column_stack([
             np.clip(gaps / size, -0.3, 0.3) * 5, np.sqrt((bent**2).sum(axis=0)),
@@ -463,13 +394,11 @@ class MotionFeatures:
         )  # fmt: skip
 
     def _spin(self, joints: np.ndarray) -> np.ndarray:
-        """How fast each joint turns [rad/s], shape (22, 3)."""
+        """Angular velocity of each joint [rad/s], shape (22, 3)."""
         change = np.matmul(joints, self.before.transpose(0, 2, 1)) * self.fps
         self.before = joints
-        return np.stack(
-            [change[:, 2, 1] - change[:, 1, 2], change[:, 0, 2] - change[:, 2, 0], change[:, 1, 0] - change[:, 0, 1]],
-            axis=1,
-        ) / 2  # fmt: skip
+        skew = change - change.transpose(0, 2, 1)
+        return np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1) / 2
 
 
 def _turned(turns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
@@ -478,7 +407,7 @@ def _turned(turns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 
 def _tilted(vectors: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Vectors turned by the least turn that takes +Y to `up`; near to head over heels by less than that."""
+    """Vectors rotated by the least rotation that takes +Y to `up`, by less than that near upside down."""
     axis = np.stack([up[:, 2], np.zeros(len(up)), -up[:, 0]], axis=1)  # +Y x up
     once = _cross(axis, vectors)
     return np.asarray(vectors + once + _cross(axis, once) / np.maximum(1 + up[:, 1], 0.15)[:, None])
@@ -498,27 +427,3 @@ def _whole(transforms: np.ndarray, size: float) -> np.ndarray:
     turns = np.einsum("ba,jbc->jac", root, transforms[:, :, :3])[:, :, :2]
     joints = np.concatenate([positions, turns.transpose(0, 2, 1).reshape(-1, 6)], axis=1)
     return np.append(joints.reshape(-1), root[1]).astype(np.float32)
-
-
-def mirror_global(whole: np.ndarray) -> np.ndarray:
-    """`Frame.whole` of the mirror image in the plane x = 0, shape (..., GLOBAL)."""
-    joints = whole[..., :-3].reshape(*whole.shape[:-1], JOINT_COUNT, 9)[..., list(JOINT_MIRROR), :]
-    sign = np.array([-1, 1, 1, 1, -1, -1, -1, 1, 1], whole.dtype)
-    up = whole[..., -3:] * np.array([-1, 1, 1], whole.dtype)
-    return np.concatenate([(joints * sign).reshape(*whole.shape[:-1], -1), up], axis=-1)
-
-
-def clip_features(clothed: ClothedCharacter, nodes: ApparelNodes, transforms: np.ndarray) -> list[Frame]:
-    """Features of all frames of a clip at 30 frames a second that begins from the rest pose, after `LEAD_IN` frames
-    that lead there.
-
-    Args:
-        clothed: The character.
-        nodes: Its nodes.
-        transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
-    """
-    start = rest_transforms(clothed.joints, transforms[0])
-    state = MotionFeatures(clothed, nodes, start)
-    for pose in lead_in_transforms(clothed.joints, transforms[0], LEAD_IN):
-        state.advance(pose)
-    return [state.advance(pose) for pose in transforms]

@@ -20,22 +20,15 @@ __all__ = [
     "past_of_states",
 ]  # fmt: skip
 
-STILL = 3 * STATIC_VECTORS + STATIC_SCALARS
-"""Numbers of a node that never change."""
-NODE_INPUT = STILL + 3 * VECTORS + SCALARS
-"""Numbers of a node in a frame."""
-MOTION_HIDDEN, MOTION = 64, 24
-"""Channels of the MLP of the encoded motion f_t(T), and of what it says."""
-SHARE = 1.5
-"""Largest weight of a basis vector in what the head says."""
-KEEP = 0.97
-"""Most of the difference from the head that a frame leaves."""
-CHANGE = 0.04
-"""Largest change of that difference in a frame, over the character's size."""
+STILL = 3 * STATIC_VECTORS + STATIC_SCALARS  # features of a node that never change
+NODE_INPUT = STILL + 3 * VECTORS + SCALARS  # features of a node in a frame
+MOTION_HIDDEN, MOTION = 64, 24  # channels of the MLP of the encoded motion f_t(T), and of its output
+SHARE = 1.5  # largest weight of a basis vector in the head
+KEEP = 0.97  # largest share of the difference from the head that a frame leaves
+CHANGE = 0.04  # largest change of that difference in a frame, over the character's size
 OWN_STATE, WORLD_STATE = 7 * 3 + 1, 9
-"""Numbers of a node's past that the recurrent part reads, in the frame of its joint, and in the paper's form."""
-SET = 7
-"""Numbers that the recurrent part sets for a node."""
+"""Features of a node's past for the recurrent part, in the frame of its joint, and in the paper's form."""
+SET = 7  # outputs of the recurrent part for a node
 
 
 @dataclass(frozen=True)
@@ -46,8 +39,8 @@ class DisplacementConfig:
         width: Channels of the head.
         blocks: Its edge convolutions.
         recurrent: Channels of the recurrent part, 0 for the head alone.
-        frame: "joint" remembers the difference from the head in the frame of the carrying joint; "world" is the
-            paper's Eq. 11 as it stands, positions in the world from the pelvis, without the head.
+        frame: "joint" remembers the difference from the head in the frame of the carrying joint; "world" is the paper's
+            Eq. 11 as it stands, positions in the world from the pelvis, without the head.
     """
 
     width: int = 96
@@ -57,18 +50,11 @@ class DisplacementConfig:
 
 
 class DisplacementPart:
-    """Encoder and decoder of the head or of the recurrent part.
-
-    Args:
-        extra: Numbers of a node beside `NODE_INPUT`.
-        width: Channels.
-        blocks: Edge convolutions.
-        said: Numbers that it says of a node.
-        weights: Of a checkpoint.
-        world: Whether it is the paper's form of the recurrent part.
+    """Encoder and decoder of the head or of the recurrent part, `world` in the paper's form. `extra` are features of a
+    node beside `NODE_INPUT`, `outputs` its numbers for a node.
     """
 
-    def __init__(self, extra: int, width: int, blocks: int, said: int, weights: Weights, world: bool = False):
+    def __init__(self, extra: int, width: int, blocks: int, outputs: int, weights: Weights, world: bool = False):
         encoder, count = weights.part("encoder"), NODE_INPUT + extra
         self.world = world
         self.mean, self.std = encoder.array("mean", count), encoder.array("std", count)
@@ -78,18 +64,14 @@ class DisplacementPart:
         self.enter = encoder.linear("enter.0", count + MOTION, width), encoder.linear("enter.2", width, width)
         self.norm = encoder.norm("enter.3", width)
         self.blocks = [EdgeBlock(width, encoder.part(f"blocks.{index}")) for index in range(blocks)]
-        self.decoder = weights.linear("decoder.0", width, width), weights.linear("decoder.2", width, said)
+        self.decoder = weights.linear("decoder.0", width, width), weights.linear("decoder.2", width, outputs)
 
 
 class DisplacementNetwork:
     """The head that cannot drift, and the recurrent part about it.
 
-    Args:
-        config: Its shape.
-        weights: Of a checkpoint.
-
     Raises:
-        ValueError: The weights have other sizes.
+        ValueError: The weights have other sizes than the config.
     """
 
     def __init__(self, config: DisplacementConfig, weights: Weights):
@@ -98,9 +80,9 @@ class DisplacementNetwork:
         self.recurrent: DisplacementPart | None = None
         if config.recurrent:
             world = config.frame == "world"
-            extra, said = (WORLD_STATE, 3) if world else (OWN_STATE, SET)
+            extra, outputs = (WORLD_STATE, 3) if world else (OWN_STATE, SET)
             part = weights.part("recurrent")
-            self.recurrent = DisplacementPart(extra, config.recurrent, config.blocks, said, part, world)
+            self.recurrent = DisplacementPart(extra, config.recurrent, config.blocks, outputs, part, world)
 
 
 def load_displacement(path: str | Path) -> DisplacementNetwork:
@@ -123,12 +105,12 @@ FoldedPast = tuple[np.ndarray, np.ndarray, np.ndarray]
 def past_of_states(
     part: DisplacementPart, states: np.ndarray, heads: np.ndarray, turns: np.ndarray, positions: np.ndarray
 ) -> FoldedPast:
-    """The past after three frames whose displacements are known.
+    """The past after three frames with known displacements.
 
     Args:
         part: The network that goes on from it.
         states: Displacements, in the frames of the carrying joints, oldest first, shape (3, M, 3).
-        heads: What the head says of these frames, shape (3, M, 3).
+        heads: Output of the head in these frames, shape (3, M, 3).
         turns: Frames of the carrying joints, shape (3, M, 3, 3).
         positions: Carried positions over the character's size; from the pelvis in the paper's form, shape (3, M, 3).
     """
@@ -138,13 +120,7 @@ def past_of_states(
 
 
 class FoldedNetwork:
-    """The network as it is at this moment; weights that change later do not count.
-
-    Args:
-        network: The network.
-        static_vectors, static_scalars: Of the character's nodes (`static_features`).
-        graph: Of the nodes.
-    """
+    """The network folded for one character, by its `static_features` and the graph of its nodes."""
 
     def __init__(
         self, network: DisplacementNetwork, static_vectors: np.ndarray, static_scalars: np.ndarray, graph: NodeGraph
@@ -155,13 +131,7 @@ class FoldedNetwork:
         self._recurrent = None if network.recurrent is None else _FoldedPart(network.recurrent, still, graph)
 
     def anchor(self, vectors: np.ndarray, scalars: np.ndarray, whole: np.ndarray) -> np.ndarray:
-        """What the head says, shape (M, 3).
-
-        Args:
-            vectors: Shape (M, VECTORS, 3).
-            scalars: Shape (M, SCALARS).
-            whole: Shape (GLOBAL,).
-        """
+        """Output of the head, (M, 3), from vectors (M, VECTORS, 3), scalars (M, SCALARS) and the pose (GLOBAL,)."""
         out = self._anchor(_moving(vectors, scalars), whole)
         share = SHARE * np.tanh(out[:, :BASIS])
         return np.asarray(np.matmul(share[:, None], vectors[:, :BASIS])[:, 0] + out[:, BASIS:])
@@ -170,8 +140,8 @@ class FoldedNetwork:
         self, vectors: np.ndarray, scalars: np.ndarray, whole: np.ndarray, past: FoldedPast, anchor: np.ndarray,
         turns: np.ndarray, positions: np.ndarray,
     ) -> tuple[np.ndarray, FoldedPast]:  # fmt: skip
-        """The next displacement (M, 3) and the new past; the first three as above, the rest as
-        the laboratory's `RecurrentPart.forward` takes them, whose formula this is.
+        """The next displacement (M, 3) and the new past; the first three as above, the rest as of the laboratory's
+        `RecurrentPart.forward`, which has the same formula.
         """
         assert self._recurrent is not None
         rest, given, been = past
@@ -185,8 +155,8 @@ class FoldedNetwork:
         late, own_change = given[0] - anchor, given[0] - given[1]
         head_change = rest[0] - late
         speed = np.sqrt(np.einsum("ma,ma->m", own_change, own_change))[:, None]
-        own = [*state, inertia, late, own_change, head_change, speed]
-        out = self._recurrent(_moving(vectors, scalars, *own), whole)
+        inputs = [*state, inertia, late, own_change, head_change, speed]
+        out = self._recurrent(_moving(vectors, scalars, *inputs), whole)
         most = np.maximum(np.maximum(out[:, 1:2], out[:, 2:3]), 0)
         swing, gate = np.exp(out[:, 1:2] - most), np.exp(out[:, 2:3] - most)
         shared = (swing * change + gate * inertia) / (swing + gate + np.exp(-most))
@@ -198,13 +168,11 @@ class FoldedNetwork:
 
 
 class _FoldedPart:
-    """Encoder and decoder of the head or of the recurrent part."""
-
     def __init__(self, part: DisplacementPart, still: np.ndarray, graph: NodeGraph):
         first, self.second = part.enter
         own = len(part.mean)
-        known = np.clip((still - part.mean[:STILL]) / part.std[:STILL], -6, 6)
-        still = known @ first.matrix[:STILL] + first.bias
+        scaled = np.clip((still - part.mean[:STILL]) / part.std[:STILL], -6, 6)
+        still = scaled @ first.matrix[:STILL] + first.bias
         self.mean, self.std = part.mean[STILL:], part.std[STILL:]
         self.moving = first.matrix[STILL:own]
         # the second map of the motion's MLP and that of its result are one
@@ -216,9 +184,7 @@ class _FoldedPart:
         self.norm, self.blocks, self.decoder, self.graph = part.norm, part.blocks, part.decoder, graph
 
     def __call__(self, moving: np.ndarray, whole: np.ndarray) -> np.ndarray:
-        """What the decoder says of numbers that change from frame to frame, shapes (M, MOVING), which it takes to
-        write on, and (GLOBAL,) -> (M, C).
-        """
+        """Output of the decoder for changing features (M, MOVING), which it writes on, and (GLOBAL,) -> (M, C)."""
         moving -= self.mean
         moving /= self.std
         np.maximum(moving, -6, out=moving)
@@ -235,7 +201,7 @@ class _FoldedPart:
 
 
 def _moving(vectors: np.ndarray, *numbers: np.ndarray) -> np.ndarray:
-    """What changes from frame to frame of each node, in the order of `Inputs.nodes`, shape (M, MOVING)."""
+    """Features that change from frame to frame of each node, in the order of `Inputs.nodes`, shape (M, MOVING)."""
     return np.concatenate([vectors.reshape(len(vectors), -1), *numbers], axis=1, dtype=np.float32)
 
 

@@ -1,4 +1,4 @@
-"""Learned apparel, frame by frame: a pose in, the positions of the apparel's vertices out, and the safety stage that
+"""Learned apparel, frame by frame: from a pose to the positions of the apparel's vertices, and the safety stage that
 bounds them.
 """
 
@@ -24,24 +24,19 @@ from bunraku.apparel.learned.network import DisplacementNetwork, FoldedNetwork, 
 from bunraku.apparel.nodes import ApparelNodes, NodeGraph, apparel_nodes
 
 __all__ = [
-    "ApparelPlayer", "Carrier", "NODES", "Safety", "SafetySettings", "known_share", "node_turns", "polar_rotation",
+    "ApparelPlayer", "Carrier", "NODES", "Safety", "SafetySettings", "known_share", "network_inputs", "node_turns",
+    "polar_rotation",
 ]  # fmt: skip
 
 NEAR = 4
 RIGID = 0.03
-"""How much the carrying joint's own rotation counts in that of a node, over the spread of its neighbours."""
+"""Weight of the carrying joint's own rotation in that of a node, over the spread of its neighbours; chosen by eye."""
 
-ROUND = 2e-3
-"""Products of sums of a matrix' singular values, two by two, below which no rotation is nearer than others."""
+ROUND = 2e-3  # products of sums of a matrix' singular values, two by two, below which no rotation is nearer than others
 
 
 class Carrier:
-    """Takes the displacement of nodes to the apparel vertices of a clothed character.
-
-    Args:
-        clothed: The character.
-        nodes: Its nodes; every part has some.
-    """
+    """Takes the displacement of nodes to the apparel vertices of a clothed character; every part has some nodes."""
 
     def __init__(self, clothed: ClothedCharacter, nodes: ApparelNodes):
         self.vertices = np.flatnonzero(clothed.part >= 0)
@@ -67,11 +62,11 @@ class Carrier:
         self.prior = (RIGID * reach).astype(np.float32)
 
     def _mixed(self, clothed: ClothedCharacter, nodes: ApparelNodes) -> None:
-        """What of `displacements` and `places` is the same in all frames, as one matrix each."""
+        """What of `positions` is the same in all frames, as one matrix each."""
         count, rest = len(self.vertices), clothed.rest[self.vertices].astype(np.float32)
         weights = clothed.weights[self.vertices].astype(np.float32)
-        whole = np.concatenate([rest, np.ones((count, 1), np.float32)], axis=1)
-        self.skin = (weights[:, :, None] * whole[:, None]).reshape(count, -1)
+        homogeneous = np.concatenate([rest, np.ones((count, 1), np.float32)], axis=1)
+        self.skin = (weights[:, :, None] * homogeneous[:, None]).reshape(count, -1)
         # a vertex near node i goes to rest_i + moved_i + turn_i (rest - rest_i), and then with its own joint
         pairs = weights.argmax(axis=1)[:, None] * len(nodes) + self.index
         used, number = np.unique(pairs, return_inverse=True)
@@ -83,19 +78,11 @@ class Carrier:
         kept = mixed != 0
         self.mix = csr_matrix((mixed[kept], (rows[kept], columns[kept])), shape=(count, 4 * len(used)))
 
-    def displacements(self, moved: np.ndarray) -> np.ndarray:
-        """Displacement of the apparel vertices in the frames of the joints that carry the nodes [m], shape (A, 3).
-
-        Args:
-            moved: Of the nodes, in the frame of the carrying joint each [m], shape (M, 3).
-        """
-        return np.asarray(self.mix @ self._swung(moved)[self.node].reshape(-1, 3))
-
     def positions(self, moved: np.ndarray, affine: np.ndarray) -> np.ndarray:
-        """Where the apparel vertices are [m], shape (A, 3).
+        """Positions of the apparel vertices [m], shape (A, 3).
 
         Args:
-            moved: As above.
+            moved: Displacement of the nodes, in the frame of the carrying joint each [m], shape (M, 3).
             affine: Affine transforms of the joints (`eq4_transforms`), shape (22, 3, 4).
         """
         turned = affine.transpose(0, 2, 1).astype(np.float32)  # [R | t]', shape (22, 4, 3)
@@ -109,7 +96,7 @@ class Carrier:
 
 
 def node_turns(nodes: ApparelNodes, spokes: np.ndarray, prior: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """How nodes turn against the joint that carries them, as their neighbours say (Procrustes), shape (M, 3, 3)."""
+    """Rotations of nodes against the joint that carries them, by their neighbours (Procrustes), shape (M, 3, 3)."""
     bent = spokes + moved[nodes.neighbours] - moved[:, None]
     product = np.matmul(bent.transpose(0, 2, 1), spokes)
     product[:, [0, 1, 2], [0, 1, 2]] += prior[:, None]
@@ -143,9 +130,9 @@ def polar_rotation(matrices: np.ndarray, rounds: int = 10) -> np.ndarray:
     rows = b.reshape(3, 3, -1)
     gram = (rows[:, None] * rows).sum(axis=2)  # B B'
     cubed = (gram[:, :, None] * rows).sum(axis=1).reshape(9, -1)
-    found = ((half + 1) * b + root * cofactors - cubed) / np.where(below > ROUND, below, 1.0)
-    found = np.where(below > ROUND, found, np.eye(3).reshape(9, 1))
-    return np.ascontiguousarray(found.T, np.float32).reshape(shape)
+    rotation = ((half + 1) * b + root * cofactors - cubed) / np.where(below > ROUND, below, 1.0)
+    rotation = np.where(below > ROUND, rotation, np.eye(3).reshape(9, 1))
+    return np.ascontiguousarray(rotation.T, np.float32).reshape(shape)
 
 
 _MINORS = np.array([
@@ -161,48 +148,29 @@ FEW = 0.25  # share of the apparel around a node that must be pushed for it to m
 
 @dataclass(frozen=True)
 class SafetySettings:
-    """How much is allowed.
+    """Bounds of the safety stage. Lengths are over the character's size [m]."""
 
-    Args:
-        shortest, longest: Of an edge of the apparel graph, over its length at rest.
-        clear: How near to the body nodes may come that were farther off at rest, over the character's size [m].
-        slack: How deep vertices may be that were outside at rest, over the same [m].
-        spread: How far around it a push out of the body takes the apparel along, over the same [m].
-        passes: Over all edges and the body.
-        most: Nodes deeper than this are left where they are: they are on the wrong side of something thin, over the
-            same [m].
-        lift: Nodes that hang from the pelvis are not moved farther to lie over the legs, over the same [m].
-        stiff: Parts stiffer than the first begin to stay with their joints, those stiffer than the second do.
-    """
-
+    # shortest, longest: of an edge of the apparel graph, over its length at rest
     shortest: float = 0.85
     longest: float = 1.15
-    clear: float = 0.003
-    slack: float = 0.005
-    spread: float = 0.04
-    passes: int = 3
-    most: float = 0.1
-    lift: float = 0.25
+    clear: float = 0.003  # how near to the body nodes may come that were farther off at rest
+    slack: float = 0.005  # how deep vertices may be that were outside at rest
+    spread: float = 0.04  # how far around it a push out of the body takes the apparel along
+    passes: int = 3  # over all edges and the body
+    most: float = 0.1  # nodes deeper than this are on the wrong side of something thin and stay
+    lift: float = 0.25  # nodes that hang from the pelvis are moved no farther to lie over the legs
+    # parts stiffer than the first begin to stay with their joints, those stiffer than the second do
     stiff: tuple[float, float] = (1.5, 1.75)
 
 
 def known_share(stiffness: np.ndarray, settings: SafetySettings | None = None) -> np.ndarray:
-    """How much of a displacement counts in parts of some stiffness: 1 up to what the networks know, 0 beyond."""
+    """How much of a displacement counts in parts of a stiffness: 1 as far as the networks know it, 0 beyond."""
     low, high = (settings or SafetySettings()).stiff
     return np.asarray(np.clip((high - stiffness) / (high - low), 0, 1), np.float32)
 
 
 class Safety:
-    """The stage for one clothed character.
-
-    Args:
-        clothed: The character.
-        nodes: Its nodes.
-        points: The body's points, denser than those of the features.
-        carrier: What takes nodes to vertices.
-        settings: What is allowed.
-        depth: How deep points are in its body, where that is known already.
-    """
+    """The stage for one clothed character and its nodes, by body points denser than those of the features."""
 
     def __init__(
         self, clothed: ClothedCharacter, nodes: ApparelNodes, points: BodyPoints, carrier: Carrier,
@@ -217,7 +185,7 @@ class Safety:
         self.shortest, self.longest = self.settings.shortest * self.lengths, self.settings.longest * self.lengths
         self.ends = tuple(np.ascontiguousarray(end) for end in self.edges.T)
         known = known_share(clothed.stiffness[nodes.part], self.settings)
-        # where it is told how each vertex swings, the networks know of stiff parts too
+        # where the swing of each vertex is known, the networks know stiff parts too
         self.share = np.where(clothed.swing is None, known, np.float32(1))[:, None]
         # what lies on the body at rest stays there: the root of a part is held
         self.free = np.where(nodes.distance < HELD * scale, 0.0, 1.0)[:, None].astype(np.float32)
@@ -255,12 +223,7 @@ class Safety:
             self.leg_gap = np.minimum(width[hung] - reach, self.settings.clear * scale)
 
     def __call__(self, positions: np.ndarray, affine: np.ndarray) -> tuple[np.ndarray, Unposed | None]:
-        """Nodes made safe [m], shape (M, 3), and their way back to the rest pose.
-
-        Args:
-            positions: Of the nodes [m], shape (M, 3).
-            affine: Affine transforms of the joints (`eq4_transforms`), shape (22, 3, 4).
-        """
+        """Nodes made safe [m], (M, 3), and their way back to the rest pose; `affine` as of `Carrier.positions`."""
         out = np.array(positions, np.float32)
         if self.depth is None:
             unposed = None
@@ -274,9 +237,7 @@ class Safety:
         return out, unposed
 
     def unposed(self, positions: np.ndarray, affine: np.ndarray) -> Unposed | None:
-        """The way back to the rest pose of the body nearest to nodes [m], shape (M, 3), in a pose (22, 3, 4); None
-        where there is no body.
-        """
+        """The way back to rest of the body nearest to nodes [m], (M, 3), in a pose (22, 3, 4); None without a body."""
         if self.depth is None:
             return None
         blend = self.points.blends(affine)
@@ -287,9 +248,7 @@ class Safety:
         return Unposed.of(blend[near], self.points.joint[near])
 
     def outside(self, positions: np.ndarray, unposed: Unposed | None) -> np.ndarray:
-        """Nodes a step out of the body, and what is around them with them, so that pieces move as a whole and are not
-        flattened, shape (M, 3).
-        """
+        """Nodes one step out of the body with their surroundings, so that pieces are not flattened, (M, 3)."""
         if self.depth is None or unposed is None:
             return positions
         rows, step = self.depth.push(positions, unposed, self.gap, self.most)
@@ -301,13 +260,13 @@ class Safety:
         return self._spread(positions, push)
 
     def _spread(self, positions: np.ndarray, push: np.ndarray) -> np.ndarray:
-        """Nodes moved by what is around them: a push and 1 for each that is pushed, 0 for others, shape (M, 4)."""
+        """Nodes moved by their surroundings: a push and 1 for each that is pushed, 0 for others, shape (M, 4)."""
         near = self.around @ push
         return np.asarray(positions + self.free * (near[:, :3] / np.maximum(near[:, 3:], FEW)))
 
     def _over_legs(self, positions: np.ndarray, affine: np.ndarray, body: np.ndarray) -> np.ndarray:
-        """Nodes that hang from the pelvis, farther from its axis than what of the legs is between: a lifted knee that
-        has come through a skirt is no longer in it, and no depth says so.
+        """Nodes that hang from the pelvis, farther from its axis than the legs between: a lifted knee that has come
+        through a skirt is no longer in it, so no depth shows it.
         """
         if not len(self.hung):
             return positions
@@ -322,9 +281,7 @@ class Safety:
         return self._spread(positions, push)
 
     def _reach(self, legs: np.ndarray) -> np.ndarray:
-        """How far the legs, in the frame of the pelvis, reach along the way out through each hanging node [m], shape
-        (H,).
-        """
+        """How far the legs, in the pelvis' frame, reach along the way out through each hanging node [m], (H,)."""
         seen = np.empty((5, len(legs)), np.float32)
         seen[:3], seen[3], seen[4] = legs.T, 1, np.einsum("la,la->l", legs, legs)
         along, square = np.split(self.rays @ seen, 2)  # and the square of the distance from the axis
@@ -332,14 +289,10 @@ class Safety:
         return np.asarray(np.where(square < (BESIDE * self.scale) ** 2, along, np.float32(-1)).max(axis=1))
 
     def vertices(self, positions: np.ndarray, unposed: Unposed | None) -> np.ndarray:
-        """Vertices that the carrier took along, out of the body where they are in it all the same [m], shape (A, 3).
+        """Vertices that the carrier took along, out of the body where they are still in it [m], shape (A, 3).
 
-        Those between two nodes that are near to different limbs are asked for both: half of what used to stay inside
-        was in the limb of the second node. A third is asked only for what is deep, since each push strains edges.
-
-        Args:
-            positions: [m], shape (A, 3).
-            unposed: Of the nodes.
+        Those between two nodes that are near to different limbs are tested for both: half of what used to stay inside
+        was in the limb of the second node. A third is tested only for deep vertices, since each push strains edges.
         """
         if self.depth is None or unposed is None:
             return positions
@@ -347,7 +300,7 @@ class Safety:
         joints = [unposed.joint[self.node]]
         for node, gap in ((self.second, self.vertex_gap), (self.third, self.deep_gap)):
             joint = unposed.joint[node]
-            between = np.flatnonzero(np.logical_and.reduce([joint != one for one in joints]))
+            between = np.flatnonzero(np.logical_and.reduce([joint != before for before in joints]))
             if len(between):
                 other = unposed.take(node[between])
                 out[between] = self.depth.pushed(out[between], other, gap[between], self.most)
@@ -364,8 +317,8 @@ class Safety:
 
 
 def _rays(outward: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """What takes a point p, 1 and |p|^2 to how far it is along each of H rays, and below that to the square of its
-    distance from where the ray begins, shape (2 H, 5).
+    """What takes a point p, 1 and |p|^2 to its distance along each of H rays, and below that to the square of its
+    distance from the beginning of the ray, shape (2 H, 5).
     """
     begin = np.einsum("ha,ha->h", axis, outward)
     along = np.concatenate([outward, -begin[:, None], np.zeros((len(axis), 1))], axis=1)
@@ -374,28 +327,18 @@ def _rays(outward: np.ndarray, axis: np.ndarray) -> np.ndarray:
 
 
 def _around(nodes: ApparelNodes, spread: float) -> np.ndarray:
-    """How much each node of the same part counts near each, rows sum to 1, shape (M, M)."""
+    """Weight of each node of the same part near each, rows sum to 1, shape (M, M)."""
     square = np.square(nodes.rest[:, None] - nodes.rest[None]).sum(axis=-1)
     share = np.exp(-0.5 * square / spread**2) * (nodes.part[:, None] == nodes.part[None])
     return np.asarray(share / share.sum(axis=1, keepdims=True), np.float32)
 
 
 NODES = 256
-FADE = 0.9
-"""What a frame leaves of a difference from the head that is known, where no recurrent part is."""
 SAFE_POINTS = 1500
 
 
 class ApparelPlayer:
-    """A clothed character whose apparel the network moves.
-
-    Args:
-        clothed: The character.
-        network: The network.
-        nodes: Most nodes.
-        safe: Whether the safety stage runs.
-        recurrent: Whether the recurrent part runs, where the network has one.
-    """
+    """A clothed character whose apparel the network moves, with or without safety and the recurrent part."""
 
     def __init__(
         self, clothed: ClothedCharacter, network: DisplacementNetwork, *, nodes: int = NODES, safe: bool = True,
@@ -411,46 +354,20 @@ class ApparelPlayer:
         self.recurrent = network.recurrent if recurrent else None
         self.features: MotionFeatures | None = None
         self.past: FoldedPast | None = None
-        self.known: np.ndarray | None = None
 
     def start(self, transforms: np.ndarray) -> None:
-        """Begin before a first frame: a second from the rest pose into it.
-
-        Args:
-            transforms: `[R | t]` of the joints (Eq. 1) in the first frame, shape (22, 3, 4).
-        """
+        """Begin a second before a first frame, `[R | t]` of the joints (Eq. 1), (22, 3, 4), from the rest pose."""
         joints = self.clothed.joints
         self.features = MotionFeatures(self.clothed, self.nodes, rest_transforms(joints, transforms))
-        self.past = self.known = None
+        self.past = None
         for pose in lead_in_transforms(joints, transforms, LEAD_IN):
             frame = self.features.advance(pose)
             if self.recurrent is not None:
                 self._moved(frame, pose)
 
-    def know(self, states: np.ndarray, transforms: np.ndarray) -> None:
-        """Go through three frames whose apparel is known, and go on from there; `start` comes before it.
-
-        Args:
-            states: Displacements of the nodes in the frames of their joints, over the size, shape (3, M, 3).
-            transforms: `[R | t]` of the joints in these frames, shape (3, 22, 3, 4).
-        """
-        assert self.features is not None
-        kept = []
-        for state, pose in zip(states, transforms, strict=True):
-            frame = self.features.advance(np.asarray(pose, np.float32))
-            kept.append((state.astype(np.float32), self.folded.anchor(*_told(frame)), *self._carried_by(frame, pose)))
-        self.known = kept[-1][0] - kept[-1][1]
-        if self.recurrent is not None:
-            self.past = past_of_states(self.recurrent, *(np.stack(column) for column in zip(*kept, strict=True)))
-
     def advance(self, transforms: np.ndarray) -> np.ndarray:
-        """The next frame, a thirtieth of a second later.
-
-        Args:
-            transforms: `[R | t]` of the joints (Eq. 1), shape (22, 3, 4).
-
-        Returns:
-            Where the apparel vertices (`carrier.vertices`) are [m], shape (A, 3), float32.
+        """The next frame, a thirtieth of a second later: positions of the apparel vertices (`carrier.vertices`) [m],
+        shape (A, 3), float32, by `[R | t]` of the joints (Eq. 1), shape (22, 3, 4).
         """
         if self.features is None:
             self.start(transforms)
@@ -459,15 +376,11 @@ class ApparelPlayer:
         moved = self._moved(frame, transforms) * np.float32(self.clothed.scale)
         affine = eq4_transforms(np.asarray(transforms, np.float32)[None], self.clothed.joints)[0]
         if self.safety is None:
-            return self._carried(moved, affine)
+            return self.carrier.positions(moved, affine)
         moved = self.safety.share * moved
         safe, unposed = self.safety(frame.positions + np.einsum("mab,mb->ma", frame.turns, moved), affine)
         moved = np.einsum("mba,mb->ma", frame.turns, safe - frame.positions)
-        return self.safety.vertices(self._carried(moved, affine), unposed)
-
-    def _carried(self, moved: np.ndarray, affine: np.ndarray) -> np.ndarray:
-        """The apparel vertices that go with the nodes [m], shape (A, 3), float32."""
-        return self.carrier.positions(moved, affine)
+        return self.safety.vertices(self.carrier.positions(moved, affine), unposed)
 
     def _carried_by(self, frame: Frame, transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Frames of the carrying joints and carried positions as the recurrent part takes them."""
@@ -476,13 +389,10 @@ class ApparelPlayer:
 
     def _moved(self, frame: Frame, transforms: np.ndarray) -> np.ndarray:
         """Displacement of the nodes in the frames of their joints, over the size, shape (M, 3)."""
-        inputs = _told(frame)
+        inputs = network_inputs(frame)
         anchor = self.folded.anchor(*inputs)
         if self.recurrent is None:
-            if self.known is None:
-                return anchor
-            self.known = FADE * self.known
-            return np.asarray(anchor + self.known)
+            return anchor
         turns, positions = self._carried_by(frame, transforms)
         if self.past is None:  # at rest, as far as is known
             first = np.zeros_like(anchor) if self.recurrent.world else anchor
@@ -494,15 +404,11 @@ class ApparelPlayer:
 
     def clip(self, transforms: np.ndarray) -> np.ndarray:
         """The apparel vertices in all frames of a clip at 30 frames a second that begins from rest [m], shape (N, A,
-        3), float32.
-
-        Args:
-            transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
+        3), float32, by `[R | t]` of the joints, shape (N, 22, 3, 4).
         """
         self.start(np.asarray(transforms[0], np.float32))
         return np.stack([self.advance(pose) for pose in transforms])
 
 
-def _told(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Input of the network for a frame alone."""
+def network_inputs(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.ascontiguousarray(frame.vectors), frame.scalars, frame.whole

@@ -7,57 +7,39 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from bunraku.apparel.clothed import SOFTEST, STIFFEST
 from bunraku.apparel.nodes import NEIGHBOURS, EdgeBlock, NodeGraph, part_neighbours
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
-from bunraku.core.geometry.graph import bridge_edges, clean_mesh, mesh_parts, unique_edges
+from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 from bunraku.core.geometry.surface import vertex_normals
 from bunraku.core.nn.checkpoints import config_of, dated_checkpoint, load_network
 from bunraku.core.nn.layers import Weights, gelu, one_thread
 
 __all__ = [
     "FoundApparel", "NEIGHBOURS", "POINTS", "POINT_FEATURES", "SampledMesh", "SegmentationConfig",
-    "SegmentationNetwork", "find_apparel", "joint_distances", "load_segmentation", "point_features", "sampled_mesh",
+    "SegmentationNetwork", "find_apparel", "load_segmentation", "point_features", "sampled_mesh",
 ]  # fmt: skip
 
 POINTS = 1024
 POINT_FEATURES = 3 + 3 + 3 + 1 + JOINT_COUNT - 1 + 4
-TOUCH = 0.03
-"""How near vertices of loose parts are that lie on one another, over the height."""
-REACH = 5.0
-"""How far from a joint it begins to be the surface, over the distance of the nearest vertex."""
-_SIDES = np.array([side for side in np.ndindex(3, 3, 3) if side != (1, 1, 1)], np.float64) - 1
-_SIDES /= np.linalg.norm(_SIDES, axis=1, keepdims=True)
 _BONES = [(parent, joint) for joint, parent in enumerate(JOINT_PARENTS) if parent >= 0]
 
 
 @dataclass(frozen=True, eq=False)
 class SampledMesh:
-    """S points of a mesh.
+    """S points of a mesh."""
 
-    Args:
-        clean: Clean vertex (`geometry.graph.clean_mesh`) that each is, shape (S,).
-        points: In units of the height, feet at 0, x and z from the pelvis, shape (S, 3), float32.
-        joints: J in the same units, shape (22, 3).
-        features: Input of the segmentation network, shape (S, POINT_FEATURES), float32.
-        part: Loose part of the mesh of each, shape (S,).
-        neighbours: Nearest points of the same part, shape (S, NEIGHBOURS).
-        index: Clean vertex of each vertex of the mesh, shape (V,).
-        nearest: The nearest points of the same part to each vertex, shape (V, 3), and their weights, rows sum to 1.
-        shares: As said.
-    """
-
-    clean: np.ndarray
-    points: np.ndarray
-    joints: np.ndarray
-    features: np.ndarray
-    part: np.ndarray
-    neighbours: np.ndarray
-    index: np.ndarray
+    clean: np.ndarray  # clean vertex (`geometry.graph.clean_mesh`) that each is, shape (S,)
+    points: np.ndarray  # in units of the height, feet at 0, x and z from the pelvis, shape (S, 3), float32
+    joints: np.ndarray  # J in the same units, shape (22, 3)
+    features: np.ndarray  # input of the segmentation network, shape (S, POINT_FEATURES), float32
+    part: np.ndarray  # loose part of the mesh of each, shape (S,)
+    neighbours: np.ndarray  # nearest points of the same part, shape (S, NEIGHBOURS)
+    index: np.ndarray  # clean vertex of each vertex of the mesh, shape (V,)
+    # nearest, shares: the nearest points of the same part to each vertex, shape (V, 3), and their weights, rows sum to
+    # 1
     nearest: np.ndarray
     shares: np.ndarray
 
@@ -69,14 +51,8 @@ class SampledMesh:
 def sampled_mesh(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, most: int = POINTS, seed: int = 0
 ) -> SampledMesh:
-    """Sample a mesh: some points of every loose part, more of larger ones.
-
-    Args:
-        vertices: Rest mesh [m], +Y up, facing +Z, shape (V, 3).
-        faces: Shape (F, 3).
-        joints: J [m], shape (22, 3).
-        most: How many points.
-        seed: Of which are taken.
+    """At most so many points of a rest mesh [m], +Y up, facing +Z, with joints J (22, 3): some of every loose part,
+    more of larger ones. `seed` decides the choice.
 
     Raises:
         CharacterError: The mesh is broken.
@@ -100,29 +76,20 @@ def sampled_mesh(
 
 
 def point_features(points: np.ndarray, normals: np.ndarray, joints: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Input of the segmentation network for points, shape (S, POINT_FEATURES), float32: position, normal, the vector
-    from the nearest bone and its length, how near each bone is, the extent of the point's part, its height above the
-    part's lowest point.
-
-    Args:
-        points: In units of the height, as of `SampledMesh`, shape (S, 3).
-        normals: Shape (S, 3).
-        joints: J in the same units, shape (22, 3).
-        part: Loose part of each point, shape (S,).
+    """Input of the segmentation network for points and normals as of `SampledMesh`, shape (S, POINT_FEATURES), float32:
+    position, normal, the vector from the nearest bone and its length, how near each bone is, the extent of the point's
+    loose part, its height above the part's lowest point.
     """
-    numbers, own = np.unique(part, return_inverse=True)
-    sides = np.array([(points[own == number].min(axis=0), points[own == number].max(axis=0))
+    numbers, index = np.unique(part, return_inverse=True)
+    sides = np.array([(points[index == number].min(axis=0), points[index == number].max(axis=0))
                       for number in range(len(numbers))])  # fmt: skip
-    low, high = sides[own, 0], sides[own, 1]
+    low, high = sides[index, 0], sides[index, 1]
     offset, gaps = _bone_ways(points, joints)
-    found = np.concatenate(
-        [
-            points, normals, offset, gaps.min(axis=1, keepdims=True), np.exp(-8 * gaps), high - low,
-            (points[:, 1] - low[:, 1])[:, None],
-        ],
-        axis=1,
-    )  # fmt: skip
-    return np.asarray(found, np.float32)
+    features = np.concatenate([
+        points, normals, offset, gaps.min(axis=1, keepdims=True), np.exp(-8 * gaps), high - low,
+        (points[:, 1] - low[:, 1])[:, None],
+    ], axis=1)  # fmt: skip
+    return np.asarray(features, np.float32)
 
 
 def _chosen(part: np.ndarray, most: int, rng: np.random.Generator) -> np.ndarray:
@@ -166,73 +133,9 @@ def _near(positions: np.ndarray, part: np.ndarray, chosen: np.ndarray) -> tuple[
     return nearest, shares
 
 
-def joint_distances(
-    vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, clean_vertices: np.ndarray
-) -> np.ndarray:
-    """Geodesic distances G of section 4.2 from points to joints, over the height, shape (S, 22), float32.
-
-    The paper lets each joint stand for the vertex nearest to it. Characters are layers of loose parts, so that this may
-    be one of a belt or a tooth, and the way from there a long one; and even on a closed limb it is near to one side
-    only. Ours begins in the joint itself, goes straight to the nearest vertices on all sides of it, and along the edges
-    from there; loose parts are joined wherever they lie on one another, and at least where they are nearest, so that
-    all distances are finite.
-
-    Args:
-        vertices: Rest mesh [m], shape (V, 3).
-        faces: Shape (F, 3).
-        joints: J [m], shape (22, 3).
-        clean_vertices: The clean vertices that are asked for (`SampledMesh.clean`), shape (S,).
-    """
-    clean = clean_mesh(vertices, faces)
-    count = len(clean.vertices)
-    edges = unique_edges(clean.faces, count)
-    part = mesh_parts(edges, count)
-    height = max(float(np.ptp(clean.vertices[:, 1])), 1e-9)
-    touching = _touching(clean.vertices, part, TOUCH * height)
-    edges = np.unique(np.concatenate([edges, bridge_edges(clean.vertices, part), touching]), axis=0)
-    lengths = np.linalg.norm(clean.vertices[edges[:, 0]] - clean.vertices[edges[:, 1]], axis=1) + 1e-9
-    starts = _starts(clean.vertices, (np.asarray(joints) - clean.center) / clean.scale)
-    rows = np.concatenate([edges[:, 0], edges[:, 1], count + starts[0]])
-    columns = np.concatenate([edges[:, 1], edges[:, 0], starts[1]])
-    ways = np.concatenate([lengths, lengths, starts[2] + 1e-9])  # out of a joint only: no way leads through one
-    graph = coo_matrix((ways, (rows, columns)), shape=(count + JOINT_COUNT,) * 2).tocsr()
-    found = dijkstra(graph, indices=count + np.arange(JOINT_COUNT))[:, clean_vertices].T
-    return np.asarray(found / height, np.float32)
-
-
-def _touching(vertices: np.ndarray, part: np.ndarray, most: float) -> np.ndarray:
-    """Pairs of vertices of different loose parts that lie together, smaller one first, shape (T, 2)."""
-    near = min(10, len(vertices))
-    gap, other = (found.reshape(len(vertices), near) for found in cKDTree(vertices).query(vertices, near))
-    own, rank = np.nonzero((part[other] != part[:, None]) & (gap < most))
-    return np.sort(np.stack([own, other[own, rank]], axis=1), axis=1)
-
-
-def _starts(vertices: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The nearest vertices on all sides of each joint, none much farther off than the nearest of all: numbers of joint
-    and vertex, and the distance.
-    """
-    owners, ends, lengths = [], [], []
-    for joint, index in enumerate(joints):
-        offset = vertices - index
-        gap = np.linalg.norm(offset, axis=1)
-        near = np.flatnonzero(gap < REACH * gap.min() + 0.01)
-        near = near[np.argsort(gap[near], kind="stable")]
-        first = near[np.unique((offset[near] @ _SIDES.T).argmax(axis=1), return_index=True)[1]]
-        owners.append(np.full(len(first), joint))
-        ends.append(first)
-        lengths.append(gap[first])
-    return np.concatenate(owners), np.concatenate(ends), np.concatenate(lengths)
-
-
 @dataclass(frozen=True)
 class SegmentationConfig:
-    """Shape of the network.
-
-    Args:
-        width: Channels.
-        blocks: Edge convolutions within loose parts.
-    """
+    """Shape of the network: channels, and edge convolutions within loose parts."""
 
     width: int = 96
     blocks: int = 2
@@ -241,12 +144,8 @@ class SegmentationConfig:
 class SegmentationNetwork:
     """The network.
 
-    Args:
-        config: Its shape.
-        weights: Of a checkpoint.
-
     Raises:
-        ValueError: The weights have other sizes.
+        ValueError: The weights have other sizes than the config.
     """
 
     def __init__(self, config: SegmentationConfig, weights: Weights):
@@ -259,16 +158,14 @@ class SegmentationNetwork:
         self._decoder = weights.linear("decoder.0", 2 * width, width), weights.linear("decoder.2", width, 3)
 
     def scores(self, mesh: SampledMesh) -> np.ndarray:
-        """Before the sigmoid: apparel, stiffness and log10 of what a second of damping leaves, of each point of a mesh,
-        shape (S, 3).
-        """
+        """Before the sigmoid: apparel, stiffness, log10 of what a second of damping leaves, of each point, (S, 3)."""
         graph = NodeGraph(mesh.neighbours, mesh.part)
-        known = np.clip((mesh.features - self._mean) / self._std, -6, 6)
-        x = self._enter[1](gelu(self._enter[0](known)))
+        scaled = np.clip((mesh.features - self._mean) / self._std, -6, 6)
+        x = self._enter[1](gelu(self._enter[0](scaled)))
         for block in self._blocks:
             x = block(x, graph)
-        whole = np.broadcast_to(self._pooled(x.max(axis=0, keepdims=True)), x.shape)
-        return self._decoder[1](gelu(self._decoder[0](np.concatenate([x, whole], axis=1))))
+        summary = np.broadcast_to(self._pooled(x.max(axis=0, keepdims=True)), x.shape)
+        return self._decoder[1](gelu(self._decoder[0](np.concatenate([x, summary], axis=1))))
 
 
 def load_segmentation(path: str | Path) -> SegmentationNetwork:
@@ -282,8 +179,7 @@ def load_segmentation(path: str | Path) -> SegmentationNetwork:
     )
 
 
-VIEWS = 3
-"""Samples of the mesh whose answers are averaged."""
+VIEWS = 3  # samples of the mesh whose answers are averaged
 LIKELY = 1 / 3
 """Probability from which on a vertex is apparel: where edges are in doubt, less than a half makes the most of the
 intersection over the union (0.739 in place of 0.719 on 44 characters for validation).
@@ -292,17 +188,11 @@ intersection over the union (0.739 in place of 0.719 on 44 characters for valida
 
 @dataclass(frozen=True, eq=False)
 class FoundApparel:
-    """What the network says of each vertex of a mesh.
+    """The network's answer for each vertex of a mesh."""
 
-    Args:
-        likely: Probability to be apparel, shape (V,).
-        stiffness: As of `ClothedCharacter`, shape (V,).
-        damping: Share of the velocity that is lost in a second, shape (V,).
-    """
-
-    likely: np.ndarray
-    stiffness: np.ndarray
-    damping: np.ndarray
+    likely: np.ndarray  # probability to be apparel, shape (V,)
+    stiffness: np.ndarray  # as of `ClothedCharacter`, shape (V,)
+    damping: np.ndarray  # share of the velocity that is lost in a second, shape (V,)
 
     @property
     def mask(self) -> np.ndarray:
@@ -321,10 +211,9 @@ def find_apparel(
     """Which vertices are apparel, and how stiff they are.
 
     Args:
-        vertices: Rest mesh V [m], +Y up and facing +Z, shape (V, 3).
-        faces: Shape (F, 3).
+        vertices, faces: Rest mesh V [m], +Y up and facing +Z, shapes (V, 3) and (F, 3).
         joints: J [m], shape (22, 3).
-        checkpoint: Weights of kind "apparel-mask"; the shipped ones when not given.
+        checkpoint: Weights of kind "apparel-mask" in place of the shipped ones.
 
     Raises:
         CharacterError: The mesh is broken.

@@ -1,5 +1,5 @@
-"""Rigid bodies as MuJoCo takes them: colliders of limbs, shapes and masses, which body hangs on which, and what joints
-allow.
+"""Rigid bodies as MuJoCo takes them: colliders of limbs, shapes and masses, which body hangs on which, and the freedom
+of joints.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.apparel.mask import APPAREL_SHARE, moved_joints
+from bunraku.apparel.physics.rig import still_body
 from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint
 from bunraku.core.character import Character
 
@@ -28,12 +29,7 @@ OUTER = 2.0  # share of the vertices that are outside of a box, on each side [%]
 
 
 def body_limbs(character: Character, moved: np.ndarray | None = None) -> list[MmdBody]:
-    """Boxes that follow the bones of a character's body, at most 40.
-
-    Args:
-        character: With a rig.
-        moved: Joints that physics move, shape (J,), bool; what the file says by default.
-    """
+    """Boxes that follow the bones of a character's body, at most 40. `moved` are joints that physics move, (J,)."""
     rig = character.rig
     moved = moved_joints(character) if moved is None else moved
     if rig is None or moved is None:
@@ -41,16 +37,16 @@ def body_limbs(character: Character, moved: np.ndarray | None = None) -> list[Mm
     holder = np.take_along_axis(rig.indices, rig.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
     body = (rig.weights * moved[rig.indices]).sum(axis=1) <= APPAREL_SHARE
     height = float(np.ptp(character.vertices[:, 1]))
-    found = []
+    boxes = []
     for bone in np.unique(holder[body & ~moved[holder]]):
         chosen = np.flatnonzero((holder == bone) & body)
         if len(chosen) < LEAST:
             continue
         box = _box(int(bone), rig.names[bone], character.vertices[chosen[:: len(chosen) // TAKEN + 1]].astype(float))
         if np.linalg.norm(box.size) > SMALL * height:
-            found.append(box)
-    found.sort(key=lambda box: (-float(np.linalg.norm(box.size)), box.bone))
-    return sorted(found[:MOST], key=lambda box: box.bone)
+            boxes.append(box)
+    boxes.sort(key=lambda box: (-float(np.linalg.norm(box.size)), box.bone))
+    return sorted(boxes[:MOST], key=lambda box: box.bone)
 
 
 def _box(bone: int, name: str, points: np.ndarray) -> MmdBody:
@@ -58,9 +54,7 @@ def _box(bone: int, name: str, points: np.ndarray) -> MmdBody:
     _, _, rows = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     axes = rows.T * [1.0, 1.0, np.linalg.det(rows)]
     low, high = np.percentile(points @ axes, [OUTER, 100 - OUTER], axis=0)
-    return MmdBody(
-        name, bone, "box", (high - low) / 2, axes @ ((low + high) / 2), axes, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0
-    )
+    return still_body(name, bone, axes @ ((low + high) / 2), "box", (high - low) / 2, axes)
 
 
 THINNEST = 5e-3  # half extents below are taken as this for inertia [m]: thin rods spin faster than any time step
@@ -70,9 +64,7 @@ _ABOUT_X = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])  # wxyz; MuJoCo's c
 
 
 def inertia(body: MmdBody) -> np.ndarray:
-    """Moments of inertia about the body's own axes [kg m^2], shape (3,); a capsule's are those of its box, as in
-    Bullet.
-    """
+    """Moments of inertia about a body's own axes [kg m^2], (3,); a capsule has those of its box, as in Bullet."""
     if body.shape == "sphere":
         return np.full(3, 0.4 * body.mass * max(float(body.size[0]), THINNEST) ** 2)
     half = body.size if body.shape == "box" else np.array([body.size[0], body.size[0] + body.size[1] / 2, body.size[0]])
@@ -86,17 +78,8 @@ def loss_rate(damping: float, most: float) -> float:
 
 
 def add_shape(owner: Any, body: MmdBody, position: np.ndarray, name: str, settings: dict[str, object]) -> bool:
-    """Add a body's shape to one of MuJoCo's bodies, whose axes are the world's at rest.
-
-    Args:
-        owner: Of an `MjSpec`.
-        body: The body.
-        position: Where `owner` is at rest [m], shape (3,).
-        name: Of the shape.
-        settings: Other attributes of the shape.
-
-    Returns:
-        Whether there is a shape; one without extent is none.
+    """Add a body's shape to an owner of an `MjSpec`, whose axes are the world's at rest and which is at a position [m],
+    (3,). True where it has an extent, and so a shape. `settings` are other attributes of the shape.
     """
     import mujoco
 
@@ -121,7 +104,7 @@ def add_shape(owner: Any, body: MmdBody, position: np.ndarray, name: str, settin
 def add_rods(owner: Any, body: MmdBody, position: np.ndarray, name: str, settings: dict[str, object]) -> bool:
     """Add a body's shape as capsules only: up to three side by side, along its longest side, fill a box.
 
-    Arguments and result are those of `add_shape`; the shapes are named `name`, an "r" and a number.
+    As `add_shape`; the shapes are named `name`, an "r" and a number.
     """
     if body.shape != "box":
         return add_shape(owner, body, position, f"{name}r0", settings)
@@ -140,42 +123,27 @@ def add_rods(owner: Any, body: MmdBody, position: np.ndarray, name: str, setting
 
 
 LOOSE = 100  # joints in a row that hold are better than one that lets go
-TIGHT = 1e-3  # a range of places below is none [m]
-STIFF = 1e-3  # a range of angles below is none [rad]
+TIGHT = 1e-3  # a smaller range of positions is none [m]
+STIFF = 1e-3  # a smaller range of angles is none [rad]
 SAME_PLACE = 2e-3  # joints nearer than this are at one position [m]
 
 
 @dataclass(frozen=True)
 class Link:
-    """How a dynamic body hangs.
+    """How a dynamic body hangs."""
 
-    Args:
-        body: The body.
-        parent: The dynamic body that it hangs on, -1 where that is a bone.
-        bone: The bone that it hangs on where `parent` is -1; -1 for the world.
-        joint: The joint, None for a free ball joint at its bone.
-        turned: Whether the body is A of the joint, and what it hangs on is B.
-        more: Other joints of the same two bodies at the same position, each with whether the body is its A.
-    """
-
-    body: int
-    parent: int
-    bone: int
-    joint: MmdJoint | None
-    turned: bool = False
+    body: int  # the body
+    parent: int  # the dynamic body that it hangs on, -1 for a bone
+    bone: int  # the bone that it hangs on where `parent` is -1; -1 for the world
+    joint: MmdJoint | None  # the joint, None for a free ball joint at its bone
+    turned: bool = False  # whether the body is A of the joint, and its holder B
+    # other joints of the same two bodies at the same position, each with whether the body is its A
     more: tuple[tuple[MmdJoint, bool], ...] = ()
 
 
 @dataclass(frozen=True)
 class Loop:
-    """A joint that closes a loop.
-
-    Args:
-        joint: The joint.
-        a: A dynamic body, or -1 for a bone.
-        bone_a: The bone where `a` is -1.
-        b, bone_b: The same of the other end.
-    """
+    """A joint that closes a loop, between two dynamic bodies, or -1 and a bone."""
 
     joint: MmdJoint
     a: int
@@ -186,32 +154,20 @@ class Loop:
 
 @dataclass
 class Forest:
-    """How all bodies hang.
+    """How all bodies hang."""
 
-    Args:
-        links: Of the dynamic bodies, each after the one that it hangs on.
-        loops: Joints that close loops.
-        carried: Dynamic body that carries a body which follows a bone below it, by the index of the latter.
-        notes: What was repaired.
-    """
-
-    links: list[Link] = field(default_factory=list)
-    loops: list[Loop] = field(default_factory=list)
+    links: list[Link] = field(default_factory=list)  # of the dynamic bodies, each after the one that it hangs on
+    loops: list[Loop] = field(default_factory=list)  # joints that close loops
+    # dynamic body that carries a body which follows a bone below it, by the index of the latter
     carried: dict[int, int] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # what was repaired
 
 
 Owner = tuple[int, int]  # a dynamic body and -1, or -1 and a bone
 
 
 def apparel_forest(bodies: tuple[MmdBody, ...], joints: tuple[MmdJoint, ...], parents: np.ndarray) -> Forest:
-    """How the bodies of a character hang.
-
-    Args:
-        bodies: The bodies.
-        joints: The joints.
-        parents: Parent of each bone, shape (J,).
-    """
+    """How the bodies of a character hang; `parents` are those of its bones, shape (J,)."""
     forest = Forest()
     movers: dict[int, int] = {}  # the dynamic body that moves a bone
     for index, body in enumerate(bodies):
@@ -264,21 +220,21 @@ def locked_axes(joint: MmdJoint) -> np.ndarray:
 
 
 def free_axes(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Axes without limits: their range is empty, which is how Bullet says it; shape (3,), bool."""
+    """Axes without limits: their range is empty, as Bullet says it; shape (3,), bool."""
     return np.asarray(lower > upper)
 
 
 def _hang(
     forest: Forest, joints: tuple[MmdJoint, ...], edges: dict[Owner, list[tuple[int, Owner, bool]]], starts: list[Owner]
 ) -> set[Owner]:
-    """Hang all bodies that can be reached from some owners; shortest paths first, ties by the file's order."""
-    known = {link.body for link in forest.links}
+    """Hang all bodies that can be reached from these owners; shortest paths first, ties by the file's order."""
+    hung = {link.body for link in forest.links}
     done: set[Owner] = set()
     queue: list[tuple[int, int, Owner, Owner, int, bool]] = [(0, -1, start, start, -1, False) for start in starts]
     heapq.heapify(queue)
     while queue:
         cost, _, owner, above, number, turned = heapq.heappop(queue)
-        if owner in done or (owner[0] in known and number >= 0):
+        if owner in done or (owner[0] in hung and number >= 0):
             continue
         done.add(owner)
         if number >= 0:
@@ -287,14 +243,13 @@ def _hang(
             forest.links.append(Link(owner[0], above[0], above[1], joints[number], turned))
         for edge, other, reverse in edges.get(owner, ()):
             if other not in done and other[0] >= 0:
-                heapq.heappush(
-                    queue, (cost + (1 if locked_axes(joints[edge]).all() else LOOSE), edge, other, owner, edge, reverse)
-                )
+                farther = cost + (1 if locked_axes(joints[edge]).all() else LOOSE)
+                heapq.heappush(queue, (farther, edge, other, owner, edge, reverse))
     return {owner for owner in done if owner[0] >= 0}
 
 
 def _loops(forest: Forest, joints: tuple[MmdJoint, ...], owners: list[Owner]) -> None:
-    """Joints that nothing hangs on: those of one place with the joint of a link join it, others close loops."""
+    """Joints that nothing hangs on join the joint of a link at the same position, or close loops."""
     indices = {link.body: index for index, link in enumerate(forest.links)}
     used = {id(link.joint) for link in forest.links}
     more: dict[int, list[tuple[MmdJoint, bool]]] = {}
@@ -310,9 +265,9 @@ def _loops(forest: Forest, joints: tuple[MmdJoint, ...], owners: list[Owner]) ->
         else:
             if not free_axes(joint.lower, joint.upper).all():
                 forest.loops.append(Loop(joint, *a, *b))
-    for body, found in more.items():
+    for body, alike in more.items():
         link = forest.links[indices[body]]
-        forest.links[indices[body]] = Link(link.body, link.parent, link.bone, link.joint, link.turned, tuple(found))
+        forest.links[indices[body]] = Link(link.body, link.parent, link.bone, link.joint, link.turned, tuple(alike))
 
 
 def _alike(first: MmdJoint | None, second: MmdJoint) -> bool:
@@ -334,7 +289,7 @@ def _mover(bone: int, parents: np.ndarray, movers: dict[int, int]) -> int:
 
 
 def _depths(parents: np.ndarray) -> list[int]:
-    """How many bones are above each."""
+    """Number of bones above each."""
     out = []
     for bone in range(len(parents)):
         depth, at = 0, int(parents[bone])
@@ -351,20 +306,14 @@ _ANGLE_UNIT = MMD_METRE**2  # torques of MMD are mass times its unit squared ove
 
 @dataclass(frozen=True)
 class Freedom:
-    """One joint of MuJoCo.
+    """One joint of MuJoCo."""
 
-    Args:
-        kind: "slide", "hinge" or "ball".
-        axis: In the axes of the world at rest, shape (3,).
-        lower, upper: Limits [m or rad]; both infinite where there are none.
-        stiffness: Of its spring [kg/s^2 or N m/rad].
-    """
-
-    kind: str
-    axis: np.ndarray
+    kind: str  # "slide", "hinge" or "ball"
+    axis: np.ndarray  # in the axes of the world at rest, shape (3,)
+    # lower, upper: limits [m or rad]; both infinite without limits
     lower: float
     upper: float
-    stiffness: float
+    stiffness: float  # of its spring [kg/s^2 or N m/rad]
 
     @property
     def limited(self) -> bool:
@@ -373,7 +322,7 @@ class Freedom:
 
 
 def freedoms(link: Link) -> list[Freedom]:
-    """How a body may move against what it hangs on, the outermost joint first."""
+    """How a body may move against its holder, the outermost joint first."""
     joint = link.joint
     if joint is None:
         return [Freedom("ball", np.array([0.0, 0, 1]), -np.inf, np.inf, 0.0)]
@@ -382,9 +331,8 @@ def freedoms(link: Link) -> list[Freedom]:
     for axis in range(3):
         if high[axis] - low[axis] > TIGHT:
             start, end = (low[axis], high[axis]) if np.isfinite(low[axis]) else (-SLACK, SLACK)
-            out.append(
-                Freedom("slide", joint.rotation[:, axis], float(start), float(end), max(float(joint.spring[axis]), 0.0))
-            )
+            stiff = max(float(joint.spring[axis]), 0.0)
+            out.append(Freedom("slide", joint.rotation[:, axis], float(start), float(end), stiff))
     low, high = _range(joint.angle_lower, joint.angle_upper, link.turned)
     stiffness = np.maximum(joint.angle_spring, 0) * _ANGLE_UNIT
     for other, turned in link.more:
@@ -397,24 +345,17 @@ def freedoms(link: Link) -> list[Freedom]:
     if max(-low[1], high[1]) > GIMBAL and open_axes.all():
         widest = float(max(-low.min(), high.max()))
         widest = widest if widest < np.pi else np.inf
-        return [
-            *out,
-            Freedom(
-                "ball", np.array([0.0, 0, 1]), 0.0 if np.isfinite(widest) else -np.inf, widest, float(stiffness.mean())
-            ),
-        ]
+        low_end = 0.0 if np.isfinite(widest) else -np.inf
+        return [*out, Freedom("ball", np.array([0.0, 0, 1]), low_end, widest, float(stiffness.mean()))]
     for axis in (0, 1, 2) if link.turned else (2, 1, 0):
         if open_axes[axis]:
-            out.append(
-                Freedom("hinge", joint.rotation[:, axis], float(low[axis]), float(high[axis]), float(stiffness[axis]))
-            )
+            ends = float(low[axis]), float(high[axis])
+            out.append(Freedom("hinge", joint.rotation[:, axis], *ends, float(stiffness[axis])))
     return out
 
 
 def _range(lower: np.ndarray, upper: np.ndarray, straight: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Limits in the joint's own sense or turned round; infinite where the file's range is empty, and past half a turn
-    of angles.
-    """
+    """Limits in the joint's own sense or reversed; infinite where the file's range is empty."""
     low, high = (lower, upper) if straight else (-upper, -lower)
     free = lower > upper
     return np.where(free, -np.inf, low), np.where(free, np.inf, high)

@@ -1,6 +1,4 @@
-"""A character with physics in its file as the apparel networks see it: what is apparel, how stiff it is, and how it
-swings.
-"""
+"""A character with physics in its file as the apparel networks see it: its apparel, its stiffness and its swing."""
 
 from __future__ import annotations
 
@@ -29,7 +27,7 @@ NEWTON_METRE = MMD_METRE**2
 
 
 def body_springs(rig: ApparelRig) -> np.ndarray:
-    """Spring against swinging of the joint that holds each body, in the file's numbers, shape (B,)."""
+    """Spring against swinging of the joint that holds each body, in the file's units, shape (B,)."""
     out = np.zeros(len(rig.bodies))
     for joint in rig.joints:
         for held in joint.bodies:  # the joint that holds a body is the stiffest: ties to neighbours have no springs
@@ -38,16 +36,13 @@ def body_springs(rig: ApparelRig) -> np.ndarray:
 
 
 def bending_limits(rig: ApparelRig, parents: np.ndarray) -> np.ndarray:
-    """How far each dynamic body may bend against what it hangs on, by the limits of its joint about the axes across its
-    length [rad], shape (B,); pi where it hangs freely, and of bodies that follow their bones.
-
-    Args:
-        rig: The bodies and joints.
-        parents: Parent of each bone, shape (J,).
+    """How far each dynamic body may bend against its holder, by the limits of its joint about the axes across its
+    length [rad], shape (B,); pi where it hangs freely, and of bodies that follow their bones. `parents` are those of
+    the bones, shape (J,).
     """
     out = np.full(len(rig.bodies), FREE)
-    whole = tuple(joint for joint in rig.joints if min(joint.bodies) >= 0 and max(joint.bodies) < len(rig.bodies))
-    for link in apparel_forest(rig.bodies, whole, parents).links:
+    joints = tuple(joint for joint in rig.joints if min(joint.bodies) >= 0 and max(joint.bodies) < len(rig.bodies))
+    for link in apparel_forest(rig.bodies, joints, parents).links:
         joint = link.joint
         if joint is None:
             continue
@@ -67,30 +62,21 @@ SLIDE = 0.1  # as far an axis slides that is free altogether (`world`) [m]
 
 @dataclass(frozen=True, eq=False)
 class _Joint:
-    """What a dynamic body hangs on.
+    """What a dynamic body hangs on."""
 
-    Args:
-        place: Where it turns [m], shape (3,).
-        axes: That it turns about, in the world at rest, rows, shape (A, 3).
-        lower, upper: How far about each [rad], shape (A,).
-        stiffness: About each [N m / rad], shape (A,).
-        sag: How far that gives way to the weight that hangs on it, lying level [rad], shape (A,).
-        slides: How far it slides [m].
-        frame: Its own axes, columns, shape (3, 3).
-    """
-
-    place: np.ndarray
-    axes: np.ndarray
+    pivot: np.ndarray  # its centre of rotation [m], shape (3,)
+    axes: np.ndarray  # of rotation, in the world at rest, rows, shape (A, 3)
+    # lower, upper: limits about each [rad], shape (A,)
     lower: np.ndarray
     upper: np.ndarray
-    stiffness: np.ndarray
-    sag: np.ndarray
-    slides: float
-    frame: np.ndarray
+    stiffness: np.ndarray  # about each [N m / rad], shape (A,)
+    sag: np.ndarray  # how far that gives way to the weight that hangs on it, lying level [rad], shape (A,)
+    slides: float  # how far it slides [m]
+    frame: np.ndarray  # its own axes, columns, shape (3, 3)
 
     @property
     def turn(self) -> float:
-        """About how far it turns [rad]."""
+        """About how far it rotates [rad]."""
         if not len(self.axes):
             return LEAST
         return max(float(np.minimum(0.5 * (self.upper - self.lower), self.sag).max()), LEAST)
@@ -99,19 +85,15 @@ class _Joint:
 def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
     """What the chains of a rig mean for each vertex; zeros on the body.
 
-    The joints k of a chain, at p_k, are taken to turn by shares c_k of one turn w, by how far their limits and springs
-    let them; they add up to 1. A point x below the first n of them goes by w x sum_k c_k (x - p_k). Mass, springs and
-    friction of the whole are those of its links along such levers.
-
-    Args:
-        character: With a rig.
-        rig: Its bodies and joints.
+    The joints k of a chain, at p_k, are taken to rotate by shares c_k of one rotation w, by how far their limits and
+    springs let them; they add up to 1. A point x below the first n of them goes by w x sum_k c_k (x - p_k). Mass,
+    springs and friction of the whole are those of its links along such levers.
     """
-    own = character.rig
-    assert own is not None
+    skeleton = character.rig
+    assert skeleton is not None
     whole = tuple(joint for joint in rig.joints if min(joint.bodies) >= 0 and max(joint.bodies) < len(rig.bodies))
-    forest = apparel_forest(rig.bodies, whole, own.parents)
-    joints = _joints(rig, forest, own.positions)
+    forest = apparel_forest(rig.bodies, whole, skeleton.parents)
+    joints = _joints(rig, forest, skeleton.positions)
     above = {link.body: link.parent for link in forest.links}
     weights, heaviest = {body: max(rig.bodies[body].mass, 1e-4) for body in above}, dict[int, int]()
     for link in reversed(forest.links):  # a link comes after the one that it hangs on
@@ -122,13 +104,15 @@ def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
     count = len(character.vertices)
     out, most, total = np.zeros((count, SWING_NUMBERS)), np.zeros(count), np.zeros(count)
     axes = np.broadcast_to(np.eye(3), (count, 3, 3)).copy()
-    whose = np.repeat(np.arange(count), own.indices.shape[1])
-    skin = coo_matrix((own.weights.reshape(-1), (whose, own.indices.reshape(-1))), (count, len(own.names))).tocsc()
+    whose = np.repeat(np.arange(count), skeleton.indices.shape[1])
+    skin = coo_matrix(
+        (skeleton.weights.reshape(-1), (whose, skeleton.indices.reshape(-1))), (count, len(skeleton.names))
+    ).tocsc()
     skin.sum_duplicates()
-    for bone, body in _moved_bones(rig, own.parents).items():
+    for bone, body in _moved_bones(rig, skeleton.parents).items():
         column = slice(skin.indptr[bone], skin.indptr[bone + 1])
-        some = skin.data[column] > 1e-4
-        rows, held = skin.indices[column][some], skin.data[column][some]
+        heavy = skin.data[column] > 1e-4
+        rows, held = skin.indices[column][heavy], skin.data[column][heavy]
         if not len(rows) or body not in joints:
             continue
         chain = [body]
@@ -142,49 +126,43 @@ def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
         total[rows] += held
         first = held > most[rows]
         axes[rows[first]], most[rows] = own_swing.axes[first], np.maximum(most[rows], held)
-    found = Swing.of_rows((out / np.maximum(total, 1e-9)[:, None]).astype(np.float32))
-    return replace(found, axes=axes.astype(np.float32), share=total.astype(np.float32))
+    swing = Swing.of_rows((out / np.maximum(total, 1e-9)[:, None]).astype(np.float32))
+    return replace(swing, axes=axes.astype(np.float32), share=total.astype(np.float32))
 
 
 def _swing(rig: ApparelRig, chain: list[int], line: list[int], joints: dict[int, _Joint], points: np.ndarray) -> Swing:
-    """How points swing that a body holds.
-
-    Args:
-        rig: The bodies.
-        chain: Those that the body hangs on, from the first on, and the body itself.
-        line: These, and those that hang on it in turn.
-        joints: Of the bodies.
-        points: Shape (N, 3).
+    """How points (N, 3) swing that a body holds, by the bodies of its chain from the first on to itself, and by `line`,
+    these and those that hang on it in turn.
     """
-    counts = np.array([joints[one].turn for one in line])
+    counts = np.array([joints[index].turn for index in line])
     counts /= counts.sum()
-    places = np.array([joints[one].place for one in line])
-    bodies = [rig.bodies[one] for one in line]
+    pivots = np.array([joints[index].pivot for index in line])
+    bodies = [rig.bodies[index] for index in line]
     masses = np.array([max(body.mass, 1e-4) for body in bodies])
     middles = np.array([body.position for body in bodies])
     # how far each body goes by a turn of the chain, and how much it turns itself
     turned = np.cumsum(counts)
-    levers = turned[:, None] * middles - np.cumsum(counts[:, None] * places, axis=0)
-    own = np.array([_own_inertia(body) for body in bodies])
-    inertia = max(float(masses @ (np.square(levers).sum(axis=1) + own * turned**2)), 1e-9)
+    levers = turned[:, None] * middles - np.cumsum(counts[:, None] * pivots, axis=0)
+    inertias = np.array([_own_inertia(body) for body in bodies])
+    inertia = max(float(masses @ (np.square(levers).sum(axis=1) + inertias * turned**2)), 1e-9)
     moment = masses @ levers
     arm = moment * inertia / max(float(moment @ moment), 1e-9)
     frame = joints[line[0]].frame
     lower, upper, spring, friction = np.zeros(3), np.zeros(3), np.zeros(3), 0.0
     settings = PhysicsSettings()
-    for number, one in enumerate(line):
-        joint = joints[one]
+    for number, index in enumerate(line):
+        joint = joints[index]
         seen = joint.axes @ frame
         ends = np.stack([seen * joint.lower[:, None], seen * joint.upper[:, None]])
         lower, upper = lower + ends.min(axis=0).sum(axis=0), upper + ends.max(axis=0).sum(axis=0)
         spring = spring + counts[number] ** 2 * (np.square(seen) * joint.stiffness[:, None]).sum(axis=0)
-        below = masses[number:] @ (np.square(middles[number:] - joint.place).sum(axis=1) + own[number:])
+        below = masses[number:] @ (np.square(middles[number:] - joint.pivot).sum(axis=1) + inertias[number:])
         rate = loss_rate(bodies[number].angular_damping, settings.most_rate)
         friction += counts[number] ** 2 * float(below) * max(rate - settings.air, 0)
     reached = len(chain)
-    lever = turned[reached - 1] * points - counts[:reached] @ places[:reached]
-    away = points - counts[:reached] @ places[:reached] / turned[reached - 1]
-    slid = sum(joints[one].slides for one in chain) / np.maximum(np.linalg.norm(lever, axis=1), SHORT)[:, None]
+    lever = turned[reached - 1] * points - counts[:reached] @ pivots[:reached]
+    away = points - counts[:reached] @ pivots[:reached] / turned[reached - 1]
+    slid = sum(joints[index].slides for index in chain) / np.maximum(np.linalg.norm(lever, axis=1), SHORT)[:, None]
     gravity = 1.0
     if rig.gravity is not None:
         gravity = float(np.linalg.norm(rig.gravity[line], axis=1).mean() / settings.gravity)
@@ -207,7 +185,7 @@ def _own_inertia(body: MmdBody) -> float:
 
 
 def _joints(rig: ApparelRig, forest: Forest, positions: np.ndarray) -> dict[int, _Joint]:
-    """What each dynamic body hangs on, by its number."""
+    """The joint of each dynamic body, by its number."""
     count = len(rig.bodies)
     pull = np.full(count, PhysicsSettings().gravity)
     if rig.gravity is not None:
@@ -220,30 +198,31 @@ def _joints(rig: ApparelRig, forest: Forest, positions: np.ndarray) -> dict[int,
             moment[link.parent] += moment[link.body]
     out = {}
     for link in forest.links:
-        place = _place(rig, link, positions)
-        lever = float(np.linalg.norm(moment[link.body] - weight[link.body] * place))
+        pivot = _pivot(rig, link, positions)
+        lever = float(np.linalg.norm(moment[link.body] - weight[link.body] * pivot))
         axes, lower, upper, stiffness, sag, slides = [], [], [], [], [], 0.0
-        for one in freedoms(link):
-            if one.kind == "slide":
-                slides += min(max(abs(one.lower), abs(one.upper)), SLIDE)
+        for freedom in freedoms(link):
+            if freedom.kind == "slide":
+                slides += min(max(abs(freedom.lower), abs(freedom.upper)), SLIDE)
                 continue
-            low, high = (-one.upper, one.upper) if one.kind == "ball" and one.limited else (one.lower, one.upper)
-            for axis in np.eye(3) if one.kind == "ball" else (one.axis,):
+            ball = freedom.kind == "ball" and freedom.limited
+            low, high = -freedom.upper if ball else freedom.lower, freedom.upper
+            for axis in np.eye(3) if freedom.kind == "ball" else (freedom.axis,):
                 axes.append(axis)
                 lower.append(max(low, -FREE))
                 upper.append(min(high, FREE))
-                stiffness.append(one.stiffness)
-                sag.append(min(lever / one.stiffness, FREE) if one.stiffness > 0 else FREE)
+                stiffness.append(freedom.stiffness)
+                sag.append(min(lever / freedom.stiffness, FREE) if freedom.stiffness > 0 else FREE)
         frame = np.eye(3) if link.joint is None else np.asarray(link.joint.rotation)
         out[link.body] = _Joint(
-            place, np.array(axes).reshape(-1, 3), np.array(lower), np.array(upper), np.array(stiffness), np.array(sag),
+            pivot, np.array(axes).reshape(-1, 3), np.array(lower), np.array(upper), np.array(stiffness), np.array(sag),
             slides, frame,
         )  # fmt: skip
     return out
 
 
-def _place(rig: ApparelRig, link: Link, positions: np.ndarray) -> np.ndarray:
-    """Where a dynamic body turns [m], shape (3,)."""
+def _pivot(rig: ApparelRig, link: Link, positions: np.ndarray) -> np.ndarray:
+    """Centre of rotation of a dynamic body [m], shape (3,)."""
     body = rig.bodies[link.body]
     if body.mode == 2 and body.bone >= 0:  # held at its bone
         return np.asarray(positions[body.bone])
@@ -271,56 +250,39 @@ def _moved_bones(rig: ApparelRig, parents: np.ndarray) -> dict[int, int]:
 
 @dataclass(frozen=True, eq=False)
 class PartSprings:
-    """Means over the bodies that hold the vertices of each of P parts.
+    """Means over the bodies that hold the vertices of each of P parts."""
 
-    Args:
-        spring: Stiffness of a joint against swinging [N m / rad], shape (P,), float32.
-        mass: Of a body, as in the file, shape (P,).
-        damping: Share of the velocity that a body loses in a second, shape (P,).
-        limit: How far a joint may bend [rad], shape (P,).
-    """
-
-    spring: np.ndarray
-    mass: np.ndarray
-    damping: np.ndarray
-    limit: np.ndarray
+    spring: np.ndarray  # stiffness of a joint against swinging [N m / rad], shape (P,), float32
+    mass: np.ndarray  # of a body, as in the file, shape (P,)
+    damping: np.ndarray  # share of the velocity that a body loses in a second, shape (P,)
+    limit: np.ndarray  # how far a joint may bend [rad], shape (P,)
 
 
 def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> PartSprings:
-    """What the file says of each part; 0 where none of its bones has a body.
-
-    Args:
-        character: With a rig.
-        rig: Its bodies and joints.
-        parts: Number of the part of each vertex, -1 on the body, shape (V,).
-    """
-    own = character.rig
-    assert own is not None
+    """What the file says of each part, by the part of each vertex (V,); 0 where no bone of it has a body."""
+    skeleton = character.rig
+    assert skeleton is not None
     count = int(parts.max(initial=-1)) + 1
-    values = np.zeros((len(own.names), 5))
+    values = np.zeros((len(skeleton.names), 5))
     for spring, limit, body in zip(
-        body_springs(rig) * NEWTON_METRE, bending_limits(rig, own.parents), rig.bodies, strict=True
+        body_springs(rig) * NEWTON_METRE, bending_limits(rig, skeleton.parents), rig.bodies, strict=True
     ):
         if body.dynamic and body.bone >= 0:
             values[body.bone] += [spring, body.mass, body.linear_damping, limit, 1.0]
     sums = np.zeros((count, 5))
     cloth = parts >= 0
-    for bone, share in zip(own.indices[cloth].T, own.weights[cloth].T, strict=True):
-        known = values[bone, 4] > 0
+    for bone, share in zip(skeleton.indices[cloth].T, skeleton.weights[cloth].T, strict=True):
+        has_body = values[bone, 4] > 0
         mean = values[bone] / np.maximum(values[bone, 4:], 1.0)
-        np.add.at(sums, parts[cloth], mean * (share * known)[:, None])
+        np.add.at(sums, parts[cloth], mean * (share * has_body)[:, None])
     means = sums[:, :4] / np.maximum(sums[:, 4:], 1e-9)
     means[sums[:, 4] <= 0, 3] = FREE
     return PartSprings(*means.astype(np.float32).T)
 
 
 def clothed_from_file(character: Character, body: UnifiedBody | None = None, dial: float = 1.0) -> ClothedCharacter:
-    """A character whose file says what its apparel is and how stiff.
-
-    Args:
-        character: With a rig of a person.
-        body: Its joints, where they are known already.
-        dial: Factor on the stiffness.
+    """A person with the apparel of its file, and a factor on its stiffness; `body` are its joints, where they are
+    known.
 
     Raises:
         CharacterError: The rig is not that of a person, or the file says nothing of physics.

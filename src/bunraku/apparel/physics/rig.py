@@ -1,6 +1,4 @@
-"""What physics move of a character, from an MMD or VRM file, the settings of the simulation, and whether MuJoCo is
-there.
-"""
+"""What physics move of a character, from an MMD or VRM file, and the settings of the simulation."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint, VrmCollider, VrmM
 from bunraku.core.character import Character
 from bunraku.errors import MissingExtraError, OptionError
 
-__all__ = ["ApparelRig", "PhysicsSettings", "VRM_RATE", "apparel_rig", "check_engine", "vrm_rig"]
+__all__ = ["ApparelRig", "PhysicsSettings", "VRM_RATE", "apparel_rig", "check_engine", "still_body", "vrm_rig"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +22,7 @@ class ApparelRig:
         bodies: The bodies; `MmdBody.bone` is the index of a rig joint, -1 for none.
         joints: The joints, by indices of bodies.
         notes: What of the file was left out or repaired, a sentence each.
-        gravity: Acceleration that each body has of its own, in place of the world's gravity [m/s^2], shape (B, 3); None
-            where it is the world's.
+        gravity: Acceleration of each body in place of the world's gravity [m/s^2], shape (B, 3); None for the world's.
     """
 
     bodies: tuple[MmdBody, ...]
@@ -40,26 +37,20 @@ class ApparelRig:
 
     @property
     def unguarded(self) -> tuple[int, ...]:
-        """Dynamic bodies that may collide but that no body which follows its bone collides with: nothing of the file
-        keeps them out of the person.
-        """
+        """Dynamic bodies that may collide but that no body which follows its bone keeps out of the person."""
         still = {(body.group, body.mask) for body in self.bodies if not body.dynamic}
-        return tuple(
-            index
-            for index in self.dynamic
-            if (body := self.bodies[index]).mask
-            and not any(body.mask >> group & 1 and mask >> body.group & 1 for group, mask in still)
-        )
+
+        def kept_out(body: MmdBody) -> bool:
+            return any(body.mask >> group & 1 and mask >> body.group & 1 for group, mask in still)
+
+        return tuple(i for i in self.dynamic if self.bodies[i].mask and not kept_out(self.bodies[i]))
 
 
 def check_engine(purpose: str) -> None:
-    """Whether there is what simulates.
-
-    Args:
-        purpose: What asks for it, as the message begins.
+    """Check that MuJoCo is installed; `purpose` is how the message begins.
 
     Raises:
-        MissingExtraError: It is not installed.
+        MissingExtraError: It is not.
     """
     if find_spec("mujoco") is None:
         raise MissingExtraError("mujoco-core", "physics", purpose)
@@ -72,18 +63,18 @@ class PhysicsSettings:
     Args:
         gravity: Downwards [m/s^2]; MMD's 98 units a second squared by default.
         step: Longest time step [s].
-        air: The largest rate at which bodies lose speed against the air [1/s]. What a file asks for beyond that is
-            friction in the joints.
+        air: The largest rate at which bodies lose speed against the air [1/s]; more in a file is friction in the
+            joints.
         most_rate: The largest rate at which bodies lose speed at all [1/s].
-        least_ratio: Damping of every joint, as a share of the critical one, is at least this.
+        least_ratio: Least damping of every joint, as a share of the critical one.
         fastest: Springs swing at most this fast [rad/s].
         loop_time: Time in which a joint that closes a loop pulls its bodies together [s].
-        limbs: Whether the body's mesh is a collider, bone by bone (`limbs`), for all apparel; None for apparel that no
-            collider of the file meets.
+        limbs: Whether the body's mesh is a collider, bone by bone (`body_limbs`), for all apparel; None for apparel
+            that no collider of the file meets.
         nearby: Apparel collides with those limbs that are nearer than this at rest [m].
         most_speed: A body that moves faster against its anchor has flown away [m/s].
-        most_turn: Joints turn at most this fast [rad/s].
-        patience: A body that would turn faster for longer than this has flown away [s].
+        most_turn: Joints rotate at most this fast [rad/s].
+        patience: A body that would rotate faster for longer than this has flown away [s].
         cut: A bone that is faster than this has jumped, and takes its apparel with it [m/s].
 
     Raises:
@@ -112,8 +103,7 @@ class PhysicsSettings:
             raise OptionError(f"the time step of physics must be from 0.0001 to 0.02 s, not {self.step:g}")
 
 
-VRM_RATE = 60.0
-"""Steps a second that VRM's numbers are meant for [1/s]."""
+VRM_RATE = 60.0  # steps a second that VRM's parameters are meant for [1/s]
 LIGHTER = 0.5  # mass of a joint over that of the one above
 END = 0.07  # of a chain whose last node swings as well [m]
 MOST_PAIRS = 1_000_000  # of a group of springs and a collider
@@ -123,12 +113,7 @@ _FREE = (np.ones(3), -np.ones(3))
 
 
 def vrm_rig(character: Character, avatar: VrmModel) -> ApparelRig:
-    """The bodies and joints of a VRM's springs and colliders.
-
-    Args:
-        character: The character that was read from the file, with its rig.
-        avatar: What the file says of springs.
-    """
+    """The bodies and joints of a VRM's springs and colliders, for the character that was read from its file."""
     return _Chains(character).rig(avatar)
 
 
@@ -162,7 +147,7 @@ class _Chains:
                 continue
             if signature not in signatures and len(signatures) == GROUPS:
                 self.note(
-                    "more groups of colliders than can be told apart; the last ones keep out what any of them keeps out"
+                    "more groups of colliders than there are bits; the last ones keep out what any of them keeps out"
                 )
                 signature = list(signatures)[-1]
             groups[number] = signatures.setdefault(signature, len(signatures) + 1)
@@ -177,17 +162,17 @@ class _Chains:
 
     def kept_out_of(self, avatar: VrmModel) -> list[frozenset[int]]:
         """The colliders that each spring is kept out of."""
-        known: dict[tuple[int, ...], frozenset[int]] = {}
+        colliders: dict[tuple[int, ...], frozenset[int]] = {}
         left = MOST_PAIRS
         for spring in avatar.springs:
-            if spring.groups not in known:
+            if spring.groups not in colliders:
                 left -= sum(len(avatar.groups[group]) for group in spring.groups)
                 if left < 0:
                     self.note("springs name more colliders than can be worked with; the last springs pass through all")
-                    known[spring.groups] = frozenset()
+                    colliders[spring.groups] = frozenset()
                 else:
-                    known[spring.groups] = frozenset(n for group in spring.groups for n in avatar.groups[group])
-        return [known[spring.groups] for spring in avatar.springs]
+                    colliders[spring.groups] = frozenset(n for group in spring.groups for n in avatar.groups[group])
+        return [colliders[spring.groups] for spring in avatar.springs]
 
     def note(self, sentence: str) -> None:
         if sentence not in self.notes:
@@ -212,12 +197,8 @@ class _Chains:
         length = float(np.linalg.norm(end - start))
         size = np.array([collider.radius * scale, length, 0.0])
         shape = "capsule" if length > 1e-6 else "sphere"
-        self.add(
-            _still(
-                f"collider {len(self.bodies)}", self.joint_of(collider.node), shape, size, (start + end) / 2,
-                _along(end - start), group, 1,
-            )
-        )  # fmt: skip
+        bone, middle = self.joint_of(collider.node), (start + end) / 2
+        self.add(still_body(f"collider {len(self.bodies)}", bone, middle, shape, size, _along(end - start), group, 1))
 
     def spring(self, spring: VrmSpring, mask: int) -> None:
         joints = spring.joints if spring.ends_free else spring.joints[:-1]
@@ -225,13 +206,9 @@ class _Chains:
         starts = np.array([self.world[node][:3, 3] for node in nodes])
         tails = list(starts[1:])
         if spring.ends_free:
-            direction = starts[-1] - (
-                starts[-2]
-                if len(starts) > 1
-                else self.world[self.parents[nodes[0]]][:3, 3]
-                if self.parents[nodes[0]] >= 0
-                else 0
-            )
+            root = int(self.parents[nodes[0]])
+            before = starts[-2] if len(starts) > 1 else self.world[root][:3, 3] if root >= 0 else 0
+            direction = starts[-1] - before
             direction = direction if np.linalg.norm(direction) > 1e-6 else np.array([0.0, -1, 0])
             tails.append(starts[-1] + END * direction / np.linalg.norm(direction))
         masses, ends = LIGHTER ** np.arange(len(joints)), np.array(tails[: len(joints)])
@@ -268,15 +245,16 @@ class _Chains:
         """A body without size that follows a bone, for chains to hang on."""
         bone = self.joint_of(node)
         if bone not in self.holders:
-            self.holders[bone] = self.add(
-                _still(f"holder {bone}", bone, "sphere", np.zeros(3), position, np.eye(3), 0, 0)
-            )
+            self.holders[bone] = self.add(still_body(f"holder {bone}", bone, position))
         return self.holders[bone]
 
 
-def _still(
-    name: str, bone: int, shape: str, size: np.ndarray, position: np.ndarray, axes: np.ndarray, group: int, mask: int
-) -> MmdBody:
+def still_body(
+    name: str, bone: int, position: np.ndarray, shape: str = "sphere", size: np.ndarray | None = None,
+    axes: np.ndarray | None = None, group: int = 0, mask: int = 0,
+) -> MmdBody:  # fmt: skip
+    """A body that follows a bone; by default one without size that meets no other."""
+    size, axes = np.zeros(3) if size is None else size, np.eye(3) if axes is None else axes
     return MmdBody(name, bone, shape, size, position, axes, 0.0, 0.0, 0.0, 0.0, 0.0, 0, group, mask)
 
 
@@ -294,10 +272,8 @@ def _along(direction: np.ndarray) -> np.ndarray:
 
 
 def apparel_rig(character: Character) -> ApparelRig | None:
-    """What physics move of a character; None where its file says nothing of physics, or nothing of it can be used.
-
-    Args:
-        character: An MMD model or a VRM avatar, with its rig.
+    """What physics move of a character with a rig; None where its file says nothing of physics, or nothing of it can be
+    used.
 
     Raises:
         FormatError: The nodes of its file are broken.
@@ -306,11 +282,11 @@ def apparel_rig(character: Character) -> ApparelRig | None:
         return None
     model = mmd_model(character)
     if model is not None:
-        found = ApparelRig(model.bodies, model.joints)
+        rig = ApparelRig(model.bodies, model.joints)
     else:
         avatar = vrm_model(character)
         if avatar is None:
             return None
 
-        found = vrm_rig(character, avatar)
-    return found if found.dynamic else None
+        rig = vrm_rig(character, avatar)
+    return rig if rig.dynamic else None

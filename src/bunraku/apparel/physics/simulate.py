@@ -24,16 +24,8 @@ BLEND = 0.6  # share of the warm-up in which the pose changes; in the rest of it
 
 
 def lead_in(animation: RigAnimation, frames: int) -> tuple[np.ndarray, np.ndarray]:
-    """Frames that lead from the rest pose into the first frame of a clip.
-
-    The rest pose stands where the first frame does and looks where it looks, so that apparel is not thrown about.
-
-    Args:
-        animation: The clip.
-        frames: How many.
-
-    Returns:
-        World rotations of the bones (frames, J, 3, 3) and positions of their heads [m] (frames, J, 3).
+    """World rotations (frames, J, 3, 3) and positions [m] (frames, J, 3) of the bones from the rest pose into the first
+    frame of a clip. The rest pose has the position and heading of the first frame, so that apparel is not thrown about.
     """
     rig = animation.character.rig
     assert rig is not None
@@ -74,19 +66,14 @@ def _forward(
 class Drive:
     """The motion of driven bones, by frames.
 
-    Between frames places go along cubic curves (Catmull and Rom's) and so do quaternions, which are normalised: at 30
-    frames a second that is a slerp whose speed does not jump. Where a bone jumps, faster than `cut`, nothing lies
+    Between frames positions go along cubic curves (Catmull and Rom's) and so do quaternions, which are normalised: at
+    30 frames a second that is a slerp whose speed does not jump. Where a bone jumps, faster than `cut`, nothing lies
     between.
-
-    Args:
-        positions: Of the bones [m], shape (F, R, 3).
-        quaternions: wxyz, shape (F, R, 4), without jumps of sign.
-        jumps: Whether the way from a frame to the next one is a jump, shape (F - 1,).
     """
 
-    positions: np.ndarray
-    quaternions: np.ndarray
-    jumps: np.ndarray
+    positions: np.ndarray  # of the bones [m], shape (F, R, 3)
+    quaternions: np.ndarray  # wxyz, shape (F, R, 4), without jumps of sign
+    jumps: np.ndarray  # whether the way from a frame to the next one is a jump, shape (F - 1,)
 
     @classmethod
     def of(cls, rotations: np.ndarray, positions: np.ndarray, fps: float, cut: float) -> Drive:
@@ -99,13 +86,11 @@ class Drive:
         return cls(np.asarray(positions, float), quaternions, jumps)
 
     def between(self, frame: int, parts: int) -> tuple[np.ndarray, np.ndarray]:
-        """Places (parts, R, 3) and quaternions (parts, R, 4) on the way from a frame, which is left out, to the next
-        one.
-        """
+        """Positions (parts, R, 3) and quaternions (parts, R, 4) from a frame, which is left out, to the next one."""
         if self.jumps[frame]:
-            return np.repeat(self.positions[frame + 1][None], parts, 0), np.repeat(
-                self.quaternions[frame + 1][None], parts, 0
-            )
+            positions, quaternions = (np.repeat(values[frame + 1][None], parts, 0)
+                                      for values in (self.positions, self.quaternions))  # fmt: skip
+            return positions, quaternions
         share = (np.arange(1, parts + 1) / parts)[:, None, None]
         positions = self._curve(self.positions, frame, share)
         quaternions = self._curve(self.quaternions, frame, share)
@@ -124,15 +109,8 @@ class Drive:
             return np.zeros_like(values[frame])
         back = not self.jumps[frame - 1]
         on = frame < len(values) - 1 and not self.jumps[frame]
-        if back and on:
-            return np.asarray((values[frame + 1] - values[frame - 1]) / 2)
-        return np.asarray(
-            values[frame] - values[frame - 1]
-            if back
-            else values[frame + 1] - values[frame]
-            if on
-            else np.zeros_like(values[frame])
-        )
+        first, last = frame - 1 if back else frame, frame + 1 if on else frame
+        return np.asarray((values[last] - values[first]) / max(last - first, 1))
 
 
 SHORT = 5e-3  # bones that are nearer to their parents than this have no length to keep [m]
@@ -150,17 +128,9 @@ def joints_moved(parents: np.ndarray, rig: ApparelRig) -> np.ndarray:
 def posed(
     animation: RigAnimation, rig: ApparelRig, bodies: np.ndarray, body_rotations: np.ndarray, positions: np.ndarray
 ) -> RigAnimation:
-    """The animation with the bones of dynamic bodies where these are; bones below follow as they are keyed.
-
-    A bone takes the rotation of the first of its bodies. It goes where a body of mode 1 goes; one of mode 2 is held at
-    its parent.
-
-    Args:
-        animation: Of N frames.
-        rig: The bodies.
-        bodies: Which of them are dynamic, shape (D,).
-        body_rotations: World rotations of these from rest, shape (N, D, 3, 3).
-        positions: Their centres [m], shape (N, D, 3).
+    """The animation with the bones of D dynamic bodies at their world rotations from rest (N, D, 3, 3) and centres [m]
+    (N, D, 3); bones below follow as they are keyed. A bone takes the rotation of the first of its bodies. It goes where
+    a body of mode 1 goes; one of mode 2 is held at its parent.
     """
     skeleton = animation.character.rig
     assert skeleton is not None
@@ -191,9 +161,7 @@ def posed(
 
 
 def stretched(animation: RigAnimation, rig: ApparelRig, bodies: np.ndarray) -> float:
-    """The largest change of the distance between a bone that a body moves and its parent, over that distance at
-    rest.
-    """
+    """The largest change of the distance of a bone that a body moves from its parent, over that at rest."""
     skeleton = animation.character.rig
     assert skeleton is not None
     bones = np.array(
@@ -216,12 +184,7 @@ MOST_STEPS = 20_000_000  # of time, in all
 
 @dataclass(frozen=True)
 class Recovery:
-    """A body that flew away and was put back.
-
-    Args:
-        body: Its name.
-        frame: The frame of the clip, below 0 in the warm-up.
-    """
+    """A body that flew away and was put back, by its name, in a frame of the clip, below 0 in the warm-up."""
 
     body: str
     frame: int
@@ -233,13 +196,10 @@ class SimulationReport:
 
     Args:
         recoveries: Bodies that flew away and were put back to rest, with all that hangs on them.
-        stretch: The largest change of a length between a bone that physics move and its parent, over that length at
-            rest.
+        stretch: As of `stretched`.
         rest_speed: Mean speed of the dynamic bodies in the last frame [m/s].
-        seconds: How long the simulation took, of the clip and the warm-up, without building the world [s].
-        frames: How many frames that were.
-        steps: Time steps in each of them.
-        bodies: How many dynamic bodies there are.
+        seconds: Time that the simulation of clip and warm-up took, without building the world [s].
+        frames, steps, bodies: Number of frames, of time steps in each, and of dynamic bodies.
         notes: What of the physics was left out or repaired.
     """
 
@@ -268,12 +228,7 @@ class SimulationReport:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """The result of `simulate`.
-
-    Args:
-        animation: The animation with apparel moved, of the same frames.
-        report: What happened.
-    """
+    """The animation with apparel moved, of the same frames, and what happened."""
 
     animation: RigAnimation
     report: SimulationReport
@@ -283,16 +238,14 @@ def simulate(
     animation: RigAnimation, rig: ApparelRig | None = None, *, warmup: float = 1.0, substeps: int | None = None,
     settings: PhysicsSettings | None = None, progress: Callable[[float], None] | None = None,
 ) -> Simulation:  # fmt: skip
-    """Move the apparel of a character by physics.
-
-    The same arguments give the same bytes.
+    """Move the apparel of a character by physics. The same arguments give the same bytes.
 
     Args:
         animation: The motion of its rig; what it says of bones that physics move does not count.
         rig: Its bodies and joints; those of its file by default.
-        warmup: How long it takes from the rest pose into the first frame, before the clip [s].
+        warmup: Time from the rest pose into the first frame, before the clip [s].
         substeps: Time steps a frame; as many as `settings.step` needs by default.
-        settings: The numbers that no file holds.
+        settings: What no file holds.
         progress: Called with the share done, 0 to 1.
 
     Raises:
@@ -347,9 +300,7 @@ def simulate(
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without MuJoCo's own warnings, which it writes to a file in whatever folder the user is in; `_Run` looks for what
-    they are about.
-    """
+    """Without the warnings that MuJoCo writes to a file in the current folder; `_Run` checks for their causes."""
     import mujoco
 
     before = mujoco.get_mju_user_warning()
@@ -456,38 +407,34 @@ class _Run:
         return float(np.linalg.norm(self.velocity()[1], axis=1).mean())
 
     def hold(self) -> None:
-        """Hold joints to the largest speed; put back bodies that would be faster for too long, or are nowhere."""
+        """Hold joints to the largest speed; put back bodies that are too fast for too long, or nowhere."""
         world, data, most = self.world, self.world.data, self.settings.most_turn
         if np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all():
             self.hot = np.where(np.abs(data.qvel) >= most, self.hot + 1, 0)
             np.clip(data.qvel, -most, most, out=data.qvel)
             data.qvel[self.qvel] = self.speed  # driven bones are as fast as they are
             long = self.hot * world.step > self.settings.patience
-            found = {n for n, (_, qvel) in enumerate(world.states) if long[qvel].any()}
-            self.rest(found)
+            lost = {n for n, (_, qvel) in enumerate(world.states) if long[qvel].any()}
+            self.rest(lost)
         else:
-            found = {
-                n
-                for n, state in enumerate(world.states)
-                if not np.isfinite(np.concatenate([data.qpos[state[0]], data.qvel[state[1]]])).all()
-            }
-            found = found or set(range(len(world.ids)))
+            broken = [
+                not np.isfinite(np.concatenate([data.qpos[qpos], data.qvel[qvel]])).all() for qpos, qvel in world.states
+            ]
+            lost = set(np.flatnonzero(broken).tolist()) or set(range(len(world.ids)))
             self.mj.mj_resetData(world.model, data)
             data.qpos[self.qpos], data.qvel[self.qvel] = self.state, self.speed
-        if found:
+        if lost:
             self.hot[:] = 0
-            self.gone |= found
+            self.gone |= lost
 
     def lost(self) -> list[int]:
-        """Bodies that were put back since the last frame, or that are put back now because they are too fast for their
-        anchors.
-        """
+        """Bodies that were put back since the last frame, or now, as too fast for their anchors."""
         _, moving = self.velocity()
         of_anchor = np.where(self.above[:, None] >= 0, moving[self.above], self.world.data.cvel[self.world.anchors, 3:])
         fast = np.linalg.norm(moving - of_anchor, axis=1) > self.settings.most_speed
-        found = set(np.flatnonzero(fast).tolist())
-        self.rest(found)
-        out, self.gone = sorted(found | self.gone), set()
+        too_fast = set(np.flatnonzero(fast).tolist())
+        self.rest(too_fast)
+        out, self.gone = sorted(too_fast | self.gone), set()
         return out
 
     def rest(self, bodies: set[int]) -> None:

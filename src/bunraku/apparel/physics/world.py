@@ -1,4 +1,4 @@
-"""A character's rigid bodies as a world of MuJoCo: what collides, how near bodies may come, and the model itself."""
+"""A character's rigid bodies as a world of MuJoCo: which collide, how near bodies may come, and the model itself."""
 
 from __future__ import annotations
 
@@ -35,14 +35,8 @@ Kind = tuple[int, int, bool]
 
 
 def collision_bits(bodies: Sequence[MmdBody], moving: Sequence[bool]) -> tuple[list[tuple[int, int]], int]:
-    """contype and conaffinity of each body, 0 where it collides with none.
-
-    Args:
-        bodies: The bodies.
-        moving: Whether physics move each; two that only follow bones do not collide.
-
-    Returns:
-        The bits, and how many bodies collide with nothing because there are more classes than bits.
+    """contype and conaffinity of each body, 0 where it collides with none, and how many bodies collide with nothing
+    because there are more classes than bits. Two bodies that physics do not move (`moving`) do not collide.
     """
     kinds: list[Kind] = [(body.group, body.mask, bool(moves)) for body, moves in zip(bodies, moving, strict=True)]
     counts: dict[Kind, int] = {}
@@ -69,14 +63,8 @@ DEEP = 0.8  # a body that is deeper in a limb at rest, as a share of its radius,
 
 
 def fit_contacts(spec: Any, model: Any, settings: PhysicsSettings, step: float) -> None:
-    """Add the contacts that are not the rule to a world.
-
-    Args:
-        spec: The world's `MjSpec`; shapes named "limb ..." are limbs of the body, and "rod ..." those of apparel that
-            collide with them.
-        model: What it compiles to, at rest.
-        settings: Says which limbs are near.
-        step: Time step [s].
+    """Add the contacts that are exceptions to a world (`MjSpec`) and the model that it compiles to, at rest; shapes
+    named "limb ..." are limbs of the body, and "rod ..." those of apparel that collide with them.
     """
     import mujoco
 
@@ -104,20 +92,15 @@ def fit_contacts(spec: Any, model: Any, settings: PhysicsSettings, step: float) 
 
 
 def _near_limbs(model: Any, data: Any, near: float) -> list[tuple[str, str, float]]:
-    """Rods and limbs that are near each other, and how far apart; a rod that is deep in a limb would be pushed to any
-    side.
-    """
+    """Rods and limbs near each other, and their distance; a rod deep in a limb would be pushed to any side."""
     import mujoco
 
     names = [model.geom(geom).name for geom in range(model.ngeom)]
     limbs = np.array([geom for geom, name in enumerate(names) if name.startswith("limb")], np.int64)
     out = []
     for rod in (geom for geom, name in enumerate(names) if name.startswith("rod")):
-        apart = (
-            np.linalg.norm(data.geom_xpos[limbs] - data.geom_xpos[rod], axis=1)
-            - model.geom_rbound[limbs]
-            - model.geom_rbound[rod]
-        )
+        apart = np.linalg.norm(data.geom_xpos[limbs] - data.geom_xpos[rod], axis=1)
+        apart = apart - model.geom_rbound[limbs] - model.geom_rbound[rod]
         for limb in limbs[apart < near]:
             distance = float(mujoco.mj_geomDistance(model, data, rod, int(limb), near, None))
             if -DEEP * model.geom_size[limb, 0] < distance < near:
@@ -126,61 +109,42 @@ def _near_limbs(model: Any, data: Any, near: float) -> list[tuple[str, str, floa
 
 
 MOST_DYNAMIC = 2000
+_NO_CONTACT = {"contype": 0, "conaffinity": 0}
 HEAVY = 1e4  # mass of a driven bone over that of all apparel
 LIGHT = 0.05  # mass of a slider over that of the lighter body
 
 
 @dataclass
 class World:
-    """What is simulated.
+    """What is simulated."""
 
-    Args:
-        model, data: MuJoCo's.
-        step: Time step [s].
-        bones: Bones that drive it, shape (R,).
-        root_qpos, root_qvel: Where their state begins, shape (R,).
-        weight: Mass of a driven bone [kg], and its moment of inertia [kg m^2].
-        bodies: Indices of the dynamic bodies, in the order of the forest, shape (D,).
-        ids: MuJoCo's body of each, shape (D,).
-        anchors: MuJoCo's body of what each hangs on, shape (D,).
-        drags: Rate at which each loses speed against the air [1/s], shape (D, 1), of displacement and of turning.
-        pulls: Acceleration that each has in place of gravity [m/s^2], shape (D, 3).
-        states: For each, where its own qpos and qvel are.
-        below: For each, the places in this list of itself and of all that hang on it.
-        notes: What was left out or repaired.
-    """
-
+    # model, data: MuJoCo's
     model: Any
     data: Any
-    step: float
-    bones: np.ndarray
+    step: float  # time step [s]
+    bones: np.ndarray  # bones that drive it, shape (R,)
+    # root_qpos, root_qvel: beginnings of their states, shape (R,)
     root_qpos: np.ndarray
     root_qvel: np.ndarray
-    weight: float
-    bodies: np.ndarray
+    weight: float  # mass of a driven bone [kg], and its moment of inertia [kg m^2]
+    bodies: np.ndarray  # indices of the dynamic bodies, in the order of the forest, shape (D,)
+    # ids, anchors: muJoCo's body of each, and of its holder, shape (D,)
     ids: np.ndarray
     anchors: np.ndarray
+    # rate at which each loses speed against the air [1/s], shape (D, 1), of displacement and of rotation
     drags: tuple[np.ndarray, np.ndarray]
-    pulls: np.ndarray
-    states: list[tuple[np.ndarray, np.ndarray]]
-    below: list[list[int]]
-    notes: tuple[str, ...]
+    pulls: np.ndarray  # acceleration of each in place of gravity [m/s^2], shape (D, 3)
+    states: list[tuple[np.ndarray, np.ndarray]]  # indices of the qpos and qvel of each
+    below: list[list[int]]  # indices in this list of each body and of all that hang on it
+    notes: tuple[str, ...]  # what was left out or repaired
 
 
 def build_world(
     rig: ApparelRig, positions: np.ndarray, parents: np.ndarray, step: float, settings: PhysicsSettings,
     limbs: Sequence[MmdBody] = (), reach: float = np.inf,
 ) -> World:  # fmt: skip
-    """The world of a character at rest.
-
-    Args:
-        rig: Its bodies and joints.
-        positions: Rest positions of the bones [m], shape (J, 3).
-        parents: Their parents, shape (J,).
-        step: Time step [s].
-        settings: The numbers that no file holds.
-        limbs: Boxes that follow bones of the body, as `body_limbs` gives them.
-        reach: A body that is farther from its joint than this weighs at its joint [m].
+    """The world of a character at rest, with bones at positions [m] (J, 3) and their parents (J,), and boxes of limbs
+    that follow its bones (`body_limbs`). A body that is farther from its joint than `reach` weighs at its joint [m].
 
     Raises:
         CharacterError: There are too many dynamic bodies, or MuJoCo cannot make a world of them.
@@ -203,9 +167,8 @@ class _Builder:
         self.mj = mujoco
         self.settings, self.step, self.limbs, self.reach = settings, step, limbs, reach
         # A body whose mask is empty is meant to collide with nothing.
-        self.kept_out = (
-            {index for index in rig.dynamic if rig.bodies[index].mask} if settings.limbs else set(rig.unguarded)
-        )
+        masked = (index for index in rig.dynamic if rig.bodies[index].mask)
+        self.kept_out = set(masked if settings.limbs else rig.unguarded)
         self.notes: list[str] = list(rig.notes)
         self.bodies = [self.repaired(body, len(positions)) for body in rig.bodies]
         self.gravity = rig.gravity
@@ -228,19 +191,11 @@ class _Builder:
         self.weight = HEAVY * max(sum(body.mass for body in self.bodies if body.dynamic), 1e-3)
 
     def repaired(self, body: MmdBody, bones: int) -> MmdBody:
-        """A body that was made by hand may be as broken as one of a file."""
-        numbers = [
-            *body.size,
-            *body.position,
-            *body.rotation.ravel(),
-            body.mass,
-            body.linear_damping,
-            body.angular_damping,
-            body.friction,
-        ]
-        if not np.isfinite(numbers).all() or body.size.min() < 0:
+        """The body with what can be repaired; one from code may be as broken as one of a file."""
+        numbers = [*body.size, *body.position, *body.rotation.ravel(), body.mass, body.friction]
+        if not np.isfinite([*numbers, body.linear_damping, body.angular_damping]).all() or body.size.min() < 0:
             raise CharacterError(
-                f"rigid body '{body.name}' has a size, place or mass that is negative or no number; correct it or "
+                f"rigid body '{body.name}' has a size, position or mass that is negative or no number; correct it or "
                 "leave it out"
             )
         if not -1 <= body.bone < bones:
@@ -261,19 +216,14 @@ class _Builder:
         moving = [body.dynamic or index in self.forest.carried for index, body in enumerate(self.bodies)]
         bits, lost = collision_bits(self.bodies, moving)
         if lost:
-            self.notes.append(
-                f"{lost} rigid bodies collide with nothing: more than {MOST_CLASSES} kinds of groups and masks cannot "
-                "be told apart"
-            )
+            kinds = f"there are more than {MOST_CLASSES} kinds of groups and masks"
+            self.notes.append(f"{lost} rigid bodies collide with nothing: {kinds}")
         self.bits = bits
         for index, body in enumerate(self.bodies):
             if not moving[index] and bits[index][1]:
-                self.shape(self.root(body.bone), body, index, self.place_of_root(body.bone))
+                self.shape(self.root(body.bone), body, index, self.root_position(body.bone))
         for number, limb in enumerate(self.limbs):
-            add_rods(
-                self.root(limb.bone), limb, self.place_of_root(limb.bone), f"limb {number} ",
-                {"contype": 0, "conaffinity": 0},
-            )  # fmt: skip
+            add_rods(self.root(limb.bone), limb, self.root_position(limb.bone), f"limb {number} ", _NO_CONTACT)
         for link in self.forest.links:
             self.hang(link)
         for index, mover in self.forest.carried.items():
@@ -290,7 +240,7 @@ class _Builder:
             raise CharacterError(f"MuJoCo cannot make a world of these rigid bodies: {error}") from error
         return self.found(model)
 
-    def place_of_root(self, bone: int) -> np.ndarray:
+    def root_position(self, bone: int) -> np.ndarray:
         return self.positions[bone] if bone >= 0 else np.zeros(3)
 
     def root(self, bone: int) -> Any:
@@ -311,25 +261,23 @@ class _Builder:
         rough = body.dynamic and body.friction > 0.02
         # Bullet multiplies frictions and MuJoCo takes the larger one: bodies of the skeleton have none, and the others
         # half of theirs.
-        settings: dict[str, Any] = {
-            "contype": self.bits[index][0],
-            "conaffinity": self.bits[index][1],
-            "condim": 3 if rough else 1,
-        }
-        settings |= {"friction": [body.friction / 2 if rough else 0.0, 0.0, 0.0]}
+        settings = {
+            "contype": self.bits[index][0], "conaffinity": self.bits[index][1], "condim": 3 if rough else 1,
+            "friction": [body.friction / 2 if rough else 0.0, 0.0, 0.0],
+        }  # fmt: skip
         add_shape(owner, body, position, f"g{index}", settings)
 
     def hang(self, link: Link) -> None:
         body = self.bodies[link.body]
         above = self.nodes[link.parent] if link.parent >= 0 else self.root(link.bone)
-        origin = self.bodies[link.parent].position if link.parent >= 0 else self.place_of_root(link.bone)
+        origin = self.bodies[link.parent].position if link.parent >= 0 else self.root_position(link.bone)
         anchor = self.anchor(link)
         if link.parent >= 0:
             self.spec.add_exclude(bodyname1=f"b{link.parent}", bodyname2=f"b{link.body}")
-        own = self.gravity is not None
+        weighted = self.gravity is not None
         node = above.add_body(
             name=f"b{link.body}", pos=body.position - origin, mass=body.mass, ipos=np.zeros(3), inertia=inertia(body),
-            gravcomp=float(own),
+            gravcomp=float(weighted),
         )  # fmt: skip
         node.explicitinertial = True
         if np.linalg.norm(body.position - anchor) > self.reach:
@@ -345,23 +293,20 @@ class _Builder:
             if self.bits[link.body][1]:
                 self.shape(node, body, link.body, body.position)
             if self.limbs and link.body in self.kept_out:
-                add_rods(node, body, body.position, f"rod {link.body} ", {"contype": 0, "conaffinity": 0})
-        kinds = {
-            "slide": self.mj.mjtJoint.mjJNT_SLIDE,
-            "hinge": self.mj.mjtJoint.mjJNT_HINGE,
-            "ball": self.mj.mjtJoint.mjJNT_BALL,
-        }
-        made = []
+                add_rods(node, body, body.position, f"rod {link.body} ", _NO_CONTACT)
+        types = self.mj.mjtJoint
+        kinds = {"slide": types.mjJNT_SLIDE, "hinge": types.mjJNT_HINGE, "ball": types.mjJNT_BALL}
+        joints = []
         for freedom in freedoms(link):
             joint = node.add_joint(type=kinds[freedom.kind], axis=freedom.axis, pos=anchor - body.position)
             if freedom.limited:
                 joint.limited, joint.range = self.mj.mjtLimited.mjLIMITED_TRUE, [freedom.lower, freedom.upper]
                 joint.solref_limit = [max(0.02, 2.5 * self.step), 1.0]
-            made.append((joint, freedom))
-        self.nodes[link.body], self.joints[link.body] = node, made
+            joints.append((joint, freedom))
+        self.nodes[link.body], self.joints[link.body] = node, joints
 
     def anchor(self, link: Link) -> np.ndarray:
-        """Where a body hangs: at its joint, or, where physics only turn it, at its bone."""
+        """Position at which a body hangs: its joint, or, where physics only rotate it, its bone."""
         body = self.bodies[link.body]
         if link.joint is not None and (body.mode != 2 or body.bone < 0):
             return link.joint.position
@@ -372,7 +317,7 @@ class _Builder:
         joint, mj = loop.joint, self.mj
         first = self.nodes[loop.a] if loop.a >= 0 else self.root(loop.bone_a)
         second = self.nodes[loop.b] if loop.b >= 0 else self.root(loop.bone_b)
-        position = self.bodies[loop.a].position if loop.a >= 0 else self.place_of_root(loop.bone_a)
+        position = self.bodies[loop.a].position if loop.a >= 0 else self.root_position(loop.bone_a)
         free, locked = free_axes(joint.lower, joint.upper), locked_axes(joint)
         at = joint.position - position
         if not locked.all():
@@ -399,9 +344,7 @@ class _Builder:
         equality.data = data
 
     def springs(self, model: Any) -> None:
-        """Springs that the time step can follow, and the damping of joints; both need the inertia that hangs on each
-        joint.
-        """
+        """Springs that the time step can follow, and damping; both need the inertia that hangs on each joint."""
         settings = self.settings
         for link in self.forest.links:
             body = self.bodies[link.body]
@@ -430,8 +373,7 @@ class _Builder:
                 below[index[links[number].parent]] += below[number]
         roots = [self.roots[bone].id for bone in self.roots]
         first = model.body_jntadr[roots]
-        dof = np.zeros(model.nv, bool)
-        dof[:] = True
+        dof = np.ones(model.nv, bool)
         for start in model.jnt_dofadr[first]:
             dof[start : start + 6] = False
         if dof.any():  # the solver's tolerance counts in this; heavy bones would make it blind
@@ -450,7 +392,7 @@ class _Builder:
         )  # fmt: skip
 
     def state(self, model: Any, body: int) -> tuple[np.ndarray, np.ndarray]:
-        """Where the state of a body's own joints is."""
+        """Indices of the state of a body's own joints."""
         ball = self.mj.mjtJoint.mjJNT_BALL
         qpos, qvel = [], []
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):

@@ -12,7 +12,7 @@ from bunraku.errors import OptionError
 __all__ = [
     "CHEST", "HANDLE_COUNT", "HANDLE_INDEX", "HEAD", "LEGS", "TAIL", "WINGS", "WRISTS", "HANDLE_MIRROR", "HANDLE_NAMES",
     "HANDLE_PARENTS", "JOINT_COUNT", "JOINT_MIRROR", "JOINT_NAMES", "JOINT_PARENTS", "PARTS", "REQUIRED", "ROOTS",
-    "SKELETONS", "engine_names", "handle_names", "kept_handles",
+    "SKELETONS", "engine_names", "handle_names", "kept_handles", "sided",
 ]  # fmt: skip
 
 JOINT_NAMES: tuple[str, ...] = (
@@ -59,6 +59,11 @@ def handle_names(handles: Handles) -> tuple[str, ...]:
             met[role] += 1
             names[handle] = f"{HANDLE_NAMES[role]}_{met[role]}"
     return tuple(names)
+
+
+def sided(*parts: str) -> tuple[int, ...]:
+    """Handles of these parts of the left side, and then of the right one."""
+    return tuple([HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in parts])
 
 
 def _named(*endings: str, side: str = "") -> tuple[int, ...]:

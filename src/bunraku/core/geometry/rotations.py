@@ -152,7 +152,7 @@ def adjugates(matrices: np.ndarray) -> np.ndarray:
     """Inverse times determinant of 3x3 matrices, shape (..., 3, 3); for many matrices much faster than
     `numpy.linalg.inv`.
     """
-    rows = [tuple(matrices[..., row, column] for column in range(3)) for row in range(3)]
+    rows = [(matrices[..., row, 0], matrices[..., row, 1], matrices[..., row, 2]) for row in range(3)]
     out = np.empty_like(matrices)
     for column in range(3):  # the cross product of the two other rows
         (ax, ay, az), (bx, by, bz) = rows[(column + 1) % 3], rows[(column + 2) % 3]

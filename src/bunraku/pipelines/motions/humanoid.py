@@ -22,59 +22,47 @@ if TYPE_CHECKING:
 
 __all__ = [
     "as_skeletal", "check_character", "humanoid_motion", "write_character_vmd", "write_humanoid_bvh",
-    "write_humanoid_vrma", "write_motion_bvh", "write_motion_npz", "write_motion_vrma",
+    "write_humanoid_vrma", "write_motion_npz",
 ]  # fmt: skip
 
 
-def as_skeletal(motion: HandleMotion | SkeletalMotion) -> SkeletalMotion:
-    """The motion itself if it is of a skeleton, that of the reference body's 22 joints if it is one of its handles.
+Humanoid = HandleMotion | SkeletalMotion | Animation
+"""What has a humanoid skeleton: a motion of the reference body or of a skeleton, or an animation of a character."""
 
-    Raises:
-        MotionError: A handle motion of too few handles.
+
+def as_skeletal(given: Humanoid) -> SkeletalMotion:
+    """A motion of a skeleton: the given one, that of the reference body's 22 joints, or `humanoid_motion`; MotionError
+    where A handle motion has too few handles.
     """
-    from bunraku.core.body.joint_rotations import skeleton_from_handles  # after the formats, in the order of imports
+    if isinstance(given, Animation):
+        return humanoid_motion(given)
+    return skeleton_from_handles(given) if isinstance(given, HandleMotion) else given
 
-    return skeleton_from_handles(motion) if isinstance(motion, HandleMotion) else motion
 
-
-def write_motion_bvh(
-    motion: HandleMotion | SkeletalMotion,
-    path: Path,
-    *,
-    fps: float | None = None,
-    unit: str = "cm",
-    up: str = "+y",
-    order: str = "zxy",
+def write_humanoid_bvh(
+    given: Humanoid, path: Path, *, fps: float | None = None, unit: str = "cm", up: str = "+y", order: str = "zxy"
 ) -> Path:
-    """Write a motion as BVH; see `write_bvh`."""
+    """Write the humanoid skeleton of a motion or an animation as BVH; see `write_bvh`."""
     from bunraku.core.motion import checked_fps
     from bunraku.files import write_bvh
 
-    skeletal = as_skeletal(motion)
+    skeletal = as_skeletal(given)
     return write_bvh(skeletal, path, fps=checked_fps(fps, skeletal.fps), unit=unit, up=up, order=order)
 
 
-def write_motion_vrma(
-    motion: HandleMotion | SkeletalMotion, path: Path, *, fps: float | None = None, name: str | None = None
-) -> Path:
-    """Write a motion as VRMA; see `write_vrma`."""
+def write_humanoid_vrma(given: Humanoid, path: Path, *, fps: float | None = None, name: str | None = None) -> Path:
+    """Write the humanoid skeleton of a motion or an animation as VRMA; see `write_vrma`."""
     from bunraku.anatomy.names.to_smpl import to_smpl
-    from bunraku.core.body.layout import JOINT_NAMES
     from bunraku.files import write_vrma
 
-    skeletal = as_skeletal(motion)
+    skeletal = as_skeletal(given)
     if len(skeletal) and skeletal.skeleton.names != JOINT_NAMES:
         skeletal = to_smpl(skeletal)
     return write_vrma(skeletal, path, fps=fps, name=name)
 
 
 def write_motion_npz(motion: HandleMotion | SkeletalMotion, path: Path) -> Path:
-    """Write a handle motion of the reference body as NPZ.
-
-    Raises:
-        OptionError: The motion is of a skeleton.
-    """
-    from bunraku.core.body.reference import reference_body
+    """Write a handle motion of the reference body as NPZ; OptionError where the motion is of a skeleton."""
     from bunraku.core.files import atomic_write
     from bunraku.files import pack_motion
 
@@ -100,9 +88,8 @@ def humanoid_motion(animation: Animation) -> SkeletalMotion:
 
     if len(animation.handles.positions) != HANDLE_COUNT:
         raise MotionError(
-            f"the humanoid skeleton is told by the {HANDLE_COUNT} handles of Bunraku, and this animation has "
-            f"{len(animation.handles.positions)};"
-            " animate the character with `bunraku animate`"
+            f"a humanoid skeleton is found from the {HANDLE_COUNT} handles of Bunraku, and this animation has "
+            f"{len(animation.handles.positions)}; animate the character with `bunraku animate`"
         )
     anatomy = Anatomy.of(animation.character, animation.handles)
     plain = skeleton_from_handles(motion_to_reference(animation.motion, anatomy))
@@ -114,10 +101,9 @@ def humanoid_motion(animation: Animation) -> SkeletalMotion:
 
 
 def _offsets(anatomy: Anatomy, pelvis: np.ndarray) -> np.ndarray:
-    """Rest offsets in the T-pose [m], shape (22, 3): those between the character's joints, turned as its limbs are
-    turned.
+    """Rest offsets in the T-pose [m], shape (22, 3): those between the character's joints, rotated as its limbs are.
 
-    Joints that it lacks in the middle of a limb share the way between those around them as the reference body's do.
+    Missing joints in the middle of a limb share the length between their neighbours as the reference body's do.
     """
     from bunraku.anatomy.joints import reference_parts
 
@@ -134,18 +120,18 @@ def _offsets(anatomy: Anatomy, pelvis: np.ndarray) -> np.ndarray:
         line = [joint]
         while JOINT_PARENTS[line[-1]] != above:
             line.append(JOINT_PARENTS[line[-1]])
-        way_there = anatomy.rotations[above] @ (joints[joint] - joints[above])
-        todo = [some for some in line if some == joint or not _shared(some, joint, parents, present)]
-        way_there = way_there - sum((out[some] for some in line if some not in todo), np.zeros(3))
+        offset = anatomy.rotations[above] @ (joints[joint] - joints[above])
+        todo = [member for member in line if member == joint or not _shared(member, joint, parents, present)]
+        offset = offset - sum((out[member] for member in line if member not in todo), np.zeros(3))
         lengths = np.linalg.norm(plain[todo], axis=-1)
-        for some, length in zip(todo, lengths, strict=True):
-            out[some] = way_there * length / lengths.sum()
+        for member, length in zip(todo, lengths, strict=True):
+            out[member] = offset * length / lengths.sum()
     out[0] = 0
     return out
 
 
 def _shared(joint: int, lower: int, parents: np.ndarray, present: np.ndarray) -> bool:
-    """Whether a joint that is absent was placed already, on the way to a present joint before this one."""
+    """Whether a missing joint already has an offset, from an earlier joint that is present."""
     for other in range(1, lower):
         if present[other]:
             line = other
@@ -157,30 +143,14 @@ def _shared(joint: int, lower: int, parents: np.ndarray, present: np.ndarray) ->
 
 
 def _pelvis(anatomy: Anatomy, present: np.ndarray) -> np.ndarray:
-    """Where the pelvis joint is in the rest pose [m], shape (3,): as the reference body's is to its hips, or to its
-    root handle.
+    """The position of the pelvis joint in the rest pose [m], shape (3,): as the reference body's lies to its hips, or
+    to its root handle.
     """
     body, joints = reference_body(), anatomy.joints.positions
     if present[1] and present[2]:
         size = np.linalg.norm(joints[1] - joints[2]) / np.linalg.norm(body.joints[1] - body.joints[2])
         return np.asarray((joints[1] + joints[2]) / 2 - size * ((body.joints[1] + body.joints[2]) / 2 - body.joints[0]))
     return np.asarray(anatomy.handles.positions[0] + (body.joints[0] - body.handles.positions[0]) * anatomy.scale)
-
-
-def write_humanoid_bvh(
-    animation: Animation, path: Path, *, fps: float | None = None, unit: str = "cm", up: str = "+y", order: str = "zxy"
-) -> Path:
-    """Write the humanoid skeleton of an animation as BVH; see `humanoid_motion` and
-    `bunraku.files.motions.bvh.write_bvh`.
-    """
-    return write_motion_bvh(humanoid_motion(animation), path, fps=fps, unit=unit, up=up, order=order)
-
-
-def write_humanoid_vrma(animation: Animation, path: Path, *, fps: float | None = None, name: str | None = None) -> Path:
-    """Write the humanoid skeleton of an animation as VRMA; see `humanoid_motion` and
-    `bunraku.files.gltf.vrma.write_vrma`.
-    """
-    return write_motion_vrma(humanoid_motion(animation), path, fps=fps, name=name)
 
 
 def check_character(character: Character, path: Path) -> None:

@@ -14,26 +14,17 @@ from bunraku.files import load_animation, load_character, read_motion
 __all__ = ["Motion", "load_mesh_motion", "load_motion"]
 
 
-MAX_VALUES = 400_000_000  # coordinates of all frames: 1.6 GB
+MAX_VALUES = 400_000_000
+"""Coordinates of all frames of a moving mesh: 1.6 GB."""
 
 
 def load_mesh_motion(folder: str | Path, fps: float = 20.0) -> MeshMotion:
-    """Read a folder of OBJ or PLY files, one a frame in the order of their names, all with the same triangles.
-
-    Args:
-        folder: The folder.
-        fps: Frames a second [1/s].
-
-    Raises:
-        FormatError: There are no such files, one cannot be read, or their meshes differ.
+    """Read a folder of OBJ or PLY files, one a frame in the order of their names, all with the same triangles;
+    FormatError where there are no such files, one cannot be read, or their meshes differ.
     """
-
     folder = Path(folder)
-    kinds = [
-        sorted(file for file in folder.iterdir() if file.suffix.lower() == suffix and file.is_file())
-        for suffix in (".ply", ".obj")
-    ]
-    files = max(kinds, key=len)
+    found = sorted(file for file in folder.iterdir() if file.is_file())
+    files = max(([file for file in found if file.suffix.lower() == suffix] for suffix in (".ply", ".obj")), key=len)
     if not files:
         raise FormatError(folder, "it holds no .obj or .ply files; name a folder with one mesh a frame")
     first = load_character(files[0], unit="m")
@@ -109,8 +100,8 @@ def load_motion(path: str | Path, *, fps: float = 30.0, clip: int | str = 0) -> 
 
 
 def _own_clip(path: Path) -> Animation | HandleMotion | None:
-    """The clip of a GLB that Bunraku wrote, None for other files: the motion of the reference body, or, of one that was
-    made for a body of its own kind, with that body.
+    """The clip of a GLB that Bunraku wrote, None for other files: the motion of the reference body, or an animation of
+    the clip's body where that is of another kind.
     """
     from bunraku.files import load_clip, load_clip_animation
 

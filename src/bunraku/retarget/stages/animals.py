@@ -237,8 +237,8 @@ class Swings(Stage):
                 rotations[:, handle] = about @ turned[:, handle]
 
     def angle(self, rotations: np.ndarray, leg: Leg, anatomy: Anatomy, rocks: np.ndarray) -> np.ndarray:
-        """How far forward a leg points along the heading [rad], shape (N,), of a root with these rotations from its
-        heading, shape (N, 3, 3).
+        """How far forward a leg points along the heading [rad], shape (N,); `rocks` (N, 3, 3) are the root's rotations
+        from the heading.
         """
         hip, knee, ankle = leg.joints.astype(np.float64)
         sole = anatomy.mesh.vertices[leg.sole].mean(axis=0) - ankle
@@ -332,13 +332,11 @@ class Support(Stage):
             return out
         high, tops, rest = [], [], []
         for end in ends:
-            heights = [
-                (sole_points(legs[number], anatomy, world)[..., 1].min(axis=1) - floor) / legs[number].length
-                for number in end
-            ]
-            high.append(np.min(heights, axis=0) > self.lifted)
-            tops.append(np.mean([_joint(world, legs[number].upper, legs[number].joints[0]) for number in end], axis=0))
-            rest.append(np.mean([legs[number].joints[0] for number in end], axis=0))
+            own = [legs[number] for number in end]
+            lows = [(sole_points(leg, anatomy, world)[..., 1].min(axis=1) - floor) / leg.length for leg in own]
+            high.append(np.min(lows, axis=0) > self.lifted)
+            tops.append(np.mean([_joint(world, leg.upper, leg.joints[0]) for leg in own], axis=0))
+            rest.append(np.mean([leg.joints[0] for leg in own], axis=0))
         rise = _slope(tops[1] - tops[0]) - _slope((rest[1] - rest[0])[None])  # of the front over the rear
         for side, rises in ((0, -rise), (1, rise)):
             out[:, side] = self._lasting(high[side] & ~high[1 - side] & (rises < self.reared), motion.fps)

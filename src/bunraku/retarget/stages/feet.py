@@ -128,10 +128,8 @@ class Feet(Stage):
         for number in range(self.rounds):
             speed = np.linalg.norm(step + missing[:, None], axis=-1) * unit
             if number >= self.rounds // 2:
-                enters, stays = (
-                    (share < self.low) & (speed < self.slow) & standing,
-                    (share < self.high) & (speed < self.fast) & standing,
-                )
+                enters = (share < self.low) & (speed < self.slow) & standing
+                stays = (share < self.high) & (speed < self.fast) & standing
                 trust = (
                     np.stack([self._held(enters[:, leg], stays[:, leg]) for leg in range(len(legs))], axis=1)
                     * smooth_step(speed, self.fast, self.slow)
@@ -221,11 +219,8 @@ class Feet(Stage):
         motion = replace(motion, root_translation=path)
         shifts = np.zeros((len(motion), len(legs), 3))
         for number, leg in enumerate(legs):
-            offsets, most = (
-                self._offsets(contacts.steps[:, number] + missing, contacts.stands[:, number]),
-                self.most * leg.length,
-            )
-            away = np.linalg.norm(offsets, axis=1, keepdims=True) / most
+            offsets = self._offsets(contacts.steps[:, number] + missing, contacts.stands[:, number])
+            away = np.linalg.norm(offsets, axis=1, keepdims=True) / (self.most * leg.length)
             shifts[:, number][:, [0, 2]] = offsets * np.tanh(away) / np.maximum(away, 1e-9)
         return with_feet_moved(motion, anatomy, legs, shifts), contacts
 

@@ -214,8 +214,8 @@ class Floor(Stage):
         return _lifted(motion, np.where(up < 0, up * (1 - smooth_step(-up / anatomy.mesh.height, *self.flies)), up))
 
     def _foot_lifts(self, heights: np.ndarray, trust: np.ndarray, most: float, depth: float, reach: int) -> np.ndarray:
-        """How far a foot is moved up in each frame [m], shape (N,): to the ground where it stands (`trust`, shape (N,)),
-        but down by `most` [m] at the most, and out of it where it does not.
+        """How far a foot is moved up in each frame [m], shape (N,): to the ground where it stands (`trust`), down by
+        `most` [m] at the most, and out of it where it does not.
         """
         goal = np.maximum(-heights, -most)
         band = np.zeros((3, len(heights)))

@@ -79,16 +79,13 @@ class Hands(Stage):
         body = reference_body()
         known = self._parts(body.vertices, body.handle_weights, np.arange(len(HANDLE_NAMES)))
         stance = anatomy.stance_transforms.astype(np.float64)
-        world, theirs = (
-            fitted.transforms(handles.positions).astype(np.float64),
-            motion.transforms(body.handles.positions).astype(np.float64),
-        )
+        world = fitted.transforms(handles.positions).astype(np.float64)
+        theirs = motion.transforms(body.handles.positions).astype(np.float64)
         posed = np.einsum("vk,kij->vij", handles.weights, stance)
         vertices = np.einsum("vij,vj->vi", posed[..., :3], character.vertices) + posed[..., 3]
         own = self._parts(vertices[character.surface], handles.weights[character.surface], handles.played)
-        palms = {
-            wrist: _palm(body.vertices, body.handle_weights[:, [wrist, wrist + 2]].sum(axis=1)) for wrist in _WRISTS
-        }
+        held = {wrist: body.handle_weights[:, [wrist, wrist + 2]].sum(axis=1) > 0.5 for wrist in _WRISTS}
+        palms = {wrist: np.asarray(body.vertices[own].mean(axis=0), np.float64) for wrist, own in held.items()}
         shifts = np.zeros((len(fitted), len(arms), 3))
         positions = []  # of each arm: the reference's palm and the character's in each frame
         for number, arm in enumerate(arms):
@@ -105,9 +102,8 @@ class Hands(Stage):
                 if name not in own:
                     continue
                 local = _unapplied(theirs[:, part.handle], source)
-                share = smooth_step(cKDTree(part.points).query(local)[0], self.near, self.touches) * self._rest(
-                    local, motion.fps
-                )
+                near = smooth_step(cKDTree(part.points).query(local)[0], self.near, self.touches)
+                share = near * self._rest(local, motion.fps)
                 there = own[name]
                 goal = _placed(local, part, there, scale)
                 frame = world[:, there.handle] @ _square(np.linalg.inv(_square(stance[there.handle])))
@@ -126,18 +122,13 @@ class Hands(Stage):
         return with_feet_moved(fitted, anatomy, arms, shifts)
 
     def _joined(
-        self,
-        positions: list[tuple[int, np.ndarray, np.ndarray]],
-        shifts: np.ndarray,
-        motion: HandleMotion,
-        fitted: HandleMotion,
-        scale: float,
-    ) -> None:
+        self, positions: list[tuple[int, np.ndarray, np.ndarray]], shifts: np.ndarray, motion: HandleMotion,
+        fitted: HandleMotion, scale: float,
+    ) -> None:  # fmt: skip
         """Bring hands together that touch each other, in place: each goes half of the way."""
         between = positions[0][1] - positions[1][1]
-        share = smooth_step(
-            np.linalg.norm(between, axis=1) - self.near / 2, self.near, self.touches
-        )  # palms' middles are apart by two hands
+        apart = np.linalg.norm(between, axis=1) - self.near / 2  # palms' middles are apart by two hands
+        share = smooth_step(apart, self.near, self.touches)
         turn = fitted.root_rotation.astype(np.float64) @ np.swapaxes(motion.root_rotation, -1, -2)
         want = np.einsum("nij,nj->ni", turn, between) * scale
         have = positions[0][2] + shifts[:, 0] - positions[1][2] - shifts[:, 1]
@@ -168,11 +159,6 @@ def _placed(local: np.ndarray, part: _Box, there: _Box, scale: float) -> np.ndar
     away = local - part.middle
     inside = np.clip(away, -part.half, part.half)
     return np.asarray(there.middle + inside * (there.half / np.maximum(part.half, 1e-6)) + (away - inside) * scale)
-
-
-def _palm(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    own = weights > 0.5
-    return np.asarray(vertices[own].mean(axis=0), np.float64)
 
 
 def _square(affine: np.ndarray) -> np.ndarray:
@@ -337,9 +323,8 @@ class HandsClear(Stage):
         some = near if len(near) else arm.foot_area
         some = some[np.linspace(0, len(some) - 1, min(self.points, len(some))).astype(int)]
         world = motion.transforms(handles.positions).astype(np.float64)
-        blended = (handles.weights[some].astype(np.float64) @ world.reshape(*world.shape[:2], 12)).reshape(
-            len(world), len(some), 3, 4
-        )
+        blended = handles.weights[some].astype(np.float64) @ world.reshape(*world.shape[:2], 12)
+        blended = blended.reshape(len(world), len(some), 3, 4)
         rest = mesh.vertices[some].astype(np.float64)
         return np.asarray((blended[..., :3] @ rest[..., None])[..., 0] + blended[..., 3])
 

@@ -5,6 +5,7 @@ body lacks or that the motion does not move are held.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -113,11 +114,9 @@ class Blocks(Stage):
         known, rotations = reference_joints().positions, fitting.rotations.copy()
         for limb in WHOLE_LIMBS:
             for handle, end in pieces(limb, anatomy.joints):
-                chain = limb[limb.index(handle) : limb.index(end) + 1]
-                posed = sum(
-                    np.einsum("nij,j->ni", fitting.rotations[:, one], known[two] - known[one])
-                    for one, two in zip(chain, chain[1:], strict=False)
-                )
+                chain = pairwise(limb[limb.index(handle) : limb.index(end) + 1])
+                rotated = fitting.rotations
+                posed = sum(np.einsum("nij,j->ni", rotated[:, one], known[two] - known[one]) for one, two in chain)
                 own = fitting.rotations[:, handle]
                 straight = np.einsum("nij,j->ni", own, known[end] - known[handle])
                 rotations[:, handle] = rotation_between(straight, posed + self.folded * straight) @ own
@@ -155,7 +154,6 @@ class Legless(Stage):
         return replace(fitting, rotations=rotations)
 
 
-_CHEST_OF_FINS = HANDLE_NAMES.index("spine3")
 _ARMS = [limb_handles(side, FAMILIES[1]) for side in SIDES]
 _PARTS = [part for arm in _ARMS for part in arm]
 
@@ -189,7 +187,7 @@ class Fins(Stage):
 
     def drawn(self, rotations: np.ndarray) -> bool:
         """Whether arms move of their own in a motion of the reference body, whose rotations (N, 30, 3, 3) are given."""
-        chest = rotations[:, _CHEST_OF_FINS].astype(np.float64).transpose(0, 2, 1)
+        chest = rotations[:, _CHEST].astype(np.float64).transpose(0, 2, 1)
         upper = [handle for arm in _ARMS for handle in arm[:2]]
         turns = axis_angle_from_matrix(chest[:, None] @ rotations[:, upper].astype(np.float64))
         return bool(np.linalg.norm(turns, axis=-1).mean() > self.undrawn)

@@ -24,9 +24,8 @@ from bunraku.retarget.stages.stage import Fitting, Stage
 __all__ = ["Shape", "Smooth"]
 
 
-KERNEL = (
-    np.array([-1, 4, 10, 4, -1]) / 16
-)  # maximally flat: keeps cubic motion as it is, and nothing at half the frame rate
+KERNEL = np.array([-1, 4, 10, 4, -1]) / 16
+"""Maximally flat: keeps cubic motion as it is, and nothing at half the frame rate."""
 
 
 @dataclass(frozen=True)
@@ -144,9 +143,7 @@ class Shape(Stage):
             return np.zeros(translations.shape)
         frames = np.append(np.arange(0, len(translations) - 1, self.stride), len(translations) - 1)
         parts = [frames[start : start + self.chunk] for start in range(0, len(frames), self.chunk)]
-        with _libraries().limit(
-            limits=1, user_api="blas"
-        ):  # small products: where a core is busy, threads would wait for each other
+        with _libraries().limit(limits=1, user_api="blas"):  # of small products threads would wait for each other
             moved = np.concatenate(
                 [system.solved(rotations[part], translations[part], handles.positions, scale) for part in parts]
             )
@@ -158,17 +155,16 @@ class Shape(Stage):
     def some_edges(self, character: Character) -> tuple[np.ndarray, int]:
         """At most `looked_at` edges, and how many there are; edges at the same position count once.
 
-        They are drawn by a hash of the place of their middle, so neither seams nor the order of vertices and faces make
-        a difference.
+        They are drawn by a hash of the position of their middle, so neither seams nor the order of vertices and faces
+        make a difference.
         """
         edges = character.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
         edges = edges[edges[:, 0] != edges[:, 1]]
         used = character.vertices[character.surface]
         low = used.min(axis=0)
-        fine = 2**13 / float(
-            np.ptp(used, axis=0).max()
-        )  # coarse enough that rounding of coordinates hardly ever matters
-        halves = np.ascontiguousarray(((character.vertices - low) * np.float32(fine / 2)).T)  # of the place of a middle
+        # coarse enough that rounding of coordinates hardly ever matters
+        fine = 2**13 / float(np.ptp(used, axis=0).max())
+        halves = np.ascontiguousarray(((character.vertices - low) * np.float32(fine / 2)).T)
         position = np.empty(len(edges), np.uint64)
         for start in range(0, len(edges), PIECE):
             first, second = edges[start : start + PIECE].T
@@ -233,13 +229,8 @@ class _System:
         if not len(edges):
             return None
         size = float(np.ptp(character.vertices[character.surface], axis=0).max())
-        return cls(
-            stage,
-            character.vertices[edges].astype(float),
-            handles.weights[edges].astype(float),
-            total / len(edges),
-            size,
-        )
+        ends, weights = character.vertices[edges].astype(float), handles.weights[edges].astype(float)
+        return cls(stage, ends, weights, total / len(edges), size)
 
     def solved(
         self, rotations: np.ndarray, translations: np.ndarray, positions: np.ndarray, scale: float

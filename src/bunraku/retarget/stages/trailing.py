@@ -28,7 +28,7 @@ from bunraku.retarget.stages.stage import Fitting, Stage
 __all__ = ["Lag", "Tail", "TailClear"]
 
 
-_TAIL_HANDLES = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
+_TAIL, _TIP = _TAIL_HANDLES = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 _GRAVITY, _PERSON = 9.81, 1.7
 
 
@@ -132,12 +132,8 @@ class Lag(Stage):
         """Rotations from where a part would point to where it does, softly bounded, shape (N, 3, 3)."""
         angles = axis_angle_from_matrix(rotation_between(stiff, lags))
         size = np.linalg.norm(angles, axis=1, keepdims=True)
-        return np.asarray(
-            matrix_from_axis_angle(angles * self.most * np.tanh(size / self.most) / np.maximum(size, 1e-9))
-        )
-
-
-_TAIL, _TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
+        bounded = angles * self.most * np.tanh(size / self.most) / np.maximum(size, 1e-9)
+        return np.asarray(matrix_from_axis_angle(bounded))
 
 
 @dataclass(frozen=True)
@@ -162,13 +158,9 @@ class Tail(Stage):
         return replace(fitting, rotations=lowered)
 
     def lowered(
-        self,
-        rotations: np.ndarray,
-        handles: Handles,
-        joints: Joints,
-        fps: float,
+        self, rotations: np.ndarray, handles: Handles, joints: Joints, fps: float,
         root_rotation: np.ndarray | None = None,
-    ) -> np.ndarray:
+    ) -> np.ndarray:  # fmt: skip
         """Local rotations in which no tail is held up higher than it rests, or higher than `highest`, whatever is more.
 
         A trunk that tilts forward lifts the tail with it, and so much more is taken from the tail.

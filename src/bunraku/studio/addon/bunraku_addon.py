@@ -17,8 +17,6 @@ import urllib.request
 
 bpy = importlib.import_module("bpy")  # Blender's own; the package itself needs none
 
-__all__ = ["animate", "register", "unregister"]
-
 __all__ = ["register", "unregister"]
 
 bl_info = {

@@ -11,26 +11,24 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
 from bunraku.core.files import atomic_write
+from bunraku.core.request import from_json
 from bunraku.errors import FormatError, OptionError
-from bunraku.files import UNIT_CHOICES
 from bunraku.studio.dressing import WORN, clean_mask, found_mask, has_apparel, paint, painted_file, shown_mask
+from bunraku.studio.forms import CharacterForm
 from bunraku.studio.routes.reading import (
     CHARACTERS,
     TooLarge,
     beside,
-    choice,
     plain_name,
     ready_character,
     receive,
     studio_state,
-    text,
     unpack,
 )
 from bunraku.studio.state import State
 
 __all__ = ["ROUTES"]
 
-AXES = ("auto", "+x", "-x", "+y", "-y", "+z", "-z")
 PICTURE = "picture"
 """The file of a character's picture."""
 PNG = b"\x89PNG"
@@ -101,18 +99,14 @@ def character(request: Request, body: dict[str, Any]) -> Any:
         return state.change("characters", name, deleted=True)
     if request.method == "GET":
         return record
-    if body.get("deleted") is False:
+    form = from_json(CharacterForm, body, "the request")
+    if form.deleted is False:
         record = state.change("characters", name, deleted=False)
-    if "name" in body:
-        title, _ = plain_name(text(body, "name", 80) + ".x")
+    if form.name is not None:
+        title, _ = plain_name(f"{form.name}.x")
         record = state.change("characters", name, name=title)
     old = record["settings"]
-    settings = {
-        "up": choice(body, "up", AXES, old["up"]),
-        "front": choice(body, "front", AXES, old["front"]),
-        "unit": choice(body, "unit", UNIT_CHOICES, old["unit"]),
-        "handles": choice(body, "handles", ("predict", "rig"), old["handles"]),
-    }
+    settings = {key: getattr(form, key) or old[key] for key in UNTOUCHED}
     if settings == old and record["state"] in ("ready", "opening"):
         return record
     if settings["up"] != "auto" and settings["front"] != "auto" and settings["up"][1] == settings["front"][1]:
@@ -158,8 +152,8 @@ def _pictured(state: State, record: dict[str, Any], data: bytes) -> dict[str, An
 
 
 async def mask(request: Request) -> Any:
-    """Which vertices are hair and clothes (`workspace.mask`): GET gives what was found, or what was painted; PUT takes
-    bits that were painted, which all takes from then on go by; DELETE takes back what was found.
+    """Which vertices are hair and clothes: GET gives the painted mask, or else the found one; PUT takes a painted one,
+    for all takes from then on; DELETE goes back to the found one.
     """
     state, name = studio_state(request), request.path_params["name"]
     record = ready_character(state, name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hmac
+import importlib.util
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -32,11 +33,10 @@ from bunraku.studio.routes.reading import (
     ready_character,
     receive,
     studio_state,
-    text,
 )
 from bunraku.studio.workspace import PREVIEWS
 
-__all__ = ["LIBRARY_ROUTES", "Newer", "PROJECT_ROUTES", "ROUTES", "shown_project"]
+__all__ = ["Newer", "ROUTES", "shown_project"]
 
 
 MOST_PROJECTS = 200
@@ -44,17 +44,17 @@ MOST_PROJECTS = 200
 
 
 class Newer(BunrakuError):
-    """Another page keeps how it stands in the same project."""
+    """Another page keeps its view in the same project."""
 
 
 def shown_project(record: Record) -> Record:
-    """A project as a page gets it: how a page stood, put right where an earlier one kept what cannot be."""
+    """A project as a page gets it, its view repaired where it holds what cannot be shown."""
     return {**record, "view": read_view(record["view"])}
 
 
 @beside
 def projects(request: Request, body: dict[str, Any]) -> Any:
-    """All projects; POST adds one for a tab; where there are many, that which was kept longest ago goes."""
+    """All projects; POST adds one for a tab, and drops the oldest where there are too many."""
     state = studio_state(request)
     if request.method == "GET":
         return {"projects": [shown_project(record) for record in state.store.all("projects")]}
@@ -67,9 +67,7 @@ def projects(request: Request, body: dict[str, Any]) -> Any:
 
 @beside
 def project(request: Request, body: dict[str, Any]) -> Any:
-    """One project; PUT keeps how the page stands. A page that says which revision it knows is refused where another one
-    was faster.
-    """
+    """One project; PUT keeps the view of a page. A page that names an older revision is refused."""
     state, name = studio_state(request), request.path_params["name"]
     if request.method == "PUT":
         view = checked_view(body.get("view"))
@@ -87,7 +85,7 @@ def project(request: Request, body: dict[str, Any]) -> Any:
 
 @beside
 def packed(request: Request, body: dict[str, Any]) -> Response:
-    """A character with its takes as one file; the body says how the page stood."""
+    """A character with its takes as one file; the body has the view of the page."""
     state, name = studio_state(request), request.path_params["name"]
     view = checked_view(body.get("view"))
     title = state.store.get("characters", name)["name"]
@@ -121,14 +119,6 @@ async def opened(request: Request) -> Any:
     for name in found["takes"].values():
         state.jobs.changes.tell("take", state.store.get("takes", name))
     return JSONResponse(found, 201)
-
-
-PROJECT_ROUTES = [
-    ("/projects", ("GET", "POST"), projects),
-    ("/projects/{name}", ("GET", "PUT", "DELETE"), project),
-    ("/characters/{name}/project", ("POST",), packed),
-    ("/project-files", ("POST",), opened),
-]
 
 
 MOST_TEXT = 1000
@@ -167,7 +157,7 @@ class _PreviewForm:
 
 
 async def previews(request: Request) -> Any:
-    """Make how clips look on a character; the job is null where all are there."""
+    """Show clips on a character; the job is null where all are there."""
     state, owner = studio_state(request), request.path_params["name"]
     ready_character(state, owner)
     form = from_json(_PreviewForm, await body_of(request), "the request")
@@ -187,13 +177,6 @@ async def preview(request: Request) -> Response:
     return FileResponse(state.store.file("characters", owner, file), media_type="application/octet-stream")
 
 
-LIBRARY_ROUTES = [
-    ("/clips", ("GET",), clips),
-    ("/characters/{name}/clips", ("POST",), previews),
-    ("/characters/{name}/clips/{clip}", ("GET",), preview),
-]
-
-
 SUGGESTED = 6
 """Clips of the library that a sentence suggests."""
 LONGEST_NUMBER = 15
@@ -206,11 +189,12 @@ async def about(request: Request) -> Any:
     from bunraku.files import sample_names
 
     state = studio_state(request)
+    usd = ["usdz"] if importlib.util.find_spec("pxr") is not None else []
     return {
         "version": __version__,
         "limits": {"bytes": MOST_BYTES, "seconds": 120, "takes": 8},
         "reads": {"characters": CHARACTERS, "motions": MOTIONS, "projects": PROJECTS},
-        "writes": _writes(),
+        "writes": ["glb", "fbx", "bvh", "vrma", "vmd", "npz", *usd],
         "fps": [FPS.low, FPS.high],
         "presets": preset_rows(),
         "samples": list(sample_names()),
@@ -226,31 +210,35 @@ async def about(request: Request) -> Any:
     }
 
 
-def _writes() -> list[str]:
-    import importlib.util
-
-    found = ["glb", "fbx", "bvh", "vrma", "vmd", "npz"]
-    if importlib.util.find_spec("pxr") is not None:
-        found.append("usdz")
-    return found
+@dataclass(frozen=True)
+class _LoginForm:
+    password: str = ""
 
 
 async def login(request: Request) -> Any:
-    """The token, for who knows the password."""
+    """The token, in exchange for the password."""
     keys = request.app.state.keys
-    given = text(await body_of(request), "password", 200)
-    await asyncio.sleep(1)  # slow enough that nobody tries them all
+    given = from_json(_LoginForm, await body_of(request), "the request").password
+    await asyncio.sleep(1)  # too slow to try many passwords
     if not keys.password or not hmac.compare_digest(given.encode(), keys.password.encode()):
         return JSONResponse({"error": "this is not the password", "kind": "Refused"}, 401)
     return {"token": keys.token}
 
 
+@dataclass(frozen=True)
+class _TextForm:
+    text: str = ""
+
+    def __post_init__(self) -> None:
+        if len(self.text) > MOST_TEXT:
+            raise OptionError(f"text has more than {MOST_TEXT} characters")
+
+
 async def understand(request: Request) -> Any:
-    """What is understood of a sentence, with the places of words that are not."""
-    from bunraku.generation.library import search
+    """What is understood of a sentence, with the positions of unknown words."""
     from bunraku.language.understood import understood
 
-    words = text(await body_of(request), "text", 1000)
+    words = from_json(_TextForm, await body_of(request), "the request").text
     found = await run_in_threadpool(understood, words)
     clips = await run_in_threadpool(search, words)
     return {
@@ -258,7 +246,7 @@ async def understand(request: Request) -> Any:
         "ok": found.ok,
         "language": found.language,
         "english": found.english,
-        "unknown": [{"word": one.word, "start": one.start, "stop": one.stop} for one in found.unknown],
+        "unknown": [{"word": word.word, "start": word.start, "stop": word.stop} for word in found.unknown],
         "corrected": [list(pair) for pair in found.corrected],
         "nearest": list(found.nearest),
         "notes": list(found.notes),
@@ -304,4 +292,11 @@ ROUTES = [
     ("/jobs", ("GET",), jobs),
     ("/jobs/{name}", ("GET", "DELETE"), job),
     ("/jobs/{name}/again", ("POST",), again),
+    ("/projects", ("GET", "POST"), projects),
+    ("/projects/{name}", ("GET", "PUT", "DELETE"), project),
+    ("/characters/{name}/project", ("POST",), packed),
+    ("/project-files", ("POST",), opened),
+    ("/clips", ("GET",), clips),
+    ("/characters/{name}/clips", ("POST",), previews),
+    ("/characters/{name}/clips/{clip}", ("GET",), preview),
 ]

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import functools
-import math
 import re
 import zipfile
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -15,22 +14,22 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 
 from bunraku.core.files import path_inside, writing
-from bunraku.core.request import Limit, read_json
+from bunraku.core.request import read_json
 from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.files import READERS
 from bunraku.studio.projects import copy_entry, open_archive
 from bunraku.studio.state import State
 
 __all__ = [
-    "CHARACTERS", "MOST_BYTES", "MOTIONS", "PROJECTS", "TooLarge", "beside", "body_of", "choice", "number",
-    "plain_name", "ready_character", "receive", "studio_state", "text", "unpack",
+    "CHARACTERS", "MOST_BYTES", "MOTIONS", "PROJECTS", "TooLarge", "beside", "body_of",
+    "plain_name", "ready_character", "receive", "studio_state", "unpack",
 ]  # fmt: skip
 
 
 MOST_BYTES = 200 << 20
 """Bytes of an upload."""
 MOST_REFUSED = 1 << 30
-"""Bytes of what is refused that are read, and not kept, so that who sends them hears why."""
+"""Bytes that are read of an upload that is refused, and not kept, so that its sender gets the answer."""
 MOST_UNPACKED = 600 << 20
 MOST_ENTRIES = 2000
 CHARACTERS = tuple(READERS["character"])
@@ -54,11 +53,11 @@ def plain_name(name: str) -> tuple[str, str]:
 
 
 async def receive(request: Request, path: Path, most: int | None = None) -> int:
-    """Write the body of a request to a file and return its size; a file that did not come whole is removed.
+    """Write the body of a request to a file and return its size; an incomplete file is removed.
 
     Raises:
         TooLarge: It has more bytes than are taken.
-        FormatError: The connection broke, there was nothing, or it cannot be written.
+        FormatError: The connection broke, the body is empty, or the file cannot be written.
     """
     most = MOST_BYTES if most is None else most
     declared = request.headers.get("content-length", "")
@@ -84,7 +83,7 @@ async def receive(request: Request, path: Path, most: int | None = None) -> int:
     finally:
         if not whole:
             path.unlink(missing_ok=True)
-            with suppress(ClientDisconnect):  # who still sends would not hear the answer
+            with suppress(ClientDisconnect):  # a sender gets no answer while it sends
                 async for chunk in chunks:
                     size += len(chunk)
                     if size > MOST_REFUSED:
@@ -93,10 +92,8 @@ async def receive(request: Request, path: Path, most: int | None = None) -> int:
 
 
 def unpack(archive: Path, folder: Path) -> str:
-    """Unpack the character of a ZIP with what lies beside it, and give back its file, relative to the folder.
-
-    Raises:
-        FormatError: The ZIP is broken, unpacks to too much, names a place outside, or holds no character.
+    """Unpack the character of a ZIP with the files beside it, and give back its file, relative to the folder;
+    FormatError where the ZIP is broken, unpacks to too much, names a path outside, or holds no character.
     """
     found: list[str] = []
     with open_archive(archive, MOST_ENTRIES, MOST_UNPACKED) as opened:
@@ -131,7 +128,7 @@ MOST_JSON = 4 << 20
 
 def studio_state(request: Request) -> State:
     """The state behind the routes."""
-    state = request.app.state.studio if hasattr(request.app.state, "studio") else request.scope["app"].state.studio
+    state = request.app.state.studio
     assert isinstance(state, State)
     return state
 
@@ -150,11 +147,7 @@ def ready_character(state: State, name: str) -> dict[str, Any]:
 
 
 async def body_of(request: Request) -> dict[str, Any]:
-    """The JSON object of a request.
-
-    Raises:
-        OptionError: It is none, or too large.
-    """
+    """The JSON object of a request; OptionError where it is none, or too large."""
     data = bytearray()
     async for chunk in request.stream():
         data += chunk
@@ -167,8 +160,8 @@ async def body_of(request: Request) -> dict[str, Any]:
 
 
 def beside(handler: Callable[[Request, dict[str, Any]], Any]) -> Callable[[Request], Awaitable[Any]]:
-    """A route that writes to the disk: it is done beside the thread that answers, which goes on however slow the disk
-    is. Such routes are done one after the other, so what one has looked up stays so until it has written.
+    """A route that writes to the disk. It runs in another thread than the one that answers, so a slow disk holds up no
+    other request. Such routes run one after the other, so what one has looked up holds until it has written.
 
     Args:
         handler: Called with the request and the JSON object of its body, empty where it has none.
@@ -184,44 +177,3 @@ def beside(handler: Callable[[Request, dict[str, Any]], Any]) -> Callable[[Reque
         return await run_in_threadpool(alone, request, body)
 
     return route
-
-
-def number(body: dict[str, object], name: str, limit: Limit, default: float) -> float:
-    """A number of a request, or the default where it says nothing.
-
-    Raises:
-        OptionError: It is no number, or out of range.
-    """
-    value = body.get(name)
-    if value is None:
-        return default
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise OptionError(f"{name} must be a number")
-    limit.check(value, name)
-    return value
-
-
-def text(body: dict[str, object], name: str, most: int, default: str = "") -> str:
-    """A text of a request.
-
-    Raises:
-        OptionError: It is no text, or too long.
-    """
-    value = body.get(name, default)
-    if not isinstance(value, str):
-        raise OptionError(f"{name} must be a text")
-    if len(value) > most:
-        raise OptionError(f"{name} has more than {most} characters")
-    return value
-
-
-def choice(body: dict[str, object], name: str, known: Sequence[str], default: str) -> str:
-    """One of some words.
-
-    Raises:
-        OptionError: It is none of them.
-    """
-    value = body.get(name, default)
-    if value not in known:
-        raise OptionError(f"{name} is one of {', '.join(known)}")
-    return str(value)

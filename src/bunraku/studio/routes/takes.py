@@ -8,7 +8,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
-from bunraku.core.request import FPS, from_json, to_json
+from bunraku.core.request import from_json, to_json
 from bunraku.errors import FormatError, OptionError
 from bunraku.files import preset_named
 from bunraku.pipelines.requests import Apparel, clip_names
@@ -16,6 +16,7 @@ from bunraku.studio.forms import (
     ChangeForm,
     ClipsForm,
     DressForm,
+    ExportForm,
     TakeForm,
     TakeRecordForm,
     read_script,
@@ -27,8 +28,6 @@ from bunraku.studio.routes.reading import (
     MOTIONS,
     beside,
     body_of,
-    choice,
-    number,
     plain_name,
     ready_character,
     receive,
@@ -38,7 +37,6 @@ from bunraku.studio.state import State
 
 __all__ = ["ROUTES"]
 
-SUFFIXES = ("glb", "bvh", "vrma", "vmd", "npz", "fbx", "usdz", "usdc", "mp4", "gif")
 MOST_NAME = 40
 """Letters of a sentence in a file's name."""
 
@@ -130,7 +128,7 @@ async def clip(request: Request) -> Response:
 
 
 async def change(request: Request) -> Any:
-    """New takes from one: parts or poses kept and the rest generated, or bent to pins with nothing generated."""
+    """New takes from one: parts or poses kept and the rest generated, or bent, mirrored, trimmed, dressed anew."""
     state, name = studio_state(request), request.path_params["name"]
     body = await body_of(request)
     return JSONResponse(await run_in_threadpool(_change, state, name, body), 202)
@@ -149,11 +147,11 @@ def _change(state: State, name: str, body: dict[str, object]) -> Any:
     seeds = [parent.get("seed", 0)]
     asked: dict[str, Any]
     params: dict[str, Any]
-    own: dict[str, Any] = {"apparel": apparel.motion, "stiffness": apparel.stiffness, "gravity": apparel.gravity}
+    same: dict[str, Any] = {"apparel": apparel.motion, "stiffness": apparel.stiffness, "gravity": apparel.gravity}
     if form.mirror:
-        kind, title, asked, params = "mirror", "mirror", own, own
+        kind, title, asked, params = "mirror", "mirror", same, same
     elif form.trim:
-        kind, title, asked, params = "trim", "trim", own, {**own, "trim": list(form.trim)}
+        kind, title, asked, params = "trim", "trim", same, {**same, "trim": list(form.trim)}
     elif form.apparel is not None:
         kind, title = "dress", "dress anew"
         old = parent.get("asked") or {}
@@ -164,7 +162,7 @@ def _change(state: State, name: str, body: dict[str, object]) -> Any:
         asked, params = {**old, **changed}, {**changed, "without": list(form.without)}
     elif form.pins:
         kind, title = "bend", "bend to the pins"
-        asked, params = {**own, "pins": list(form.pins)}, {**own, "constraints": form.bends().to_json()}
+        asked, params = {**same, "pins": list(form.pins)}, {**same, "constraints": form.bends().to_json()}
     else:
         raise OptionError("type what is done instead, or pin a hand or a foot")
     made = state.new_takes(owner, 1, how=kind, parent=name, script=parent["script"], asked=asked, seeds=seeds)
@@ -194,11 +192,13 @@ async def transfer(request: Request) -> Any:
     title, suffix = plain_name(request.query_params.get("name", ""))
     if suffix not in (*MOTIONS, *CHARACTERS):
         raise FormatError(f"{title}{suffix}", f"this is no format of motions; they are {', '.join(MOTIONS)} and .fbx")
-    told = {name: _factor(name, request.query_params.get(name)) for name in ("stiffness", "gravity")}
-    told["apparel"] = request.query_params.get("apparel")
-    form = from_json(DressForm, {name: value for name, value in told.items() if value is not None})
+    given = {name: _factor(name, request.query_params.get(name)) for name in ("stiffness", "gravity")}
+    given["apparel"] = request.query_params.get("apparel")
+    form = from_json(DressForm, {name: value for name, value in given.items() if value is not None})
     apparel = to_json(form)
-    onto = choice(dict(request.query_params), "onto", ("auto", "handles"), "handles")
+    onto = request.query_params.get("onto", "handles")
+    if onto not in ("auto", "handles"):
+        raise OptionError("onto is one of auto, handles")
     about = {"script": [{"text": f"{title}{suffix}", "seconds": 0}], "asked": {"file": title, **apparel}}
     (made,) = await run_in_threadpool(state.new_takes, owner, 1, how="transfer", **about)
     try:
@@ -217,25 +217,13 @@ def export(request: Request, body: dict[str, Any]) -> Any:
     """Write a take as a file of another program; the job's event says when it is there."""
     state, name = studio_state(request), request.path_params["name"]
     record = state.store.get("takes", name)
-    suffix = choice(body, "format", SUFFIXES, "glb")
-    fps = number(body, "fps", FPS, 30)
+    form = from_json(ExportForm, body, "the request")
     if record["state"] != "done":
         raise OptionError("this take is not finished; wait for it")
     title = state.store.get("characters", record["character"])["name"]
-    made = state.new_export(f"take.{suffix}", f"{title}-{_short(record['script'][0]['text'])}.{suffix}")
-    try:
-        job = state.jobs.submit(
-            "export",
-            f"write {made['title']}",
-            {
-                "export": made["id"], "file": made["file"], "take": name, "character": record["character"], "fps": fps,
-            },
-            {"export": made["id"], "take": name},
-        )  # fmt: skip
-    except BaseException:
-        state.store.drop("exports", made["id"])
-        raise
-    return JSONResponse({"job": job["id"], "export": made["id"], "title": made["title"]}, 202)
+    named = f"{title}-{_short(record['script'][0]['text'])}.{form.format}"
+    params = {"take": name, "character": record["character"], "fps": form.fps}
+    return JSONResponse(state.export("export", f"take.{form.format}", named, params, take=name), 202)
 
 
 @beside
@@ -254,17 +242,12 @@ def clips(request: Request, body: dict[str, Any]) -> Any:
     if form.preset:
         row = preset_named(form.preset)
         suffix = row.suffix if len(row.files("clips", names)) == 1 else ".zip"
-    made = state.new_export(f"clips{suffix}", f"{title}-{form.preset or 'clips'}{suffix}")
     params = {
-        "export": made["id"], "file": made["file"], "takes": list(form.takes), "names": names, "character": owner,
-        "fps": form.fps, "preset": form.preset, "title": title,
+        "takes": list(form.takes), "names": names, "character": owner, "fps": form.fps, "preset": form.preset,
+        "title": title,
     }  # fmt: skip
-    try:
-        job = state.jobs.submit("export-clips", f"write {made['title']}", params, {"export": made["id"]})
-    except BaseException:
-        state.store.drop("exports", made["id"])
-        raise
-    return JSONResponse({"job": job["id"], "export": made["id"], "title": made["title"], "clips": names}, 202)
+    made = state.export("export-clips", f"clips{suffix}", f"{title}-{form.preset or 'clips'}{suffix}", params)
+    return JSONResponse({**made, "clips": names}, 202)
 
 
 def _short(sentence: str) -> str:

@@ -1,6 +1,4 @@
-"""The studio as a web application: its routes and their OpenAPI document, its page, and a gate that admits that page
-only.
-"""
+"""The studio as a web application: its routes and their OpenAPI document, its page, and a gate for that page only."""
 
 from __future__ import annotations
 
@@ -29,11 +27,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from bunraku import __version__
 from bunraku.errors import BunrakuError
-from bunraku.studio.forms import ChangeForm, ClipsForm, TakeForm, TakeRecordForm
+from bunraku.studio.forms import ChangeForm, CharacterForm, ClipsForm, ExportForm, TakeForm, TakeRecordForm
 from bunraku.studio.jobs import QueueFull
 from bunraku.studio.routes import characters, general, takes
-from bunraku.studio.routes import general as files
-from bunraku.studio.routes import general as library
 from bunraku.studio.routes.reading import TooLarge
 from bunraku.studio.state import State
 from bunraku.studio.store import NotThere, Store
@@ -57,7 +53,7 @@ class Keys:
 
     Args:
         token: In the address that is opened.
-        password: What others type where the studio is open to other machines; "" keeps it to this one.
+        password: For other machines; "" keeps the studio to this one.
         hosts: Names by which the studio may be called; empty allows any, behind a password only.
     """
 
@@ -75,7 +71,7 @@ class Guard:
 
     Args:
         app: What is behind it.
-        keys: Who is let in.
+        keys: What lets a page in.
     """
 
     def __init__(self, app: ASGIApp, keys: Keys):
@@ -133,9 +129,7 @@ class Guard:
 
 
 Routes = Iterable[tuple[str, tuple[str, ...], Callable[..., Any]]]
-_PLAIN: dict[Any, dict[str, Any]] = {
-    str: {"type": "string"}, bool: {"type": "boolean"}, int: {"type": "integer"}, float: {"type": "number"},
-}  # fmt: skip
+_PLAIN = {str: "string", bool: "boolean", int: "integer", float: "number", type(None): "null"}
 _ERROR = {
     "description": "What is wrong, one sentence.",
     "content": {"application/json": {"schema": {
@@ -147,37 +141,31 @@ _ERROR = {
 def schema_of(kind: Any) -> dict[str, Any]:
     """The JSON schema of a type: plain ones, lists, literals, dataclasses."""
     if kind in _PLAIN:
-        return dict(_PLAIN[kind])
+        return {"type": _PLAIN[kind]}
     origin, inner = get_origin(kind), get_args(kind)
     if origin is Literal:
         return {"enum": list(inner)}
     if origin in (Union, types.UnionType):
-        return {"anyOf": [{"type": "null"} if one is type(None) else schema_of(one) for one in inner]}
+        return {"anyOf": list(map(schema_of, inner))}
     if origin in (list, tuple):
-        same = (len(inner) == 2 and inner[1] is Ellipsis) or origin is list
-        if same:
+        if origin is list or inner[-1] is Ellipsis:
             return {"type": "array", "items": schema_of(inner[0])}
         bounds = {"minItems": len(inner), "maxItems": len(inner)}
-        return {"type": "array", "prefixItems": [schema_of(one) for one in inner], **bounds}
+        return {"type": "array", "prefixItems": list(map(schema_of, inner)), **bounds}
     if origin in (dict, Mapping):
         return {"type": "object"}
     if is_dataclass(kind) and isinstance(kind, type):
         hints = get_type_hints(kind)
-        own = {field.name: schema_of(hints[field.name]) for field in fields(kind)}
+        properties = {field.name: schema_of(hints[field.name]) for field in fields(kind)}
         needed = [field.name for field in fields(kind) if field.default is MISSING and field.default_factory is MISSING]
-        said = inspect.getdoc(kind) or ""
-        out: dict[str, Any] = {"type": "object", "title": kind.__name__, "description": said, "properties": own}
-        return {**out, "required": needed} if needed else out
+        about = {"title": kind.__name__, "description": inspect.getdoc(kind) or ""}
+        return {"type": "object", **about, "properties": properties, **({"required": needed} if needed else {})}
     return {}
 
 
 def document_of(routes: Routes, version: str, reads: Mapping[tuple[str, str], type]) -> dict[str, Any]:
-    """The document.
-
-    Args:
-        routes: Path, methods and handler of each; a handler's docstring says what it does.
-        version: Of Bunraku.
-        reads: The class of the JSON body of a path and method.
+    """The OpenAPI document of routes; handlers' docstrings say what these do, `reads` has the classes of JSON bodies by
+    path and method.
     """
     paths: dict[str, dict[str, Any]] = {}
     for path, methods, handler in routes:
@@ -209,10 +197,12 @@ def document_of(routes: Routes, version: str, reads: Mapping[tuple[str, str], ty
 
 
 READS: dict[tuple[str, str], type] = {
+    ("/characters/{name}", "PATCH"): CharacterForm,
     ("/characters/{name}/takes", "POST"): TakeForm,
     ("/characters/{name}/exports", "POST"): ClipsForm,
     ("/takes/{name}", "PATCH"): TakeRecordForm,
     ("/takes/{name}/change", "POST"): ChangeForm,
+    ("/takes/{name}/exports", "POST"): ExportForm,
 }
 """What the body of a route is read as."""
 STATIC = Path(__file__).parents[1] / "static"
@@ -224,8 +214,8 @@ def studio_app(folder: Path, keys: Keys | None = None, warm: bool = True) -> Sta
     """The application.
 
     Args:
-        folder: Where it keeps its things.
-        keys: Who is let in.
+        folder: Where it keeps everything.
+        keys: What lets a page in; a new token where None.
         warm: Start the worker with the application, and the sample where there is nothing yet.
 
     Raises:
@@ -243,12 +233,12 @@ def studio_app(folder: Path, keys: Keys | None = None, warm: bool = True) -> Sta
         finally:
             state.stop()
 
-    api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, *library.LIBRARY_ROUTES, *files.PROJECT_ROUTES]
-    api.append(("/openapi.json", ("GET",), described))
+    api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, ("/openapi.json", ("GET",), described)]
     app = Starlette(
         routes=[
             Mount(
-                "/api", routes=[Route(path, _told(handler), methods=list(methods)) for path, methods, handler in api]
+                "/api",
+                routes=[Route(path, _answered(handler), methods=list(methods)) for path, methods, handler in api],
             ),
             Route("/", _page),
             Route("/view.js", _view),
@@ -281,7 +271,7 @@ async def _no_such_page(request: Request, error: Exception) -> Response:
     return JSONResponse({"error": "there is nothing at this address", "kind": "NotThere"}, status)
 
 
-def _told(handler: Callable[[Request], Any]) -> Callable[[Request], Any]:
+def _answered(handler: Callable[[Request], Any]) -> Callable[[Request], Any]:
     """A route whose errors are sentences."""
 
     async def route(request: Request) -> Response:
@@ -302,7 +292,7 @@ def _answer(error: Exception) -> Response:
     elif is_full(error):
         status = 507
     elif isinstance(error, BunrakuError):
-        status = 429 if isinstance(error, QueueFull) else 409 if isinstance(error, files.Newer) else 400
+        status = 429 if isinstance(error, QueueFull) else 409 if isinstance(error, general.Newer) else 400
     else:
         logging.getLogger(__name__).error("a request failed", exc_info=error)
         status = 500

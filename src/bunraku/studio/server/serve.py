@@ -15,10 +15,10 @@ from bunraku.errors import BunrakuError, MissingExtraError, OptionError
 __all__ = ["serve"]
 
 WEAKEST = 8
-"""Letters of a password at the least."""
+"""Fewest letters of a password."""
 IDLE = 75
-"""Seconds for which a line stays open on which nothing is asked: a page on a slow machine asks more seldom than each
-five seconds, which is uvicorn's own bound.
+"""Seconds for which an idle line stays open. A page on a slow machine asks less often than every five seconds, which is
+uvicorn's own bound.
 """
 
 
@@ -90,10 +90,8 @@ def serve(folder: Path, *, port: int = 8734, host: str = "127.0.0.1", password: 
 
 
 def _listen(host: str, port: int) -> socket.socket:
-    """A listening socket at a port, or at the next free one after it.
-
-    Raises:
-        OptionError: None of twenty is free, or the address is not this machine's.
+    """A listening socket at a port, or at the next free one after it; OptionError where none of twenty is free, or the
+    address is not this machine's.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     last: OSError | None = None

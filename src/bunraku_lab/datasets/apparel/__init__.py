@@ -1,6 +1,4 @@
-"""The apparel data set: characters in clothes that physics move, to train and test apparel networks on (MMDMC, section
-3).
-"""
+"""The apparel data set: characters in clothes that physics move (section 3 of MMDMC)."""
 
 from bunraku_lab.datasets.apparel.shards import ApparelCharacter, ApparelClip, ApparelData, ApparelWindow
 

@@ -1,6 +1,4 @@
-"""`bunraku data apparel`: characters x motions, simulated and recorded in few numbers (joint transforms, and how far
-vertices leave what the joints give), as shards.
-"""
+"""`bunraku data apparel`: characters in motions, simulated and recorded as shards."""
 
 from __future__ import annotations
 
@@ -27,7 +25,6 @@ from bunraku_lab.datasets.apparel.shards import INDEX, LATER_ARRAYS, SHARD_ARRAY
 
 __all__ = ["BuildState", "RIGID", "Recording", "body_animation", "build_apparel", "build_shard", "record"]
 
-
 RIGID = 2e-5
 """A bone that leaves its joint by less than this at all its vertices [m] counts as rigid with it."""
 _CHUNK = 256
@@ -53,10 +50,6 @@ class Recording:
 def record(body: UnifiedBody, clips: Sequence[RigAnimation]) -> Recording:
     """Write down what a character does.
 
-    Args:
-        body: The character's joints.
-        clips: Its clips, simulated.
-
     Raises:
         ValueError: An offset is not finite or too long for half precision.
     """
@@ -72,7 +65,7 @@ def record(body: UnifiedBody, clips: Sequence[RigAnimation]) -> Recording:
     offsets = np.empty((len(transforms), len(loose), 3), np.float16)
     start, rounding = 0, 0.0
     for clip in clips:
-        deviations = body.deviations(clip)[:, bones]
+        deviations = _deviations(body, clip)[:, bones]
         for first in range(0, len(clip), _CHUNK):
             exact = skin(vertices[loose], weights, deviations[first : first + _CHUNK])
             if not np.abs(exact).max(initial=0) < 1000:
@@ -86,6 +79,12 @@ def record(body: UnifiedBody, clips: Sequence[RigAnimation]) -> Recording:
     return Recording(transforms, loose, offsets, rounding)
 
 
+def _deviations(body: UnifiedBody, animation: RigAnimation) -> np.ndarray:
+    """What each bone does beside its joint, as affine transforms, shape (N, J, 3, 4), float32."""
+    affine = animation.transforms()
+    return affine - affine[:, body.bones[body.joint_of]]
+
+
 def _loose_bones(body: UnifiedBody, clips: Sequence[RigAnimation]) -> np.ndarray:
     """Bones that hold vertices and leave their joints in some frame, shape (B,)."""
     rig = body.parts.character.rig
@@ -94,7 +93,7 @@ def _loose_bones(body: UnifiedBody, clips: Sequence[RigAnimation]) -> np.ndarray
     centres, radii = _extents(body)
     far = np.zeros(len(held))
     for clip in clips:
-        deviation = body.deviations(clip)[:, held].astype(np.float64)
+        deviation = _deviations(body, clip)[:, held].astype(np.float64)
         at = np.einsum("njab,jb->nja", deviation[..., :3], centres[held]) + deviation[..., 3]
         reach = np.linalg.norm(deviation[..., :3], axis=(-2, -1)) * radii[held]
         far = np.maximum(far, (np.linalg.norm(at, axis=-1) + reach).max(axis=0))
@@ -144,12 +143,9 @@ class BuildState:
 
 
 def build_apparel(
-    folder: str | Path,
-    plan: Sequence[ShardPlan],
-    *,
-    jobs: int | str = 1,
+    folder: str | Path, plan: Sequence[ShardPlan], *, jobs: int | str = 1,
     progress: Callable[[BuildState], None] | None = None,
-) -> BuildState:
+) -> BuildState:  # fmt: skip
     """Build the shards of a plan that are not there yet, and the index.
 
     Args:
@@ -299,15 +295,10 @@ def _build(folder: Path, shard: ShardPlan) -> None:
             failed[clip.motion.name] = str(error)
             continue
         away = [[lost.body, int(lost.frame)] for lost in simulation.report.recoveries]
-        clips.append(
-            {
-                "motion": clip.motion.name,
-                "start": clip.start,
-                "first": first,
-                "frames": len(animation),
-                "fly_aways": away,
-            }
-        )
+        clips.append({
+            "motion": clip.motion.name, "start": clip.start, "first": first, "frames": len(animation),
+            "fly_aways": away,
+        })  # fmt: skip
         animations.append(animation)
         first += len(animation)
     if not animations:
@@ -384,8 +375,7 @@ def _reference(path: str) -> Any:
 
 
 def body_animation(body: UnifiedBody, motion: Any) -> RigAnimation:
-    """A handle motion on a character's rig, moved by SMPL's 22 joints alone: fingers, hair and tails go along with what
-    they hang on.
+    """A handle motion on a character's rig, moved by SMPL's 22 joints alone; fingers, hair and tails go along.
 
     Args:
         body: The character.

@@ -1,11 +1,8 @@
-"""Faults of simulated apparel: parts inside the body, which are measured and pushed out, and hems that stay up; and the
-facts by which apparel data are compared with real files.
-"""
+"""Faults of simulated apparel: parts inside the body, which are pushed out, and hems that stay up."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import igl
@@ -18,23 +15,11 @@ from bunraku.apparel.learned.player import Carrier, Safety, SafetySettings
 from bunraku.apparel.nodes import apparel_nodes
 from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.skinning import skin
-from bunraku_lab.datasets.apparel.shards import ApparelData
 
 __all__ = [
-    "ApparelFacts",
-    "DEEP",
-    "Insides",
-    "PushOut",
-    "apparel_facts",
-    "deep_inside",
-    "facts_table",
-    "inside_shares",
-    "pushed_out_clips",
-    "standing_out",
-    "sway_frequency",
-    "unclothed",
-]
-
+    "DEEP", "PushOut", "deep_inside",
+    "pushed_out_clips", "standing_out", "unclothed",
+]  # fmt: skip
 
 DEEP = 0.01
 """Vertices deeper than this are counted [m]."""
@@ -106,7 +91,6 @@ PASSES = 6
 SMOOTH = 0.05
 """Of the push in time, standard deviation [s]."""
 SETTINGS = SafetySettings(clear=0.004, slack=0.004, spread=0.07, most=0.2)
-Insides = tuple[float, float, float]
 
 
 class PushOut:
@@ -165,56 +149,10 @@ class PushOut:
         return out
 
 
-def inside_shares(
-    clothed: ClothedCharacter,
-    transforms: np.ndarray,
-    loose: np.ndarray,
-    before: np.ndarray,
-    after: np.ndarray,
-    most: int = 600,
-) -> Insides:
-    """Share of the apparel vertices deeper than 1 cm in the body, of those that are not so at rest, mean over the
-    frames: of rigid apparel, of some offsets, and of others.
-
-    Args:
-        clothed: The character.
-        transforms: `[R | t]` of its joints, shape (N, 22, 3, 4).
-        loose: Vertices that have offsets, shape (M,).
-        before, after: Their offsets [m], shape (N, M, 3).
-        most: Vertices that are looked at.
-
-    Raises:
-        CharacterError: All of the character is apparel.
-    """
-    volume = BodyVolume.of_mesh(clothed.rest, clothed.faces, clothed.weights, clothed.apparel, "the mesh")
-    cloth = np.flatnonzero(clothed.apparel)
-    cloth = cloth[np.linspace(0, len(cloth) - 1, min(most, len(cloth))).astype(np.int64)]
-    cloth = cloth[~deep_inside(volume, volume.rest, clothed.rest[cloth])]
-    if not len(cloth):
-        return 0.0, 0.0, 0.0
-    affine = eq4_transforms(transforms, clothed.joints)
-    rigid = skin(clothed.rest[cloth], clothed.weights[cloth], affine)
-    index = np.full(len(clothed.rest), -1)
-    index[loose] = np.arange(len(loose))
-    rows = index[cloth]
-    clouds = [np.array(rigid) for _ in range(3)]
-    for cloud, offsets in zip(clouds[1:], (before, after), strict=True):
-        cloud[:, rows >= 0] += offsets[:, rows[rows >= 0]].astype(np.float32)
-    bodies = volume.posed(affine)
-    deep = [
-        deep_inside(volume, body, np.concatenate([cloud[frame] for cloud in clouds]))
-        for frame, body in enumerate(bodies)
-    ]
-    return tuple(np.reshape(deep, (len(bodies), 3, -1)).mean(axis=(0, 2)).tolist())
-
-
 def pushed_out_clips(
-    clothed: ClothedCharacter,
-    transforms: np.ndarray,
-    loose: np.ndarray,
-    offsets: np.ndarray,
+    clothed: ClothedCharacter, transforms: np.ndarray, loose: np.ndarray, offsets: np.ndarray,
     clips: Sequence[Mapping[str, Any]],
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """The offsets of a character's clips with its apparel out of its body, shape (N, M, 3).
 
     Args:
@@ -233,78 +171,3 @@ def unclothed(
     """A clothed character of whose springs nothing is said."""
     none = np.zeros(int(part.max(initial=-1)) + 1, np.float32)
     return ClothedCharacter(rest, faces, joints, weights, apparel.astype(bool), part, none, none)
-
-
-MOST_VERTICES = 200  # vertices of a character that are looked at
-
-
-@dataclass(frozen=True)
-class ApparelFacts:
-    """A character of a data set, in its first clip.
-
-    Args:
-        name: Of the character.
-        share: Of its vertices that is apparel.
-        parts: Parts of its apparel.
-        offset: Root mean square of how far apparel is from rigid motion [cm].
-        frequency: Centroid of the spectrum of that [1/s].
-        spring: Median stiffness of the parts' joints [N m / rad].
-        stands_out: Share of the frames with calm legs in which its hem stands out.
-    """
-
-    name: str
-    share: float
-    parts: float
-    offset: float
-    frequency: float
-    spring: float
-    stands_out: float
-
-
-def apparel_facts(data: ApparelData) -> list[ApparelFacts]:
-    """The facts of every character of a data set.
-
-    Raises:
-        FormatError: A shard is damaged.
-    """
-    out = []
-    for clip in {clip.character: clip for clip in reversed(data.clips)}.values():
-        character, shard = data.character(clip), data.shard(clip.shard)
-        cloth = np.flatnonzero(character.apparel[character.loose])
-        some = cloth[np.linspace(0, len(cloth) - 1, min(MOST_VERTICES, len(cloth))).astype(np.int64)]
-        span = clip.first, clip.first + clip.frames
-        loose = shard.frames("offsets", *span)
-        away = loose[:, some].astype(np.float64)
-        clothed = unclothed(
-            character.rest, character.faces, character.joints, character.weights, character.apparel, character.part
-        )
-        out.append(
-            ApparelFacts(
-                character.name, float(character.apparel.mean()), float(len(character.spring)),
-                100 * float(np.sqrt(np.square(away).sum(axis=-1).mean())) if len(some) else 0.0,
-                sway_frequency(away, data.fps), float(np.median(character.spring)),
-                standing_out(clothed, shard.frames("transforms", *span), character.loose, loose, data.fps),
-            )
-        )  # fmt: skip
-    return out
-
-
-def sway_frequency(offsets: np.ndarray, fps: float) -> float:
-    """Centroid of the power spectrum of offsets about their means [1/s], shape (N, V, 3); 0 where nothing moves."""
-    power = np.square(np.abs(np.fft.rfft(offsets - offsets.mean(axis=0), axis=0))).sum(axis=(1, 2))
-    rates = np.fft.rfftfreq(len(offsets), 1 / fps)
-    return float(power @ rates / power.sum()) if power.sum() > 0 else 0.0
-
-
-def facts_table(facts: Sequence[ApparelFacts]) -> str:
-    """Lines of the 5th, 25th, 50th, 75th and 95th percentile of each fact."""
-    columns = {
-        "share of vertices [%]": [100 * one.share for one in facts], "parts": [one.parts for one in facts],
-        "offset, RMS [cm]": [one.offset for one in facts], "frequency [1/s]": [one.frequency for one in facts],
-        "spring [N m / rad]": [one.spring for one in facts],
-        "hem stands out [%]": [100 * one.stands_out for one in facts],
-    }  # fmt: skip
-    lines = [f"{len(facts)} characters{'':<14}" + "".join(f"{f'{percent} %':>9}" for percent in (5, 25, 50, 75, 95))]
-    for name, values in columns.items():
-        lines.append(f"{name:<25}" + "".join(f"{value:9.3g}" for value in np.percentile(values, (5, 25, 50, 75, 95))))
-    return "\n".join(lines)

@@ -1,5 +1,4 @@
-"""What the apparel data set is made of, before anything is computed: characters, motions, their splits, and which clips
-are in which shard.
+"""What the apparel data set is made of, before anything is computed: characters, motions, splits and shards.
 
 The split of a character or a motion is fixed by its name. Characters of a split meet motions of the same split only, so
 that a test clip has a character and a motion that no training clip has.
@@ -97,13 +96,7 @@ class ClipPlan:
 
 @dataclass(frozen=True)
 class ShardPlan:
-    """A file of the data set: some clips of one character.
-
-    Args:
-        character: Which.
-        part: Number of the shard among those of its character.
-        clips: In their order.
-    """
+    """A file of the data set: some clips of one character."""
 
     character: CharacterSource
     part: int
@@ -120,9 +113,7 @@ class ShardPlan:
         return sum(clip.seconds for clip in self.clips)
 
     def fingerprint(self) -> str:
-        """What the shard is made of, as 32 letters: a file with another one is built again. Folders do not count,
-        contents do.
-        """
+        """A digest of what the shard is made of; a file with another one is built again. Folders do not count."""
         from bunraku import __version__
 
         facts = asdict(self)
@@ -194,8 +185,7 @@ def character_sources(paths: Iterable[str | Path]) -> list[CharacterSource]:
 
 
 def motion_sources(folder: str | Path, shortest: float = LONG_ENOUGH) -> list[MotionSource]:
-    """The people's motions of a folder: one that `bunraku data motions` wrote, whose index names the splits, or one of
-    BVH, VMD and other files.
+    """The people's motions of a folder of `bunraku data motions`, whose index names the splits, or of motion files.
 
     Args:
         folder: Which.
@@ -245,11 +235,9 @@ def _indexed(folder: Path, shortest: float) -> list[MotionSource]:
         ):
             continue
         split = entry.get("split")
-        out.append(
-            MotionSource(
-                name, split if split in SPLITS else _motion_split(name), str(path.resolve()), frames / 20, "", True
-            )
-        )
+        out.append(MotionSource(
+            name, split if split in SPLITS else _motion_split(name), str(path.resolve()), frames / 20, "", True,
+        ))  # fmt: skip
     return out
 
 
@@ -267,13 +255,7 @@ def _length(path: Path) -> float:
 
 
 def choose_motions(motions: Sequence[MotionSource], count: int) -> list[MotionSource]:
-    """So many motions, in an order that mixes them: 10 % of "test", 5 % of "val" and the rest of "train", as far as
-    there are any.
-
-    Args:
-        motions: To choose from.
-        count: How many; all where there are fewer.
-    """
+    """So many motions, mixed: 10 % of "test", 5 % of "val" and the rest of "train", as far as there are any."""
     rows = {
         split: sorted((motion for motion in motions if motion.split == split), key=lambda motion: _number(motion.name))
         for split in SPLITS
@@ -287,13 +269,9 @@ def choose_motions(motions: Sequence[MotionSource], count: int) -> list[MotionSo
 
 
 def plan_shards(
-    characters: Sequence[CharacterSource],
-    motions: Sequence[MotionSource],
-    *,
-    minutes: float,
-    longest: float = 12.0,
+    characters: Sequence[CharacterSource], motions: Sequence[MotionSource], *, minutes: float, longest: float = 12.0,
     seed: int = 0,
-) -> tuple[list[ShardPlan], dict[str, str]]:
+) -> tuple[list[ShardPlan], dict[str, str]]:  # fmt: skip
     """Which clips are made.
 
     Every character gets the same time. It meets the motions of its split in an order of its own, from a motion of its

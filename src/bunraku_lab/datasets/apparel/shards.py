@@ -1,6 +1,4 @@
-"""Apparel data on disk and in training: shards, which are safetensors files that are whole or absent and are mapped
-instead of loaded, and the characters and windows of clips that they hold.
-"""
+"""Apparel data on disk (shards: mapped safetensors files) and in training: characters and windows of clips."""
 
 from __future__ import annotations
 
@@ -22,20 +20,9 @@ from bunraku.core.skinning import skin
 from bunraku.errors import FormatError, OptionError
 
 __all__ = [
-    "ApparelCharacter",
-    "ApparelClip",
-    "ApparelData",
-    "ApparelWindow",
-    "INDEX",
-    "LATER_ARRAYS",
-    "SHARD_ARRAYS",
-    "SHARD_FORMAT",
-    "Shard",
-    "read_index",
-    "shard_fingerprint",
-    "write_shard",
-]
-
+    "ApparelCharacter", "ApparelClip", "ApparelData", "ApparelWindow", "INDEX", "LATER_ARRAYS", "SHARD_ARRAYS",
+    "SHARD_FORMAT", "Shard", "read_index", "shard_fingerprint", "write_shard",
+]  # fmt: skip
 
 SHARD_FORMAT = "bunraku-apparel-3"
 _KEY = "bunraku"
@@ -100,11 +87,7 @@ def shard_fingerprint(path: Path) -> str:
 
 
 class Shard:
-    """A shard, opened: `facts`, `lengths` and the `names` of its arrays are known, arrays are read when they are asked
-    for.
-
-    Args:
-        path: The file.
+    """A shard, opened: `facts`, `lengths` and the `names` of its arrays; arrays are read on request.
 
     Raises:
         FormatError: It is missing, damaged, or no shard.
@@ -265,8 +248,7 @@ class ApparelClip:
         shard: Its file's name without a suffix.
         first: Its first frame in the shard.
         frames: How many it has.
-        fly_aways: Bodies that flew away and were put back, and at which frame of the clip, below 0 in the warm-up
-            before it.
+        fly_aways: Bodies that flew away, and at which frame of the clip, below 0 in the warm-up.
     """
 
     character: str
@@ -308,13 +290,9 @@ class ApparelData:
     fps = 30.0
 
     def __init__(
-        self,
-        folder: str | Path,
-        split: Literal["train", "val", "test"] | None = None,
-        *,
-        physics: bool = True,
+        self, folder: str | Path, split: Literal["train", "val", "test"] | None = None, *, physics: bool = True,
         fly_aways: bool = False,
-    ):
+    ):  # fmt: skip
         if split not in (None, "train", "val", "test"):
             raise OptionError(f"the split is 'train', 'val' or 'test', not '{split}'")
         self.folder, self.physics = Path(folder), physics

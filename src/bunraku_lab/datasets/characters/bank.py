@@ -1,6 +1,4 @@
-"""Characters for the weakly supervised losses of TapMo (section 3.2), each reduced to what the losses look at: the
-file, and its packing.
-"""
+"""Characters for the weakly supervised losses of TapMo (section 3.2), reduced to what the losses look at."""
 
 from __future__ import annotations
 
@@ -31,19 +29,15 @@ from bunraku_lab.datasets.characters.training_character import (
     AugmentConfig,
     TrainingCharacter,
     augment,
+    facing_ahead,
     facing_rotation,
     handle_target,
     known_handles,
 )
 
 __all__ = [
-    "CharacterBank",
-    "bank_row",
-    "build_character_bank",
-    "load_character_bank",
-    "save_character_bank",
-    "write_rows",
-]
+    "CharacterBank", "bank_row", "build_character_bank", "load_character_bank", "save_character_bank", "write_rows",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,13 +162,9 @@ def _check(bank: CharacterBank) -> None:
         if len(value) != count:
             raise ValueError(f"{name} has {len(value)} rows, not {count}")
     limits = {
-        "roles": handles,
-        "order": handles,
-        "parents": handles,
-        "edge_index": handles,
-        "arm_index": handles,
+        "roles": handles, "order": handles, "parents": handles, "edge_index": handles, "arm_index": handles,
         "bone_handles": handles,
-    }
+    }  # fmt: skip
     limits |= {"arm_bones": bones, "bone_parents": bones, "chest_bone": bones}
     for name, limit in limits.items():
         value = getattr(bank, name)
@@ -195,13 +185,9 @@ Row = dict[str, Any]
 
 
 def build_character_bank(
-    folder: str | Path,
-    path: str | Path,
-    rig: Callable[[Character], Handles],
-    code_made: int = 0,
-    variants: int = 2,
+    folder: str | Path, path: str | Path, rig: Callable[[Character], Handles], code_made: int = 0, variants: int = 2,
     progress: Callable[[int, int, str], None] | None = None,
-) -> tuple[Path, dict[str, str]]:
+) -> tuple[Path, dict[str, str]]:  # fmt: skip
     """Pack all rigged characters under a folder.
 
     Args:
@@ -259,9 +245,7 @@ def write_rows(path: str | Path, rows: Iterable[Row], reference: np.ndarray) -> 
 
 
 def _reference_row(features: np.ndarray) -> Row:
-    """The reference body with its own handles and true joints, so that a motion's residual is what `fit_motion` says it
-    is.
-    """
+    """The reference body with its own handles and true joints."""
     body = reference_body()
     handles = replace(body.handles, features=features)
     still = np.tile(np.eye(3), (HANDLE_COUNT, 1, 1))
@@ -280,14 +264,7 @@ def bank_row(character: Character, name: str, rig: Callable[[Character], Handles
     Raises:
         CharacterError: The mesh has no surface.
     """
-    if character.rig is not None:
-        turn = facing_rotation(name, character.rig.names, character.rig.positions)
-        transforms = character.rig.transforms.copy()
-        transforms[:, :3] = turn @ transforms[:, :3]
-        vertices = character.vertices @ turn.T.astype(np.float32)
-        character = replace(
-            character, vertices=vertices, rig=replace(character.rig, transforms=transforms), source=None
-        )
+    character = facing_ahead(character, name)
     plain = replace(character, rig=None)
     handles = rig(plain)
     anatomy = Anatomy.of(plain, handles)
@@ -298,17 +275,15 @@ def _varied(character: Character, name: str, random: np.random.Generator) -> Cha
     """The character in another rest pose and other proportions, perhaps mirrored, facing +Z, without its rig."""
     rig = character.rig
     assert rig is not None
-    turn = facing_rotation(name, rig.names, rig.positions)
-    vertices, joints = character.vertices @ turn.T.astype(np.float32), rig.positions @ turn.T
+    rotation = facing_rotation(name, rig.names, rig.positions)
+    vertices, joints = character.vertices @ rotation.T.astype(np.float32), rig.positions @ rotation.T
     weights = np.maximum(rig.dense_weights(), 0)
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
     areas = vertex_areas(vertices, character.faces)
     known = known_handles(
-        name,
-        rig.names,
-        joints,
+        name, rig.names, joints,
         handle_of_joints(rig.names, rig.parents, joints, (weights * areas[:, None]).sum(axis=0)),
-    )
+    )  # fmt: skip
     truth = TrainingCharacter(
         name=name, vertices=vertices, normals=np.zeros_like(vertices), areas=areas, edges=np.zeros((0, 2), np.int64),
         weights=weights, joints=joints,
@@ -329,14 +304,9 @@ def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 
 def _row(
-    character: Character,
-    name: str,
-    handles: Handles,
-    rotations: np.ndarray,
-    joints: Joints,
-    scale: float,
+    character: Character, name: str, handles: Handles, rotations: np.ndarray, joints: Joints, scale: float,
     seed: int = 0,
-) -> Row:
+) -> Row:  # fmt: skip
     random = np.random.default_rng([seed, len(character.vertices)])
     index, weights = _top(handles.weights)
     present = joints.present
@@ -364,13 +334,9 @@ def _row(
 
 
 def _arms(
-    character: Character,
-    name: str,
-    handles: Handles,
-    index: np.ndarray,
-    weights: np.ndarray,
+    character: Character, name: str, handles: Handles, index: np.ndarray, weights: np.ndarray,
     random: np.random.Generator,
-) -> Row:
+) -> Row:  # fmt: skip
     """Arm vertices, their weights on handles and on the rig, and the bones of the rig that they need."""
     row: Row = {
         "arms": False, "arm_points": np.zeros((ARM_POINTS, 3)), "arm_index": np.zeros((ARM_POINTS, 4), np.int64),

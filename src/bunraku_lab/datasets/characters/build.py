@@ -1,6 +1,4 @@
-"""The training set of the Mesh Handle Predictor: rigged characters from files (RigNet's text files too), from code, and
-dressed people, as network meshes with the truth of their rigs.
-"""
+"""The training set of the Mesh Handle Predictor: rigged files, code and dressed people as labelled network meshes."""
 
 from __future__ import annotations
 
@@ -35,21 +33,9 @@ from bunraku_lab.synthetic.dressed.people import Dressed, dressed_person
 from bunraku_lab.synthetic.makehuman import MakeHumanBody
 
 __all__ = [
-    "HELD_OUT",
-    "RIGGED",
-    "build_characters",
-    "build_dressed",
-    "find_rig",
-    "load_characters",
-    "load_rigged",
-    "no_characters",
-    "reference_characters",
-    "rigged_files",
-    "training_character",
-    "training_dressed",
-    "whole_head",
-]
-
+    "HELD_OUT", "RIGGED", "build_characters", "build_dressed", "find_rig", "load_characters", "load_rigged",
+    "no_characters", "reference_characters", "rigged_files", "training_character", "training_dressed", "whole_head",
+]  # fmt: skip
 
 MAX_JOINTS, MAX_SHARES, INFLUENCES = 10_000, 50_000_000, 16
 _SUFFIXES = ("", "_remesh", "_ori")
@@ -212,14 +198,9 @@ def _read_text(path: Path, data: bytes) -> _Text:
     shares = np.maximum(np.array(reader.shares), 0)
     vertices = np.array(reader.vertices, np.int64)
     return _Text(
-        tuple(reader.joints),
-        np.array(reader.positions),
-        _parents(path, reader),
-        vertices,
-        joints,
-        shares,
+        tuple(reader.joints), np.array(reader.positions), _parents(path, reader), vertices, joints, shares,
         len(reader.seen),
-    )
+    )  # fmt: skip
 
 
 def _parents(path: Path, reader: _Reader) -> np.ndarray:
@@ -278,9 +259,7 @@ HELD_OUT: tuple[str, ...] = (
     "quaternius2019/Smooth_Female_Dress",
     "valid/Black_F_1_Busi",
 )  # fmt: skip
-"""Characters that no training sees: one or two of most packs, and two packs whole (platformer_game_pack,
-single_knight_pack).
-"""
+"""Characters that no training sees: one or two of most packs, and two whole packs."""
 
 
 def training_character(character: Character, name: str, mesh_vertices: int = 2400) -> TrainingCharacter:
@@ -318,18 +297,15 @@ def training_character(character: Character, name: str, mesh_vertices: int = 240
 
 
 def _variants(load: Callable[..., Character], mesh_vertices: int) -> dict[str, tuple[Callable[[], Character], int]]:
-    """The ways in which one file is trained on: what to append to its name, how to load it, and the size of the network
-    mesh.
+    """The ways in which one file is trained on: a suffix of its name, how to load it, and the mesh size.
 
     As it is; in a finer and in a coarser network mesh, whose vertices fall elsewhere, so that the network does not
     learn one tessellation by heart; and in the pose that the file's nodes have, often the middle of a clip.
     """
     return {
-        "": (load, mesh_vertices),
-        "~coarse": (load, round(0.72 * mesh_vertices)),
-        "~fine": (load, round(1.2 * mesh_vertices)),
-        "~posed": (partial(load, rest="default"), mesh_vertices),
-    }
+        "": (load, mesh_vertices), "~coarse": (load, round(0.72 * mesh_vertices)),
+        "~fine": (load, round(1.2 * mesh_vertices)), "~posed": (partial(load, rest="default"), mesh_vertices),
+    }  # fmt: skip
 
 
 RIGGED = (".glb", ".fbx", ".obj")
@@ -337,21 +313,14 @@ RIGGED = (".glb", ".fbx", ".obj")
 
 
 def rigged_files(folder: Path) -> list[Path]:
-    """Files under a folder that may hold rigged characters: GLB, FBX, and OBJ with a rig text (see
-    `bunraku_lab.datasets.characters.build`).
-    """
+    """Files under a folder that may hold rigged characters: GLB, FBX, and OBJ with a rig text."""
 
     files = [file for file in folder.rglob("*") if file.suffix.lower() in RIGGED and file.is_file()]
     return sorted(file for file in files if file.suffix.lower() != ".obj" or find_rig(file) is not None)
 
 
 def no_characters(folder: Path, suffixes: Sequence[str]) -> FormatError:
-    """What to say of a folder without character files; one that `bunraku data characters` wrote is told from others.
-
-    Args:
-        folder: The folder.
-        suffixes: Of the files that are looked for.
-    """
+    """What to say of a folder without character files; one that `bunraku data characters` wrote is told from others."""
     if next(folder.rglob("*.npz"), None) is not None:
         return FormatError(
             folder, "it holds what `bunraku data characters` made for training; give the folder of the files it is from"
@@ -360,12 +329,9 @@ def no_characters(folder: Path, suffixes: Sequence[str]) -> FormatError:
 
 
 def build_characters(
-    folder: str | Path,
-    cache: str | Path,
-    mesh_vertices: int = 2400,
-    progress: Callable[[int, int, str], None] | None = None,
-    code_made: int = 0,
-) -> tuple[list[Path], dict[str, str]]:
+    folder: str | Path, cache: str | Path, mesh_vertices: int = 2400,
+    progress: Callable[[int, int, str], None] | None = None, code_made: int = 0,
+) -> tuple[list[Path], dict[str, str]]:  # fmt: skip
     """Build the cache: four npz for each file under a folder (see `_variants`), and one for each sample
     character. What is there already is kept, so a run that was cut off goes on.
 
@@ -474,9 +440,7 @@ def reference_characters(mesh_vertices: int = 2400) -> list[TrainingCharacter]:
 
 
 def training_dressed(person: Dressed, name: str, mesh_vertices: int = 2400) -> TrainingCharacter:
-    """A dressed character as the predictor trains on it, with the canonical handle weights as the target
-    (`whole_head`).
-    """
+    """A dressed character for the predictor, with the canonical handle weights as the target (`whole_head`)."""
     piece = person.piece
     mesh = network_mesh(piece.points, piece.faces, mesh_vertices)
     joints = (person.joints - mesh.center) / mesh.scale
@@ -495,16 +459,10 @@ def _shares(weights: np.ndarray) -> np.ndarray:
 
 
 def build_dressed(
-    clothes: str | Path,
-    body_data: str | Path,
-    cache: str | Path,
-    count: int = 400,
-    seed: int = 0,
-    mesh_vertices: int = 2400,
-    progress: Callable[[int, int, str], None] | None = None,
-) -> list[Path]:
-    """Write dressed characters as `dressed/<number>.npz` in a cache of training characters. What is there already is
-    kept.
+    clothes: str | Path, body_data: str | Path, cache: str | Path, count: int = 400, seed: int = 0,
+    mesh_vertices: int = 2400, progress: Callable[[int, int, str], None] | None = None,
+) -> list[Path]:  # fmt: skip
+    """Write dressed characters as `dressed/<number>.npz` in a cache of training characters, unless they are there.
 
     Args:
         clothes: Folder of MakeHuman clothes and hair (`.mhclo`), searched through.
@@ -512,8 +470,7 @@ def build_dressed(
         cache: Folder of the cache.
         count: How many characters.
         seed: Of the random choices.
-        mesh_vertices: Most vertices of the network mesh; a third of the characters get 0.72 times as many, a third 1.2
-            times.
+        mesh_vertices: Most vertices of the network mesh; a third of the characters get 0.72, a third 1.2 times as many.
         progress: Called with the number done, the number of all, and the name.
 
     Returns:

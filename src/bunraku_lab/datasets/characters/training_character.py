@@ -1,10 +1,8 @@
-"""Characters to train the Mesh Handle Predictor on: what is known of their rigs beyond bone names, and the ways in
-which each character is varied.
-"""
+"""Characters to train the Mesh Handle Predictor on, and the ways in which each is varied."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -12,26 +10,17 @@ import numpy as np
 
 from bunraku.anatomy.names.bone_words import left_axis
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES
+from bunraku.core.character import Character
 from bunraku.core.files import atomic_write
 from bunraku.core.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError
 
 __all__ = [
-    "AugmentConfig",
-    "TrainingCharacter",
-    "TrainingMesh",
-    "augment",
-    "facing_rotation",
+    "AugmentConfig", "TrainingCharacter", "TrainingMesh", "augment", "facing_ahead", "facing_rotation",
     "forward_kinematics",
-    "handle_target",
-    "human_rest",
-    "known_handles",
-    "plain_mesh",
-    "random_pose",
-    "root_joint",
-]
-
+    "handle_target", "human_rest", "known_handles", "plain_mesh", "random_pose", "root_joint",
+]  # fmt: skip
 
 # Rigs whose bones have no names, or wrong ones: the turn about +Y that makes them face +Z [degrees], and the part of
 # each bone.
@@ -88,9 +77,19 @@ def facing_rotation(name: str, names: tuple[str, ...], positions: np.ndarray) ->
     return np.asarray(matrix_y(np.array(quarter * np.pi / 2)))
 
 
+def facing_ahead(character: Character, name: str) -> Character:
+    """A character with its rig, rotated to face +Z (`facing_rotation`); one without a rig as it is."""
+    rig = character.rig
+    if rig is None:
+        return character
+    rotation, transforms = facing_rotation(name, rig.names, rig.positions), rig.transforms.copy()
+    transforms[:, :3] = rotation @ transforms[:, :3]
+    vertices = character.vertices @ rotation.T.astype(np.float32)
+    return replace(character, vertices=vertices, rig=replace(rig, transforms=transforms), source=None)
+
+
 def known_handles(name: str, names: tuple[str, ...], positions: np.ndarray, handles: np.ndarray) -> np.ndarray:
-    """The handle of each joint, shape (J,): those found by name, but for rigs whose names say nothing, which are listed
-    here.
+    """The handle of each joint, shape (J,): by name, but for listed rigs whose names say nothing.
 
     Args:
         name: Path of the character in its archive, without the suffix.
@@ -114,8 +113,7 @@ def known_handles(name: str, names: tuple[str, ...], positions: np.ndarray, hand
 def root_joint(
     vertices: np.ndarray, joints: np.ndarray, parents: np.ndarray, handles: np.ndarray, mass: np.ndarray
 ) -> np.ndarray:
-    """The root joint b_1 of Eq. 4, shape (3,): the mean of the pelvis joints that move something, or of the pelvis, or
-    of the roots.
+    """The root joint b_1 of Eq. 4, shape (3,): the mean of the pelvis joints, of those that move something if any.
 
     Args:
         vertices: Of the mesh, in the frame and unit of the joints, shape (V, 3); the root is kept inside their box.
@@ -141,8 +139,7 @@ class TrainingCharacter:
         joints: Joint positions, shape (J, 3).
         parents: Parent of each joint for posing (`limb_parents`), shape (J,).
         handles: Handle of each joint, -1 for none, shape (J,).
-        target: Share of each handle in each vertex; a row sums to less than 1 where joints have no handle, shape (V,
-            30).
+        target: Share of each handle in each vertex, shape (V, 30); rows sum to less than 1 for joints without handle.
         root: Position of the root joint b_1 of Eq. 4, shape (3,).
         height: Extent along +Y.
     """
@@ -273,9 +270,7 @@ def _resting(character: TrainingCharacter) -> np.ndarray:
 
 
 def random_pose(rng: np.random.Generator, character: TrainingCharacter, angle: float, share: float = 0.5) -> np.ndarray:
-    """Turns of a random share of the joints by up to `angle` [rad] about random axes; the root rests. Shape (J, 3,
-    3).
-    """
+    """Rotations of a random share of the joints by up to `angle` [rad] about random axes, shape (J, 3, 3)."""
     count = len(character.joints)
     axis = rng.normal(size=(count, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True) + 1e-9
@@ -311,11 +306,8 @@ def human_rest(rng: np.random.Generator, character: TrainingCharacter, rotations
     for sign, shoulder, arm, leg, shin in ((1, 16, 18, 1, 4), (-1, 17, 19, 2, 5)):
         lift = elevation - _elevation(character, shoulder, arm) + rng.normal(0, 0.1)
         angles = {
-            shoulder: (forward, 0.0, sign * lift),
-            arm: (elbow, 0.0, 0.0),
-            leg: (hip, 0.0, 0.0),
-            shin: (knee, 0.0, 0.0),
-        }
+            shoulder: (forward, 0.0, sign * lift), arm: (elbow, 0.0, 0.0), leg: (hip, 0.0, 0.0), shin: (knee, 0.0, 0.0),
+        }  # fmt: skip
         for handle, turn in angles.items():
             for joint in _first_of(character, handle):
                 rotations[joint] = matrix_from_axis_angle(np.array(turn)) @ rotations[joint]
@@ -356,25 +348,15 @@ def plain_mesh(
     c = character
     posed = skin(c.vertices, c.weights, np.stack(frames)) if frames else np.zeros((0, *c.vertices.shape), np.float32)
     return TrainingMesh(
-        c.vertices,
-        c.normals,
-        c.areas,
-        c.edges,
-        c.weights,
-        c.handles,
-        c.target,
-        c.root,
-        c.height,
+        c.vertices, c.normals, c.areas, c.edges, c.weights, c.handles, c.target, c.root, c.height,
         np.ascontiguousarray(posed),
-    )
+    )  # fmt: skip
 
 
 def augment(
     character: TrainingCharacter, rng: np.random.Generator, config: AugmentConfig | None = None
 ) -> TrainingMesh:
-    """A random variant: another rest pose, other proportions, a small turn, perhaps the mirror image; and poses of
-    it.
-    """
+    """A random variant: another rest pose, other proportions, perhaps the mirror image; and poses of it."""
     config = config or AugmentConfig()
     c = character
     vertices, normals, joints, root = (

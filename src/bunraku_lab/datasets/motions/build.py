@@ -1,6 +1,4 @@
-"""Human motions as handle motions (`bunraku data motions`), with the faults of captured motion measured and removed:
-sloping feet, heights off the ground, and limbs rolled by half a turn.
-"""
+"""Human motions as handle motions (`bunraku data motions`), without sloping feet, heights and rolled limbs."""
 
 from __future__ import annotations
 
@@ -21,36 +19,40 @@ from scipy.ndimage import gaussian_filter1d, percentile_filter
 from bunraku.core.body.joint_rotations import motion_from_positions
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.core.files import remove_leftovers
-from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
+from bunraku.core.geometry.rotations import (
+    axis_angle_from_matrix,
+    heading,
+    matrix_from_axis_angle,
+    matrix_from_quaternion,
+)
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
 from bunraku.core.parallel import Pool
 from bunraku.errors import FormatError
 from bunraku.retarget.to_reference import registered_body
-from bunraku_lab.datasets.motions.clips import load_clip, load_lowest, write_clip, write_index
-from bunraku_lab.datasets.motions.sources import FEWEST, Stretch, load_watched, source_of, subject_of
+from bunraku_lab.datasets.motions.clips import (
+    FEWEST,
+    Stretch,
+    load_clip,
+    load_index,
+    load_lowest,
+    load_watched,
+    source_of,
+    subject_of,
+    write_clip,
+    write_index,
+)
 
 __all__ = [
-    "MotionArchive",
-    "build_motions",
-    "floor_height",
-    "level_feet",
-    "posture_fault",
-    "rolled_limbs",
-    "split_of",
-    "standing_foot_pitch",
-    "subject_pitches",
-    "unrolled",
-]
-
+    "MotionArchive", "add_turns", "build_motions", "find_turn", "floor_height", "level_feet", "posture_fault",
+    "rolled_limbs", "split_of", "standing_foot_pitch", "subject_pitches", "unrolled",
+]  # fmt: skip
 
 ANKLES = (JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle"))
 LEAST, MOST = np.radians(2.0), np.radians(35.0)
 
 
 def standing_foot_pitch(motion: SkeletalMotion) -> float:
-    """Median slope [rad] of the feet while they stand (low and slower than 0.3 m/s); up is positive, NaN where they
-    never stand.
-    """
+    """Median slope [rad] of the feet while they stand (low, slower than 0.3 m/s); NaN where they never stand."""
     rotations, positions = motion.world()
     slopes = []
     for joint in ANKLES:
@@ -63,9 +65,7 @@ def standing_foot_pitch(motion: SkeletalMotion) -> float:
 
 
 def subject_pitches(pitches: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """Slope of each subject [rad] from (clip name, slope) pairs: the median of its clips, 0 where that is small, wild
-    or of few clips.
-    """
+    """Slope of each subject [rad]: the median of its clips, 0 where that is small, scattered or of few clips."""
     groups = defaultdict(list)
     for name, pitch in pitches:
         if np.isfinite(pitch):
@@ -174,9 +174,7 @@ def unrolled(motion: SkeletalMotion) -> SkeletalMotion:
 
 
 HELD_TURN, HELD_WAY, HELD_MARGIN = np.radians(10), 0.05, 5
-"""A pose is held while no handle turns farther than this, the root moves no farther [m]; so many frames are left of
-it.
-"""
+"""A pose is held while no handle rotates and the root moves no farther than this [m]; so many frames are kept."""
 QUATERNION_STEP = 8192.0  # the archive stores first differences of round(8192 q)
 
 
@@ -306,7 +304,6 @@ def build_motions(
         source: Folder with `motions.npz` and `motions.json`.
         out: Folder for the clips and `index.json` (captions, source, frames, split and weight of each clip).
         jobs: Processes; the number of cores when None.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         Path of `index.json`.
@@ -347,13 +344,9 @@ def build_motions(
     for i, name in enumerate(archive.names):
         clip = archive.clips.get(name, {})
         entries[name] = {
-            "texts": clip.get("texts") or [],
-            "source": clip.get("source", ""),
-            "licence": clip.get("licence", ""),
-            "frames": int(lengths[i]),
-            "split": split_of(name),
-            "weight": clip_weight(name, clip.get("flags") or []),
-        }
+            "texts": clip.get("texts") or [], "source": clip.get("source", ""), "licence": clip.get("licence", ""),
+            "frames": int(lengths[i]), "split": split_of(name), "weight": clip_weight(name, clip.get("flags") or []),
+        }  # fmt: skip
         if name in watched:
             motion, bottom = load_clip(out / f"{name}.npz"), load_lowest(out / f"{name}.npz")
             origin = source_of(name)
@@ -401,9 +394,7 @@ def checked(
 
 
 def between_held_poses(motion: HandleMotion) -> tuple[int, int]:
-    """First frame and frame after the last of a take without the poses that it holds at its ends, but for a quarter of
-    a second of each.
-    """
+    """First frame and frame after the last of a take without the poses held at its ends, but for 0.25 s of each."""
     first, last = (_still(motion, end) for end in (0, len(motion) - 1))
     start = int(np.argmin(first)) if not first.all() else len(motion)
     stop = len(motion) - int(np.argmin(last[::-1])) if not last.all() else 0
@@ -420,9 +411,77 @@ def _still(motion: HandleMotion, frame: int) -> np.ndarray:
 
 
 def t_pose(motion: HandleMotion) -> np.ndarray:
-    """Frames in which both arms are stretched out to the sides as in the reference body's rest pose, shape (N,),
-    bool.
-    """
+    """Frames in which both arms are stretched out to the sides as in the rest pose, shape (N,), bool."""
     parts = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow")]
     turned = np.einsum("nkii->nk", motion.rotations[:, parts])  # 3 at rest
     return np.asarray((turned > 1 + 2 * np.cos(np.radians(22))).all(axis=1))
+
+
+WINDOWS = (50, 70)  # frames
+LEAST, MOST, FARTHEST = 2.5, 3.9, 0.9  # rad, rad, m
+MARGIN = 6  # frames kept before and after
+_WALKS = ("walk", "turn", "stand", "push", "stop")
+_OTHERS = (
+    "dance", "jete", "pirouette", "wheel", "ball", "tennis", "jump", "hop", "climb", "sit", "pick", "uneven", "spiral",
+    "playground",
+)  # fmt: skip
+
+
+def find_turn(motion: HandleMotion) -> tuple[int, int, float] | None:
+    """The stretch in which somebody turns round the farthest with the smallest move, if there is one.
+
+    Returns:
+        First frame, frame after the last, and the change of heading [rad], positive to the left; None without a turn.
+    """
+    angle = heading(motion.root_rotation, motion.fps)
+    path = motion.root_translation[:, [0, 2]]
+    best: tuple[float, int, int, float] | None = None
+    for window in WINDOWS:
+        for start in range(0, len(angle) - window, 5):
+            change = float(angle[start + window - 1] - angle[start])
+            if LEAST < abs(change) < MOST:
+                moved = float(np.ptp(path[start : start + window], axis=0).max())
+                cost = moved - 0.3 * abs(change)
+                if moved < FARTHEST and (best is None or cost < best[0]):
+                    best = (cost, start, start + window, change)
+    return best and best[1:]
+
+
+def add_turns(out: str | Path) -> list[str]:
+    """Cut the turns out of the training clips that `build_motions` wrote and add them to the index.
+
+    Args:
+        out: Folder of the motions, with its `index.json`.
+
+    Returns:
+        Names of the new clips.
+
+    Raises:
+        FormatError: The index or a clip is missing or broken.
+    """
+    out = Path(out)
+    clips = load_index(out)
+    added = {}
+    for name, entry in list(clips.items()):
+        if name.startswith("turn_"):
+            del clips[name]  # of an earlier run; made again below
+            continue
+        text = " ".join(entry["texts"]).lower()
+        if (
+            entry["split"] != "train"
+            or not any(word in text for word in _WALKS)
+            or any(word in text for word in _OTHERS)
+        ):
+            continue
+        motion = load_clip(out / f"{name}.npz")
+        found = find_turn(motion)
+        if found is None:
+            continue
+        start, stop, change = found
+        clip = motion.take(slice(max(start - MARGIN, 0), stop + MARGIN))
+        write_clip(out / f"turn_{name}.npz", clip)
+        caption = f"a person turns around to the {'left' if change > 0 else 'right'}"
+        kept = {key: value for key, value in entry.items() if key != "stretches"}
+        added[f"turn_{name}"] = kept | {"texts": [caption], "frames": len(clip)}
+    write_index(out, clips | added)
+    return list(added)

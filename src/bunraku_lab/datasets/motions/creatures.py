@@ -29,23 +29,10 @@ from bunraku_lab.datasets.motions.build import split_of
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, write_clip, write_index
 
 __all__ = [
-    "CreatureBody",
-    "CreatureClip",
-    "HELD_OUT_SPECIES",
-    "add_creatures",
-    "add_game_clips",
-    "clip_vertices",
-    "creature_body",
-    "creature_clips",
-    "creature_split",
-    "forward_speed",
-    "known_plan",
-    "played_on",
-    "present_files",
-    "reference_clip",
-    "reference_motion",
-    "with_travel",
-]
+    "CreatureBody", "CreatureClip", "HELD_OUT_SPECIES", "add_creatures", "add_game_clips", "clip_vertices",
+    "creature_body", "creature_clips", "creature_split", "forward_speed", "known_plan", "played_on", "present_files",
+    "reference_clip", "reference_motion", "with_travel",
+]  # fmt: skip
 
 
 def present_files(folder: Path, files: Iterable[str]) -> list[str]:
@@ -113,8 +100,7 @@ def with_travel(motion: HandleMotion, speed: float) -> HandleMotion:
 
 
 def played_on(motion: HandleMotion, least: int) -> HandleMotion:
-    """A loop played on, in whole rounds, until it has at least `least` frames; the motion as it is where it does not
-    end as it began.
+    """A loop repeated until it has at least `least` frames; a motion that does not end as it began stays as it is.
 
     Loops of a few frames, such as one bound of a gallop, are too short to be cut, joined or told from a single step.
     """
@@ -138,9 +124,7 @@ HELD_OUT_SPECIES: tuple[str, ...] = (
     "bull", "shiba inu", "rat", "velociraptor", "spider", "crab", "dragon", "bee", "tuna", "betta", "puffer",
     "manta ray", "goblin",
 )  # fmt: skip
-"""Species that no training sees: hoofed and clawed animals, a biped with a tail, eight legs, claws, wings, fish. No
-predictor saw them.
-"""
+"""Species that no training sees: hoofed and clawed, a biped with a tail, eight legs, claws, wings, fish."""
 
 VALIDATION_SPECIES: tuple[str, ...] = ("llama", "tetra", "turbot", "parasaurolophus")
 
@@ -148,21 +132,9 @@ FPS = 20.0
 LEAST_FRAMES = 8
 _TRAVELS = ("walk", "run", "trot", "gallop", "sneak", "crawl", "carry", "run carry")
 _CYCLES = (
-    *_TRAVELS,
-    "swim",
-    "swim fast",
-    "swim impulse",
-    "fly",
-    "glide",
-    "hover",
-    "idle",
-    "idle head low",
-    "alert",
-    "eat",
-    "sleep",
-    "sit",
-    "dance",
-)
+    *_TRAVELS, "swim", "swim fast", "swim impulse", "fly", "glide", "hover", "idle", "idle head low", "alert", "eat",
+    "sleep", "sit", "dance",
+)  # fmt: skip
 LEAST_LOOP = 40  # frames to which shorter loops are played on
 _SEEN_ON_PEOPLE = ("walk", "run", "idle", "crawl")  # motion capture has these, and game clips of them are poorer
 _FLOATS = ("fish", "flyer", "snake", "blob")
@@ -226,9 +198,7 @@ def _sentences(species: tuple[str, ...], generic: str, phrases: list[str]) -> tu
 
 
 def _seen(characters: Mapping[str, _Character], file: str, word: str) -> list[str] | None:
-    """Phrases written from watching this clip; they stand with the character named in `watched_like` where the same was
-    seen on it.
-    """
+    """Phrases written from watching this clip, or the clip of the character named in `watched_like`."""
     known = characters[file]
     like = characters.get(known.get("watched_like", ""))
     return known.get("watched", {}).get(word) or (like or known).get("watched", {}).get(word)
@@ -270,19 +240,13 @@ def creature_clips(file: str, labels: list[str]) -> list[CreatureClip]:
 
 
 def known_plan(file: str) -> str | None:
-    """The body plan of a character of the archive, such as "quadruped" or "fish"; None of one that is not in the table.
-
-    Args:
-        file: Path in the archive without suffix.
-    """
+    """The body plan of a character of the archive, such as "quadruped" or "fish"; None where it is unknown."""
     known = _table()["characters"].get(file)
     return None if known is None else str(known["plan"])
 
 
 def creature_split(clip: CreatureClip) -> str:
-    """The split of a clip: whole species and whole characters are kept from training; what people are tested on stays
-    as it is.
-    """
+    """The split of a clip: whole species and characters are kept from training."""
     if clip.file in HELD_OUT or clip.species[0] in HELD_OUT_SPECIES:
         return "test"
     if clip.species[0] in VALIDATION_SPECIES:
@@ -352,8 +316,7 @@ def reference_motion(
     Args:
         body: The character.
         vertices: Its vertices in each frame [m], shape (N, V, 3).
-        travels: It goes over the ground, so a way that keeps its feet from sliding is added where the clip stays in
-            place.
+        travels: It goes over the ground, so a path that keeps its feet from sliding is added to a clip in place.
         loops: It repeats itself, so it is played on to two seconds.
         person: It becomes a motion of any humanoid, otherwise it stays one of this very body.
 
@@ -393,13 +356,11 @@ def add_creatures(
 ) -> tuple[list[str], dict[str, str]]:
     """Convert the clips that `creature_clips.json` names and add them to the index that `build_motions` wrote.
 
-    One file a clip, so a second run goes on where the first one stopped. What cannot be converted does not stop the
-    others.
+    One file a clip, so a second run goes on where the first one stopped; what fails does not stop the others.
 
     Args:
         characters: Folder of the unpacked character archive.
         out: Folder of the motions, with its `index.json`.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         Names of the clips in the index, and what failed with its reason.
@@ -476,7 +437,6 @@ def add_game_clips(
     Args:
         characters: Folder of the unpacked character archive.
         out: Folder of the motions, with its `index.json`.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         Names of the clips in the index, and what failed with its reason.

@@ -1,6 +1,4 @@
-"""Chains of apparel: how they swing by what files say, and chains laid over the shape alone, measured against the truth
-of their file's physics.
-"""
+"""Chains of apparel: how files say that they swing, and chains laid over the shape alone against the truth."""
 
 from __future__ import annotations
 
@@ -24,15 +22,7 @@ from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.character import Character, Rig, top_influences
 from bunraku_lab.evaluation.apparel.clips import RATE, TrueClip, edge_score, insides, point_distance
 
-__all__ = [
-    "FileChain",
-    "chain_parameters_from_file",
-    "chain_row",
-    "chain_summary",
-    "chained_clip",
-    "chains_from_file",
-]
-
+__all__ = ["FileChain", "chain_parameters_from_file", "chain_row", "chain_summary", "chained_clip", "chains_from_file"]
 
 LOCKED = np.radians(1.0)
 """A joint that turns less far counts as locked [rad]."""
@@ -78,11 +68,7 @@ class FileChain:
 
 
 def chains_from_file(character: Character) -> list[FileChain]:
-    """The chains of a character whose file has physics; none where it has none, or its rig is not a person's.
-
-    Args:
-        character: With a rig.
-    """
+    """The chains of a character whose file has physics; none where it has none, or its rig is not a person's."""
     rig = apparel_rig(character)
     if rig is None or character.rig is None:
         return []
@@ -117,13 +103,7 @@ def chains_from_file(character: Character) -> list[FileChain]:
 
 
 def chain_parameters_from_file(laid: LaidChains, character: Character) -> LaidChains:
-    """Chains laid over a shape that swing by what the file says of those that hold the same vertices there: as far in
-    all, by links of their own, with its springs, damping and mass.
-
-    Args:
-        laid: Over the character's mesh.
-        character: With a rig and physics.
-    """
+    """Laid chains that swing by what the file says of those that hold the same vertices there."""
     rig, told = character.rig, chains_from_file(character)
     if rig is None or not told:
         return laid
@@ -141,8 +121,8 @@ def chain_parameters_from_file(laid: LaidChains, character: Character) -> LaidCh
         if count.sum() > 0:
             whole, stiffness, damping, mass = count @ facts / count.sum()
             limit = float(np.clip(whole / len(chain), NARROWEST, WIDEST))
-            manner = replace(chain.manner, limit=limit, stiffness=stiffness, damping=damping, mass=max(mass, 1e-3))
-            chain = replace(chain, manner=manner)
+            swing = replace(chain.parameters, limit=limit, stiffness=stiffness, damping=damping, mass=max(mass, 1e-3))
+            chain = replace(chain, parameters=swing)
         chains.append(chain)
     return replace(laid, chains=tuple(chains))
 
@@ -192,10 +172,8 @@ def chain_row(clip: TrueClip, told: Character | None = None) -> dict[str, Any]:
     index[vertices] = np.arange(len(vertices))
     edges, rest = index[clip.edges()], clothed.rest[vertices]
     shown = {
-        "rigid": clip.carried(vertices)[few],
-        "chains": moved[few][:, vertices],
-        "truth": clip.truth(vertices)[few],
-    }
+        "rigid": clip.carried(vertices)[few], "chains": moved[few][:, vertices], "truth": clip.truth(vertices)[few],
+    }  # fmt: skip
     more = {}
     if told is not None:
         own, flown = chained_clip(clip, told)
@@ -211,9 +189,7 @@ def chain_row(clip: TrueClip, told: Character | None = None) -> dict[str, Any]:
 
 
 def chain_summary(rows: Sequence[dict[str, Any]]) -> dict[str, float | None]:
-    """Over all clips: error over that of rigid apparel, the mean and the median of the clips' own, ELS less the
-    truth's, and clips in which something flew away.
-    """
+    """Error over that of rigid apparel (mean, and median of clips), ELS less the truth's, and clips with fly-aways."""
     if not rows:
         return {}
     ratios = [row["chains"] / max(row["rigid"], 1e-9) for row in rows]

@@ -1,6 +1,4 @@
-"""MMDMC's tables 2 to 4: the whole mesh by our modules, one by one, and by other methods (Neural Blend Shapes,
-Skeleton-free Pose Transfer, the best skinning).
-"""
+"""MMDMC's tables 2 to 4: the whole mesh by our modules, one by one, and by other methods."""
 
 from __future__ import annotations
 
@@ -16,9 +14,7 @@ import torch
 from bunraku.anatomy.handles.predict import predict_handles
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.fitting import fitted_clothes
-from bunraku.apparel.learned.features import clip_features
 from bunraku.apparel.learned.network import DisplacementNetwork
-from bunraku.apparel.learned.player import ApparelPlayer
 from bunraku.apparel.learned.segmentation import find_apparel
 from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
 from bunraku.core.character import Character
@@ -27,7 +23,8 @@ from bunraku.core.geometry.simplify import network_mesh
 from bunraku.core.skinning import skin
 from bunraku.errors import WeightsError
 from bunraku_lab.baselines.pose_transfer import ROOM, TransferTarget
-from bunraku_lab.evaluation.apparel.clips import TrueClip, edge_score, point_distance
+from bunraku_lab.evaluation.apparel.clips import KnownPlayer, TrueClip, edge_score, point_distance
+from bunraku_lab.nn.apparel import clip_features
 from bunraku_lab.nn.blend_shapes import NbsConfig, NbsNetwork, edge_mesh, local_rotations
 from bunraku_lab.nn.checkpoints import lab_checkpoint
 from bunraku_lab.nn.pose_transfer import TransferConfig, TransferNetwork
@@ -65,7 +62,6 @@ __all__ = [
     "ten_frame_spans",
     "whole_figures",
 ]
-
 
 OURS, BEST, PARTS = "ours", "NBS, best skinning that there is", "SPT, floor without training"
 NBS, NBS_SHAPES, SPT, SPT_JOINTS = "NBS", "NBS, with blend shapes", "SPT", "SPT, joints given"
@@ -160,8 +156,7 @@ def whole_figures(clip: TrueClip, moved: np.ndarray, truth: np.ndarray) -> Figur
 
 
 def best_skinning(rest: np.ndarray, truth: np.ndarray, affine: np.ndarray) -> np.ndarray:
-    """The weights, not negative and with a sum of 1, that put vertices nearest to the truth of some frames, shape (V,
-    J).
+    """The convex weights that put vertices nearest to the truth of some frames, shape (V, J).
 
     The sum of squares is a quadratic of the weights, whose least on the simplex accelerated projected gradients find.
 
@@ -208,9 +203,7 @@ def part_weights(seen: np.ndarray) -> np.ndarray:
 
 
 def ten_frame_spans(clip: TrueClip) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """Ten frames at `STARTS` places of a clip: the first, affine transforms of the joints (10, 22, 3, 4), and where all
-    vertices are [m], (10, V, 3).
-    """
+    """Ten frames at `STARTS` of a clip: the first, the joints' affine transforms, and all vertices [m], (10, V, 3)."""
     everything = np.arange(len(clip.clothed.rest))
     for first in np.linspace(3, len(clip.transforms) - TEN - 1, STARTS).astype(int):
         span = slice(first, first + TEN)
@@ -252,7 +245,7 @@ def _from_true_state(
     clip: TrueClip, guessed: ClothedCharacter, network: DisplacementNetwork, first: int, moved: np.ndarray
 ) -> np.ndarray:
     """The skinned vertices with apparel as the network moves it on from the three true frames before `first`."""
-    player = ApparelPlayer(guessed, network, safe=False)
+    player = KnownPlayer(guessed, network, safe=False)
     player.start(clip.transforms[0])
     assert player.features is not None
     for pose in clip.transforms[: first - 3]:
@@ -279,13 +272,7 @@ FILES = {
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """Networks of another method.
-
-    Args:
-        name: Of its row.
-        digest: Of its weights.
-        network: Neural Blend Shapes, or a pose transfer.
-    """
+    """Networks of another method."""
 
     name: str
     digest: str
@@ -317,8 +304,7 @@ def rivals_of(folder: Path | None) -> list[Rival]:
 
 
 def floor_movers(clothed: ClothedCharacter, truth: np.ndarray, affine: np.ndarray) -> dict[str, Mover]:
-    """What needs no training, by the names of its rows: the best skinning that there is, and SPT's predicted parts
-    moved as the joints are.
+    """Rows that need no training: the best skinning, and SPT's predicted parts moved as the joints are.
 
     Args:
         clothed: The character, of which mesh and joints are used.
@@ -342,12 +328,7 @@ def rival_mover(clothed: ClothedCharacter, network: NbsNetwork | TransferNetwork
 
 
 def mover_rows(clip: TrueClip, mover: Mover) -> tuple[Figures, Figures]:
-    """Figures of a way from rest over the whole clip, and over ten frames at several places.
-
-    Args:
-        clip: The clip.
-        mover: The way.
-    """
+    """Figures of a way from rest over the whole clip, and over ten frames at several places."""
     frames = np.arange(0, len(clip.transforms), STRIDE)
     short = replace(clip, transforms=clip.transforms[frames], offsets=clip.offsets[frames])
     truth = short.truth(np.arange(len(clip.clothed.rest)))
@@ -365,9 +346,7 @@ MOST = 2000  # vertices that distances are taken of
 
 
 def mask_scores(clip: TrueClip, masks: Path | None = None) -> dict[str, float]:
-    """Intersection over union of the mask that is found, and the mean error of log10 stiffness where there is
-    apparel.
-    """
+    """Intersection over union of the mask that is found, and the mean error of log10 stiffness of apparel."""
     clothed = clip.clothed
     found = find_apparel(clothed.rest, clothed.faces, clothed.joints, masks)
     both, any_ = (found.mask & clothed.apparel).sum(), (found.mask | clothed.apparel).sum()

@@ -102,11 +102,6 @@ def evaluate_apparel(
 ) -> dict[str, Any]:
     """Measure all rows.
 
-    Args:
-        config: What is measured.
-        progress: Called with a stage's name and the share done.
-        parts: Measures each clip, or knows what was measured of it before.
-
     Returns:
         The keys of `APPAREL_BARS` and whether they are reached, the tables, and a row for each clip.
 

@@ -1,6 +1,4 @@
-"""How rigid the blocks of a figure stay in an animation and how well they stay jointed, in files that are written and
-read back.
-"""
+"""How rigid the blocks of a figure stay in an animation, and how well they stay jointed."""
 
 from __future__ import annotations
 
@@ -26,7 +24,6 @@ from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.requests import Request, Sampling
 
 __all__ = ["BlockMotion", "GAP", "SHEAR", "block_file", "block_joints", "block_motion"]
-
 
 SPACING = 0.005  # of the points that gaps are measured between, over the height: gaps are overrated by as much
 AROUND = 0.06  # points so near to where two blocks touch at rest are looked at, over the height

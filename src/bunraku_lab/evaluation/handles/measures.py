@@ -1,6 +1,4 @@
-"""What handles are measured by: each measure a function of arrays for one character, among them registration of all
-parts together, other resolutions of the surface, and stretched edges.
-"""
+"""What handles are measured by, for one character: registration, other resolutions, and stretched edges."""
 
 from __future__ import annotations
 
@@ -16,48 +14,25 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import handle_offsets, part_means, register, skin
 
 __all__ = [
-    "FAR",
-    "NAMED_PARTS",
-    "STRETCHED",
-    "accepted_handles",
-    "carried",
-    "drive",
-    "edge_error",
-    "edge_stretch",
-    "main_handles",
-    "part_handles",
-    "part_meaning",
-    "part_purity",
-    "pose_error",
-    "refine_registration",
-    "resampled",
-    "root_error",
-    "same_main_handle",
-    "stretch_of",
-    "truncation_error",
-    "weight_difference",
-]
-
+    "FAR", "NAMED_PARTS", "STRETCHED", "accepted_handles", "carried", "drive", "edge_error", "edge_stretch",
+    "main_handles", "part_handles", "part_meaning", "part_purity", "pose_error", "refine_registration", "resampled",
+    "root_error", "same_main_handle", "stretch_of", "truncation_error", "weight_difference",
+]  # fmt: skip
 
 _LIGHT = 1e-3  # weight under which a vertex has no say in a part
 
 
 def refine_registration(
-    source: np.ndarray,
-    targets: np.ndarray,
-    weights: np.ndarray,
-    transforms: np.ndarray,
-    fixed: tuple[int, ...] = (),
+    source: np.ndarray, targets: np.ndarray, weights: np.ndarray, transforms: np.ndarray, fixed: tuple[int, ...] = (),
     sweeps: int = 6,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Improve the motions of parts so that their blend comes closer to the targets, in the sense of least squares.
 
     Args:
         source: Rest vertices x [m], shape (V, 3).
         targets: Moved vertices of each frame [m], shape (N, V, 3).
         weights: Skinning weights, rows sum to 1, shape (V, K).
-        transforms: Affine motions to start from, `[R | o]` with x going to `sum_k w_k (R_k x + o_k)`, shape (N, K, 3,
-            4).
+        transforms: Affine motions `[R | o]` to start from, x going to `sum_k w_k (R_k x + o_k)`, shape (N, K, 3, 4).
         fixed: Parts whose motion stays.
         sweeps: How often each part is fitted.
 
@@ -240,9 +215,7 @@ def drive(
 def pose_error(
     rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, height: float, rooted: bool = True, together: bool = False
 ) -> float:
-    """Mean distance over vertices and poses between a posed mesh and what the handles make of it (`drive`), over the
-    height.
-    """
+    """Mean distance between a posed mesh and what the handles make of it (`drive`), over the height."""
     return float(np.linalg.norm(drive(rest, posed, weights, rooted, together) - posed, axis=-1).mean() / height)
 
 
@@ -259,8 +232,7 @@ def same_main_handle(first: np.ndarray, second: np.ndarray) -> float:
 def truncation_error(
     vertices: np.ndarray, full: np.ndarray, cut: np.ndarray, transforms: np.ndarray, height: float
 ) -> float:
-    """Mean distance over vertices and frames between a mesh that plays with all its weights and with fewer, over the
-    height.
+    """Mean distance between a mesh that plays with all its weights and with fewer, over the height.
 
     Args:
         vertices: Rest vertices [m], shape (V, 3).
@@ -274,8 +246,7 @@ def truncation_error(
 
 
 def resampled(character: Character, count: int) -> Character:
-    """A character with about `count` vertices: welded, then simplified by edge collapses or refined by halving long
-    edges.
+    """A character with about `count` vertices: welded, then simplified by edge collapses, or long edges halved.
 
     Args:
         character: Any mesh.

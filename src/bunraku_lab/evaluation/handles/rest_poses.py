@@ -1,6 +1,4 @@
-"""The same humanoid in other rest poses (T, A, arms down, sitting, crouching), and how much the rest pose shows in its
-animation.
-"""
+"""The same humanoid in other rest poses, and how much the rest pose shows in its animation."""
 
 from __future__ import annotations
 
@@ -23,15 +21,9 @@ from bunraku_lab.datasets.characters.training_character import TrainingCharacter
 from bunraku_lab.evaluation.handles.subjects import Subject
 
 __all__ = [
-    "REST_POSES",
-    "TRANSFER_POSES",
-    "code_made_motions",
-    "limb_directions",
-    "posed_limbs",
-    "rest_pose_transfer",
+    "REST_POSES", "TRANSFER_POSES", "code_made_motions", "limb_directions", "posed_limbs", "rest_pose_transfer",
     "true_handles",
-]
-
+]  # fmt: skip
 
 REST_POSES = ("T", "A", "arms down", "sitting")
 _ARM_DROP = {
@@ -67,9 +59,7 @@ def limb_directions(pose: str) -> dict[str, np.ndarray]:
 
 
 def _first(truth: TrainingCharacter, handle: str, mass: np.ndarray, under: int = -1) -> int:
-    """The joint at which a limb's part begins: of its joints whose parent is of another part the heaviest, -1 where
-    there is none.
-    """
+    """The joint at which a limb's part begins: the heaviest whose parent is of another part, or -1."""
     index = HANDLE_NAMES.index(handle)
     found = [
         j
@@ -144,11 +134,9 @@ def true_handles(one: Subject, vertices: np.ndarray) -> Handles:
 
 
 def rest_pose_transfer(
-    subjects: Iterable[Subject],
-    motions: Mapping[str, HandleMotion],
-    predict: Predict | None = None,
+    subjects: Iterable[Subject], motions: Mapping[str, HandleMotion], predict: Predict | None = None,
     stages: Stages | None = None,
-) -> dict[str, float]:
+) -> dict[str, float]:  # fmt: skip
     """Mean distance between a character animated from a rest pose and from its T-pose, over its height, by pose and as
     "mean"; "in place" without each frame's position on the floor, and "ground" of the lowest vertex.
 
@@ -231,8 +219,6 @@ def code_made_motions(seconds: float = 2.0) -> dict[str, HandleMotion]:
         "spine2": ("z", 5 * beat),
     }
     return {
-        "walk": motion(walk),
-        "wave": motion(wave),
-        "squat": motion(squat | {"spine1": ("x", 25 * up)}),
+        "walk": motion(walk), "wave": motion(wave), "squat": motion(squat | {"spine1": ("x", 25 * up)}),
         "jumping jack": motion(jack),
-    }
+    }  # fmt: skip

@@ -1,6 +1,4 @@
-"""The characters that handles are measured on: original vertices with the truth of their rigs, among them detailed
-people that no training saw.
-"""
+"""The characters that handles are measured on, with the truth of their rigs."""
 
 from __future__ import annotations
 
@@ -26,18 +24,9 @@ from bunraku_lab.datasets.characters.training_character import (
 )
 
 __all__ = [
-    "ARCHIVE",
-    "AVATARS",
-    "Subject",
-    "WARDROBE",
-    "detailed_subjects",
-    "find_files",
-    "is_humanoid",
-    "load_subject",
-    "subject",
-    "subject_name",
-]
-
+    "ARCHIVE", "AVATARS", "Subject", "WARDROBE", "detailed_subjects", "find_files", "is_humanoid", "load_subject",
+    "subject", "subject_name",
+]  # fmt: skip
 
 _NEEDED = tuple(
     HANDLE_NAMES.index(name) for name in ("pelvis", "head", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
@@ -98,11 +87,6 @@ def is_humanoid(truth: TrainingCharacter) -> bool:
 
 def subject(character: Character, name: str, path: Path | None = None) -> Subject:
     """A rigged character, turned to face +Z as in training, with the truth of its rig on its own vertices.
-
-    Args:
-        character: With a rig.
-        name: Its name in the archive; some rigs are known by it.
-        path: Its file, where it has one.
 
     Raises:
         CharacterError: It has no rig, or a rig that moves nothing.
@@ -177,12 +161,7 @@ WARDROBE: tuple[int, ...] = tuple(range(900_000, 900_010))
 
 
 def detailed_subjects(characters: Path | None = None, avatars: Path | None = None) -> dict[str, Callable[[], Subject]]:
-    """How to load each detailed person, by name; files that are not there are left out.
-
-    Args:
-        characters: Folder of the archive.
-        avatars: Folder of avatars, searched through.
-    """
+    """How to load each detailed person, by name; files that are not there are left out."""
     out: dict[str, Callable[[], Subject]] = {}
     for name in ARCHIVE if characters is not None else ():
         assert characters is not None

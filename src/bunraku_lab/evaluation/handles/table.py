@@ -1,6 +1,4 @@
-"""The table of the Mesh Handle Predictor (`bunraku evaluate handles`): the trials of one character, its orientation,
-and the sums. Definitions are in `docs/evaluation.md`.
-"""
+"""The table of the Mesh Handle Predictor (`bunraku evaluate handles`); definitions are in `docs/evaluation.md`."""
 
 from __future__ import annotations
 
@@ -33,19 +31,9 @@ from bunraku_lab.evaluation.handles.subjects import Subject, find_files, load_su
 from bunraku_lab.evaluation.report import Bar, measured_in, percent, reached_bars
 
 __all__ = [
-    "BARS",
-    "Predict",
-    "Reference",
-    "code_made_subjects",
-    "evaluate_handles",
-    "folder_subjects",
-    "measure_orientation",
-    "measure_subject",
-    "prediction_seconds",
-    "purity_of",
-    "resolution_differences",
-]
-
+    "BARS", "Predict", "Reference", "code_made_subjects", "evaluate_handles", "folder_subjects", "measure_orientation",
+    "measure_subject", "prediction_seconds", "purity_of", "resolution_differences",
+]  # fmt: skip
 
 BARE, RULED = ".obj", ".glb"
 """Formats that a character is judged in: one that does not say how it stands, and one whose rule is +Y up."""
@@ -83,11 +71,9 @@ def measure_orientation(one: Subject) -> dict[str, Any]:
         warned.append(not standing.sure)
     return {
         "orientation_humanoids" if one.humanoid else "orientation_creatures": float(np.mean(both)),
-        "orientation_up": float(np.mean(ups)),
-        "orientation_front": float(np.mean(fronts)),
-        "orientation_upright": float(upright),
-        "orientation_warned": float(np.mean(warned)) if warned else None,
-    }
+        "orientation_up": float(np.mean(ups)), "orientation_front": float(np.mean(fronts)),
+        "orientation_upright": float(upright), "orientation_warned": float(np.mean(warned)) if warned else None,
+    }  # fmt: skip
 
 
 def _judged(seen: np.ndarray, suffix: str) -> Orientation:
@@ -96,9 +82,7 @@ def _judged(seen: np.ndarray, suffix: str) -> Orientation:
 
 
 def _permutation(up: str, front: str) -> np.ndarray:
-    """For each of `ORIENTATIONS` of a mesh that was laid so that `up` is up and `front` the front: the one that it was
-    when the mesh stood, shape (24,).
-    """
+    """For each of `ORIENTATIONS` of a mesh that was laid down: the one that it was when the mesh stood, shape (24,)."""
     rotations = right_angle_rotations()
     before = rotations @ upright_rotation(up, front).T
     return np.asarray((before[:, None] == rotations[None]).all(axis=(2, 3)).argmax(axis=1))
@@ -258,18 +242,14 @@ def _clips(one: Subject, handles: Handles) -> list[HandleMotion]:
         frames = np.unique(np.linspace(0, count - 1, CLIP_FRAMES).round().astype(int))
         posed = animation.vertices(frames) @ one.turn.T.astype(np.float32)
         if np.isfinite(posed).all():
-            out.append(
-                handle_motion_of_mesh(
-                    one.character.vertices, posed, handles.weights, handles.positions, one.truth.areas, CLIP_RATE
-                )
-            )
+            out.append(handle_motion_of_mesh(
+                one.character.vertices, posed, handles.weights, handles.positions, one.truth.areas, CLIP_RATE,
+            ))  # fmt: skip
     return out
 
 
 def _walk(one: Subject, handles: Handles) -> dict[str, float]:
-    """How far edges are stretched when the character walks: `stretched_edges`, `most_stretched`, and
-    `whole_in_walks`, 1 where none is torn.
-    """
+    """How far edges stretch when the character walks; `whole_in_walks` is 1 where none is torn."""
     from bunraku.pipelines.animate import animate
 
     walk = animate(one.character, WALK, seconds=WALK_SECONDS, seed=0, handles=handles, candidates=1)
@@ -325,7 +305,6 @@ RESAMPLED = 30
 SPEEDS = {"seconds_5k": 5_000, "seconds_200k": 200_000}
 
 Load = Callable[[], Subject]
-
 
 BARS: dict[str, Bar] = {
     "root_error": Bar("root: first handle to the root joint, over the height", most=0.03, show=percent(2)),
@@ -414,16 +393,10 @@ def _mean(rows: Iterable[Mapping[str, float | None]], key: str) -> float | None:
 
 
 def evaluate_handles(
-    subjects: dict[str, Load],
-    *,
-    detailed: dict[str, Load] | None = None,
-    checkpoint: str | Path | None = None,
-    baselines: bool = True,
-    speed: bool = True,
-    seed: int = 0,
-    jobs: int | str = 1,
+    subjects: dict[str, Load], *, detailed: dict[str, Load] | None = None, checkpoint: str | Path | None = None,
+    baselines: bool = True, speed: bool = True, seed: int = 0, jobs: int | str = 1,
     progress: Callable[[str, float], None] | None = None,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """Measure the predictor on characters.
 
     Args:
@@ -434,7 +407,6 @@ def evaluate_handles(
         speed: Also take the time of predictions.
         seed: Of the random poses and of the clusters.
         jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         Numbers and lists that JSON can say: the measures of `BARS` (shares, or seconds; None where no character fits
@@ -484,21 +456,16 @@ def evaluate_handles(
     if rivals and result["reached"]["pose_error"]:
         result["reached"]["pose_error"] = bool(result["pose_error"] < min(rivals))
     result["counts"] = {
-        "characters": len(rows),
-        "humanoids": sum(row["humanoid"] for row in rows),
-        "resampled": len(chosen),
+        "characters": len(rows), "humanoids": sum(row["humanoid"] for row in rows), "resampled": len(chosen),
         "detailed": len(fine),
-    }
+    }  # fmt: skip
     return result | {"left_out": left_out, "characters": rows, "detailed": fine}
 
 
 def _detailed(
-    people: dict[str, Load],
-    known: dict[str, float | None],
-    predict: Predict,
-    left_out: dict[str, str],
+    people: dict[str, Load], known: dict[str, float | None], predict: Predict, left_out: dict[str, str],
     report: Callable[[str, float], None],
-) -> dict[str, float]:
+) -> dict[str, float]:  # fmt: skip
     """Part purity of each detailed person by name; those that are measured already are not looked at again."""
     out: dict[str, float] = {}
     for number, (name, load) in enumerate(people.items()):

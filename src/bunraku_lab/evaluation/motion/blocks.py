@@ -35,15 +35,11 @@ SCRIPT = (
 )  # fmt: skip
 """The clip of 60 s of five prompts, 12 s each."""
 FAST_SCRIPT = (
-    "a person walks forward",
-    "a person runs",
-    "a person jumps up",
-    "a person dances",
+    "a person walks forward", "a person runs", "a person jumps up", "a person dances",
     "a person waves with the right hand",
-)
+)  # fmt: skip
 """The same with what is many times as fast as the median by nature."""
 SEAM_SEEDS = 3
-
 
 BARS = {
     "r_precision_1_over_real": Bar("R-Precision top-1 over that of the real data, one sample of the network", 0.80),
@@ -70,9 +66,7 @@ BARS = {
 
 
 def speed_block(config: MotionEvalConfig) -> dict[str, float]:
-    """Seconds from a known sentence to a handle motion of 196 frames, alone and in a batch of 8; the best of three, and
-    of two.
-    """
+    """Seconds from a known sentence to 196 frames, alone (best of three) and in a batch of 8 (best of two)."""
     from bunraku.generation.generate import generate_motion, generate_motions
     from bunraku.language.parse import clauses_of
 
@@ -95,9 +89,7 @@ def speed_block(config: MotionEvalConfig) -> dict[str, float]:
 
 
 def seam_block(config: MotionEvalConfig) -> dict[str, float]:
-    """Clips of 60 s of five prompts: the largest step of the handles from frame to frame near a seam, over the median
-    of the clip; means of seeds.
-    """
+    """60 s of five prompts: the largest step of the handles near a seam over the median of the clip; means of seeds."""
     from bunraku.generation.generate import generate_motions
     from bunraku.language.parse import clauses_of
     from bunraku_lab.evaluation.motion.metrics import measure_seams
@@ -107,12 +99,9 @@ def seam_block(config: MotionEvalConfig) -> dict[str, float]:
         parts = clauses_of((prompt, 12.0) for prompt in script)
         seeds = [config.seed + number for number in range(SEAM_SEEDS)]
         motions = generate_motions(
-            [parts] * SEAM_SEEDS,
-            seeds=seeds,
-            steps=config.steps,
-            guidance=config.guidance,
+            [parts] * SEAM_SEEDS, seeds=seeds, steps=config.steps, guidance=config.guidance,
             checkpoint=config.checkpoint,
-        )
+        )  # fmt: skip
         found = [
             measure_seams(motion, [round(12 * number * motion.fps) for number in range(1, len(script))])
             for motion in motions
@@ -145,9 +134,7 @@ def handle_fid_block(config: MotionEvalConfig, count: int, progress: Progress) -
 
 
 def foot_block(config: MotionEvalConfig, count: int, progress: Progress) -> dict[str, float]:
-    """Feet of generated motions of held-out sentences, on the reference body and on unseen humanoids of the characters'
-    folder.
-    """
+    """Feet of motions of held-out sentences, on the reference body and on unseen humanoids."""
     from bunraku_lab.evaluation.motion.characters import chosen_files, foot_figures, load_named
 
     characters = []
@@ -169,13 +156,9 @@ def arap_block(config: MotionEvalConfig, quick: bool, progress: Progress) -> dic
     files = [file for unseen in (False, True) for file in chosen_files(config.characters, unseen, 3 if quick else 15)]
     characters = load_named(files, config.characters, progress=lambda done: progress(0.3 * done))
     return arap_figures(
-        characters,
-        config.checkpoint,
-        2 if quick else 6,
-        config.steps,
-        config.seed,
+        characters, config.checkpoint, 2 if quick else 6, config.steps, config.seed,
         lambda done: progress(0.3 + 0.7 * done),
-    )
+    )  # fmt: skip
 
 
 def _windows(
@@ -209,7 +192,6 @@ def add_blocks(result: dict[str, object], config: MotionEvalConfig, quick: bool,
         result: Gets the figures, None where a block could not run, and "left_out" with the reasons.
         config: Settings.
         quick: Measure on few motions.
-        report: Called with a stage's name and the share done.
     """
     left_out = result.setdefault("left_out", {})
     assert isinstance(left_out, dict)

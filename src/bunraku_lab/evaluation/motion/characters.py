@@ -26,26 +26,10 @@ from bunraku_lab.datasets.characters.build import HELD_OUT
 from bunraku_lab.evaluation.handles.subjects import find_files, load_subject, subject_name
 
 __all__ = [
-    "ARAP_PROMPTS",
-    "ArapRow",
-    "ArapTable",
-    "Gauge",
-    "MotionQuality",
-    "Named",
-    "animation_arap",
-    "arap_figures",
-    "arap_loss",
-    "chosen_files",
-    "foot_figures",
-    "gauge",
-    "load_named",
-    "measure",
-    "measure_adaptation",
-    "mesh_features",
-    "pooled",
-    "stage_effects",
-]
-
+    "ARAP_PROMPTS", "ArapRow", "ArapTable", "Gauge", "MotionQuality", "Named", "animation_arap", "arap_figures",
+    "arap_loss", "chosen_files", "foot_figures", "gauge", "load_named", "measure", "measure_adaptation",
+    "mesh_features", "pooled", "stage_effects",
+]  # fmt: skip
 
 ARAP_PROMPTS: tuple[str, ...] = (
     "a person walks forward", "a person runs", "a person waves with the right hand", "a person kicks with the left leg",
@@ -96,8 +80,7 @@ class ArapRow:
     Args:
         name: Its name.
         unseen: Whether no training sees it.
-        adapted: ARAP-Loss with the adaptation: the network's, and its last step on the very mesh, which is the stage
-            `shape`.
+        adapted: ARAP-Loss with the network's adaptation and its last step on the very mesh, the stage `shape`.
         learned: With the network's adaptation alone.
         plain: Without both: delta = 0.
         loose: Without the stage `attach` too: the paper's setting without adaptation.
@@ -120,8 +103,7 @@ class ArapTable:
     rows: tuple[ArapRow, ...]
 
     def ratio(self, unseen: bool, kind: str = "adapted") -> float:
-        """ARAP-Loss with the adaptation over without, each the mean over the characters that are (un)seen; NaN without
-        any.
+        """ARAP-Loss with the adaptation over without, means over (un)seen characters; NaN without any.
 
         Args:
             unseen: Which characters.
@@ -146,16 +128,10 @@ STRIDE = 2
 
 
 def measure_adaptation(
-    characters: Sequence[tuple[str, Character, Handles]],
-    prompts: Sequence[str] = ARAP_PROMPTS,
-    *,
-    seconds: float = 3.0,
-    steps: int | None = None,
-    seed: int = 0,
-    checkpoint: str | Path | None = None,
-    stages: Stages | None = None,
-    progress: Callable[[str, float], None] | None = None,
-) -> ArapTable:
+    characters: Sequence[tuple[str, Character, Handles]], prompts: Sequence[str] = ARAP_PROMPTS, *,
+    seconds: float = 3.0, steps: int | None = None, seed: int = 0, checkpoint: str | Path | None = None,
+    stages: Stages | None = None, progress: Callable[[str, float], None] | None = None,
+) -> ArapTable:  # fmt: skip
     """ARAP-Loss of generated motions on characters, with and without the adaptation; the motions are the same.
 
     Args:
@@ -166,12 +142,12 @@ def measure_adaptation(
         seed: Of the first prompt; each has its own.
         checkpoint: Weights in place of the shipped ones.
         stages: Stages of the fit; all when None.
-        progress: Called with a stage's name and the share done.
     """
     from bunraku.core.nn.layers import one_thread
     from bunraku.generation.generate import GUIDANCE, STEPS, adapt
     from bunraku.generation.networks import load_generator
-    from bunraku.generation.sampler import Solver, sample
+    from bunraku.generation.sampler import Solver
+    from bunraku_lab.evaluation.motion.samples import sample
 
     model, encoder = load_generator(checkpoint)
     text = encoder.encode(list(prompts))
@@ -278,20 +254,13 @@ def gauge(character: Character, handles: Handles) -> Gauge:
     floor = float(character.vertices[stands, 1].min())
     feet = tuple(leg.foot_area[:: max(1, len(leg.foot_area) // POINTS)] for leg in legs)
     return Gauge(
-        character,
-        handles,
-        feet,
-        tuple(leg.length for leg in legs),
-        stands[:: max(1, len(stands) // SINK)],
-        joints.present,
-        floor,
-    )
+        character, handles, feet, tuple(leg.length for leg in legs), stands[:: max(1, len(stands) // SINK)],
+        joints.present, floor,
+    )  # fmt: skip
 
 
 def _slides(what: Gauge, transforms: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Ways of feet that are down from a frame to the next [cm], whether each is no swing, and how many pairs of frames
-    and feet there are.
-    """
+    """Paths of feet that are down [cm], whether each is no swing, and the number of pairs of frames and feet."""
     ways, slid, count = [], [], 0
     h = what.handles.positions
     root = transforms[:, 0, :, :3] @ h[0] + transforms[:, 0, :, 3]
@@ -330,12 +299,7 @@ def _jitter(what: Gauge, transforms: np.ndarray) -> float:
 
 
 def measure(what: Gauge, motion: HandleMotion) -> MotionQuality:
-    """All measures of one motion of a character.
-
-    Args:
-        what: The character's gauge.
-        motion: Motion of its handles.
-    """
+    """All measures of one motion of a character."""
     transforms = motion.transforms(what.handles.positions)
     ways, slid, count = _slides(what, transforms, motion.fps)
     depths = _depths(what, transforms)
@@ -369,12 +333,7 @@ def pooled(found: Sequence[MotionQuality]) -> MotionQuality:
 def stage_effects(
     motions: Sequence[HandleMotion], characters: Mapping[str, tuple[Character, Handles]]
 ) -> list[dict[str, float | str]]:
-    """What each cleaning stage does: every motion on every character with all stages, with each left out once, and with
-    none of them.
-
-    Args:
-        motions: Of the reference body.
-        characters: Character and handles by name.
+    """What each cleaning stage does: every motion on every character with all, without each, and with none of them.
 
     Returns:
         A row for each character and case: `character` (of all together: "all"), `without` (a stage, "nothing" or
@@ -419,8 +378,7 @@ Progress = Callable[[float], None]
 
 
 def chosen_files(folder: Path, unseen: bool, count: int) -> list[Path]:
-    """At most `count` character files of a folder, evenly over their sorted names: those that no training sees, or the
-    others.
+    """At most `count` character files of a folder, evenly over their names: those unseen in training, or the others.
 
     Raises:
         FormatError: There are no characters.
@@ -434,15 +392,7 @@ def chosen_files(folder: Path, unseen: bool, count: int) -> list[Path]:
 def load_named(
     files: Sequence[Path], folder: Path, humanoids: bool = False, progress: Progress | None = None
 ) -> list[Named]:
-    """Characters facing +Z with the handles that the predictor gives them; files that cannot be used are left out with
-    a warning.
-
-    Args:
-        files: Their files.
-        folder: What their names are relative to.
-        humanoids: Leave out all that are not.
-        progress: Called with the share done.
-    """
+    """Characters facing +Z with predicted handles; files that cannot be used are left out with a warning."""
     found: list[Named] = []
     for done, file in enumerate(files, 1):
         try:
@@ -469,17 +419,11 @@ def mesh_features(folder: Path, names: Collection[str]) -> dict[str, np.ndarray]
 def arap_figures(
     characters: Sequence[Named], checkpoint: Path | None, prompts: int, steps: int | None, seed: int, progress: Progress
 ) -> dict[str, float | None]:
-    """ARAP-Loss of generated motions with the adaptation, without, and the ratio of both, on seen and on unseen
-    characters.
-    """
+    """ARAP-Loss with and without the adaptation, and the ratio, on seen and on unseen characters."""
     table = measure_adaptation(
-        characters,
-        ARAP_PROMPTS[:prompts],
-        steps=steps,
-        seed=seed,
-        checkpoint=checkpoint,
+        characters, ARAP_PROMPTS[:prompts], steps=steps, seed=seed, checkpoint=checkpoint,
         progress=lambda stage, done: progress(done),
-    )
+    )  # fmt: skip
     out: dict[str, float | None] = {}
     for unseen, word in ((False, "seen"), (True, "unseen")):
         means = table.means(unseen)
@@ -491,13 +435,11 @@ def arap_figures(
 
 
 def foot_figures(features: Sequence[np.ndarray], characters: Sequence[Named], progress: Progress) -> dict[str, float]:
-    """Sliding, sinking and jitter of generated motions on the reference body and on characters, with all stages and
-    without them.
+    """Sliding, sinking and jitter of motions on the reference body and on characters, with and without the stages.
 
     Args:
         features: Motions of the reference body, each of shape (N, 271).
         characters: Further characters.
-        progress: Called with the share done.
     """
     body = reference_body()
     everyone: list[Named] = [("reference", body.character(), body.handles), *characters]

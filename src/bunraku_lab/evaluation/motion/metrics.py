@@ -1,6 +1,4 @@
-"""Measures of generated motion: those of Guo et al. 2022 on the vectors of the feature extractor (section 4.1 of
-TapMo), Handle-FID on two bodies, and how smoothly windows meet.
-"""
+"""Measures of generated motion: those of Guo et al. 2022 (section 4.1 of TapMo), Handle-FID, and seams."""
 
 from __future__ import annotations
 
@@ -20,23 +18,10 @@ from bunraku.generation.features import decode
 from bunraku.retarget.fit import fit_motion
 
 __all__ = [
-    "BODIES",
-    "Interval",
-    "SeamReport",
-    "body_handles",
-    "diversity",
-    "fid",
-    "frechet_distance",
-    "handle_fid",
-    "handle_samples",
-    "interval",
-    "measure_seams",
-    "multimodal_distance",
-    "multimodality",
-    "posed_positions",
-    "r_precision",
-    "t_quantile",
-]
+    "BODIES", "Interval", "SeamReport", "body_handles", "diversity", "fid", "frechet_distance", "handle_fid",
+    "handle_samples", "interval", "measure_seams", "multimodal_distance", "multimodality", "posed_positions",
+    "r_precision", "t_quantile",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -55,9 +40,7 @@ def t_quantile(degrees: int) -> float:
 
 
 def interval(values: Sequence[float]) -> Interval:
-    """Mean and 95 % interval of independent runs: t times the standard deviation over the root of their number; 0 wide
-    for one run.
-    """
+    """Mean and 95 % interval of independent runs (Student's t); 0 wide for one run."""
     found = np.asarray(values, float)
     if len(found) < 2:
         return Interval(float(found.mean()), 0.0)
@@ -90,8 +73,7 @@ def frechet_distance(
 ) -> float:
     """Squared Frechet distance of two Gaussians (Dowson & Landau 1982): |m_a - m_b|^2 + tr(A + B - 2 (A B)^(1/2)).
 
-    The trace of the root is the sum of the singular values of A^(1/2) B^(1/2), which stays real and stable where a
-    covariance is singular.
+    The trace of the root is the sum of the singular values of A^(1/2) B^(1/2), also of singular covariances.
 
     Args:
         mean_a: Shape (E,).
@@ -123,9 +105,7 @@ def fid(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def diversity(vectors: np.ndarray, random: np.random.Generator, pairs: int = 300) -> float:
-    """Mean distance of motions drawn in two lists without repetition (Guo et al. 2022), shape (B, E); `pairs` of them
-    at most B / 2.
-    """
+    """Mean distance of motions drawn in two lists without repetition (Guo et al. 2022), shape (B, E)."""
     count = min(pairs, len(vectors) // 2)
     if count < 1:
         raise OptionError("Diversity needs at least 2 motions")
@@ -226,9 +206,7 @@ class SeamReport:
 
 
 def posed_positions(motion: HandleMotion, positions: np.ndarray | None = None) -> np.ndarray:
-    """World positions of the handles [m], shape (N, K, 3); of the reference body's unless rest positions (K, 3) are
-    given.
-    """
+    """World positions of the handles [m], shape (N, K, 3), at given rest positions (K, 3) or the reference body's."""
     rest = np.asarray(reference_body().handles.positions if positions is None else positions, float)
     transforms = motion.transforms(rest).astype(float)
     return np.asarray(posed_points(transforms, rest))

@@ -1,6 +1,4 @@
-"""The motions that the table compares: windows of captioned clips, and motions made and kept in a folder so that a
-stopped evaluation can go on.
-"""
+"""The motions that the table compares: windows of captioned clips, and motions made and kept in a folder."""
 
 from __future__ import annotations
 
@@ -16,6 +14,7 @@ import numpy as np
 
 from bunraku.core.files import atomic_write, weights_file
 from bunraku.errors import OptionError
+from bunraku.generation import sampler
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, mirror
 from bunraku.language.captions import mirror_words
 from bunraku_lab.description.captions import caption_group, caption_variants, normalise_label
@@ -23,23 +22,12 @@ from bunraku_lab.training.rows.clips import ClipEntry
 
 if TYPE_CHECKING:
     from bunraku.generation.denoiser import Denoiser
-    from bunraku.language.encoders import TextEncoder
+    from bunraku.language.encoders import TextBatch, TextEncoder
 
 __all__ = [
-    "LENGTHS",
-    "Request",
-    "SHORTEST",
-    "SamplerSettings",
-    "Window",
-    "candidate_sentences",
-    "checkpoint_digest",
-    "choose_motions",
-    "draw_windows",
-    "make_motions",
-    "window_features",
-    "window_meaning",
-]
-
+    "LENGTHS", "Request", "SHORTEST", "SamplerSettings", "Window", "candidate_sentences", "checkpoint_digest",
+    "choose_motions", "draw_windows", "make_motions", "sample", "window_features", "window_meaning",
+]  # fmt: skip
 
 SHORTEST = 40
 """Frames: HumanML3D leaves out clips of less than 2 s, and so do we."""
@@ -86,12 +74,9 @@ def _shares(clips: Mapping[str, ClipEntry], names: list[str]) -> np.ndarray:
 
 
 def draw_windows(
-    clips: Mapping[str, ClipEntry],
-    count: int,
-    random: np.random.Generator,
-    shortest: int = SHORTEST,
+    clips: Mapping[str, ClipEntry], count: int, random: np.random.Generator, shortest: int = SHORTEST,
     longest: int = 196,
-) -> list[Window]:
+) -> list[Window]:  # fmt: skip
     """Windows at random places, half of them mirrored.
 
     A clip of at most `longest` frames gives windows of three fifths of its length or more; a longer one of three fifths
@@ -162,12 +147,10 @@ def candidate_sentences(
                 "asked for"
             )
         drawn = [others[index] for index in random.permutation(len(others))[: count - 1]]
-        rows.append(
-            [
-                window.sentence,
-                *(by_meaning[meaning][int(random.integers(len(by_meaning[meaning])))] for meaning in drawn),
-            ]
-        )
+        rows.append([
+            window.sentence,
+            *(by_meaning[meaning][int(random.integers(len(by_meaning[meaning])))] for meaning in drawn),
+        ])  # fmt: skip
     return rows
 
 
@@ -178,12 +161,7 @@ CHOOSING = ("ranker", "critic", "examples")
 
 @dataclass(frozen=True)
 class Request:
-    """A motion to be made.
-
-    Args:
-        sentence: What it shows.
-        frames: Its length N.
-    """
+    """A motion to be made."""
 
     sentence: str
     frames: int
@@ -223,17 +201,44 @@ def checkpoint_digest(path: Path) -> str:
         raise OptionError(f"{path}: these weights cannot be read ({error.strerror}); give another file") from error
 
 
+def sample(
+    model: Denoiser, text: TextBatch, frames: int | Sequence[int], solver: sampler.Solver | None = None, *,
+    mesh_features: np.ndarray | None = None, seed: int = 0, known: tuple[np.ndarray, np.ndarray] | None = None,
+) -> sampler.Sample:  # fmt: skip
+    """One motion for each sentence, of one window each, all in one batch.
+
+    Args:
+        model: The denoiser.
+        text: B encoded sentences.
+        frames: Length N of the motions, or of each; all are padded with zeros to the longest.
+        solver: How they are denoised.
+        mesh_features: f_phi of each row's character, shape (B, 448); None for no mesh in particular.
+        seed: Of the starting noise.
+        known: Values to keep in network units, shape (B, N, D), and how far, shape (N,) or (N, D).
+    """
+    rows, size = len(text.mask), model.config.features
+    lengths = [frames] * rows if isinstance(frames, int) else list(frames)
+    longest = max(lengths)
+    windows = [
+        sampler.Window(np.arange(row * longest, row * longest + length), np.ones(length, np.float32), row)
+        for row, length in enumerate(lengths)
+    ]
+    steering = sampler.Steering()
+    if known is not None:
+        share = np.tile(known[1].reshape(longest, -1), (rows, 1))
+        steering = sampler.Steering(known=(known[0].reshape(-1, size), share))
+    noise = np.concatenate([sampler.row_noise(longest, size, seed, row) for row in range(rows)])
+    found = sampler.sample_windows(
+        model, text, windows, noise, solver or sampler.Solver(), steering, mesh_features=mesh_features
+    )
+    return sampler.Sample(*(part.reshape(rows, longest, *part.shape[1:]) for part in (found.values, found.adaptation)))
+
+
 def make_motions(
-    model: Denoiser,
-    encoder: TextEncoder,
-    requests: Sequence[Request],
-    sampling: SamplerSettings,
-    *,
-    folder: Path | None = None,
-    digest: str = "",
-    mesh_feature: np.ndarray | None = None,
+    model: Denoiser, encoder: TextEncoder, requests: Sequence[Request], sampling: SamplerSettings, *,
+    folder: Path | None = None, digest: str = "", mesh_feature: np.ndarray | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> list[np.ndarray]:
+) -> list[np.ndarray]:  # fmt: skip
     """Motions in the order of the requests, features in the data's units, each of shape (N, 271), float32.
 
     Args:
@@ -251,11 +256,10 @@ def make_motions(
         OptionError: A motion is longer than the model makes at once.
     """
     from bunraku.core.nn.layers import one_thread
-    from bunraku.generation.sampler import Solver, sample
 
     if sampling.steps is None or sampling.guidance is None:
         raise ValueError("what the network says alone needs a number of steps and a guidance")
-    solver = Solver(sampling.steps, sampling.guidance)
+    solver = sampler.Solver(sampling.steps, sampling.guidance)
     longest = max((request.frames for request in requests), default=0)
     if longest > model.config.frames:
         raise OptionError(
@@ -284,15 +288,10 @@ def make_motions(
 
 
 def choose_motions(
-    requests: Sequence[Request],
-    sampling: SamplerSettings,
-    checkpoint: Path,
-    *,
-    folder: Path | None = None,
+    requests: Sequence[Request], sampling: SamplerSettings, checkpoint: Path, *, folder: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> list[np.ndarray]:
-    """Motions as `bunraku animate` makes and chooses them, before they are fitted to a character; otherwise as
-    `make_motions`.
+) -> list[np.ndarray]:  # fmt: skip
+    """Motions as `bunraku animate` makes and chooses them, not fitted to a character; otherwise as `make_motions`.
 
     Args:
         requests: What to make.
@@ -324,19 +323,10 @@ def choose_motions(
 
 
 def _kept(
-    requests: Sequence[Request],
-    home: Path | None,
-    make: Callable[[list[int], int], np.ndarray],
+    requests: Sequence[Request], home: Path | None, make: Callable[[list[int], int], np.ndarray],
     progress: Callable[[int, int], None] | None,
-) -> list[np.ndarray]:
-    """Motions in the order of the requests, made in batches, each read from its folder where it is there already.
-
-    Args:
-        requests: What to make.
-        home: Folder of these very requests, weights and settings; None keeps nothing.
-        make: Makes the rows of batch `number`, shape (B, N, 271).
-        progress: Called with (motions done, total).
-    """
+) -> list[np.ndarray]:  # fmt: skip
+    """Motions in the order of the requests, made in batches, each read from its folder where it is there already."""
     if home is not None:
         home.mkdir(parents=True, exist_ok=True)
     out: list[np.ndarray] = [np.zeros((0, FEATURE_SIZE), np.float32)] * len(requests)

@@ -120,14 +120,9 @@ class Row:
 
 
 def measure_rows(
-    rows: Mapping[str, Row],
-    references: np.ndarray,
-    windows: list[Window],
-    clips: Mapping[str, ClipEntry],
-    sentences: Mapping[str, np.ndarray],
-    config: MotionEvalConfig,
-    report: Report,
-) -> None:
+    rows: Mapping[str, Row], references: np.ndarray, windows: list[Window], clips: Mapping[str, ClipEntry],
+    sentences: Mapping[str, np.ndarray], config: MotionEvalConfig, report: Report,
+) -> None:  # fmt: skip
     """All runs: adds the measures of each to the rows.
 
     Args:
@@ -137,7 +132,6 @@ def measure_rows(
         clips: What `load_clips` returned.
         sentences: The vector of each sentence.
         config: Settings.
-        report: Called with the stage and the share done.
     """
     for run in range(config.runs):
         drawn = np.random.default_rng([config.seed, run, 1]).permutation(len(windows))[: config.clips]
@@ -182,10 +176,6 @@ def _distinct(windows: Sequence[Window], count: int) -> list[Window]:
 
 def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> dict[str, Any]:
     """The table.
-
-    Args:
-        config: What to measure and how.
-        report: Called with a stage's name and the share done.
 
     Returns:
         Numbers and lists that JSON can say: "rows" by name ("real", "tapmo"), each measure with "mean" and

@@ -47,13 +47,9 @@ class ExtractorTrainConfig(MatchingTrainConfig):
 
 
 def retrieval_of(
-    model: Extractor,
-    encoder: TextEncoder,
-    clips: Mapping[str, ClipEntry],
-    windows: Sequence[Window],
-    candidates: int = 32,
-    seed: int = 0,
-) -> tuple[float, float, float]:
+    model: Extractor, encoder: TextEncoder, clips: Mapping[str, ClipEntry], windows: Sequence[Window],
+    candidates: int = 32, seed: int = 0,
+) -> tuple[float, float, float]:  # fmt: skip
     """Top-1, top-2 and top-3 R-Precision of real windows."""
     random = np.random.default_rng([seed, 3])
     rows = candidate_sentences(list(windows), clips, candidates, random)
@@ -63,13 +59,7 @@ def retrieval_of(
 
 
 class ExtractorTrainer(MatchingRun):
-    """One training run in memory.
-
-    Args:
-        config: Settings.
-        clips: To train on.
-        bank: Their sentences, encoded.
-    """
+    """One training run in memory."""
 
     config: ExtractorTrainConfig
     held: Mapping[str, ClipEntry]
@@ -130,18 +120,10 @@ def _sentences(clips: Mapping[str, ClipEntry]) -> set[str]:
 
 
 def train_extractor(
-    config: ExtractorTrainConfig,
-    report: Callable[[dict[str, float]], None] | None = None,
-    encoder: TextEncoder | None = None,
-    progress: Callable[[str, float], None] | None = None,
-) -> Path:
+    config: ExtractorTrainConfig, report: Callable[[dict[str, float]], None] | None = None,
+    encoder: TextEncoder | None = None, progress: Callable[[str, float], None] | None = None,
+) -> Path:  # fmt: skip
     """Train, or go on training, and return the path of the averaged weights.
-
-    Args:
-        config: The run.
-        report: Called with a row of the log at each validation.
-        encoder: In place of the built-in text encoder.
-        progress: Called with a stage's name and the share done.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another network.

@@ -1,18 +1,13 @@
-"""What a viewer of a motion sees: turning, waving, kicking with the requested leg, floating, trembling, the swing of
-the legs, hands inside the body, and contacts that slide.
-"""
+"""What a viewer of a motion sees: rotations, waving, kicking with the requested leg, floating and trembling."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import Anatomy
-from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_COUNT
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import heading
@@ -20,32 +15,13 @@ from bunraku.core.geometry.surface import part_extremes
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.generation.agreement import SIDES, Track, runs
-from bunraku.retarget.stages.animals import pairs_of
 from bunraku_lab.evaluation.motion.metrics import posed_positions
 
 __all__ = [
-    "DOERS",
-    "Pair",
-    "Slides",
-    "Wave",
-    "floating",
-    "gait_of",
-    "hands_in_body",
-    "heading_drift",
-    "kicking_side",
-    "lowest_points",
-    "moving_speed",
-    "punching_side",
-    "raised_side",
-    "sits",
-    "sliding_contacts",
-    "stepped_side",
-    "tremor",
-    "turned",
-    "wave_of",
-    "waving_side",
-]
-
+    "DOERS", "Wave", "floating", "heading_drift", "kicking_side",
+    "lowest_points", "moving_speed", "punching_side", "raised_side", "sits", "stepped_side",
+    "tremor", "turned", "wave_of", "waving_side",
+]  # fmt: skip
 
 DOWN = 0.05  # m over the ground; what is higher stands on nothing
 LONGEST_FLIGHT = 1.2  # s
@@ -158,9 +134,7 @@ def punching_side(motion: HandleMotion) -> str | None:
 
 
 def raised_side(motion: HandleMotion) -> str | None:
-    """The hand that is up at its shoulder for a quarter of a second while the other never is; None where both are, or
-    neither.
-    """
+    """The hand that is up at its shoulder for 0.25 s while the other never is; None for both or neither."""
     track = Track.of(motion)
     up = {}
     for side in SIDES:
@@ -243,161 +217,3 @@ def sits(motion: HandleMotion) -> bool:
     points = lowest_points(part)
     down = all(abs(float(np.median(points[side]))) <= TUCKED for side in SIDES)
     return down and float(np.median(part.root_translation[:, 1])) <= -SEATED
-
-
-LOW_PERCENTILE, HIGH_PERCENTILE = 5, 95
-"""Percentiles between which a leg swings."""
-NEAR = 24
-"""Vertices around a joint that tell where it is."""
-
-
-@dataclass(frozen=True)
-class Pair:
-    """A left and a right leg.
-
-    Args:
-        left: Through which angle the left one swings [degrees].
-        right: The same of the right one.
-        phase: How far the right one is behind the left one, in cycles, 0 to 1.
-    """
-
-    left: float
-    right: float
-    phase: float
-
-    @property
-    def ratio(self) -> float:
-        """The left one's swing over the right one's."""
-        return self.left / max(self.right, 1e-9)
-
-
-def gait_of(animation: Animation | RigAnimation, anatomy: Anatomy) -> list[Pair]:
-    """The pairs of legs of a body, the foremost first.
-
-    Args:
-        animation: In which it goes straight.
-        anatomy: Of its character, with the handles or bones that move it.
-    """
-    character = animation.character
-    whole = Anatomy(character, anatomy.handles, character, anatomy.handles)
-    vertices = animation.vertices().astype(np.float64)
-    middle = vertices.mean(axis=1)
-    way = (middle[-1] - middle[0]) * [1, 0, 1]
-    ahead = way / max(float(np.linalg.norm(way)), 1e-9) if np.linalg.norm(way) > 0.1 * character.height else [0, 0, 1.0]
-    pairs = []
-    for pair in pairs_of(whole.legs):
-        angles = []
-        for leg in pair:
-            near = np.argsort(np.linalg.norm(character.vertices - leg.joints[0], axis=1))[:NEAR]
-            down = vertices[:, leg.sole].mean(axis=1) - vertices[:, near].mean(axis=1)
-            angles.append(np.degrees(np.arctan2(down @ ahead, -down[:, 1])))
-        swings = [float(np.ptp(np.percentile(angle, [LOW_PERCENTILE, HIGH_PERCENTILE]))) for angle in angles]
-        pairs.append(Pair(swings[0], swings[1], _behind(*angles)))
-    return pairs
-
-
-def _behind(left: np.ndarray, right: np.ndarray) -> float:
-    """How far one signal is behind another in cycles of the strongest frequency they share."""
-    window = np.hanning(len(left))
-    spectra = [np.fft.rfft((one - one.mean()) * window, 4 * len(one)) for one in (left, right)]
-    shared = np.abs(spectra[0]) * np.abs(spectra[1])
-    peak = int(shared[4:].argmax()) + 4
-    return float((np.angle(spectra[0][peak]) - np.angle(spectra[1][peak])) / (2 * np.pi) % 1.0)
-
-
-DEEP = 0.01
-"""How deep a point of a hand in the body is seen [m]."""
-SOLE_HEIGHT = 0.03
-"""Height of a sole's lowest point with which it is on the ground [m]."""
-FAST = 1.0
-"""Speed along the ground with which a foot is swung [m/s]."""
-SLID = 0.03
-"""Way that is seen [m]."""
-MOMENT = 0.1
-"""Time in which it is [s]."""
-SOLE = 0.02
-"""How much higher than the lowest a point of a sole may be to be where the foot stands [m]."""
-
-
-@functools.cache
-def _trunk_and_hands() -> tuple[np.ndarray, np.ndarray]:
-    """Faces of the reference body without its arms, and some vertices of both hands."""
-    body = reference_body()
-
-    def moved_by(*ends: str) -> np.ndarray:
-        chosen = [name.endswith(ends) for name in HANDLE_NAMES]
-        return np.asarray(body.handle_weights[:, chosen].sum(axis=1))
-
-    arms = moved_by("collar", "shoulder", "elbow", "wrist", "fingers")
-    faces = body.character().faces
-    return faces[(arms[faces] < 0.5).all(axis=1)], np.flatnonzero(moved_by("wrist", "fingers") > 0.8)[::20]
-
-
-def hands_in_body(motion: HandleMotion, every: int = 2) -> np.ndarray:
-    """Whether a hand is more than 1 cm deep in the body without its arms, in every second frame, shape (N / 2,), bool:
-    by the generalised winding number of the posed surface (Jacobson et al. 2013).
-
-    Args:
-        motion: Of the reference body.
-        every: Frames from one to the next that is looked at.
-    """
-    import igl
-
-    body = reference_body()
-    faces, hands = _trunk_and_hands()
-    transforms = motion.transforms(body.handles.positions)
-    found = []
-    for frame in range(0, len(motion), every):
-        posed = skin(body.vertices, body.handle_weights, transforms[frame : frame + 1])[0].astype(np.float64)
-        points = posed[hands]
-        inside = igl.fast_winding_number(posed, faces.astype(np.int64), points) > 0.5
-        deep = 0.0
-        if inside.any():
-            deep = float(igl.point_mesh_squared_distance(points[inside], posed, faces.astype(np.int64))[0].max()) ** 0.5
-        found.append(deep > DEEP)
-    return np.array(found)
-
-
-class Slides(NamedTuple):
-    """Contacts, counted for each foot and each frame in which it stays on the ground to the next.
-
-    Args:
-        fast: How many slide more than 3 cm in a tenth of a second.
-        far: How many are more than 3 cm from where their contact began.
-        contacts: All of them.
-    """
-
-    fast: int
-    far: int
-    contacts: int
-
-
-def sliding_contacts(motion: HandleMotion) -> Slides:
-    """How feet slide that are on the ground and not swung; a foot is where the lowest part of its sole is, so rolling
-    is no way.
-
-    Args:
-        motion: Of the reference body.
-    """
-    body = reference_body()
-    transforms = motion.transforms(body.handles.positions)
-    fast = far = count = 0
-    for side in ("left", "right"):
-        columns = [HANDLE_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot")]
-        foot = body.handle_weights[:, columns].sum(axis=1) > 0.9
-        posed = skin(body.vertices[foot], body.handle_weights[foot], transforms)
-        height = posed[..., 1]
-        sole = height - height.min(axis=1, keepdims=True) < SOLE
-        both = sole[1:] & sole[:-1]
-        ways = (np.diff(posed[..., [0, 2]], axis=0) * both[..., None]).sum(axis=1)
-        ways /= np.maximum(both.sum(axis=1), 1)[:, None]
-        speed = np.linalg.norm(ways, axis=1) * motion.fps
-        low = height.min(axis=1) < SOLE_HEIGHT
-        down = low[1:] & low[:-1] & (speed < FAST)
-        from_start = np.zeros(2)
-        for frame in range(len(down)):
-            from_start = from_start + ways[frame] if down[frame] else np.zeros(2)
-            count += bool(down[frame])
-            fast += bool(down[frame] and speed[frame] * MOMENT > SLID)
-            far += bool(down[frame] and np.linalg.norm(from_start) > SLID)
-    return Slides(fast, far, count)

@@ -105,8 +105,7 @@ GAITS = ("walk", "run", "slow walk")
 
 
 def captured_clips(data: Path, wanted: Mapping[str, Captured]) -> dict[str, list[HandleMotion]]:
-    """Captured motions of people for each name: held-out ones, and those of the training split where there are fewer
-    than 8.
+    """Captured motions of people for each name: held-out ones, and training ones where there are fewer than 8.
 
     Args:
         data: Folder that `bunraku data motions` wrote.
@@ -140,11 +139,6 @@ def captured_clips(data: Path, wanted: Mapping[str, Captured]) -> dict[str, list
 
 def viewer_figures(config: MotionEvalConfig, quick: bool, report: Report) -> dict[str, Any]:
     """All figures of `VIEWER_BARS`, and tables by action.
-
-    Args:
-        config: Of it the data, the weights, the sampler and the seed.
-        quick: Fewer seeds.
-        report: Called with a stage's name and the share done.
 
     Returns:
         By key; a figure that could not be measured is None. Tables: "side_accuracy_by_action",
@@ -239,10 +233,8 @@ def _like_captured(make: Make, data: Path, seeds: int) -> dict[str, Any]:
     rough = [row["ratio"] for row in tremors.values() if row["ratio"] is not None]
     return {
         "speed_over_captured": max(ratios, key=lambda ratio: abs(np.log(max(ratio, 1e-9))), default=None),
-        "jitter_over_real": max(rough, default=None),
-        "speed_by_action": speeds,
-        "jitter_by_action": tremors,
-    }
+        "jitter_over_real": max(rough, default=None), "speed_by_action": speeds, "jitter_by_action": tremors,
+    }  # fmt: skip
 
 
 def _compared(

@@ -1,6 +1,4 @@
-"""All tables of a paper, measured: the figures of MMDMC, which groups of rows exist, what each needs, and whose figures
-become which row.
-"""
+"""All tables of a paper, measured: MMDMC's figures, groups of rows, what each needs, and which row is whose."""
 
 from __future__ import annotations
 
@@ -26,7 +24,6 @@ from bunraku_lab.evaluation.tables.tapmo import HANDLE_FID, MDM, TAPMO
 from bunraku_lab.nn.checkpoints import lab_checkpoint
 
 __all__ = ["MMDMC", "PAPERS", "TablesConfig", "measure_tables"]
-
 
 _COLUMNS = ("PMD", "PMD_a", "PMD_b", "ELS")
 _NBS = "--baselines has no such weights: bunraku train nbs"
@@ -84,7 +81,6 @@ MMDMC: tuple[PaperTable, ...] = (
         "network. After a minute they depend on the characters.",
     ),
 )  # fmt: skip
-
 
 PAPERS: dict[str, tuple[PaperTable, ...]] = {"tapmo": TAPMO, "mmdmc": MMDMC}
 _NETWORKS = ("diffusion", "extractor", "ranker", "critic", "handles")
@@ -158,10 +154,6 @@ class TablesConfig:
 
 def measure_tables(config: TablesConfig, report: Report | None = None) -> list[dict[str, Any]]:
     """The tables as JSON can say them (`measured_table`). What cannot be run says why, and all else is measured.
-
-    Args:
-        config: What is measured.
-        report: Called with a stage's name and the share done.
 
     Raises:
         OptionError: The paper has no such table.

@@ -94,11 +94,7 @@ class Group:
     others: Mapping[str, Any] | None = None
 
     def figures(self, work: Path) -> Figures:
-        """What was measured before of the same, or is measured now and kept.
-
-        Args:
-            work: Folder that keeps them.
-        """
+        """What was measured before of the same, or is measured now and kept."""
         kept = work / f"{self.name}-{_fingerprint({**self.of, **(self.others or {})})}.json"
         if kept.is_file():
             found: Figures = json.loads(kept.read_text(encoding="utf-8"))
@@ -134,13 +130,7 @@ def half_interval(values: Sequence[float]) -> float:
 
 
 def measured_table(table: PaperTable, figures: Figures, not_run: str = "") -> dict[str, Any]:
-    """A table as JSON can say it: of each row and column the paper's figure, ours, and both over the reference row's.
-
-    Args:
-        table: The table.
-        figures: What was measured.
-        not_run: Why nothing was.
-    """
+    """A table for JSON: in each row and column the paper's figure, ours, and both over the reference row's."""
     paper_of = {row.name: row.paper for row in table.rows}
     own_reference = table.reference if table.reference in figures or not table.stand_in else table.stand_in
     rows = []
@@ -151,12 +141,10 @@ def measured_table(table: PaperTable, figures: Figures, not_run: str = "") -> di
             own = figures.get(row.name, {}).get(column)
             base = paper_of.get(table.reference)
             cells[column] = {
-                "paper": said,
-                "ours": own,
-                "interval": figures.get(row.name, {}).get(f"{column} {EITHER_WAY}"),
+                "paper": said, "ours": own, "interval": figures.get(row.name, {}).get(f"{column} {EITHER_WAY}"),
                 "paper_over_reference": _over(said, None if base is None else base[index]),
                 "ours_over_reference": _over(own, figures.get(own_reference, {}).get(column)),
-            }
+            }  # fmt: skip
         reason = "" if row.name in figures else row.missing or not_run or "its group measured no such row"
         rows.append({"name": row.name, "cells": cells, "not_run": reason})
     return {
@@ -171,9 +159,7 @@ def _over(value: float | None, base: float | None) -> float | None:
 
 
 def shown_table(measured: Mapping[str, Any]) -> list[Table | str]:
-    """A measured table for people, the paper's figure before ours in each cell, and a line for each reason why rows
-    were not run.
-    """
+    """A measured table with the paper's figure before ours, and a line for each reason why rows were not run."""
     rows = [["paper / ours", *(cell for column in measured["columns"] for cell in (column, "ratio"))]]
     for row in measured["rows"]:
         cells = [row["cells"][column] for column in measured["columns"]]

@@ -1,6 +1,4 @@
-"""The tables of TapMo: the figures of the paper, and the rows of its table 2, measured: how far edges change their
-lengths, and the Handle-FID of the shape of moving bodies.
-"""
+"""The tables of TapMo: the paper's figures, and its table 2 measured: distortion of edges and Handle-FID."""
 
 from __future__ import annotations
 
@@ -65,20 +63,9 @@ if TYPE_CHECKING:
     from bunraku.generation.networks import Networks
 
 __all__ = [
-    "DistortionConfig",
-    "HANDLE_FID",
-    "MDM",
-    "NO_STAGES",
-    "SFR",
-    "TAPMO",
-    "adapted_weights",
-    "body_samples",
-    "measure_distortion",
-    "measure_handles",
-    "transferred_motion",
-    "transfers_of",
-]
-
+    "DistortionConfig", "HANDLE_FID", "MDM", "NO_STAGES", "SFR", "TAPMO", "adapted_weights", "body_samples",
+    "measure_distortion", "measure_handles", "transferred_motion", "transfers_of",
+]  # fmt: skip
 
 SFR = "MDM-SFR"
 
@@ -155,9 +142,7 @@ def measure_distortion(
 
 
 def _losses(config: DistortionConfig, named: Named, theirs: Sequence[HandleMotion]) -> dict[str, float]:
-    """Mean ARAP-Loss of each row on one character, but for those of trained baselines and adaptations; without those of
-    MDM-SR where it cannot be embedded.
-    """
+    """Mean ARAP-Loss of each row on one character, without trained baselines and adaptations."""
     _, character, handles = named
     anatomy = Anatomy.of(character, handles)
     ours = drawn_motions(config, config.checkpoint, handles.features)
@@ -180,9 +165,7 @@ def _losses(config: DistortionConfig, named: Named, theirs: Sequence[HandleMotio
 def _trained(
     config: DistortionConfig, theirs: Sequence[HandleMotion]
 ) -> Iterator[tuple[str, str, Callable[[Named], float]]]:
-    """The rows of trained adaptations and pose transfers: name, what tells its weights from others, and what measures a
-    character. One network is held at a time.
-    """
+    """The rows of trained adaptations and pose transfers: name, digest of the weights, and the measure."""
     from bunraku.generation.networks import Networks
 
     for row, adapter in config.adapters.items():
@@ -355,14 +338,12 @@ TAPMO: tuple[PaperTable, ...] = (
     ),
 )  # fmt: skip
 
-
 LEFT, RIGHT = HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")
 Motions = Sequence[HandleMotion]
 
 
 def body_samples(vertices: np.ndarray, body: ReferenceBody) -> np.ndarray:
-    """Where the handles that a body has are as it moves, seen from below the root with the hips to the sides, over its
-    height, shape (N, 3 K).
+    """A body's handles as it moves, from below the root with the hips to the sides, over its height, shape (N, 3 K).
 
     Args:
         vertices: In N frames [m], shape (N, V, 3).
@@ -386,7 +367,6 @@ def measure_handles(
         config: The networks.
         data: Folder that `bunraku data motions` wrote.
         count: Windows.
-        progress: Called with a stage's name and the share done.
         parts: Measures each row on each body, or knows what was measured of it before.
 
     Raises:

@@ -1,6 +1,4 @@
-"""One character of the table of motion transfer: what is measured of it with every motion, how far it stands off the
-ground.
-"""
+"""One character of the table of motion transfer: what is measured of it with every motion."""
 
 from __future__ import annotations
 
@@ -24,17 +22,9 @@ from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts
 
 __all__ = [
-    "SUFFIXES",
-    "Source",
-    "carried_heads",
-    "facing_character",
-    "ground_heights",
-    "limb_angles",
-    "measure_character",
-    "named_front",
-    "off_ground",
-]
-
+    "SUFFIXES", "Source", "carried_heads", "facing_character", "ground_heights", "limb_angles", "measure_character",
+    "named_front", "off_ground",
+]  # fmt: skip
 
 LEAP = 0.6
 """Who is in the air for no longer leaps [s]; runs of animals do so at every stride."""
@@ -58,8 +48,7 @@ def ground_heights(animation: Animation) -> np.ndarray:
 
 
 def off_ground(heights: np.ndarray, fps: float) -> float:
-    """How far a body is off its ground at the most, over its height: how deep it sinks, or how high it hovers for
-    longer than a leap lasts.
+    """How deep a body sinks at the most, or how high it hovers for longer than a leap lasts, over its height.
 
     Args:
         heights: Of the lowest point, as of `ground_heights`, shape (N,).
@@ -159,7 +148,9 @@ def measure_character(path: Path, name: str, sources: Mapping[str, Source]) -> C
 
 def _measure(path: Path, character: Character, sources: Mapping[str, Source], row: CharacterRow) -> None:
     from bunraku.pipelines.animate import rig
-    from bunraku.pipelines.transfer import apply_transfer
+    from bunraku.pipelines.animator import Animator
+    from bunraku.pipelines.requests import TransferRequest
+    from bunraku.pipelines.transfer import fitted_transfer
 
     try:
         parts = RigParts.of(character)
@@ -173,7 +164,9 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
     for kind, source in sources.items():
         try:
             frames = np.arange(0, len(source.motion), STRIDE)
-            result = apply_transfer(character, source.motion, onto="handles", handles=handles)
+            result = fitted_transfer(
+                Animator.shipped(), character, source.motion, TransferRequest("handles", handles=handles)
+            )
             posed = result.vertices(frames)
             if not np.isfinite(posed).all():
                 raise FormatError(path, "the result holds values that are not numbers")
@@ -183,7 +176,7 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
                 on_handles.append(
                     float(limb_angles(parts, carried_heads(parts, result, frames), source.joints[frames]).mean())
                 )
-                moved = apply_transfer(character, source.motion, onto="rig")
+                moved = fitted_transfer(Animator.shipped(), character, source.motion, TransferRequest("rig"))
                 assert isinstance(moved, RigAnimation)
                 on_rig.append(float(limb_angles(parts, _rig_heads(parts, moved, frames), source.joints[frames]).mean()))
         except BunrakuError as error:
@@ -194,12 +187,12 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
 
 
 def _there_and_back(path: Path, character: Character, name: str) -> _Back:
-    """Mean error of the vertices of a character's own clip, over its height, after the way to the reference body and
-    back; none without clips.
-    """
+    """Mean error of a character's own clip after the way to the reference body and back, over its height."""
     from bunraku.files import clip_names, load_animation
+    from bunraku.pipelines.animator import Animator
+    from bunraku.pipelines.requests import TransferRequest
     from bunraku.pipelines.to_reference import reference_motion
-    from bunraku.pipelines.transfer import apply_transfer, same_skeleton
+    from bunraku.pipelines.transfer import fitted_transfer, same_skeleton
 
     try:
         clip = load_animation(path, 0, 20.0)
@@ -208,7 +201,9 @@ def _there_and_back(path: Path, character: Character, name: str) -> _Back:
             path, next((number for number, title in enumerate(names) if "walk" in title.lower()), 0), 20.0
         )
         truth, height = clip.vertices(), clip.character.height
-        back = apply_transfer(character, reference_motion(clip), onto="rig", stages=CARRIED)
+        back = fitted_transfer(
+            Animator.shipped(), character, reference_motion(clip), TransferRequest("rig", stages=CARRIED)
+        )
         copied = same_skeleton(clip.character, clip)
     except BunrakuError:
         return {}
@@ -220,8 +215,7 @@ def _there_and_back(path: Path, character: Character, name: str) -> _Back:
 
 
 def limb_angles(parts: RigParts, heads: np.ndarray, source: np.ndarray) -> np.ndarray:
-    """Angles between limbs of a result and of its source [degrees], shape (N, limbs): upper arms, forearms, thighs and
-    shins.
+    """Angles between limbs of a result and of its source [degrees], shape (N, limbs): arms and legs.
 
     Args:
         parts: The rig that names the limbs.
@@ -242,9 +236,7 @@ def _rig_heads(parts: RigParts, animation: RigAnimation, frames: np.ndarray) -> 
 
 
 def carried_heads(parts: RigParts, animation: Animation | RigAnimation, frames: np.ndarray) -> np.ndarray:
-    """Where the skinning of an animation takes a rig's joints: as it takes the vertices that both parts of the joint
-    hold, in the mean.
-    """
+    """Where skinning takes a rig's joints: the mean of the vertices that both parts of the joint hold."""
     own = parts.handles.weights.astype(np.float64)
     world = animation.motion.transforms(animation.handles.positions)[frames].astype(np.float64)
     heads = np.tile(parts.joints.positions, (len(world), 1, 1))

@@ -87,13 +87,7 @@ def captured_animal(animation: Animation | RigAnimation, parts: RigParts, flat: 
 
 
 def _limbs(parts: RigParts, heads: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Where the four limbs of a rigged animal point, shape (N, 4, 3).
-
-    Args:
-        parts: Of its rig.
-        heads: Where the joints of its 30 handles are [m], shape (N, 30, 3).
-        vertices: Of its mesh [m], shape (N, V, 3).
-    """
+    """Where the four limbs of a rigged animal point, shape (N, 4, 3)."""
     legs = {leg.upper: leg for leg in parts.anatomy.legs}
     return np.stack([vertices[:, legs[top].sole].mean(axis=1) - heads[:, top] for top in _LIMBS], axis=1)
 
@@ -122,9 +116,7 @@ def _above(handle: int, parts: RigParts, index: Mapping[int, int]) -> int:
 
 
 def _four_legged(character: Character, name: str) -> RigParts | None:
-    """The rig of a character that stands on four legs, by the archive's table of body plans or by the rig; None of
-    others, and where the bones' names do not tell all four.
-    """
+    """The rig of a character on four legs, by the archive's table of body plans or by the rig; None of others."""
     if (known_plan(name) or "quadruped") != "quadruped":
         return None
     try:
@@ -135,20 +127,15 @@ def _four_legged(character: Character, name: str) -> RigParts | None:
 
 
 def measure_quadrupeds(
-    characters: Mapping[str, Path],
-    *,
-    word: str = "walk",
-    sources: int = 3,
+    characters: Mapping[str, Path], *, word: str = "walk", sources: int = 3,
     progress: Callable[[str, float], None] | None = None,
-) -> dict[str, Any]:
-    """Clips of four-legged animals, written as captured skeletons, on the predicted handles of all others and of the
-    sample dog.
+) -> dict[str, Any]:  # fmt: skip
+    """Captured skeletons of four-legged animals on the predicted handles of all others and of the sample dog.
 
     Args:
         characters: Files by their names; those that do not stand on four legs are passed over.
         word: Of the clips that are taken.
         sources: How many animals give their clips, spread over all that have one.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         `quadruped_limbs_degrees`, the mean angle between limbs of the source and of the result, None where no animal
@@ -158,8 +145,10 @@ def measure_quadrupeds(
     """
     from bunraku.files import clip_names, load_animation
     from bunraku.pipelines.animate import rig
+    from bunraku.pipelines.animator import Animator
+    from bunraku.pipelines.requests import TransferRequest
     from bunraku.pipelines.to_reference import creature_motion
-    from bunraku.pipelines.transfer import apply_transfer
+    from bunraku.pipelines.transfer import fitted_transfer
     from bunraku_lab.synthetic.samples import make_sample
 
     targets: dict[str, tuple[Character, RigParts]] = {}
@@ -194,7 +183,9 @@ def measure_quadrupeds(
                     if motion is None:
                         row["failed"] = "no four legs were seen to stand"
                     else:
-                        result = apply_transfer(character, motion, onto="handles", handles=handles)
+                        result = fitted_transfer(
+                            Animator.shipped(), character, motion, TransferRequest("handles", handles=handles)
+                        )
                         assert isinstance(result, Animation)
                         row |= _measured(result, parts, clips[source])
                 except BunrakuError as error:

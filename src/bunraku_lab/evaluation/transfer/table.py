@@ -1,6 +1,4 @@
-"""The table of motion transfer (`bunraku evaluate transfer`), with the exactness of BVH files, the speed of reading and
-transferring, and the soles of MMD models that a VMD moves by leg IK.
-"""
+"""The table of motion transfer (`bunraku evaluate transfer`), with BVH exactness, speed, and soles of MMD models."""
 
 from __future__ import annotations
 
@@ -35,18 +33,9 @@ from bunraku_lab.evaluation.transfer.character import (
 from bunraku_lab.evaluation.transfer.quadrupeds import measure_quadrupeds
 
 __all__ = [
-    "BARS",
-    "KINDS",
-    "MANY",
-    "bvh_again",
-    "evaluate_transfer",
-    "leg_reach",
-    "measure_soles",
-    "pick_motions",
-    "sole_gaps",
-    "times",
-]
-
+    "BARS", "KINDS", "MANY", "bvh_again", "evaluate_transfer", "leg_reach", "measure_soles", "pick_motions",
+    "sole_gaps", "times",
+]  # fmt: skip
 
 MANY = 20_000  # vertices of the character that is timed
 
@@ -126,11 +115,9 @@ def _bvh_seconds() -> float:
     parents = np.array([-1] + [max(0, joint - 1 - joint % 5) for joint in range(1, 31)])
     swing = np.sin(np.linspace(0, 300, 14_400))[:, None, None] * random.normal(size=(1, 31, 3))
     motion = SkeletalMotion(
-        Skeleton(names, parents, random.normal(size=(31, 3)) * 0.2),
-        matrix_from_axis_angle(swing),
-        np.zeros((14_400, 3)),
-        120.0,
-    )
+        Skeleton(names, parents, random.normal(size=(31, 3)) * 0.2), matrix_from_axis_angle(swing),
+        np.zeros((14_400, 3)), 120.0,
+    )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         path = write_bvh(motion, Path(folder) / "long.bvh")
         taken = []
@@ -187,11 +174,9 @@ def measure_soles(folder: str | Path | None, failed: dict[str, str]) -> dict[str
         np.concatenate([legs[key] for legs in found]) for key in ("reached", "gap", "beyond", "target")
     )
     return {
-        "soles": float(gap[reached].max()) if reached.any() else None,
-        "soles_reached": float(reached.mean()),
-        "soles_beyond": 0.0 if reached.all() else float(beyond[~reached].max()),
-        "soles_target": float(target.max()),
-    }
+        "soles": float(gap[reached].max()) if reached.any() else None, "soles_reached": float(reached.mean()),
+        "soles_beyond": 0.0 if reached.all() else float(beyond[~reached].max()), "soles_target": float(target.max()),
+    }  # fmt: skip
 
 
 def sole_gaps(character: Character, model: MmdModel, vmd: VmdMotion) -> list[dict[str, np.ndarray]]:
@@ -238,9 +223,7 @@ def sole_gaps(character: Character, model: MmdModel, vmd: VmdMotion) -> list[dic
 
 
 def leg_reach(model: MmdModel, knee: MmdIkLink, hip: int, ankle: int) -> float:
-    """How far from the hip the ankle can be [m], with the knee between its limits; for a knee without limits, the leg's
-    length.
-    """
+    """How far from the hip the ankle can be [m], with the knee between its limits."""
     rest = model.positions
     thigh, shin = rest[knee.bone] - rest[hip], rest[ankle] - rest[knee.bone]
     if knee.lower is None or knee.upper is None:
@@ -297,11 +280,9 @@ BARS: dict[str, Bar] = {
 
 
 def pick_motions(folder: str | Path) -> dict[str, Path]:
-    """A motion of each kind of `KINDS` in a folder: by the captions of its `captions.csv`, or by the names of the
-    files.
+    """A motion of each kind of `KINDS` in a folder, by its `captions.csv` or by file names.
 
-    Of several that fit, one that says just this word is taken, then the one with the fewest words, then the first by
-    name.
+    Of several that fit, the one that says just this word is taken, then that with the fewest words, then by name.
 
     Raises:
         FormatError: There is none of some kind.
@@ -338,16 +319,9 @@ def pick_motions(folder: str | Path) -> dict[str, Path]:
 
 
 def evaluate_transfer(
-    characters: str | Path,
-    motions: str | Path,
-    *,
-    mmd: str | Path | None = None,
-    limit: int | None = None,
-    work: str | Path | None = None,
-    speed: bool = True,
-    jobs: int | str = 1,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
+    characters: str | Path, motions: str | Path, *, mmd: str | Path | None = None, limit: int | None = None,
+    work: str | Path | None = None, speed: bool = True, jobs: int | str = 1, progress: Progress | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Measure all rows.
 
     Args:
@@ -355,11 +329,9 @@ def evaluate_transfer(
         motions: Folder with a motion of each kind, BVH with a `captions.csv` beside them or named by kind.
         mmd: Folder with MMD models and VMD files, searched through, for the rows of soles.
         limit: How many characters to take, spread over all; all when None.
-        work: Where what was measured of each character is kept, so that a second call goes on where the first was
-            stopped.
+        work: Where results are kept, so that a second call goes on where the first was stopped.
         speed: Whether to measure times too.
         jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
-        progress: Called with a stage's name and the share done.
 
     Returns:
         Values by the keys of `BARS`, None where nothing could be measured; `reached`, `failed`, `rows` and `counts`.

@@ -1,5 +1,4 @@
-"""Dressed people to train on: MakeHuman bodies of every shape and age, in clothes, with hats and capes, in the
-proportions of games.
+"""Dressed people to train on: MakeHuman bodies of every shape and age, in clothes, in proportions of games.
 
 `dressed_person` makes one.
 """

@@ -88,9 +88,12 @@ def ears(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Pie
     pieces = []
     for side in (1, -1):
         out = np.array([side * np.sin(angle), np.cos(angle), 0])
-        curve = center + half * out * 0.92 + length * t * (out + [0, 0, -lean]) + length * bend * t * t * np.array([
-            side * 0.6, 0.3, 0.4,
-        ])  # fmt: skip
+        curve = (
+            center
+            + half * out * 0.92
+            + length * t * (out + [0, 0, -lean])
+            + length * bend * t * t * np.array([side * 0.6, 0.3, 0.4])
+        )
         points, faces = _tube(curve, wide * np.sin(np.pi * (0.35 + 0.63 * t[:, 0])), 8)
         pieces.append(_rigid(points, faces, "head", "head_top"))
     return joined(pieces)
@@ -230,14 +233,10 @@ def shoulder_pads(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generato
     pieces = []
     for side, name in ((1, "left_shoulder"), (-1, "right_shoulder")):
         turn = np.asarray(matrix_from_axis_angle(np.array([0, 0, -0.6 * side])))
-        pieces.append(
-            _rigid(
-                (dome @ turn.T) + figure.joints[_J[name]] + [0.2 * side * size, 0.1 * size, 0],
-                sheet_faces(6, 12, wrap=True)[:, ::-1],
-                name,
-                name,
-            )
-        )
+        pieces.append(_rigid(
+            (dome @ turn.T) + figure.joints[_J[name]] + [0.2 * side * size, 0.1 * size, 0],
+            sheet_faces(6, 12, wrap=True)[:, ::-1], name, name,
+        ))  # fmt: skip
     return joined(pieces)
 
 

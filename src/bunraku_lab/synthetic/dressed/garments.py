@@ -1,6 +1,4 @@
-"""Garments of dressed characters: MakeHuman's clothes, whose `.mhclo` files bind each vertex to three of the base mesh,
-taken apart, and garments cut from the helper surfaces of that mesh.
-"""
+"""Garments of dressed characters: MakeHuman's clothes (`.mhclo`), and garments cut from the helper surfaces."""
 
 from __future__ import annotations
 
@@ -23,7 +21,6 @@ __all__ = [
     "BodyShape", "Clothes", "Garment", "Piece", "Wardrobe", "fit", "fit_weights", "joined", "read_mhclo",
     "skirt_weights",
 ]  # fmt: skip
-
 
 MAX_TEXT = 64 << 20
 """Largest `.mhclo` or OBJ that is read [bytes]; the clothes of MakeHuman have 1 MiB."""
@@ -69,8 +66,7 @@ def read_mhclo(path: str | Path) -> Clothes:
     """Read a `.mhclo` file and the OBJ that it names, which must lie in its folder or below.
 
     Raises:
-        FormatError: A file is missing or too large, a line cannot be understood, the OBJ lies elsewhere, or the two do
-        not fit.
+        FormatError: A file is missing, too large or not understood, or the two do not fit.
     """
     path = Path(path)
     data = _text(path)
@@ -300,8 +296,7 @@ def joined(pieces: list[Piece]) -> Piece:
 
 
 def skirt_weights(points: np.ndarray, joints: np.ndarray, carried: np.ndarray) -> np.ndarray:
-    """Weights of a skirt as game rigs have them: the pelvis at the waist, the thighs further down, half and half in the
-    middle.
+    """Weights of a skirt as game rigs have them: the pelvis at the waist, the thighs further down.
 
     Args:
         points: Shape (V, 3).
@@ -333,10 +328,6 @@ class Garment:
 
 class Wardrobe:
     """All pieces of a folder of MakeHuman clothes (`.mhclo`), and those that are cut from the base mesh.
-
-    Args:
-        body: The base mesh.
-        folder: Folder with clothes and hair, searched through.
 
     Raises:
         FormatError: There are no clothes under the folder, or a file is damaged.
@@ -404,9 +395,7 @@ class Wardrobe:
         return Piece(points, garment.clothes.faces, joints, handles)
 
     def part(self, figure: BodyShape, *groups: str, keep: np.ndarray | None = None) -> Piece:
-        """Parts of the base mesh itself ("body", "helper-tights", "helper-l-eye", ...), or what is kept of them, shape
-        (B,) bool.
-        """
+        """Parts of the base mesh itself ("body", "helper-tights", ...), or what is kept of them, shape (B,), bool."""
         wanted = np.zeros(len(figure.vertices), bool)
         for group in groups:
             wanted[self.body.groups[group]] = True

@@ -1,6 +1,4 @@
-"""Dressed people for the Mesh Handle Predictor: MakeHuman bodies of every shape in random outfits and game styles, and
-other meshes of the same shape (one closed skin, or few triangles).
-"""
+"""Dressed people for the Mesh Handle Predictor: MakeHuman bodies of every shape in random outfits and game styles."""
 
 from __future__ import annotations
 
@@ -18,13 +16,11 @@ from bunraku_lab.synthetic.surfaces import nearest_shares
 
 __all__ = ["Dressed", "Outfit", "dressed_person", "melted", "random_outfit", "simplified"]
 
-
 _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 
 
 def melted(piece: Piece, solid: Piece, cell: float, thickness: float) -> Piece:
-    """The outside of all points nearer to a mesh than `thickness`, by marching cubes; weights are those of the nearest
-    points.
+    """The outside of all points nearer to a mesh than `thickness`; weights are those of the nearest points.
 
     Args:
         piece: Everything that is seen, open and closed surfaces.
@@ -68,9 +64,7 @@ def melted(piece: Piece, solid: Piece, cell: float, thickness: float) -> Piece:
 
 
 def simplified(piece: Piece, faces: int) -> Piece:
-    """The mesh with at most so many triangles, as characters of games have them; weights are those of the nearest
-    points.
-    """
+    """The mesh with at most so many triangles; weights are those of the nearest points."""
     import fast_simplification
 
     if faces >= len(piece.faces):
@@ -124,9 +118,7 @@ class Outfit:
 
 
 def random_outfit(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Outfit:
-    """A random outfit: a suit of the archive, its parts mixed, garments made of the helper surfaces, or next to
-    nothing.
-    """
+    """A random outfit: a suit of the archive, its parts mixed, garments of helper surfaces, or next to nothing."""
     outfit = Outfit()
     kind = rng.choice(["archive", "overall", "gown", "bare"], p=[0.73, 0.1, 0.1, 0.07])
     if kind == "overall" and wardrobe.whole:
@@ -305,8 +297,7 @@ class Dressed:
 def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
     """A random person in random clothes; the same seed gives the same one.
 
-    A fifth of them are melted into one closed surface, as scans are, and a fifth are simplified to a game's few
-    triangles.
+    A fifth of them are melted into one closed surface, as scans are, and a fifth are simplified.
     """
     rng = np.random.default_rng(seed)
     vertices = wardrobe.body.shape(random_body(rng))
@@ -348,9 +339,7 @@ def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
 
 
 def _covered(figure: BodyShape, outfit: Outfit) -> np.ndarray:
-    """Base vertices that the clothes hide and that are near some of them: garments of an archive expect others beside
-    them.
-    """
+    """Vertices that the clothes hide and that lie near some of them."""
     hidden = np.unique(np.concatenate(outfit.hidden))
     reach = 0.025 * float(np.ptp(figure.vertices[:BODY_VERTICES, 1]))
     distance = cKDTree(np.concatenate([piece.points for piece in outfit.pieces])).query(

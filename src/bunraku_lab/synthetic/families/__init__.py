@@ -1,5 +1,4 @@
-"""Characters made by code, each from a family and a seed, for training and testing on more shapes than any archive
-holds.
+"""Characters made by code, each from a family and a seed: more shapes than any archive holds.
 
 People of all proportions, dressed and armed; mascots; beasts on two and four legs; dragons, birds, fish, insects,
 blobs. Their bones have names that `anatomy.names.bone_names` reads, so that every part has the handle that it has
@@ -71,9 +70,7 @@ def code_made_character(family: str, seed: int) -> Character:
 
 
 def code_made_names(count: int, seed: int = 0) -> list[tuple[str, int]]:
-    """Family and seed of `count` characters, families by their shares; a longer list begins as a shorter one
-    does.
-    """
+    """Family and seed of `count` characters, families by their shares; a longer list begins as a shorter one."""
     shares = np.array([share for _, share in _MAKERS.values()])
     owed, out = np.zeros(len(shares)), []
     for number in range(count):

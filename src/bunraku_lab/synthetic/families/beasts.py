@@ -35,8 +35,7 @@ def tail(m: Model, root: np.ndarray, length: float, radius: float, lift: float, 
         points.append(points[-1] + length / count * np.array([0, np.sin(angle), -np.cos(angle)]))
         angle += curl / count
     names = [f"Tail{i + 1}" for i in range(count)]
-    for i, name in enumerate(names):
-        m.bone(name, names[i - 1] if i else "Hips", points[i])
+    m.bones_along(names, points, "Hips")
     ends = radius * (
         np.linspace(1, m.u(0.1, 1.0), count + 1) if radius < 0.07 else np.linspace(1, m.u(0.05, 0.35), count + 1)
     )
@@ -188,8 +187,7 @@ def quadruped(m: Model, kind: str | None = None, neck_scale: float = 1.0) -> Non
         for s in (u(0.22, 0.32), u(0.48, 0.58), u(0.76, 0.88))
     ]
     names = ["Hips", "Spine", "Spine1", "Spine2"]
-    for name, parent, at in zip(names, ["", *names], positions, strict=False):
-        m.bone(name, parent, at)
+    m.bones_along(names, positions)
     trunk = Chain(names, positions)
     rump, belly, chest = radius * u(0.75, 1.1), radius * u(0.75, 1.15), radius * u(0.85, 1.2)
     flat = (u(0.75, 1.05), 1.0, 1.0)
@@ -274,8 +272,7 @@ def frog(m: Model) -> None:
     y = lift + high
     positions = [np.array([0, y - 0.1, -0.4]), np.array([0, y, -0.12]), np.array([0, y + 0.06, 0.15])]
     names = ["Hips", "Spine", "Neck"]
-    for name, parent, at in zip(names, ["", *names], positions, strict=False):
-        m.bone(name, parent, at)
+    m.bones_along(names, positions)
     m.limb(
         [(0, y - 0.08, -0.3), (0, y, 0.1)], [wide * 0.75, wide], Chain(names, positions), "trunk",
         stretch=(1, high / wide, 1), blend=1.5,

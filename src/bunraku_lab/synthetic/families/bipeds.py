@@ -33,8 +33,7 @@ def dinosaur(m: Model) -> None:
     hips = np.array([0, leg + 0.1, 0])
     steps = (0, u(0.15, 0.25), u(0.32, 0.42), u(0.55, 0.65))
     names, positions = ["Hips", "Spine", "Spine1", "Spine2"], [hips + direction * s for s in steps]
-    for name, parent, at in zip(names, ["", *names], positions, strict=False):
-        m.bone(name, parent, at)
+    m.bones_along(names, positions)
     trunk = Chain(names, positions)
     chest = hips + direction * 0.65
     m.limb(

@@ -24,17 +24,14 @@ class _LegShape:
 
 
 def _leg(m: Model, side: str, word: str, root: np.ndarray, yaw: float, shape: _LegShape, parent: str = "Hips") -> None:
-    """A leg of three segments: out and up, out and down, and to the ground; the word in its bones' names says which leg
-    it is.
-    """
+    """A leg of three segments: out and up, out and down, and to the ground; the word names its bones."""
     reach, rise, ground, radius = astuple(shape)
     direction = np.array([dict(SIDES)[side] * np.cos(yaw), 0, np.sin(yaw)])
     knee = root + direction * reach * 0.38 + [0, rise, 0]
     mid = root + direction * reach * 0.75 + [0, (ground - root[1]) * 0.45 + 0.3 * rise, 0]
     tip = np.array([*(root + direction * reach)]) * [1, 0, 1] + [0, ground, 0]
     names = [f"{side}{word}{i}" for i in (1, 2, 3)]
-    for name, above, at in zip(names, [parent, *names], (root, knee, mid), strict=False):
-        m.bone(name, above, at)
+    m.bones_along(names, (root, knee, mid), parent)
     m.limb(
         [root, knee, mid, tip], [radius * 1.1, radius, radius * 0.8, radius * m.u(0.2, 0.7)], names, f"{word} {side}",
         blend=0.4,
@@ -168,9 +165,11 @@ def bee(m: Model) -> None:
         for pair in range(pairs):
             t, v = np.linspace(0, 1, 11)[:, None, None], np.linspace(-0.5, 0.5, 5)[None, :, None]
             direction = np.array([s * np.cos(lift), np.sin(lift), -sweep - 0.7 * pair]) * (1 - 0.3 * pair)
-            grid = root + t * span * direction + v * chord * np.sin(np.pi * (0.06 + 0.9 * t**0.7)) * np.array([
-                0, -0.3, 1.0,
-            ])  # fmt: skip
+            grid = (
+                root
+                + t * span * direction
+                + v * chord * np.sin(np.pi * (0.06 + 0.9 * t**0.7)) * np.array([0, -0.3, 1.0])
+            )
             m.sheet(grid, f"{side}Wing", f"wing {side}", u(0.005, 0.02))
     if m.chance(0.7):
         _antennae(m, centre, head)
@@ -227,8 +226,7 @@ def snake(m: Model) -> None:
         positions = np.linspace(0, 0.6, 6)
         points = [np.array([wave * np.sin(6.28 * turns * z), radius, z]) for z in positions]
         names = ["Hips", "Spine", "Spine1", "Spine2", "Neck"]
-    for name, parent, at in zip(names, ["", *names], points, strict=False):
-        m.bone(name, parent, at)
+    m.bones_along(names, points)
     fat = radius * (u(1.0, 2.5) if len(names) == 4 else 1.2)
     swell = np.interp(np.linspace(0, 1, len(points)), [0, 0.6, 1], [1, fat / radius, 0.9])
     m.limb(points, list(radius * swell), names, "body", blend=0.6)
@@ -246,6 +244,5 @@ def snake(m: Model) -> None:
     for i in range(count):
         back.append(np.array([curve * np.sin(2.2 * (i + 1)), radius, points[0][2] - long * (i + 1) / count]))
     joints = [f"Tail{i + 1}" for i in range(count)]
-    for i, name in enumerate(joints):
-        m.bone(name, joints[i - 1] if i else "Hips", back[i])
+    m.bones_along(joints, back, "Hips")
     m.limb(back, list(np.linspace(radius, radius * u(0.15, 0.8), count + 1)), joints, "body", blend=0.6)

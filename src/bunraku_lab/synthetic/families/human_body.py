@@ -125,8 +125,7 @@ def pose_skeleton(m: Model, h: Human) -> None:
     lean = u(-0.06, 0.06) * h.trunk
     positions = [np.array([0, base + length * s, lean * s]) for s in (0, u(0.05, 0.15), u(0.26, 0.44), u(0.4, 0.62))]
     names = ["Hips", "Spine", "Spine1", "Spine2"]
-    for name, parent, at in zip(names, ["", *names], positions, strict=False):
-        m.bone(name, parent, at)
+    m.bones_along(names, positions)
     h.torso = Chain(names, positions)
     neck = m.bone("Neck", "Spine2", (0, h.top, lean))
     slouch = u(0.02, 0.12) if h.kind == "brute" else u(-0.01, 0.035) * (1 if h.kind != "chibi" else 0.3)
@@ -187,16 +186,10 @@ def build_body(m: Model, h: Human) -> None:
     """Bones and flesh of everything but the head."""
     pose_skeleton(m, h)
     _trunk(m, h)
-    hand = str(
-        m.pick(
-            "mitten",
-            "fingers",
-            "three",
-            "stub",
-            "claw",
-            weights=(0.3, 0.33, 0.13, 0.15, 0.09) if h.kind != "realistic" else (0.1, 0.8, 0.05, 0.05, 0),
-        )
-    )
+    hand = str(m.pick(
+        "mitten", "fingers", "three", "stub", "claw",
+        weights=(0.3, 0.33, 0.13, 0.15, 0.09) if h.kind != "realistic" else (0.1, 0.8, 0.05, 0.05, 0),
+    ))  # fmt: skip
     slim, ball_joint = m.u(0.6, 0.95), h.kind == "robot" and m.chance(0.5)
     toes = m.chance(0.6)
     foot = (m.u(0.5, 0.9), m.u(0.8, 1.7), m.u(1.4, 2.8))  # heel, width and length over the ankle's radius
@@ -270,9 +263,11 @@ def _trunk(m: Model, h: Human) -> None:
             )  # fmt: skip
     neck, head = m.at("Neck"), m.at("Head")
     if h.neck > 0.008:
-        thick = min(u(0.2, 0.42) * h.head, 0.55 * h.chest) if h.kind != "realistic" else u(
-            0.22, 0.32,
-        ) * h.head * h.girth**0.4  # fmt: skip
+        thick = (
+            min(u(0.2, 0.42) * h.head, 0.55 * h.chest)
+            if h.kind != "realistic"
+            else u(0.22, 0.32) * h.head * h.girth**0.4
+        )
         m.limb(
             [neck - [0, 0.03 * h.trunk, 0], head + [0, 0.06 * h.head, 0]], [thick * 1.1, thick * 0.9], "Neck", "trunk",
             blend=0.6,

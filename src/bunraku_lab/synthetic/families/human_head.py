@@ -58,16 +58,10 @@ def build_head(m: Model, h: Human) -> None:
             m, centre, size, "Head",
             ("cat", "long", "long", "long", "round", "horn", "antenna") if h.kind == "chibi" else EARS,
         )  # fmt: skip
-    worn = str(
-        m.pick(
-            "hair",
-            "hat",
-            "helmet",
-            "hood",
-            "bald",
-            weights=(0.5, 0.16, 0.1, 0.07, 0.17) if shape != "beast" else (0.1, 0.15, 0.1, 0.05, 0.6),
-        )
-    )
+    worn = str(m.pick(
+        "hair", "hat", "helmet", "hood", "bald",
+        weights=(0.5, 0.16, 0.1, 0.07, 0.17) if shape != "beast" else (0.1, 0.15, 0.1, 0.05, 0.6),
+    ))  # fmt: skip
     if worn == "hair":
         _hair(m, h, centre, size)
     elif worn == "hat":

@@ -1,10 +1,8 @@
-"""A character in the making: bones, parts with their shares of the bones, and how the parts become one mesh or many
-(lumps as rounded blocks, lumps melted into one skin, and sheets).
-"""
+"""A character in the making: bones, parts with their shares, and how the parts become one mesh or many."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TypeVar
@@ -17,7 +15,6 @@ from bunraku_lab.synthetic.fields import Field, Lump, ball, bar, marched, neighb
 from bunraku_lab.synthetic.surfaces import sheet_faces, unit
 
 __all__ = ["Chain", "Mesh", "Model", "SIDES", "Share", "Style", "block_mesh", "melted_mesh", "sheet_mesh", "thinned"]
-
 
 Mesh = tuple[np.ndarray, np.ndarray]
 
@@ -198,13 +195,11 @@ class Style:
     """How the parts of one character become a mesh.
 
     Args:
-        mode: "clay" melts the body into one skin, "regions" does so limb by limb, "pieces" leaves every part closed on
-            its own.
+        mode: "clay" melts the body into one skin, "regions" does so limb by limb, "pieces" closes every part.
         exponent: Roundness of pieces (`block_mesh`).
         cells: Cells across a piece.
         cap: How far pieces reach past their joints, over their radius.
-        soft: Half the width over which weights pass from joint to joint, over the size of the character; 0 for rigid
-            parts.
+        soft: Half the width over which weights pass from joint to joint, over the size; 0 for rigid parts.
         melt: Factor on the widths over which lumps melt into each other.
         faces: Faces of the body after thinning; None for all.
         detail: Vertices of the body.
@@ -289,6 +284,11 @@ class Model:
         """Add a bone and return its position."""
         self.bones[name] = (parent, np.asarray(at, float))
         return self.bones[name][1]
+
+    def bones_along(self, names: Sequence[str], positions: Iterable[Vector], parent: str = "") -> None:
+        """Add a chain of bones, each the parent of the next one."""
+        for name, above, at in zip(names, [parent, *names], positions, strict=False):
+            self.bone(name, above, at)
 
     def at(self, name: str) -> np.ndarray:
         """Position of a bone [m], shape (3,)."""
@@ -393,9 +393,7 @@ class Model:
         return out
 
     def _bend(self, size: float, middle: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """A smooth random warp of space, so that no two parts are perfect, and what is left and right differs a
-        little.
-        """
+        """A smooth random warp of space, so that no two parts, and no two sides, are the same."""
         count, most = 4, float(self.rng.choice([0.0, 0.006, 0.012]))
         wave = self.rng.normal(size=(count, 3)) * 4 / size
         phase, shift = self.rng.uniform(0, 6.28, count), self.rng.normal(size=(count, 3)) * most * size

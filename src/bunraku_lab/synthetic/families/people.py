@@ -1,6 +1,4 @@
-"""What people wear and carry (clothes, wings, things in their hands), and people put together of body, head and
-clothes.
-"""
+"""What people wear and carry, and people put together of body, head and clothes."""
 
 from __future__ import annotations
 

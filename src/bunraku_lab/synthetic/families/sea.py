@@ -45,9 +45,11 @@ def fish(m: Model) -> None:
     if m.chance(0.1):
         high, wide = wide * 0.8, high
     nose, peak, root = u(0.02, 0.12), u(0.25, 0.45), u(0.68, 0.82)
-    marks = (0.1, u(0.28, 0.38), u(0.46, 0.54), u(0.57, 0.63), 0.1) if toy else (
-        0.1, u(0.18, 0.25), u(0.33, 0.42), u(0.5, 0.58), 0.05,
-    )  # fmt: skip
+    marks = (
+        (0.1, u(0.28, 0.38), u(0.46, 0.54), u(0.57, 0.63), 0.1)
+        if toy
+        else (0.1, u(0.18, 0.25), u(0.33, 0.42), u(0.5, 0.58), 0.05)
+    )
     body = _spine(m, marks, int(m.rng.integers(3, 5)))
     stem = high * u(0.15, 0.35)
     z = [0.5 - nose - high * 0.4, 0.5 - peak, 0.5 - root, -0.42]
@@ -130,8 +132,7 @@ def whale(m: Model) -> None:
         direction = unit(np.array([s, -down, -0.6]))
         points = [at, at + 0.4 * long * direction, at + 0.75 * long * direction]
         names = [f"{side}Arm", f"{side}ForeArm", f"{side}Hand"]
-        for name, parent, position in zip(names, ["Spine", *names], points, strict=False):
-            m.bone(name, parent, position)
+        m.bones_along(names, points, "Spine")
         m.limb(
             [points[0] - 0.1 * direction * long, points[1], at + long * direction],
             [0.3 * high, 0.25 * high, 0.08 * high], Chain(names, points), f"flipper {side}", stretch=(1, 0.35, 1),
@@ -161,8 +162,7 @@ def ray(m: Model) -> None:
     for side, s in SIDES:
         names = [f"{side}Arm", f"{side}ForeArm", f"{side}Hand"]
         points = [np.array([s * span * t, droop * t**1.5 * span, sweep * t]) for t in (0.2, 0.5, 0.78)]
-        for name, parent, at in zip(names, ["Spine", *names], points, strict=False):
-            m.bone(name, parent, at)
+        m.bones_along(names, points, "Spine")
         t, v = np.linspace(0, 1, 11)[:, None], np.linspace(0, 1, 7)[None]
         lead, trail = sweep * t + front * (1 - t**power), sweep * t + back * (1 - t**power)
         grid = np.stack([s * span * t + 0 * v, droop * t**1.5 * span + 0 * v, lead + v * (trail - lead)], axis=-1)
@@ -180,8 +180,7 @@ def seahorse(m: Model) -> None:
     u = m.u
     names = ["Hips", "Spine", "Spine1", "Spine2", "Neck"]
     positions = [np.array([0, y, z]) for y, z in ((0.45, -0.02), (0.52, 0.0), (0.6, 0.02), (0.68, 0.02), (0.78, -0.02))]
-    for name, parent, at in zip(names, ["", *names], positions, strict=False):
-        m.bone(name, parent, at)
+    m.bones_along(names, positions)
     fat, head = u(0.06, 0.14), u(0.07, 0.14)
     m.limb(
         [(0, 0.42, -0.02), (0, 0.58, 0.03), (0, 0.75, 0.0)], [fat * 0.7, fat, fat * 0.7],
@@ -200,8 +199,7 @@ def seahorse(m: Model) -> None:
         points.append(points[-1] + 0.4 / count * np.array([0, np.sin(angle), -np.cos(angle)]))
         angle += u(0.2, 0.75)
     joints = [f"Tail{i + 1}" for i in range(count)]
-    for i, name in enumerate(joints):
-        m.bone(name, joints[i - 1] if i else "Hips", points[i])
+    m.bones_along(joints, points, "Hips")
     m.limb(points, list(np.linspace(fat * 0.65, 0.02, count + 1)), joints, "tail", blend=0.5)
     if m.chance(0.7):
         _fin(

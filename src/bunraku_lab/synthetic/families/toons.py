@@ -1,6 +1,4 @@
-"""Toys and monsters without a human shape: mascots on thin limbs, slimes, ghosts, mushrooms, skulls, and blobs that
-fly.
-"""
+"""Toys and monsters: mascots on thin limbs, slimes, ghosts, mushrooms, skulls, and blobs that fly."""
 
 from __future__ import annotations
 
@@ -24,8 +22,7 @@ def mascot(m: Model) -> None:
     marks = np.array([0.12, 0.3, 0.42, 0.5, 0.6, 0.68]) * 2 * half[1] + low
     names = ["Hips", "Spine", "Spine1", "Spine2", "Neck", "Head"]
     positions = [np.array([0, mark, 0]) for mark in marks]
-    for name, parent, at in zip(names, ["", *names], positions, strict=False):
-        m.bone(name, parent, at)
+    m.bones_along(names, positions)
     body = Chain(names, positions)
     shape = m.pick("egg", "pear", "box", "round", "tall", "slab")
     if shape == "box":
@@ -127,8 +124,7 @@ def blob(m: Model) -> None:
     elif kind == "skull":
         marks = np.array([0.05, 0.12, 0.18, 0.24])
     positions = [np.array([0, mark * 2 * half[1], 0]) for mark in marks]
-    for name, parent, at in zip(names, ["", *names], positions, strict=False):
-        m.bone(name, parent, at)
+    m.bones_along(names, positions)
     body = Chain(names, positions, 1.5)
     top = 2 * half[1]
     if kind == "slime":
@@ -204,8 +200,7 @@ def flyer(m: Model) -> None:
         return
     names = ["Hips", "Spine", "Neck", "Head"]
     positions = [middle + [0, t * half[1], 0] for t in (-0.6, -0.3, 0.0, 0.15)]
-    for name, parent, at in zip(names, ["", *names], positions, strict=False):
-        m.bone(name, parent, at)
+    m.bones_along(names, positions)
     if m.chance(0.5):
         m.lump(middle, half, Chain(names, positions), "body")
         face, size = middle + [0, 0.3 * half[1], 0], half * [0.95, 0.7, 0.95]

@@ -25,8 +25,7 @@ def make_sample(name: str, detail: float = 1.0, *, rigged: bool = False) -> Char
     Args:
         name: One of `bunraku.files.samples.sample_names`.
         detail: Factor on the number of vertices, 0.3 to 4; 1 gives 3,000 to 9,000 and is what is shipped.
-        rigged: Give it its skeleton and skin weights too (names such as Hips, Spine, LeftArm, Tail1); without it `rig`
-            is None.
+        rigged: Give it its skeleton and skin weights (Hips, Spine, LeftArm, Tail1); without it `rig` is None.
 
     Returns:
         The character: closed parts, wound outward, with one colour a face, faces of one colour together.

@@ -1,6 +1,4 @@
-"""The sample characters that are no people: a dog with floppy ears, a young dragon with spread wings, and a walking
-mushroom.
-"""
+"""The sample characters that are no people: a dog, a young dragon with spread wings, and a walking mushroom."""
 
 from __future__ import annotations
 
@@ -31,16 +29,9 @@ from bunraku_lab.synthetic.surfaces import ball_mesh, cylinder_mesh, plate_mesh,
 
 __all__ = ["build_dog", "build_dragon", "build_mushroom"]
 
-
 COAT, CREAM, EAR, COLLAR, TAG, NOSE, TONGUE = (
-    "#d08a46",
-    "#fbeeda",
-    "#8a5228",
-    "#d63a3a",
-    "#ffcc4d",
-    "#2a2023",
-    "#f08a94",
-)
+    "#d08a46", "#fbeeda", "#8a5228", "#d63a3a", "#ffcc4d", "#2a2023", "#f08a94",
+)  # fmt: skip
 
 _DOG_BONES: Bones = mirror_bones(
     {
@@ -419,9 +410,7 @@ def build_mushroom(detail: float, rigged: bool) -> Character:
         button(field, (0.112, 0.482, 0.13), (0.028, 0.019, 0.005), BLUSH, "Head"),
     ]
     pieces = [
-        clay(field, int(5000 * detail), _MUSHROOM_BONES, STEM, paints, half=True, softness=0.03, crease=0.025),
-        *left,
-        *(mirror_piece(piece) for piece in left),
-        stroke(field, smile, 0.0075 - 0.003 * across**2, "#7a3b30", "Head"),
-    ]
+        clay(field, int(5000 * detail), _MUSHROOM_BONES, STEM, paints, half=True, softness=0.03, crease=0.025), *left,
+        *(mirror_piece(piece) for piece in left), stroke(field, smile, 0.0075 - 0.003 * across**2, "#7a3b30", "Head"),
+    ]  # fmt: skip
     return assemble("mushroom", pieces, _MUSHROOM_BONES, rigged)

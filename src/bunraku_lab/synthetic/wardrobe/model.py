@@ -20,7 +20,6 @@ __all__ = [
     "capsule_of",
 ]  # fmt: skip
 
-
 _MIRROR = np.array([1.0, 1, -1])
 _STEPS = 1024
 """Weights are multiples of 1 / 1024, so that they add up to 1 exactly in the file's 32-bit numbers."""
@@ -125,16 +124,10 @@ class Costume:
             material = np.broadcast_to(material, len(faces))
         used, corners = np.unique(faces, return_inverse=True)
         bones, shares = np.asarray(bones), np.asarray(shares, float)
-        self.parts.append(
-            Part(
-                np.asarray(points, float)[used],
-                corners.reshape(-1, 3),
-                bones[used],
-                shares[used],
-                material,
-                not self.facets,
-            )
-        )
+        self.parts.append(Part(
+            np.asarray(points, float)[used], corners.reshape(-1, 3), bones[used], shares[used], material,
+            not self.facets,
+        ))  # fmt: skip
 
     def character(self) -> Character:
         """The character: what reading the file of this model gives."""
@@ -289,18 +282,9 @@ def _leg_ik(costume: Costume, mark: str, at: dict[str, np.ndarray]) -> None:
         ik=MmdIk(ankle, 40, 2.0, links))
     )  # fmt: skip
     goal = MmdIk(toe, 3, 4.0, (MmdIkLink(ankle),))
-    costume.bone(
-        MmdBone(
-            mark + "つま先ＩＫ",
-            f"toe IK_{letter}",
-            at["foot"],
-            root,
-            1,
-            moves=True,
-            tail=np.array([0, -0.08, 0]),
-            ik=goal,
-        )
-    )
+    costume.bone(MmdBone(
+        mark + "つま先ＩＫ", f"toe IK_{letter}", at["foot"], root, 1, moves=True, tail=np.array([0, -0.08, 0]), ik=goal,
+    ))  # fmt: skip
 
 
 def body_weights(costume: Costume, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

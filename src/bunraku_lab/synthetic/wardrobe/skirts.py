@@ -14,7 +14,6 @@ from bunraku_lab.synthetic.wardrobe.model import SOLID, Costume, body_weights
 
 __all__ = ["Drape", "Outline", "add_cape", "add_coat", "add_skirt", "add_sleeves", "hanging_rings"]
 
-
 SKIRT = 5
 AROUND = 48  # directions of a ring
 
@@ -92,8 +91,7 @@ def hanging_rings(
         outline: How they widen.
         rings: How many.
         center: X and Z of the axis; None is the middle of the hips.
-        convex: Whether the cloth is drawn straight over hollows, as it is where it goes all around; at its top it lies
-            on the body.
+        convex: Whether the cloth is drawn straight over hollows, as where it goes all around.
         points: What it keeps clear of, instead of head, trunk and legs.
     """
     axis = figure.at("pelvis")[[0, 2]] if center is None else center
@@ -208,14 +206,7 @@ COAT, CAPE, SLEEVE = 6, 7, 8
 
 @dataclass(frozen=True)
 class _Cloth:
-    """A sheet of cloth.
-
-    Args:
-        span: Directions of its first and last column at the top and at the hem, shape (2, 2) [rad].
-        colors: Materials outside and inside.
-        wave: Depth of folds over the radius.
-        lining: Distance of the inside [m].
-    """
+    """A sheet of cloth."""
 
     span: np.ndarray
     colors: tuple[str, str]
@@ -226,17 +217,7 @@ class _Cloth:
 def _sheet(
     costume: Costume, drape: Drape, cloth: _Cloth, names: str, bone: int, hang: Hang, links: int, count: int
 ) -> np.ndarray:
-    """An open sheet on chains, with a lining inside; returns its points.
-
-    Args:
-        costume: What it is added to.
-        drape: The rings it hangs in.
-        cloth: The sheet.
-        names: What the chains are called.
-        bone: What they hang on.
-        hang: How they move.
-        links, count: Of the chains.
-    """
+    """An open sheet on chains, with a lining inside; returns its points."""
     span, colors, wave, lining = cloth.span, cloth.colors, cloth.wave, cloth.lining
     begin = band_start(costume, names)
     links = max(round((1 - begin) * links), 1)
@@ -274,9 +255,7 @@ def _sheet(
 def add_coat(
     costume: Costume, figure: Figure, rng: np.random.Generator, *, waist: float, colors: tuple[str, str], thick: float
 ) -> np.ndarray:
-    """A long coat: a jacket with sleeves, its skirts open in front below the waist; returns its points but those of the
-    sleeves.
-    """
+    """A long coat whose skirts are open in front; returns its points but those of the sleeves."""
     u, h = rng.uniform, figure.height
     skin = figure.skin
     rise = (

@@ -1,6 +1,4 @@
-"""Trimmings of wardrobe characters: ribbons, scarves, ears and tails, and the little things that swing (locks of hair,
-ties, tassels, bells, ear-rings, pins), of which real avatars have dozens.
-"""
+"""Trimmings of wardrobe characters: ribbons, scarves, ears, tails, and the little things that swing."""
 
 from __future__ import annotations
 
@@ -16,7 +14,6 @@ from bunraku_lab.synthetic.wardrobe.hair import HAIR, Scalp
 from bunraku_lab.synthetic.wardrobe.model import SOLID, Costume
 
 __all__ = ["Bow", "add_bow", "add_ears", "add_little_pieces", "add_scarf", "add_tail"]
-
 
 TRIM, TAIL = 9, 10
 
@@ -246,15 +243,7 @@ _DOWN = np.array([0, -1.0, 0])
 
 
 def add_little_pieces(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generator, hair: str) -> None:
-    """Add some of them, more where little else of the character is apparel.
-
-    Args:
-        costume: What they are added to.
-        figure: The body and what it wears.
-        scalp: The dome that hair lies on.
-        rng: Random numbers.
-        hair: Kind of the hair.
-    """
+    """Add some of them, more where little else of the character is apparel."""
     likely = 0.3 if costume.quiet else 0.22
     before = len(costume.bodies)
     makers: list[Callable[[], None]] = [

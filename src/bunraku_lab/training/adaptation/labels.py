@@ -1,6 +1,4 @@
-"""What the adaptation's last layer learns from (Eq. 7 to 11 of TapMo): ARAP pseudo-labels, its inputs for many motions
-on many characters, and its losses while all else is frozen.
-"""
+"""What the adaptation's last layer learns from (Eq. 7 to 11 of TapMo): ARAP pseudo-labels, inputs and losses."""
 
 from __future__ import annotations
 
@@ -25,17 +23,9 @@ from bunraku_lab.training.losses.meshes import ARM_VERTICES, Fitted, MeshDraw, M
 from bunraku_lab.training.rows.clip_rows import ClipSet
 
 __all__ = [
-    "AdaptationHead",
-    "AdaptationPairs",
-    "EdgeSystem",
-    "MeshLosses",
-    "PairPlan",
-    "arap_labels",
-    "collect_pairs",
-    "edge_system",
-    "label_distance",
-    "whitening",
-]
+    "AdaptationHead", "AdaptationPairs", "EdgeSystem", "MeshLosses", "PairPlan", "arap_labels", "collect_pairs",
+    "edge_system", "label_distance", "whitening",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -106,13 +96,9 @@ def edge_system(fitted: Fitted, bank: CharacterBank, picked: Tensor | None = Non
 
 @torch.no_grad()
 def arap_labels(
-    system: EdgeSystem,
-    start: Tensor,
-    strength: float | Tensor = 3.0,
-    steps: int = 3,
-    longest: float = LOOSE_ON_PEOPLE,
+    system: EdgeSystem, start: Tensor, strength: float | Tensor = 3.0, steps: int = 3, longest: float = LOOSE_ON_PEOPLE,
     calm: float = 0.0,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """The adaptation that keeps edges at their lengths [TapMo 10], shape (B, N, K, 3).
 
     Args:
@@ -122,8 +108,7 @@ def arap_labels(
             for all, or one for each row.
         steps: Gauss-Newton steps, each held near the one before.
         longest: Delta is cut to this length [m], so that it repairs the mesh and does not change what the motion says.
-        calm: Weight of the squared length of delta, so that it stays short where edges do not ask for it; 0 in the
-            paper.
+        calm: Weight of the squared length of delta, so that it stays short where edges allow it; 0 in the paper.
     """
     delta = start.clone()
     count = system.spread.shape[2]
@@ -216,8 +201,7 @@ def whitening(seen: Tensor, hidden: int, mesh_size: int) -> tuple[Tensor, Tensor
 
 
 def label_distance(delta: Tensor, label: Tensor) -> Tensor:
-    """[TapMo 11]: the squared distance of the adaptation from its pseudo-label, mean over frames and handles but the
-    root [cm^2].
+    """[TapMo 11]: squared distance of the adaptation from its pseudo-label, mean over frames and handles [cm^2].
 
     Args:
         delta: What the layer says [m], shape (B, N, K, 3).
@@ -305,15 +289,9 @@ class PairPlan:
 
 @torch.no_grad()
 def collect_pairs(
-    model: Denoiser,
-    encoder: TextEncoder,
-    clips: ClipSet,
-    bank: CharacterBank,
-    rows: np.ndarray,
-    folder: Path,
-    plan: PairPlan,
-    progress: Callable[[int, int], None] | None = None,
-) -> AdaptationPairs:
+    model: Denoiser, encoder: TextEncoder, clips: ClipSet, bank: CharacterBank, rows: np.ndarray, folder: Path,
+    plan: PairPlan, progress: Callable[[int, int], None] | None = None,
+) -> AdaptationPairs:  # fmt: skip
     """Draw pairs of a training clip and a character; chunks that an earlier call wrote are read, not made again.
 
     Args:

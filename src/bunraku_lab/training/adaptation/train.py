@@ -54,7 +54,6 @@ from bunraku_lab.training.runs.run import (
 
 __all__ = ["AdaptationConfig", "FRAMES", "train_adaptation"]
 
-
 FRAMES = ("root", "joints")
 """What the layer may say."""
 
@@ -127,13 +126,9 @@ class _Run(TrainingRun):
     columns = ("loss",)
 
     def __init__(
-        self,
-        config: AdaptationConfig,
-        model: Denoiser,
-        bank: CharacterBank,
-        pairs: AdaptationPairs,
+        self, config: AdaptationConfig, model: Denoiser, bank: CharacterBank, pairs: AdaptationPairs,
         held: AdaptationPairs,
-    ):
+    ):  # fmt: skip
         self.config, self.model, self.pairs, self.held = config, model, pairs, held
         self.device = model.mean.device
         self.bank = bank.to(self.device)
@@ -250,7 +245,6 @@ class _Run(TrainingRun):
 
     @property
     def save_every(self) -> float:
-        """Minutes between saved states."""
         return max(float(self.config.save_every), 1e-9)
 
     def progress(self) -> float:
@@ -269,11 +263,9 @@ class _Run(TrainingRun):
         return super().due() or self.step == self.config.steps
 
     def begun(self) -> dict[str, float]:
-        """The first columns of a row of the log."""
         return {"step": self.step, "seconds": self.seconds}
 
     def event_log(self) -> EventLog:
-        """Where curves go."""
         return EventLog(self.out / "events")
 
     def validate(self) -> dict[str, float]:
@@ -285,9 +277,7 @@ class _Run(TrainingRun):
 
     @torch.no_grad()
     def measure(self, pairs: AdaptationPairs, count: int = 96) -> tuple[float, float, float]:
-        """ARAP-Loss with the adaptation over without, of the means and as the mean of each pair's own; and delta's mean
-        length [m].
-        """
+        """ARAP-Loss with the adaptation over without, of the means and by pair; and delta's mean length [m]."""
         with_it, without, ratios, length = 0.0, 0.0, [], []
         random = np.random.default_rng(9)
         for start in range(0, min(count, len(pairs.row)), 8):
@@ -338,18 +328,10 @@ class _Run(TrainingRun):
 
 
 def train_adaptation(
-    config: AdaptationConfig,
-    report: Report | None = None,
-    progress: Progress | None = None,
+    config: AdaptationConfig, report: Report | None = None, progress: Progress | None = None,
     encoder: TextEncoder | None = None,
-) -> Path:
+) -> Path:  # fmt: skip
     """Fine-tune, or go on fine-tuning, and return the path of the denoiser with its new layer.
-
-    Args:
-        config: The run.
-        report: Called with each row of the log.
-        progress: Called with a stage's name and the share done.
-        encoder: In place of the denoiser's own text encoder.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another run.
@@ -394,18 +376,11 @@ def train_adaptation(
         if not len(rows) or not drawn.clips:
             pairs.append(pairs[0]) if pairs else None
             continue
-        pairs.append(
-            collect_pairs(
-                model,
-                encoder,
-                drawn,
-                bank,
-                rows,
-                config.out / "pairs" / split,
-                PairPlan(count, frames, digest.hexdigest(), config.seed),
-                (lambda done, total: progress("motions on characters", done / total)) if progress else None,
-            )
-        )
+        pairs.append(collect_pairs(
+            model, encoder, drawn, bank, rows, config.out / "pairs" / split,
+            PairPlan(count, frames, digest.hexdigest(), config.seed),
+            (lambda done, total: progress("motions on characters", done / total)) if progress else None,
+        ))  # fmt: skip
     if not pairs:
         raise OptionError(f"{config.cache}: the bank or the clips have none of the split 'train' to learn from")
     run = _Run(config, model, bank, pairs[0], pairs[-1])

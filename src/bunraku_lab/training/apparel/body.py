@@ -1,6 +1,4 @@
-"""The body network of section 4.2 of MMDMC, skinning weights for 22 joints: the network, its use on any mesh, body and
-apparel put together (tile(A, B) of section 4.4), and its training.
-"""
+"""The body network of section 4.2 of MMDMC (skinning weights for 22 joints), its use, and its training."""
 
 from __future__ import annotations
 
@@ -19,30 +17,21 @@ from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.fitting import fitted_clothes
 from bunraku.apparel.learned.network import DisplacementNetwork
 from bunraku.apparel.learned.player import ApparelPlayer
-from bunraku.apparel.learned.segmentation import find_apparel, joint_distances, sampled_mesh
+from bunraku.apparel.learned.segmentation import find_apparel, sampled_mesh
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.nn.checkpoints import dated
 from bunraku.core.skinning import skin
 from bunraku.errors import OptionError
 from bunraku_lab.nn.checkpoints import SavedNetwork, lab_checkpoint
 from bunraku_lab.nn.graph import EdgeBlock, NodeGraph, node_graph
-from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
+from bunraku_lab.training.apparel.segmentation import MeshSample, build_meshes, joint_distances
 from bunraku_lab.training.losses.motion import edge_loss, smoothness_loss, vertex_loss
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
 __all__ = [
-    "BodyConfig",
-    "BodyNetwork",
-    "BodyTrainConfig",
-    "BodyTrainer",
-    "body_weights",
-    "clothed_by_mask",
-    "pose_bank",
-    "posed_joints",
-    "tiled",
-    "train_body",
-]
-
+    "BodyConfig", "BodyNetwork", "BodyTrainConfig", "BodyTrainer", "body_weights", "clothed_by_mask", "pose_bank",
+    "posed_joints", "tiled", "train_body",
+]  # fmt: skip
 
 JOINT_INPUT = 3 + 1 + 3
 """Of a vertex and a joint: the way from it, its length, the vertex normal."""
@@ -254,9 +243,7 @@ class BodyTrainConfig(StepSettings):
 
 
 def pose_bank(data: Path, split: str, most: int = 4000) -> np.ndarray:
-    """Turns of the joints in the motions of a data set, one frame of many, shape (P, 22, 3, 3), float32; none of a
-    split that has no motion.
-    """
+    """Rotations of the joints in a data set's motions, one frame of many, shape (P, 22, 3, 3), float32."""
     from bunraku_lab.datasets.apparel import ApparelData
 
     found = ApparelData(data, split)  # type: ignore[arg-type]
@@ -285,15 +272,7 @@ def posed_joints(turns: np.ndarray, joints: np.ndarray) -> np.ndarray:
 
 
 class BodyTrainer(AveragedRun[BodyNetwork]):
-    """One run in memory.
-
-    Args:
-        config: Settings.
-        characters: To learn from.
-        poses: Turns of the joints, shape (P, 22, 3, 3).
-        held_out: To validate on, in `held_poses`.
-        held_poses: As `poses`.
-    """
+    """One run in memory."""
 
     kind = "apparel-body"
 
@@ -363,14 +342,6 @@ class BodyTrainer(AveragedRun[BodyNetwork]):
 
 def train_body(config: BodyTrainConfig, report: Report | None = None, progress: Progress | None = None) -> Path:
     """Train the body network, or go on where the run in `config.out` stopped.
-
-    Args:
-        config: Settings.
-        report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         BunrakuError: No data, or the folder cannot be written.

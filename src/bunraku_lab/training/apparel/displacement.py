@@ -1,6 +1,4 @@
-"""Training of the displacement network (section 4.3 of MMDMC): features and true displacements of many characters, the
-head that cannot drift first, then the recurrent part.
-"""
+"""Training of the displacement network (section 4.3 of MMDMC): the head first, then the recurrent part."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ import numpy as np
 import torch
 
 from bunraku.apparel.clothed import ClothedCharacter, Swing
-from bunraku.apparel.learned.features import clip_features, mirror_global, static_features
+from bunraku.apparel.learned.features import static_features
 from bunraku.apparel.learned.network import DisplacementConfig
 from bunraku.apparel.learned.segmentation import find_apparel
 from bunraku.apparel.nodes import apparel_nodes, clothed_with_springs, part_neighbours
@@ -24,21 +22,22 @@ from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.checks import standing_out
 from bunraku_lab.datasets.apparel.shards import ApparelCharacter, ApparelClip
-from bunraku_lab.nn.apparel import DisplacementNetwork, Inputs, normalize_inputs, past_of_states
+from bunraku_lab.nn.apparel import (
+    DisplacementNetwork,
+    Inputs,
+    clip_features,
+    mirror_global,
+    normalize_inputs,
+    past_of_states,
+)
 from bunraku_lab.nn.graph import NodeGraph, node_graph
 from bunraku_lab.training.losses.motion import edge_loss, vertex_loss
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
 
 __all__ = [
-    "BANK_NODES",
-    "BankCharacter",
-    "DisplacementTrainConfig",
-    "DisplacementTrainer",
-    "build_bank",
-    "train_displacement",
+    "BANK_NODES", "BankCharacter", "DisplacementTrainConfig", "DisplacementTrainer", "build_bank", "train_displacement",
     "truly_clothed",
-]
-
+]  # fmt: skip
 
 BANK_NODES = 128
 HEADS = (48, 72, 128)
@@ -63,12 +62,7 @@ def truly_clothed(character: ApparelCharacter) -> ClothedCharacter:
 
 @dataclass(frozen=True, eq=False)
 class BankCharacter:
-    """The nodes of one character in all of its clips.
-
-    Args:
-        path: Its folder.
-        name: Of the character.
-    """
+    """The nodes of one character in all of its clips."""
 
     path: Path
     name: str
@@ -115,7 +109,6 @@ def build_bank(
     Args:
         data: The data set, of one split.
         folder: Where it is kept.
-        progress: Called with the share done.
         nodes: Most nodes of a character.
     """
     out = []
@@ -250,8 +243,7 @@ class DisplacementTrainConfig(StepSettings):
 
 
 def take_head(model: DisplacementNetwork, path: Path) -> None:
-    """Put the head of a checkpoint in the place of a network's own, and its recurrent part where that has the same
-    shape.
+    """Put the head of a checkpoint in place of a network's own, and its recurrent part if the shapes agree.
 
     Raises:
         OptionError: The checkpoint's head has another shape.
@@ -282,23 +274,15 @@ class _Block:
 
 
 class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
-    """One run in memory.
-
-    Args:
-        config: Settings.
-        characters: To learn from.
-        held_out: To validate on.
-    """
+    """One run in memory."""
 
     kind = "apparel"
     columns = ("head_loss", "recurrent_loss", "rate")
 
     def __init__(
-        self,
-        config: DisplacementTrainConfig,
-        characters: Sequence[BankCharacter],
+        self, config: DisplacementTrainConfig, characters: Sequence[BankCharacter],
         held_out: Sequence[BankCharacter] = (),
-    ):
+    ):  # fmt: skip
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
         self.set_up(lambda: DisplacementNetwork(config.network), self._units)
 
@@ -426,7 +410,6 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
                 "both_over_rigid": sums[2] / sums[0]}  # fmt: skip
 
     def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint."""
         whole = self.average
         if self.progress() <= self.config.head:  # what has not learned is not handed on
             whole = DisplacementNetwork(replace(self.config.network, recurrent=0))
@@ -438,14 +421,6 @@ def train_displacement(
     config: DisplacementTrainConfig, report: Report | None = None, progress: Progress | None = None
 ) -> Path:
     """Train the displacement network, or go on where the run in `config.out` stopped.
-
-    Args:
-        config: Settings.
-        report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         BunrakuError: No data, or the folder cannot be written.

@@ -1,6 +1,4 @@
-"""The joint refinement f_j of section 4.4 of MMDMC: where apparel and body meet, the network that merges what both
-modules say, and its training.
-"""
+"""The joint refinement f_j of section 4.4 of MMDMC, which merges what both modules say, and its training."""
 
 from __future__ import annotations
 
@@ -32,21 +30,9 @@ from bunraku_lab.training.rows.banks import kept_arrays
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
 __all__ = [
-    "BASIS",
-    "INPUTS",
-    "RefinementConfig",
-    "RefinementNetwork",
-    "RefinementTrainConfig",
-    "RefinementTrainer",
-    "Seam",
-    "SeamFrame",
-    "SeamSample",
-    "refined",
-    "seam_of",
-    "seam_sample",
-    "train_refinement",
-]
-
+    "BASIS", "INPUTS", "RefinementConfig", "RefinementNetwork", "RefinementTrainConfig", "RefinementTrainer", "Seam",
+    "SeamFrame", "SeamSample", "refined", "seam_of", "seam_sample", "train_refinement",
+]  # fmt: skip
 
 REACH = 0.12
 """How far from apparel the body is refined too, along the edges, over the character's size [m]."""
@@ -87,8 +73,7 @@ class Seam:
         weights: Skinning weights that the body alone would have there, shape (S, 22).
         rest: [m], shape (S, 3).
         joint: Joint that carries each, by these weights, shape (S,).
-        still: Inputs that never change: apparel or not, its means around, and how many edges meet, shape
-            (S, len(HOPS) + 2).
+        still: Inputs that never change: apparel, its means around, and the number of edges, shape (S, len(HOPS) + 2).
         around: Mean over the neighbours and the vertex itself, sparse (S, S).
         scale: The clothed's size.
     """
@@ -343,13 +328,7 @@ def seam_sample(
 
 
 class RefinementTrainer(AveragedRun[RefinementNetwork]):
-    """One run in memory.
-
-    Args:
-        config: Settings.
-        characters: To learn from.
-        held_out: To validate on.
-    """
+    """One run in memory."""
 
     kind = "apparel-refinement"
 
@@ -418,14 +397,6 @@ def train_refinement(
     config: RefinementTrainConfig, report: Report | None = None, progress: Progress | None = None
 ) -> Path:
     """Train the joint refinement, or go on where the run in `config.out` stopped.
-
-    Args:
-        config: Settings.
-        report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         BunrakuError: No data, a network is missing, or the folder cannot be written.

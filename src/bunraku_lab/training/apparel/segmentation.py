@@ -1,26 +1,125 @@
-"""Training of the segmentation network (section 4.1 of MMDMC), on characters in other makes: welded parts, other
-widths, fewer points.
-"""
+"""Training of the segmentation network (section 4.1 of MMDMC), and the meshes that it and the body network use."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.learned.segmentation import SegmentationConfig, point_features
+from bunraku.apparel.learned.segmentation import (
+    SampledMesh,
+    SegmentationConfig,
+    point_features,
+    sampled_mesh,
+)
 from bunraku.apparel.nodes import part_neighbours
+from bunraku.apparel.physics.clothed_from_file import clothed_from_file
+from bunraku.core.body.layout import JOINT_COUNT
+from bunraku.core.character import Character
+from bunraku.core.geometry.graph import bridge_edges, clean_mesh, mesh_parts, unique_edges
 from bunraku.errors import OptionError
+from bunraku_lab.datasets.apparel.plan import character_split
 from bunraku_lab.nn.apparel import SegmentationNetwork, mesh_block
-from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku_lab.training.losses.motion import mask_loss
+from bunraku_lab.training.rows.banks import kept_arrays
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
-__all__ = ["SegmentationTrainConfig", "SegmentationTrainer", "mask_iou", "train_segmentation", "varied", "welded_parts"]
+__all__ = [
+    "MeshSample", "SegmentationTrainConfig", "SegmentationTrainer", "build_meshes", "mask_iou", "mesh_sample",
+    "train_segmentation", "varied", "welded_parts", "joint_distances"]  # fmt: skip
+
+TOUCH = 0.03
+"""How near vertices of loose parts are that lie on one another, over the height."""
+REACH = 5.0
+"""How far from a joint it begins to be the surface, over the distance of the nearest vertex."""
+_SIDES = np.array([side for side in np.ndindex(3, 3, 3) if side != (1, 1, 1)], np.float64) - 1
+_SIDES /= np.linalg.norm(_SIDES, axis=1, keepdims=True)
+
+_MESH = ("clean", "points", "joints", "features", "part", "neighbours")
+
+
+@dataclass(frozen=True, eq=False)
+class MeshSample:
+    """A character of the wardrobe.
+
+    Args:
+        name: Its name.
+        mesh: Its points.
+        apparel: Which are apparel, shape (S,), bool.
+        stiffness: Of apparel points (`part_stiffness`), shape (S,); NaN where nobody knows.
+        damping: log10 of what a second leaves of their velocity, shape (S,).
+        weights: True skinning weights, shape (S, 22).
+        geodesics: G, shape (S, 22).
+    """
+
+    name: str
+    mesh: SampledMesh
+    apparel: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    weights: np.ndarray
+    geodesics: np.ndarray
+
+
+def mesh_sample(character: Character, name: str, seed: int = 0) -> MeshSample:
+    """Sample a character whose file has physics.
+
+    Raises:
+        BunrakuError: It cannot be used.
+    """
+    clothed = clothed_from_file(character)
+    mesh = sampled_mesh(clothed.rest, clothed.faces, clothed.joints, seed=seed)
+    first = np.zeros(mesh.index.max() + 1, np.int64)
+    first[mesh.index] = np.arange(len(mesh.index))
+    cloth = np.zeros(len(first), bool)
+    cloth[mesh.index[clothed.apparel]] = True
+    part = np.full(len(first), -1)
+    part[mesh.index[clothed.apparel]] = clothed.part[clothed.apparel]
+    own = part[mesh.clean]
+    stiffness = np.where(own >= 0, clothed.stiffness[own], 0)
+    damping = np.where(own >= 0, np.log10(1 - np.clip(clothed.damping, 0, 0.999))[own], 0)
+    return MeshSample(
+        name, mesh, cloth[mesh.clean], stiffness.astype(np.float32), damping.astype(np.float32),
+        clothed.weights[first[mesh.clean]].astype(np.float32),
+        joint_distances(clothed.rest, clothed.faces, clothed.joints, mesh.clean),
+    )  # fmt: skip
+
+
+def build_meshes(
+    folder: Path, count: int, first: int = 10_000, progress: Callable[[float], None] | None = None
+) -> dict[str, list[MeshSample]]:
+    """Samples of wardrobe characters by split, computed once.
+
+    Args:
+        folder: Where they are kept.
+        count: How many characters.
+        first: Seed of the first.
+
+    Raises:
+        FormatError: A file of the folder is damaged.
+    """
+    makers = {f"wardrobe_{seed:06d}": partial(_arrays, seed) for seed in range(first, first + count)}
+    out: dict[str, list[MeshSample]] = {"train": [], "val": [], "test": []}
+    empty = np.zeros(0, np.int64)
+    for name, arrays in kept_arrays(folder, makers, progress):
+        mesh = SampledMesh(**{key: arrays.pop(key) for key in _MESH}, index=empty, nearest=empty, shares=empty)
+        out[character_split(name)].append(MeshSample(name, mesh, **arrays))
+    return out
+
+
+def _arrays(seed: int) -> dict[str, np.ndarray]:
+    from bunraku_lab.synthetic.wardrobe import wardrobe_character
+
+    sample = mesh_sample(wardrobe_character(seed), "", seed)
+    arrays = {key: value for key, value in vars(sample).items() if key not in ("name", "mesh")}
+    return {key: getattr(sample.mesh, key) for key in _MESH} | arrays
 
 
 TOUCHING = 0.03  # over the height: points of two parts as near may be welded
@@ -61,12 +160,7 @@ def welded_parts(
 
 
 def varied(sample: MeshSample, random: np.random.Generator) -> MeshSample:
-    """A variation of a character, for the segmentation network: its weights and geodesic distances are not changed.
-
-    Args:
-        sample: The character.
-        random: Of what is changed.
-    """
+    """A variation of a character, for the segmentation network: its weights and geodesic distances are not changed."""
     mesh = sample.mesh
     part = mesh.part
     if random.random() < 0.6:
@@ -118,13 +212,7 @@ class SegmentationTrainConfig(StepSettings):
 
 
 class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
-    """One run in memory.
-
-    Args:
-        config: Settings.
-        characters: To learn from.
-        held_out: To validate on.
-    """
+    """One run in memory."""
 
     kind = "apparel-mask"
 
@@ -201,17 +289,68 @@ def train_segmentation(
 ) -> Path:
     """Train the segmentation network, or go on where the run in `config.out` stopped.
 
-    Args:
-        config: Settings.
-        report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
-
     Raises:
         BunrakuError: The folder cannot be written.
     """
     config.prepare()
     meshes = build_meshes(config.out.with_name(f"{config.out.name}-meshes"), config.characters)
     return SegmentationTrainer(config, meshes["train"], meshes["val"]).learn(report, progress)
+
+
+def joint_distances(
+    vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, clean_vertices: np.ndarray
+) -> np.ndarray:
+    """Geodesic distances G of section 4.2 from points to joints, over the height, shape (S, 22), float32.
+
+    The paper lets each joint stand for the vertex nearest to it. Characters are layers of loose parts, so that this may
+    be one of a belt or a tooth, and the way from there a long one; and even on a closed limb it is near to one side
+    only. Ours begins in the joint itself, goes straight to the nearest vertices on all sides of it, and along the edges
+    from there; loose parts are joined wherever they lie on one another, and at least where they are nearest, so that
+    all distances are finite.
+
+    Args:
+        vertices: Rest mesh [m], shape (V, 3).
+        faces: Shape (F, 3).
+        joints: J [m], shape (22, 3).
+        clean_vertices: The clean vertices that are asked for (`SampledMesh.clean`), shape (S,).
+    """
+    clean = clean_mesh(vertices, faces)
+    count = len(clean.vertices)
+    edges = unique_edges(clean.faces, count)
+    part = mesh_parts(edges, count)
+    height = max(float(np.ptp(clean.vertices[:, 1])), 1e-9)
+    touching = _touching(clean.vertices, part, TOUCH * height)
+    edges = np.unique(np.concatenate([edges, bridge_edges(clean.vertices, part), touching]), axis=0)
+    lengths = np.linalg.norm(clean.vertices[edges[:, 0]] - clean.vertices[edges[:, 1]], axis=1) + 1e-9
+    starts = _starts(clean.vertices, (np.asarray(joints) - clean.center) / clean.scale)
+    rows = np.concatenate([edges[:, 0], edges[:, 1], count + starts[0]])
+    columns = np.concatenate([edges[:, 1], edges[:, 0], starts[1]])
+    ways = np.concatenate([lengths, lengths, starts[2] + 1e-9])  # out of a joint only: no way leads through one
+    graph = coo_matrix((ways, (rows, columns)), shape=(count + JOINT_COUNT,) * 2).tocsr()
+    found = dijkstra(graph, indices=count + np.arange(JOINT_COUNT))[:, clean_vertices].T
+    return np.asarray(found / height, np.float32)
+
+
+def _touching(vertices: np.ndarray, part: np.ndarray, most: float) -> np.ndarray:
+    """Pairs of vertices of different loose parts that lie together, smaller one first, shape (T, 2)."""
+    near = min(10, len(vertices))
+    gap, other = (found.reshape(len(vertices), near) for found in cKDTree(vertices).query(vertices, near))
+    own, rank = np.nonzero((part[other] != part[:, None]) & (gap < most))
+    return np.sort(np.stack([own, other[own, rank]], axis=1), axis=1)
+
+
+def _starts(vertices: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The nearest vertices on all sides of each joint, none much farther off than the nearest of all: numbers of joint
+    and vertex, and the distance.
+    """
+    owners, ends, lengths = [], [], []
+    for joint, index in enumerate(joints):
+        offset = vertices - index
+        gap = np.linalg.norm(offset, axis=1)
+        near = np.flatnonzero(gap < REACH * gap.min() + 0.01)
+        near = near[np.argsort(gap[near], kind="stable")]
+        first = near[np.unique((offset[near] @ _SIDES.T).argmax(axis=1), return_index=True)[1]]
+        owners.append(np.full(len(first), joint))
+        ends.append(first)
+        lengths.append(gap[first])
+    return np.concatenate(owners), np.concatenate(ends), np.concatenate(lengths)

@@ -1,6 +1,4 @@
-"""What the baselines train on: characters of MMDMC's data set as small meshes, characters with people's rigs in the
-same poses, and the pairs that pose transfer learns from.
-"""
+"""What the baselines train on: small meshes of characters in poses, and the pairs that pose transfer learns from."""
 
 from __future__ import annotations
 
@@ -32,26 +30,14 @@ from bunraku_lab.baselines.pose_transfer import (
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.shards import ApparelClip
 from bunraku_lab.datasets.characters.build import HELD_OUT, RIGGED, no_characters, rigged_files
-from bunraku_lab.datasets.characters.training_character import facing_rotation
+from bunraku_lab.datasets.characters.training_character import facing_ahead
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.training.rows.banks import kept_arrays
 
 __all__ = [
-    "BankPlan",
-    "ClothedSample",
-    "Pair",
-    "Target",
-    "build_clothed_bank",
-    "build_posed_bank",
-    "clothed_sample",
-    "clothed_target",
-    "clothed_targets",
-    "drawn_pairs",
-    "pose_frames",
-    "posed_sample",
-    "rootless",
-]
-
+    "BankPlan", "ClothedSample", "Pair", "Target", "build_clothed_bank", "build_posed_bank", "clothed_sample",
+    "clothed_target", "clothed_targets", "drawn_pairs", "pose_frames", "posed_sample", "rootless",
+]  # fmt: skip
 
 REFERENCE = "reference_"
 """What the names of the reference body's shapes begin with."""
@@ -69,8 +55,7 @@ class Target:
         skinning: True weights of the joints, shape (M, 22).
         truth: Its vertices in the poses, shape (P, M, 3).
         affine: Affine transforms of its joints, shape (P, 22, 3, 4); None where the poses are those of all characters.
-        turns: Of the joints of the reference body in the same poses, shape (P, 22, 3, 3); None where the poses are
-            those of all characters.
+        turns: Rotations of the reference body's joints in the poses, shape (P, 22, 3, 3); None where all share poses.
         source: The reference body at rest as the character rests; None where the poses are those of all characters.
     """
 
@@ -108,14 +93,7 @@ class Pair:
 
 
 def drawn_pairs(characters: Sequence[Target], count: int, random: np.random.Generator) -> list[Pair]:
-    """Pairs of one source: in one pose where all characters have the same poses; otherwise the reference body in the
-    pose of each target.
-
-    Args:
-        characters: Targets, and sources too where all have the same poses.
-        count: How many pairs.
-        random: Draws them.
-    """
+    """Pairs of one source: in one pose where all share poses, else the reference body in each target's pose."""
     targets = [characters[number] for number in random.integers(len(characters), size=count)]
     if targets[0].turns is not None:
         out = []
@@ -166,15 +144,7 @@ class ClothedSample:
 def clothed_sample(
     data: ApparelData, clips: list[ApparelClip], mesh: NetworkMesh, frames: int, seed: int
 ) -> ClothedSample:
-    """A character in some frames of its clips, evenly taken.
-
-    Args:
-        data: The data set.
-        clips: Of one character.
-        mesh: Its mesh of network size.
-        frames: How many in all.
-        seed: Of where the first is.
-    """
+    """A character in some frames of its clips, evenly taken."""
     character = data.character(clips[0])
     random = np.random.default_rng(seed)
     affine, truth = [], []
@@ -206,7 +176,6 @@ def build_clothed_bank(
         folder: Where they are kept.
         vertices: Of a mesh, about.
         frames: Of each character.
-        progress: Called with the share done.
         most: How many characters at the most.
     """
     makers = {name: lambda name=name: _sampled(data, name, vertices, frames) for name in data.characters[:most]}
@@ -310,12 +279,6 @@ def pose_frames(motions: Path, count: int, seed: int = 0) -> HandleMotion:
 def posed_sample(character: Character, name: str, poses: HandleMotion, vertices: int) -> Target:
     """A rigged character in poses, x and z from its root handle.
 
-    Args:
-        character: Facing +Z, with a person's rig.
-        name: Its name.
-        poses: Motion of the reference body.
-        vertices: Of its mesh, about.
-
     Raises:
         CharacterError: There is no rig, or it is not a person's.
     """
@@ -344,7 +307,6 @@ def build_posed_bank(
     Args:
         plan: What it is made of.
         folder: Where it is kept.
-        progress: Called with the share done.
 
     Raises:
         FormatError: There are no rigged characters, or no people's clips.
@@ -364,6 +326,7 @@ def build_posed_bank(
 
 
 def _makers(plan: BankPlan) -> dict[str, Callable[[], Character]]:
+    from bunraku.files import load_character
     from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
     out: dict[str, Callable[[], Character]] = {}
@@ -374,21 +337,7 @@ def _makers(plan: BankPlan) -> dict[str, Callable[[], Character]]:
         raise no_characters(plan.characters, RIGGED)
     for file in files:
         name = file.relative_to(plan.characters).with_suffix("").as_posix()
-        out[name] = lambda file=file, name=name: _facing(file, name)  # type: ignore[misc]
+        out[name] = lambda file=file, name=name: facing_ahead(load_character(file), name)  # type: ignore[misc]
     for seed in range(plan.wardrobe):
         out[f"wardrobe_{seed:06d}"] = lambda seed=seed: wardrobe_character(seed)  # type: ignore[misc]
     return out
-
-
-def _facing(file: Path, name: str) -> Character:
-    """A rigged file facing +Z."""
-    from bunraku.files import load_character
-
-    character = load_character(file)
-    if character.rig is None:
-        return character
-    turn = facing_rotation(name, character.rig.names, character.rig.positions)
-    transforms = character.rig.transforms.copy()
-    transforms[:, :3] = turn @ transforms[:, :3]
-    vertices = character.vertices @ turn.T.astype(np.float32)
-    return replace(character, vertices=vertices, rig=replace(character.rig, transforms=transforms), source=None)

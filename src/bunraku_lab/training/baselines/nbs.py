@@ -25,8 +25,7 @@ class NbsTrainConfig(StepSettings):
     Args:
         data: Folder that `bunraku data apparel` wrote.
         meshes: Folder that keeps its characters as meshes of network size.
-        start: A trained skinning branch, which stays as it is; blend shapes are trained on top of it
-            (--network.shapes 9).
+        start: A trained skinning branch, which stays as it is below the blend shapes (--network.shapes 9).
         vertices: Of a mesh, about.
         frames: Of each character.
         poses: Of a mesh a step.
@@ -47,13 +46,7 @@ class NbsTrainConfig(StepSettings):
 
 
 class NbsTrainer(AveragedRun[NbsNetwork]):
-    """One run in memory.
-
-    Args:
-        config: Settings.
-        characters: To learn from.
-        held_out: To validate on.
-    """
+    """One run in memory."""
 
     kind = "nbs"
 
@@ -115,14 +108,6 @@ class NbsTrainer(AveragedRun[NbsNetwork]):
 
 def train_nbs(config: NbsTrainConfig, report: Report | None = None, progress: Progress | None = None) -> Path:
     """Train Neural Blend Shapes, or go on where the run in `config.out` stopped.
-
-    Args:
-        config: Settings.
-        report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         BunrakuError: No data, no trained branch to start from, or the folder cannot be written.

@@ -1,6 +1,4 @@
-"""Training of Skeleton-free Pose Transfer, with the losses that no other training has: how the parts of a target move
-with those of a posed source.
-"""
+"""Training of Skeleton-free Pose Transfer: how the parts of a target move with those of a posed source."""
 
 from __future__ import annotations
 
@@ -31,16 +29,9 @@ from bunraku_lab.training.losses.handles import skinning_loss, skinning_pairs
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
 __all__ = [
-    "PRESETS",
-    "TransferTrainConfig",
-    "TransferTrainer",
-    "chamfer_loss",
-    "far_points",
-    "train_transfer",
-    "transform_loss",
-    "weight_divergence",
-]
-
+    "PRESETS", "TransferTrainConfig", "TransferTrainer", "chamfer_loss", "far_points", "train_transfer",
+    "transform_loss", "weight_divergence",
+]  # fmt: skip
 
 QUATERNION = 0.5
 """Weight of quaternions against translations."""
@@ -60,8 +51,7 @@ def transform_loss(transforms: Tensor, truth: Tensor) -> Tensor:
 
 
 def far_points(points: Tensor, count: int) -> Tensor:
-    """Rows of farthest-point samples, shape (count,): each is the farthest from those before it, the first is the one
-    farthest from the mean.
+    """Rows of farthest-point samples, shape (count,), of which the first is the farthest from the mean.
 
     Args:
         points: Shape (M, 3).
@@ -78,8 +68,7 @@ def far_points(points: Tensor, count: int) -> Tensor:
 
 
 def chamfer_loss(centres: Tensor, points: Tensor) -> Tensor:
-    """The Chamfer distance of the parts' centres from points of the mesh: mean squared distance to the nearest of the
-    other set, both ways.
+    """The Chamfer distance of centres and points: mean squared distance to the nearest of the other set, both ways.
 
     Args:
         centres: Shape (K, 3).
@@ -178,13 +167,7 @@ PRESETS: dict[str, dict[str, object]] = {
 
 
 class TransferTrainer(AveragedRun[TransferNetwork]):
-    """One run in memory.
-
-    Args:
-        config: Settings.
-        characters: To learn from.
-        held_out: To validate on, with characters that training saw where they have its sources.
-    """
+    """One run in memory."""
 
     kind = "transfer"
 
@@ -210,9 +193,7 @@ class TransferTrainer(AveragedRun[TransferNetwork]):
     def moved(
         self, model: TransferNetwork, pairs: Sequence[Pair]
     ) -> tuple[list[torch.Tensor], list[torch.Tensor], torch.Tensor]:
-        """Where the network puts the targets (M, 3), the weights of their parts (M, K), and the transforms that their
-        parts take (B, K, 7).
-        """
+        """The targets' vertices (M, 3), the weights of their parts (M, K), and the parts' transforms (B, K, 7)."""
         same = all(pair.source is pairs[0].source for pair in pairs)
         once = same and all(pair.posed is pairs[0].posed for pair in pairs)
         sources = pairs[:1] if same else pairs
@@ -279,9 +260,7 @@ class TransferTrainer(AveragedRun[TransferNetwork]):
     def _part_loss(
         self, target: Target, points: torch.Tensor, weights: torch.Tensor, true: torch.Tensor, truth: torch.Tensor
     ) -> torch.Tensor:
-        """What teaches the predictor: the truth by the parts' true transforms, centres all over the mesh, Eq. 13 of
-        TapMo, and parts that do not turn with a copy.
-        """
+        """The predictor's losses: true transforms, centres all over the mesh, Eq. 13 of TapMo, and rotated copies."""
         config, model = self.config, self.model
         assert model.predictor is not None
         centres = part_centres(points, weights)
@@ -302,9 +281,7 @@ class TransferTrainer(AveragedRun[TransferNetwork]):
         return loss + config.alike * weight_divergence(model.predictor(copy), logits)
 
     def _alone_loss(self) -> torch.Tensor:
-        """The weighted losses of the parts of some characters, to which nothing is transferred, mean over them [% of
-        the height for vertices].
-        """
+        """The weighted losses of some characters' parts without a transfer, mean over them [% of the height]."""
         config, model, total = self.config, self.model, torch.zeros((), device=self.config.device)
         targets = [self.characters[number] for number in self.rng.integers(len(self.characters), size=config.batch)]
         seen = model.weights(graph_of([one.mesh for one in targets]).to(config.device))
@@ -326,9 +303,7 @@ class TransferTrainer(AveragedRun[TransferNetwork]):
         return total / len(targets)
 
     def _cycle_loss(self, pair: Pair) -> torch.Tensor:
-        """From the source to a third character and back: where the source is again, and the third character near what
-        the source's own transforms make of it.
-        """
+        """From the source to a third character and back: where the source and the third character are."""
         config, model = self.config, self.model
         third = self.characters[int(self.rng.integers(len(self.characters)))]
         back = Target("source", pair.source, pair.source_skinning, pair.posed[None])
@@ -348,9 +323,7 @@ class TransferTrainer(AveragedRun[TransferNetwork]):
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
-        """Mean distance of vertices from the truth over the height on characters that were not learned from [%], by the
-        network and by the source's own transforms.
-        """
+        """Mean distance from the truth on held-out characters [%], by the network and by the source's transforms."""
         random = np.random.default_rng(7)
         shapes = [one for one in self.characters if one.name.startswith("reference_average")]
         found = []
@@ -380,14 +353,6 @@ def _stretch(moved: torch.Tensor, rest: torch.Tensor, edges: np.ndarray) -> torc
 
 def train_transfer(config: TransferTrainConfig, report: Report | None = None, progress: Progress | None = None) -> Path:
     """Train the pose transfer, or go on where the run in `config.out` stopped.
-
-    Args:
-        config: Settings.
-        report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         BunrakuError: No data, or the folder cannot be written.

@@ -1,6 +1,4 @@
-"""Training of the denoiser (Eq. 6 to 9 of TapMo), from scratch or from the weights of another run, and the card that
-says what the weights learned from.
-"""
+"""Training of the denoiser (Eq. 6 to 9 of TapMo), and the card that says what the weights learned from."""
 
 from __future__ import annotations
 
@@ -24,8 +22,7 @@ from bunraku.generation.layers import PRESETS, DenoiserConfig
 from bunraku.generation.pack import ExamplePack, load_examples, read_pack
 from bunraku.language.encoders import MiniLMEncoder, TextEncoder, text_encoder
 from bunraku_lab.datasets.characters.bank import load_character_bank
-from bunraku_lab.datasets.motions.clips import read_bundle
-from bunraku_lab.datasets.motions.sources import credit_lines
+from bunraku_lab.datasets.motions.clips import credit_lines, read_bundle
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.denoiser import Denoiser, load_denoiser
 from bunraku_lab.training.diffusion.trainer import (
@@ -41,11 +38,9 @@ from bunraku_lab.training.diffusion.trainer import (
 from bunraku_lab.training.rows.banks import TextBank, load_mesh_bank
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips, rehearsal_clips
-from bunraku_lab.training.runs.processes import forking
-from bunraku_lab.training.runs.run import EventLog, Stop, TrainingRun, logged_columns
+from bunraku_lab.training.runs.run import EventLog, Stop, TrainingRun, forking, logged_columns
 
 __all__ = ["TrainingConfig", "rescaled", "start_from", "train_diffusion", "training_card", "write_card"]
-
 
 _HEAD = "adaptation_out."
 _FREE = {"adaptation_mesh", "adaptation_frame", "examples"}
@@ -81,8 +76,7 @@ def rescaled(model: Denoiser, mean: torch.Tensor, std: torch.Tensor) -> dict[str
 
 
 def start_from(path: str | Path, model: Denoiser) -> None:
-    """Give a new denoiser the weights of a checkpoint, in the units of its own statistics; its adaptation's layer stays
-    as it is.
+    """Give a new denoiser the weights of a checkpoint, in its own units, but for the adaptation's layer.
 
     Args:
         path: A checkpoint of kind "diffusion".
@@ -115,10 +109,6 @@ def training_card(clips: Mapping[str, ClipEntry], config: TrainingConfig) -> str
     """A model card in Markdown.
 
     The terms of the weights that a run starts from hold for what comes out of it, so their credits are carried on.
-
-    Args:
-        clips: All clips of the data, those that are held out too.
-        config: The run.
     """
     learned = {name: entry for name, entry in clips.items() if entry.get("split", "train") == "train"}
     seconds: Counter[str] = Counter()
@@ -147,9 +137,7 @@ def training_card(clips: Mapping[str, ClipEntry], config: TrainingConfig) -> str
 
 
 def _carried(config: TrainingConfig) -> list[str]:
-    """The credits of the weights that the run starts from, and of the examples that it rehearses, where their cards are
-    beside them.
-    """
+    """The credits of the start weights and of the rehearsed examples, where their cards are beside them."""
     names = ["diffusion"] if config.start == SHIPPED else []
     names += ["examples"] if config.rehearse else []
     cards = [] if config.start in (None, SHIPPED) else [config.start.with_suffix(".md")]  # type: ignore[union-attr]
@@ -183,11 +171,7 @@ def _statistics(path: Path) -> FeatureStatistics | None:
 
 
 def _pack(config: TrainingConfig) -> ExamplePack:
-    """The examples of a run.
-
-    Raises:
-        WeightsError: They are missing or damaged.
-    """
+    """The examples of a run."""
     pack = load_examples() if config.example_pack is None else read_pack(config.example_pack)
     if pack is None:
         raise WeightsError("the shipped examples are missing; install Bunraku again or name some with --example-pack")
@@ -198,11 +182,6 @@ def train_diffusion(
     config: TrainingConfig, network: DenoiserConfig | None = None, encoder: TextEncoder | None = None
 ) -> Path:
     """Train, or go on training, and return the path of the averaged weights.
-
-    Args:
-        config: The run.
-        network: In place of the preset's network.
-        encoder: In place of the built-in text encoder.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another network.
@@ -254,18 +233,14 @@ def train_diffusion(
             encoder = text_encoder(f"{'clip' if config.text_folder else MiniLMEncoder.name}+cues", config.text_folder)
         task = bar.add_task("captions", total=None)
         bank = TextBank(
-            encoder,
-            sorted({sentence for part in (train, val) for sentence in part.sentences()}),
-            config.out / "captions.safetensors",
-            lambda done, total: bar.update(task, completed=done, total=total),
+            encoder, sorted({sentence for part in (train, val) for sentence in part.sentences()}),
+            config.out / "captions.safetensors", lambda done, total: bar.update(task, completed=done, total=total),
             config.workers,
-        )
+        )  # fmt: skip
     if network is None:
         sizes: dict[str, Any] = {
-            "text_encoder": encoder.name,
-            "text_size": encoder.token_size,
-            "pooled_size": encoder.pooled_size,
-        }
+            "text_encoder": encoder.name, "text_size": encoder.token_size, "pooled_size": encoder.pooled_size,
+        }  # fmt: skip
         network = replace(
             PRESETS[config.preset], **sizes, adaptation_mesh=config.adaptation_mesh, examples=config.examples
         )
@@ -330,15 +305,7 @@ _COLUMNS = (
 
 
 class _Run(TrainingRun):
-    """A trainer in the loop, with its batches, its validation and its log.
-
-    Args:
-        trainer: Networks and optimisers.
-        network: The denoiser's config.
-        source: Batches from the trainer's step on.
-        examples: What is validated.
-        console: Of rich.
-    """
+    """A trainer in the loop, with its batches, its validation and its log."""
 
     stage = "diffusion"
     columns = None
@@ -358,7 +325,6 @@ class _Run(TrainingRun):
 
     @property
     def checkpoint(self) -> Path:
-        """The averaged weights."""
         return self.out / "diffusion.safetensors"
 
     @property
@@ -368,7 +334,6 @@ class _Run(TrainingRun):
 
     @property
     def save_every(self) -> float:
-        """Minutes between saved states."""
         return max(float(self.config.save_every), 1e-9)
 
     def progress(self) -> float:
@@ -398,7 +363,6 @@ class _Run(TrainingRun):
         }  # fmt: skip
 
     def event_log(self) -> EventLog:
-        """Where curves go."""
         return EventLog(self.out / "events", self.console.print)
 
     def validate(self) -> dict[str, float]:

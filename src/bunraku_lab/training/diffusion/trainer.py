@@ -1,6 +1,4 @@
-"""One training run of the denoiser in memory: settings, model, averaged model, optimiser, a step of each kind, and
-where batches come from.
-"""
+"""One training run of the denoiser in memory, and where its batches come from."""
 
 from __future__ import annotations
 
@@ -28,11 +26,9 @@ from bunraku_lab.training.losses.motion import contact_loss, motion_losses
 from bunraku_lab.training.rows.banks import MeshBank, TextBank
 from bunraku_lab.training.rows.clip_rows import ClipSet, MotionBatch
 from bunraku_lab.training.rows.workers import DrawnRows, FedPool, RowMaker, RowPool, RowWorkers
-from bunraku_lab.training.runs.processes import Ahead
-from bunraku_lab.training.runs.run import RunSettings, bf16_is_fast, careful_step, follow_weights, learning_rate
+from bunraku_lab.training.runs.run import Ahead, RunSettings, bf16_is_fast, careful_step, follow_weights, learning_rate
 
 __all__ = ["BatchSource", "BatchesAhead", "Example", "PooledBatches", "SHIPPED", "Sources", "Trainer", "TrainingConfig"]
-
 
 SHIPPED = Path("shipped")
 """In place of a path: the weights that Bunraku brings."""
@@ -64,12 +60,9 @@ class TrainingConfig(RunSettings):
         compose: Share of rows that join two clips, "a person walks and then waves".
         creatures: Share of rows that are creatures' clips, where the data have any.
         computed: Share of rows whose sentence is computed from the motion, where it says anything plain.
-        borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that
-            creature shows.
-        events: Share of people's rows that are something plain to see in the numbers, such as a turn, cut out of a clip
-            and described by them.
-        balance: Power of the number of its clips by which an action is drawn: 1 as often as it is captured, 0 all
-            actions alike.
+        borrowed: Share of people's rows with a creature's mesh, of actions that no clip of that creature shows.
+        events: Share of people's rows that are plain to see in the numbers (a rotation, a punch), and described so.
+        balance: Power of its clips by which an action is drawn: 1 as often as captured, 0 all actions alike.
         most_drawn: How many times as often as the median clip one is drawn at the most, so that the only one of its
             action is not learned by heart.
         ema: Decay of the averaged weights.
@@ -178,14 +171,10 @@ class Trainer:
     """
 
     def __init__(
-        self,
-        config: TrainingConfig,
-        network: DenoiserConfig,
-        statistics: FeatureStatistics,
-        mesh_bank: MeshBank | None = None,
-        character_bank: CharacterBank | None = None,
+        self, config: TrainingConfig, network: DenoiserConfig, statistics: FeatureStatistics,
+        mesh_bank: MeshBank | None = None, character_bank: CharacterBank | None = None,
         notes: Mapping[str, object] | None = None,
-    ):
+    ):  # fmt: skip
         self.config = config
         self.notes = notes or {}
         self.device = torch.device(config.device or ("cuda" if torch.cuda.is_available() else "cpu"))
@@ -212,13 +201,9 @@ class Trainer:
         self.seconds = 0.0
 
     def example(
-        self,
-        batch: MotionBatch,
-        text: TextBatch,
-        seed: list[int],
-        train: bool = True,
+        self, batch: MotionBatch, text: TextBatch, seed: list[int], train: bool = True,
         examples: RetrievedExamples | None = None,
-    ) -> Example:
+    ) -> Example:  # fmt: skip
         """Noise, steps, characters and dropped conditions for a batch: a pure function of the seed."""
         random = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0] >> 1))
         size = len(batch.lengths)
@@ -326,9 +311,7 @@ class Trainer:
 
     @torch.no_grad()
     def validate(self, examples: list[Example]) -> tuple[float, float]:
-        """Mean motion loss of the averaged model on fixed noise, with the right sentences and with those of other
-        rows.
-        """
+        """Mean motion loss of the averaged model on fixed noise, with the right sentences and with others."""
         right, wrong, rows = 0.0, 0.0, 0
         for example in examples:
             right += float(self.losses(self.average, example)[0].sum())
@@ -409,13 +392,7 @@ class BatchSource(Protocol):
 
 
 class BatchesAhead:
-    """Batches from the trainer's step on, made ahead by a thread: a pure function of the seed.
-
-    Args:
-        trainer: Adds noise.
-        clips: What is drawn from.
-        sources: What rows get beside their motions.
-    """
+    """Batches from the trainer's step on, made ahead by a thread: a pure function of the seed."""
 
     def __init__(self, trainer: Trainer, clips: ClipSet, sources: Sources):
         self.trainer, self.clips, self.sources = trainer, clips, sources
@@ -428,12 +405,10 @@ class BatchesAhead:
             yield number, batch, *self.sources(batch)
 
     def next(self) -> Example:
-        """See `BatchSource`."""
         number, batch, text, found = self._ahead.take()
         return self.trainer.example(batch, text, [self.trainer.config.seed, number], examples=found)
 
     def close(self) -> None:
-        """See `BatchSource`."""
         self._ahead.end()
         self._ahead.join()
 
@@ -441,11 +416,6 @@ class BatchesAhead:
 class PooledBatches:
     """Batches from a pool on the trainer's device. A run that goes on fills it anew, so it does not learn from the very
     rows that it would have seen.
-
-    Args:
-        trainer: Adds noise.
-        clips: What is drawn from.
-        sources: What rows get beside their motions.
     """
 
     def __init__(self, trainer: Trainer, clips: ClipSet, sources: Sources):
@@ -460,10 +430,8 @@ class PooledBatches:
         self._random = torch.Generator(trainer.device).manual_seed(int(seed >> 1))
 
     def next(self) -> Example:
-        """See `BatchSource`."""
         self.fed.feed(self._least)
         return self.trainer.noised(self.fed.pool.draw(self.trainer.config.batch, self._random), self._random)
 
     def close(self) -> None:
-        """See `BatchSource`."""
         self.fed.close()

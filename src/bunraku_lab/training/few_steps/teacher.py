@@ -1,6 +1,4 @@
-"""What a student of few steps learns from: the sampler that users have, on the device that learns, and the motions that
-it draws in many steps.
-"""
+"""What a student of few steps learns from: the sampler, and the motions that it draws in many steps."""
 
 from __future__ import annotations
 
@@ -22,16 +20,9 @@ from bunraku_lab.nn.text import Extractor, TextBatch
 from bunraku_lab.training.rows.workers import DrawnRows
 
 __all__ = [
-    "NODES",
-    "STEPS",
-    "Teacher",
-    "Trajectories",
-    "ddim",
-    "ddim_shares",
-    "draw_trajectories",
-    "smoothed",
+    "NODES", "STEPS", "Teacher", "Trajectories", "ddim", "ddim_shares", "draw_trajectories", "smoothed",
     "visited_steps",
-]
+]  # fmt: skip
 
 
 class _Conditions(NamedTuple):
@@ -136,9 +127,7 @@ class Teacher:
 
 
 def smoothed(values: Tensor, lengths: Tensor, spread: float = SPREAD) -> Tensor:
-    """Values of rows in time, shape (B, N, D), convolved with a Gaussian of `spread` frames; each row's own ends are
-    held, and zero follows.
-    """
+    """Values of rows in time, shape (B, N, D), convolved with a Gaussian of `spread` frames; ends are held."""
     reach = int(CUT * spread + 0.5)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / spread) ** 2)
     at = torch.arange(values.shape[1], device=values.device)
@@ -152,9 +141,7 @@ def smoothed(values: Tensor, lengths: Tensor, spread: float = SPREAD) -> Tensor:
 STEPS = 20
 """Of the teacher."""
 NODES = (0, 7, 11, 15)
-"""Which of its steps are the student's. The third is below `LED_UNTIL`: down to there an example stands for what is
-predicted.
-"""
+"""Which of its steps are the student's; the third is below `LED_UNTIL`."""
 Roll = Callable[[DrawnRows, Tensor, int], Tensor]
 """The student's own way from x (B, N, D) at its first step down to a step of that number."""
 
@@ -185,8 +172,7 @@ class Trajectories:
 
     Args:
         rows: What they are told, without their motions, numbers in half precision.
-        stations: Where they are at each of the student's steps from `start` on, and at their ends, shape (S + 1, B, N,
-            D), float16.
+        stations: The states at each of the student's steps from `start` on, and at the end, (S + 1, B, N, D), float16.
         start: The first of these steps.
     """
 
@@ -242,11 +228,9 @@ def _narrow(rows: DrawnRows) -> DrawnRows:
     """Without motions, in half precision: many are kept."""
     text, found = rows.text, rows.examples
     return replace(
-        rows,
-        clean=rows.clean[:, :0],
-        text=TextBatch(text.tokens.half(), text.mask, text.pooled),
+        rows, clean=rows.clean[:, :0], text=TextBatch(text.tokens.half(), text.mask, text.pooled),
         examples=None if found is None else RetrievedExamples(found.values.half(), found.lengths, found.pooled),
-    )
+    )  # fmt: skip
 
 
 def _wide(rows: DrawnRows, some: Tensor) -> DrawnRows:
@@ -254,11 +238,7 @@ def _wide(rows: DrawnRows, some: Tensor) -> DrawnRows:
     text = TextBatch(rows.text.tokens[some].float(), rows.text.mask[some], rows.text.pooled[some])
     found = None if rows.examples is None else rows.examples.rows(some)
     return DrawnRows(
-        rows.clean[some],
-        rows.lengths[some],
-        text,
-        None if rows.mesh is None else rows.mesh[some],
-        rows.known[some],
+        rows.clean[some], rows.lengths[some], text, None if rows.mesh is None else rows.mesh[some], rows.known[some],
         rows.person[some],
         None if found is None else RetrievedExamples(found.values.float(), found.lengths, found.pooled),
-    )
+    )  # fmt: skip

@@ -1,6 +1,4 @@
-"""Distillation of the denoiser into few steps: guidance by the sentence and by the critic in the weights, as a low-rank
-change (Hu et al. 2022).
-"""
+"""Distillation of the denoiser into few guided steps, as a low-rank change (Hu et al. 2022)."""
 
 from __future__ import annotations
 
@@ -40,20 +38,20 @@ from bunraku_lab.training.rows.banks import TextBank, load_mesh_bank
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
 from bunraku_lab.training.rows.clips import load_clips
 from bunraku_lab.training.rows.workers import DrawnRows, FedPool, MadeRows, RowMaker, RowPool, RowWorkers
-from bunraku_lab.training.runs.processes import forking
-from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote, bf16_is_fast
+from bunraku_lab.training.runs.run import (
+    AveragedRun,
+    Progress,
+    Report,
+    StepSettings,
+    TrainingNote,
+    bf16_is_fast,
+    forking,
+)
 
 __all__ = [
-    "FewStepsConfig",
-    "FewStepsRun",
-    "LowRank",
-    "PooledRows",
-    "RowSource",
-    "RowsInTurn",
-    "changes_of",
-    "train_few_steps",
-    "with_changes",
-]
+    "FewStepsConfig", "FewStepsRun", "LowRank", "PooledRows", "RowSource", "RowsInTurn", "changes_of",
+    "train_few_steps", "with_changes",
+]  # fmt: skip
 
 
 class LowRank(nn.Module):
@@ -76,8 +74,7 @@ class LowRank(nn.Module):
 
 
 def with_changes(model: nn.Module, rank: int, without: tuple[str, ...] = ()) -> nn.Module:
-    """The model itself, where every linear layer's matrix has a change of at most this rank that learns, and nothing
-    else does.
+    """The model itself, where every linear layer has a change of at most this rank that learns, and nothing else.
 
     Args:
         model: Changed in place.
@@ -115,20 +112,12 @@ class RowSource(Protocol):
 
 
 class RowsInTurn:
-    """Rows made when they are asked for: a pure function of the maker's seed.
-
-    Args:
-        maker: Makes them.
-        rows: Of a batch.
-        frames: Longest row.
-        device: Where they are wanted.
-    """
+    """Rows made when they are asked for: a pure function of the maker's seed."""
 
     def __init__(self, maker: RowMaker, rows: int, frames: int, device: torch.device):
         self.maker, self.pool = maker, RowPool(rows, frames, device, maker.meshes)
 
     def __call__(self, number: int) -> DrawnRows:
-        """See `RowSource`."""
         return self.of(self.maker(number, self.pool.size))
 
     def of(self, made: MadeRows) -> DrawnRows:
@@ -139,7 +128,7 @@ class RowsInTurn:
         return replace(rows, clean=rows.clean[:, : int(rows.lengths.max())])
 
     def close(self) -> None:
-        """See `RowSource`."""
+        """Nothing has to end."""
 
 
 class PooledRows:
@@ -159,13 +148,11 @@ class PooledRows:
         self.fed = FedPool(RowPool(pool, frames, device, maker.meshes), RowWorkers(maker, workers))
 
     def __call__(self, number: int) -> DrawnRows:
-        """See `RowSource`."""
         self.fed.feed(self.size)
         random = torch.Generator(self.fed.pool.device).manual_seed(self.seed * 1_000_003 + number)
         return self.fed.pool.draw(self.size, random, nearest=True)
 
     def close(self) -> None:
-        """See `RowSource`."""
         self.fed.close()
 
 
@@ -224,26 +211,12 @@ class FewStepsConfig(StepSettings):
     device: str | None = None
     bf16: bool = True
     least: ClassVar[dict[str, float]] = {
-        **StepSettings.least,
-        "rank": 1,
-        "rows": 1,
-        "uses": 0.1,
-        "kept": 1,
-        "workers": 0,
-        "pool": 1,
-    }
+        **StepSettings.least, "rank": 1, "rows": 1, "uses": 0.1, "kept": 1, "workers": 0, "pool": 1,
+    }  # fmt: skip
 
 
 class FewStepsRun(AveragedRun[torch.nn.Module]):
-    """One distillation in memory.
-
-    Args:
-        config: Settings.
-        diffusion: Path of the teacher.
-        teacher: Draws what is learned.
-        source: Rows to draw of, by the number of their batch.
-        held: Rows that are held out; None for none.
-    """
+    """One distillation in memory."""
 
     kind = FEW_STEPS_KIND
     config: FewStepsConfig
@@ -265,11 +238,7 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
         self.held_out = [] if self.held is None else [self.held]
 
     def _begin(self, model: torch.nn.Module) -> None:
-        """Give a new student the changes that the run starts from.
-
-        Raises:
-            OptionError: They have another rank, or are of another network.
-        """
+        """Give a new student the changes that the run starts from."""
         if self.config.start is None:
             return
         changes, _ = load_checkpoint(self.config.start, FEW_STEPS_KIND)
@@ -397,18 +366,10 @@ class FewStepsRun(AveragedRun[torch.nn.Module]):
 
 
 def train_few_steps(
-    config: FewStepsConfig,
-    report: Report | None = None,
-    progress: Progress | None = None,
+    config: FewStepsConfig, report: Report | None = None, progress: Progress | None = None,
     encoder: TextEncoder | None = None,
-) -> Path:
+) -> Path:  # fmt: skip
     """Distil, or go on, and return the path of the changes.
-
-    Args:
-        config: The run.
-        report: Called with each row of the log.
-        progress: Called with a stage's name and the share done.
-        encoder: In place of the denoiser's own text encoder.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another run.

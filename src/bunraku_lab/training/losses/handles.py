@@ -1,6 +1,4 @@
-"""The losses of the Mesh Handle Predictor: the paper's three (Eq. 4, 13, 14 of TapMo) and four that give handles their
-meaning, with weighted rigid registration whose gradient stays finite.
-"""
+"""The losses of the Mesh Handle Predictor: the paper's three (Eq. 4, 13, 14 of TapMo) and four further ones."""
 
 from __future__ import annotations
 
@@ -12,19 +10,9 @@ import torch
 from bunraku.core.skinning import EMPTY, PULL, handle_offsets
 
 __all__ = [
-    "LossConfig",
-    "drive_local",
-    "feature_loss",
-    "mirror_loss",
-    "pose_loss",
-    "register_torch",
-    "root_loss",
-    "semantic_loss",
-    "skinning_loss",
-    "skinning_pairs",
-    "smoothness_loss",
-    "sparsity_loss",
-]
+    "LossConfig", "drive_local", "feature_loss", "mirror_loss", "pose_loss", "register_torch", "root_loss",
+    "semantic_loss", "skinning_loss", "skinning_pairs", "smoothness_loss", "sparsity_loss",
+]  # fmt: skip
 
 
 def register_torch(
@@ -34,8 +22,7 @@ def register_torch(
 
     The rotation's gradient is that of the polar factor, `U [(B - B^T) / (s_i + s_j)] V^T` with B the incoming gradient
     in the frames of U and V. It divides by sums of singular values, not by their differences as the gradient of an SVD
-    does, so it is finite where singular values coincide. Where a sum vanishes too (points on a line), the rotation
-    takes no gradient.
+    does, so it is finite where singular values coincide; on a line the rotation takes no gradient.
 
     Args:
         source: Rest vertices [m], shape (V, 3).
@@ -109,10 +96,8 @@ class LossConfig:
         sparsity: Weight of the share outside the four largest weights.
         mirror: Weight of left-right consistency, which is also consistency between two sets of anchors.
         mirror_rate: Share of the meshes on which it is computed.
-        smoothness: Weight of the differences along edges; 0 because an ablation (`docs/history.md`) shows no gain
-            from it.
-        feature: Weight of the change of f_phi against the network that a run starts from, so that what reads it goes
-            on.
+        smoothness: Weight of the differences along edges; 0 after an ablation (`docs/history.md`).
+        feature: Weight of the change of f_phi against the network that a run starts from.
         feature_rate: Share of the meshes on which it is computed.
     """
 
@@ -146,8 +131,7 @@ def root_loss(
         positions: Vertices, shape (V, 3).
         weights: Predicted weights, shape (V, K).
         root: Position of the rig's root joint b_1, shape (3,).
-        areas: Surface of each vertex, shape (V,), so that tessellation does not matter; all alike when not given, as in
-            the paper.
+        areas: Surface of each vertex, shape (V,), against tessellation; all alike when not given, as in the paper.
     """
     share = weights[:, 0] if areas is None else weights[:, 0] * areas
     handle = (share[:, None] * positions).sum(0) / share.sum().clamp_min(1e-9)
@@ -214,12 +198,9 @@ def skinning_loss(
 
 
 def drive_local(
-    positions: torch.Tensor,
-    weights: torch.Tensor,
-    rotations: torch.Tensor,
-    translations: torch.Tensor,
+    positions: torch.Tensor, weights: torch.Tensor, rotations: torch.Tensor, translations: torch.Tensor,
     handles: torch.Tensor,
-) -> torch.Tensor:
+) -> torch.Tensor:  # fmt: skip
     """Eq. 3 without the global items, `sum_k s_k (R_k (v - h_k) + h_k + t_k)`, with the identity for handle 0.
 
     Args:

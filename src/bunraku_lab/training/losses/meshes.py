@@ -1,6 +1,4 @@
-"""Mesh-specific motion learning (section 3.2 of TapMo): motions fitted to characters in batches, the Spring Loss (Eq.
-7), the Adversarial Loss (Eq. 8), and both on random characters.
-"""
+"""Mesh-specific motion learning (section 3.2 of TapMo): the Spring Loss (Eq. 7) and the Adversarial Loss (Eq. 8)."""
 
 from __future__ import annotations
 
@@ -43,7 +41,6 @@ __all__ = [
     "springs_present",
 ]
 
-
 LIMB_SPRINGS: tuple[tuple[int, int], ...] = tuple(
     spring for side in SIDES for family in FAMILIES for spring in pairwise(limb_handles(side, family))
 )
@@ -66,8 +63,7 @@ def spring_loss(positions: Tensor, rest: Tensor, springs: Tensor, sigma: float =
     """Spring Loss L_h of each row [TapMo 7], shape (B,).
 
     With E the distance of two adjacent handles, and frame 0 the rest pose, it is the sum over springs and frames of
-    `exp(-(E_0 + sigma)) (E_n - E_0)^2 + (E_n - E_{n-1})^2`. Rigid motion changes no distance, so positions may be
-    local.
+    `exp(-(E_0 + sigma)) (E_n - E_0)^2 + (E_n - E_{n-1})^2`. Positions may be local: distances stay.
 
     Args:
         positions: Handle positions of each frame, h^1 to h^N, shape (B, N, K, 3).
@@ -92,8 +88,7 @@ class Fitted:
         row: Character of the bank, shape (B,).
         rotations: Local rotations on the character, shape (B, N, K, 3, 3).
         stiff: Local translations that hold the joints [m], shape (B, N, K, 3).
-        residual: What the motion's own translations add, by the part that is played [m of the reference body], shape
-            (B, N, K, 3).
+        residual: The motion's own translations by canonical part [m of the reference body], shape (B, N, K, 3).
     """
 
     row: Tensor
@@ -112,12 +107,8 @@ def _attached(rotations: Tensor, bank: CharacterBank, row: Tensor) -> tuple[Tens
     rotations = rotations.clone()
     translations = rotations.new_zeros(*rotations.shape[:3], 3)
     h, joints, parents, order, present = (
-        bank.handles[row],
-        bank.joints[row],
-        bank.parents[row],
-        bank.order[row],
-        bank.present[row],
-    )
+        bank.handles[row], bank.joints[row], bank.parents[row], bank.order[row], bank.present[row],
+    )  # fmt: skip
     each = torch.arange(len(row), device=row.device)
     for index in range(1, order.shape[1]):
         handle = order[:, index]
@@ -154,8 +145,7 @@ def posed_positions(fitted: Fitted, bank: CharacterBank, delta: Tensor | None = 
     Args:
         fitted: The motions.
         bank: The characters.
-        delta: Adaptation of each part [m of the reference body], shape (B, N, K, 3); the root's does not count. None
-            for none.
+        delta: Adaptation of each part [m of the reference body], shape (B, N, K, 3), without the root's; or None.
     """
     row = fitted.row
     total = fitted.residual if delta is None else fitted.residual + delta
@@ -225,72 +215,51 @@ class MeshMotionDiscriminator(nn.Module):
     """Disc of Eq. 8: a score for the motion of arm vertices.
 
     Each vertex of a frame goes through one small network with its rest position beside its displacement; maximum and
-    mean over the vertices give the frame, since they are drawn in any order; two convolutions over time and the mean
-    give the score.
+    mean over the vertices give the frame; two convolutions over time and the mean give the score.
     """
 
     def __init__(self, width: int = 64):
         super().__init__()
         self.vertex = nn.Sequential(nn.Linear(6, width), nn.LeakyReLU(0.2), nn.Linear(width, width), nn.LeakyReLU(0.2))
         self.time = nn.Sequential(
-            nn.Conv1d(2 * width, width, 3, padding=1),
+            nn.Conv1d(2 * width, width, 3, padding=1), nn.LeakyReLU(0.2), nn.Conv1d(width, width, 3, padding=1),
             nn.LeakyReLU(0.2),
-            nn.Conv1d(width, width, 3, padding=1),
-            nn.LeakyReLU(0.2),
-        )
+        )  # fmt: skip
         self.score = nn.Linear(width, 1)
 
     def forward(self, points: Tensor) -> Tensor:
-        """Logits, shape (B,), of arm motions (B, N, P, 6) as `handle_driven` gives them; the sigmoid of one is
-        Disc(V).
-        """
+        """Logits, shape (B,), of arm motions (B, N, P, 6) of `handle_driven`; their sigmoid is Disc(V)."""
         h = self.vertex(points)
         h = torch.cat([h.amax(2), h.mean(2)], dim=-1).transpose(1, 2)
         return self.score(self.time(h).mean(2)).squeeze(-1)
 
 
 def discriminator_loss(real: Tensor, fake: Tensor) -> Tensor:
-    """What the discriminator minimises: -(E[log Disc(real)] + E[log(1 - Disc(fake))]) of Eq. 8, from logits of shape
-    (B,).
-    """
+    """What the discriminator minimises: -(E[log Disc(real)] + E[log(1 - Disc(fake))]) of Eq. 8, logits (B,)."""
     return F.softplus(-real).mean() + F.softplus(fake).mean()
 
 
 def adversarial_loss(fake: Tensor) -> Tensor:
-    """Adversarial Loss L_a [TapMo 8], the part that the denoiser minimises: E[log(1 - Disc(fake))], from logits of
-    shape (B,).
-    """
+    """Adversarial Loss L_a [TapMo 8], which the denoiser minimises: E[log(1 - Disc(fake))], logits (B,)."""
     return -F.softplus(fake).mean()
 
 
 def discriminator_learns(score: float, margin: float = MARGIN) -> bool:
-    """Whose turn it is (A.2): the discriminator learns only while the mean score of fakes exceeds the margin, the
-    denoiser else.
-    """
+    """Whether the discriminator learns (A.2): only while the mean score of fakes exceeds the margin."""
     return score > margin
 
 
 def _seen_from_chest(
     points: Tensor, rest: Tensor, turn: Tensor, position: Tensor, anchor: Tensor, extent: Tensor
 ) -> Tensor:
-    """Rest place and displacement as the chest sees them, over the character's extent, shape (B, N, P, 6).
-
-    Args:
-        points: Posed vertices, shape (B, N, P, 3).
-        rest: Their rest positions, shape (B, P, 3).
-        turn: Rotation of the chest, shape (B, N, 3, 3).
-        position: Where the chest's handle is taken to, shape (B, N, 3).
-        anchor: Its rest position, shape (B, 3).
-        extent: Shape (B,).
-    """
+    """Rest place and displacement as the chest sees them, over the character's extent, shape (B, N, P, 6)."""
     seen = (points - position[:, :, None]) @ turn
     own = (rest - anchor[:, None])[:, None].expand_as(seen)
     return torch.cat([own, seen - own], dim=-1) / extent[:, None, None, None]
 
 
 def handle_driven(fitted: Fitted, bank: CharacterBank, picked: Tensor, delta: Tensor | None = None) -> Tensor:
-    """V^g of Eq. 8: arm vertices moved by the handles, with the adaptation, as the discriminator sees them, shape (B,
-    N, P, 6).
+    """V^g of Eq. 8: arm vertices moved by the handles with the adaptation, for the discriminator, (B, N, P, 6).
 
     Args:
         fitted: The motions on B characters.
@@ -305,20 +274,14 @@ def handle_driven(fitted: Fitted, bank: CharacterBank, picked: Tensor, delta: Te
     )
     points = move_points(rest, index, weights, fitted.rotations, bank.handles[row], translations)
     return _seen_from_chest(
-        points,
-        rest,
-        fitted.rotations[:, :, _CHEST],
-        positions[:, :, _CHEST],
-        bank.handles[row, _CHEST],
+        points, rest, fitted.rotations[:, :, _CHEST], positions[:, :, _CHEST], bank.handles[row, _CHEST],
         bank.extent[row],
-    )
+    )  # fmt: skip
 
 
 @torch.no_grad()
 def skeleton_driven(fitted: Fitted, bank: CharacterBank, picked: Tensor) -> Tensor:
-    """V^sk of Eq. 8: the same vertices moved by the character's own rig under the same rotations, shape (B, N, P,
-    6).
-    """
+    """V^sk of Eq. 8: the same vertices moved by the rig under the same rotations, shape (B, N, P, 6)."""
     row = fitted.row
     each = torch.arange(len(row), device=row.device)
     rotations, positions = bone_positions(fitted, bank)
@@ -384,14 +347,9 @@ class MeshLearning:
     """
 
     def __init__(
-        self,
-        bank: CharacterBank,
-        device: torch.device,
-        characters: int,
-        frames: int,
-        sigma: float,
+        self, bank: CharacterBank, device: torch.device, characters: int, frames: int, sigma: float,
         learning_rate: float = 1e-4,
-    ):
+    ):  # fmt: skip
         self.bank = bank.to(device)
         self.characters, self.frames, self.sigma = characters, frames, sigma
         self.discriminator = MeshMotionDiscriminator().to(device)
@@ -459,9 +417,7 @@ class MeshLearning:
         return spring, adversarial, skeleton_driven(fitted, bank, draw.picked), fake.detach()
 
     def learn(self, real: Tensor, fake: Tensor, learns: bool) -> tuple[Tensor, float]:
-        """A step of the discriminator on real and fake arms, where it has its turn; its loss and the mean score of the
-        fakes.
-        """
+        """A step of the discriminator, if it is due, on real and fake arms; its loss and the mean score of fakes."""
         with torch.set_grad_enabled(learns):
             fakes = self.discriminator(fake)
             loss = discriminator_loss(self.discriminator(real), fakes)

@@ -12,15 +12,9 @@ from bunraku.core.geometry.rotations import matrix_from_6d
 from bunraku.generation.features import HANDLE_SIZE, ROOT_SIZE
 
 __all__ = [
-    "contact_loss",
-    "edge_loss",
-    "foot_points",
-    "mask_loss",
-    "motion_losses",
-    "refinement_loss",
-    "smoothness_loss",
+    "contact_loss", "edge_loss", "foot_points", "mask_loss", "motion_losses", "refinement_loss", "smoothness_loss",
     "vertex_loss",
-]
+]  # fmt: skip
 
 
 def motion_losses(predicted: Tensor, clean: Tensor, lengths: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,6 +1,4 @@
-"""What trainings look up: arrays of many samples, computed once; the mesh features f_phi of many characters; and all
-sentences of a run, encoded once.
-"""
+"""What trainings look up: kept arrays of samples, mesh features f_phi, and encoded sentences."""
 
 from __future__ import annotations
 
@@ -22,26 +20,22 @@ from bunraku.language.encoders import TextEncoder
 from bunraku_lab.datasets.motions.clips import read_bundle
 from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku_lab.nn.text import TextBatch, tensors_of
-from bunraku_lab.training.runs.processes import forking
+from bunraku_lab.training.runs.run import forking
 
 __all__ = ["MeshBank", "TextBank", "kept_arrays", "load_mesh_bank"]
-
 
 Arrays = dict[str, Any]
 
 
 def kept_arrays(
-    folder: Path,
-    makers: Mapping[str, Callable[[], Arrays]],
-    progress: Callable[[float], None] | None = None,
-) -> Iterator[tuple[str, Arrays]]:
+    folder: Path, makers: Mapping[str, Callable[[], Arrays]], progress: Callable[[float], None] | None = None,
+) -> Iterator[tuple[str, Arrays]]:  # fmt: skip
     """The arrays of each sample by its name, from an NPZ of the folder; those that are not there yet are made, and
     samples that cannot be made are left out.
 
     Args:
         folder: Where they are kept.
         makers: What makes them, by name.
-        progress: Called with the share done.
 
     Raises:
         FormatError: A file is damaged.
@@ -90,8 +84,7 @@ class MeshBank:
         """A feature for each row of a batch.
 
         Args:
-            meshes: Character that a row's motion belongs to, None for any humanoid; None in place of all for a batch
-                without creatures.
+            meshes: Character of each row's motion, None for any humanoid; None in place of all without creatures.
             size: Rows B.
             random: Draws them.
             cross: Share of the humanoids' rows that take any character at all.
@@ -186,13 +179,9 @@ class TextBank:
     """
 
     def __init__(
-        self,
-        encoder: TextEncoder,
-        sentences: Sequence[str],
-        cache: str | Path | None = None,
-        progress: Callable[[int, int], None] | None = None,
-        workers: int = 0,
-    ):
+        self, encoder: TextEncoder, sentences: Sequence[str], cache: str | Path | None = None,
+        progress: Callable[[int, int], None] | None = None, workers: int = 0,
+    ):  # fmt: skip
         self._encoder = encoder
         sentences = sorted(set(sentences))
         self._rows = {sentence: row for row, sentence in enumerate(sentences)}
@@ -202,10 +191,8 @@ class TextBank:
                 state, config = load_checkpoint(cache, "text-bank")
                 if config.get("digest") == digest:
                     self._tokens, self._offsets, self._pooled = (
-                        state["tokens"].half(),
-                        state["offsets"],
-                        state["pooled"],
-                    )
+                        state["tokens"].half(), state["offsets"], state["pooled"],
+                    )  # fmt: skip
                     return
             except WeightsError:
                 pass  # a broken cache is made again
@@ -218,12 +205,10 @@ class TextBank:
             if progress is not None:
                 progress(min(256 * (done + 1), len(sentences)), len(sentences))
         self._tokens = torch.cat(tokens) if tokens else torch.zeros(0, encoder.token_size, dtype=torch.float16)
-        self._offsets = torch.cat(
-            [
-                torch.zeros(1, dtype=torch.long),
-                torch.cat(lengths).cumsum(0) if lengths else torch.zeros(0, dtype=torch.long),
-            ]
-        )
+        self._offsets = torch.cat([
+            torch.zeros(1, dtype=torch.long),
+            torch.cat(lengths).cumsum(0) if lengths else torch.zeros(0, dtype=torch.long),
+        ])  # fmt: skip
         # As the file gives it back: a run that goes on must learn from the same numbers.
         self._pooled = torch.cat(pooled).half().float() if pooled else torch.zeros(0, encoder.pooled_size)
         if cache is not None:

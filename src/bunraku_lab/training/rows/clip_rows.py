@@ -1,6 +1,4 @@
-"""Training rows: clips drawn (rare events as often as common ones), mirrored and joined, each with a sentence and a
-mesh.
-"""
+"""Training rows: clips drawn, mirrored and joined, each with a sentence and a mesh."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ import numpy as np
 from bunraku.core.motion import HandleMotion
 from bunraku.generation.agreement import Phrase, Track
 from bunraku.generation.features import FeatureStatistics, decode, feature_weights, mirror
-from bunraku.generation.splicing import FEWEST, Joins, join_point, splice, standing_stretches
+from bunraku.generation.splicing import FEWEST, Joins, join_point, on_one_leg, splice
 from bunraku.language.captions import conjugate, mirror_words
 from bunraku_lab.description.captions import caption_group, is_stative
 from bunraku_lab.description.events import find_punches, find_seats
@@ -30,7 +28,6 @@ from bunraku_lab.training.rows.clips import MIN_FRAMES, ClipEntry, TrainingClip,
 
 __all__ = ["ClipSet", "EventPool", "MotionBatch", "Row", "goes", "joins_of", "link"]
 
-
 ENOUGH = 40
 """Events of a kind from which on more do not make it more frequent."""
 _MARGIN = 8  # frames of a row that are left for what stands around an event
@@ -39,22 +36,12 @@ _SEATED = {"sit", "stand up"}
 
 
 class EventPool:
-    """Events of all clips, by what is said of them; left and right count as one, since rows are mirrored.
-
-    Args:
-        clips: Training clips; people's are looked at.
-        phrases_of: What can be said of a clip by its numbers.
-        motion_of: The motion of a clip.
-        frames: Longest row.
-    """
+    """Events of all clips, by what is said of them; left and right count as one, since rows are mirrored."""
 
     def __init__(
-        self,
-        clips: Sequence[TrainingClip],
-        phrases_of: Callable[[TrainingClip], list[Phrase]],
-        motion_of: Callable[[TrainingClip], HandleMotion],
-        frames: int,
-    ):
+        self, clips: Sequence[TrainingClip], phrases_of: Callable[[TrainingClip], list[Phrase]],
+        motion_of: Callable[[TrainingClip], HandleMotion], frames: int,
+    ):  # fmt: skip
         self.clips = clips
         self.phrases: dict[int, list[Phrase]] = {}
         self.kinds: dict[str, list[tuple[int, Phrase]]] = {}
@@ -164,9 +151,7 @@ _BLEND = 8
 
 
 class Row(NamedTuple):
-    """A motion (N, D) in network units, its sentence, the character in the mesh bank that it is of, None for any
-    humanoid, and the names of the clips that it was made of.
-    """
+    """A motion (N, D) in network units, its sentence, its character in the mesh bank (or None), and its clips."""
 
     values: np.ndarray
     sentence: str
@@ -203,8 +188,7 @@ class Mixture:
         computed: Share of rows whose sentence is computed from the motion, where it says anything plain.
         borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that
             creature shows, so that a person's words move a creature too.
-        events: Share of people's rows that are something plain to see in the numbers, cut out of a clip and described
-            by them.
+        events: Share of people's rows that are plain to see in the numbers, cut out of a clip and described by them.
         balance: Power of the number of an action's clips by which it is drawn.
         most_drawn: How many times as often as the median clip one is drawn at the most.
         rehearse: Share of people's draws that are of what the network knew before, where there is any.
@@ -270,9 +254,7 @@ class ClipSet:
         self._cast = {species: sorted(characters) for species, characters in cast.items()}
 
     def _probability(self, creatures: float) -> np.ndarray:
-        """People by what is done in them where clips were watched, else by labels: square roots of a group's seconds
-        (at most two minutes count).
-        """
+        """Groups of people by action, else by label: square roots of their seconds (at most two minutes)."""
         groups: dict[str, list[int]] = {}
         for index, clip in enumerate(self.clips):
             groups.setdefault(clip.label, []).append(index)
@@ -299,9 +281,7 @@ class ClipSet:
         return weights / weights.sum()
 
     def _by_action(self, seen: np.ndarray) -> np.ndarray:
-        """Weights of these clips: each action counts by a power of its clips, at least `FEWEST_CLIPS`, and shares that
-        out among them.
-        """
+        """Weights of these clips: an action counts by a power of its clips, at least `FEWEST_CLIPS`."""
         groups: dict[str, float] = {}
         for index in np.flatnonzero(seen):
             for action in self.clips[index].actions:
@@ -315,12 +295,7 @@ class ClipSet:
         return np.minimum(weights, self.most_drawn * float(np.median(weights)))
 
     def draw(self, random: np.random.Generator, compose: float = 0.0) -> Row:
-        """One motion of at most `frames` frames with its sentence and mesh.
-
-        Args:
-            random: Draws everything.
-            compose: Share of rows that join two or three clips.
-        """
+        """One motion of at most `frames` frames with its sentence and mesh."""
         clip = self.clips[int(random.choice(len(self.clips), p=self.probability))]
         mirrored = bool(random.random() < 0.5)
         pair = self._compose(clip, random) if random.random() < compose else None
@@ -334,14 +309,9 @@ class ClipSet:
         return row._replace(values=mirror(row.values), sentence=mirror_words(row.sentence)) if mirrored else row
 
     def _worded(
-        self,
-        clip: TrainingClip,
-        values: np.ndarray,
-        sentence: str,
-        labels: list[tuple[str, ...]],
-        names: tuple[str, ...],
-        random: np.random.Generator,
-    ) -> Row:
+        self, clip: TrainingClip, values: np.ndarray, sentence: str, labels: list[tuple[str, ...]],
+        names: tuple[str, ...], random: np.random.Generator,
+    ) -> Row:  # fmt: skip
         """A row of joined clips, sometimes with what can be computed of it for a sentence."""
         if random.random() < self.computed:
             found = self._true_in(clip, values, None)
@@ -361,11 +331,9 @@ class ClipSet:
                 values = np.concatenate([clip.values, after.values])
                 start = int(random.integers(0, max(len(values) - self.frames, 0) + 1))
                 return Row(
-                    values[start : start + self.frames],
-                    joined_sentence(texts[int(random.integers(len(texts)))]),
-                    clip.character,
-                    (clip.name, after.name),
-                )
+                    values[start : start + self.frames], joined_sentence(texts[int(random.integers(len(texts)))]),
+                    clip.character, (clip.name, after.name),
+                )  # fmt: skip
         target = int(random.integers(40, self.frames + 1)) if random.random() < 0.6 else self.frames
         values, start = clip.values, 0
         if len(values) < target and random.random() < 0.7:
@@ -397,9 +365,7 @@ class ClipSet:
         return clip.lengthened(target, self._still, random)
 
     def _event(self, random: np.random.Generator) -> Row | None:
-        """Something that is plain to see in a clip's numbers (a turn, a jump, a punch, sitting down), cut out and
-        described by them alone.
-        """
+        """What is plain to see in a clip's numbers (a rotation, a jump, a punch), cut out and described alone."""
         found = self.event_pool().draw(random)
         if found is None:
             return None
@@ -432,9 +398,7 @@ class ClipSet:
         return self._phrases[clip.name]
 
     def _true_in(self, clip: TrainingClip, values: np.ndarray, start: int | None) -> list[Phrase]:
-        """What can be said of a row: from the clip's own phrases where it is a plain crop of it, else from the row
-        itself.
-        """
+        """What can be said of a row: the clip's phrases for a plain crop of it, else computed from the row."""
         if start is None:
             return inside(describe(decode(self.statistics.restore(values)), clip.species is None), 0, len(values))
         return inside(self._all_phrases(clip), start, start + len(values))
@@ -507,9 +471,7 @@ class ClipSet:
         return values[: self.frames], sentence, described, tuple(names)
 
     def batch(self, seed: int, number: int, size: int, compose: float = 0.0, bucket: int = 4) -> MotionBatch:
-        """Batch `number` of the endless series of a seed. `bucket` neighbours share their draws, sorted by length, to
-        pad little.
-        """
+        """Batch `number` of the endless series of a seed; `bucket` neighbours share draws, sorted by length."""
         key = (seed, number // bucket, size, compose, bucket)
         if self._bucket is None or self._bucket[0] != key:
             random = np.random.default_rng([seed, number // bucket, 7])
@@ -530,9 +492,7 @@ class ClipSet:
         return pad(rows)
 
     def sentences(self) -> list[str]:
-        """All sentences that labels give, sorted, to encode before training; computed, joined and borrowed ones are
-        without end.
-        """
+        """All sentences of labels, sorted, to encode before training; computed ones are without end."""
         found = {sentence for clip in self.clips for mirrored in (False, True) for sentence in clip.sentences(mirrored)}
         own = {text for clip in self.clips if clip.species for text in clip.texts}
         return sorted(found | own | set(map(mirror_words, own)))
@@ -547,3 +507,20 @@ def pad(rows: list[Row]) -> MotionBatch:
     return MotionBatch(
         values, lengths, [row.sentence for row in rows], [row.mesh for row in rows], tuple(row.clips for row in rows)
     )
+
+
+def standing_stretches(values: np.ndarray, statistics: FeatureStatistics) -> list[np.ndarray]:
+    """Stretches in which somebody stands upright on both legs and hardly moves."""
+    if len(values) < FEWEST:
+        return []
+    features = statistics.restore(values)
+    change = (np.diff(values[:, 4:], axis=0, prepend=values[:1, 4:]) ** 2).mean(1)
+    calm = (
+        (change < 0.004) & (np.abs(features[:, :3]).max(1) < 0.25) & (features[:, 3] > -0.1) & (features[:, 8] > 0.95)
+    )
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], calm.astype(np.int8), [0]])))
+    return [
+        values[start:stop]
+        for start, stop in zip(edges[::2], edges[1::2], strict=True)
+        if stop - start >= FEWEST and not on_one_leg(features[start:stop])
+    ]

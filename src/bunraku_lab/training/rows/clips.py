@@ -1,6 +1,4 @@
-"""The clips that networks train on and are measured with: features and captions, sentences of watched stretches, clips
-in network units, and the shipped examples as clips.
-"""
+"""The clips that networks train on and are measured with: features, captions, and shipped examples."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError, OptionError
-from bunraku.generation.features import FeatureStatistics, encode, feature_weights, is_rotation
+from bunraku.generation.features import FEATURE_SIZE, HANDLE_SIZE, ROOT_SIZE, FeatureStatistics, encode, feature_weights
 from bunraku.generation.pack import ExamplePack
 from bunraku.generation.splicing import END, held, join_point, played, rests
 from bunraku.language.captions import mirror_words
@@ -27,17 +25,9 @@ from bunraku_lab.description.captions import caption_clauses, caption_group, cap
 from bunraku_lab.description.wording import all_variants, clauses
 
 __all__ = [
-    "ClipEntry",
-    "TrainingClip",
-    "agreeing",
-    "load_clips",
-    "load_people",
-    "people",
-    "rehearsal_clips",
-    "stretch_phrases",
-    "stretch_variants",
-]
-
+    "ClipEntry", "TrainingClip", "agreeing", "load_clips", "load_people", "people", "rehearsal_clips",
+    "stretch_phrases", "stretch_variants",
+]  # fmt: skip
 
 MIN_FRAMES = 8
 
@@ -77,8 +67,7 @@ def load_clips(folder: str | Path, progress: Any = None, splits: Collection[str]
     A clip with captions by time becomes one entry a stretch, "name@first frame", without those that are faulty.
 
     Args:
-        folder: What `bunraku data motions` wrote: `index.json` and one NPZ a clip; or the one file that `bunraku data
-            bundle` made of it.
+        folder: `index.json` and one NPZ a clip of `bunraku data motions`, or the file of `bunraku data bundle`.
         progress: Called with (done, total).
         splits: "train", "val", "test": those to load; None for all.
 
@@ -113,7 +102,6 @@ def load_people(
 
     Args:
         folder: As of `load_clips`.
-        progress: Called with a stage's name and the share done.
         labelled: With labelled actions of game characters.
 
     Raises:
@@ -152,9 +140,7 @@ def _entries(name: str, entry: Mapping[str, object], features: np.ndarray) -> di
 
 
 def _stretches(name: str, entry: Mapping[str, object], features: np.ndarray) -> dict[str, ClipEntry]:
-    """What is captioned by time, as entries of their own; those that follow each other without a gap say so in
-    "next".
-    """
+    """Stretches as entries of their own; those that follow without a gap are named in "next"."""
     parts = entry["stretches"]
     if not isinstance(parts, list):
         raise TypeError("its stretches are no list")
@@ -164,11 +150,8 @@ def _stretches(name: str, entry: Mapping[str, object], features: np.ndarray) -> 
     for part, after in zip_longest(sound, sound[1:]):
         start, stop = int(part["start"]), int(part["stop"])
         own: dict[str, Any] = {
-            "texts": part["texts"],
-            "watched": True,
-            "features": features[start:stop],
-            "frames": stop - start,
-        }
+            "texts": part["texts"], "watched": True, "features": features[start:stop], "frames": stop - start,
+        }  # fmt: skip
         if len(sound) == 1:
             own["labels"] = entry.get("texts") or []
         if after is not None and after["start"] == stop:
@@ -181,30 +164,15 @@ _SUBJECT = re.compile(
     r"^(?:a|the|one) (?:person|human|man|woman|figure|character)\b|^someone\b|^somebody\b", re.IGNORECASE
 )
 _SUBJECTS = (
-    "a person",
-    "someone",
-    "the character",
-    "a man",
-    "a woman",
-    "the person",
-    "he",
-    "she",
-    "a figure",
-    "a human",
-    "somebody",
-    "this person",
-)
+    "a person", "someone", "the character", "a man", "a woman", "the person", "he", "she", "a figure", "a human",
+    "somebody", "this person",
+)  # fmt: skip
 _LINK = re.compile(r"(,? and then |,? then |,? and |, )")
 
 
 @functools.lru_cache(maxsize=8192)
 def stretch_phrases(texts: tuple[str, ...]) -> tuple[str, ...]:
-    """The tersest sentence with its verbs in braces, "{walk} fast, {turn} left"; none where it does not begin with a
-    verb: "brisk walk".
-
-    Args:
-        texts: Sentences of a stretch, the tersest last.
-    """
+    """The tersest sentence with its verbs in braces, "{walk} fast, {turn} left"; none if it begins with no verb."""
     parts = _LINK.split(texts[-1])
     braced = []
     for index, part in enumerate(parts):
@@ -288,6 +256,16 @@ FARTHEST = 8.0
 """Standard deviations beyond which a velocity or a translation is a fault of capture, which would outweigh all else in
 a squared error. Rotations have no such faults: whoever lies is twelve deviations from standing.
 """
+
+
+def is_rotation() -> np.ndarray:
+    """Which features are numbers of a rotation, shape (271,), bool."""
+    mask = np.zeros(FEATURE_SIZE, bool)
+    mask[4:ROOT_SIZE] = True
+    mask[ROOT_SIZE:].reshape(-1, HANDLE_SIZE)[:, 3:] = True
+    return mask
+
+
 _FARTHEST = np.where(is_rotation(), np.inf, FARTHEST).astype(np.float32)
 _ONCE = re.compile(
     r"\b(then|once|twice|two|three|four|five|six|times|after|before|finally|first|ends?|ending|starts?|stops?|stopping|"
@@ -312,8 +290,7 @@ class TrainingClip:
         watched: The captions were written from watching just this; the fullest is first, the tersest last.
         labels: Labels of the archive for a watched clip, used where they say the same.
         weight: The index's own weight.
-        loop: Frames (i, j) such that playing on from j after i is smooth and what the captions say stays true; None
-            where there are none.
+        loop: Frames (i, j) such that playing on from j after i is smooth and true to the captions; None without.
         rests: The clip ends at rest, so its last pose can be held.
         follows: Name of the stretch that goes on where this one ends.
         species: What creature it is of; None for people.
@@ -355,9 +332,7 @@ class TrainingClip:
 
     @property
     def phrases(self) -> tuple[str, ...]:
-        """What it shows without a subject, verbs in braces, to be joined with others; none where no caption has that
-        form.
-        """
+        """What it shows without a subject, verbs in braces; none where no caption has that form."""
         return stretch_phrases(self.texts) if self.watched else clauses(self.texts[0], self.species, self.action)
 
     def sentences(self, mirrored: bool = False) -> tuple[str, ...]:
@@ -399,24 +374,12 @@ class TrainingClip:
             ends_at_rest = rests(values[-END:], statistics)
         labels = tuple(entry.get("labels") or ())
         return cls(
-            name,
-            values,
-            texts,
-            watched,
-            labels,
-            float(entry.get("weight", 1.0)),
-            loop,
-            ends_at_rest,
-            entry.get("next"),
-            creature[0],
-            creature[1],
-            creature[2],
-            bool(entry.get("rehearsed")),
-        )
+            name, values, texts, watched, labels, float(entry.get("weight", 1.0)), loop, ends_at_rest,
+            entry.get("next"), creature[0], creature[1], creature[2], bool(entry.get("rehearsed")),
+        )  # fmt: skip
 
     def lengthened(self, target: int, still: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """The clip played again from its loop point, or with its last pose held, until it has `target` frames or can
-        have no more.
+        """The clip repeated from its loop point, or with its last pose held, until it has `target` frames if it can.
 
         Args:
             target: Frames wanted.

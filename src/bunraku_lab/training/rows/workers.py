@@ -1,6 +1,4 @@
-"""Training rows on a device: drawn ahead by processes, and kept and drawn more than once, each time with other
-noise.
-"""
+"""Training rows on a device: drawn ahead by processes, and used several times with other noise."""
 
 from __future__ import annotations
 
@@ -20,7 +18,7 @@ from bunraku_lab.nn.denoiser import RetrievedExamples
 from bunraku_lab.nn.text import TextBatch
 from bunraku_lab.training.rows.banks import MeshBank, TextBank
 from bunraku_lab.training.rows.clip_rows import ClipSet, MotionBatch
-from bunraku_lab.training.runs.processes import Ahead, forking
+from bunraku_lab.training.runs.run import Ahead, forking
 
 __all__ = ["DrawnRows", "FedPool", "MadeRows", "RowMaker", "RowPool", "RowWorkers"]
 
@@ -130,17 +128,10 @@ class RowMaker:
             found = np.array([_numbers(self.examples.nearest(*pair)) for pair in zip(vectors, own, strict=True)])
             nearest = np.array([_numbers(self.examples.nearest(vector)) for vector in vectors])
         return MadeRows(
-            batch.values.astype(np.float16),
-            batch.lengths,
-            text.tokens.numpy().astype(np.float16),
-            text.mask.sum(1).numpy(),
-            text.pooled.numpy(),
-            mesh,
-            np.array([name is None for name in batch.meshes]),
-            found,
-            nearest,
-            self._unsent(np.concatenate([found, nearest])),
-        )
+            batch.values.astype(np.float16), batch.lengths, text.tokens.numpy().astype(np.float16),
+            text.mask.sum(1).numpy(), text.pooled.numpy(), mesh, np.array([name is None for name in batch.meshes]),
+            found, nearest, self._unsent(np.concatenate([found, nearest])),
+        )  # fmt: skip
 
     def _unsent(self, numbers: np.ndarray) -> dict[int, tuple[np.ndarray, np.ndarray]]:
         if self.examples is None:
@@ -156,11 +147,6 @@ def _numbers(found: list[tuple[int, bool]]) -> list[int]:
 
 class RowWorkers:
     """Processes that make batches number `first`, `first` + 1, and so on; they come as they are done.
-
-    Args:
-        maker: What they make.
-        count: How many.
-        first: Number of the first batch.
 
     Raises:
         OptionError: This system cannot fork processes.
@@ -316,23 +302,14 @@ class RowPool:
                 self._examples[found].float(), self._example_lengths[found], self._example_vectors[found]
             )
         return DrawnRows(
-            arrays["values"][rows].float(),
-            arrays["lengths"][rows],
-            TextBatch(tokens, mask, arrays["pooled"][rows]),
-            None if self.meshes is None else self.meshes[mesh.clamp(min=0)],
-            mesh >= 0,
-            arrays["person"][rows],
+            arrays["values"][rows].float(), arrays["lengths"][rows], TextBatch(tokens, mask, arrays["pooled"][rows]),
+            None if self.meshes is None else self.meshes[mesh.clamp(min=0)], mesh >= 0, arrays["person"][rows],
             examples,
-        )
+        )  # fmt: skip
 
 
 class FedPool:
-    """A pool that processes fill while it is drawn from.
-
-    Args:
-        pool: Rows.
-        workers: What fills it.
-    """
+    """A pool that processes fill while it is drawn from."""
 
     def __init__(self, pool: RowPool, workers: RowWorkers):
         self.pool, self.workers = pool, workers

@@ -1,15 +1,15 @@
-"""What all training runs share: settings, learning rate, log and curves, the loop that steps, validates and saves, and
-runs of one network beside the running mean of its weights.
-"""
+"""What all training runs share: settings, learning rate, log, the loop, and the running mean of the weights."""
 
 from __future__ import annotations
 
 import csv
 import math
+import multiprocessing
+import queue
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -24,25 +24,10 @@ from bunraku.errors import OptionError
 from bunraku_lab.nn.checkpoints import SavedNetwork, TrainingState, load_training_state, save_training_state
 
 __all__ = [
-    "AveragedRun",
-    "EventLog",
-    "Progress",
-    "Report",
-    "RunSettings",
-    "StepSettings",
-    "Stop",
-    "TrainingNote",
-    "TrainingRun",
-    "TrainingSettings",
-    "append_row",
-    "bf16_is_fast",
-    "careful_step",
-    "follow_weights",
-    "learning_rate",
-    "logged_columns",
-    "plain_settings",
-    "share_done",
-]
+    "Ahead", "AveragedRun", "EventLog", "Progress", "Report", "RunSettings", "StepSettings", "Stop", "TrainingNote",
+    "TrainingRun", "TrainingSettings", "append_row", "bf16_is_fast", "careful_step", "follow_weights", "forking",
+    "learning_rate", "logged_columns", "plain_settings", "share_done",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +35,7 @@ class RunSettings:
     """Settings of any run.
 
     Args:
-        out: Folder of the run: `state.safetensors` to go on from, the weights, `log.csv`. The same folder goes on with
-            the same run.
+        out: Folder of the run: `state.safetensors` to go on from, the weights, `log.csv`; the same one goes on.
         threads: CPU threads; 0 leaves torch's choice.
         batch: Examples a step.
         validate_every: Steps between validations.
@@ -85,8 +69,7 @@ class TrainingSettings(RunSettings):
     """Settings of a run that keeps the running mean of its weights.
 
     Args:
-        minutes: Stop after this much training time on one core, over all sittings; the learning rate falls to nothing
-            by then. 0 for no limit.
+        minutes: Stop after this much training time on one core, over all sittings; 0 for no limit.
         rate: Peak learning rate.
         warmup: Steps until the peak.
         decay: Decay of the running mean of the weights, which is what is validated and saved.
@@ -112,19 +95,13 @@ class StepSettings(TrainingSettings):
     weight_decay: float = 0.01
 
     def prepare(self) -> None:
-        """See `TrainingSettings.prepare`."""
         if self.steps < 1:
             raise OptionError("steps must be 1 or more")
         super().prepare()
 
 
 def bf16_is_fast(device: torch.device | str) -> bool:
-    """Whether a device has bfloat16 in hardware. A processor without it can compute in it too, sixty times as slowly as
-    in float32.
-
-    Args:
-        device: Of torch.
-    """
+    """Whether a device has bfloat16 in hardware; a processor without it is sixty times as slow in it."""
     kind = torch.device(device).type
     if kind == "cpu":
         return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
@@ -313,11 +290,7 @@ class TrainingRun:
         raise NotImplementedError
 
     def save(self, results: dict[str, float]) -> Path:
-        """Write the checkpoint and the training state.
-
-        Args:
-            results: Of the validation before; none between validations.
-        """
+        """Write the checkpoint and the training state."""
         raise NotImplementedError
 
     def due(self) -> bool:
@@ -341,7 +314,6 @@ class TrainingRun:
 
         Args:
             report: Called with each row.
-            progress: Called with a stage's name and the share done.
 
         Returns:
             The checkpoint.
@@ -401,8 +373,7 @@ class AveragedRun(TrainingRun, Generic[Network]):
     """A network, the running mean of its weights, which is what is validated and saved, and its optimiser.
 
     A subclass says what a step's loss is (`step_loss`), what is validated (`validate`, on `held_out`) and how the
-    checkpoint is written (`write`). Its `config` is a dataclass of `TrainingSettings`. What it draws by `rng` is part
-    of its state.
+    checkpoint is written (`write`). Its `config` is a `TrainingSettings`; what it draws by `rng` is kept.
 
     Args:
         out: Folder of the run.
@@ -425,11 +396,9 @@ class AveragedRun(TrainingRun, Generic[Network]):
         self.step, self.seconds, self.stop = 0, 0.0, Stop()
 
     def set_up(
-        self,
-        make: Callable[[], Network],
-        prepare: Callable[[Network], None] = lambda model: None,
+        self, make: Callable[[], Network], prepare: Callable[[Network], None] = lambda model: None,
         betas: tuple[float, float] = (0.9, 0.999),
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Begin as `__init__` does, with two networks from the seed of `config` and AdamW with its rates.
 
         Args:
@@ -535,9 +504,7 @@ class AveragedRun(TrainingRun, Generic[Network]):
         return state
 
     def save(self, results: dict[str, float]) -> Path:
-        """Write the checkpoint, then the training state: who is killed between goes on from the state before, and comes
-        to the same checkpoint again.
-        """
+        """Write the checkpoint, then the state: a run that is killed in between comes to the same checkpoint again."""
         settings = plain_settings(asdict(self.config))
         path = self.write({"training": settings, "seconds": self.seconds, "steps": self.step, "results": results})
         self.save_state(settings, *self.extras())
@@ -566,3 +533,75 @@ class AveragedRun(TrainingRun, Generic[Network]):
         """
         self.resume()
         return super().learn(report, progress)
+
+
+Item = TypeVar("Item")
+
+
+def forking() -> multiprocessing.context.ForkContext:
+    """How processes are started that share what this one has loaded.
+
+    Raises:
+        OptionError: This system cannot.
+    """
+    if "fork" not in multiprocessing.get_all_start_methods():
+        raise OptionError("this system cannot fork processes; leave out --workers")
+    return multiprocessing.get_context("fork")
+
+
+class Ahead(Generic[Item]):
+    """Items that a thread makes ahead of who takes them.
+
+    Args:
+        items: Made one by one in the thread.
+        size: How many wait to be taken at the most.
+    """
+
+    def __init__(self, items: Iterable[Item], size: int):
+        self._ready: queue.Queue[Any] = queue.Queue(maxsize=size)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._make, args=(items,), name="ahead", daemon=True)
+        self._thread.start()
+
+    def _make(self, items: Iterable[Item]) -> None:
+        try:
+            for item in items:
+                if not self._put(item):
+                    return
+        except Exception as error:  # handed to who takes
+            self._put(error)
+
+    def _put(self, item: object) -> bool:
+        """Hand an item on, unless nobody takes any more."""
+        while not self._ended.is_set():
+            try:
+                self._ready.put(item, timeout=0.2)
+                return True
+            except queue.Full:
+                continue
+        return False
+
+    @property
+    def waits(self) -> bool:
+        """Whether an item is there to be taken."""
+        return not self._ready.empty()
+
+    def take(self) -> Item:
+        """The next item, once it is there.
+
+        Raises:
+            Exception: What the thread raised.
+        """
+        item = self._ready.get()
+        if isinstance(item, Exception):
+            raise item
+        taken: Item = item
+        return taken
+
+    def end(self) -> None:
+        """Nobody takes any more."""
+        self._ended.set()
+
+    def join(self) -> None:
+        """Wait for the thread: a process that ends while one is inside torch is aborted."""
+        self._thread.join()
