@@ -280,7 +280,7 @@ def place_pose(height: str | float, way: str, hands: str, held: bool = False) ->
         return Hand(palm, fingers, faces, elbow, on=carrier)
 
     used = {name: hands in ("both", name) or (hands == "one" and name == "right") for name, _ in SIDES}
-    both = {name: placed(own, sign) if used[name] else row.other for name, sign in SIDES}
+    both: dict[str, Any] = {name: placed(own, sign) if used[name] else row.other for name, sign in SIDES}
     hips = matrix_y(np.array(np.radians(side * HIPS))) @ np.array(base.hips) + [side * OVER, 0, 0]
     lean, head = base.lean, base.head
     return replace(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -167,7 +168,7 @@ def _sides(target: Target) -> tuple[str, ...]:
 def _with_arms(pose: Pose, stance: Stance, arms: Sequence[Target]) -> Pose:
     rotations, positions = joints_of(pose)
     leant = abs(pose.lean[0]) + abs(pose.tilt) > HANGS and stance.name in ("stand", "squat")
-    hands = {}
+    hands: dict[str, Any] = {}
     for side, sign in SIDES:
         said = [one for one in arms if side in _sides(one)]
         if not said and leant and getattr(pose, side) == HANGING:

@@ -166,7 +166,8 @@ def _stretched(
     if rises < -60:
         elbow = np.array([0.35 * sign, 0, -1.0])
     out = np.array([sign, 1, 1])
-    return Hand(vector(palm * out), *(vector((chest.T @ one) * out) for one in (way, faces, elbow)))
+    ways_of_hand = [vector((chest.T @ one) * out) for one in (way, faces, elbow)]
+    return Hand(vector(palm * out), ways_of_hand[0], ways_of_hand[1], ways_of_hand[2])
 
 
 LEG, THIGH, SHANK = 0.89, 0.448, 0.454

@@ -60,8 +60,10 @@ class FootTrack:
     @classmethod
     def of(cls, feet: Sequence[Foot]) -> FootTrack:
         """The feet of some poses."""
-        columns = ([getattr(foot, name) for foot in feet] for name in ("ankle", "knee", "pitch", "turn"))
-        return cls(*(np.array(column, float) for column in columns), np.array([foot == Foot() for foot in feet]))
+        ankle, knee, pitch, turn = (
+            np.array([getattr(foot, name) for foot in feet], float) for name in ("ankle", "knee", "pitch", "turn")
+        )
+        return cls(ankle, knee, pitch, turn, np.array([foot == Foot() for foot in feet]))
 
 
 @dataclass(frozen=True)
@@ -83,8 +85,10 @@ class Tracks:
         columns = {name: [getattr(pose, name) for _, pose in keys] for name in Pose.__dataclass_fields__}
         hands = {side: HandTrack.of(columns[side]) for side, _ in SIDES}
         feet = {side: FootTrack.of(columns[f"{side}_foot"]) for side, _ in SIDES}
-        names = ("lean", "head", "shrug", "hips", "turn", "tilt")
-        return cls(*(np.array(columns[name], float) for name in names), hands, feet)
+        lean, head, shrug, hips, turn, tilt = (
+            np.array(columns[name], float) for name in ("lean", "head", "shrug", "hips", "turn", "tilt")
+        )
+        return cls(lean, head, shrug, hips, turn, tilt, hands, feet)
 
 
 def _raised(hand: Hand) -> tuple[float, float]:

@@ -105,7 +105,7 @@ def read_as(kind: type[_Kind], text: str) -> _Kind | None:
         kind: `Contact`, `Terrain`, `Gaze` or `Handling`.
         text: In English.
     """
-    return _read(kind, text)  # type: ignore[return-value]
+    return _read(kind, text)  # type: ignore[return-value, arg-type]
 
 
 def interaction_of(text: str) -> Interaction | None:
@@ -279,9 +279,9 @@ def _gazes_in(words: Sequence[str]) -> Iterator[tuple[int, range, Named[Gaze]]]:
         zone = zone_of(words, verb)
         ways = [way for word in words[zone.start : zone.stop] for way in table.ways.get(word, ())]
         after, before = named_in(table.gazes, words, zone), named_in(table.gazes, words, range(verb))
-        named = [noun._replace(means=_likeliest(noun.means, ways)) for noun in after]
+        named = [Named(noun.start, noun.stop, _likeliest(noun.means, ways)) for noun in after]
         if not named:
-            named = [noun._replace(means=gaze) for noun in before for name, gaze in noun.means if name in ways]
+            named = [Named(noun.start, noun.stop, gaze) for noun in before for name, gaze in noun.means if name in ways]
         near = object_of(words, zone)
         if not named and (table.looks[words[verb]] or "at" in ways):
             known = _nouns(words, zone)

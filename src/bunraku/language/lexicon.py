@@ -209,13 +209,14 @@ def _patterns(
                 ahead = part[0] == "="
                 after.append(words | {""} if optional else words)
             else:
-                joined = [list(map(frozenset, zip(word.split("_")))) for word in words if "_" in word]
-                ways = [[None if plain == "*" else words], *joined]
-                variants = [[*row, *way] for row in variants for way in ([[]] if optional else []) + ways]
+                ways: list[list[frozenset[str] | None]] = [[]] if optional else []
+                ways.append([None if plain == "*" else words])
+                ways += [list(map(frozenset, zip(word.split("_")))) for word in words if "_" in word]
+                variants = [[*row, *way] for row in variants for way in ways]
         for row in variants:
             alone = len(row) == 1 and not (before or after or signs)
-            marks = [sign in signs for sign in ("^", "$", "...")]
-            pattern = Pattern(section, name, tuple(row), before, tuple(after), ahead, *marks, alone)
+            first, last, gap = (sign in signs for sign in ("^", "$", "..."))
+            pattern = Pattern(section, name, tuple(row), before, tuple(after), ahead, first, last, gap, alone)
             for word in row[0] or ():
                 index.setdefault(word, []).append(pattern)
     return index, frozenset(known)
