@@ -221,8 +221,9 @@ def test_what_is_whole_is_named_when_the_rest_fails(tmp_path, monkeypatch, capsy
     assert "wrote walk.glb" in said.out and "the disk is full" in said.err
 
 
-def test_a_sample_becomes_the_file_that_is_named(tmp_path, fails):
+def test_a_sample_becomes_the_file_that_is_named(tmp_path, fails, capsys):
     assert main(["samples", "person", "-o", str(tmp_path / "hero.glb")]) == 0
+    capsys.readouterr()
     assert [path.name for path in tmp_path.iterdir()] == ["hero.glb"] and (tmp_path / "hero.glb").is_file()
     assert "do not go into one file" in fails("samples", "person", "dog", "-o", tmp_path / "two.glb")
     assert "end the name in .glb" in fails("samples", "person", "-o", tmp_path / "hero.obj")
