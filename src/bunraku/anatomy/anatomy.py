@@ -336,4 +336,4 @@ def reference_anatomy() -> Anatomy:
     """The anatomy of the reference body, whose true joints are known and whose rest pose is its stance."""
     body = reference_body()
     character, still = body.character(), np.tile(np.eye(3), (len(body.handles.positions), 1, 1))
-    return Anatomy(character, body.handles, character, body.handles, (still, reference_joints()))
+    return Anatomy(character, body.handles, character, body.handles, (still, reference_joints())).measured()

@@ -178,7 +178,7 @@ def fitted_transfer(
         fit = fit_rig if isinstance(reference, HandleMotion) else fit_creature_rig
         result = fit(reference, parts, stages)  # type: ignore[arg-type]  # each gets its own kind
     else:
-        anatomy = Anatomy.of(character, animator.handles(character, request.handles))
+        anatomy = Anatomy.of(character, animator.handles(character, request.handles)).measured()
         if isinstance(reference, HandleMotion):
             result = Animation(character, anatomy.handles, fit_motion(reference, anatomy, stages), reference)
         else:
