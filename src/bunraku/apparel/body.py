@@ -97,8 +97,9 @@ def _joints_of_bones(parts: RigParts, moved: np.ndarray) -> np.ndarray:
     if model is not None and len(model.bones) == len(out):
         for bone, entry in enumerate(model.bones):  # helpers of MMD that rotate fully with another bone
             append = entry.append
-            helps = append is not None and append.rotation and abs(append.ratio - 1) < 1e-6
-            if helps and not moved[bone] and parts.parts[bone] == NO_HANDLE:
+            if append is None or not append.rotation or abs(append.ratio - 1) >= 1e-6:
+                continue
+            if not moved[bone] and parts.parts[bone] == NO_HANDLE:
                 out[bone] = out[append.bone]
     return np.maximum(out, 0)
 

@@ -149,8 +149,8 @@ def _chain_facts(chains: Sequence[Chain], names: Sequence[str]) -> dict[str, Any
             {
                 "name": chain.name, "kind": chain.kind, "links": len(chain), "length": round(chain.length, 4),
                 "hangs_on": names[chain.holder],
-                "limit": round(float(np.degrees(chain.manner.limit)), 1), "stiffness": chain.manner.stiffness,
-                "damping": chain.manner.damping, "gravity": chain.manner.gravity, "mass": chain.manner.mass,
+                "limit": round(float(np.degrees(chain.parameters.limit)), 1), "stiffness": chain.parameters.stiffness,
+                "damping": chain.parameters.damping, "gravity": chain.parameters.gravity, "mass": chain.parameters.mass,
             }
             for chain in chains
         ]

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -263,6 +263,6 @@ def save_for(
     placed = {"travel": lambda one: one, "bone": on_root_bone, "none": on_the_spot}[row.root]
     clips = {name: placed(one) for name, one in animations.items()}
     rate = row.fps if fps is None else fps
-    options = {"up": row.up, "unit": row.unit} if row.suffix == ".fbx" else {}
+    options: dict[str, Any] = {"up": row.up, "unit": row.unit} if row.suffix == ".fbx" else {}
     files = row.files(path, clips).items()
     return [save_clips({name: clips[name] for name in names}, file, fps=rate, **options) for file, names in files]

@@ -252,9 +252,11 @@ class Constraints(tuple[Constraint, ...]):
     def after(self) -> HandleMotion | AnimatedCharacter | None:
         """The clip in whose last pose the motion starts; OptionError where it is named and not opened."""
         found = cast("Follow | None", self._one("after"))
-        if found is not None and isinstance(found.clip, str):
+        if found is None:
+            return None
+        if isinstance(found.clip, str):
             raise OptionError(f"the clip '{found.clip[:60]}' is only named; open it, and give the animation")
-        return None if found is None else found.clip
+        return found.clip
 
     def following(self, clip: HandleMotion | AnimatedCharacter) -> Self:
         """The same, following a clip in place of the one that was named."""

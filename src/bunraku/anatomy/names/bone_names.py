@@ -286,12 +286,11 @@ def _trunk(tree: _Tree, out: np.ndarray) -> None:
                 out[heavy[0]] = pelvis
                 _spread(heavy[1:], out)
     for joint in tail:
-        above = sum(a in tail for a in tree.above(joint))
-        below = 0
+        count_above, count_below = sum(a in tail for a in tree.above(joint)), 0
         queue = [c for c in tree.children[joint] if c in tail]
         while queue:
-            below, queue = below + 1, [c for j in queue for c in tree.children[j] if c in tail]
-        out[joint] = _H["tail" if above < (above + below + 1) / 2 else "tail_tip"]
+            count_below, queue = count_below + 1, [c for j in queue for c in tree.children[j] if c in tail]
+        out[joint] = _H["tail" if count_above < (count_above + count_below + 1) / 2 else "tail_tip"]
 
 
 def _without_head(tree: _Tree, spine: list[int], out: np.ndarray) -> list[int]:

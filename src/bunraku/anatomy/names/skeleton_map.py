@@ -272,8 +272,8 @@ def map_skeleton(skeleton: Skeleton, names: Mapping[str, str] | None = None) -> 
     handles = handle_of_joints(skeleton.names, parents, skeleton.positions)
     for index, name in enumerate(JOINT_NAMES):
         if not name.startswith("spine"):
-            own = np.flatnonzero(handles == index).tolist()
-            take(name, next((joint for joint in own if _fits(joint, index, joints, parents)), -1), "rig")
+            candidates: list[int] = np.flatnonzero(handles == index).tolist()
+            take(name, next((joint for joint in candidates if _fits(joint, index, joints, parents)), -1), "rig")
     if min(joints[_J[name]] for name in _NEEDED) < 0:
         for name, joint in joints_by_structure(skeleton).items():
             take(name, joint, "structure")

@@ -5,6 +5,7 @@ of joints.
 from __future__ import annotations
 
 import heapq
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -77,7 +78,7 @@ def loss_rate(damping: float, most: float) -> float:
     return float(min(-np.log1p(-min(max(damping, 0.0), 1 - 1e-16)), most))
 
 
-def add_shape(owner: Any, body: MmdBody, position: np.ndarray, name: str, settings: dict[str, object]) -> bool:
+def add_shape(owner: Any, body: MmdBody, position: np.ndarray, name: str, settings: Mapping[str, Any]) -> bool:
     """Add a body's shape to an owner of an `MjSpec`, whose axes are the world's at rest and which is at a position [m],
     (3,). True where it has an extent, and so a shape. `settings` are other attributes of the shape.
     """
@@ -101,7 +102,7 @@ def add_shape(owner: Any, body: MmdBody, position: np.ndarray, name: str, settin
     return True
 
 
-def add_rods(owner: Any, body: MmdBody, position: np.ndarray, name: str, settings: dict[str, object]) -> bool:
+def add_rods(owner: Any, body: MmdBody, position: np.ndarray, name: str, settings: Mapping[str, Any]) -> bool:
     """Add a body's shape as capsules only: up to three side by side, along its longest side, fill a box.
 
     As `add_shape`; the shapes are named `name`, an "r" and a number.

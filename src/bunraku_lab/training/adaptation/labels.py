@@ -246,8 +246,6 @@ class MeshLosses:
         spring, adversarial, real, fake = learning.losses(draw, features, delta, learns)
         if self.adversarial > 0:
             _, learning.score = learning.learn(real, fake, learns)
-            if learns:
-                learning.step()
         return self.spring * spring + self.adversarial * adversarial
 
 
