@@ -115,7 +115,7 @@ def to_json(thing: object) -> Any:
     if is_dataclass(thing) and not isinstance(thing, type):
         return {field.name: to_json(getattr(thing, field.name)) for field in fields(thing)}
     if type(thing).__name__ == "ndarray":
-        return cast(Any, thing).tolist()
+        return cast("Any", thing).tolist()
     if isinstance(thing, tuple | list):
         return [to_json(one) for one in thing]
     if isinstance(thing, dict):
