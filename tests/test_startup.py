@@ -27,12 +27,12 @@ import importlib, sys
 from bunraku.__main__ import lazy_imports
 lazy_imports(["animate"])
 import numpy, scipy.spatial
-assert type(scipy.spatial).__name__ == "Waiting"
+assert type(scipy.spatial).__name__ == "Lazy"
 scipy.spatial.Delaunay
-waiting = [name for name in {names!r} if type(sys.modules.get(name)).__name__ == "Waiting"]
+waiting = [name for name in {names!r} if type(sys.modules.get(name)).__name__ == "Lazy"]
 assert "scipy.spatial.transform" in waiting, waiting
 assert numpy.ones(3).sum() == 3
-assert "scipy.spatial.transform" in [name for name in waiting if type(sys.modules[name]).__name__ == "Waiting"]
+assert "scipy.spatial.transform" in [name for name in waiting if type(sys.modules[name]).__name__ == "Lazy"]
 from scipy.spatial.transform import Rotation
 assert Rotation.identity().magnitude() == 0
 for name in {names!r}:
@@ -61,7 +61,7 @@ import scipy.sparse
 places = [name.rpartition(".")[::2] for name in {list(LAZY_PARTS)!r}]
 early = {{place: getattr(importlib.import_module(place[0]), place[1]) for place in places}}
 packages = sorted({{package for package, _ in places}})
-assert all(type(sys.modules[name]).__name__ == "Waiting" for name in packages), packages
+assert all(type(sys.modules[name]).__name__ == "Lazy" for name in packages), packages
 assert "scipy.linalg" not in sys.modules and "scipy.special" not in sys.modules
 for name in packages:
     dir(sys.modules[name])

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from bunraku.cli.outputs import stages
-
 __all__ = ["TRAININGS", "Training"]
 
 
@@ -45,6 +43,8 @@ class Training:
             if self.function == "train_diffusion":  # has a bar of its own
                 path = train(config)
             else:
+                from bunraku.cli.outputs import stages  # loads what draws bars
+
                 with stages() as report:
                     path = train(config, report=print_row, progress=report)
             print(f"wrote {path}")
