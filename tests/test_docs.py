@@ -61,6 +61,22 @@ def test_stumbles_are_found(text, count):
     assert len(prose.stumbles(text)) == count
 
 
+WORDINGS = ROOT / "src" / "bunraku_lab" / "description" / "captions.py"
+"""Holds the ways in which people word a caption, "somebody" among them."""
+
+
+@pytest.mark.parametrize("house", ["bunraku", "bunraku_lab"])
+def test_texts_of_the_code_are_as_plain(house):
+    paths = sorted(path for path in (ROOT / "src" / house).rglob("*.py") if path != WORDINGS)
+    found = [
+        (path.name, line, bad)
+        for path in paths
+        for line, text in prose.source_texts(path)
+        for bad in prose.stumbles(text)
+    ]
+    assert found == []
+
+
 def test_texts_of_a_module(tmp_path):
     path = tmp_path / "module.py"
     path.write_text('"""Moves who walks."""\nVALUE = 1  # of who sits\n"""For who stands."""\n')

@@ -264,8 +264,8 @@ def computed_sentence(
 ) -> str | None:  # fmt: skip
     """A sentence from the motion, alone or together with the label.
 
-    It stands alone only where it tells what the label tells: "moves forward" would be true of a drinker who takes a
-    step, but not a fitting description.
+    It stands alone only where it tells what the label tells: "moves forward" would be true of a person who
+    drinks and takes a step, but it would not describe the motion.
 
     Args:
         found: What is true in the row, from `describe.inside`.

@@ -338,8 +338,8 @@ def _hovers(features: np.ndarray) -> bool:
 
 
 def _seen(computed: Sequence[str], watched: Sequence[str]) -> bool:
-    """Whether who watched a stretch says too, in few words, what its numbers say, and nothing that hands do of who goes
-    somewhere: who backs up to pass a ball is no example of walking backwards.
+    """Whether the watched captions of a stretch name every action that its numbers name. A stretch of travel in which
+    the hands are busy does not count: a person who backs up to pass a ball is no example of walking backwards.
     """
     said = set(main_actions(computed))
     busy = said <= _GOES and any(_BUSY.search(text) for text in watched)

@@ -510,7 +510,7 @@ def pad(rows: list[Row]) -> MotionBatch:
 
 
 def standing_stretches(values: np.ndarray, statistics: FeatureStatistics) -> list[np.ndarray]:
-    """Stretches in which somebody stands upright on both legs and hardly moves."""
+    """Stretches in which the person stands upright on both legs and hardly moves."""
     if len(values) < FEWEST:
         return []
     features = statistics.restore(values)
