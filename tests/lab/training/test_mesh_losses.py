@@ -251,11 +251,15 @@ def test_only_the_adaptation_is_judged(learning, features, bank):
     idle = [row for row in range(3) if row not in draw.rows.tolist()]
     assert float(delta.grad[idle].abs().sum()) == 0
     assert all(value.grad is None for value in learning.discriminator.parameters())
+    kept = [value.detach().clone() for value in learning.discriminator.parameters()]
     loss, score = learning.learn(real, fake, learns=False)
     assert 0 < score < 1 and all(value.grad is None for value in learning.discriminator.parameters())
+    assert all(torch.equal(old, new) for old, new in zip(kept, learning.discriminator.parameters(), strict=True))
     assert float(learning.losses(draw, clean, delta, learns=True)[1].detach()) == 0
+    before = [value.detach().clone() for value in learning.discriminator.parameters()]
     assert float(learning.learn(real, fake, learns=True)[0]) == pytest.approx(float(loss))
-    assert any(value.grad is not None for value in learning.discriminator.parameters())
+    after = list(learning.discriminator.parameters())
+    assert any(not torch.equal(old, new) for old, new in zip(before, after, strict=True))
     learning.score = 0.2
     assert not learning.learns
     learning.score = 0.4

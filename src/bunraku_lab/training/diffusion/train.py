@@ -268,7 +268,8 @@ def train_diffusion(
     console.print(
         f"{len(train.clips)} training and {len(val.clips)} validation clips, {len(bank)} sentences, "
         f"{sum(value.numel() for value in trainer.model.parameters()) / 1e6:.1f} M parameters, {trainer.device}, "
-        f"from step {trainer.step}"
+        f"from step {trainer.step}",
+        soft_wrap=True,
     )
     source = (PooledBatches if config.workers else BatchesAhead)(trainer, train, sources)
     run = _Run(trainer, network, source, examples, console)
