@@ -374,7 +374,7 @@ def test_an_animation_of_an_mmd_character_is_saved_as_vmd(tmp_path):
     assert len(again) == 8 and np.abs(again.vertices() - animation.vertices()).max() < 1e-4
     with pytest.raises(OptionError, match="30 frames a second"):
         animation.save(tmp_path / "legs.vmd", fps=24)
-    with pytest.raises(FormatError, match="the humanoid skeleton is told by the 30 handles"):
+    with pytest.raises(FormatError, match="a humanoid skeleton is found from the 30 handles"):
         animation.animation().save(tmp_path / "bones.vmd")
     assert not (tmp_path / "bones.vmd").exists()
     from bunraku.core.animation import RigAnimation
