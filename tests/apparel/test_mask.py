@@ -73,7 +73,7 @@ def test_red_paint_counts_whatever_the_order_of_vertices(loaded, tmp_path):
         ("m.txt", b"skirt\n", "vertex numbers"),
         ("m.txt", b"9" * 400, "does not have|vertex numbers"),
         ("m.npy", b"\x93NUMPY rubbish", "broken"),
-        ("m.csv", b"1", "save it as"),
+        ("m.csv", b"1", "save one of these"),
     ],
 )
 def test_bad_masks(doll, tmp_path, name, content, problem):
