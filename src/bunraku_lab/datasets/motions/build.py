@@ -48,7 +48,7 @@ __all__ = [
 ]  # fmt: skip
 
 ANKLES = (JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle"))
-LEAST, MOST = np.radians(2.0), np.radians(35.0)
+LEAST_SLOPE, MOST_SLOPE = np.radians(2.0), np.radians(35.0)
 
 
 def standing_foot_pitch(motion: SkeletalMotion) -> float:
@@ -71,7 +71,7 @@ def subject_pitches(pitches: Iterable[tuple[str, float]]) -> dict[str, float]:
         if np.isfinite(pitch):
             groups[subject_of(name)].append(pitch)
     medians = {subject: float(np.median(values)) for subject, values in groups.items() if len(values) >= 3}
-    return {subject: value if LEAST < abs(value) < MOST else 0.0 for subject, value in medians.items()}
+    return {subject: value if LEAST_SLOPE < abs(value) < MOST_SLOPE else 0.0 for subject, value in medians.items()}
 
 
 def level_feet(motion: SkeletalMotion, name: str, slopes: Mapping[str, float]) -> SkeletalMotion:
