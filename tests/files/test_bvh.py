@@ -282,9 +282,8 @@ def test_a_text_file_of_1_gb_is_refused_unread(tmp_path):
         file.truncate(1 << 30)
     tracemalloc.start()
     start = time.process_time()
-    for reader in (load_motion, load_bvh):
-        with pytest.raises(FormatError, match=r"novel\.bvh: 1024 MiB"):
-            reader(path)
+    with pytest.raises(FormatError, match=r"novel\.bvh: 1024 MiB"):
+        load_motion(path)
     assert time.process_time() - start < 2 and tracemalloc.get_traced_memory()[1] < 10 << 20
     tracemalloc.stop()
 
