@@ -42,7 +42,7 @@ BUDGET = {
     "bunraku_lab/synthetic": (7023, 32),
     "bunraku_lab/baselines": (556, 3),
     "bunraku_lab/datasets": (3047, 15),
-    "bunraku_lab/training": (6364, 35),
+    "bunraku_lab/training": (6365, 35),
     "bunraku_lab/evaluation": (5164, 31),
     "bunraku_lab/cli": (803, 7),
     "bunraku_lab/bunraku_lab": (0, 1),
