@@ -1,8 +1,8 @@
 """A sentence as frames, read by a small network: which actions it names, in which order, and what it says of each.
 
 The network is the text encoder up to `DEPTH`, two layers of its kind that were trained on phrases of each action
-(`bunraku_lab.training.reader`), and for each action an attention over the tokens (Ilse et al. 2018): what is attended to
-says whether the action is named, where in the sentence, and with which side, direction, turn, count, speed and posture.
+(`bunraku train reader`), and for each action an attention over the tokens (Ilse et al. 2018). What is attended
+to says whether the action is named, where, and with which side, direction, turn, count, speed and posture.
 """
 
 from __future__ import annotations
@@ -79,11 +79,12 @@ def quantised(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def dequantised(state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """All arrays of a checkpoint as float32: those of `quantised` have the sizes of their steps beside them."""
-    plain = {name: value for name, value in state.items() if not name.endswith(".scale")}
-    return {
-        name: value.astype(np.float32) * state[f"{name}.scale"] if value.dtype == np.int8 else np.asarray(value, np.float32)
-        for name, value in plain.items()
-    }  # fmt: skip
+    found = {}
+    for name in (name for name in state if not name.endswith(".scale")):
+        found[name] = state[name].astype(np.float32)
+        if state[name].dtype == np.int8:
+            found[name] *= state[f"{name}.scale"]
+    return found
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from bunraku.errors import FormatError, OptionError
 from bunraku.language.encoders import MiniLMEncoder
 from bunraku.language.reader import DEPTH, FIELDS, load_reader
 from bunraku_lab.training import reader as training
-from bunraku_lab.training.reader import Composed, Composer, Kept, ReaderTrainConfig, make_sentences, phrases_of
+from bunraku_lab.training.reader import Kept, ReaderTrainConfig, make_sentences
+from bunraku_lab.training.reader_sentences import Composed, Composer, phrases_of
 
 VERBS = {"walk": "walks", "jump": "jumps", "wave": "waves", "idle": "stands", "none": "blinks", "sidestep": "strafes"}
 
@@ -20,14 +21,26 @@ VERBS = {"walk": "walks", "jump": "jumps", "wave": "waves", "idle": "stands", "n
 @pytest.fixture
 def config(tmp_path: Path) -> ReaderTrainConfig:
     lines = [f"{action}\t{verb} {index}" for action, verb in VERBS.items() for index in range(20)]
-    lines += [f"{action}\t{action}" for action in ("run", "backward", "turn", "turn around", "spin", "circle", "march")]
-    lines += [f"{action}\t{action}" for action in ("sneak", "limp", "skip", "crouch walk", "crouch idle", "sit", "kneel", "lie")]
+    gaits = (
+        "run",
+        "march",
+        "sneak",
+        "limp",
+        "skip",
+        "crouch walk",
+        "backward",
+        "circle",
+        "turn",
+        "turn around",
+        "spin",
+    )
+    lines += [f"{action}\t{action}" for action in (*gaits, "crouch idle", "sit", "kneel", "lie")]
     (tmp_path / "phrases.tsv").write_text("\n".join(lines), encoding="utf-8")
     (tmp_path / "captions_watched.json").write_text(json.dumps({"clips": {}}), encoding="utf-8")
     (tmp_path / "captions_asked.tsv").write_text("", encoding="utf-8")
     return ReaderTrainConfig(
         phrases=(tmp_path / "phrases.tsv",), data=tmp_path, out=tmp_path / "run", sentences=64, minutes=0,
-        batch=8, validate_every=4, warmup=1, steps=12,
+        batch=8, validate_every=4, warmup=1, rate=1e-3, steps=12,
     )  # fmt: skip
 
 
@@ -47,7 +60,9 @@ def test_sentences_name_what_their_clauses_are_made_of(config: ReaderTrainConfig
 def test_what_is_kept_is_what_the_encoder_says(tmp_path: Path) -> None:
     none = dict.fromkeys(FIELDS, 0)
     sentences = [
-        Composed([("he walks", 0), ("then", -1), ("waves twice", 1)], [("walk", 0, none), ("wave", 1, none | {"count": 2})]),
+        Composed(
+            [("he walks", 0), ("then", -1), ("waves twice", 1)], [("walk", 0, none), ("wave", 1, none | {"count": 2})]
+        ),
         Composed([("blinks", 0)]),
     ]
     encoder = MiniLMEncoder()
@@ -66,7 +81,7 @@ def test_a_run_learns_and_goes_on(config: ReaderTrainConfig, monkeypatch: pytest
     monkeypatch.setattr(training, "SHARD", 32)
     rows: list[dict[str, float]] = []
     path = training.train_reader(config, rows.append)
-    assert [row["step"] for row in rows] == [4, 8, 12] and rows[-1]["named"] < rows[0]["named"]
+    assert [row["step"] for row in rows] == [4, 8, 12] and rows[-1]["validation"] < rows[0]["validation"]
     assert {"walk", "jump"} <= set(load_reader(path).actions) and "none" not in load_reader(path).actions
     training.train_reader(ReaderTrainConfig(**{**vars(config), "steps": 13}), rows.append)
     assert rows[-1]["step"] == 13
