@@ -1,8 +1,7 @@
 """A sentence as frames, read by a small network: which actions it names, in which order, and what it says of each.
 
-The network is the text encoder up to `DEPTH`, two layers of its kind that were trained on phrases of each action
-(`bunraku train reader`), and for each action an attention over the tokens (Ilse et al. 2018). What is attended
-to says whether the action is named, where, and with which side, direction, turn, count, speed and posture.
+The network is the text encoder up to `DEPTH`, two layers of its kind that were trained on phrases of each action, and
+for each action an attention over the tokens (Ilse et al. 2018). What is attended to says whether the action is named, where, and with which side, direction, turn, count, speed and posture.
 """
 
 from __future__ import annotations
@@ -116,14 +115,14 @@ class Reader:
     def layers(self) -> list[PostNorm]:
         """The layers behind those of the encoder."""
         count = len({name.split(".")[1] for name in self.weights if name.startswith("layers.")})
-        return [
-            PostNorm(
-                *(self._linear(f"layers.{index}.{part}") for part in ("query", "key", "value", "leave")), self.heads,
-                self._norm(f"layers.{index}.norm_a"), self._linear(f"layers.{index}.wide"),
-                self._linear(f"layers.{index}.narrow"), self._norm(f"layers.{index}.norm_b"),
+        found = []
+        for name in (f"layers.{index}" for index in range(count)):
+            query, key, value, leave, wide, narrow = (
+                self._linear(f"{name}.{part}") for part in ("query", "key", "value", "leave", "wide", "narrow")
             )
-            for index in range(count)
-        ]  # fmt: skip
+            norm_a, norm_b = self._norm(f"{name}.norm_a"), self._norm(f"{name}.norm_b")
+            found.append(PostNorm(query, key, value, leave, self.heads, norm_a, wide, narrow, norm_b))
+        return found
 
     def run(self, hidden: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What the heads say.

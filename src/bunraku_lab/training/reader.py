@@ -176,7 +176,7 @@ def keep(path: Path, sentences: Sequence[Composed], actions: Sequence[str], enco
     hidden, said = np.empty((starts[-1], 384), np.float16), []
     for row, (_, owner, named) in enumerate(read):
         for action, clause, fields in named:
-            own = np.flatnonzero(owner == clause) if clause >= 0 else []
+            own = np.flatnonzero((owner == clause) & (clause >= 0))
             span = (own[0], own[-1] + 1) if len(own) else (0, 0)
             said.append((row, number[action], *span, *fields.values()))
     kept = Kept(hidden, starts, np.array(said, np.int64))
@@ -241,6 +241,7 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
 
         def prepare(model: ReaderNetwork) -> None:
             for index, layer in enumerate(model.layers):
+                assert isinstance(layer, Layer)
                 layer.take(encoder, DEPTH + index)
 
         self.set_up(lambda: ReaderNetwork(len(actions), config.layers), prepare)
