@@ -1,7 +1,8 @@
 """A sentence as frames, read by a small network: which actions it names, in which order, and what it says of each.
 
 The network is the text encoder up to `DEPTH`, two layers of its kind that were trained on phrases of each action, and
-for each action an attention over the tokens (Ilse et al. 2018). What is attended to says whether the action is named, where, and with which side, direction, turn, count, speed and posture.
+for each action an attention over the tokens (Ilse et al. 2018). What is attended to says whether the action is
+named, where, and with which side, direction, turn, count, speed and posture.
 """
 
 from __future__ import annotations
