@@ -190,6 +190,7 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
     low, high = figure.at("pelvis")[1], figure.at("spine2")[1]
     waist = float(low + u(0.35, 0.8) * (high - low))
     if plan.skirt:
+        costume.kind = "skirt"
         if plan.dress:
             costume.colors["top"] = costume.colors["cloth"]
         figure = figure.wearing(
@@ -204,21 +205,27 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
             )
         )
     if plan.coat:
+        costume.kind = "coat"
         figure = figure.wearing(
             add_coat(costume, figure, rng, waist=waist, colors=("mantle", "lining"), thick=0.012 * h)
         )
     if plan.sleeves:
+        costume.kind = "sleeve"
         costume.colors["sleeve"] = costume.colors["top"]
         add_sleeves(costume, figure, rng, colors=("sleeve", "trim"))
     scalp = Scalp(figure, 0.1 * float(figure.skull[1][0]))
     if plan.cape:
+        costume.kind = "cape"
         figure = figure.wearing(add_cape(costume, figure, rng, colors=("mantle", "lining")))
     if plan.scarf:
+        costume.kind = "accessory"
         figure = figure.wearing(add_scarf(costume, figure, rng, colors=("trim", "top")))
     kinds = {"short": 0.14, "bob": 0.16, "ponytail": 0.22, "twin tails": 0.22, "long": 0.26}
     hair = str(rng.choice(list(kinds), p=list(kinds.values())))
+    costume.kind = "hair"
     scalp = add_hair(costume, figure, rng, kind=hair, colors=("hair", "hair tie"))
     if chance() < (0.1 if costume.quiet else 0.3):
+        costume.kind = "tail"
         kind = str(rng.choice(["cat", "fox", "rabbit"]))
         add_ears(costume, scalp, rng, kind=kind, colors=("fur", "fur tip"))
         if kind != "rabbit":
@@ -231,6 +238,7 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
                 colors=("fur", "fur tip"),
                 lift=lift,
             )
+    costume.kind = "accessory"
     _bows(costume, figure, scalp, plan, hair, rng, waist)
     add_little_pieces(costume, figure, scalp, rng, hair)
 
