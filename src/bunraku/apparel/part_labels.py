@@ -1,11 +1,44 @@
-"""The parts of any mesh, found by the part network, before there are handles or joints."""
+"""The parts of any mesh, found by the part network, before there are handles or joints.
+
+The network is a hierarchy of points with a transformer over the coarsest (`bunraku_lab.nn.parts`, whose numbers a test
+compares with these).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from bunraku.apparel.part_points import (
+    BESIDE,
+    CENTRES,
+    FEATURES,
+    GATHERED,
+    TOKENS,
+    PartPoints,
+    loose_parts,
+    part_points,
+    point_features,
+)
+from bunraku.nn.checkpoints import config_of, dated_checkpoint, load_network
+from bunraku.nn.layers import Norm, PreNorm, gelu, sigmoid, softmax
+from bunraku.nn.threads import one_thread
+from bunraku.nn.weights import Weights
+
+__all__ = ["CARRIERS", "PARTS", "FoundParts", "PartConfig", "PartNetwork", "find_parts", "load_parts"]
 
 PARTS = ("body", "hair", "skirt", "cape", "sleeve", "tail", "prop", "accessory", "ground")
+"""Kinds of parts. A skirt is also a robe or the tails of a coat, a tail also an ear; ground is what a figure stands on
+and what lies about it.
+"""
 CARRIERS = ("head", "chest", "pelvis", "left arm", "right arm", "left leg", "right leg")
+"""What a part goes with."""
+VIEWS = 2
+"""Samples of the mesh whose answers are averaged."""
 
 
 @dataclass(frozen=True)
@@ -28,3 +61,201 @@ class PartConfig:
     heads: int = 5
     before: int = 2
     after: int = 2
+
+
+@dataclass(frozen=True, eq=False)
+class FoundParts:
+    """What the network says of each vertex of a mesh.
+
+    Args:
+        parts: Probability of each of `PARTS`, shape (V, 9).
+        hangs: Probability that physics would move it, shape (V,).
+        carriers: Probability of each of `CARRIERS`, shape (V, 7).
+    """
+
+    parts: np.ndarray
+    hangs: np.ndarray
+    carriers: np.ndarray
+
+    @property
+    def label(self) -> np.ndarray:
+        """Number in `PARTS` of each vertex, shape (V,)."""
+        return np.asarray(self.parts.argmax(axis=1))
+
+
+class _Pool:
+    """The most of linear features of neighbours, relative to a centre."""
+
+    def __init__(self, width: int, out: int, weights: Weights):
+        self._value = weights.linear("value", width + 3, out)
+        self._place = weights.linear("place", 3, out, bias=False)
+
+    def __call__(self, x: np.ndarray, points: np.ndarray, centres: np.ndarray, index: np.ndarray) -> np.ndarray:
+        value = self._value(np.concatenate([x, points], axis=1))
+        most = value[index[:, 0]]
+        for column in range(1, index.shape[1]):
+            np.maximum(most, value[index[:, column]], out=most)
+        most -= self._place(centres)
+        return gelu(most)
+
+
+class _Gather:
+    def __init__(self, width: int, out: int, weights: Weights):
+        self._pool = _Pool(width, out, weights)
+        self._mix, self._leave = weights.linear("mix", width + out, out), weights.linear("leave", out, out)
+
+    def __call__(self, x: np.ndarray, points: np.ndarray, count: int, index: np.ndarray) -> np.ndarray:
+        near = self._pool(x, points, points[:count], index)
+        return self._leave(gelu(self._mix(np.concatenate([x[:count], near], axis=1))))
+
+
+class _Beside:
+    def __init__(self, width: int, weights: Weights):
+        self._norm: Norm = weights.norm("norm", width)
+        self._pool = _Pool(width, width, weights)
+        self._mix, self._leave = weights.linear("mix", 2 * width, width), weights.linear("leave", width, width)
+
+    def __call__(self, x: np.ndarray, points: np.ndarray, index: np.ndarray) -> np.ndarray:
+        own = self._norm(x)
+        near = self._pool(own, points, points, index)
+        return np.asarray(x + self._leave(gelu(self._mix(np.concatenate([own, near], axis=1)))))
+
+
+class PartNetwork:
+    """The network.
+
+    Args:
+        config: Its shape.
+        weights: Of a checkpoint.
+
+    Raises:
+        ValueError: The weights have other sizes.
+    """
+
+    def __init__(self, config: PartConfig, weights: Weights):
+        self.config = config
+        fine, middle, coarse = config.fine, config.middle, config.coarse
+        self._enter = weights.linear("enter.0", FEATURES, fine), weights.linear("enter.2", fine, fine)
+        self._to_centres = _Gather(fine, middle, weights.part("to_centres"))
+        self._before = [_Beside(middle, weights.part(f"before.{number}")) for number in range(config.before)]
+        self._to_tokens = _Gather(middle, coarse, weights.part("to_tokens"))
+        self._layers = []
+        for number in range(config.layers):
+            own = weights.part(f"layers.{number}")
+            self._layers.append(
+                PreNorm(
+                    own.attention("enter", "leave", coarse, config.heads),
+                    own.norm("norm_a", coarse),
+                    own.feed_forward("wide", "narrow", coarse, 3 * coarse),
+                    own.norm("norm_b", coarse),
+                )
+            )
+        self._norm = weights.norm("norm", coarse)
+        self._down = weights.linear("down", middle + coarse, middle)
+        self._after = [_Beside(middle, weights.part(f"after.{number}")) for number in range(config.after)]
+        self._last = weights.linear("last", fine + middle, middle)
+        out = len(PARTS) + 1 + len(CARRIERS)
+        self._decoder = weights.linear("decoder.0", middle, middle), weights.linear("decoder.2", middle, out)
+
+    def scores(self, seen: PartPoints) -> np.ndarray:
+        """Scores of the parts, of hanging and of the carriers, shape (S, parts + 1 + carriers)."""
+        points = seen.surface.points.astype(np.float32)
+        centres, beside = points[:CENTRES], seen.beside[:, :BESIDE]
+        x = self._enter[1](gelu(self._enter[0](point_features(seen.surface))))
+        y = self._to_centres(x, points, CENTRES, seen.gather[:, :GATHERED])
+        for block in self._before:
+            y = block(y, centres, beside)
+        z = self._to_tokens(y, centres, TOKENS, seen.gather_up[:, :GATHERED])[None]
+        for layer in self._layers:
+            z = layer(z)
+        z = _blended(self._norm(z[0]), seen.down, seen.down_shares)
+        y += self._down(np.concatenate([y, z], axis=1))
+        for block in self._after:
+            y = block(y, centres, beside)
+        y = _blended(y, seen.fine, seen.fine_shares)
+        y = gelu(self._last(np.concatenate([x, y], axis=1)))
+        return self._decoder[1](gelu(self._decoder[0](y)))
+
+
+def _blended(x: np.ndarray, index: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Sums of three rows by shares."""
+    shares = shares.astype(np.float32)
+    out = x[index[:, 0]] * shares[:, :1]
+    for column in (1, 2):
+        out += x[index[:, column]] * shares[:, column : column + 1]
+    return out
+
+
+def load_parts(path: str | Path) -> PartNetwork:
+    """Read a checkpoint of kind "parts", ready to use.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """
+    return load_network(path, "parts", lambda shape, weights: PartNetwork(config_of(PartConfig, shape), weights))
+
+
+@lru_cache(maxsize=2)
+def _model(path: Path, changed: int) -> PartNetwork:
+    return load_parts(path)
+
+
+def find_parts(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    colors: np.ndarray | None = None,
+    checkpoint: str | Path | None = None,
+    views: int = VIEWS,
+) -> FoundParts:
+    """What part each vertex is of, what carries it, and whether it hangs.
+
+    Args:
+        vertices: Rest mesh [m], +Y up and facing +Z, shape (V, 3).
+        faces: Shape (F, 3).
+        colors: sRGB from 0 to 1 of each vertex, shape (V, 3), or None.
+        checkpoint: Weights of kind "parts"; the shipped ones when not given.
+        views: Samples of the mesh whose answers are averaged.
+
+    Raises:
+        CharacterError: The mesh is broken.
+        WeightsError: The checkpoint is missing or does not fit.
+    """
+    model = _model(*dated_checkpoint("parts", checkpoint))
+    vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+    own = loose_parts(vertices, faces)
+    part = np.zeros(len(vertices), np.int64)  # strays are of any
+    part[faces] = own[:, None]
+    used = vertices[np.unique(faces)]
+    low, high = used.min(axis=0), used.max(axis=0)
+    placed = (vertices - 0.5 * (low + high)) / max(float((high - low).max()), 1e-12)
+    count = len(PARTS)
+    total = np.zeros((len(vertices), count + 1 + len(CARRIERS)), np.float32)
+    with one_thread():
+        for seed in range(views):
+            seen = part_points(vertices, faces, own, colors, seed)
+            scores = model.scores(seen)
+            likely = np.concatenate(
+                [
+                    softmax(scores[:, :count].copy()),
+                    sigmoid(scores[:, count : count + 1]),
+                    softmax(scores[:, count + 1 :].copy()),
+                ],
+                axis=1,
+            )
+            total += _spread(placed, part, seen, likely)
+    total /= views
+    return FoundParts(total[:, :count], total[:, count], total[:, count + 1 :])
+
+
+def _spread(placed: np.ndarray, part: np.ndarray, seen: PartPoints, values: np.ndarray) -> np.ndarray:
+    """Values of points at the vertices, from the three nearest of the same loose part, or of any where it has none."""
+    # Parts that lie on one another stay apart: each has a layer of its own along a fourth axis.
+    layer = np.concatenate([placed, 4.0 * part[:, None]], axis=1)
+    known = np.concatenate([seen.surface.points, 4.0 * seen.surface.part[:, None]], axis=1)
+    gap, near = cKDTree(known).query(layer, 3)
+    lost = gap[:, 0] >= 4
+    if lost.any():
+        gap[lost], near[lost] = cKDTree(seen.surface.points).query(placed[lost], 3)
+    weight = 1 / (gap.clip(max=4) + 1e-4) * (gap < 4)
+    weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
+    return np.asarray((values[near] * weight[..., None]).sum(axis=1), np.float32)

@@ -13,7 +13,17 @@ from scipy.spatial import cKDTree
 
 from bunraku.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
-__all__ = ["CENTRES", "FEATURES", "POINTS", "TOKENS", "PartPoints", "Surface", "loose_parts", "part_points", "point_features"]
+__all__ = [
+    "CENTRES",
+    "FEATURES",
+    "POINTS",
+    "TOKENS",
+    "PartPoints",
+    "Surface",
+    "loose_parts",
+    "part_points",
+    "point_features",
+]
 
 POINTS, CENTRES, TOKENS = 4096, 1024, 256
 GATHERED, BESIDE = 12, 8
@@ -121,9 +131,15 @@ def part_points(
     down, down_shares = _nearest(cKDTree(points[:TOKENS]), points[:CENTRES])
     return PartPoints(
         Surface(points, normals, tint, own[chosen], _local_shape(points, normals, near)),
-        faces[chosen, shares.argmax(axis=1)], near[:CENTRES, :GATHERED], centres.query(points[:CENTRES], BESIDE)[1],
-        centres.query(points[:TOKENS], GATHERED)[1], down, down_shares, fine, fine_shares,
-    )  # fmt: skip
+        faces[chosen, shares.argmax(axis=1)],
+        near[:CENTRES, :GATHERED],
+        centres.query(points[:CENTRES], BESIDE)[1],
+        centres.query(points[:TOKENS], GATHERED)[1],
+        down,
+        down_shares,
+        fine,
+        fine_shares,
+    )
 
 
 def point_features(surface: Surface) -> np.ndarray:

@@ -39,12 +39,15 @@ class PointBatch:
         tables = {name: table[:, :, : {"beside": BESIDE}.get(name, GATHERED)] for name, table in tables.items()}
         self.index = {
             name: torch.from_numpy(
-                (tables[name].astype(np.int64) + (np.arange(batch) * size)[:, None, None]).reshape(-1, tables[name].shape[2])
+                (tables[name].astype(np.int64) + (np.arange(batch) * size)[:, None, None]).reshape(
+                    -1, tables[name].shape[2]
+                )
             )
             for name, size in below.items()
         }
         self.shares = {
-            name: torch.from_numpy(tables[f"{name}_shares"].astype(np.float32).reshape(-1, 3)) for name in ("down", "fine")
+            name: torch.from_numpy(tables[f"{name}_shares"].astype(np.float32).reshape(-1, 3))
+            for name in ("down", "fine")
         }
 
     def level(self, count: int) -> torch.Tensor:
@@ -57,19 +60,21 @@ class _Pool(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, x: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
-        value, row = x.index_select(0, index[:, 0]), index[:, :1].expand(-1, x.shape[1]).to(torch.int32)
-        for column in range(1, index.shape[1]):  # much faster than `max` with places over the middle axis
-            other = x.index_select(0, index[:, column])
-            row = torch.where(other > value, index[:, column : column + 1].to(torch.int32), row)
-            value = torch.maximum(value, other)
-        ctx.save_for_backward(row)
+        # The column goes into the last four bits of each number, so that one pass finds the largest and where it was.
+        marked = x.detach().contiguous().view(torch.int32) & ~15
+        most = marked.index_select(0, index[:, 0])
+        for column in range(1, index.shape[1]):
+            other = marked.index_select(0, index[:, column]).bitwise_or_(column)
+            torch.maximum(most.view(torch.float32), other.view(torch.float32), out=most.view(torch.float32))
+        ctx.save_for_backward(most, index)
         ctx.count = len(x)
-        return value
+        return most.view(torch.float32).clone()
 
     @staticmethod
     def backward(ctx: Any, grad: torch.Tensor) -> tuple[torch.Tensor, None]:  # type: ignore[override]
-        (rows,) = ctx.saved_tensors
-        return grad.new_zeros(ctx.count, grad.shape[1]).scatter_add_(0, rows.long(), grad), None
+        most, index = ctx.saved_tensors
+        rows = index.gather(1, (most & 15).long())
+        return grad.new_zeros(ctx.count, grad.shape[1]).scatter_add_(0, rows, grad), None
 
 
 class _Blend(torch.autograd.Function):
@@ -91,8 +96,9 @@ class _Blend(torch.autograd.Function):
         order = torch.argsort(flat)
         ends = torch.zeros(ctx.count + 1, dtype=torch.int64)
         ends[1:] = torch.cumsum(torch.bincount(flat, minlength=ctx.count), 0)
-        matrix = torch.sparse_csr_tensor(ends, order // 3, shares.reshape(-1)[order], size=(ctx.count, len(index)),
-                                         check_invariants=False)  # fmt: skip
+        matrix = torch.sparse_csr_tensor(
+            ends, order // 3, shares.reshape(-1)[order], size=(ctx.count, len(index)), check_invariants=False
+        )
         return matrix @ grad, None, None
 
 
@@ -106,7 +112,9 @@ class _Gather(nn.Module):
         self.mix = nn.Linear(width + out, out)
         self.leave = nn.Linear(out, out)
 
-    def forward(self, x: torch.Tensor, points: torch.Tensor, own: torch.Tensor, centres: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
+    def forward(
+        self, x: torch.Tensor, points: torch.Tensor, own: torch.Tensor, centres: torch.Tensor, index: torch.Tensor
+    ) -> torch.Tensor:
         near = _Pool.apply(self.value(torch.cat([x, points], 1)), index) - self.place(centres)
         return self.leave(F.gelu(self.mix(torch.cat([own, F.gelu(near)], 1))))
 
@@ -166,10 +174,17 @@ class PartNetwork(nn.Module):
         self.down = nn.Linear(middle + coarse, middle)
         self.after = nn.ModuleList(_Beside(middle) for _ in range(config.after))
         self.last = nn.Linear(fine + middle, middle)
-        self.decoder = nn.Sequential(nn.Linear(middle, middle), nn.GELU(), nn.Linear(middle, len(PARTS) + 1 + len(CARRIERS)))
+        self.decoder = nn.Sequential(
+            nn.Linear(middle, middle), nn.GELU(), nn.Linear(middle, len(PARTS) + 1 + len(CARRIERS))
+        )
 
-    def forward(self, batch: PointBatch) -> torch.Tensor:
-        """Scores of the parts, of hanging, and of the carriers, shape (B * POINTS, parts + 1 + carriers)."""
+    def forward(self, batch: PointBatch, chosen: torch.Tensor | None = None) -> torch.Tensor:
+        """Scores of the parts, of hanging, and of the carriers, shape (B * POINTS, parts + 1 + carriers).
+
+        Args:
+            batch: The meshes.
+            chosen: Points that are asked for, all where None.
+        """
         meshes = len(batch.points)
         all_points, centres, tokens = (batch.level(count) for count in (POINTS, CENTRES, TOKENS))
         x = self.enter(batch.features)
@@ -185,12 +200,19 @@ class PartNetwork(nn.Module):
         y = y + self.down(torch.cat([y, z], 1))
         for block in self.after:
             y = block(y, centres, batch.index["beside"])
-        y = _Blend.apply(y, batch.index["fine"], batch.shares["fine"])
+        index, shares = batch.index["fine"], batch.shares["fine"]
+        if chosen is not None:
+            x, index, shares = x.index_select(0, chosen), index[chosen], shares[chosen]
+        y = _Blend.apply(y, index, shares)
         out: torch.Tensor = self.decoder(F.gelu(self.last(torch.cat([x, y], 1))))
         return out
 
 
-def point_batch(rows: Sequence[dict[str, np.ndarray]], features: Sequence[np.ndarray], points: Sequence[np.ndarray]) -> PointBatch:
+def point_batch(
+    rows: Sequence[dict[str, np.ndarray]], features: Sequence[np.ndarray], points: Sequence[np.ndarray]
+) -> PointBatch:
     """Rows of shards as one block."""
     names = ("gather", "beside", "gather_up", "down", "fine", "down_shares", "fine_shares")
-    return PointBatch(np.stack(features), np.stack(points), {name: np.stack([row[name] for row in rows]) for name in names})
+    return PointBatch(
+        np.stack(features), np.stack(points), {name: np.stack([row[name] for row in rows]) for name in names}
+    )

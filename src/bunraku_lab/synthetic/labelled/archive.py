@@ -16,11 +16,25 @@ __all__ = ["archive_figure"]
 _PROPS = ("axe", "shield", "mug", "sword", "spellbook", "wand", "staff", "knife", "crossbow", "throwable", "pistol")
 _WORN = ("hat", "helmet", "backpack")
 _HEAD = {
-    "hair": "hair", "hair_white": "hair", "hair_blond": "hair", "hair_brown": "hair", "hair_black": "hair",
-    "hairbase": "hair", "moustache": "hair", "earrings": "accessory", "gold": "accessory", "worker_yellow": "accessory",
-    "skin": "body", "skin_darker": "body", "eye": "body", "eyes": "body", "eyebrows": "body", "pants": "body",
-    "shirt": "body", "shoes": "body",
-}  # fmt: skip
+    "hair": "hair",
+    "hair_white": "hair",
+    "hair_blond": "hair",
+    "hair_brown": "hair",
+    "hair_black": "hair",
+    "hairbase": "hair",
+    "moustache": "hair",
+    "earrings": "accessory",
+    "gold": "accessory",
+    "worker_yellow": "accessory",
+    "skin": "body",
+    "skin_darker": "body",
+    "eye": "body",
+    "eyes": "body",
+    "eyebrows": "body",
+    "pants": "body",
+    "shirt": "body",
+    "shoes": "body",
+}
 _ROBES = ("dress", "robe")
 
 
@@ -44,7 +58,7 @@ def archive_figure(path: Path, name: str, rng: np.random.Generator) -> Labelled 
     person = "0ad/people" in name or name.startswith(("kaykit", "quaternius/modular", "quaternius2019/Smooth", "valid"))
     for number, word in enumerate(bone):
         rows = first == number
-        if word.startswith("tail") or word.startswith("ear") and not word.startswith("earth"):
+        if word.startswith("tail") or (word.startswith("ear") and not word.startswith("earth")):
             part[rows] = PART["tail"]
         elif word.startswith("cape"):
             part[rows], hangs[rows] = PART["cape"], 1
@@ -92,8 +106,10 @@ def archive_figure(path: Path, name: str, rng: np.random.Generator) -> Labelled 
         hangs[low] = 1 if robe else UNKNOWN
     if person or "skeleton" in name.lower():
         part[(part == PART["tail"]) & np.char.startswith(bone[first].astype(str), "ear")] = PART["body"]
-    hands = [next((joints[i] for i, word in enumerate(bone) if "hand" in word and word.endswith(end)), None)
-             for end in ("l", "r")]  # fmt: skip
+    hands = [
+        next((joints[i] for i, word in enumerate(bone) if "hand" in word and word.endswith(end)), None)
+        for end in ("l", "r")
+    ]
     both = None if not person or any(hand is None for hand in hands) else np.stack(hands)  # type: ignore[arg-type]
     used = character.faces[keep]
     colors = None if character.colors is None else character.colors / 255

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from bunraku.apparel.part_labels import CARRIERS, PARTS
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.samples.fields import Lump
+from bunraku_lab.synthetic.dressed import extras
 from bunraku_lab.synthetic.dressed.outfits import random_outfit
 from bunraku_lab.synthetic.dressed.surfaces import melted, simplified
 from bunraku_lab.synthetic.dressed.wardrobe import BodyShape, Piece, Wardrobe, joined
@@ -25,9 +26,10 @@ from bunraku_lab.synthetic.families.model import Model
 from bunraku_lab.synthetic.families.people import humanoid
 from bunraku_lab.synthetic.people.makehuman import pose_points
 from bunraku_lab.synthetic.people.proportions import random_body, random_rest
-from bunraku_lab.synthetic.wardrobe import wardrobe_costume
+from bunraku_lab.synthetic.wardrobe.character import is_quiet, wardrobe_costume
+from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 
-__all__ = ["Labelled", "code_made", "dressed", "wardrobe"]
+__all__ = ["Labelled", "code_made", "draped", "dressed", "wardrobe"]
 
 PART = {name: number for number, name in enumerate(PARTS)}
 CARRIER = {name: number for number, name in enumerate(CARRIERS)}
@@ -74,32 +76,67 @@ class Labelled:
         owner = np.concatenate([np.arange(len(self.vertices)), self.faces[:, 0]])
         near = owner[cKDTree(middle).query(vertices)[1]]
         colors = None if self.colors is None else self.colors[near]
-        return Labelled(
-            vertices, faces, self.part[near], self.hangs[near], self.carrier[near], colors, self.hands
-        )  # fmt: skip
+        return Labelled(vertices, faces, self.part[near], self.hangs[near], self.carrier[near], colors, self.hands)
 
 
 def carrier_of(name: str) -> int:
     """Number in `CARRIERS` of a joint by its name in the body's layout, the wardrobe (Japanese) or a family."""
-    side = "left" if name.startswith(("left", "Left", "左")) else "right" if name.startswith(("right", "Right", "右")) else ""
+    side = (
+        "left"
+        if name.startswith(("left", "Left", "左"))
+        else "right"
+        if name.startswith(("right", "Right", "右"))
+        else ""
+    )
     word = name.removeprefix("left_").removeprefix("right_").removeprefix("Left").removeprefix("Right")
     word = word.removeprefix("左").removeprefix("右")
     if word in ("head", "neck", "Head", "Neck", "頭", "首", "Jaw", "Eye", "Ear", "両目", "目"):
         return CARRIER["head"]
-    if word in ("spine1", "spine2", "spine3", "collar", "Spine", "Spine1", "Spine2", "Shoulder", "上半身", "上半身2", "肩"):
+    if word in (
+        "spine1",
+        "spine2",
+        "spine3",
+        "collar",
+        "Spine",
+        "Spine1",
+        "Spine2",
+        "Shoulder",
+        "上半身",
+        "上半身2",
+        "肩",
+    ):
         return CARRIER["chest"]
     if word in ("pelvis", "Hips", "下半身", "センター", "グルーブ", "全ての親"):
         return CARRIER["pelvis"]
-    if side and (word in ("shoulder", "elbow", "wrist", "腕", "ひじ", "手首") or word.startswith(("Arm", "ForeArm", "Hand"))):
+    if side and (
+        word in ("shoulder", "elbow", "wrist", "腕", "ひじ", "手首") or word.startswith(("Arm", "ForeArm", "Hand"))
+    ):
         return CARRIER[f"{side} arm"]
-    if side and (word in ("hip", "knee", "ankle", "foot", "足", "ひざ", "足首", "つま先") or word.startswith(("UpLeg", "Leg", "Foot", "Toe"))):
+    if side and (
+        word in ("hip", "knee", "ankle", "foot", "足", "ひざ", "足首", "つま先")
+        or word.startswith(("UpLeg", "Leg", "Foot", "Toe"))
+    ):
         return CARRIER[f"{side} leg"]
     return UNKNOWN
 
 
+def draped(seed: int) -> Labelled:
+    """A character of the wardrobe with a coat, a cape or wide sleeves."""
+    for step in range(40):
+        other = seed + 1_000_000 * (step + 1)
+        if not is_quiet(other):
+            costume = wardrobe_costume(other)
+            if any(part.kind in ("cape", "coat", "sleeve") for part in costume.parts):
+                break
+    return _of_costume(costume)
+
+
 def wardrobe(seed: int, closet: Path | None = None, body: Path | None = None) -> Labelled:
     """A character of the wardrobe."""
-    costume = wardrobe_costume(seed, clothes=closet, body_data=body)
+    return _of_costume(wardrobe_costume(seed, clothes=closet, body_data=body))
+
+
+def _of_costume(costume: Costume) -> Labelled:
     moved = np.zeros(len(costume.bones), bool)
     moved[[one.bone for one in costume.bodies if one.dynamic and one.bone >= 0]] = True
     group = np.full(len(costume.bones), UNKNOWN)
@@ -128,24 +165,40 @@ def wardrobe(seed: int, closet: Path | None = None, body: Path | None = None) ->
         corners = part.faces.reshape(-1)
         pieces.append(
             Labelled(
-                part.points[corners], np.arange(len(corners)).reshape(-1, 3), label[corners].astype(np.int8),
-                swings[corners].astype(np.int8), carrier[corners].astype(np.int8), np.repeat(paint, 3, axis=0),
-            )  # fmt: skip
+                part.points[corners],
+                np.arange(len(corners)).reshape(-1, 3),
+                label[corners].astype(np.int8),
+                swings[corners].astype(np.int8),
+                carrier[corners].astype(np.int8),
+                np.repeat(paint, 3, axis=0),
+            )
         )
     out = pieces[0]
     out = Labelled(
-        np.concatenate([piece.vertices for piece in pieces]), np.arange(sum(map(len, (p.vertices for p in pieces)))).reshape(-1, 3),
-        *(np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("part", "hangs", "carrier", "colors")),
-    )  # fmt: skip
+        np.concatenate([piece.vertices for piece in pieces]),
+        np.arange(sum(map(len, (p.vertices for p in pieces)))).reshape(-1, 3),
+        *(
+            np.concatenate([getattr(piece, name) for piece in pieces])
+            for name in ("part", "hangs", "carrier", "colors")
+        ),
+    )
     hands = np.array([costume.bones[costume.bone_index(f"{mark}手首")].position for mark in "左右"])
     elbows = np.array([costume.bones[costume.bone_index(f"{mark}ひじ")].position for mark in "左右"])
     return replace(out, hands=hands + 0.35 * (hands - elbows))
 
 
 _OUTFIT = {
-    "spikes": "hair", "hat": "accessory", "helmet": "accessory", "glasses": "accessory", "bag": "accessory",
-    "shoulder_pads": "accessory", "cape": "cape", "tail": "tail", "ears": "tail", "long skirt": "skirt",
-}  # fmt: skip
+    "spikes": "hair",
+    "hat": "accessory",
+    "helmet": "accessory",
+    "glasses": "accessory",
+    "bag": "accessory",
+    "shoulder_pads": "accessory",
+    "cape": "cape",
+    "tail": "tail",
+    "ears": "tail",
+    "long skirt": "skirt",
+}
 
 
 def dressed(clothes: Wardrobe, seed: int) -> Labelled:
@@ -154,6 +207,9 @@ def dressed(clothes: Wardrobe, seed: int) -> Labelled:
     vertices = clothes.body.shape(random_body(rng))
     figure = BodyShape(vertices, clothes.body.joints(vertices))
     outfit = random_outfit(clothes, figure, rng)
+    for kind, extra in (("cape", extras.cape), ("tail", extras.tail), ("ears", extras.ears)):
+        if kind not in outfit.names and rng.random() < 0.12:
+            outfit.add(kind, extra(clothes, figure, rng), hangs=True)
     skin = clothes.part(figure, "body")
     rest = [skin]
     if rng.random() < 0.6 and outfit.hidden:
@@ -179,7 +235,9 @@ def dressed(clothes: Wardrobe, seed: int) -> Labelled:
             kind = "hair"
             if own.any():  # the cap stays, what is below the ears hangs, and nobody knows where it begins
                 y = piece.points[:, 1]
-                own = np.where(y < skull + 0.02 * height, 1, np.where(y > skull + 0.08 * height, 0, UNKNOWN)).astype(np.int8)
+                own = np.where(y < skull + 0.02 * height, 1, np.where(y > skull + 0.08 * height, 0, UNKNOWN)).astype(
+                    np.int8
+                )
         elif name in clothes.hats:
             kind = "accessory"
         elif name.startswith("skirt") or name == "long skirt":
@@ -203,15 +261,24 @@ def dressed(clothes: Wardrobe, seed: int) -> Labelled:
     tint.append(np.tile(rng.uniform([0.4, 0.25, 0.2], [0.95, 0.8, 0.75]), (left, 1)))
     linear = random_rest(rng, figure.joints)
     points, joints = pose_points(whole.points, figure.joints, whole.joints, linear)
-    wrists, elbows = (joints[[JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right")]] for name in ("wrist", "elbow"))
+    wrists, elbows = (
+        joints[[JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right")]] for name in ("wrist", "elbow")
+    )
     plain = Labelled(
-        points, whole.faces, np.concatenate(part).astype(np.int8), np.concatenate(hangs).astype(np.int8),
-        carrier.astype(np.int8), np.concatenate(tint), wrists + 0.35 * (wrists - elbows),
-    )  # fmt: skip
+        points,
+        whole.faces,
+        np.concatenate(part).astype(np.int8),
+        np.concatenate(hangs).astype(np.int8),
+        carrier.astype(np.int8),
+        np.concatenate(tint),
+        wrists + 0.35 * (wrists - elbows),
+    )
     form = rng.random()
     posed = Piece(points, whole.faces, whole.joints, whole.handles)
     if form < 0.12:
-        solid = Piece(pose_points(skin.points, figure.joints, skin.joints, linear)[0], skin.faces, skin.joints, skin.handles)
+        solid = Piece(
+            pose_points(skin.points, figure.joints, skin.joints, linear)[0], skin.faces, skin.joints, skin.handles
+        )
         cell = float(np.ptp(points[:, 1]) / rng.uniform(70, 120))
         mesh = melted(posed, solid, cell, cell * float(rng.uniform(0.6, 1.0)))
         return plain.on(mesh.points, mesh.faces)
@@ -222,20 +289,52 @@ def dressed(clothes: Wardrobe, seed: int) -> Labelled:
 
 
 _REGIONS = {
-    "hair": "hair", "bun": "hair", "long": "hair", "hat": "accessory", "brim": "accessory", "helmet": "accessory",
-    "hood": "accessory", "crown": "accessory", "visor": "accessory", "crest": "accessory", "skirt": "skirt",
-    "coat": "skirt", "cape": "cape", "tail": "tail", "ear": "tail", "backpack": "accessory", "belt": "accessory",
-    "scarf": "accessory", "pad": "accessory", "pouch": "accessory", "item": "prop", "button": "body",
+    "hair": "hair",
+    "bun": "hair",
+    "long": "hair",
+    "hat": "accessory",
+    "brim": "accessory",
+    "helmet": "accessory",
+    "hood": "accessory",
+    "crown": "accessory",
+    "visor": "accessory",
+    "crest": "accessory",
+    "skirt": "skirt",
+    "coat": "skirt",
+    "cape": "cape",
+    "tail": "tail",
+    "ear": "tail",
+    "backpack": "accessory",
+    "belt": "accessory",
+    "scarf": "accessory",
+    "pad": "accessory",
+    "pouch": "accessory",
+    "item": "prop",
+    "button": "body",
     "armour": "accessory",
-}  # fmt: skip
+}
 _BONES = {"Hair": "hair", "Ear": "tail", "Tail": "tail"}
 _MAKERS = {
-    "humanoid": humanoid, "mascot": toons.mascot, "blob": toons.blob, "flyer": toons.flyer,
-    "quadruped": beasts.quadruped, "dragon": beasts.dragon, "frog": beasts.frog, "dinosaur": bipeds.dinosaur,
-    "bird": bipeds.bird, "mech": bipeds.mech, "fish": sea.fish, "whale": sea.whale, "ray": sea.ray,
-    "insect": crawlers.insect, "spider": crawlers.spider, "crab": crawlers.crab, "snake": crawlers.snake,
-    "critter": critter, "stubby_beast": stubby_beast,
-}  # fmt: skip
+    "humanoid": humanoid,
+    "mascot": toons.mascot,
+    "blob": toons.blob,
+    "flyer": toons.flyer,
+    "quadruped": beasts.quadruped,
+    "dragon": beasts.dragon,
+    "frog": beasts.frog,
+    "dinosaur": bipeds.dinosaur,
+    "bird": bipeds.bird,
+    "mech": bipeds.mech,
+    "fish": sea.fish,
+    "whale": sea.whale,
+    "ray": sea.ray,
+    "insect": crawlers.insect,
+    "spider": crawlers.spider,
+    "crab": crawlers.crab,
+    "snake": crawlers.snake,
+    "critter": critter,
+    "stubby_beast": stubby_beast,
+}
 
 
 def code_made(family: str, seed: int) -> Labelled:
@@ -275,7 +374,11 @@ def code_made(family: str, seed: int) -> Labelled:
         near = gap < best
         best[near], label[near] = gap[near], PART[kind]
     names = list(rig.names)
-    group = np.array([carrier_of(name) for name in names]) if family in ("humanoid", "mascot", "critter") else np.full(len(names), UNKNOWN)
+    group = (
+        np.array([carrier_of(name) for name in names])
+        if family in ("humanoid", "mascot", "critter")
+        else np.full(len(names), UNKNOWN)
+    )
     first = rig.indices[np.arange(len(raw)), rig.weights.argmax(axis=1)]
     carrier = group[first]
     height = float(np.ptp(points[:, 1]))

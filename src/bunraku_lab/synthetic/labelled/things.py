@@ -38,14 +38,36 @@ def _join(*meshes: Mesh) -> Mesh:
 def _held(rng: np.random.Generator) -> Mesh:
     """Something to hold, its grip at 0, along +Y, in units of the figure's height."""
     u = rng.uniform
-    kind = str(rng.choice(["sword", "staff", "shield", "gun", "hammer", "bag", "umbrella", "book", "bow", "lantern", "broom",
-                           "bottle", "ball", "flag", "instrument"]))  # fmt: skip
+    kind = str(
+        rng.choice(
+            [
+                "sword",
+                "staff",
+                "shield",
+                "gun",
+                "hammer",
+                "bag",
+                "umbrella",
+                "book",
+                "bow",
+                "lantern",
+                "broom",
+                "bottle",
+                "ball",
+                "flag",
+                "instrument",
+            ]
+        )
+    )
     y, o = np.array([0, 1.0, 0]), np.zeros(3)
     thin = u(0.006, 0.02)
     if kind == "sword":
         long, wide = u(0.2, 0.8), u(0.012, 0.05)
-        return _join(_box(y * (0.04 + long / 2), (wide, long, u(0.004, 0.015))), _box(y * 0.03, (wide * u(2, 5), 0.015, 0.02)),
-                     _bar(y * -u(0.04, 0.12), y * 0.03, thin))  # fmt: skip
+        return _join(
+            _box(y * (0.04 + long / 2), (wide, long, u(0.004, 0.015))),
+            _box(y * 0.03, (wide * u(2, 5), 0.015, 0.02)),
+            _bar(y * -u(0.04, 0.12), y * 0.03, thin),
+        )
     if kind in ("staff", "broom", "flag"):
         low, high = -u(0.1, 0.6), u(0.2, 0.9)
         meshes = [_bar(y * low, y * high, thin, thin * u(0.6, 1.3))]
@@ -56,7 +78,17 @@ def _held(rng: np.random.Generator) -> Mesh:
             meshes.append(_box(y * (high - size / 2) + [size * 0.7, 0, 0], (size * 1.4, size, 0.004)))
         elif rng.random() < 0.7:
             r = u(0.02, 0.09)
-            meshes.append(_lathe([(1e-4, high - r), (0.7 * r, high - 0.7 * r), (r, high), (0.7 * r, high + 0.7 * r), (1e-4, high + r)]))
+            meshes.append(
+                _lathe(
+                    [
+                        (1e-4, high - r),
+                        (0.7 * r, high - 0.7 * r),
+                        (r, high),
+                        (0.7 * r, high + 0.7 * r),
+                        (1e-4, high + r),
+                    ]
+                )
+            )
         if rng.random() < 0.3 and kind == "staff":
             meshes.append(_box(y * high, (u(0.05, 0.25), u(0.04, 0.16), u(0.01, 0.05))))
         return _join(*meshes)
@@ -68,22 +100,45 @@ def _held(rng: np.random.Generator) -> Mesh:
         return _box(o, (2 * r, 2 * r * u(0.9, 1.7), 0.02))
     if kind == "gun":
         long = u(0.12, 0.6)
-        return _join(_box(y * long * 0.35, (u(0.02, 0.05), long, u(0.03, 0.08))), _bar(y * long * 0.8, y * long * u(1.1, 1.6), thin),
-                     _box(np.array([0, 0, -0.05]), (0.02, 0.04, u(0.06, 0.12))))  # fmt: skip
+        return _join(
+            _box(y * long * 0.35, (u(0.02, 0.05), long, u(0.03, 0.08))),
+            _bar(y * long * 0.8, y * long * u(1.1, 1.6), thin),
+            _box(np.array([0, 0, -0.05]), (0.02, 0.04, u(0.06, 0.12))),
+        )
     if kind == "hammer":
         high = u(0.15, 0.7)
-        return _join(_bar(y * -u(0.05, 0.3), y * high, thin), _box(y * high, (u(0.08, 0.35), u(0.05, 0.16), u(0.03, 0.16))))
+        return _join(
+            _bar(y * -u(0.05, 0.3), y * high, thin), _box(y * high, (u(0.08, 0.35), u(0.05, 0.16), u(0.03, 0.16)))
+        )
     if kind in ("bag", "lantern"):
         drop, size = u(0.05, 0.25), u(0.05, 0.16)
-        body = _box(-y * (drop + size / 2), (size * u(0.8, 1.6), size, size * u(0.3, 1.0))) if kind == "bag" else _lathe(
-            [(1e-4, -drop), (0.4 * size, -drop), (0.5 * size, -drop - 0.5 * size), (0.4 * size, -drop - size), (1e-4, -drop - size)])
-        return _join(body, _bar(o, np.array([size * 0.3, -drop, 0]), 0.006), _bar(o, np.array([-size * 0.3, -drop, 0]), 0.006))
+        body = (
+            _box(-y * (drop + size / 2), (size * u(0.8, 1.6), size, size * u(0.3, 1.0)))
+            if kind == "bag"
+            else _lathe(
+                [
+                    (1e-4, -drop),
+                    (0.4 * size, -drop),
+                    (0.5 * size, -drop - 0.5 * size),
+                    (0.4 * size, -drop - size),
+                    (1e-4, -drop - size),
+                ]
+            )
+        )
+        return _join(
+            body, _bar(o, np.array([size * 0.3, -drop, 0]), 0.006), _bar(o, np.array([-size * 0.3, -drop, 0]), 0.006)
+        )
     if kind == "umbrella":
         high, r = u(0.25, 0.55), u(0.15, 0.4)
         deep = u(0.1, 0.6) * r
         if rng.random() < 0.3:
-            return _join(_bar(y * -0.1, y * high, 0.008), _lathe([(0.01, 0), (0.035, 0.3 * high), (0.02, 0.9 * high), (1e-4, high)]))
-        return _join(_bar(y * -0.1, y * high, 0.008), _lathe([(r, high - deep), (0.7 * r, high - 0.4 * deep), (1e-4, high)], 12))
+            return _join(
+                _bar(y * -0.1, y * high, 0.008),
+                _lathe([(0.01, 0), (0.035, 0.3 * high), (0.02, 0.9 * high), (1e-4, high)]),
+            )
+        return _join(
+            _bar(y * -0.1, y * high, 0.008), _lathe([(r, high - deep), (0.7 * r, high - 0.4 * deep), (1e-4, high)], 12)
+        )
     if kind == "book":
         return _box(o, (u(0.08, 0.2), u(0.1, 0.22), u(0.02, 0.06)))
     if kind == "bow":
@@ -94,7 +149,9 @@ def _held(rng: np.random.Generator) -> Mesh:
     if kind == "instrument":
         size = u(0.08, 0.16)
         points, faces = _lathe([(1e-4, -0.03), (size, -0.03), (size, 0.03), (1e-4, 0.03)], 16)
-        return _join((points[:, [0, 2, 1]] * [1, 1.3, 1], faces[:, ::-1]), _box(y * size * 2.2, (0.03, size * 2.4, 0.02)))
+        return _join(
+            (points[:, [0, 2, 1]] * [1, 1.3, 1], faces[:, ::-1]), _box(y * size * 2.2, (0.03, size * 2.4, 0.02))
+        )
     r = u(0.03, 0.12)
     if kind == "bottle":
         return _lathe([(1e-4, -2 * r), (r, -2 * r), (r, r), (0.3 * r, 1.6 * r), (0.3 * r, 2.4 * r), (1e-4, 2.4 * r)])
@@ -112,8 +169,14 @@ def _thing(mesh: Mesh, part: str, carrier: int, rng: np.random.Generator, colore
     points, faces = mesh
     count = len(points)
     colors = np.tile(rng.uniform(0.05, 0.95, 3), (count, 1)) if colored else None
-    return Labelled(points, faces, np.full(count, PART[part], np.int8), np.zeros(count, np.int8),
-                    np.full(count, carrier, np.int8), colors)  # fmt: skip
+    return Labelled(
+        points,
+        faces,
+        np.full(count, PART[part], np.int8),
+        np.zeros(count, np.int8),
+        np.full(count, carrier, np.int8),
+        colors,
+    )
 
 
 def with_things(figure: Labelled, rng: np.random.Generator, rate: float = 0.35) -> Labelled:
@@ -127,7 +190,11 @@ def with_things(figure: Labelled, rng: np.random.Generator, rate: float = 0.35) 
                 continue
             points, faces = _held(rng)
             up = rng.choice(3, p=[0.5, 0.3, 0.2])
-            way = [np.array([0, 1.0, 0]) + rng.normal(0, 0.25, 3), np.array([0, 0.2, 1.0]) + rng.normal(0, 0.3, 3), rng.normal(size=3)][up]
+            way = [
+                np.array([0, 1.0, 0]) + rng.normal(0, 0.25, 3),
+                np.array([0, 0.2, 1.0]) + rng.normal(0, 0.3, 3),
+                rng.normal(size=3),
+            ][up]
             points = points * rng.uniform(0.6, 1.3) * height @ _rotation(rng, way).T + figure.hands[side]
             out = out.carried(_thing((points, faces), "prop", CARRIER[name], rng, colored))
         if rng.random() < 0.4 * rate:  # across the back
@@ -138,19 +205,50 @@ def with_things(figure: Labelled, rng: np.random.Generator, rate: float = 0.35) 
                 at = np.array([0.5 * (low[0] + high[0]), low[1] + 0.62 * height, back[:, 2].min() - 0.015 * height])
                 way = np.array([rng.normal(0, 0.8), 1.0, 0.1])
                 points = (points - 0.5 * (points.min(axis=0) + points.max(axis=0))) * height * rng.uniform(0.6, 1.1)
-                out = out.carried(_thing((points @ _rotation(rng, way).T + at, faces), "prop", CARRIER["chest"], rng, colored))
+                out = out.carried(
+                    _thing((points @ _rotation(rng, way).T + at, faces), "prop", CARRIER["chest"], rng, colored)
+                )
     if rng.random() < 0.35 * rate:  # a plinth or a plate
         wide = 0.5 * max(high[0] - low[0], high[2] - low[2]) * rng.uniform(0.4, 1.5)
         tall = height * float(np.exp(rng.uniform(np.log(0.008), np.log(0.25))))
         at = np.array([0.5 * (low[0] + high[0]), low[1] + 0.003 * height, 0.5 * (low[2] + high[2])])
-        mesh = _lathe([(1e-4, 0), (wide, 0), (wide * rng.uniform(1, 1.2), -tall), (1e-4, -tall)], int(rng.choice([4, 6, 8, 24])))
+        mesh = _lathe(
+            [(1e-4, 0), (wide, 0), (wide * rng.uniform(1, 1.2), -tall), (1e-4, -tall)], int(rng.choice([4, 6, 8, 24]))
+        )
         out = out.carried(_thing((mesh[0] + at, mesh[1]), "ground", UNKNOWN, rng, colored))
         for _ in range(int(rng.integers(0, 4))):  # stones and grass on it
             r = height * rng.uniform(0.02, 0.12)
             angle = rng.uniform(0, 2 * np.pi)
             stone = _lathe([(1e-4, -0.7 * r), (0.8 * r, -0.4 * r), (r, 0.1 * r), (0.5 * r, 0.8 * r), (1e-4, r)], 7)
             spot = at + [0.8 * wide * np.sin(angle), 0, 0.8 * wide * np.cos(angle)]
-            out = out.carried(_thing((stone[0] * rng.uniform(0.5, 1.3, 3) + spot, stone[1]), "ground", UNKNOWN, rng, colored))
+            out = out.carried(
+                _thing((stone[0] * rng.uniform(0.5, 1.3, 3) + spot, stone[1]), "ground", UNKNOWN, rng, colored)
+            )
+    if rng.random() < 0.15 * rate:  # a tub, a boat, a nest about its lower part
+        wide, deep = (
+            0.5 * max(high[0] - low[0], high[2] - low[2]) * rng.uniform(0.6, 1.2),
+            height * rng.uniform(0.1, 0.4),
+        )
+        rim = [
+            (1e-4, 0),
+            (0.7 * wide, 0),
+            (wide, deep),
+            (0.9 * wide, deep),
+            (0.62 * wide, 0.06 * deep),
+            (1e-4, 0.06 * deep),
+        ]
+        tub = _lathe(rim, int(rng.choice([6, 12, 24])))
+        at = np.array([0.5 * (low[0] + high[0]), low[1] - 0.1 * deep, 0.5 * (low[2] + high[2])])
+        out = out.carried(
+            _thing((tub[0] * [1, 1, rng.uniform(0.8, 1.8)] + at, tub[1]), "ground", UNKNOWN, rng, colored)
+        )
+    if rng.random() < 0.2 * rate:  # stray things
+        for _ in range(int(rng.integers(1, 4))):
+            points, faces = _held(rng)
+            spot = low + rng.uniform(-0.3, 1.3, 3) * (high - low)
+            spot[2 * int(rng.integers(2))] = high[0] + 0.2 * height if rng.random() < 0.5 else low[0] - 0.2 * height
+            points = points * height * rng.uniform(0.2, 0.7) @ _rotation(rng, rng.normal(size=3)).T + spot
+            out = out.carried(_thing((points, faces), "ground", UNKNOWN, rng, colored))
     return out
 
 

@@ -23,7 +23,7 @@ from bunraku_lab.synthetic.wardrobe.pieces.mantles import add_cape, add_coat, ad
 from bunraku_lab.synthetic.wardrobe.pieces.skirts import add_skirt
 from bunraku_lab.synthetic.wardrobe.pieces.trimmings import Bow, add_bow, add_ears, add_scarf, add_tail
 
-__all__ = ["wardrobe_character", "wardrobe_costume"]
+__all__ = ["is_quiet", "wardrobe_character", "wardrobe_costume"]
 
 _STYLES = {"uniform": 0.2, "dress": 0.2, "traveller": 0.16, "coat": 0.16, "robe": 0.14, "casual": 0.14}
 
@@ -47,6 +47,11 @@ def wardrobe_character(
         FormatError: The clothes or the body are missing or damaged.
     """
     return wardrobe_costume(seed, clothes=clothes, body_data=body_data).character()
+
+
+def is_quiet(seed: int) -> bool:
+    """Whether little of a character is apparel (`Costume.quiet`)."""
+    return bool(np.random.default_rng((seed, 14)).random() < 0.6)
 
 
 @dataclass(frozen=True)
@@ -85,7 +90,7 @@ def wardrobe_costume(seed: int, *, clothes: str | Path | None = None, body_data:
         figure = random_figure(rng, detail)
     costume = Costume(f"wardrobe-{seed:04d}", facets=detail == "coarse" and facets and not makehuman)
     costume.words.append(figure.kind)
-    costume.seed, costume.quiet = seed, bool(np.random.default_rng((seed, 14)).random() < 0.6)
+    costume.seed, costume.quiet = seed, is_quiet(seed)
     costume.colors = random_colors(rng)
     add_skeleton(costume, figure)
     plan = _plan(style, rng)
