@@ -1,7 +1,7 @@
 """The parts of any mesh, found by the part network, before there are handles or joints.
 
-The network is a hierarchy of points with a transformer over the coarsest (`bunraku_lab.nn.parts`, whose numbers a test
-compares with these).
+The network is a hierarchy of points (PointNet++, Qi et al. 2017) with a transformer over the coarsest. The laboratory
+has its definition, and a test holds its numbers to these.
 """
 
 from __future__ import annotations

@@ -36,7 +36,6 @@ class PointBatch:
         self.features = torch.from_numpy(features.reshape(batch * POINTS, FEATURES))
         self.points = torch.from_numpy(points.astype(np.float32))
         below = {"gather": POINTS, "beside": CENTRES, "gather_up": CENTRES, "down": TOKENS, "fine": CENTRES}
-        tables = {name: table[:, :, : {"beside": BESIDE}.get(name, GATHERED)] for name, table in tables.items()}
         self.index = {
             name: torch.from_numpy(
                 (tables[name].astype(np.int64) + (np.arange(batch) * size)[:, None, None]).reshape(
@@ -212,7 +211,7 @@ def point_batch(
     rows: Sequence[dict[str, np.ndarray]], features: Sequence[np.ndarray], points: Sequence[np.ndarray]
 ) -> PointBatch:
     """Rows of shards as one block."""
+    widths = {"beside": BESIDE, "gather": GATHERED, "gather_up": GATHERED}
     names = ("gather", "beside", "gather_up", "down", "fine", "down_shares", "fine_shares")
-    return PointBatch(
-        np.stack(features), np.stack(points), {name: np.stack([row[name] for row in rows]) for name in names}
-    )
+    tables = {name: np.stack([row[name][:, : widths.get(name, 3)] for row in rows]) for name in names}
+    return PointBatch(np.stack(features), np.stack(points), tables)

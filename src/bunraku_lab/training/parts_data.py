@@ -13,10 +13,10 @@ from bunraku.apparel.part_labels import PARTS
 from bunraku.apparel.part_points import PartPoints, loose_parts, part_points
 from bunraku.errors import BunrakuError
 from bunraku.formats.files import atomic_write
-from bunraku_lab.synthetic.labelled import figures
-from bunraku_lab.synthetic.labelled.archive import archive_figure
-from bunraku_lab.synthetic.labelled.figures import Labelled
-from bunraku_lab.synthetic.labelled.things import fused, with_things
+from bunraku_lab.datasets.labelled import figures
+from bunraku_lab.datasets.labelled.archive import archive_figure
+from bunraku_lab.datasets.labelled.figures import Labelled
+from bunraku_lab.datasets.labelled.things import fused, with_things
 
 __all__ = ["SOURCES", "PartData", "archive_names", "build_shard"]
 

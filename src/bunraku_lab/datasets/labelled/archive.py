@@ -9,7 +9,7 @@ import numpy as np
 from bunraku.core.character import Character
 from bunraku.io import load_character
 from bunraku_lab.datasets.characters.known_rigs import facing_turn
-from bunraku_lab.synthetic.labelled.figures import PART, UNKNOWN, Labelled
+from bunraku_lab.datasets.labelled.figures import PART, UNKNOWN, Labelled
 
 __all__ = ["archive_figure"]
 

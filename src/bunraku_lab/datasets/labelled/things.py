@@ -6,7 +6,7 @@ import numpy as np
 
 from bunraku_lab.datasets.characters.remeshed import fused_mesh
 from bunraku_lab.synthetic.dressed.extras import _box, _tube
-from bunraku_lab.synthetic.labelled.figures import CARRIER, PART, UNKNOWN, Labelled
+from bunraku_lab.datasets.labelled.figures import CARRIER, PART, UNKNOWN, Labelled
 from bunraku_lab.synthetic.surfaces import sheet_faces, unit
 
 __all__ = ["fused", "with_things"]
