@@ -64,7 +64,9 @@ def test_numbers_are_those_of_torch(checkpoint):
     row = {name: getattr(seen, name) for name in names}
     torch_one = load_network(checkpoint, "parts", lambda shape: PartNetwork(SMALL))
     with torch.no_grad():
-        expected = torch_one(point_batch([row], [point_features(seen.surface)], [seen.surface.points])).numpy()
+        expected = torch_one(
+            point_batch([row], [point_features(seen.surface)], [seen.surface.points], [seen.surface.part])
+        ).numpy()
     assert np.abs(load_parts(checkpoint).scores(seen) - expected).max() < 1e-4
 
 

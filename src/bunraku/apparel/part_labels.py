@@ -37,6 +37,9 @@ and what lies about it.
 """
 CARRIERS = ("head", "chest", "pelvis", "left arm", "right arm", "left leg", "right leg")
 """What a part goes with."""
+SCALES = (20.0, 12.0, 6.0)
+"""What positions from a centre are multiplied by, from the finest level up."""
+WAVES = 3 + 2 * 9
 VIEWS = 2
 """Samples of the mesh whose answers are averaged."""
 
@@ -83,41 +86,44 @@ class FoundParts:
         return np.asarray(self.parts.argmax(axis=1))
 
 
-class _Pool:
-    """The most of linear features of neighbours, relative to a centre."""
+class _Near:
+    """The most of linear features of neighbours and of where they are from a centre."""
 
-    def __init__(self, width: int, out: int, weights: Weights):
-        self._value = weights.linear("value", width + 3, out)
+    def __init__(self, width: int, out: int, scale: float, weights: Weights):
+        self._value = weights.linear("value", width, out)
         self._place = weights.linear("place", 3, out, bias=False)
+        self._scale = np.float32(scale)
 
-    def __call__(self, x: np.ndarray, points: np.ndarray, centres: np.ndarray, index: np.ndarray) -> np.ndarray:
-        value = self._value(np.concatenate([x, points], axis=1))
+    def __call__(self, x: np.ndarray, points: np.ndarray, count: int, index: np.ndarray) -> np.ndarray:
+        place = self._place(self._scale * points)
+        value = self._value(x)
+        value += place
         most = value[index[:, 0]]
         for column in range(1, index.shape[1]):
             np.maximum(most, value[index[:, column]], out=most)
-        most -= self._place(centres)
+        most -= place[:count]
         return gelu(most)
 
 
 class _Gather:
-    def __init__(self, width: int, out: int, weights: Weights):
-        self._pool = _Pool(width, out, weights)
+    def __init__(self, width: int, out: int, scale: float, weights: Weights):
+        self._near = _Near(width, out, scale, weights.part("near"))
         self._mix, self._leave = weights.linear("mix", width + out, out), weights.linear("leave", out, out)
 
     def __call__(self, x: np.ndarray, points: np.ndarray, count: int, index: np.ndarray) -> np.ndarray:
-        near = self._pool(x, points, points[:count], index)
+        near = self._near(x, points, count, index)
         return self._leave(gelu(self._mix(np.concatenate([x[:count], near], axis=1))))
 
 
 class _Beside:
     def __init__(self, width: int, weights: Weights):
         self._norm: Norm = weights.norm("norm", width)
-        self._pool = _Pool(width, width, weights)
+        self._near = _Near(width, width, SCALES[1], weights.part("near"))
         self._mix, self._leave = weights.linear("mix", 2 * width, width), weights.linear("leave", width, width)
 
     def __call__(self, x: np.ndarray, points: np.ndarray, index: np.ndarray) -> np.ndarray:
         own = self._norm(x)
-        near = self._pool(own, points, points, index)
+        near = self._near(own, points, len(points), index)
         return np.asarray(x + self._leave(gelu(self._mix(np.concatenate([own, near], axis=1)))))
 
 
@@ -136,9 +142,11 @@ class PartNetwork:
         self.config = config
         fine, middle, coarse = config.fine, config.middle, config.coarse
         self._enter = weights.linear("enter.0", FEATURES, fine), weights.linear("enter.2", fine, fine)
-        self._to_centres = _Gather(fine, middle, weights.part("to_centres"))
+        self._piece = weights.linear("piece", 2 * fine, fine)
+        self._to_centres = _Gather(fine, middle, SCALES[0], weights.part("to_centres"))
         self._before = [_Beside(middle, weights.part(f"before.{number}")) for number in range(config.before)]
-        self._to_tokens = _Gather(middle, coarse, weights.part("to_tokens"))
+        self._to_tokens = _Gather(middle, coarse, SCALES[2], weights.part("to_tokens"))
+        self._where, self._norm_tokens = weights.linear("where", WAVES, coarse), weights.norm("norm_tokens", coarse)
         self._layers = []
         for number in range(config.layers):
             own = weights.part(f"layers.{number}")
@@ -154,18 +162,22 @@ class PartNetwork:
         self._down = weights.linear("down", middle + coarse, middle)
         self._after = [_Beside(middle, weights.part(f"after.{number}")) for number in range(config.after)]
         self._last = weights.linear("last", fine + middle, middle)
+        self._whole = weights.linear("whole", 2 * middle, middle)
         out = len(PARTS) + 1 + len(CARRIERS)
-        self._decoder = weights.linear("decoder.0", middle, middle), weights.linear("decoder.2", middle, out)
+        self._decoder = weights.norm("decoder.0", middle), weights.linear("decoder.1", middle, out)
 
     def scores(self, seen: PartPoints) -> np.ndarray:
         """Scores of the parts, of hanging and of the carriers, shape (S, parts + 1 + carriers)."""
         points = seen.surface.points.astype(np.float32)
         centres, beside = points[:CENTRES], seen.beside[:, :BESIDE]
+        piece = np.unique(seen.surface.part, return_inverse=True)[1]
         x = self._enter[1](gelu(self._enter[0](point_features(seen.surface))))
+        x += gelu(self._piece(np.concatenate([x, _piece_mean(gelu(x.copy()), piece)], axis=1)))
         y = self._to_centres(x, points, CENTRES, seen.gather[:, :GATHERED])
         for block in self._before:
             y = block(y, centres, beside)
-        z = self._to_tokens(y, centres, TOKENS, seen.gather_up[:, :GATHERED])[None]
+        z = self._to_tokens(y, centres, TOKENS, seen.gather_up[:, :GATHERED]) + self._where(waves(points[:TOKENS]))
+        z = self._norm_tokens(z)[None]
         for layer in self._layers:
             z = layer(z)
         z = _blended(self._norm(z[0]), seen.down, seen.down_shares)
@@ -174,7 +186,22 @@ class PartNetwork:
             y = block(y, centres, beside)
         y = _blended(y, seen.fine, seen.fine_shares)
         y = gelu(self._last(np.concatenate([x, y], axis=1)))
-        return self._decoder[1](gelu(self._decoder[0](y)))
+        y += gelu(self._whole(np.concatenate([y, _piece_mean(y, piece)], axis=1)))
+        return self._decoder[1](self._decoder[0](y))
+
+
+def waves(points: np.ndarray) -> np.ndarray:
+    """Positions as the tokens know them: as they are, and as sines and cosines, shape (M, 3) -> (M, WAVES)."""
+    turns = np.concatenate([factor * points for factor in np.float32([3, 6, 12])], axis=1)
+    return np.concatenate([2 * points, np.sin(turns), np.cos(turns)], axis=1)
+
+
+def _piece_mean(x: np.ndarray, piece: np.ndarray) -> np.ndarray:
+    """The mean of each channel over the loose part of each row, shape (N, C)."""
+    order = np.argsort(piece, kind="stable")
+    starts = np.flatnonzero(np.diff(piece[order], prepend=-1))
+    count = np.diff(starts, append=len(piece))
+    return np.asarray((np.add.reduceat(x[order], starts, axis=0) / count[:, None].astype(np.float32))[piece])
 
 
 def _blended(x: np.ndarray, index: np.ndarray, shares: np.ndarray) -> np.ndarray:

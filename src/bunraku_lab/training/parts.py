@@ -46,8 +46,8 @@ class PartTrainConfig(StepSettings):
     minutes: float = 60.0
     rate: float = 8e-4
     batch: int = 8
-    warmup: int = 200
-    decay: float = 0.998
+    warmup: int = 150
+    decay: float = 0.996
     validate_every: int = 200
     weight_decay: float = 0.02
     refresh: int = 50
@@ -90,17 +90,17 @@ def _colors(surface: Surface, rng: np.random.Generator) -> np.ndarray | None:
 def _pieces(surface: Surface, rng: np.random.Generator) -> np.ndarray:
     """Loose parts after some, or all, were welded."""
     kind, count = rng.random(), int(surface.part.max()) + 1
-    if kind < 0.2:
+    if kind < 0.15:
         return np.zeros_like(surface.part)
-    if kind < 0.4:
+    if kind < 0.3:
         return np.asarray(rng.integers(max(1, round(count * rng.uniform(0.2, 0.9))), size=count)[surface.part])
     return surface.part
 
 
 def seen_row(
     row: dict[str, np.ndarray], rng: np.random.Generator | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Features, positions and carriers of a row of a shard, as it is or, with `rng`, as it might also be."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Features, positions, carriers and loose parts of a row of a shard: as it is or, with `rng`, varied."""
     points, normals = row["points"].astype(np.float64), row["normals"].astype(np.float64)
     colors = row["colors"] / 255 if row["colored"] else None
     surface = Surface(points, normals, colors, row["piece"].astype(np.int64), row["shape"].astype(np.float64))
@@ -112,7 +112,7 @@ def seen_row(
         if rng.random() < 0.5:
             points = _warp(points, rng)
         kind = rng.random()
-        angle = rng.uniform(-np.pi, np.pi) if kind < 0.12 else rng.normal(0, 0.2) if kind < 0.7 else 0.0
+        angle = rng.uniform(-np.pi, np.pi) if kind < 0.06 else rng.normal(0, 0.2) if kind < 0.7 else 0.0
         tilt = rng.normal(0, 0.06, 2) if rng.random() < 0.5 else np.zeros(2)
         c, s = np.cos(angle), np.sin(angle)
         turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ (
@@ -123,11 +123,11 @@ def seen_row(
         normals = (normals @ turn.T) / width
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         points = points + rng.normal(0, 0.02, 3) + rng.normal(0, rng.choice([0.0005, 0.003]), points.shape)
-        if rng.random() < 0.06:
+        if rng.random() < 0.03:
             normals = -normals
         surface = replace(surface, points=points, normals=normals)
         surface = replace(surface, colors=_colors(surface, rng), part=_pieces(surface, rng))
-    return point_features(surface), surface.points, carrier
+    return point_features(surface), surface.points, carrier, surface.part
 
 
 class PartTrainer(AveragedRun[PartNetwork]):
@@ -163,7 +163,7 @@ class PartTrainer(AveragedRun[PartNetwork]):
         seen = [seen_row(row, self.rng) for row in rows]
         every = config.batch * POINTS
         chosen = np.sort(self.rng.choice(every, round(config.judged * every), replace=False))
-        batch = point_batch(rows, [one[0] for one in seen], [one[1] for one in seen])
+        batch = point_batch(rows, [one[0] for one in seen], [one[1] for one in seen], [one[3] for one in seen])
         out = self.model(batch, torch.from_numpy(chosen))
         truths = ([row["part"] for row in rows], [row["hangs"] for row in rows], [one[2] for one in seen])
         part, hangs, carrier = (torch.from_numpy(np.concatenate(truth).astype(np.int64)[chosen]) for truth in truths)
@@ -192,8 +192,8 @@ class PartTrainer(AveragedRun[PartNetwork]):
         found, nothing = [], []
         by_source: dict[int, list[float]] = {}
         for row in self.held_out:
-            features, points, _ = seen_row(row)
-            out = self.average(point_batch([row], [features], [points])).numpy()
+            features, points, _, pieces = seen_row(row)
+            out = self.average(point_batch([row], [features], [points], [pieces])).numpy()
             chosen, truth = out[:, : len(PARTS)].argmax(axis=1), row["part"]
             known = truth >= 0
             np.add.at(table, (truth[known], chosen[known]), 1)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from bunraku.samples.fields import ball
 from bunraku_lab.datasets.characters.remeshed import fused_mesh
-from bunraku_lab.synthetic.dressed.extras import _box, _tube
 from bunraku_lab.datasets.labelled.figures import CARRIER, PART, UNKNOWN, Labelled
+from bunraku_lab.synthetic.dressed.extras import _box, _tube
+from bunraku_lab.synthetic.families.shapes import block_mesh
 from bunraku_lab.synthetic.surfaces import sheet_faces, unit
 
 __all__ = ["fused", "with_things"]
@@ -158,6 +160,27 @@ def _held(rng: np.random.Generator) -> Mesh:
     return _lathe([(1e-4, -r), (0.7 * r, -0.7 * r), (r, 0), (0.7 * r, 0.7 * r), (1e-4, r)])
 
 
+def _pack(rng: np.random.Generator) -> Mesh:
+    """Something on the back, its middle before it at 0: a backpack with pouches and rolls, a shell, a pair of tanks."""
+    u = rng.uniform
+    half = u([0.06, 0.08, 0.03], [0.17, 0.2, 0.1])
+    power = float(rng.choice([2.0, 3.0, 5.0, 10.0]))
+    if rng.random() < 0.2:
+        apart, half = half[0] * 0.55, half * [0.45, 1, 1]
+        tanks = [block_mesh(ball((side * apart, 0, -0.9 * half[2]), half), power, 5) for side in (1, -1)]
+        return _join(*tanks)
+    meshes = [block_mesh(ball((0, 0, -0.9 * half[2]), half), power, 5)]
+    for _ in range(int(rng.integers(0, 4))):
+        size, side = half * u(0.25, 0.7, 3), rng.integers(4)
+        offset = [(half[0], 0, -half[2]), (-half[0], 0, -half[2]), (0, half[1], -half[2]), (0, 0, -1.9 * half[2])][side]
+        meshes.append(block_mesh(ball(np.array(offset) * u(0.8, 1.1), size), power, 4))
+    for side in (1, -1) if rng.random() < 0.5 else ():  # straps over the shoulders
+        t = np.linspace(0, np.pi, 9)
+        curve = np.stack([np.full(9, side * u(0.05, 0.08)), 0.11 + 0.05 * np.sin(t), 0.09 - 0.1 * np.cos(t)], axis=1)
+        meshes.append(_tube(curve, np.full(9, u(0.006, 0.014)), 6))
+    return _join(*meshes)
+
+
 def _rotation(rng: np.random.Generator, up: np.ndarray) -> np.ndarray:
     """A frame whose +Y is a direction, turned about it at random."""
     y = unit(up)
@@ -208,6 +231,14 @@ def with_things(figure: Labelled, rng: np.random.Generator, rate: float = 0.35) 
                 out = out.carried(
                     _thing((points @ _rotation(rng, way).T + at, faces), "prop", CARRIER["chest"], rng, colored)
                 )
+    if figure.hands is not None and rng.random() < 0.45 * rate:
+        back = used[np.abs(used[:, 1] - low[1] - 0.68 * height) < 0.1 * height]
+        back = back[np.abs(back[:, 0] - 0.5 * (low[0] + high[0])) < 0.1 * height]
+        if len(back):
+            at = np.array([0.5 * (low[0] + high[0]), low[1] + rng.uniform(0.55, 0.72) * height, back[:, 2].min()])
+            points, faces = _pack(rng)
+            thing = _thing((points * height + at, faces), "accessory", CARRIER["chest"], rng, colored)
+            out = out.carried(thing)
     if rng.random() < 0.35 * rate:  # a plinth or a plate
         wide = 0.5 * max(high[0] - low[0], high[2] - low[2]) * rng.uniform(0.4, 1.5)
         tall = height * float(np.exp(rng.uniform(np.log(0.008), np.log(0.25))))
