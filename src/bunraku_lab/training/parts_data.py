@@ -9,7 +9,7 @@ from zlib import crc32
 
 import numpy as np
 
-from bunraku.apparel.part_labels import PARTS
+from bunraku.apparel.part_labels import CARRIERS, PARTS
 from bunraku.apparel.part_points import PartPoints, loose_parts, part_points
 from bunraku.errors import BunrakuError
 from bunraku.formats.files import atomic_write
@@ -81,6 +81,7 @@ _UNCLEAR = (  # clothes, hats or weapons that no name tells apart
     "King",
     "KnightCharacter",
 )
+_SIMULATED = [list(SOURCES).index(name) for name in ("wardrobe", "closet", "draped")]
 _RARE = ("cape", "sleeve")
 _ARRAYS = ("gather", "beside", "gather_up", "down", "fine")
 
@@ -202,6 +203,22 @@ def _row(figure: Labelled, seen: PartPoints, kind: int) -> dict[str, np.ndarray]
     return out | {name: getattr(seen, name).astype(np.uint16) for name in _ARRAYS}
 
 
+def _forget_stiff(points: np.ndarray, part: np.ndarray, hangs: np.ndarray, carrier: np.ndarray) -> None:
+    """Take back that long hair or a skirt does not hang where its wearer was made stiff: nobody sees that by its shape.
+
+    Args:
+        points, part, hangs, carrier: Of a row; `hangs` is changed.
+    """
+    face = points[(part == PARTS.index("body")) & (carrier == CARRIERS.index("head")), 1]
+    low = float(face.min()) + 0.3 * float(np.ptp(face)) if len(face) else -np.inf
+    for name in ("hair", "skirt", "cape", "sleeve", "tail"):
+        rows = part == PARTS.index(name)
+        if name == "hair":
+            rows &= points[:, 1] < low
+        if rows.any() and (hangs[rows] == 1).mean() < 0.5:
+            hangs[rows & (hangs == 0)] = figures.UNKNOWN
+
+
 class PartData:
     """Rows of all shards of a folder, read once; `refresh` takes in those that came since."""
 
@@ -219,6 +236,9 @@ class PartData:
             if path.name not in self.read:
                 with np.load(path, allow_pickle=False) as file:
                     self.shards.append({name: file[name] for name in file.files})
+                for row in range(len(self.shards[-1]["kind"])):
+                    if self.shards[-1]["kind"][row] in _SIMULATED:
+                        _forget_stiff(*(self.shards[-1][name][row] for name in ("points", "part", "hangs", "carrier")))
                 self.read.add(path.name)
                 self.rows += [(len(self.shards) - 1, row) for row in range(len(self.shards[-1]["kind"]))]
                 rare = [(self.shards[-1]["part"] == PARTS.index(name)).mean(axis=1) > 0.01 for name in _RARE]
