@@ -16,6 +16,7 @@ from bunraku.formats.files import atomic_write
 from bunraku_lab.datasets.labelled import figures
 from bunraku_lab.datasets.labelled.archive import archive_figure
 from bunraku_lab.datasets.labelled.figures import Labelled
+from bunraku_lab.datasets.labelled.locks import with_locks
 from bunraku_lab.datasets.labelled.things import fused, with_things
 
 __all__ = ["SOURCES", "PartData", "archive_names", "build_shard"]
@@ -33,6 +34,8 @@ SOURCES = {
 VALIDATION = 0.1
 """Of the archive's figures, held out by their names."""
 VALIDATION_SEED = 900_000
+LOCKS = 0.35
+"""People who get more hair."""
 FUSED = 0.2
 """Figures that are remeshed as one skin."""
 _CREATURES = (
@@ -167,6 +170,8 @@ def build_shard(
             figure = _figure(kind, base + number, data, files, rng)
             if figure is None:
                 continue
+            if kind not in ("creature", "archive") and rng.random() < LOCKS:
+                figure = with_locks(figure, rng)
             figure = with_things(figure, rng)
             if rng.random() < FUSED:
                 figure = fused(figure, rng)
