@@ -50,7 +50,7 @@ def files(paths: list[Path], checkpoint: Path | None, shipped: bool) -> None:
         row = []
         for tint in (None, colors):
             found = find_parts(character.vertices, character.faces, tint, checkpoint)
-            row.append(agreement(found.hangs > 0.5, true, character.areas))
+            row.append(agreement(found.mask, true, character.areas))
         cloth = np.isin(found.label, [PARTS.index(name) for name in ("hair", "skirt", "cape", "sleeve", "tail")])
         row.append(agreement(cloth, true, character.areas))
         if shipped:
@@ -84,7 +84,7 @@ def nothing(archive: Path, checkpoint: Path | None) -> None:
         colors = None if character.colors is None else character.colors / 255
         found = find_parts(character.vertices, character.faces, colors, checkpoint)
         areas = character.areas
-        marked.append(float(areas[found.hangs > 0.5].sum() / areas.sum()))
+        marked.append(float(areas[found.mask].sum() / areas.sum()))
         print(f"{line:40s} hangs {100 * marked[-1]:.1f} %;", shares(found.label, areas), flush=True)
     print(f"mean {100 * np.mean(marked):.2f} %, worst {100 * max(marked):.1f} %")
 

@@ -40,8 +40,12 @@ CARRIERS = ("head", "chest", "pelvis", "left arm", "right arm", "left leg", "rig
 SCALES = (20.0, 12.0, 6.0)
 """What positions from a centre are multiplied by, from the finest level up."""
 WAVES = 3 + 2 * 9
-VIEWS = 2
+VIEWS = 1
 """Samples of the mesh whose answers are averaged."""
+LIKELY = 0.2
+"""Probability from which on a vertex hangs: long hair that a file's physics move and stiff hair look alike. Chosen on
+Gene, Uka and Godette.
+"""
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,11 @@ class FoundParts:
     def label(self) -> np.ndarray:
         """Number in `PARTS` of each vertex, shape (V,)."""
         return np.asarray(self.parts.argmax(axis=1))
+
+    @property
+    def mask(self) -> np.ndarray:
+        """Vertices that hang, shape (V,), bool."""
+        return np.asarray(self.hangs > LIKELY)
 
 
 class _Near:

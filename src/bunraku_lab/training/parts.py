@@ -17,6 +17,7 @@ from bunraku_lab.nn.checkpoints import save_network
 from bunraku_lab.nn.parts import PartNetwork, point_batch
 from bunraku_lab.training.parts_data import SOURCES, PartData
 from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
+from bunraku_lab.training.runs.runs import logged_columns
 from bunraku_lab.training.runs.settings import StepSettings
 
 __all__ = ["PartTrainConfig", "PartTrainer", "seen_row"]
@@ -145,6 +146,8 @@ class PartTrainer(AveragedRun[PartNetwork]):
         self.data, self.held_out = PartData(config.shards, "train"), list(PartData(config.shards, "val"))  # type: ignore[assignment]
         if not len(self.data):
             raise OptionError(f"{config.shards}: there are no shards to train on; make some first")
+        log = config.out / "log.csv"
+        self.log_columns = tuple(logged_columns(log)) or None if log.is_file() else None
         self.held_out = self.held_out[::2]  # one view of each figure
         self.set_up(lambda: PartNetwork(config.network))
         counts = np.bincount(

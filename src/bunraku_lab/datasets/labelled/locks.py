@@ -1,4 +1,4 @@
-"""Hair of any size on labelled figures: tails as thick as the head and as long as the figure, locks, buns.
+"""Hair of any size on labelled figures: tails as thick as the head and as long as the figure, locks, buns."""
 
 from __future__ import annotations
 
