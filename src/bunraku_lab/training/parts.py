@@ -216,15 +216,19 @@ class PartTrainer(AveragedRun[PartNetwork]):
         }
         return {
             "right": float(np.trace(table) / table.sum()),
-            "hang_iou": float(np.mean(found)),
-            "nothing": float(np.mean(nothing)),
-            **{f"right_{name}": float(np.mean(by_source.get(i, [float("nan")]))) for i, name in enumerate(SOURCES)},
+            "hang_iou": _mean(found),
+            "nothing": _mean(nothing),
+            **{f"right_{name}": _mean(by_source.get(i, [])) for i, name in enumerate(SOURCES)},
             **iou,
         }
 
     def write(self, note: TrainingNote) -> Path:
         """Write the checkpoint."""
         return save_network(self.checkpoint, self.average, "parts", note, half=True)
+
+
+def _mean(values: list[float]) -> float:
+    return float(np.mean(values)) if values else float("nan")
 
 
 def main() -> None:
