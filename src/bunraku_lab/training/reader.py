@@ -1,5 +1,6 @@
-"""Training of the reader of sentences (`bunraku.language.reader`): composed sentences are run through the layers of the
-text encoder that stay as they are, and kept; then the reader's own layers and heads are trained on what was kept.
+"""Training of the reader of sentences (`bunraku_lab.nn.reader_inference`): composed sentences are run through the
+layers of the text encoder that stay as they are, and kept; then the reader's own layers and heads are trained on what
+was kept.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from bunraku.core.files import atomic_write
 from bunraku.core.nn.checkpoints import save_checkpoint
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder
-from bunraku.language.reader import DEPTH, FIELDS, KIND, quantised
+from bunraku_lab.nn.reader_inference import DEPTH, FIELDS, KIND, quantised
 from bunraku_lab.training.reader_sentences import (
     HELD_OUT,
     NOTHING,

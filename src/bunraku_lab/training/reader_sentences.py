@@ -18,8 +18,8 @@ import numpy as np
 
 from bunraku.errors import FormatError
 from bunraku.language.lexicon import actions_of, lexicon
-from bunraku.language.reader import FIELDS, plain_words
 from bunraku_lab.datasets.motions.build import split_of
+from bunraku_lab.nn.reader_inference import FIELDS, plain_words
 
 __all__ = ["HELD_OUT", "NOTHING", "UNKNOWN", "Composed", "Composer", "drawn", "phrases_of", "weak_sentences"]
 
@@ -271,7 +271,7 @@ class Composer:
         return text, [(action, fields)]
 
     def gait(self) -> tuple[str, list[tuple[str, Fields]]]:
-        """Somebody goes somewhere: backwards and sideways are actions of their own, whatever the gait."""
+        """A person goes somewhere: backwards and sideways are actions of their own, whatever the gait."""
         said, fields = self.grammar, _none()
         action = self.pick(said["gaits"]) if self.chance(0.4) else self.pick(("walk", "walk", "run"))
         text = self.pick(said["gait words"][action])
@@ -297,7 +297,7 @@ class Composer:
         return self.modified(self.spoken(text), action, fields)
 
     def turn(self) -> tuple[str, list[tuple[str, Fields]]]:
-        """Somebody turns."""
+        """A person turns."""
         said, fields = self.grammar, _none()
         action, side, degrees = (
             self.pick(tuple(said["turns"])),

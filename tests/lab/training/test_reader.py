@@ -10,7 +10,7 @@ import pytest
 
 from bunraku.errors import FormatError, OptionError
 from bunraku.language.encoders import MiniLMEncoder
-from bunraku.language.reader import DEPTH, FIELDS, load_reader
+from bunraku_lab.nn.reader_inference import DEPTH, FIELDS, load_reader
 from bunraku_lab.training import reader as training
 from bunraku_lab.training.reader import Kept, ReaderTrainConfig, make_sentences
 from bunraku_lab.training.reader_sentences import Composed, Composer, phrases_of

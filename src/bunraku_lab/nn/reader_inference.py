@@ -15,10 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bunraku.core.nn.checkpoints import dated_checkpoint, fitting_config, load_checkpoint
+from bunraku.core.nn.checkpoints import dated, fitting_config, load_checkpoint
 from bunraku.core.nn.layers import Linear, Norm, PostNorm, sigmoid, softmax
 from bunraku.errors import WeightsError
 from bunraku.language.encoders import MiniLMEncoder, text_encoder
+from bunraku_lab.nn.checkpoints import lab_checkpoint
 
 __all__ = ["DEPTH", "FIELDS", "KIND", "Frame", "Reader", "dequantised", "load_reader", "plain_words", "quantised"]
 
@@ -178,12 +179,12 @@ def _encoder() -> MiniLMEncoder:
 
 
 def load_reader(path: str | Path | None = None) -> Reader:
-    """The reader of a checkpoint, or the shipped one.
+    """The reader of a checkpoint; None looks for "reader" (`lab_checkpoint`).
 
     Raises:
         WeightsError: The file is missing, damaged or of another kind.
     """
-    return _load(*dated_checkpoint(KIND, path))
+    return _load(*dated(lab_checkpoint(KIND) if path is None else Path(path)))
 
 
 @lru_cache(maxsize=1)

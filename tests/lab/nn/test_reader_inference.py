@@ -9,7 +9,7 @@ import pytest
 
 from bunraku.core.nn.checkpoints import save_checkpoint
 from bunraku.errors import WeightsError
-from bunraku.language.reader import KIND, Reader, dequantised, load_reader, plain_words, quantised
+from bunraku_lab.nn.reader_inference import KIND, Reader, dequantised, load_reader, plain_words, quantised
 
 ACTIONS = ("walk", "jump", "wave")
 
