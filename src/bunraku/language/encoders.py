@@ -185,16 +185,31 @@ class MiniLMEncoder:
         number -= self._known
         return np.asarray(self._rare[number] * self._weights[SCALES][number], np.float32)
 
-    def _compute(self, sentence: str) -> _Encoded:
-        numbers = self._tokenizer.numbers(sentence, TEXT_LENGTH)
+    def numbers(self, sentence: str) -> list[int]:
+        """The numbers of a sentence's word pieces, at most 30."""
+        return self._tokenizer.numbers(sentence, TEXT_LENGTH)
+
+    def embedded(self, numbers: Sequence[int]) -> np.ndarray:
+        """What the first layer reads of word pieces, shape (L, 384), float32."""
         weights = self._weights
-        x = np.stack([self._word(number) for number in numbers])[None]
+        x = np.stack([self._word(number) for number in numbers])
         x += weights["embeddings.position_embeddings.weight"][: len(numbers)]
-        x = self._norm("embeddings.LayerNorm")(x + weights["embeddings.token_type_embeddings.weight"][0])
-        penultimate = x
-        for layer in self._layers:
-            penultimate, x = x, layer(x)
-        return penultimate[0], unit(x[0].mean(0))
+        return self._norm("embeddings.LayerNorm")(x + weights["embeddings.token_type_embeddings.weight"][0])
+
+    def layer(self, index: int) -> PostNorm:
+        """One of its six layers."""
+        return self._layers[index]
+
+    def hidden(self, sentence: str, depth: int) -> np.ndarray:
+        """Tokens of a sentence behind the first `depth` layers, shape (L, 384), float32."""
+        x = self.embedded(self.numbers(sentence))[None]
+        for layer in self._layers[:depth]:
+            x = layer(x)
+        return np.asarray(x[0])
+
+    def _compute(self, sentence: str) -> _Encoded:
+        penultimate = self.hidden(sentence, len(self._layers) - 1)
+        return penultimate, unit(self._layers[-1](penultimate[None])[0].mean(0))
 
 
 class CLIPEncoder:

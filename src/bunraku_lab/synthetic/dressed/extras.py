@@ -15,7 +15,10 @@ from bunraku_lab.synthetic.dressed.garments import BodyShape, Piece, Wardrobe, j
 from bunraku_lab.synthetic.makehuman import BODY_VERTICES
 from bunraku_lab.synthetic.surfaces import sheet_faces
 
-__all__ = ["bag", "cape", "ears", "glasses", "hat", "helmet", "shell", "shoulder_pads", "spikes", "tail", "wings"]
+__all__ = [
+    "bag", "box", "cape", "ears", "glasses", "hat", "helmet", "shell", "shoulder_pads", "spikes", "tail", "tube",
+    "wings",
+]  # fmt: skip
 
 _J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
 _H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
@@ -36,7 +39,7 @@ def _rigid(points: np.ndarray, faces: np.ndarray, joint: str, handle: str) -> Pi
     return Piece(points, faces, joints, handles)
 
 
-def _tube(centers: np.ndarray, radii: np.ndarray, sides: int = 10) -> tuple[np.ndarray, np.ndarray]:
+def tube(centers: np.ndarray, radii: np.ndarray, sides: int = 10) -> tuple[np.ndarray, np.ndarray]:
     """A tube along a curve, shape (N, 3); ends stay open where their radius is not small."""
     along = np.gradient(centers, axis=0)
     angle = np.arange(sides) * 2 * np.pi / sides
@@ -49,7 +52,7 @@ def _tube(centers: np.ndarray, radii: np.ndarray, sides: int = 10) -> tuple[np.n
     return np.concatenate(points), sheet_faces(len(centers), sides, wrap=True)[:, ::-1]
 
 
-def _box(center: np.ndarray, size: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def box(center: np.ndarray, size: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     return center + corners * np.asarray(size), np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
@@ -94,7 +97,7 @@ def ears(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Pie
             + length * t * (out + [0, 0, -lean])
             + length * bend * t * t * np.array([side * 0.6, 0.3, 0.4])
         )
-        points, faces = _tube(curve, wide * np.sin(np.pi * (0.35 + 0.63 * t[:, 0])), 8)
+        points, faces = tube(curve, wide * np.sin(np.pi * (0.35 + 0.63 * t[:, 0])), 8)
         pieces.append(_rigid(points, faces, "head", "head_top"))
     return joined(pieces)
 
@@ -119,7 +122,7 @@ def spikes(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> P
         direction /= np.linalg.norm(direction) + 1e-9
         t = np.linspace(-0.15, 1, 5)[:, None]
         curve = figure.vertices[root] + long * rng.uniform(0.6, 1.2) * t * direction + long * 0.2 * t * t * [0, -1, 0]
-        pieces.append(_rigid(*_tube(curve, wide * np.linspace(1, 0.03, 5), 6), "head", "head_top"))
+        pieces.append(_rigid(*tube(curve, wide * np.linspace(1, 0.03, 5), 6), "head", "head_top"))
     return joined(pieces)
 
 
@@ -130,8 +133,8 @@ def glasses(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> 
     eyes = [figure.vertices[wardrobe.body.groups[f"helper-{side}-eye"]].mean(axis=0) for side in "lr"]
     forward = np.array([0, 0, 0.025])
     for eye in eyes:
-        pieces.append(_rigid(*_box(eye + forward, (size, size * rng.uniform(0.6, 0.9), 0.004)), "head", "face"))
-    pieces.append(_rigid(*_box(np.mean(eyes, axis=0) + forward, (size * 0.6, 0.006, 0.004)), "head", "face"))
+        pieces.append(_rigid(*box(eye + forward, (size, size * rng.uniform(0.6, 0.9), 0.004)), "head", "face"))
+    pieces.append(_rigid(*box(np.mean(eyes, axis=0) + forward, (size * 0.6, 0.006, 0.004)), "head", "face"))
     return joined(pieces)
 
 
@@ -200,7 +203,7 @@ def tail(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Pie
     )  # fmt: skip
     step = np.stack([np.sin(sway * t), np.sin(pitch + curl * t), -np.cos(pitch + curl * t)], axis=1) * length / len(t)
     radii = size * rng.uniform(0.012, 0.04) * (1 - rng.uniform(0.3, 0.95) * t)
-    points, faces = _tube(start + np.cumsum(step, axis=0), radii)
+    points, faces = tube(start + np.cumsum(step, axis=0), radii)
     piece = _rigid(points, faces, "pelvis", "tail")
     tip = smooth_step(np.repeat(t, 10), 0.4, 0.65)
     handles = piece.handles * (1 - tip[:, None])
@@ -215,11 +218,9 @@ def bag(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piec
         extent = size * rng.uniform([0.1, 0.12, 0.05], [0.2, 0.28, 0.12])
         middle = figure.joints[_J["spine3"]] * [0, 1, 0]
         middle[2] = _back(wardrobe, figure, middle[1:2])[0] - 0.4 * extent[2]
-        return _rigid(*_box(middle, extent), "spine3", "spine3")
+        return _rigid(*box(middle, extent), "spine3", "spine3")
     extent, side = size * rng.uniform(0.03, 0.07, 3), rng.choice([-1, 1])
-    return _rigid(
-        *_box(figure.joints[0] + [side * 1.5 * abs(figure.joints[1, 0]), 0, 0.03], extent), "pelvis", "pelvis"
-    )
+    return _rigid(*box(figure.joints[0] + [side * 1.5 * abs(figure.joints[1, 0]), 0, 0.03], extent), "pelvis", "pelvis")
 
 
 def shoulder_pads(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:

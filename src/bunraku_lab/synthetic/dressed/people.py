@@ -14,7 +14,7 @@ from bunraku_lab.synthetic.dressed.garments import BodyShape, Garment, Piece, Wa
 from bunraku_lab.synthetic.makehuman import BODY_VERTICES, pose_points, random_body, random_rest
 from bunraku_lab.synthetic.surfaces import nearest_shares
 
-__all__ = ["Dressed", "Outfit", "dressed_person", "melted", "random_outfit", "simplified"]
+__all__ = ["Dressed", "Outfit", "covered_by", "dressed_person", "melted", "random_outfit", "simplified"]
 
 _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 
@@ -307,7 +307,7 @@ def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
     names, pieces = outfit.names, list(outfit.pieces)
     if rng.random() < 0.6 and outfit.hidden:
         seen = np.ones(len(vertices), bool)
-        seen[_covered(figure, outfit)] = False
+        seen[covered_by(figure, outfit)] = False
         pieces.append(wardrobe.part(figure, "body", keep=seen))
         names.append("skin cut")
     else:
@@ -338,7 +338,7 @@ def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
     return Dressed(whole, joints, ", ".join([*names, form]), hangs)
 
 
-def _covered(figure: BodyShape, outfit: Outfit) -> np.ndarray:
+def covered_by(figure: BodyShape, outfit: Outfit) -> np.ndarray:
     """Vertices that the clothes hide and that lie near some of them."""
     hidden = np.unique(np.concatenate(outfit.hidden))
     reach = 0.025 * float(np.ptp(figure.vertices[:BODY_VERTICES, 1]))

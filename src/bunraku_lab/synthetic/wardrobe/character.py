@@ -35,7 +35,8 @@ from bunraku_lab.synthetic.wardrobe.skirts import add_cape, add_coat, add_skirt,
 from bunraku_lab.synthetic.wardrobe.trimmings import Bow, add_bow, add_ears, add_little_pieces, add_scarf, add_tail
 
 __all__ = [
-    "Closet", "INDEX", "build_wardrobe", "makehuman_figure", "open_closet", "wardrobe_character", "wardrobe_costume",
+    "Closet", "INDEX", "build_wardrobe", "is_quiet", "makehuman_figure", "open_closet", "wardrobe_character",
+    "wardrobe_costume",
 ]  # fmt: skip
 
 _ARMS = [J[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
@@ -154,6 +155,11 @@ def wardrobe_character(
     return wardrobe_costume(seed, clothes=clothes, body_data=body_data).character()
 
 
+def is_quiet(seed: int) -> bool:
+    """Whether little of a character is apparel (`Costume.quiet`)."""
+    return bool(np.random.default_rng((seed, 14)).random() < 0.6)
+
+
 @dataclass(frozen=True)
 class _Plan:
     """What a character wears on its body, and what hangs."""
@@ -181,7 +187,7 @@ def wardrobe_costume(seed: int, *, clothes: str | Path | None = None, body_data:
         figure = random_figure(rng, detail)
     costume = Costume(f"wardrobe-{seed:04d}", facets=detail == "coarse" and facets and not makehuman)
     costume.words.append(figure.kind)
-    costume.seed, costume.quiet = seed, bool(np.random.default_rng((seed, 14)).random() < 0.6)
+    costume.seed, costume.quiet = seed, is_quiet(seed)
     costume.colors = random_colors(rng)
     add_skeleton(costume, figure)
     plan = _plan(style, rng)
@@ -277,6 +283,7 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
     low, high = figure.at("pelvis")[1], figure.at("spine2")[1]
     waist = float(low + u(0.35, 0.8) * (high - low))
     if plan.skirt:
+        costume.kind = "skirt"
         if plan.dress:
             costume.colors["top"] = costume.colors["cloth"]
         figure = figure.wearing(add_skirt(
@@ -284,21 +291,27 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
             what="dress" if plan.dress else "skirt",
         ))  # fmt: skip
     if plan.coat:
+        costume.kind = "coat"
         figure = figure.wearing(
             add_coat(costume, figure, rng, waist=waist, colors=("mantle", "lining"), thick=0.012 * h)
         )
     if plan.sleeves:
+        costume.kind = "sleeve"
         costume.colors["sleeve"] = costume.colors["top"]
         add_sleeves(costume, figure, rng, colors=("sleeve", "trim"))
     scalp = Scalp(figure, 0.1 * float(figure.skull[1][0]))
     if plan.cape:
+        costume.kind = "cape"
         figure = figure.wearing(add_cape(costume, figure, rng, colors=("mantle", "lining")))
     if plan.scarf:
+        costume.kind = "accessory"
         figure = figure.wearing(add_scarf(costume, figure, rng, colors=("trim", "top")))
     kinds = {"short": 0.14, "bob": 0.16, "ponytail": 0.22, "twin tails": 0.22, "long": 0.26}
     hair = str(rng.choice(list(kinds), p=list(kinds.values())))
+    costume.kind = "hair"
     scalp = add_hair(costume, figure, rng, kind=hair, colors=("hair", "hair tie"))
     if chance() < (0.1 if costume.quiet else 0.3):
+        costume.kind = "tail"
         kind = str(rng.choice(["cat", "fox", "rabbit"]))
         add_ears(costume, scalp, rng, kind=kind, colors=("fur", "fur tip"))
         if kind != "rabbit":
@@ -307,6 +320,7 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
                 costume, figure, rng, kind="wolf" if kind == "fox" and chance() < 0.3 else kind,
                 colors=("fur", "fur tip"), lift=lift,
             )  # fmt: skip
+    costume.kind = "accessory"
     _bows(costume, figure, scalp, plan, hair, rng, waist)
     add_little_pieces(costume, figure, scalp, rng, hair)
 

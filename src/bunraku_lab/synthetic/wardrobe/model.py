@@ -36,6 +36,7 @@ class Part:
         shares: Their shares, shape (V, M).
         material: Name of its material, or of that of each face, shape (F,).
         smooth: Whether its corners are round; otherwise each face has normals of its own.
+        kind: What it is: "body" for the person and close clothes, or the piece that hangs ("skirt", "hair", ...).
     """
 
     points: np.ndarray
@@ -44,6 +45,7 @@ class Part:
     shares: np.ndarray
     material: str | np.ndarray
     smooth: bool = True
+    kind: str = "body"
 
 
 @dataclass
@@ -61,6 +63,7 @@ class Costume:
         seed: Of what differs from one piece of apparel to the next: springs, limits, where it begins to move.
         quiet: Whether little of the character is apparel: bands, tips and small pieces.
         fine: Factor on the number of vertices of what hangs, along each side.
+        kind: Kind of the parts that are added next.
     """
 
     name: str
@@ -75,6 +78,7 @@ class Costume:
     seed: int = 0
     quiet: bool = False
     fine: float = 1.0
+    kind: str = "body"
 
     def bone_index(self, name: str) -> int:
         """Index of the bone with this name.
@@ -126,7 +130,7 @@ class Costume:
         bones, shares = np.asarray(bones), np.asarray(shares, float)
         self.parts.append(Part(
             np.asarray(points, float)[used], corners.reshape(-1, 3), bones[used], shares[used], material,
-            not self.facets,
+            not self.facets, self.kind,
         ))  # fmt: skip
 
     def character(self) -> Character:

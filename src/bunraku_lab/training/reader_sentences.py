@@ -1,0 +1,320 @@
+"""Sentences for training the reader: phrases of single actions, composed by a small grammar (`reader_grammar.json`),
+and sentences about captured motion.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.errors import FormatError
+from bunraku.language.lexicon import actions_of, lexicon
+from bunraku_lab.datasets.motions.build import split_of
+from bunraku_lab.nn.reader_inference import FIELDS, plain_words
+
+__all__ = ["HELD_OUT", "NOTHING", "UNKNOWN", "Composed", "Composer", "drawn", "phrases_of", "weak_sentences"]
+
+NOTHING = "none"
+UNKNOWN = -1
+"""Of a field about which a sentence may say something that is not known here."""
+HELD_OUT = 0.1
+"""Share of the phrases of each action that are validated on."""
+Fields = dict[str, int]
+
+
+@dataclass
+class Composed:
+    """A sentence in pieces.
+
+    Args:
+        pieces: Words, and the clause that they belong to; -1 for none.
+        said: Of each action that is named its name, its clause and its fields; the clause is -1 if it may be anywhere.
+    """
+
+    pieces: list[tuple[str, int]]
+    said: list[tuple[str, int, Fields]] = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        """The sentence."""
+        return " ".join(piece for piece, _ in self.pieces)
+
+
+def phrases_of(files: Sequence[Path]) -> dict[str, list[str]]:
+    """Phrases by action, of files with an action, a tab and a phrase in each line; a phrase alone names no action.
+
+    Raises:
+        FormatError: A file is missing or damaged.
+    """
+    found: dict[str, list[str]] = defaultdict(list)
+    for path in files:
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise FormatError(path, f"the phrases cannot be read ({error}); give actions and phrases") from error
+        for line in filter(None, lines):
+            action, _, phrase = line.rpartition("\t")
+            found[action or NOTHING].append(phrase)
+    return dict(found)
+
+
+def drawn(text: str) -> float:
+    """A number from 0 to 1, fixed for ever by a text."""
+    return int(hashlib.sha256(text.lower().encode()).hexdigest()[:8], 16) / 2**32
+
+
+def weak_sentences(data: Path, split: str) -> list[tuple[str, tuple[str, ...]]]:
+    """Sentences about captured stretches with the actions that all captions of the stretch have in common agreement.
+
+    Args:
+        data: Folder with `captions_watched.json` and `captions_asked.tsv`.
+        split: Of the clips: "train" or "val".
+    """
+    clips = json.loads((data / "captions_watched.json").read_text(encoding="utf-8"))["clips"]
+    found = []
+    with (data / "captions_asked.tsv").open(encoding="utf-8", newline="") as file:
+        for key, *asked in csv.reader(file, delimiter="\t", quoting=csv.QUOTE_NONE):
+            name, _, index = key.rpartition("#")
+            if split_of(name) != split or not index.isdigit() or int(index) >= len(clips.get(name, ())):
+                continue
+            texts = clips[name][int(index)]["texts"]
+            readings = [actions_of(text) for text in texts]
+            if readings[0] and all(set(one) == set(readings[0]) for one in readings):
+                found += [(text, readings[0]) for text in (*texts, *asked)]
+    return found
+
+
+@cache
+def grammar() -> dict[str, Any]:
+    """What sentences are made with."""
+    read: dict[str, Any] = json.loads(Path(__file__).with_name("reader_grammar.json").read_text(encoding="utf-8"))
+    return read
+
+
+@cache
+def _words_of_fields() -> dict[str, frozenset[str]]:
+    """Words that may say something of a field."""
+    said, small = grammar(), set(grammar()["small words"])
+    tables = {"side": said["sides"], "direction": said["directions"], "count": said["counts"],
+              "speed": said["speeds"], "posture": said["postures"]}  # fmt: skip
+    found = {
+        name: frozenset(word for ways in table.values() for way in ways for word in way.split()) - small
+        for name, table in tables.items()
+    }
+    turning = {word for ways in said["turns"].values() for way in ways for word in way.split()}
+    return found | {"turn side": frozenset(turning) - small, "degrees": frozenset(turning) - small}
+
+
+@cache
+def _forms() -> dict[str, tuple[str, ...]]:
+    """Any form of a verb -> its forms: plain, third person, participle."""
+    return {form: (verb, *forms) for verb, forms in lexicon().verbs.items() for form in (verb, *forms[:2])}
+
+
+class Composer:
+    """Makes sentences.
+
+    Args:
+        phrases: By action; `NOTHING` for those that name none.
+        weak: Sentences that are taken as they are, with their actions.
+        seed: Of the draw.
+    """
+
+    def __init__(self, phrases: dict[str, list[str]], weak: Sequence[tuple[str, tuple[str, ...]]], seed: int):
+        self.phrases, self.weak, self.rng = phrases, weak, np.random.default_rng(seed)
+        counts = Counter(action for _, actions in weak for action in actions)
+        self.actions = [action for action in phrases if action != NOTHING]
+        weights = np.array([1 + min(counts[action] / 100, 9) ** 0.5 for action in self.actions])
+        self.weights = weights / weights.sum()
+        self.grammar = grammar()
+
+    def pick(self, values: Sequence[Any]) -> Any:
+        return values[int(self.rng.integers(len(values)))]
+
+    def chance(self, share: float) -> bool:
+        return bool(self.rng.random() < share)
+
+    def sentence(self) -> Composed:
+        """A sentence."""
+        draw = self.rng.random()
+        if self.weak and draw < 0.12:
+            text, actions = self.pick(self.weak)
+            unknown = dict.fromkeys(FIELDS, UNKNOWN)
+            return self.misspelt(Composed([(plain_words(text), -1)], [(action, -1, unknown) for action in actions]))
+        count = 1 if draw < 0.55 else 2 if draw < 0.9 else 3
+        clauses = [self.clause() for _ in range(count)]
+        composed = Composed([(clauses[0][0], 0)], [(action, 0, fields) for action, fields in clauses[0][1]])
+        for index, (text, said) in enumerate(clauses[1:], 1):
+            kinds = ("joins", "turned joins", "together")
+            kind = kinds[int(self.rng.choice(3, p=(0.76, 0.04, 0.2)))] if count == 2 else "joins"
+            composed = self.joined(composed, (text, index), kind)
+            composed.said += [(action, index, fields) for action, fields in said]
+        if count == 1 or self.chance(0.3):
+            if self.chance(0.16):
+                composed.pieces.insert(0, (self.pick(self.grammar["before"]), -1))
+            if self.chance(0.2):
+                composed.pieces.append((self.pick(self.grammar["behind"]), -1))
+        return self.misspelt(composed)
+
+    def joined(self, first: Composed, second: tuple[str, int], kind: str) -> Composed:
+        pieces: list[tuple[str, int]] = []
+        for part in self.pick(self.grammar[kind]).split():
+            pieces += first.pieces if part == "{0}" else [second] if part == "{1}" else [(part, -1)]
+        return Composed(pieces, first.said)
+
+    def misspelt(self, composed: Composed) -> Composed:
+        """The sentence with a letter wrong, now and then."""
+        if self.chance(0.07):
+            at = int(self.rng.integers(len(composed.pieces)))
+            words = composed.pieces[at][0].split()
+            index = int(self.rng.integers(len(words)))
+            word, spot = words[index], int(self.rng.integers(1, max(len(words[index]) - 1, 2)))
+            if len(word) > 3:
+                swapped = word[:spot] + word[spot + 1 : spot + 2] + word[spot] + word[spot + 2 :]
+                words[index] = self.pick((swapped, word[:spot] + word[spot + 1 :], word[:spot] + word[spot - 1 :]))
+                composed.pieces[at] = (" ".join(words), composed.pieces[at][1])
+        return composed
+
+    def clause(self) -> tuple[str, list[tuple[str, Fields]]]:
+        """A clause, and what it says."""
+        draw, said = self.rng.random(), self.grammar
+        if draw < 0.13:
+            return self.gait()
+        if draw < 0.17:
+            action, fields = "idle", _none()
+            text = (
+                f"{self.pick(said['held'])} {self.pick(said['stand words'])}"
+                if self.chance(0.6)
+                else self.pick(said["stand words"])
+            )
+        elif draw < 0.22:
+            return self.turn()
+        elif draw < 0.25:
+            way = "starts" if self.chance(0.4) else "stops"
+            gait = self.pick(("walk", "run"))
+            text = self.pick(said[way]).format(gait=self.pick(said["gait words"][gait]))
+            pair = [("idle", _none()), (gait, _none())]
+            return text, pair if way == "starts" else pair[::-1]
+        elif draw < 0.33:
+            if self.chance(0.25):
+                return self.pick(said["moods"]), []
+            return self.spoken(plain_words(self.pick(self.phrases[NOTHING]))), []
+        else:
+            action = self.actions[int(self.rng.choice(len(self.actions), p=self.weights))]
+            text, fields = plain_words(self.pick(self.phrases[action])), _none()
+            for name, value in said["of actions"].items():
+                if action in value:
+                    fields[name] = _value(name, value[action])
+            words = set(text.lower().split())
+            for name, own in _words_of_fields().items():
+                if words & own and not fields[name]:
+                    fields[name] = UNKNOWN
+            text = self.spoken(text)
+        return self.modified(text, action, fields)
+
+    def spoken(self, text: str) -> str:
+        """A phrase with its first verb in another form, and with a subject."""
+        first, _, rest = text.partition(" ")
+        forms = _forms().get(first.lower())
+        if forms is None or len(forms) < 3 or self.chance(0.4):
+            return text
+        form = int(self.rng.integers(3))
+        before = (
+            self.pick(self.grammar["orders"]) if form == 0 else self.pick(self.grammar["subjects"])
+        ) if self.chance(0.5) else ""  # fmt: skip
+        return f"{before} {'is ' if form == 2 and before else ''}{forms[form]} {rest}".strip()
+
+    def modified(self, text: str, action: str, fields: Fields) -> tuple[str, list[tuple[str, Fields]]]:
+        """A clause with more said of it, in one of the fields of which it says nothing."""
+        said, part = self.grammar, lexicon().actions[action].part if action in lexicon().actions else ""
+        limb = said["parts"].get(part.split()[0] if part else "")
+        free = {name for name, value in fields.items() if value == 0}
+        if limb and "side" in free and self.chance(0.15):
+            side = self.pick(FIELDS["side"])
+            way = self.pick(said["sides"][side]).format(part=limb)
+            text, fields["side"] = (
+                (f"{text} {way}" if self.chance(0.7) else f"{way} {text}"),
+                _value("side", side),
+            )
+        if action in said["travels"] and "direction" in free and self.chance(0.3):
+            way = self.pick([one for one in FIELDS["direction"] if one != "circle"])
+            text, fields["direction"] = (
+                f"{text} {self.pick(said['directions'][way])}",
+                _value("direction", way),
+            )
+        for name in ("count", "speed"):
+            if name in free and self.chance(0.07):
+                value = self.pick([one for one in FIELDS[name] if one in said[f"{name}s"]])
+                word = self.pick(said[f"{name}s"][value])
+                before = name == "speed" and self.chance(0.4)
+                text, fields[name] = f"{word} {text}" if before else f"{text} {word}", _value(name, value)
+        if (
+            "posture" in free
+            and (part or action not in lexicon().actions or action in ("idle", "talk"))
+            and self.chance(0.1)
+        ):
+            posture = self.pick(FIELDS["posture"][:5])
+            word, action = self.pick(said["postures"][posture]), said["in posture"].get(f"{action} {posture}", action)
+            text = f"{word} {text}" if self.chance(0.5) else f"{text} {word}"
+            fields["posture"] = _value("posture", posture)
+        if self.chance(0.07):
+            text = f"{text} {self.pick(said['tails'])}"
+        return text, [(action, fields)]
+
+    def gait(self) -> tuple[str, list[tuple[str, Fields]]]:
+        """A person goes somewhere: backwards and sideways are actions of their own, whatever the gait."""
+        said, fields = self.grammar, _none()
+        action = self.pick(said["gaits"]) if self.chance(0.4) else self.pick(("walk", "walk", "run"))
+        text = self.pick(said["gait words"][action])
+        if self.chance(0.25):
+            text = f"{self.pick(said['held'])} {text}"
+        if self.chance(0.65):
+            way = self.pick(FIELDS["direction"][:8])
+            word = self.pick(said["directions"][way])
+            fields["direction"] = _value("direction", way)
+            aside = way in ("left", "right")
+            if self.chance(0.25):  # "strafe" turns any gait into a step aside, but not forwards
+                text, aside = f"{text} {self.pick(said['strafes'])}", way in ("left", "right")
+            text = f"{text} {word}"
+            if action == "crouch walk" or ((aside or way.startswith("backward")) and "crouch" in text):
+                fields["posture"] = _value("posture", "crouching")
+            action = "sidestep" if aside else "backward" if way.startswith("backward") else action
+        elif self.chance(0.15):
+            turned, more = self.turn()
+            return f"{text} {turned}", [(action, fields), *more]
+        elif self.chance(0.15):
+            text, fields["direction"] = f"{text} {self.pick(said['directions']['circle'])}", len(FIELDS["direction"])
+            return self.spoken(text), [("circle", fields)]
+        return self.modified(self.spoken(text), action, fields)
+
+    def turn(self) -> tuple[str, list[tuple[str, Fields]]]:
+        """A person turns."""
+        said, fields = self.grammar, _none()
+        action, side, degrees = (
+            self.pick(tuple(said["turns"])),
+            self.pick(("left", "right")),
+            self.pick(said["degrees"]),
+        )
+        way = self.pick(said["turns"][action])
+        text = way.format(side=side, s=side[0], degrees=degrees)
+        angle = {"turn around": "180", "spin": "360"}.get(action, degrees if "{degrees}" in way else "?")
+        fields["degrees"] = _value("degrees", angle)
+        fields["turn side"] = _value("turn side", side if "{s" in way else "?")
+        return self.spoken(text), [(action, fields)]
+
+
+def _none() -> Fields:
+    return dict.fromkeys(FIELDS, 0)
+
+
+def _value(name: str, value: str) -> int:
+    return 1 + FIELDS[name].index(value)

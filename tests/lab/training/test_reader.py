@@ -1,0 +1,95 @@
+"""Training of the reader: what is composed, kept and learned."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bunraku.errors import FormatError, OptionError
+from bunraku.language.encoders import MiniLMEncoder
+from bunraku_lab.nn.reader_inference import DEPTH, FIELDS, load_reader
+from bunraku_lab.training import reader as training
+from bunraku_lab.training.reader import Kept, ReaderTrainConfig, make_sentences
+from bunraku_lab.training.reader_sentences import Composed, Composer, phrases_of
+
+VERBS = {"walk": "walks", "jump": "jumps", "wave": "waves", "idle": "stands", "none": "blinks", "sidestep": "strafes"}
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> ReaderTrainConfig:
+    lines = [f"{action}\t{verb} {index}" for action, verb in VERBS.items() for index in range(20)]
+    gaits = (
+        "run",
+        "march",
+        "sneak",
+        "limp",
+        "skip",
+        "crouch walk",
+        "backward",
+        "circle",
+        "turn",
+        "turn around",
+        "spin",
+    )
+    lines += [f"{action}\t{action}" for action in (*gaits, "crouch idle", "sit", "kneel", "lie")]
+    (tmp_path / "phrases.tsv").write_text("\n".join(lines), encoding="utf-8")
+    (tmp_path / "captions_watched.json").write_text(json.dumps({"clips": {}}), encoding="utf-8")
+    (tmp_path / "captions_asked.tsv").write_text("", encoding="utf-8")
+    return ReaderTrainConfig(
+        phrases=(tmp_path / "phrases.tsv",), data=tmp_path, out=tmp_path / "run", sentences=64, minutes=0,
+        batch=8, validate_every=4, warmup=1, rate=1e-3, steps=12,
+    )  # fmt: skip
+
+
+def test_sentences_name_what_their_clauses_are_made_of(config: ReaderTrainConfig) -> None:
+    phrases = phrases_of(config.phrases)
+    composer = Composer(phrases, [("a person walks on", ("walk",))], 1)
+    for sentence in (composer.sentence() for _ in range(500)):
+        clauses = {clause for _, clause in sentence.pieces}
+        assert sentence.text.strip()
+        for action, clause, fields in sentence.said:
+            assert action in phrases and clause in clauses
+            assert all(-1 <= fields[name] <= len(values) for name, values in FIELDS.items())
+    again = Composer(phrases, [("a person walks on", ("walk",))], 1)
+    assert again.sentence().text == Composer(phrases, [("a person walks on", ("walk",))], 1).sentence().text
+
+
+def test_what_is_kept_is_what_the_encoder_says(tmp_path: Path) -> None:
+    none = dict.fromkeys(FIELDS, 0)
+    sentences = [
+        Composed(
+            [("he walks", 0), ("then", -1), ("waves twice", 1)], [("walk", 0, none), ("wave", 1, none | {"count": 2})]
+        ),
+        Composed([("blinks", 0)]),
+    ]
+    encoder = MiniLMEncoder()
+    training.keep(tmp_path / "some", sentences, ["walk", "wave"], encoder)
+    kept = Kept.read(tmp_path / "some")
+    (short,), (long,) = kept.batches(4)
+    np.testing.assert_allclose(kept.tokens(np.array([long]))[0], encoder.hidden(sentences[0].text, DEPTH), atol=5e-3)
+    assert kept.labels(np.array([short])).shape[0] == 0
+    count = 4 + list(FIELDS).index("count")
+    assert [(int(row[1]), int(row[2]), int(row[3]), int(row[count])) for row in kept.labels(np.array([long]))] == [
+        (0, 1, 3, 0), (1, 4, 6, 2),
+    ]  # fmt: skip
+
+
+def test_a_run_learns_and_goes_on(config: ReaderTrainConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(training, "SHARD", 32)
+    rows: list[dict[str, float]] = []
+    path = training.train_reader(config, rows.append)
+    assert [row["step"] for row in rows] == [4, 8, 12] and rows[-1]["validation"] < rows[0]["validation"]
+    assert {"walk", "jump"} <= set(load_reader(path).actions) and "none" not in load_reader(path).actions
+    training.train_reader(ReaderTrainConfig(**{**vars(config), "steps": 13}), rows.append)
+    assert rows[-1]["step"] == 13
+
+
+def test_what_is_missing_is_said(config: ReaderTrainConfig, tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="absent.tsv"):
+        phrases_of([tmp_path / "absent.tsv"])
+    (tmp_path / "bare.tsv").write_text("blinks\n", encoding="utf-8")
+    with pytest.raises(OptionError, match="phrase"):
+        make_sentences(ReaderTrainConfig(**{**vars(config), "phrases": (tmp_path / "bare.tsv",)}))
