@@ -12,7 +12,7 @@ import numpy as np
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.anatomy.joints import Joints
 from bunraku.anatomy.rest_pose import upright
-from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.body.layout import CHEST, HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
@@ -326,7 +326,6 @@ class Reach(NamedTuple):
 _HIND = [handle for side in SIDES for handle in limb_handles(side, FAMILIES[0])]
 _ARMS = [HANDLE_NAMES.index(f"{side}_{part}") for side in SIDES for part in ("shoulder", "elbow")]
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in SIDES]
-_CHEST = HANDLE_NAMES.index("spine3")
 LONG = (3.5, 1.0)  # length over height, lying and with the head up, from which on a body is a snake and no fish
 SPREAD = 0.15  # wings lie so far from the chest, over the height; a person's are the halves of the upper back
 _TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
@@ -424,7 +423,7 @@ def plan_of(
     own = joints.present & (handles.played == np.arange(len(handles.positions)))
     arms = _ARMS[::2] if handles.rigid else _ARMS  # an arm of one block has no elbow
     there = {name: bool(own[parts].all()) for name, parts in (("arms", arms), ("wings", _WINGS))}
-    away = np.linalg.norm(handles.positions[_WINGS] - handles.positions[_CHEST], axis=1)
+    away = np.linalg.norm(handles.positions[_WINGS] - handles.positions[CHEST], axis=1)
     there["wings"] &= bool((away > SPREAD * character.height).all())
     extent = np.ptp(character.vertices[character.surface], axis=0)
     return BodyPlan(

@@ -18,7 +18,6 @@ MMD_METRE = 0.08
 about 20 units in her model.
 """
 BODY_SHAPES = ("sphere", "box", "capsule")
-BODY_MODES = ("follows its bone", "dynamic", "dynamic, held at its bone")
 _MIRROR = np.array([1.0, 1, -1])
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bunraku.core.body.layout import HANDLE_NAMES, PARTS, kept_handles
+from bunraku.core.body.layout import CHEST, PARTS, kept_handles
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.curves import correlated, gaussian
 from bunraku.core.geometry.rotations import matrix_from_6d, matrix_to_6d
@@ -111,7 +111,6 @@ class PartTrack:
         return np.where(self.handles[:, None], second, first)
 
 
-_CHEST = HANDLE_NAMES.index("spine3")
 _HEAD = PARTS["head"]
 
 
@@ -150,12 +149,12 @@ def overlaid(features: np.ndarray, gesture: np.ndarray, parts: Collection[str]) 
     def put(handle: int, value: _Affine) -> None:
         turn[:, handle], shift[:, handle] = value
 
-    chest = base.at(_CHEST)
+    chest = base.at(CHEST)
     if "upper body" in parts:
         for handle in PARTS["torso"]:
             put(handle, added.at(handle).after(base.at(handle)))
-        chest = added.at(_CHEST).after(chest)
-    from_own, from_made = base.at(_CHEST).inverse(), added.at(_CHEST).inverse()
+        chest = added.at(CHEST).after(chest)
+    from_own, from_made = base.at(CHEST).inverse(), added.at(CHEST).inverse()
     replaced = {handle for part in parts if part.endswith(("arm", "arms")) for handle in PARTS[part]}
     for handle in PARTS["upper body"]:
         if handle in PARTS["torso"]:

@@ -20,7 +20,7 @@ from bunraku.anatomy.names.skeleton_map import joints_by_structure
 from bunraku.anatomy.rest_pose import flat_feet, rest_rotations, upright
 from bunraku.core.animation import bone_order
 from bunraku.core.avatars import vrm_model
-from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS, WRISTS
 from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import rotation_between
@@ -49,7 +49,6 @@ _VRM = {
     "Toes": "foot",
 }  # fmt: skip
 _HIPS = (HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip"))
-_WRISTS = (HANDLE_NAMES.index("left_wrist"), HANDLE_NAMES.index("right_wrist"))
 _FEET = tuple(HANDLE_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot") for side in ("left", "right"))
 
 
@@ -108,7 +107,7 @@ class RigParts:
         for bone in order:
             if parts[bone] != NO_HANDLE and leads[parts[bone]] < 0:
                 leads[parts[bone]] = bone
-        for wrist in _WRISTS:
+        for wrist in WRISTS:
             parts, leads[wrist] = _hand_below(wrist, int(leads[wrist]), without_prefix(rig.names), parts, parents, mass)
         for hip in _HIPS:
             parts, leads[hip] = _thigh_below(hip, int(leads[hip]), without_prefix(rig.names), parts, parents)

@@ -17,7 +17,7 @@ from bunraku.anatomy.names.bone_names import NO_HANDLE
 from bunraku.anatomy.names.bone_words import apparel_of_name, part_of_name, without_prefix
 from bunraku.apparel.chains.chain import Chain, parameters_beside, parameters_of, with_parameters
 from bunraku.core.animation import bone_order
-from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, sided
+from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, HEAD, sided
 from bunraku.core.character import Character, Rig
 from bunraku.core.geometry.graph import clean_mesh
 from bunraku.retarget.rig_parts import RigParts, understood_rig
@@ -27,7 +27,6 @@ __all__ = ["apparel_bones", "bone_chains"]
 _SPARE = tuple(HANDLE_NAMES.index(name) for name in ("head_top", "tail", "tail_tip", "left_wing", "right_wing", "face"))
 """Handles of what many characters have beside a body; on a person they are apparel where names say so."""
 _ENDS = sided("wrist", "fingers", "ankle", "foot")  # parts whose own bones hang on them like strands: fingers and toes
-_HEAD = HANDLE_NAMES.index("head")
 _BODY = ("wrist", "elbow", "shoulder", "collar", "leg", "foot", "hips", "spine", "neck", "head", "arm_leg")
 """Kinds of bones of the body; bones with such a name hang on it and do not swing."""
 _TRUNK = tuple(HANDLE_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3"))
@@ -102,7 +101,7 @@ def apparel_bones(character: Character, parts: RigParts | None = None) -> dict[i
             out[bone] = kind or out[parent]
         elif kind or _silent(character, parts, held, bone, below[bone], body, names):
             above = _above(parts, bone, np.ones(len(body), bool))
-            out[bone] = kind or ("hair" if above >= 0 and parts.parts[above] == _HEAD else "strand")
+            out[bone] = kind or ("hair" if above >= 0 and parts.parts[above] == HEAD else "strand")
     return {bone: kind for bone, kind in out.items() if held.mass[[bone, *below[bone]]].sum() > LIGHTEST}
 
 
@@ -195,9 +194,9 @@ def _silent(
     links = sum(held.mass[one] > LIGHTEST for one in [bone, *below])
     if links < 2 and np.linalg.norm(away) < OFF_CENTRE * 0.5 * extent:  # a piece about its bone: an eye, a muscle
         return False
-    if carried == _HEAD and links < 2 and away[2] > FORWARD * np.linalg.norm(away):  # eyes and brows lie before theirs
+    if carried == HEAD and links < 2 and away[2] > FORWARD * np.linalg.norm(away):  # eyes and brows lie before theirs
         return False
-    if carried != _HEAD and _surrounds(parts, above, carried, points):
+    if carried != HEAD and _surrounds(parts, above, carried, points):
         return False
     # a strand ends in the air: what it holds has an edge of its own, or touches the body at few points
     if links > 1 or bool(held.rim[mine].any()) or held.touches(mine) < TOUCHES:

@@ -10,7 +10,7 @@ from bunraku.core.character import Handles
 from bunraku.errors import OptionError
 
 __all__ = [
-    "CHEST", "HANDLE_COUNT", "HANDLE_INDEX", "HEAD", "LEGS", "TAIL", "WINGS", "WRISTS", "HANDLE_MIRROR", "HANDLE_NAMES",
+    "CHEST", "HANDLE_COUNT", "HANDLE_INDEX", "HEAD", "WRISTS", "HANDLE_MIRROR", "HANDLE_NAMES",
     "HANDLE_PARENTS", "JOINT_COUNT", "JOINT_MIRROR", "JOINT_NAMES", "JOINT_PARENTS", "PARTS", "REQUIRED", "ROOTS",
     "SKELETONS", "engine_names", "handle_names", "kept_handles", "sided",
 ]  # fmt: skip
@@ -90,7 +90,6 @@ PARTS: dict[str, tuple[int, ...]] = {
     "wings": _named("wing"),
 }
 """Handles of each part. Legs come with the root: their steps stay in place only on its path."""
-LEGS, TAIL, WINGS = PARTS["legs"][1:], PARTS["tail"], PARTS["wings"]
 
 
 def kept_handles(keep: str | Sequence[str]) -> np.ndarray:

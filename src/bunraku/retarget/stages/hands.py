@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.legs import Leg
-from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.body.layout import HANDLE_NAMES, WRISTS
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.curves import gaussian, running_most, smooth_step
 from bunraku.core.motion import HandleMotion
@@ -22,7 +22,6 @@ __all__ = ["BodySurface", "Hands", "HandsClear"]
 _PARTS = {"head": ("head", "head_top", "face"), "spine3": ("spine2", "spine3", "left_wing", "right_wing"),
 "pelvis": ("pelvis", "spine1"),
           "left_hip": ("left_hip",), "right_hip": ("right_hip",)}  # fmt: skip
-_WRISTS = (HANDLE_NAMES.index("left_wrist"), HANDLE_NAMES.index("right_wrist"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +72,7 @@ class Hands(Stage):
     def kept(self, motion: HandleMotion, fitted: HandleMotion, anatomy: Anatomy) -> HandleMotion:
         """The fitted motion with hands where the reference body's hands touch it."""
         character, handles, scale = anatomy.mesh, anatomy.mesh_handles, anatomy.scale
-        arms = [arm for arm in anatomy.arms if int(handles.played[arm.foot[0]]) in _WRISTS]
+        arms = [arm for arm in anatomy.arms if int(handles.played[arm.foot[0]]) in WRISTS]
         if not arms:
             return fitted
         body = reference_body()
@@ -84,7 +83,7 @@ class Hands(Stage):
         posed = np.einsum("vk,kij->vij", handles.weights, stance)
         vertices = np.einsum("vij,vj->vi", posed[..., :3], character.vertices) + posed[..., 3]
         own = self._parts(vertices[character.surface], handles.weights[character.surface], handles.played)
-        held = {wrist: body.handle_weights[:, [wrist, wrist + 2]].sum(axis=1) > 0.5 for wrist in _WRISTS}
+        held = {wrist: body.handle_weights[:, [wrist, wrist + 2]].sum(axis=1) > 0.5 for wrist in WRISTS}
         palms = {wrist: np.asarray(body.vertices[own].mean(axis=0), np.float64) for wrist, own in held.items()}
         shifts = np.zeros((len(fitted), len(arms), 3))
         positions = []  # of each arm: the reference's palm and the character's in each frame
@@ -111,7 +110,7 @@ class Hands(Stage):
                 total += share**4
                 closest = np.maximum(closest, share)
             shifts[:, number] = want / np.maximum(total, 1e-9)[:, None] * closest[:, None]
-        if len(positions) == 2 and {position[0] for position in positions} == set(_WRISTS):
+        if len(positions) == 2 and {position[0] for position in positions} == set(WRISTS):
             self._joined(positions, shifts, motion, fitted, scale)
         for number, arm in enumerate(arms):
             off = np.linalg.norm(shifts[:, number], axis=1, keepdims=True)

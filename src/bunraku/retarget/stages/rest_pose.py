@@ -14,7 +14,7 @@ from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.anatomy.joints import Joints, downwards, reference_joints
 from bunraku.anatomy.rest_pose import WHOLE_LIMBS, pieces
-from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.body.layout import CHEST
 from bunraku.core.body.reference import capped
 from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian
@@ -126,7 +126,6 @@ class Blocks(Stage):
 _ARM_HANDLES, _LEGS = (
     [handle for side in SIDES for handle in limb_handles(side, family)] for family in (FAMILIES[1], FAMILIES[0])
 )
-_CHEST = HANDLE_NAMES.index("spine3")
 
 
 @dataclass(frozen=True)
@@ -150,7 +149,7 @@ class Legless(Stage):
         played, rotations = anatomy.handles.played, fitting.rotations.copy()
         rotations[:, np.isin(played, _LEGS)] = np.eye(3)
         if anatomy.upright or not fitting.source.own_kind:
-            rotations[:, np.isin(played, _ARM_HANDLES)] = rotations[:, [_CHEST]]
+            rotations[:, np.isin(played, _ARM_HANDLES)] = rotations[:, [CHEST]]
         return replace(fitting, rotations=rotations)
 
 
@@ -187,7 +186,7 @@ class Fins(Stage):
 
     def drawn(self, rotations: np.ndarray) -> bool:
         """Whether arms move of their own in a motion of the reference body, whose rotations (N, 30, 3, 3) are given."""
-        chest = rotations[:, _CHEST].astype(np.float64).transpose(0, 2, 1)
+        chest = rotations[:, CHEST].astype(np.float64).transpose(0, 2, 1)
         upper = [handle for arm in _ARMS for handle in arm[:2]]
         turns = axis_angle_from_matrix(chest[:, None] @ rotations[:, upper].astype(np.float64))
         return bool(np.linalg.norm(turns, axis=-1).mean() > self.undrawn)
