@@ -87,6 +87,20 @@ def test_texts_of_a_module(tmp_path):
     assert prose.stumbles(prose.markdown_text(page)) == []
 
 
+NO_ORIGIN = 171
+"""Module-level numbers with decimals that may lack a word on where they come from."""
+
+
+def test_numbers_say_where_they_come_from(tmp_path):
+    constants = tool("constants")
+    assert len(missing := constants.without_origin(ROOT / "src")) <= NO_ORIGIN, missing
+    path = tmp_path / "module.py"
+    path.write_text(
+        '# Chosen by eye.\nA = 0.5\nB = 0.25  # of it\n\nC = 2.0\nD = (1, 0.5)\n\nE = 1e-3\n"""Measured."""\n'
+    )
+    assert constants.without_origin(tmp_path) == [f"{path}:6: D"]
+
+
 def test_the_site_lists_every_page():
     listed = re.findall(r": ([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
     own = sorted(name for name in listed if not name.startswith("repository/"))

@@ -34,6 +34,7 @@ __all__ = ["Anatomy", "decimated", "reference_anatomy"]
 
 CELLS = 8000  # about how many vertices the surface is left with
 MANY = 12000  # characters with fewer vertices are left as they are
+# By definition: the mean of |x| + |y| + |z| of unit normals is 3/2.
 SPREAD = 1.5  # cells of a grid that a surface goes through, over its area in faces of them
 
 

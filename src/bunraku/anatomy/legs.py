@@ -26,6 +26,7 @@ __all__ = [
 ]  # fmt: skip
 
 
+# Chosen by eye on the characters of the archive.
 NEAR = 0.15  # a limb of a lying body is a leg if it ends so near to the lowest point, over the height
 SHORTEST = 0.12  # least length of a leg, over the height; shorter ones are fins and stubs
 SOLE = 0.25  # part of a leg, from its end, that counts as its foot where it has no handle for one
@@ -326,6 +327,8 @@ class Reach(NamedTuple):
 _HIND = [handle for side in SIDES for handle in limb_handles(side, FAMILIES[0])]
 _ARMS = [HANDLE_NAMES.index(f"{side}_{part}") for side in SIDES for part in ("shoulder", "elbow")]
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in SIDES]
+
+# Chosen by eye on the snakes, fish and winged bodies of tools/make_creature_sheets.py.
 LONG = (3.5, 1.0)  # length over height, lying and with the head up, from which on a body is a snake and no fish
 SPREAD = 0.15  # wings lie so far from the chest, over the height; a person's are the halves of the upper back
 _TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]

@@ -39,6 +39,7 @@ _ELBOW = ([30, 60], [0, 1])  # the same of an arm, by the bend of the elbow; sho
 _SITS, _CROUCHES = ([55, 65], [0, 1]), ([30, 40], [0, 1])
 """How far a thigh takes its shin with it, by its angle [degrees]; without arms and with them."""
 WIDE = 30.0  # legs that point farther outwards are turned down [degrees]
+# Chosen by eye on the archive's llamas and other animals whose front legs are arms here.
 ALL_FOURS = 0.5  # arms that end lower than this share of the hips' height over the legs' ends stand, as front legs do
 SHORTEST = 0.02  # limbs shorter than this share of the height have no direction worth a turn
 

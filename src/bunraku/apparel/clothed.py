@@ -27,7 +27,7 @@ GRAVITY = 7.84
 """Of MMD files, 98 of their units [m/s^2]; the displacement network was trained with it."""
 NORMAL_STIFFNESS = -0.4
 """Of cloth that hangs, the median of the wardrobe: the stiffness of a part without springs and limits."""
-SOFTEST, STIFFEST = -2.2, 2.0  # range of stiffness that the networks have seen
+SOFTEST, STIFFEST = -2.2, 2.0  # range of stiffness that the networks were trained on
 FREE = np.pi  # limit of a joint without limits [rad]
 NARROW = 0.01  # the narrowest limit that differs from a locked joint [rad]
 LOADS = 0.3

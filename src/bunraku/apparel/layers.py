@@ -22,6 +22,7 @@ from bunraku.core.geometry.surface import vertex_normals
 
 __all__ = ["Layers"]
 
+# Chosen by eye on clips of the wardrobe; benchmarks/apparel_layers.py measures what they do.
 LEG = 0.6  # weight of the legs in what counts as a leg
 ROUNDS = 2  # of what lies over what, since there may be three layers
 BENEATH = 0.002  # how far under a vertex a point must lie at rest, over the character's size [m]
@@ -45,6 +46,7 @@ class _How(NamedTuple):
     reach: float  # how near they must be at rest
 
 
+# Chosen by eye on clips of the wardrobe; benchmarks/apparel_layers.py measures what they do.
 OVER_LEGS = _How(32, 0.015, (0.06, 0.14), np.inf)
 OVER_PARTS = _How(12, 0.006, (0.06, 0.14), 0.08)
 

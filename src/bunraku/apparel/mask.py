@@ -101,7 +101,7 @@ def _painted(path: Path, character: Character) -> np.ndarray:
     return out
 
 
-APPAREL_SHARE = 0.5  # weight on moved joints from which on a vertex is apparel
+APPAREL_SHARE = 0.5  # weight on moved joints from which on a vertex is apparel; defines the masks of the data set, too
 
 
 def apparel_mask(character: Character, model: MmdModel | VrmModel | None = None) -> np.ndarray | None:

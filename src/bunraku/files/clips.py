@@ -30,8 +30,8 @@ from bunraku.files.registry import load_character, load_with_clips
 __all__ = ["Clip", "bones_of", "clip_names", "load_animation", "load_clip", "load_clip_animation", "merge"]
 
 SAME = 1e-3
-"""Handles this near are the same, as a share of the character's largest extent: rounding in files stays far
-below it.
+"""Handles this near are the same, as a share of the character's largest extent: the rounding of float32 in files stays
+far below it.
 """
 
 

@@ -123,6 +123,7 @@ class Track:
         return np.einsum("nij,nj->ni", matrix_y(-self.angle), offset)
 
 
+# Chosen by eye with sentences of `bunraku evaluate motion --only viewer` in view.
 _LEVEL = 0.15  # m below the shoulder, from where on a hand is up
 _RISES = 0.15  # m; a hand or foot that is so much higher than the other is the one that is meant
 _FAST = 1.0  # m/s

@@ -67,7 +67,7 @@ def arrive(root: np.ndarray, fps: float, turn: float | None, travel: tuple[float
 
 
 STEPS = 8
-GUIDANCE = 3.5
+GUIDANCE = 3.5  # measured: docs/history.md has 2.5 and 3.5
 MADE_UNTIL = 0
 """Step of the sampler down to which a gesture made by code stands for the network's prediction. The network has seen no
 gestures: from 100 on it already stills the hands of a person who claps.

@@ -30,6 +30,7 @@ __all__ = [
     "laid", "laid_script", "liveliest", "pose_distance",
 ]  # fmt: skip
 
+# Chosen by eye on sheets of generated motion.
 HURRY = 1.35  # largest factor by which an example that is done once is sped up to fit in
 FILLED = 0.6  # least share of the time that an example fills; shorter ones are taken where there are no others
 UPRIGHT = 0.9  # of the root's axis, in a person who stands
@@ -310,7 +311,9 @@ LEFT = 0.35  # share of gestures that are done with the left hand where no side 
 SIDES = ("left", "right")
 PACES = {"slow": 0.72, "fast": 1.35}  # tempo of a gesture by its adverb
 ODD = 4.9
-"""Distance of a pose from those of people who stand at which no motion begins; that of a kick at its height is 4.8."""
+"""Distance of a pose from those of people who stand at which no motion begins; that of a kick at its height was
+measured as 4.8.
+"""
 
 
 class GuidanceExamples:

@@ -21,6 +21,7 @@ from bunraku.language.sentence import Clause
 
 __all__ = ["Found", "Retrieved", "retrieve"]
 
+# Chosen by eye on sheets of generated motion.
 MOST = 16  # examples that are offered for a sentence
 NEAR = 0.12
 """Mean cosine by which an example may be farther than the nearest one. Chosen by eye, as are the next ones."""

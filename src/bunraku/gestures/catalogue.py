@@ -195,6 +195,7 @@ def gesture_of(texts: tuple[str, ...]) -> Gesture | None:
     return None
 
 
+# Chosen by eye.
 STANDING = Gesture("standing", (), ((0.0, Pose()), (9.5, Pose())))
 """What gestures that are done once begin and end in."""
 

@@ -51,6 +51,8 @@ SURFACES = {
 """Across it, off it and along it, in the axes of the body: out, up, ahead; the last for what has `up`."""
 HOLDS = {"top": "flat", "front": "flat", "grip": "grip"}
 """How a hand is on what faces so."""
+
+# Chosen by eye on sheets of the sentences of benchmarks/things.txt.
 LEANS, GOES = 42.0, 0.22
 """How far the trunk leans after hands that go ahead [degrees/m], and how far the pelvis goes with them [m/m]."""
 BENDS, SINKS = 30.0, 0.2
@@ -145,6 +147,8 @@ def _followed(pose: Pose, goes: np.ndarray, opens: float, bows: float) -> Pose:
 
 
 NAME = "handle"
+
+# Chosen by eye on sheets of the sentences of benchmarks/things.txt.
 THERE = {"take": 0.9, "put": 0.95, "hold": 0.85}
 """Seconds from the place before."""
 STAYS = {"take": 0.35, "put": 0.3, "hold": 0.5}
@@ -177,6 +181,7 @@ def _handling_gesture(handling: Handling) -> Gesture:
     return Gesture(NAME, (), tuple(keys), (0.0, moment) if handling.only_held else None)
 
 
+# Chosen by eye on sheets of the sentences of benchmarks/things.txt.
 CHEST = 0.25
 """Share of what the gaze goes up or down, and of what it goes aside, that is the chest's."""
 PERIOD, GAZE_TIMES = 6.0, 3
@@ -208,7 +213,7 @@ def _gaze_pose(gaze: Gaze, aside: float) -> Pose:
 
 
 STANCE = 0.62
-"""Share of a cycle for which a foot is on the ground."""
+"""Share of a cycle for which a foot is on the ground. In people who walk it is about .6 (Perry 1992)."""
 WALK_TIMES = 4
 """Cycles that are laid."""
 ROLL = 26.0

@@ -36,6 +36,8 @@ __all__ = ["in_stance", "limb_gesture", "limbed", "stance_pose", "way_down"]
 
 AHEAD, SIDE, BACK, TWIST = 28.0, 25.0, 34.0, 46.0
 """How far the trunk leans or twists as usual [degrees]."""
+
+# Chosen by eye on sheets of the sentences of benchmarks/limbs.txt.
 BENDS, BOWS = 2.2, 1.9
 """How much farther bending and bowing go than leaning."""
 NODS, TURNS, TILTS = 38.0, 58.0, 28.0
@@ -186,6 +188,8 @@ def _joined(targets: Sequence[Target]) -> Target:
 
 
 NAME = "limbs"
+
+# Chosen by eye on sheets of the sentences of benchmarks/limbs.txt.
 THERE, RETURN = 0.95, 1.0
 """Seconds to where a limb goes, and back."""
 STAYS, SHORTLY, DOWN, ALIVE = 1.8, 0.9, 0.8, 4.0

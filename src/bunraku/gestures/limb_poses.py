@@ -26,7 +26,7 @@ __all__ = ["ARM", "LOW", "hand_of", "low_place", "postures", "with_legs"]
 
 FILE = Path(__file__).with_name("postures.toml")
 ARM = 0.625
-"""From the shoulder to the palm of a straight arm [m]."""
+"""From the shoulder to the palm of a straight arm, measured on the reference body [m]."""
 RISES = {"hip": -50.0, "chest": -14.0, "shoulder": 0.0, "head": 28.0}
 """How far a straight arm is over the level by the height that its hand has [degrees]."""
 LOW = {"knee": "knee", "leg": "ankle", "heel": "ankle", "buttocks": "hip", "floor": ""}
@@ -171,9 +171,13 @@ def _stretched(
 
 
 LEG, THIGH, SHANK = 0.89, 0.448, 0.454
-"""From hip to ankle of a leg that is nearly straight, from hip to knee, from knee to ankle [m]."""
+"""From hip to ankle of a leg that is nearly straight, from hip to knee, from knee to ankle, measured on the reference
+body [m].
+"""
 OVER, LIFTED = 0.1, 0.09
-"""How far the pelvis goes over the foot that stands, and the height of an ankle over which it is in the air [m]."""
+"""How far the pelvis goes over the foot that stands, and the height of an ankle over which it is in the air [m]. Chosen
+by eye on sheets of gestures.
+"""
 AHEAD, BACK, SIDE, KNEE = 46.0, 37.0, 40.0, 80.0
 """How far a leg, or a thigh, goes from hanging as usual [degrees]."""
 STRAIGHT, MOST = {"hip": 84.0, "chest": 98.0, "shoulder": 104.0, "head": 108.0}, 108.0

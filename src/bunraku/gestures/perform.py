@@ -24,7 +24,8 @@ FOLLOWS = {
     "head left": (-1.6, 5.3, 46.1),
 }
 """Degrees for each metre by which the left hand is farther out, up and ahead; the right one's are the contrary. Of 131
-captured stretches (16 minutes) they explain, left out of the fit, 22, 46, 13 and 22 % of the variance.
+captured stretches (16 minutes) they explain, each left out when it was fitted, 22, 46, 13 and 22 % of the
+variance.
 """
 MOST = 22.0
 """How far each goes at the most [degrees]."""
@@ -92,6 +93,8 @@ class Variation:
 
 
 VARIED = Variation()
+
+# Chosen by eye on sheets of gestures.
 TOUCH = 0.17
 """Distance of two palms, or of a palm from the middle of the trunk, with which they touch something [m]."""
 _TRUNK = np.array([0.0, 1.25, 0.0])

@@ -104,6 +104,8 @@ _AHEAD, _ROLLED, _TOES = 0.15, 0.6, 65.0
 """How far ahead of the straight way a hand goes, over that way's length, the share of its roll that the forearm takes,
 and how far toes bend up [degrees]; chosen by eye.
 """
+
+# Chosen by eye on sheets of gestures.
 _TRUNK = (("spine1", 0.3), ("spine2", 0.35), ("spine3", 0.35))
 _HEAD = (("neck", 0.4), ("head", 0.6))
 _OUT = {"left": np.array([1.0, 1, 1]), "right": np.array([-1.0, 1, 1])}

@@ -62,6 +62,7 @@ def _blend(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:
     return np.asarray(matrix_from_quaternion(quaternion_slerp(first, last, share)))
 
 
+# Chosen by eye on the sheets of tools/make_creature_sheets.py.
 HOVER = 0.8
 """How high a body flies over where it stands, over the height of its root."""
 RISE = 0.7  # how long what flies takes up and down where something else follows [s]

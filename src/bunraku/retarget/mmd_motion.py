@@ -148,6 +148,7 @@ def mmd_poses_to_smpl(poses: MmdPoses) -> SkeletalMotion:
 _J = {name: index for index, name in enumerate(JOINT_NAMES)}
 _SIDED = ("collar", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")
 _HIPS, _CENTRE, _ARMS = 11 * MMD_METRE, 8 * MMD_METRE, np.radians(35)
+# MMD's own limits of knees, as the standard models' files define them.
 _KNEE = mmd_angles(np.radians([-180.0, 0, 0]), np.radians([-0.5, 0, 0]))
 
 

@@ -282,7 +282,7 @@ _SPLITS = {"train": "train", "val": "val", "test": "test"}
 _SKIPPED = {
     "Eyes_Japan_Dataset": 3.0, "MPI_HDM05": 3.0, "TotalCapture": 1.0, "MPI_Limits": 1.0, "Transitions_mocap": 0.5,
 }  # fmt: skip
-"""Seconds that HumanML3D cut off the start of some sets before its index counts frames."""
+"""Seconds that HumanML3D (Guo et al. 2022) cut off the start of some sets before its index counts frames."""
 
 
 def humanml3d_takes(folder: str | Path) -> list[Take]:

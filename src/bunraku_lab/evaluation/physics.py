@@ -201,6 +201,7 @@ BLEND = 0.7  # seconds from the end of a motion into the start of the next
 Progress = Callable[[str, float], None]
 _Source = tuple[str, Callable[[], Character]]
 
+# Goals, set before anything was measured.
 PHYSICS_BARS: dict[str, Bar] = {
     "chain_stretch": Bar("largest stretch of a chain over its rest length", most=0.05, show=percent(2)),
     "penetration_ratio": Bar("apparel deeper than 1 cm in the body, against rigid motion", most=1 / 3, show=percent(2)),

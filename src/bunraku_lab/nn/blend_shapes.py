@@ -19,7 +19,7 @@ __all__ = [
 ]  # fmt: skip
 
 SLOPE = 0.2
-"""Of the LeakyReLU."""
+"""Of the LeakyReLU. As in the published code of the method."""
 HINT = 5
 """One in so many channels, the first ones, says the largest value over the whole mesh."""
 
@@ -110,7 +110,9 @@ def moved_by(rest: torch.Tensor, weights: torch.Tensor, affine: torch.Tensor) ->
 
 KIND = "nbs"
 NEAR, NEAR_WRIST = 0.05, 0.02
-"""Weights to a joint or the joint above from which a vertex takes the joint's shapes."""
+"""Weights to a joint or the joint above from which a vertex takes the joint's shapes. As in the published code of the
+method.
+"""
 QUIET = 1 / 1000
 """Of the last layer of coefficients before it has learned."""
 

@@ -42,7 +42,8 @@ WAVES = 3 + 2 * 9
 VIEWS = 1
 """Samples of the mesh whose answers are averaged."""
 LIKELY = 0.2
-"""Probability from which on a vertex hangs: long hair that a file's physics move and stiff hair look alike. Chosen on
+"""Probability from which on a vertex hangs: long hair that a file's physics move and stiff hair look alike. It was
+chosen on
 Gene, Uka and Godette.
 """
 

@@ -19,6 +19,7 @@ __all__ = [
     "per_mesh_max", "shares_of",
 ]  # fmt: skip
 
+# Of the batch norms, as in the published code of the method.
 MOMENTUM = 0.1
 
 

@@ -213,7 +213,8 @@ class Figure:
 
 
 _GROWN = ("average", "woman", "man", "heavy", "heavy_woman", "thin", "strong", "tall", "short", "old")
-# Half width, depth of the front and depth of the back of a drawn head from the chin (-1) to the crown (1), over half
+# Modelled by eye: half width, depth of the front and depth of the back of a drawn head from the chin (-1) to the crown
+# (1), over half
 # its extents.
 _HEAD = np.array(
     [

@@ -34,7 +34,7 @@ _MESH, _GROUPS = "3dobjs/base.obj", "mesh_metadata/basemesh_vertex_groups.json"
 _RIG, _WEIGHTS = "rigs/standard/rig.default.json", "rigs/standard/weights.default.json"
 _TARGETS = ("targets/macrodetails", "targets/breast")
 _MAX_TARGET = 8 << 20
-# Words of target names and the value of the parameter at which each counts fully.
+# Words of the names of MakeHuman's targets and the value of the parameter at which each counts fully.
 _ANCHORS: dict[str, dict[str, float]] = {
     "gender": {"male": 0, "female": 1},
     "age": {"baby": 0, "child": 1 / 3, "young": 2 / 3, "old": 1},
@@ -315,7 +315,7 @@ _STYLES: dict[str, tuple[tuple[float, float], ...]] = {
         (0.95, 1.3), (0.85, 1.05), (1.2, 1.6), (0.55, 0.8), (1.1, 1.5), (0.7, 1.0), (1.1, 1.6), (1, 1.4), (1, 1.3)
     ),
 }  # fmt: skip
-"""Ranges of the measures, in their order, of people in games; those without a range are 1."""
+"""Ranges of the measures, in their order, of people in games; those without a range are 1. Modelled by eye."""
 _DRAWINGS: dict[str, tuple[tuple[float, float], ...]] = {
     "drawn": (
         (1.3, 1.6), (0.82, 0.94), (0.76, 0.9), (0.92, 1.06), (0.7, 0.88), (0.78, 0.88), (0.68, 0.84), (0.72, 0.86),
@@ -334,7 +334,7 @@ _DRAWINGS: dict[str, tuple[tuple[float, float], ...]] = {
         (0.9, 1.05),
     ),
 }  # fmt: skip
-"""The same of the figures of drawings."""
+"""The same of the figures of drawings. Modelled by eye."""
 
 
 def random_body(rng: np.random.Generator) -> dict[str, float]:

@@ -32,6 +32,8 @@ __all__ = [
 ]
 
 
+# Chosen by eye on the figures of benchmarks/rigid_blocks.md; CUT was measured on figures cut from one surface, which
+# have .27 to .87.
 LEAST, MOST = 3, 100  # blocks of a figure
 WHOLE = 0.999  # share of a vertex that is of one joint
 COAT, PEER = 0.5, 0.25  # share of a block's box within another's, and of the other's, of what are coats of one part
@@ -176,6 +178,7 @@ def _numbered(
     return Blocks(block_of[label], tuple(names[int(node)] for node in used), origins[used], np.array(above))
 
 
+# Chosen by eye on the figures of benchmarks/rigid_blocks.md.
 SPACING = 0.008  # of the points spread over a block, over the height
 POINTS = (200, 6000)  # of a block, at the least and at the most
 NEAR = 0.02  # points are in contact that are so much farther apart than the nearest, over the height
@@ -290,6 +293,7 @@ def away_from(points: np.ndarray, start: np.ndarray) -> np.ndarray:
     return np.asarray(away / length) if length > 1e-9 else np.array([0.0, -1.0, 0.0])
 
 
+# Chosen by eye on the figures of benchmarks/rigid_blocks.md.
 TOUCH = 0.03  # blocks touch that are no farther apart, over the height
 FLOOR = 0.06  # what ends so near to the lowest point stands on it, over the height
 ASIDE = 0.2  # what is so far from the middle of the trunk is at a side of it, over half of its width
@@ -541,6 +545,7 @@ def _chain(branch: _Branch, tree: _Tree) -> list[int]:
         chain.append(max(own, key=lambda block: float(tree.shapes.areas[tree.below(block)].sum())))
 
 
+# Chosen by eye on the figures of benchmarks/rigid_blocks.md, and on trousers that are none.
 BENDS = 0.1  # what holds so much of the knees and elbows of either side bends, as a share of its surface
 EVEN = 0.5  # a leg has a little of the knee of the other that it touches: less than so much of what its own has
 _OUTER = {

@@ -27,6 +27,7 @@ __all__ = [
 FAMILIES: tuple[tuple[str, ...], ...] = (("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist", "fingers"))
 """Parts of a limb, from the body outwards; a limb is found by all but the first."""
 
+# Chosen by eye on the characters of the archive.
 SIDES = ("left", "right")
 AREA = 0.15  # least surface of a further limb, over the largest one's
 REACH = 0.45  # how far out a further limb reaches at the least, over the farthest one
@@ -183,7 +184,9 @@ def stands(mesh: NetworkMesh, limb: Limb) -> bool:
 BLEND = 1.5  # how softly limbs meet, in cells
 SPARE = 2e-3  # share of the surface under which a handle is spare; it would follow its parent
 HELD = 3e-3  # share of the surface from which a part of a further limb gets a handle
-TALL = 0.55  # a character whose head is over its hips and so far above its feet, over its extent, is a person
+# A character whose head is over its hips and so far above its feet, over its extent, is a person; chosen by eye on the
+# archive.
+TALL = 0.55
 _SPARE_FIRST = (
     "left_wing", "right_wing", "head_top", "face", "left_fingers", "right_fingers", "left_foot", "right_foot",
     "tail_tip", "tail",
@@ -387,6 +390,7 @@ def _membership(mesh: NetworkMesh, graph: csr_matrix, limbs: list[Limb]) -> np.n
     return np.asarray(closeness / closeness.sum(axis=1, keepdims=True))
 
 
+# Chosen by eye on heads of the archive; FREE_HILL with the files of benchmarks/foreign_files.md in view.
 SLENDER_HILL = 4.0  # least slenderness: that of three quarters of a ball, which no lump on a head is
 LONG = 0.05  # least length, over the character's extent; the grid's cells are about a third of that
 PART = 0.45  # of the head's surface at the most; more is the head itself

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SURE", "Orientation", "ResolvedAxes", "guess_orientation", "resolve_axes", "resolved_axes", "upright"]
 
+# Measured with these values on four lots of files: docs/measurements.md has the shares.
 SURE = 0.85
 """From this probability on nothing is said of a guess."""
 TURN = 0.5

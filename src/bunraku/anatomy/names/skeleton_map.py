@@ -88,6 +88,7 @@ def mmd_skeleton_map(names: Sequence[str]) -> SkeletonMap | None:
 
 ALIKE = 0.15  # twins differ by less than this share in length
 LONG = 0.3  # of the longest twins: what is shorter is no limb
+# Chosen on rigs whose names were taken away (benchmarks/apparel_bones.py).
 FARTHER = 1.5  # times as far as all others of three and more: what goes on a limb, with twists or sleeves beside it
 LEVEL = 0.1  # of the same: twins that end as low as others do, or begin as high
 SHORT_BONE = 0.55  # a first bone shorter than this share of the next one is a collar bone, or joins a leg to the pelvis

@@ -62,7 +62,8 @@ _PARAMETERS = {
     "strand": ChainParameters(18 * _DEGREE, 0.8, 0.8, 0.93),
 }
 
-# Of chains laid over a shape: what came nearest to the simulated wardrobe, kind by kind, on 18 characters for training.
+# Of chains laid over a shape, fitted: what came nearest to the simulated wardrobe, kind by kind, on 18 characters for
+# training.
 # There shape says nothing of limits and springs beyond the kind (a regression on length, width, position, number and
 # direction explains 1 % of the limits' variance on held-out characters), so they are guessed on the narrow side.
 _LAID = {

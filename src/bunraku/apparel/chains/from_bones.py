@@ -35,6 +35,9 @@ _SILENT = ("none", "held", "face", "face_bone", "fingers", "toe")
 _FACE = re.compile(
     r"lid\b|lid[._]|forehead|temple|teeth|gums?\b|breast|boob|\bbust|jiggle|muscle|twist|helper|corrective"
 )
+
+# Chosen on characters of the wardrobe and on the twelve files of benchmarks/apparel_files.md;
+# benchmarks/apparel_bones.py counts chains.
 OWN = 0.85  # of a vertex's weight: what is not held by the body
 TOUCHES = 0.5  # of the vertices of a silent bone at the most have edges to others
 FEWEST = 3  # vertices that a silent bone holds at least

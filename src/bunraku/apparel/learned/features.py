@@ -20,6 +20,7 @@ __all__ = [
     "lead_in_transforms", "rest_transforms", "static_features",
 ]  # fmt: skip
 
+# What follows is part of what the displacement networks were trained on; other values need other weights.
 FREQUENCIES = (0.4, 0.7, 1.2, 2.0, 3.4)
 """Of the oscillators [1/s]: apparel of the wardrobe swings at 0.6 on average, stiff pieces at 4."""
 DAMPING = 0.3
@@ -146,6 +147,8 @@ def _local(pose: np.ndarray, parents: np.ndarray) -> np.ndarray:
 
 
 OWN_SUBSTEPS = 4
+
+# As in the simulation, and what the networks were trained on.
 LEAST_RATIO = 0.15  # least share of the critical damping, as in the simulation
 STIFFEST = 900.0  # spring [1/s^2]
 SHORT = 5e-3  # arms count as no shorter [m]
@@ -246,6 +249,8 @@ def _rotated_by(turn: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 RATE = 30.0  # frames a second that the networks know [1/s]
 LEAD_IN = 30  # frames from the rest pose into a clip
+
+# What the networks were trained on.
 OWN = ((1.0, 0.0), (0.25, 0.0), (1.0, 6.0))
 """Factor on the friction of a node's own pendulums, and further friction [1/s]: its chain if all joints rotate alike;
 if the first one rotates most; and if it does not swing on.

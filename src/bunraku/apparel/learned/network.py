@@ -23,6 +23,8 @@ __all__ = [
 STILL = 3 * STATIC_VECTORS + STATIC_SCALARS  # features of a node that never change
 NODE_INPUT = STILL + 3 * VECTORS + SCALARS  # features of a node in a frame
 MOTION_HIDDEN, MOTION = 64, 24  # channels of the MLP of the encoded motion f_t(T), and of its output
+
+# What the networks were trained with.
 SHARE = 1.5  # largest weight of a basis vector in the head
 KEEP = 0.97  # largest share of the difference from the head that a frame leaves
 CHANGE = 0.04  # largest change of that difference in a frame, over the character's size

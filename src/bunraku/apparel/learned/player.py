@@ -142,7 +142,8 @@ _MINORS = np.array([
 
 HELD = 0.02  # nodes as near to where their part is held do not move, over the character's size [m]
 BESIDE = 0.03  # how near to the way out through a node legs count, over the character's size [m]
-DEEP = 0.006  # how deep a vertex may be in the limb near its third node, over the character's size [m]
+# How deep a vertex may be in the limb near its third node, over the character's size [m]; measured: docs/history.md.
+DEEP = 0.006
 FEW = 0.25  # share of the apparel around a node that must be pushed for it to move by as much
 
 

@@ -160,7 +160,7 @@ def reference_body(shape: str = "average") -> ReferenceBody:
     )  # fmt: skip
 
 
-# Centimetres from the parent joint, both sides averaged: enough for directions.
+# Centimetres from the parent joint in SMPL's published mean body, both sides averaged: enough for directions.
 _LEFT_AND_MIDDLE = {
     "left_hip": (6.5, -9, -1), "spine1": (0, 12, -3.5), "left_knee": (3.5, -37.5, -0.4), "spine2": (0, 13.6, 2.2),
     "left_ankle": (-1.4, -39.8, -4.4), "spine3": (0, 5.5, 0.3), "left_foot": (3.5, -6, 12.2), "neck": (0, 21.3, -3.4),

@@ -98,7 +98,7 @@ def goes_round(directions: np.ndarray) -> bool:
 
 
 UNITS: dict[str, float] = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
-"""Length of each unit that a file may have [m]."""
+"""Length of each unit that a file may have [m]. By definition."""
 BARE = (".obj", ".ply", ".stl")
 """Formats that state neither their up axis nor their unit."""
 _LEAST = {"mm": 400.0, "cm": 10.0, "m": 0.04}

@@ -54,7 +54,8 @@ def _lengths(vectors: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
-_STEPS = 0.7548776662466927, 0.5698402909980532  # the plastic number's powers: two numbers that fill a square evenly
+# The plastic number's powers: two numbers that fill a square evenly (Roberts 2018).
+_STEPS = 0.7548776662466927, 0.5698402909980532
 
 
 def surface_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

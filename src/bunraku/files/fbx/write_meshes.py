@@ -313,7 +313,7 @@ def _picture(document: Document, texture: dict[str, Any]) -> tuple[int, bytes, s
     return None if image is None else (number, image[0], IMAGE_SUFFIXES[image[1]])
 
 
-STILL = 1e-9  # m
+STILL = 1e-9  # m; far below what float32 keeps of a position
 
 
 def add_mesh(

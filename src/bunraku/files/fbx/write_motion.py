@@ -159,7 +159,7 @@ def euler_degrees(rotations: np.ndarray) -> np.ndarray:
     return np.degrees(out)
 
 
-STILL_DEGREES, STILL_LENGTH = 1e-5, 1e-7  # the latter of the skeleton's extent
+STILL_DEGREES, STILL_LENGTH = 1e-5, 1e-7  # the latter of the skeleton's extent; what float32 rounds in the file
 _LINEAR = 4
 _BEZIER_DEFAULTS = np.zeros(4, np.float32)
 

@@ -26,7 +26,9 @@ from bunraku.files.gltf.write_rig import RigDocument, bone_tracks, placed
 __all__ = ["SAME_BONES", "Tracks", "merge_documents", "whole_document", "write_stretches"]
 
 SAME_BONES = 1e-3
-"""Bones that rest this near are the same, as a share of the skeleton's extent: rounding in files stays far below it."""
+"""Bones that rest this near are the same, as a share of the skeleton's extent: the rounding of float32 stays far below
+it.
+"""
 
 
 def merge_documents(paths: Sequence[Path], path: Path, *, only: Collection[str] | None = None) -> Path:
@@ -145,7 +147,9 @@ def _check_rest(base: Document, other: Document, nodes: dict[int, int]) -> None:
 
 
 STILL = 1e-6
-"""A track that moves less than this, over the extent of all or as a quaternion, is one key."""
+"""A track that moves less than this, over the extent of all or as a quaternion, is one key. It is some roundings of
+float32.
+"""
 
 
 class Tracks:

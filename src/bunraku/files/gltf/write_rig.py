@@ -30,7 +30,7 @@ __all__ = [
     "write_character",
 ]  # fmt: skip
 
-SMALL = 1e-6  # what changes less, over the size of the rig or as a quaternion, stands still
+SMALL = 1e-6  # what changes less, over the size of the rig or as a quaternion, stands still; some roundings of float32
 
 
 def add_bone_clip(

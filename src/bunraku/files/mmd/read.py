@@ -279,6 +279,7 @@ _VERTEX = np.dtype(
 _NONE = 0xFFFF
 _TURNS_AND_MOVES, _IK, _TURNS_WITH, _TWIST, _TURNS_PARTLY = 1, 2, 5, 8, 9  # kinds of bones
 _STILL = (6, 7)  # targets of inverse kinematics, and hidden ones
+# MMD's own limits of knees, as the standard models' files define them.
 _KNEE = np.radians([[-180.0, 0, 0], [-0.5, 0, 0]])
 
 

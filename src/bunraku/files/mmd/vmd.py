@@ -229,6 +229,7 @@ _KEY = np.dtype(
 )
 _ROW = bytes([20] * 8 + [107] * 8)  # x1 and y1 of the four channels, then x2 and y2: a straight line
 _CURVE = np.frombuffer(b"".join(_ROW[shift:] + bytes(shift) for shift in range(4)), np.uint8)
+# Some roundings of float32, in which the file stores both.
 _STILL_DEGREES, _STILL_METRES = 1e-4, 1e-7
 
 

@@ -134,7 +134,7 @@ BVH_UNITS: dict[str, float] = {
     "ft": 0.3048,
     "m": 1.0,
 }
-"""Units of BVH files [m]; "cmu" is that of the CMU database's own skeletons."""
+"""Units of BVH files [m], by definition; "cmu" is 1/0.45 inch, as published skeletons of the CMU database state it."""
 
 PERSON = 2.2  # from the toes up the trunk and out to a hand [m]
 MOST_HEADER = 4 << 20

@@ -238,7 +238,9 @@ def add_bending(band: np.ndarray) -> None:
 
 
 SLIDES = 0.25
-"""Mean speed of standing feet from which on they slide on purpose [m/s]; captured clips drift by less than a third."""
+"""Mean speed of standing feet from which on they slide on purpose [m/s]; captured clips were measured to drift by less
+than a third.
+"""
 TRAVELS = 0.5
 """A body that moves by this share of what its feet slide does not stay on the spot; chosen by eye."""
 

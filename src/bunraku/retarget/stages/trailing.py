@@ -29,6 +29,7 @@ __all__ = ["Lag", "Tail", "TailClear"]
 
 
 _TAIL, _TIP = _TAIL_HANDLES = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
+# Standard gravity [m/s^2], and the height of a person by whose pendulums the lag was chosen by eye [m].
 _GRAVITY, _PERSON = 9.81, 1.7
 
 

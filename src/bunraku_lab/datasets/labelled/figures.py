@@ -33,7 +33,9 @@ PART = {name: number for number, name in enumerate(PARTS)}
 CARRIER = {name: number for number, name in enumerate(CARRIERS)}
 UNKNOWN = -1
 HANGS = 0.5
-"""Weight on joints that physics move from which on a vertex hangs, as in `apparel.mask`."""
+"""Weight on joints that physics move from which on a vertex hangs, as in `apparel.mask`. The data set defines its masks
+so.
+"""
 
 
 @dataclass(frozen=True, eq=False)

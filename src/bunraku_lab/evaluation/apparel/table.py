@@ -38,6 +38,7 @@ FILE_MOTIONS = ("walk", "dance")
 LONG = 3  # characters in clips of a minute
 ENOUGH = 2000  # apparel vertices that a frame is timed with
 
+# Goals, set before anything was measured.
 _BARS = {
     "mask_iou": Bar("apparel found, intersection over union, wardrobe", least=0.9),
     "mask_iou_files": Bar("the same, files", least=0.45),

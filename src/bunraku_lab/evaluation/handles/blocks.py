@@ -92,7 +92,9 @@ def _points(character: Character, label: np.ndarray, block: int) -> np.ndarray:
 
 
 SHEAR, GAP = 1e-4, 0.01
-"""The bars: farthest from a rigid motion, and farthest apart at a joint, over the height."""
+"""The bars, goals that were set before anything was measured: farthest from a rigid motion, and farthest apart at a
+joint, over the height.
+"""
 RATE = 41.0  # frames a second that fall between the 20 of the motion
 EVERY = 4  # of those frames one is looked at
 

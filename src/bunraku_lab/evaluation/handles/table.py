@@ -306,6 +306,7 @@ SPEEDS = {"seconds_5k": 5_000, "seconds_200k": 200_000}
 
 Load = Callable[[], Subject]
 
+# Goals, set before anything was measured.
 BARS: dict[str, Bar] = {
     "root_error": Bar("root: first handle to the root joint, over the height", most=0.03, show=percent(2)),
     "part_purity": Bar("part purity: vertices of a part that share its main handle", least=0.9, show=percent(1)),

@@ -41,6 +41,7 @@ FAST_SCRIPT = (
 """The same with what is many times as fast as the median by nature."""
 SEAM_SEEDS = 3
 
+# Goals, set before anything was measured.
 BARS = {
     "r_precision_1_over_real": Bar("R-Precision top-1 over that of the real data, one sample of the network", 0.80),
     "r_precision_1_over_real_distilled": Bar("- one sample of the four distilled steps alone", 0.80),

@@ -33,6 +33,7 @@ SHORTEST = 20  # frames of a captured clip that is compared with
 
 Make = Callable[[Sequence[tuple[str, float]]], list[HandleMotion]]
 
+# Goals, set before anything was measured.
 VIEWER_BARS = {
     "turn_side_degrees": Bar("turns left or right: degrees to that side, median", 60, 130),
     "turn_side_share": Bar("- share of 45 to 150 degrees to that side", 0.7),

@@ -31,6 +31,7 @@ _SHAPES = "--baselines has no such weights: bunraku train nbs --start NBS --netw
 _SPT = "--baselines has no such weights: bunraku train transfer-baseline --preset spt"
 _BODY = "--baselines has no such body network: bunraku train apparel-body --network.geodesics"
 
+# The numbers are the paper's.
 _TABLE_2 = (
     PaperRow(NBS, (4.63, 8.90, 1.84, 0.73), _NBS),
     PaperRow(NBS_SHAPES, None, _SHAPES),
@@ -48,6 +49,7 @@ _FLOORS = (
     "joints move, so the fair ratio is that to the floor."
 )
 
+# The numbers are the paper's.
 MMDMC: tuple[PaperTable, ...] = (
     PaperTable(
         "mmdmc", 2, "apparel and body in motion, ten frames from a true state", _COLUMNS, _TABLE_2,

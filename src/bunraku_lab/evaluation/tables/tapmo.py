@@ -287,8 +287,9 @@ MDM = {
         for column, value in ((title, mean), (f"{title} {EITHER_WAY}", half))
     }
 }  # fmt: skip
-"""A row of table 1 that is kept: our extractor's figures of the encoder-only network."""
+"""A row of table 1 that is kept: what our extractor measured of the encoder-only network."""
 
+# The numbers are the paper's.
 TAPMO: tuple[PaperTable, ...] = (
     PaperTable(
         "tapmo", 1, "text-based motion generation",

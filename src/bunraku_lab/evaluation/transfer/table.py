@@ -258,6 +258,7 @@ def _bar(title: str, unit: str, least: float | None = None, most: float | None =
     return Bar(title, least, most, show)
 
 
+# Goals, set before anything was measured.
 BARS: dict[str, Bar] = {
     "finished": _bar("pairs of character and motion that finished", "", least=1.0),
     "angle_rig": _bar("limb directions on rigs, mean", " deg", most=5.0),

@@ -22,7 +22,7 @@ __all__ = [
 
 _J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
 _H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
-# Radius over the head's, and height over the head's, from the brim to the top.
+# Modelled by eye: radius over the head's, and height over the head's, from the brim to the top.
 _HATS = {
     "wizard": [(1.9, -0.03), (1.03, 0.0), (0.62, 0.5), (0.3, 0.95), (0.02, 1.5)],
     "top hat": [(1.5, 0.02), (1.04, 0.0), (1.0, 0.45), (1.04, 0.8), (0.02, 0.82)],

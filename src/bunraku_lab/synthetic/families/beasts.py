@@ -10,7 +10,8 @@ from bunraku_lab.synthetic.surfaces import unit
 
 __all__ = ["beast_head", "dragon", "frog", "quadruped", "tail", "wings"]
 
-# ranges of: leg height, trunk radius, neck length, neck lift, head, snout, tail length, tail radius (all over the
+# modelled by eye; ranges of: leg height, trunk radius, neck length, neck lift, head, snout, tail length, tail radius
+# (all over the
 # trunk's length)
 _KINDS: dict[str, tuple[tuple[float, float], ...]] = {
     "dog": ((0.5, 0.85), (0.16, 0.27), (0.1, 0.35), (0.5, 1.2), (0.15, 0.3), (0.6, 1.5), (0.2, 0.7), (0.03, 0.1)),

@@ -33,6 +33,7 @@ COAT, CREAM, EAR, COLLAR, TAG, NOSE, TONGUE = (
     "#d08a46", "#fbeeda", "#8a5228", "#d63a3a", "#ffcc4d", "#2a2023", "#f08a94",
 )  # fmt: skip
 
+# Modelled by eye.
 _DOG_BONES: Bones = mirror_bones(
     {
         "Hips": ("", (0, 0.53, -0.26)),
@@ -129,6 +130,7 @@ def build_dog(detail: float, rigged: bool) -> Character:
 
 SCALES, BELLY, MEMBRANE, HORN, SPIKE, CLAW = "#3f9b62", "#f3e2a9", "#e8864a", "#f7efe0", "#e8864a", "#f7efe0"
 
+# Modelled by eye.
 _DRAGON_BONES: Bones = mirror_bones(
     {
         "Hips": ("", (0, 0.62, -0.26)),
@@ -332,6 +334,7 @@ def build_dragon(detail: float, rigged: bool) -> Character:
 
 STEM, BLUSH, CAP, SPOT, GILLS, FEET = "#f6e3c5", "#f0a284", "#d8342f", "#fff6e6", "#e9c9a0", "#a4683c"
 
+# Modelled by eye.
 _MUSHROOM_BONES: Bones = mirror_bones(
     {
         "Hips": ("", (0, 0.26, 0)),
@@ -346,6 +349,7 @@ _MUSHROOM_BONES: Bones = mirror_bones(
     }
 )
 
+# Modelled by eye.
 _CAP_CENTRE, _CAP_RADII = np.array([0, 0.76, 0]), np.array([0.395, 0.30, 0.385])
 _SPOTS = (
     (0, 0.75, 0.62, 0.075), (0.57, 0.47, 0.66, 0.062), (0.91, 0.13, 0.08, 0.07), (0.48, 0.85, 0, 0.064), (0.6, 0.45,

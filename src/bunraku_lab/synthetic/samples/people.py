@@ -31,6 +31,7 @@ PERSON_SKIN, SHIRT, STRIPE, TROUSERS, PERSON_SHOES, SOLE, PERSON_HAIR = (
     "#f2b48c", "#1fa3a0", "#fff4dc", "#34457a", "#e4573d", "#fbf6ec", "#5a3422",
 )  # fmt: skip
 
+# Modelled by eye.
 HUMAN_BONES: Bones = mirror_bones(
     {
         "Hips": ("", (0, 0.84, 0)),
@@ -163,6 +164,7 @@ DANCER_SKIN, DRESS, SASH, DANCER_SHOES, DANCER_HAIR, DRESS_TRIM = (
     "#c98a5e", "#c2366b", "#ffd166", "#8f2450", "#2b2130", "#ffe9d6",
 )  # fmt: skip
 
+# Modelled by eye.
 _DANCER_BONES: Bones = {
     **HUMAN_BONES, "Ponytail1": ("Head", (0, 1.60, -0.175)), "Ponytail2": ("Ponytail1", (0, 1.46, -0.275)),
     "Ponytail3": ("Ponytail2", (0, 1.28, -0.30)),
@@ -285,6 +287,7 @@ SHELL, DARK, ROBOT_TRIM, LIGHT, GLOW, WARN = "#f4b740", "#3b4252", "#e9ecef", "#
 
 Position = tuple[float, float, float]
 
+# Modelled by eye.
 _ROBOT_BONES: Bones = mirror_bones(
     {
         "Hips": ("", (0, 0.72, 0)),

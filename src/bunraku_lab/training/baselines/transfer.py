@@ -34,7 +34,7 @@ __all__ = [
 ]  # fmt: skip
 
 QUATERNION = 0.5
-"""Weight of quaternions against translations."""
+"""Weight of quaternions against translations. As in the published code of the method."""
 
 
 def transform_loss(transforms: Tensor, truth: Tensor) -> Tensor:
@@ -155,6 +155,7 @@ class TransferTrainConfig(StepSettings):
         return replace(self, **PRESETS[self.preset])  # type: ignore[arg-type]
 
 
+# "sfpt" has the rate and the batch of the published code of the method.
 PRESETS: dict[str, dict[str, object]] = {
     "sfpt-small": {},
     "sfpt": {
