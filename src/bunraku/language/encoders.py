@@ -135,11 +135,13 @@ class MiniLMEncoder:
                 words = (Path(folder) / "tokenizer.json").read_text(encoding="utf-8")
             self._tokenizer = WordPieces(words)
             with safe_open(path, framework="np") as file:
-                tensors = ((name, file.get_tensor(name)) for name in file.keys() if name not in (_WORDS, RARE))  # noqa: SIM118
-                halves = ((name, halves_of(value) if value.dtype == np.uint8 else value) for name, value in tensors)
-                self._weights = {
-                    name: value.astype(np.float32, copy=False) for name, value in halves if value.dtype.kind == "f"
-                }
+                self._weights: dict[str, np.ndarray] = {}
+                for name in file.keys():  # noqa: SIM118
+                    if name not in (_WORDS, RARE):
+                        value = file.get_tensor(name)
+                        value = halves_of(value) if value.dtype == np.uint8 else value
+                        if value.dtype.kind == "f":
+                            self._weights[name] = value.astype(np.float32, copy=False)
             # A third of the file, of which each sentence needs a few rows: only these become memory.
             words = safe_open(path, framework="np")
             self._words, self._rare = words.get_slice(_WORDS), words.get_slice(RARE) if folder is None else None
@@ -176,14 +178,18 @@ class MiniLMEncoder:
             self._linear(f"{name}.output.dense"), self._norm(f"{name}.output.LayerNorm"),
         )  # fmt: skip
 
-    def _word(self, number: int) -> np.ndarray:
-        """The vector of a word piece, shape (384,), float32."""
+    def _vectors(self, numbers: Sequence[int]) -> np.ndarray:
+        """The vectors of word pieces, shape (L, 384), float32."""
         if self._rare is None:
-            return np.asarray(self._words[number], np.float32)
-        if number < self._known:
-            return halves_of(self._words[:, number]).astype(np.float32)
-        number -= self._known
-        return np.asarray(self._rare[number] * self._weights[SCALES][number], np.float32)
+            return np.stack([np.asarray(self._words[number], np.float32) for number in numbers])
+        found = np.empty((len(numbers), self.token_size), np.float32)
+        known = [at for at, number in enumerate(numbers) if number < self._known]
+        found[known] = halves_of(np.stack([self._words[:, numbers[at]] for at in known], 1))
+        for at, number in enumerate(numbers):
+            if number >= self._known:
+                row = number - self._known
+                found[at] = self._rare[row] * self._weights[SCALES][row]
+        return found
 
     def numbers(self, sentence: str) -> list[int]:
         """The numbers of a sentence's word pieces, at most 30."""
@@ -192,7 +198,7 @@ class MiniLMEncoder:
     def embedded(self, numbers: Sequence[int]) -> np.ndarray:
         """What the first layer reads of word pieces, shape (L, 384), float32."""
         weights = self._weights
-        x = np.stack([self._word(number) for number in numbers])
+        x = self._vectors(numbers)
         x += weights["embeddings.position_embeddings.weight"][: len(numbers)]
         return self._norm("embeddings.LayerNorm")(x + weights["embeddings.token_type_embeddings.weight"][0])
 

@@ -70,6 +70,96 @@ class Pattern(NamedTuple):
     alone: bool  # whether it is one word, whatever stands around it
 
 
+_SIGNS = ("^", "$", "...")
+"""The text begins there, it ends there, and the word behind may stand anywhere later."""
+
+
+class Phrases:
+    """The phrases of some rows. A phrase becomes a `Pattern` when a text first has a word that it may begin with.
+
+    Args:
+        rows: Section, name, and what says it.
+        forms: What the signs for verbs and classes stand for: "{walk}", "{walk+}", "<hands>".
+    """
+
+    def __init__(self, rows: Iterable[tuple[str, str, Iterable[str]]], forms: Mapping[str, frozenset[str]]) -> None:
+        self.forms = forms
+        self.rows: list[tuple[str, str, str]] = []
+        self.words: set[str] = set()  # all that phrases of actions and limbs have
+        self._first: dict[str, list[int]] = {}  # the numbers of the rows that begin with a word
+        self._ready: dict[int, list[Pattern]] = {}
+        self._starting: dict[str, list[Pattern]] = {}
+        for section, name, said in rows:
+            for text in said:
+                begins = True
+                for part in text.split():
+                    if part in _SIGNS:
+                        continue
+                    words = set[str]()
+                    for word in part.strip("!=?").split("/"):
+                        words.update(forms.get(word, (word,)))
+                    if section in ("actions", "posing"):
+                        self.words.update(words)
+                    if begins and part[0] not in "!=":
+                        begins = part[-1] == "?"
+                        for word in words:
+                            numbers = self._first.setdefault(word.partition("_")[0], [])
+                            if numbers[-1:] != [len(self.rows)]:
+                                numbers.append(len(self.rows))
+                self.rows.append((section, name, text))
+
+    def starting(self, word: str) -> list[Pattern]:
+        """Those that may begin with a word, in the order of the rows."""
+        found = self._starting.get(word)
+        if found is None:
+            found = self._starting[word] = []
+            for number in self._first.get(word, ()):
+                if number not in self._ready:
+                    self._ready[number] = self._patterns(*self.rows[number])
+                for pattern in self._ready[number]:
+                    if pattern.words[0] is not None and word in pattern.words[0]:
+                        found.append(pattern)
+        return found
+
+    def of(self, section: str, name: str) -> list[Pattern]:
+        """Those of one row."""
+        return [one for row in self.rows if row[:2] == (section, name) for one in self._patterns(*row)]
+
+    def _patterns(self, section: str, name: str, text: str) -> list[Pattern]:
+        """A phrase with and without the words that may be missing."""
+        before, ahead = frozenset[str](), False
+        after: list[frozenset[str]] = []
+        variants: list[tuple[frozenset[str] | None, ...]] = [()]
+        parts = text.split()
+        for part in parts:
+            if part in _SIGNS:
+                continue
+            plain, optional = part.strip("!=?"), part[-1] == "?"
+            if plain in self.forms:
+                words = self.forms[plain]
+            else:
+                words = frozenset[str]().union(*[self.forms.get(word, (word,)) for word in plain.split("/")])
+            if part[0] == "!" and not variants[0]:
+                before = words
+            elif part[0] in "!=":
+                ahead = part[0] == "="
+                after.append(words | {""} if optional else words)
+            else:
+                choice: frozenset[str] | None = None if plain == "*" else words
+                ways: list[tuple[frozenset[str] | None, ...]] = [(), (choice,)] if optional else [(choice,)]
+                if "_" in plain:
+                    ways += [tuple(map(frozenset, zip(word.split("_")))) for word in words if "_" in word]
+                longer: list[tuple[frozenset[str] | None, ...]] = []
+                for row in variants:
+                    for way in ways:
+                        longer.append(row + way)
+                variants = longer
+        first, last, gap = "^" in parts, "$" in parts, "..." in parts
+        bare = not (before or after or first or last or gap)
+        signs = tuple(after), ahead, first, last, gap
+        return [Pattern(section, name, row, before, *signs, bare and len(row) == 1) for row in variants if row]
+
+
 @dataclass(frozen=True)
 class Lexicon:
     """The tables, ready to be looked up."""
@@ -82,7 +172,7 @@ class Lexicon:
     actions: dict[str, Action]  # the rows of that section
     locomotion: dict[str, str]  # the locomotion of each form of a verb that has one
     parts: dict[str, str]  # what each form of a verb moves, where it moves a part of the body
-    phrases: dict[str, list[Pattern]]  # all phrases by the words that they may begin with
+    phrases: Phrases  # all but those of limbs
     cues: tuple[str, ...]  # the names of that section
     places: dict[str, frozenset[str]]  # what a side may be the side of, and the words that say it
     synonyms: dict[str, str]  # what is read in place of each synonym, by its name
@@ -99,7 +189,7 @@ class Lexicon:
     # `parts`, the limb of each part of the body that can go somewhere; `goes`, where a limb goes by a verb alone;
     # `of verbs`, parts that go without saying with a verb, unless the sentence names their side
     limbs: dict[str, Any]
-    posing: dict[str, list[Pattern]]  # phrases of limbs, by the words that they may begin with
+    posing: Phrases  # those of limbs
     words: frozenset[str]  # all words of the phrases, and of the rows' names
 
 
@@ -109,49 +199,64 @@ def lexicon() -> Lexicon:
     data: dict[str, Any] = json.loads(
         resources.files("bunraku.language").joinpath("lexicon.json").read_text(encoding="utf-8")
     )
-    verbs = {verb: tuple(forms.split()) for verb, forms in data["verbs"].items()}
-    third, gerund = (frozenset(forms[which] for forms in verbs.values()) for which in (0, 1))
+    verbs: dict[str, tuple[str, ...]] = {}
     lemmas: dict[str, str] = {}
-    for verb, forms in verbs.items():
+    past: dict[str, str] = {}
+    third, gerund = set(), set()
+    signs: dict[str, frozenset[str]] = {}  # what stands for words in phrases
+    for verb, listed in data["verbs"].items():
+        forms = verbs[verb] = tuple(listed.split())
+        signs[f"{{{verb}}}"], signs[f"{{{verb}+}}"] = frozenset((verb, *forms[:2])), frozenset((verb, *forms))
         for form in (verb, *forms):
             lemmas.setdefault(form, verb)
-    past = {form: verb for verb, forms in verbs.items() for form in forms[2:]}
-    actions = {name: _action(row) for name, row in data["actions"].items()}
+        third.add(forms[0])
+        gerund.add(forms[1])
+        for form in forms[2:]:
+            past[form] = verb
+    actions = {}
+    for name, row in data["actions"].items():
+        covers = frozenset((*row.get("covers", ()), *(GESTURES_COVER if row.get("gesture") else ())))
+        actions[name] = Action(**{**row, "said": tuple(row["said"]), "covers": covers})
     moving, parts = _of_verbs(actions, data, "locomotion"), _of_verbs(actions, data, "part")
     classes = data["classes"]
-    classes["verb"] = " ".join("{" + verb + "}" for verb in verbs)
-    classes["going"] = " ".join("{" + verb + "+}" for verb, way in moving.items() if way in ("walk", "run"))
-    held = dict.fromkeys([verb.strip("{+}") for verb in classes["holding"].split()], "")
-    handled = {verb: kind for kind, listed in data["handling"]["verbs"].items() for verb in listed.split()}
-    rows = [("actions", name, action.said) for name, action in actions.items()]
-    rows += [(section, name, said) for section in ("cues", "traits", "places") for name, said in data[section].items()]
+    classes["verb"] = "{" + "} {".join(verbs) + "}"
+    classes["going"] = " ".join(f"{{{verb}+}}" for verb, way in moving.items() if way in ("walk", "run"))
+    for name, listed in classes.items():
+        signs[f"<{name}>"] = frozenset[str]().union(*[signs.get(word, (word,)) for word in listed.split()])
+    rows: list[tuple[str, str, Iterable[str]]] = [("actions", name, action.said) for name, action in actions.items()]
+    rows += [(section, name, said) for section in ("cues", "traits") for name, said in data[section].items()]
     rows += [("synonyms", said, (said,)) for said, _ in data["synonyms"]]
-    phrases, said_words = _patterns(rows, classes, verbs)
-    posing, posing_words = _patterns([("posing", *row) for row in data["posing"].items()], classes, verbs)
+    phrases = Phrases(rows, signs)
+    posing = Phrases([("posing", *row) for row in data["posing"].items()], signs)
+    places = {}
+    for name, said in data["places"].items():
+        places[name] = frozenset[str]().union(*[signs.get(word, (word,)) for word in said[0].split("/")])
     heights = {name: frozenset(listed.split()) for name, listed in data["handling"]["heights"].items()}
-    names = [word for name in actions for word in name.replace("-", " ").split()]
     otherwise = [
         Otherwise(**{**row, "locomotion": tuple(row["locomotion"]), "bodies": tuple(row["bodies"])})
         for row in data["otherwise"]
     ]
-    places = [one for some in phrases.values() for one in some if one.section == "places"]
+    handling = {}
+    for kind, listed in data["handling"]["verbs"].items():
+        for verb in listed.split():
+            handling[verb] = kind
+    irregular = {}
+    for word, listed in data["irregular"].items():
+        for form in listed.split():
+            irregular[form] = word
     return Lexicon(
-        verbs=verbs, third=third, gerund=gerund, lemmas=lemmas, actions=actions, phrases=phrases, posing=posing,
-        past={form: verb for form, verb in past.items() if form not in verbs and form not in third | gerund},
-        locomotion=_by_form(moving, verbs), parts=_by_form(parts, verbs), cues=tuple(data["cues"]),
-        places={one.name: one.words[0] or frozenset() for one in places},
+        verbs=verbs, third=frozenset(third), gerund=frozenset(gerund), lemmas=lemmas, actions=actions, phrases=phrases,
+        posing=posing, past={form: past[form] for form in past.keys() - verbs.keys() - third - gerund},
+        locomotion=_by_form(moving, verbs), parts=_by_form(parts, verbs), cues=tuple(data["cues"]), places=places,
         synonyms=dict(data["synonyms"]), ground=data["ground"], otherwise=tuple(otherwise),
-        numbers=data["numbers"], holding=frozenset(_by_form(held, verbs)), handling_verbs=_by_form(handled, verbs),
+        numbers=data["numbers"], holding=signs["<holding>"], handling_verbs=_by_form(handling, verbs),
         heights=heights, levels=data["handling"]["levels"], contrary=tuple(map(frozenset, data["contrary"])),
         grammar={name: frozenset(listed.split()) for name, listed in data["grammar"].items()}, limbs=data["limbs"],
-        irregular={form: word for word, listed in data["irregular"].items() for form in listed.split()},
-        words=(said_words | posing_words).union(names, *heights.values()),
+        irregular=irregular,
+        words=frozenset(phrases.words | posing.words).union(
+            " ".join(actions).replace("-", " ").split(), *heights.values()
+        ),
     )  # fmt: skip
-
-
-def _action(row: dict[str, Any]) -> Action:
-    covers = (*row.get("covers", ()), *(GESTURES_COVER if row.get("gesture") else ()))
-    return Action(**{**row, "said": tuple(row["said"]), "covers": frozenset(covers)})
 
 
 def _of_verbs(actions: Mapping[str, Action], data: Mapping[str, Any], field: str) -> dict[str, str]:
@@ -161,65 +266,18 @@ def _of_verbs(actions: Mapping[str, Action], data: Mapping[str, Any], field: str
         for phrase in action.said if getattr(action, field) else ():
             first, _, others = phrase.partition(" ")
             if not others or (" " not in others and others[0] in "!$"):
-                said = [word.strip("{+}") for word in first.split("/") if word[0] == "{"]
-                found |= dict.fromkeys(said, getattr(action, field))
-    listed = data["parts" if field == "part" else field]
-    return found | {verb: value for value, some in listed.items() for verb in some.split()}
+                for word in first.split("/"):
+                    if word[0] == "{":
+                        found[word.strip("{+}")] = getattr(action, field)
+    for value, some in data["parts" if field == "part" else field].items():
+        for verb in some.split():
+            found[verb] = value
+    return found
 
 
 def _by_form(table: Mapping[str, str], verbs: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
     """What a table has for verbs, for all their forms."""
     return {form: value for verb, value in table.items() for form in (verb, *verbs[verb])}
-
-
-def _patterns(
-    rows: Iterable[tuple[str, str, Iterable[str]]], classes: Mapping[str, str], verbs: Mapping[str, tuple[str, ...]]
-) -> tuple[dict[str, list[Pattern]], frozenset[str]]:
-    """The phrases of rows (section, name, what says it) by the words that they may begin with, and all words of actions
-    and limbs.
-    """
-
-    @functools.cache
-    def choices(part: str) -> frozenset[str]:
-        """What may stand between two spaces."""
-        found: list[str] = []
-        for word in part.split("/"):
-            for one in classes[word[1:-1]].split() if word[0] == "<" else (word,):
-                verb = one.strip("{+}")
-                found += (verb, *(verbs[verb] if "+" in one else verbs[verb][:2])) if one[0] == "{" else (one,)
-        return frozenset(found)
-
-    index: dict[str, list[Pattern]] = {}
-    known: set[str] = set()
-    for section, name, text in ((section, name, text) for section, name, said in rows for text in said):
-        before, ahead = frozenset[str](), False
-        after: list[frozenset[str]] = []
-        variants: list[list[frozenset[str] | None]] = [[]]
-        signs = {"^", "$", "..."}.intersection(text.split())
-        for part in text.split():
-            if part in signs:
-                continue
-            plain, optional = part.strip("!=?"), part[-1] == "?"
-            words = choices(plain)
-            if section in ("actions", "posing"):
-                known |= words
-            if part[0] == "!" and not variants[0]:
-                before = words
-            elif part[0] in "!=":
-                ahead = part[0] == "="
-                after.append(words | {""} if optional else words)
-            else:
-                ways: list[list[frozenset[str] | None]] = [[]] if optional else []
-                ways.append([None if plain == "*" else words])
-                ways += [list(map(frozenset, zip(word.split("_")))) for word in words if "_" in word]
-                variants = [[*row, *way] for row in variants for way in ways]
-        for row in variants:
-            alone = len(row) == 1 and not (before or after or signs)
-            first, last, gap = (sign in signs for sign in ("^", "$", "..."))
-            pattern = Pattern(section, name, tuple(row), before, tuple(after), ahead, first, last, gap, alone)
-            for word in row[0] or ():
-                index.setdefault(word, []).append(pattern)
-    return index, frozenset(known)
 
 
 _WORD = re.compile(r"[^\W_]+|[^\w\s'’-]")
@@ -242,10 +300,10 @@ def said_phrases(text: str) -> dict[str, dict[str, int]]:
     """The rows of each section of the lexicon that a text says, with the number of the word at which each begins."""
     phrases = lexicon().phrases
     words = words_of(text)[0]
-    found: dict[str, dict[str, int]] = {"actions": {}, "cues": {}, "traits": {}, "places": {}, "synonyms": {}}
+    found: dict[str, dict[str, int]] = {"actions": {}, "cues": {}, "traits": {}, "synonyms": {}}
     for start, word in enumerate(words):
         after = words[start + 1] if start + 1 < len(words) else ""
-        for phrase in phrases.get(word, ()):
+        for phrase in phrases.starting(word):
             if phrase.name in found[phrase.section]:
                 continue
             second = phrase.words[1] if len(phrase.words) > 1 else None
@@ -366,7 +424,7 @@ def in_known_words(text: str) -> str:
     words, spans = words_of(text)
     out, copied, index = "", 0, 0
     while index < len(words):
-        own = [phrase for phrase in table.phrases.get(words[index], ()) if phrase.section == "synonyms"]
+        own = [phrase for phrase in table.phrases.starting(words[index]) if phrase.section == "synonyms"]
         best = longest_pattern(own, words, index)
         if best is None:
             index += 1

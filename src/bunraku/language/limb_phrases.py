@@ -72,7 +72,7 @@ def phrases_of(words: Sequence[str]) -> list[Phrase]:
     found: list[Phrase] = []
     at, table = 0, lexicon().posing
     while at < len(words):
-        best = longest_pattern(table.get(words[at], ()), words, at)
+        best = longest_pattern(table.starting(words[at]), words, at)
         stop = at + 1 if best is None else best[1]
         kind = value = ""
         if words[at] == "like":

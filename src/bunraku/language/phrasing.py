@@ -128,8 +128,9 @@ def count_of(text: str) -> int | None:
 def body_stems() -> frozenset[str]:
     """Stems of words for parts of the body, but for those that are verbs: a spin is no spine."""
     named = [word for row in table()["parts"] for word in row["en"].split("/")]
-    words, verbs = {*named, *lexicon().grammar["body"]}, lexicon().lemmas
-    return frozenset(stem(word) for word in words if stem(word) == word or stem(word) not in verbs)
+    words, verbs = [*named, *lexicon().grammar["body"]], lexicon().lemmas
+    roots = zip(words, stems(words), strict=True)
+    return frozenset([root for word, root in roots if root == word or root not in verbs])
 
 
 @functools.lru_cache(maxsize=1024)
@@ -142,10 +143,8 @@ def _stems_of(texts: tuple[str, ...]) -> frozenset[str]:
 def _own(action: str) -> frozenset[str]:
     """Stems of the words that say an action."""
     words: set[str] = set()
-    for starting in lexicon().phrases.values():
-        for one in starting:
-            if one.section == "actions" and one.name == action:
-                words.update(*(part for part in one.words if part is not None))
+    for pattern in lexicon().phrases.of("actions", action):
+        words.update(*filter(None, pattern.words))
     return frozenset(stems(words))
 
 

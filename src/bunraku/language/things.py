@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -109,11 +109,17 @@ def things() -> Things:
     nouns: dict[str, Kind] = {}
     for name, row in data["kinds"].items():
         kinds[name] = kind = _kind(name, row, kinds.get(row.get("is", ""), Kind("")))
-        for noun, _, height in (said.partition("=") for said in row.get("nouns", "").split()):
-            nouns[noun.replace("_", " ")] = _as_high(kind, float(height)) if height else kind
+        for said in row.get("nouns", "").split():
+            noun, _, height = said.partition("=")
+            high = kind
+            if height:
+                head = kind.head + float(height) - kind.height if kind.head else 0.0
+                high = replace(kind, height=float(height), head=head)
+            nouns[noun.replace("_", " ")] = high
     gazes: dict[str, list[tuple[str, Gaze]]] = {}
     for name, row in data["sights"].items():
-        for noun, _, pitch in (said.partition("=") for said in row["nouns"].split()):
+        for said in row["nouns"].split():
+            noun, _, pitch = said.partition("=")
             seen = Gaze(float(pitch or row["pitch"]), row.get("sweep", 0.0), row.get("lean", 0.0))
             gazes.setdefault(noun.replace("_", " "), []).append((name, seen))
     grounds: dict[str, list[Ground]] = {}
@@ -124,33 +130,36 @@ def things() -> Things:
     for name, said in data["sight words"].items():
         for word in said.split():
             ways.setdefault(word, []).append(name)
-    verbs, walks, verb_grounds = (
-        {form: name for name, said in rows.items() for verb in said.split() for form in _forms(verb)}
-        for rows in (
-            data["verbs"], data["ground verbs"], {name: row.get("verbs", "") for name, row in data["grounds"].items()},
-        )
-    )  # fmt: skip
-    looks = {form: verb in data["seen"].split() for verb in data["sight verbs"].split() for form in _forms(verb)}
+    looks = _by_form({"": data["sight verbs"]})
+    seen_verbs = _by_form({"": data["seen"]})
     return Things(
-        nouns, verbs, data["defaults"], frozenset(data["parts"].split()), gazes, kinds["unknown"],
-        Gaze(float(data["sights"]["level"]["pitch"])), looks, ways, grounds, walks, verb_grounds,
+        nouns, _by_form(data["verbs"]), data["defaults"], frozenset(data["parts"].split()), gazes, kinds["unknown"],
+        Gaze(float(data["sights"]["level"]["pitch"])), {form: form in seen_verbs for form in looks}, ways, grounds,
+        _by_form(data["ground verbs"]),
+        _by_form({name: row.get("verbs", "") for name, row in data["grounds"].items()}),
         {name: frozenset(actions) for name, actions in data["actions"].items()},
     )  # fmt: skip
 
 
 def _kind(name: str, row: dict[str, Any], of: Kind) -> Kind:
     own = {key: row[key] for key in ("height", "head", "surface", "hands", "place") if key in row}
-    deeds = {what: deed for what, deed in (of.deeds | row.get("deeds", {})).items() if deed}
+    deeds = of.deeds | row.get("deeds", {})
+    for what, deed in row.get("deeds", {}).items():
+        if not deed:
+            del deeds[what]
     return replace(of, name=name, **own, deeds=deeds, going=of.going | row.get("going", {}), kinds=of.kinds | {name})
 
 
-def _as_high(kind: Kind, height: float) -> Kind:
-    return replace(kind, height=height, head=kind.head + height - kind.height if kind.head else 0.0)
-
-
-def _forms(verb: str) -> tuple[str, ...]:
-    """A verb, its third person, gerund and past; regular ones of a word that is a noun to the lexicon ("hands")."""
-    return (verb, *lexicon().verbs.get(verb, (f"{verb}s", f"{verb}ing", f"{verb}ed"))[:3])
+def _by_form(rows: Mapping[str, str]) -> dict[str, str]:
+    """The name of the row of each verb, for the verb, its third person, gerund and past; regular ones of a word that is
+    a noun to the lexicon ("hands").
+    """
+    found, verbs = {}, lexicon().verbs
+    for name, said in rows.items():
+        for verb in said.split():
+            for form in (verb, *verbs.get(verb, (f"{verb}s", f"{verb}ing", f"{verb}ed"))[:3]):
+                found[form] = name
+    return found
 
 
 def named_in(table: dict[str, Value], words: Sequence[str], among: range) -> list[Named[Value]]:

@@ -11,6 +11,7 @@ import functools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from bunraku.errors import OptionError
 from bunraku.language.interactions import interaction_of, thing_words
@@ -18,8 +19,10 @@ from bunraku.language.lexicon import in_known_words, lexicon
 from bunraku.language.lexicon import words_of as words_in
 from bunraku.language.prompts import check_prompt, narrow
 from bunraku.language.sentence import UnknownWord
-from bunraku.language.translation import Translation, translate
 from bunraku.language.vocabulary import FUNCTION_WORDS, corrected, nearest_sentences, says_action, words_of
+
+if TYPE_CHECKING:
+    from bunraku.language.translation import Translation
 
 __all__ = ["Understanding", "check_understood", "understood"]
 
@@ -75,11 +78,16 @@ def understood(prompt: str) -> Understanding:
     """
     check_prompt(prompt)
     plain = narrow(prompt)
-    translation = translate(plain)
-    if translation.concepts and interaction_of(plain) is None:  # "touches" is French, too
-        found = _foreign(plain, translation)
+    if plain.isascii() and {word.known for word in words_of(plain)} <= {True}:
+        found = _english(plain, "en")
     else:
-        found = _english(plain, "en" if translation.concepts else translation.language)
+        from bunraku.language.translation import translate  # five languages, which plain English needs not
+
+        translation = translate(plain)
+        if translation.concepts and interaction_of(plain) is None:  # "touches" is French, too
+            found = _foreign(plain, translation)
+        else:
+            found = _english(plain, "en" if translation.concepts else translation.language)
     denied, rest = _denied(found.english)
     if denied:
         found = replace(found, denied=denied, ok=found.ok and says_action(rest))
