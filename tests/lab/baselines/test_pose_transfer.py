@@ -15,11 +15,6 @@ from bunraku_lab.baselines.pose_transfer import (
     RiggedMesh,
     TransferTarget,
     copied_motion,
-    graph_of,
-    in_metres,
-    in_root_frame,
-    over_height,
-    part_transforms,
     rig_by_embedding,
     source_body,
     source_motion,
@@ -87,40 +82,6 @@ def test_a_mesh_without_a_surface_is_refused():
 QUARTER = matrix_from_axis_angle(np.array([0.0, 0, np.pi / 2]))
 
 
-def test_parts_by_hand():
-    """Two parts of four points: one turns a quarter about z, one goes up; a third has no vertices."""
-    square = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], np.float32)
-    rest = np.concatenate([square, square + 9])
-    posed = np.concatenate([(square - 0.5) @ QUARTER.T + 0.5, square + [9, 12, 9]])[None]
-    weights = np.repeat([[1.0, 0, 0], [0, 1, 0]], 4, axis=0)
-    centre = square.mean(axis=0)
-    found = part_transforms(rest, posed, weights)[0]
-    shift = QUARTER @ (centre - 0.5) + 0.5 - centre
-    np.testing.assert_allclose(found[0], [*shift, 0.5**0.5, 0, 0, 0.5**0.5], atol=1e-5)
-    np.testing.assert_allclose(found[1], [0, 3, 0, 1, 0, 0, 0], atol=1e-5)
-    np.testing.assert_allclose(found[2], [0, 0, 0, 1, 0, 0, 0], atol=1e-7)
-
-
-def test_a_pose_in_the_frame_of_the_root_is_the_pose_moved_back():
-    random = np.random.default_rng(0)
-    affine = np.concatenate(
-        [matrix_from_axis_angle(random.normal(size=(2, 3, 3))), random.normal(size=(2, 3, 3, 1))], axis=3
-    )
-    points = random.normal(size=(2, 5, 3))
-    own, back = in_root_frame(affine, points)
-    np.testing.assert_allclose(own[:, 0, :, :3], np.tile(np.eye(3), (2, 1, 1)), atol=1e-6)
-    np.testing.assert_allclose(own[:, 0, :, 3], 0, atol=1e-6)
-    again = np.einsum("pab,pmb->pma", affine[:, 0, :, :3], back) + affine[:, :1, :, 3]
-    np.testing.assert_allclose(again, points, atol=1e-5)
-    origin, height = np.array([0.1, 0.2, 0.3]), 1.7
-    np.testing.assert_allclose(in_metres(over_height(affine, origin, height), origin, height), affine, atol=1e-5)
-    point = np.array([0.4, 0.5, 0.6])  # over the height it goes where it goes in metres
-    there = affine[0, 1, :, :3] @ point + affine[0, 1, :, 3]
-    small = over_height(affine, origin, height)[0, 1]
-    np.testing.assert_allclose(small[:, :3] @ ((point - origin) / height) + small[:, 3], (there - origin) / height,
-                               atol=1e-5)  # fmt: skip
-
-
 def test_the_source_turns_as_the_reference_body():
     """A character that rests in the body's own T-pose hands its turns over; the root's are taken out."""
     turns = np.tile(np.eye(3), (1, JOINT_COUNT, 1, 1))
@@ -185,19 +146,6 @@ def test_a_target_with_lowered_arms_is_moved_from_its_own_rest(dancer):
     gap = np.linalg.norm(target.with_joints(own, joints) - np.asarray(skin(rest, body.joint_weights, own)), axis=2)
     away = np.linalg.norm(truth - rest, axis=2).mean(axis=1)
     assert (gap.mean(axis=1) < 0.25 * away).all()
-
-
-def test_tied_parts_go_with_the_joints(dancer):
-    """With nothing but tied parts, it is linear blend skinning by the joints, however the body faces."""
-    body, affine, _ = dancer
-    turned = np.einsum("ab,njbc->njac", matrix_from_axis_angle(np.array([0, 1.0, 0])), affine)
-    torch.manual_seed(0)
-    network = TransferNetwork(TransferConfig(parts=22, predictor=True, tied=22, levels=(4,), code=3)).eval()
-    target = TransferTarget.of(body.vertices, body.faces, None, body.joints[0], network)
-    with torch.no_grad():
-        weights = target.network.push(network.weights(graph_of([target.mesh])).numpy())
-    wanted = np.asarray(skin(body.vertices, weights / weights.sum(axis=1, keepdims=True), turned))
-    np.testing.assert_allclose(target.with_joints(turned, body.joints), wanted, atol=1e-4)
 
 
 def test_a_motion_travels_with_its_root():

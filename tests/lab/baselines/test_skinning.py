@@ -8,7 +8,6 @@ from scipy.sparse.csgraph import connected_components
 from bunraku.core.body.reference import reference_body
 from bunraku_lab.baselines.skinning import (
     Template,
-    bone_distances,
     bone_heat,
     cluster_vertices,
     cotangent_laplacian,
@@ -17,12 +16,8 @@ from bunraku_lab.baselines.skinning import (
     embedded_human,
     geodesic_clusters,
     geodesic_graph,
-    human_template,
-    sphere_centres,
-    surface_samples,
     volume_of,
 )
-from bunraku_lab.synthetic.samples import make_sample
 
 
 def test_clusters_are_connected_and_not_empty():
@@ -50,21 +45,6 @@ def test_clusters_do_not_jump_over_gaps():
     assert not set(weights[upper & (side == 0)].argmax(1)) & set(weights[upper & (side == 1)].argmax(1))
 
 
-def test_weights_are_hard_and_the_same_every_time():
-    dog = make_sample("dog", detail=0.5)
-    weights = geodesic_clusters(dog.vertices, dog.faces)
-    assert weights.shape == (len(dog.vertices), 30) and set(np.unique(weights)) == {0, 1}
-    np.testing.assert_array_equal(weights.sum(axis=1), 1)
-    assert (weights.sum(axis=0) > 0).all()
-    np.testing.assert_array_equal(weights, geodesic_clusters(dog.vertices, dog.faces))
-
-
-def test_more_clusters_than_vertices_leave_some_empty():
-    box = trimesh.creation.box()
-    weights = geodesic_clusters(box.vertices, box.faces, 30)
-    assert weights.shape == (8, 30) and (weights.sum(axis=1) == 1).all() and len(set(weights.argmax(1))) == 8
-
-
 def test_the_volume_of_a_ball_is_its_depth():
     ball = trimesh.creation.icosphere(4, 0.5)
     volume = volume_of(ball.vertices, ball.faces, 32)
@@ -72,25 +52,6 @@ def test_the_volume_of_a_ball_is_its_depth():
     np.testing.assert_allclose(volume.at(points), 0.5 - np.linalg.norm(points, axis=1), atol=0.02)
     least = volume.shallowest(np.array([-0.3, 0.0, 0]), np.array([0.42, 0.0, 0]), 11)
     np.testing.assert_allclose(least, 0.5 - 0.36, atol=0.03)  # the last of 11 places
-
-
-def test_samples_are_spread_by_area():
-    box = trimesh.creation.box((1, 2, 4))
-    points = surface_samples(box.vertices, box.faces, 14_000)
-    on_large = np.abs(np.abs(points[:, 0]) - 0.5) < 1e-9
-    assert on_large.mean() == pytest.approx(16 / 28, abs=0.02)
-
-
-def test_spheres_are_inside_and_apart():
-    body = reference_body()
-    volume = volume_of(body.vertices, body.faces)
-    centres, radii = sphere_centres(volume)
-    assert (volume.at(centres) > 0).all() and (np.diff(radii) <= 1e-12).all()
-    gaps = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
-    assert (
-        gaps[np.triu_indices(len(centres), 1)]
-        > np.broadcast_to(radii[:, None], gaps.shape)[np.triu_indices(len(centres), 1)] * 0.999
-    ).all()
 
 
 def test_a_chain_finds_its_place_in_a_bent_pipe():
@@ -121,16 +82,6 @@ def test_the_joints_of_the_body_are_found(shape):
     off = np.linalg.norm(skeleton.points[:22] - body.joints, axis=1) / height
     assert off.mean() < 0.06 and off.max() < 0.15
     assert (volume.at(skeleton.points) > -0.02 * height).mean() > 0.9
-
-
-def test_the_template_is_a_tree_of_height_one():
-    template = human_template()
-    assert template.joints == 22 and len(template.points) == 27
-    assert (template.parents[1:] < np.arange(1, 27)).all() and template.parents[0] == -1
-    assert 0.9 < np.ptp(template.points[:, 1]) <= 1 and np.isfinite(template.points).all()
-    left = template.points[template.sides > 0]
-    right = template.points[template.sides < 0]
-    np.testing.assert_allclose(left * [-1, 1, 1], right, atol=0.02)
 
 
 def cylinder() -> trimesh.Trimesh:
@@ -165,12 +116,6 @@ def test_the_laplacian_is_that_of_a_grid():
     np.testing.assert_allclose(matrix[5, [1, 9, 4, 6, 5]], [-1, -1, -1, -1, 4], atol=1e-4)
 
 
-def test_distances_to_bones_by_hand():
-    distance, nearest = bone_distances(np.array([[0.5, 1.0, 0], [3, 0, 4]]), np.zeros((1, 3)), np.array([[1.0, 0, 0]]))
-    np.testing.assert_allclose(distance[:, 0], [1, np.sqrt(20)])
-    np.testing.assert_allclose(nearest[:, 0], [[0.5, 0, 0], [1, 0, 0]])
-
-
 def test_two_bones_share_a_cylinder():
     mesh = cylinder()
     weights = bone_heat(mesh.vertices, mesh.faces, *BONES, [0, 1], volume_of(mesh.vertices, mesh.faces))
@@ -197,13 +142,6 @@ def test_a_hidden_bone_gives_no_heat():
     blind = bone_heat(both.vertices, both.faces, starts, ends, [0, 1])
     low = (both.vertices[:, 0] < 0.1) & (both.vertices[:, 1] < -0.2)
     assert seen[low, 0].mean() > 2 * blind[low, 0].mean() > 0  # what the other bone has there came over the bridges
-
-
-def test_bones_of_one_joint_are_one_source():
-    mesh = cylinder()
-    starts, ends = np.concatenate([BONES[0], BONES[0][1:]]), np.concatenate([BONES[1], BONES[1][1:]])
-    twice = bone_heat(mesh.vertices, mesh.faces, starts, ends, [0, 1, 1])
-    np.testing.assert_allclose(twice, bone_heat(mesh.vertices, mesh.faces, *BONES, [0, 1]), atol=1e-6)
 
 
 def test_the_body_gets_the_parts_of_a_body():

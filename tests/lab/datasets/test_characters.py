@@ -1,7 +1,6 @@
 """Rigged characters as training data, also of RigNet."""
 
 import gzip
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from bunraku_lab.datasets.characters.build import (
     build_characters,
     load_characters,
     load_rigged,
-    reference_characters,
     rigged_files,
     training_character,
 )
@@ -58,13 +56,6 @@ def test_characters_without_rigs_and_empty_folders(tmp_path):
         build_characters(tmp_path, tmp_path / "cache")
 
 
-def test_reference_shapes():
-    shapes = reference_characters(mesh_vertices=300)
-    assert len(shapes) > 3
-    for shape in shapes[:2]:
-        np.testing.assert_allclose(shape.target.sum(1), 1, atol=1e-3)
-
-
 def test_variants_of_held_out_characters_are_neither_trained_on_nor_validated_twice(tmp_path):
     built = training_character(reference_body().character(), "x", mesh_vertices=300)
     for name in (HELD_OUT[0], HELD_OUT[0] + "~posed", "pack/free", "pack/free~posed"):
@@ -73,30 +64,6 @@ def test_variants_of_held_out_characters_are_neither_trained_on_nor_validated_tw
         replace(built, name=name).save(path)
     train, held = load_characters(tmp_path)
     assert [c.name for c in train] == ["pack/free", "pack/free~posed"] and [c.name for c in held] == [HELD_OUT[0]]
-
-
-def test_archive(tmp_path):
-    folder = Path(os.environ.get("BUNRAKU_DATA", "../shared/data")) / "characters"
-    file = folder / "kaykit" / "Knight.glb"
-    if not file.is_file():
-        pytest.skip("the character archive is not unpacked under BUNRAKU_DATA")
-    small = tmp_path / "in" / "kaykit"
-    small.mkdir(parents=True)
-    (small / "Knight.glb").write_bytes(file.read_bytes())
-    (small / "Broken.glb").write_bytes(b"glTF broken")
-    done, failed = build_characters(tmp_path / "in", tmp_path / "cache", 600)
-    assert [d.stem for d in done if d.parent.name == "kaykit"] == [
-        "Knight",
-        "Knight~coarse",
-        "Knight~fine",
-        "Knight~posed",
-    ]
-    assert set(failed) == {"kaykit/Broken"}
-    sizes = [len(TrainingCharacter.load(d).vertices) for d in done[:4]]
-    assert sizes[1] < sizes[0] < sizes[2]
-    assert sorted(d.stem for d in done if d.parent.name == "samples") == sorted(sample_names())
-    assert len(HELD_OUT) == 32
-    assert sum(name.startswith("mesh2motion/") for name in HELD_OUT) == 2
 
 
 DATA = Path(__file__).parents[2] / "files" / "data"
@@ -200,17 +167,6 @@ def test_layouts(tmp_path, layout):
     ]  # fmt: skip
     assert np.allclose(rig.dense_weights(), expected)
     assert character.source.suffix == ".obj"  # what is written keeps the OBJ's materials and UVs
-
-
-def test_an_obj_alone_has_no_rig(tmp_path):
-    mesh, text = put(tmp_path, "beside")
-    text.rename(tmp_path / "other_rig.txt")
-    assert load_rigged(mesh).rig is None
-
-
-def test_vertices_without_a_line_take_the_weights_of_their_neighbours(tmp_path):
-    mesh, _ = put(tmp_path, "beside", RIG.replace("skin 2 hips 1.0\n", ""))
-    assert np.allclose(load_rigged(mesh).rig.dense_weights()[2], [0.5, 0.5, 0])
 
 
 @pytest.mark.parametrize(("old", "new", "match"), [

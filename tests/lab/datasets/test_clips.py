@@ -15,18 +15,15 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
 from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint
-from bunraku.errors import FormatError, OptionError
+from bunraku.errors import FormatError
 from bunraku.generation.features import body_handle_motion
-from bunraku_lab.datasets.motions.build import between_held_poses, checked, clip_weight
+from bunraku_lab.datasets.motions.build import between_held_poses, checked
 from bunraku_lab.datasets.motions.clips import (
     KIND,
     Stretch,
     credit_lines,
-    load_clip,
     load_watched,
     pack_motion,
-    read_bundle,
-    source_of,
     subject_of,
     unpack_motion,
     write_bundle,
@@ -115,21 +112,6 @@ def test_training_reads_a_bundle_as_it_reads_the_folder(folder, bank, tmp_path):
     assert other.humanoid.tolist() == [2]
 
 
-def test_only_people_lose_what_is_no_joint(folder, tmp_path):
-    path = tmp_path / "bundle.safetensors"
-    facts = write_bundle(folder, path)
-    found = read_bundle(path)
-    assert {name: entry["form"] for name, entry in found.clips.items()} == {
-        "dog": "handles", "sway_0": "skeleton", "sway_1": "skeleton", "sway_2": "skeleton",
-    }  # fmt: skip
-    assert apart(found.motion("dog"), load_clip(folder / "dog.npz")) < 0.004
-    joints = body_handle_motion(skeleton_from_handles(load_clip(folder / "sway_1.npz"), rounds=1))
-    assert apart(found.motion("sway_1"), joints) < 0.006 and 0.001 < facts.error < facts.largest
-    assert found.meshes is None
-    with pytest.raises(OptionError, match="skeleton, handles"):
-        write_bundle(folder, path, people="bones")
-
-
 def test_damaged_bundles_are_named(folder, bank, tmp_path):
     path = tmp_path / "bundle.safetensors"
     write_bundle(folder, path, bank)
@@ -184,24 +166,11 @@ def test_the_command_says_what_it_costs(folder, bank, tmp_path, capsys):
     assert main(["data", "bundle", "--data", str(folder), "-o", str(tmp_path / "bundle.npz")]) == 2
 
 
-def test_the_longest_prefix_tells_the_source():
-    assert source_of("accad_m2_Kick").weight > source_of("accad_m1_Walk").weight == 1.0
-    assert source_of("cmux_backflip").credit == source_of("cmu_02_01").credit
-    assert source_of("turn_snu_Walk05").licence == source_of("snu_Walk05").licence
-    assert source_of("nobody_knows") is None
-
-
 def test_subjects():
     names = ("cmu_07_11", "accad_f_A01_Stand", "accad_m1_Walk2", "accad_m2_E5", "snu_WalkSad05", "nobody_knows7")
     assert [subject_of(name) for name in names] == [
         "cmu_07", "accad_f", "accad_m1", "accad_m2", "snu_WalkSad", "nobody_knows",
     ]  # fmt: skip
-
-
-def test_weights_are_those_of_the_table_and_half_for_part_of_a_take():
-    assert clip_weight("kk_Idle", []) == clip_weight("kkm_Wave", []) == pytest.approx(0.4)
-    assert clip_weight("cmu_01_01", []) == 1.0 and clip_weight("cmu_01_01", ["partial take"]) == 0.5
-    assert clip_weight("nobody_knows", []) == 1.0
 
 
 def test_each_source_is_credited_once():
@@ -243,15 +212,6 @@ def test_what_is_held_at_the_ends_of_a_take_is_left_out():
     still = checked(Stretch(0, 30, ("stands",)), motion, np.zeros(130), (start, stop))
     assert still["fault"] == "nothing but a pose that is held"
     assert between_held_poses(take(np.zeros(50))) == (45, 5)
-
-
-def test_a_t_pose_in_the_middle_is_a_fault():
-    motion = take(np.concatenate([np.full(20, 90.0), np.zeros(6), np.full(20, 90.0)]))
-    stretch = Stretch(0, 46, ("a person walks",), note="T-pose in the middle")
-    assert checked(stretch, motion, np.zeros(46))["fault"] == "a T-pose in the middle"
-    assert "fault" not in checked(Stretch(0, 46, ("a person walks",)), motion, np.zeros(46))
-    ends = checked(Stretch(20, 46, ("a person walks",), note="T-pose at the start"), motion, np.zeros(46))
-    assert ends["start"] == 26 and "fault" not in ends
 
 
 def write(folder, clips):

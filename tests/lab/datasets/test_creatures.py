@@ -24,7 +24,6 @@ from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.datasets.motions.creatures import (
     HELD_OUT_SPECIES,
     add_creatures,
-    add_game_clips,
     clip_vertices,
     creature_body,
     creature_clips,
@@ -33,7 +32,6 @@ from bunraku_lab.datasets.motions.creatures import (
     played_on,
     reference_clip,
     reference_motion,
-    with_travel,
 )
 from bunraku_lab.synthetic.samples import make_sample
 
@@ -58,35 +56,11 @@ def test_labels_become_actions_and_sentences():
     assert not creature_clips("quaternius2019/Male_Casual", ["Man_Walk"])  # people walk in motion capture
 
 
-def test_the_table_speaks_the_words_of_captions():
-    words = json.loads(resources.files("bunraku.language").joinpath("creature_captions.json").read_text("utf-8"))
-    known = set(words["actions"]) | {"spell", "aim", "block", "reload"}  # these only people do
-    assert {entry["action"] for entry in TABLE["labels"].values()} <= known
-    assert all(entry["phrases"] for entry in TABLE["labels"].values())
-    assert set(HELD_OUT_SPECIES) <= {entry["species"][0] for entry in TABLE["characters"].values()}
-
-
 def watched_phrases():
     """(character, label, phrases) of every clip that was watched."""
     for file, known in TABLE["characters"].items():
         for label, phrases in known.get("watched", {}).items():
             yield file, label, phrases
-
-
-def test_what_was_watched_takes_the_place_of_the_labels_words():
-    (attack, other) = creature_clips("quaternius2019/Bat", ["Bat_Attack", "Bat_Attack2"])
-    assert attack.action == other.action == "attack" and not set(attack.texts) & set(other.texts)
-    assert attack.texts[0].startswith("a bat leans forward, folds its wings and spins")
-    assert not any("in another way" in text for text in other.texts)
-    (stegosaurus,) = creature_clips("quaternius/dinosaurs_pack/Apatosaurus", ["Stegosaurus_Death"])
-    assert "left side" in stegosaurus.texts[0] and stegosaurus.texts[0].startswith(
-        "an apatosaurus raises its long neck"
-    )
-    (white,) = creature_clips("quaternius/animals_pack/Horse_White", ["Walk"])  # a recoloured horse with its clips
-    assert "a horse walks on all fours with even steps" in white.texts
-    (unwatched,) = creature_clips("quaternius/cyberpunk_pack/Enemy_Flying", ["Shoot"])
-    assert "a drone fires a gun" in unwatched.texts
-    assert not creature_clips("quaternius2019/Eagle", ["Eagle|Idle"])
 
 
 def test_watched_labels_are_in_the_table_and_say_something():
@@ -227,23 +201,6 @@ def test_standing_feet_tell_the_speed(speed):
     assert forward_speed(walker(speed), np.ones(9, bool), 1.0, 20.0) == pytest.approx(speed, rel=0.05)
 
 
-def test_who_stands_or_floats_has_no_speed():
-    assert forward_speed(walker(0.0), np.ones(9, bool), 1.0, 20.0) == 0
-    assert forward_speed(walker(-1.0), np.ones(9, bool), 1.0, 20.0) == 0
-    assert forward_speed(np.zeros((1, 9, 3)), np.ones(9, bool), 1.0, 20.0) == 0
-
-
-def test_travel_is_added_once():
-    frames = 11
-    still = HandleMotion(
-        np.zeros((frames, 2, 3)), np.broadcast_to(np.eye(3), (frames, 2, 3, 3)), np.zeros((frames, 3)),
-        np.broadcast_to(np.eye(3), (frames, 3, 3)),
-    )  # fmt: skip
-    moved = with_travel(still, 2.0)
-    assert moved.root_translation[-1].tolist() == pytest.approx([0, 0, 1.0])
-    assert with_travel(moved, 2.0) is moved and with_travel(still, 0.0) is still
-
-
 def turning(frames, end):
     """A handle that turns from 0 to `end` and moves on by 0.1 m a frame."""
     from scipy.spatial.transform import Rotation
@@ -300,11 +257,3 @@ def test_a_raised_arm_is_raised_on_the_reference_body(side, other):
     assert rise == pytest.approx(arm * np.sin(np.radians(70)), rel=0.3)
     assert abs(posed[-1, idle, 1].mean() - posed[0, idle, 1].mean()) < 0.05
     assert np.abs(posed[..., 1].min(axis=1)).max() < 0.03
-
-
-def test_what_game_clips_lack_is_said(tmp_path):
-    with pytest.raises(FormatError, match="no index"):
-        add_game_clips(tmp_path, tmp_path)
-    (tmp_path / "index.json").write_text(json.dumps({"clips": {}}))
-    with pytest.raises(FormatError, match="none of the known characters"):
-        add_game_clips(tmp_path, tmp_path)

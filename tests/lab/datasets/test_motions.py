@@ -22,7 +22,6 @@ from bunraku_lab.datasets.motions.build import (
     MotionArchive,
     add_turns,
     build_motions,
-    find_turn,
     floor_height,
     level_feet,
     posture_fault,
@@ -30,7 +29,6 @@ from bunraku_lab.datasets.motions.build import (
     split_of,
     standing_foot_pitch,
     subject_pitches,
-    unrolled,
 )
 from bunraku_lab.datasets.motions.clips import load_clip, write_clip
 
@@ -204,12 +202,6 @@ def test_what_hovers_comes_down_and_what_jumps_stays_up():
     assert settled[100:110].max() == pytest.approx(0.5, abs=0.04)
 
 
-def test_what_climbs_keeps_its_height():
-    lowest = steps(200) + np.linspace(0, 1.5, 200)
-    assert np.ptp(floor_height(lowest, FPS)) == 0
-    assert floor_height(np.full(50, 0.7), FPS).max() == 0  # high up for good: it hangs
-
-
 @pytest.mark.parametrize(
     ("texts", "height", "lowest", "words"),
     [
@@ -253,36 +245,12 @@ def test_a_rolled_leg_is_found_and_only_that():
     assert rolled_limbs(squats(True)) == ["right_knee"]
 
 
-def test_places_stay_and_the_knee_bends_back():
-    before = squats(True)
-    after = unrolled(before)
-    np.testing.assert_allclose(after.world()[1], before.world()[1], atol=1e-5)
-    assert rolled_limbs(after) == []
-
-
-def test_a_sound_motion_is_the_same_object():
-    sound = squats(False)
-    assert unrolled(sound) is sound
-
-
 def walker(degrees, frames=160, radius=0.0):
     """Stands for 40 frames, turns within 40, stands again; or walks a circle while turning."""
     angle = np.radians(degrees) * np.clip((np.arange(frames) - 40) / 40, 0, 1)
     path = radius * np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
     still = np.broadcast_to(np.eye(3), (frames, 30, 3, 3))
     return HandleMotion(np.zeros((frames, 30, 3)), still, path, matrix_y(angle), 20.0)
-
-
-@pytest.mark.parametrize("degrees", [170, -170])
-def test_a_turn_is_found_with_its_direction(degrees):
-    start, stop, change = find_turn(walker(degrees))
-    assert start <= 45 and stop >= 75 and change == pytest.approx(np.radians(degrees), abs=0.4)
-
-
-def test_what_is_no_turn_on_the_spot():
-    assert find_turn(walker(60)) is None
-    assert find_turn(walker(170, radius=2.0)) is None
-    assert find_turn(walker(170, frames=45)) is None
 
 
 def test_turns_join_the_index_with_their_direction(tmp_path):

@@ -159,13 +159,6 @@ def test_takes_join_an_index(tmp_path):
     assert (out / "humanml3d_000001.npz").stat().st_mtime_ns == stamp and len(load_index(out)) == 3
 
 
-def test_amass_alone_is_named_by_its_takes(tmp_path):
-    takes = {take.name: take for take in amass_takes(amass(tmp_path / "a"))}
-    assert takes["amass_KIT_3_bend_down02_poses"].texts == ("bend down",)
-    assert takes["amass_MPI_HDM05_bk_01_01_poses"].texts == ()
-    assert len(takes) == 2
-
-
 def test_amass_with_the_captions_and_spans_of_humanml3d(tmp_path):
     captions, sets = humanml3d(tmp_path / "h"), amass(tmp_path / "a")
     rows = ["source_path,start_frame,end_frame,new_name"]
@@ -206,10 +199,6 @@ def test_positions_of_a_bent_body_bend_it_alike():
     assert np.abs(found.world()[1] - positions).max() < 1e-4
     turned = found.world()[0][:, 15] @ np.swapaxes(found.world()[0][:1, 15], -1, -2)
     assert np.degrees(Rotation.from_matrix(turned[-1]).magnitude()) == pytest.approx(np.degrees(0.8), abs=3)
-
-
-def test_the_command_takes_both_folders():
-    assert {"humanml3d", "amass"} <= set(Motions.__dataclass_fields__)
 
 
 def test_captions_with_spans(tmp_path):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from moving_people import FPS, kick, person, ramp
 
-from bunraku.core.motion import HandleMotion
 from bunraku.generation.agreement import Phrase, Track, runs
 from bunraku.generation.features import decode, encode, mirror
 from bunraku.language.captions import conjugate, mirror_words
@@ -65,12 +64,6 @@ def test_turns_with_their_side_and_amount(degrees, words):
     assert said(motion) == ([words] if words else [])
 
 
-def test_amounts_are_told_in_words_too():
-    (phrase,) = [one for one in describe(person(80, heading=ramp(80, 30, 50, np.pi / 2))) if one.kind == "turn"]
-    assert "{make} a quarter turn to the left" in phrase.texts and "{turn} on the spot to the left" in phrase.texts
-    assert 26 <= phrase.start <= 34 and 46 <= phrase.stop <= 54
-
-
 @pytest.mark.parametrize(("sign", "side", "clock"), [(1, "left", "counterclockwise"), (-1, "right", "clockwise")])
 def test_a_circle_and_a_part_of_it(sign, side, clock):
     heading = sign * np.linspace(0, 2 * np.pi, 160)
@@ -99,17 +92,6 @@ def test_jumps_are_counted(count, often):
     phrases = describe(motion)
     assert [phrase.kind for phrase in phrases].count("jump") == count
     assert f"jumps{often}" in " ".join(sentences(phrases, 0, len(motion)))
-
-
-def test_high_and_forward_jumps():
-    lift, height = jumps([20], top=0.5)
-    assert said(person(50, lift=lift, height=height)) == ["{jump} high"]
-    lift, height = jumps([20])
-    ahead = np.where((np.arange(50) >= 20) & (np.arange(50) < 31), 1.6, 0.0)
-    assert said(person(50, ahead, lift=lift, height=height)) == ["{jump} forward"]
-    assert said(person(50, ahead, course=np.pi / 2, lift=lift, height=height)) == ["{jump} to the left"]
-    # stairs lift the body too, but it does not fall
-    assert said(person(50, lift=ramp(50, 20, 40, 0.4))) == []
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -155,16 +137,6 @@ def test_creatures_get_directions_and_turns_only():
     assert said(person(50, lift=lift, height=height), human=False) == []
     assert said(person(60, 3.0, steps=0.45), human=False) == ["{move} forward"]
     assert said(person(100, heading=ramp(100, 30, 50, -np.pi / 2)), human=False) == ["{turn} right"]
-
-
-def test_bodies_that_lie_or_stand_still():
-    (still,) = describe(person(60))
-    assert still.kind == "still" and sentences([still], 0, 60)[0] == "stands still"
-    tilt = np.stack([np.eye(3)[[0, 2, 1]] * [[1], [-1], [1]]] * 60)  # on its back
-    lying = person(60, 0.6, height=np.full(60, -0.8))
-    motion = HandleMotion(lying.translations, lying.rotations, lying.root_translation, tilt, FPS)
-    assert said(motion) == []
-    assert describe(person(5)) == []
 
 
 def mirrored_pairs(motion):

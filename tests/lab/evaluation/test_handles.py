@@ -1,9 +1,7 @@
 """The evaluation of handles: subjects, rest poses, rigid blocks, the table."""
 
 import json
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,22 +9,21 @@ import trimesh
 
 from bunraku.anatomy.handles.orientation import resolve_axes
 from bunraku.cli import main
-from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.body.layout import JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.axes import ORIENTATIONS, upright_rotation
 from bunraku.core.nn.checkpoints import shipped_checkpoint
-from bunraku.errors import CharacterError, FormatError, OptionError, WeightsError
+from bunraku.errors import CharacterError, FormatError, WeightsError
 from bunraku.files import save_character
 from bunraku.retarget.fit import Stages
-from bunraku_lab.datasets.characters.build import HELD_OUT
 from bunraku_lab.datasets.characters.training_character import (
     TrainingCharacter,
     forward_kinematics,
     handle_target,
     random_pose,
 )
-from bunraku_lab.evaluation.handles.blocks import block_joints, block_motion
+from bunraku_lab.evaluation.handles.blocks import block_motion
 from bunraku_lab.evaluation.handles.measures import carried
 from bunraku_lab.evaluation.handles.rest_poses import (
     REST_POSES,
@@ -34,21 +31,17 @@ from bunraku_lab.evaluation.handles.rest_poses import (
     limb_directions,
     posed_limbs,
     rest_pose_transfer,
-    true_handles,
 )
 from bunraku_lab.evaluation.handles.subjects import ARCHIVE, AVATARS, WARDROBE, detailed_subjects, find_files, subject
 from bunraku_lab.evaluation.handles.table import (
     BARS,
     Reference,
-    code_made_subjects,
     evaluate_handles,
     folder_subjects,
     measure_orientation,
     measure_subject,
-    prediction_seconds,
     resolution_differences,
 )
-from bunraku_lab.synthetic.families import EVALUATION_SEED
 from bunraku_lab.synthetic.samples import make_sample
 
 needs_weights = pytest.mark.skipif(
@@ -204,48 +197,6 @@ def test_the_table_as_a_whole(table):
     assert {key: first[key] for key in first.keys() - drawn} == {key: second[key] for key in first.keys() - drawn}
 
 
-@needs_weights
-def test_processes_give_the_same_table(table):
-    result, _, loads = table
-    names = {name: load for name, load in loads.items() if name != "kaykit/Other"}
-    shared = evaluate_handles(names, baselines=False, speed=False, jobs=2)
-    assert list(shared["left_out"]) == list(result["left_out"]) == ["plain"]
-    alone = {row["name"]: row for row in result["characters"]}
-    for row in shared["characters"]:
-        numbers = {key: value for key, value in row.items() if isinstance(value, float)}
-        other = alone[row["name"]]
-        assert len(numbers) > 5 and {key: other[key] for key in numbers} == pytest.approx(numbers, abs=1e-3)
-    assert [row["name"] for row in shared["characters"]] == ["kaykit/Rogue_Hooded"]
-
-
-def test_nothing_to_measure_is_said(tmp_path):
-    save_character(make_sample("mushroom", 0.3), tmp_path / "plain.glb")
-    if shipped_checkpoint("handles").is_file():
-        with pytest.raises(OptionError, match="no rig"):
-            evaluate_handles(folder_subjects(tmp_path), speed=False)
-
-
-def test_predictions_are_timed():
-    assert 0 < prediction_seconds(1_000, guessing, 2) < 5
-
-
-def test_code_made_characters_are_of_seeds_that_nothing_trains_on():
-    loads = code_made_subjects()
-    assert len(loads) == 30 and all(int(name.rsplit("_", 1)[1]) >= EVALUATION_SEED for name in loads)
-    name, load = next(iter(loads.items()))
-    first = load()
-    assert first.name == name and first.humanoid
-    assert first.truth.weights.shape[1] == len(first.truth.joints) and first.truth.target.shape[1] == len(HANDLE_NAMES)
-
-
-DATA = Path(os.environ.get("BUNRAKU_DATA", "runs/data"))
-
-
-def test_there_are_twenty_and_those_of_the_archive_are_held_out():
-    assert len(ARCHIVE) + len(AVATARS) + len(WARDROBE) == len({*ARCHIVE, *AVATARS, *WARDROBE}) == 20
-    assert set(ARCHIVE) < set(HELD_OUT)
-
-
 def test_files_that_are_not_there_are_left_out(tmp_path):
     (tmp_path / "valid").mkdir()
     (tmp_path / f"{ARCHIVE[-1]}.glb").write_bytes(b"")
@@ -253,19 +204,6 @@ def test_files_that_are_not_there_are_left_out(tmp_path):
     (tmp_path / AVATARS[1]).write_bytes(b"")
     assert list(detailed_subjects(tmp_path, tmp_path))[:2] == [ARCHIVE[-1], "Gene"]
     assert list(detailed_subjects()) == [f"wardrobe/{seed}" for seed in WARDROBE]
-
-
-def test_a_person_of_the_wardrobe_has_the_truth_of_its_rig():
-    one = detailed_subjects()[f"wardrobe/{WARDROBE[0]}"]()
-    assert one.humanoid and one.character.rig is None
-    assert one.truth.weights.shape == (len(one.character.vertices), len(one.truth.joints))
-
-
-@pytest.mark.skipif(not (DATA / "apparel").is_dir(), reason="the avatars are not there")
-def test_avatars_are_found_in_a_folder_of_them():
-    loads = detailed_subjects(avatars=DATA / "apparel")
-    assert len(loads) == len(AVATARS) + len(WARDROBE)
-    assert loads["Gene"]().humanoid
 
 
 J = {name: index for index, name in enumerate(JOINT_NAMES)}
@@ -308,27 +246,6 @@ def test_limbs_point_where_the_pose_says(pose, seed):
     np.testing.assert_allclose(positions[: J["left_hip"]], figure.joints[: J["left_hip"]], atol=1e-5)  # the root rests
 
 
-def test_the_body_in_t_pose_stays_nearly_as_it_is():
-    body = reference_body()
-    figure = TrainingCharacter(
-        "body", body.vertices, np.zeros((0, 3)), np.ones(len(body.vertices)), np.zeros((0, 2)), body.joint_weights,
-        np.asarray(body.joints, float),
-        np.array(JOINT_PARENTS), np.arange(22), body.handle_weights, body.joints[0], 1.7,
-    )  # fmt: skip
-    assert np.linalg.norm(posed_limbs(figure, "T") - body.vertices, axis=1).max() < 0.12
-    seated, low = posed_limbs(figure, "sitting"), posed_limbs(figure, "arms down")
-    assert np.ptp(seated[:, 1]) < 0.85 * np.ptp(body.vertices[:, 1]) and np.ptp(seated[:, 2]) > 1.5 * np.ptp(
-        body.vertices[:, 2]
-    )
-    assert np.ptp(low[:, 0]) < 0.6 * np.ptp(body.vertices[:, 0])
-
-
-def test_a_rig_without_limbs_is_left_alone():
-    figure = stick_figure()
-    bare = TrainingCharacter(**{**vars(figure), "handles": np.full(22, -1)})
-    np.testing.assert_allclose(posed_limbs(bare, "sitting"), figure.vertices, atol=1e-6)
-
-
 def test_the_rest_pose_does_not_show_in_the_animation():
     people = [
         subject(make_sample("person", 0.3, rigged=True), "person"),
@@ -340,14 +257,6 @@ def test_the_rest_pose_does_not_show_in_the_animation():
     assert {"A", "arms down", "sitting", "crouching"} <= set(result) and result["A"] < 0.01
     without = rest_pose_transfer(people[1:], {"wave": motions["wave"]}, stages=Stages(rest_pose=False))
     assert without["mean"] > 3 * result["mean"]
-
-
-def test_posed_limbs_and_true_handles_agree_on_the_parts():
-    one = subject(make_sample("person", 0.3, rigged=True), "person")
-    sitting = posed_limbs(one.truth, "sitting")
-    handles = true_handles(one, sitting)
-    thigh, pelvis = (handles.positions[HANDLE_NAMES.index(name)] for name in ("left_hip", "pelvis"))
-    assert thigh[2] - pelvis[2] > 0.05 * one.height and np.allclose(handles.weights.sum(axis=1), 1, atol=1e-4)
 
 
 def boxes():
@@ -369,31 +278,11 @@ def test_a_gap_is_how_far_blocks_come_apart():
     assert found.shear < 1e-6
 
 
-def test_a_turn_about_the_contact_opens_nothing_and_a_bend_is_shear():
-    character, label = boxes()
-    posed = np.tile(character.vertices, (2, 1, 1)).astype(np.float64)
-    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    pivot = np.array([0.5, 0, 0])
-    posed[1, label == 1] = (posed[1, label == 1] - pivot) @ turn.T + pivot
-    found = block_motion(character, label, [(1, 0)], posed)
-    assert found.gaps[0] < 0.006
-    assert found.shear < 1e-6
-    posed[1, 0] += [0, 0.1, 0]
-    assert 0.04 < block_motion(character, label, [(1, 0)], posed).shear < 0.1
-
-
 BOXES = {
     "torso": ((-0.25, 0.7, -0.12), (0.25, 1.3, 0.12)), "head": ((-0.2, 1.3, -0.2), (0.2, 1.7, 0.2)),
     "arm-left": ((0.25, 0.6, -0.08), (0.42, 1.28, 0.08)), "arm-right": ((-0.42, 0.6, -0.08), (-0.25, 1.28, 0.08)),
     "leg-left": ((0.01, 0, -0.1), (0.22, 0.7, 0.1)), "leg-right": ((-0.22, 0, -0.1), (-0.01, 0.7, 0.1)),
 }  # fmt: skip
-
-
-def test_what_one_handle_moves_is_one_piece():
-    hip, spine, head = (HANDLE_NAMES.index(name) for name in ("left_hip", "spine2", "head"))
-    label, joints = block_joints(np.array([spine, head, hip, hip, spine]), len(HANDLE_NAMES))
-    assert label[0] == label[4] and label[2] == label[3] and len(set(label)) == 3
-    assert set(joints) == {(label[1], label[0]), (label[2], label[0])}
 
 
 def test_a_figure_of_blocks_is_measured_and_a_ball_is_none(tmp_path, capsys):

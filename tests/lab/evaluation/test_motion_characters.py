@@ -1,20 +1,14 @@
 """Motion on characters: quality and ARAP-Loss."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bunraku.core.animation import Animation
 from bunraku.core.body.layout import HANDLE_COUNT
 from bunraku.core.body.reference import reference_body
-from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku_lab.evaluation.motion.characters import (
-    ArapRow,
-    ArapTable,
-    animation_arap,
     arap_loss,
     gauge,
     measure,
@@ -49,14 +43,6 @@ def test_a_body_that_glides_slides_by_its_own_speed():
     assert measured(moving(line(x=0.39) + [0, 0.5, 0])).sliding == 0  # in the air
 
 
-def test_the_size_of_a_character_does_not_matter():
-    body = reference_body()
-    giant = Character("giant", body.vertices * 30, body.faces)
-    handles = Handles(body.handles.positions * 30, body.handle_weights)
-    motion = replace(moving(line(z=0.39)), root_translation=line(z=0.39) * 30)
-    assert measure(gauge(giant, handles), motion).sliding == pytest.approx(0.01 * CM, rel=1e-3)
-
-
 def test_a_foot_that_swings_low_is_told_from_one_that_slides():
     path = np.zeros((FRAMES, 3))
     path[20:, 2] = np.arange(20) * 0.15  # 3 m/s, but the body goes with it: that is sliding
@@ -70,12 +56,6 @@ def test_a_foot_that_swings_low_is_told_from_one_that_slides():
     quality = measure(what, replace(still, translations=shift))
     assert quality.contact_share == pytest.approx(1 - 19 / 39 / 2, abs=0.01)
     assert quality.sliding < 0.01 < 3 < quality.sliding_all
-
-
-def test_depth_is_that_of_the_lowest_vertex():
-    height = reference_body().character().height
-    assert measured(moving(line())).deepest == pytest.approx(0, abs=1e-4)
-    assert measured(moving(line(y=-0.1))).deepest == pytest.approx(10 / height, rel=1e-3)
 
 
 def test_jitter_is_the_third_difference():
@@ -115,23 +95,6 @@ def test_arap_loss_by_hand():
     edges = np.array([[0, 1], [1, 2], [0, 2]])
     want = (1.0**2 + (np.sqrt(13) - np.sqrt(8)) ** 2) / 4
     np.testing.assert_allclose(arap_loss(posed, rest, edges), [0, want], rtol=1e-5)
-
-
-def test_a_rigid_motion_costs_nothing():
-    character = Character(
-        "tetra", np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), [[0, 1, 2], [0, 1, 3], [1, 2, 3]]
-    )
-    handles = Handles(np.zeros((2, 3)), [[1, 0], [1, 0], [0.5, 0.5], [0, 1]])
-    turn = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0.0]])
-    motion = HandleMotion(np.zeros((1, 2, 3)), np.tile(np.eye(3), (1, 2, 1, 1)), np.ones((1, 3)), turn[None])
-    assert animation_arap(Animation(character, handles, motion)) < 1e-12
-
-
-def test_the_ratio_is_that_of_the_means():
-    seen = (ArapRow("a", False, 1.0, 1.5, 2.0, 5.0, 0.01), ArapRow("b", False, 3.0, 3.0, 3.0, 5.0, 0.03))
-    table = ArapTable((*seen, ArapRow("c", True, 9.0, 9.5, 10.0, 12.0, 0.02)))
-    assert table.ratio(unseen=False) == 4 / 5 and table.ratio(unseen=True) == 0.9
-    assert math.isclose(table.means(unseen=False)["delta"], 0.02) and math.isnan(ArapTable(()).ratio(unseen=True))
 
 
 def test_a_generated_clip_is_measured_with_and_without():

@@ -1,13 +1,10 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
 from swings import PARTS, WordEncoder, swing
 
-from bunraku.core.nn.checkpoints import load_checkpoint
 from bunraku.errors import OptionError, WeightsError
-from bunraku.generation.extractor import KIND, RADIUS, ExtractorConfig, embed_motions, embed_sentences, load_extractor
+from bunraku.generation.extractor import RADIUS, ExtractorConfig, embed_motions, embed_sentences, load_extractor
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion.train_extractor import ExtractorTrainConfig, train_extractor
 from bunraku_lab.nn.running import running_extractor
@@ -43,14 +40,6 @@ def settings(data, out, **changes):
         "validate_every": 20,
     }  # fmt: skip
     return ExtractorTrainConfig(data=data, out=out, extractor=TINY, **{**quick, **changes})
-
-
-def test_padding_does_not_change_a_sentence():
-    model, encoder = running_extractor(extractor()), WordEncoder()
-    short, long = "a person walks", "a person walks forward slowly and then turns around to the left and waves"
-    alone = embed_sentences(model, encoder, [short])[short]
-    among = embed_sentences(model, encoder, [short, long])[short]
-    assert np.allclose(alone, among, atol=1e-5)
 
 
 def test_padding_does_not_change_a_motion():
@@ -93,29 +82,6 @@ def test_training_brings_motions_and_their_sentences_together(data, tmp_path):
     for vector, entry in zip(vectors, clips.values(), strict=True):
         assert min(sentences, key=lambda sentence: np.linalg.norm(vector - sentences[sentence])) == entry["texts"][0]
     assert (tmp_path / "run" / "log.csv").is_file()
-
-
-def test_a_killed_run_goes_on_as_if_nothing_had_happened(data, tmp_path):
-    whole, _ = load_checkpoint(
-        train_extractor(settings(data, tmp_path / "whole", steps=20, validate_every=10), encoder=WordEncoder()), KIND
-    )
-
-    class Killed(Exception):
-        pass
-
-    def kill(row):
-        if row["step"] == 10:
-            raise Killed
-
-    with pytest.raises(Killed):
-        train_extractor(settings(data, tmp_path / "parts", steps=20, validate_every=10), kill, WordEncoder())
-    parts, _ = load_checkpoint(
-        train_extractor(settings(data, tmp_path / "parts", steps=20, validate_every=10), encoder=WordEncoder()), KIND
-    )
-    assert whole.keys() == parts.keys() and all(np.allclose(parts[name], whole[name], atol=2e-3) for name in whole)
-    with pytest.raises(OptionError, match="another network"):
-        other = settings(data, tmp_path / "parts", steps=30)
-        train_extractor(replace(other, extractor=replace(TINY, width=32)), encoder=WordEncoder())
 
 
 def test_bad_settings_are_one_sentence(data, tmp_path):

@@ -15,12 +15,10 @@ from bunraku.errors import OptionError
 from bunraku.generation import networks
 from bunraku.generation.denoiser import fingerprint
 from bunraku.generation.extractor import ExtractorConfig
-from bunraku.generation.features import encode
 from bunraku.generation.layers import DenoiserConfig
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion import samples as motion_samples
-from bunraku_lab.evaluation.motion.blocks import BARS
-from bunraku_lab.evaluation.motion.metrics import body_handles, handle_fid, handle_samples
+from bunraku_lab.evaluation.motion.metrics import handle_samples
 from bunraku_lab.evaluation.motion.samples import Request, SamplerSettings, Window, make_motions
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows
 from bunraku_lab.evaluation.motion.viewer_prompts import VIEWER_BARS
@@ -207,36 +205,6 @@ def test_every_row_of_the_papers_table_has_handles_on_both_bodies(folder, tmp_pa
     parts = {path.name for path in (tmp_path / "parts").iterdir()}
     assert len(parts) == 2 * len(found)
     assert measure_handles(config, folder / "motions", 2, parts=lambda name, run: kept(name, None)) == found
-
-
-def test_handle_fid_is_the_squared_lift_of_a_lifted_motion():
-    values = [encode(swing(part)) for part in ("left_elbow", "right_knee")]
-    real = {"toddler": body_handles(values, "toddler")}
-    assert handle_fid(real, real) == pytest.approx(0, abs=1e-6)
-    assert handle_fid({"toddler": real["toddler"] + 0.01}, real) == pytest.approx(90 * 1e-4, rel=1e-3)
-
-
-def test_bad_settings_are_one_sentence(folder, tmp_path):
-    with pytest.raises(OptionError, match="drawn a run"):
-        evaluate_motion(settings(folder, tmp_path, clips=25))
-    with pytest.raises(OptionError, match="fewer than the 32 candidates"):
-        evaluate_motion(settings(folder, tmp_path, candidates=32))
-
-
-def test_the_command_prints_the_table_and_json(folder, tmp_path, capsys):
-    words = [
-        "evaluate", "motion", "--data", str(folder / "motions"), "--checkpoint", str(folder / "tapmo.safetensors"),
-        "--steps", "2",
-    ]  # fmt: skip
-    words += ["--extractor", str(folder / "extractor.safetensors"), "--work", str(tmp_path)]
-    words += ["--pool", "40", "--clips", "32", "--quick", "--only", "table", "--candidates", "4"]
-    assert main([*words, "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert result["counts"]["runs"] == 3 and result["r_precision_1_over_real"] > 0
-    assert main(words) == 0
-    text = capsys.readouterr().out
-    assert "TapMo (ours)" in text and "Real" in text
-    assert all(bar.title in text for bar in BARS.values())
 
 
 def test_the_command_prints_what_a_viewer_sees(folder, tmp_path, capsys):

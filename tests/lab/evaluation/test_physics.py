@@ -6,30 +6,21 @@ from dataclasses import replace
 import igl
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
-from bunraku.apparel.body import BodyVolume, UnifiedBody, eq4_transforms
+from bunraku.apparel.body import BodyVolume, UnifiedBody
 from bunraku.apparel.mask import apparel_mask
 from bunraku.apparel.physics.rig import apparel_rig
 from bunraku.cli import main
 from bunraku.core.animation import RigAnimation
 from bunraku.core.body.reference import reference_body
-from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.skinning import skin
-from bunraku.errors import CharacterError, OptionError
-from bunraku_lab.datasets.apparel.build import body_animation
+from bunraku.errors import CharacterError
 from bunraku_lab.datasets.apparel.checks import deep_inside
-from bunraku_lab.datasets.apparel.plan import CharacterSource
 from bunraku_lab.evaluation.physics import (
     PHYSICS_BARS,
     apparel_chains,
-    body_speeds,
     chain_lengths,
-    evaluate_physics,
-    joined,
     measure_physics,
-    nearest_joint_vertices,
-    sample_apparel,
 )
 from bunraku_lab.synthetic.samples import make_sample
 from bunraku_lab.synthetic.stock_motions import STOCK_MOTIONS, stock_motion
@@ -112,25 +103,6 @@ def test_the_body_without_its_apparel_is_solid(character, body):
         BodyVolume.of(body, np.ones_like(mask))
 
 
-def test_the_body_follows_its_joints(character, body):
-    clip = body_animation(body, stock_motion("kick", 1.0))
-    volume = BodyVolume.of(body, apparel_mask(character), 10**9)
-    posed = volume.posed(eq4_transforms(body.transforms(clip), body.joints))[20]
-    truth = clip.vertices([20])[0][~apparel_mask(character)]
-    assert np.quantile(cKDTree(truth).query(posed)[0], 0.99) < 1e-3
-
-
-def test_rigid_with_the_nearest_joint(character, body):
-    chosen = sample_apparel(apparel_mask(character), 100)
-    assert len(chosen) == 100 and apparel_mask(character)[chosen].all()
-    rest = eq4_transforms(body.transforms(still(character)), body.joints)
-    assert np.allclose(nearest_joint_vertices(body, chosen, rest)[1], character.vertices[chosen], atol=1e-5)
-    turned = rest.copy()
-    turned[..., :3], turned[..., 3] = matrix_from_axis_angle(np.array([0, np.pi / 2, 0])), [1.0, 0, 0]
-    x, y, z = character.vertices[chosen].T
-    assert np.allclose(nearest_joint_vertices(body, chosen, turned)[0], np.stack([z + 1, y, -x], axis=1), atol=1e-5)
-
-
 def test_chains_hang_on_the_body_and_end_in_tips(character):
     rig = apparel_rig(character)
     chains = apparel_chains(character, rig)
@@ -159,33 +131,6 @@ def test_a_bone_that_is_pulled_out_stretches_its_chain(character):
     assert np.allclose(longer[1, apart], [chains[number].length for number in apart], atol=1e-5)
 
 
-def test_turning_about_its_joints_stretches_no_chain(character, body):
-    rig = apparel_rig(character)
-    if any(
-        np.linalg.norm(joint.position - character.rig.positions[rig.bodies[joint.bodies[1]].bone]) > 1e-4
-        for joint in rig.joints
-    ):
-        pytest.skip("joints of this character are not at its bones")
-    animation = still(character)
-    turns = np.array(animation.rotations)
-    turns[:, body.moved] = matrix_from_axis_angle(
-        np.random.default_rng(0).normal(0, 0.5, (len(turns), int(body.moved.sum()), 3))
-    )
-    chains = apparel_chains(character, rig)
-    lengths = chain_lengths(replace(animation, rotations=turns), rig, chains)
-    assert np.allclose(lengths, [chain.length for chain in chains], atol=1e-4)
-
-
-def test_speed_of_bodies_that_are_carried(character):
-    """All bones move by 2 cm a frame at 30 frames a second: 0.6 m/s."""
-    animation = still(character, 4)
-    moves = np.array(animation.translations)
-    moves[:, character.rig.parents < 0, 0] = 0.02 * np.arange(4)[:, None]
-    rig = apparel_rig(character)
-    speeds = body_speeds(replace(animation, translations=moves), rig)
-    assert speeds.shape == (3, len(rig.dynamic)) and np.allclose(speeds, 0.6, atol=1e-4)
-
-
 @pytest.mark.parametrize("kind", STOCK_MOTIONS)
 def test_motions_made_by_code(kind):
     """Someone stands on the ground, moves no part faster than people do, and does the same every time."""
@@ -203,21 +148,6 @@ def test_motions_made_by_code(kind):
         assert vertices[25, :, 2].max() > vertices[0, :, 2].max() + 0.4
 
 
-def test_no_other_motion_is_made_by_code():
-    with pytest.raises(OptionError, match="walk"):
-        stock_motion("swim")
-
-
-def test_motions_are_joined_without_jumps(body):
-    parts = [body_animation(body, stock_motion(kind, 1.0)) for kind in ("walk", "kick")]
-    whole, bounds = joined(parts, 0.5)
-    assert bounds == [(0, 30), (30, 75)] and len(whole) == 75
-    assert np.allclose(whole.rotations[45:], parts[1].rotations, atol=1e-6)
-    steps = np.linalg.norm(np.diff(whole.world()[1], axis=0), axis=-1).max(axis=1)
-    own = max(np.linalg.norm(np.diff(part.world()[1], axis=0), axis=-1).max() for part in parts)
-    assert steps[28:46].max() < 2 * own
-
-
 def test_the_table_of_a_character(capsys):
     assert main(["evaluate", "physics", "--wardrobe", "1", "--seed", str(SEED), "--seconds", "3", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -230,18 +160,6 @@ def test_the_table_of_a_character(capsys):
     )
     (row,) = found["characters"]
     assert set(row["motions"]) == set(STOCK_MOTIONS) and 0 <= row["penetration"] <= 1 and row["bodies"] > 0
-
-
-def test_processes_give_the_same_table_of_physics():
-    """But for the time that simulations take."""
-    wardrobe = [CharacterSource(f"wardrobe {seed}", "test", seed) for seed in (2, 1)]
-    alone, shared = (evaluate_physics(wardrobe=wardrobe, seconds=3, quick=True, jobs=jobs) for jobs in (1, 2))
-    assert [row["name"] for row in shared["characters"]] == ["wardrobe 2", "wardrobe 1"]
-    for one, other in zip(alone["characters"], shared["characters"], strict=True):
-        assert one | {"realtime_factor": 0, "motions": 0, "chain_stretch": 0} == other | {
-            "realtime_factor": 0, "motions": 0, "chain_stretch": 0,
-        }  # fmt: skip
-        assert one["chain_stretch"] == pytest.approx(other["chain_stretch"], abs=1e-6)
 
 
 def test_a_character_without_apparel_is_named():

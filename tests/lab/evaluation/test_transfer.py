@@ -12,18 +12,14 @@ from mmd_bytes import Bone, plank, pmx
 
 import bunraku
 from bunraku import FormatError, RigAnimation
-from bunraku.core.animation import Animation
 from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.body.reference import reference_body
-from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
-from bunraku.core.motion import HandleMotion, SkeletalMotion
-from bunraku.files import save_character
+from bunraku.core.motion import SkeletalMotion
 from bunraku.files.mmd.vmd import MmdClip, write_vmd
 from bunraku.files.motions.bvh import write_bvh
 from bunraku.retarget.mmd_motion import standard_model
-from bunraku.retarget.rig_parts import RigParts
-from bunraku_lab.evaluation.transfer.character import ground_heights, limb_angles, off_ground
+from bunraku_lab.evaluation.transfer.character import off_ground
 from bunraku_lab.evaluation.transfer.quadrupeds import measure_quadrupeds
 from bunraku_lab.evaluation.transfer.table import BARS, KINDS, evaluate_transfer, leg_reach, measure_soles, pick_motions
 from bunraku_lab.synthetic.samples import make_sample
@@ -43,15 +39,6 @@ def test_motions_are_picked_by_caption_then_by_name(tmp_path):
     (tmp_path / "roll.bvh").unlink()
     with pytest.raises(FormatError, match="roll"):
         pick_motions(tmp_path)
-
-
-def test_angles_of_limbs():
-    parts = RigParts.of(reference_body().character())
-    positions = np.concatenate([reference_body().joints, np.zeros((8, 3))])[None]
-    source = reference_body().joints[None]
-    assert np.abs(limb_angles(parts, positions, source)).max() < 1e-3
-    turned = source @ matrix_from_axis_angle(np.array([0, 0, 0.5])).T
-    assert limb_angles(parts, positions, turned)[0, 0] == pytest.approx(np.degrees(0.5), abs=0.5)
 
 
 def test_the_table(tmp_path):
@@ -155,35 +142,11 @@ def test_soles_of_real_characters():
 FPS = 20.0
 
 
-def carried(heights: np.ndarray) -> Animation:
-    """A tetrahedron of height 2 that stands at y = 1 and is lifted by so much [m]."""
-    points = np.array([[0, 1, 0], [1, 1, 0], [0, 1, 1], [0, 3, 0], [0, -9, 0]], np.float32)  # the last has no face
-    faces = np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]])
-    count = len(heights)
-    path = np.zeros((count, 3))
-    path[:, 1] = heights
-    motion = HandleMotion(
-        np.zeros((count, 1, 3)), np.tile(np.eye(3), (count, 1, 1, 1)), path, np.tile(np.eye(3), (count, 1, 1)), FPS
-    )
-    return Animation(Character("box", points, faces), Handles(np.zeros((1, 3)), np.ones((5, 1))), motion)
-
-
-def test_heights_are_over_the_ground_that_the_body_rests_on():
-    lifts = np.array([0.0, 0.2, -0.1])
-    np.testing.assert_allclose(ground_heights(carried(lifts)), lifts / 2, atol=1e-6)
-
-
 @pytest.mark.parametrize(("frames", "expected"), [(8, 0.0), (30, 0.4)])
 def test_a_leap_is_not_off_the_ground_and_hovering_is(frames, expected):
     heights = np.zeros(60)
     heights[10 : 10 + frames] = 0.4
     assert off_ground(heights, FPS) == pytest.approx(expected)
-
-
-def test_sinking_counts_however_short():
-    heights = np.zeros(40)
-    heights[7] = -0.03
-    assert off_ground(heights, FPS) == pytest.approx(0.03)
 
 
 def test_a_walking_dog_on_the_sample_dog(tmp_path):
@@ -200,10 +163,3 @@ def test_a_walking_dog_on_the_sample_dog(tmp_path):
     assert (row["source"], row["target"]) == ("dog", "sample dog") and "failed" not in row
     assert found["quadruped_limbs_degrees"] == row["degrees"] < 8  # the same body, by handles that know nothing of it
     assert found["quadruped_hind_above_back"] == 0 and found["quadruped_ground"] < 0.02
-
-
-def test_without_animals_there_is_nothing_to_measure(tmp_path):
-    mushroom = make_sample("mushroom", rigged=True)
-    path = save_character(mushroom, tmp_path / "mushroom.glb")
-    found = measure_quadrupeds({"mushroom": path, "none": tmp_path / "none.glb"})
-    assert found["quadruped_limbs_degrees"] is None and found["quadrupeds"] == []

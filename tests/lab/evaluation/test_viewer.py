@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from look import hands_in_body, sliding_contacts
+from look import sliding_contacts
 
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
-from bunraku.core.geometry.rotations import matrix_from_axis_angle, matrix_y
+from bunraku.core.geometry.rotations import matrix_y
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.generation.features import body_handle_motion, decode, encode, mirror
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
@@ -96,13 +96,6 @@ def test_a_wave_of_known_width_and_frequency(side):
     assert waving_side(moving()) is None
 
 
-def test_the_energy_of_two_frequencies():
-    slow, fast = 0.08, 0.02
-    wave = wave_of(waving(slow * np.sin(2 * np.pi * 2 * TIME) + fast * np.sin(2 * np.pi * 7 * TIME)), "left")
-    steps = [(size * np.sin(np.pi * rate / 20)) ** 2 for size, rate in ((slow, 2), (fast, 7))]  # of differences
-    assert wave.fast == pytest.approx(steps[1] / sum(steps), rel=0.02)
-
-
 def test_raising_a_hand_is_no_wave():
     lifted = ramp(0.5, 1.0)[:, None] * waving(0 * TIME).translations[0, HANDLE_NAMES.index("left_wrist")]
     hanging = moving().translations[0, HANDLE_NAMES.index("left_wrist")]
@@ -177,15 +170,6 @@ def test_a_jump_is_no_floating():
     assert floating(moving(path=along("y", thrown)).take(slice(24, None))).any()  # nothing tells how it came up
 
 
-def test_lying_is_no_floating():
-    lying = matrix_from_axis_angle(np.array([-np.pi / 2, 0, 0]))
-    motion = moving()
-    motion = replace(motion, root_rotation=np.tile(lying, (FRAMES, 1, 1)))
-    height = float(lowest_points(motion)["body"][0])
-    down = replace(motion, root_translation=along("y", np.full(FRAMES, -height)))
-    assert height > 0.5 and floating(motion).all() and not floating(down).any()
-
-
 def test_sitting():
     low = along("y", -0.4 * ramp(1, 2))
     legs = {f"{side}_{part}": -low for side in ("left", "right") for part in ("ankle", "foot")}
@@ -241,7 +225,3 @@ def test_who_stands_slides_nowhere_and_who_is_carried_does_in_all_frames():
     assert still == (0, 0, 2 * 19)
     assert slow.fast == 0 and slow.far == slow.contacts - 2 * 3  # 3 cm are passed in the fourth frame
     assert fast.fast == fast.contacts
-
-
-def test_arms_to_the_sides_are_in_no_body():
-    assert not hands_in_body(standing(0.0, 4)).any()

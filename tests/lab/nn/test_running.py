@@ -25,7 +25,7 @@ from bunraku.generation.extractor import load_extractor as load_running_extracto
 from bunraku.generation.layers import DenoiserConfig
 from bunraku_lab.nn import graph as tensors
 from bunraku_lab.nn.apparel import SegmentationNetwork, mesh_block
-from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
+from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.denoiser import Denoiser, RetrievedExamples, load_denoiser, save_denoiser
 from bunraku_lab.nn.handles import HandlePredictor, OrientationPredictor, rotated_tokens
 from bunraku_lab.nn.running import (
@@ -185,41 +185,6 @@ def test_gelu_and_its_slope():
     value.sum().backward()
     np.testing.assert_allclose(gelu(x.detach().numpy().copy()), value.detach(), atol=1e-6)
     np.testing.assert_allclose(gelu_slope(x.detach().numpy()), x.grad, atol=3e-6)
-
-
-def _train(model, optimizer, generator, steps):
-    for _ in range(steps):
-        optimizer.zero_grad()
-        (model(torch.randn(4, 5, generator=generator)) ** 2).sum().backward()
-        optimizer.step()
-
-
-def _parts():
-    torch.manual_seed(0)
-    model = torch.nn.Linear(5, 3)
-    return model, torch.optim.AdamW(model.parameters(), lr=0.1), torch.Generator().manual_seed(5)
-
-
-def test_a_resumed_run_is_the_uninterrupted_one(tmp_path):
-    whole = _parts()
-    _train(*whole, 6)
-    model, optimizer, generator = _parts()
-    _train(model, optimizer, generator, 3)
-    numpy_state = np.random.default_rng(4).bit_generator.state
-    state = TrainingState(
-        3, {"model": model.state_dict()}, {"adam": optimizer.state_dict()}, {"lr": 0.1}, {"rng": numpy_state},
-        {"noise": generator.get_state()},
-    )  # fmt: skip
-    save_training_state(tmp_path / "s.safetensors", state)
-    back = load_training_state(tmp_path / "s.safetensors")
-    model, optimizer, _ = _parts()
-    model.load_state_dict(back.models["model"])
-    optimizer.load_state_dict(back.optimizers["adam"])
-    generator = torch.Generator()
-    generator.set_state(back.generators["noise"])
-    assert back.step == 3 and back.config == {"lr": 0.1} and back.values["rng"] == numpy_state
-    _train(model, optimizer, generator, 3)
-    assert all(torch.equal(a, b) for a, b in zip(model.parameters(), whole[0].parameters(), strict=True))
 
 
 def test_a_kill_while_saving_never_leaves_a_broken_state(tmp_path):

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bunraku.core.body.layout import JOINT_MIRROR, JOINT_NAMES
+from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.graph import mesh_parts, unique_edges
-from bunraku.errors import CharacterError, FormatError
+from bunraku.errors import FormatError
 from bunraku_lab.datasets.characters.build import build_dressed, training_dressed
 from bunraku_lab.datasets.characters.training_character import TrainingCharacter
 from bunraku_lab.synthetic.dressed import Wardrobe, dressed_person, extras
-from bunraku_lab.synthetic.dressed.garments import BodyShape, Piece, fit, fit_weights, joined, read_mhclo, skirt_weights
+from bunraku_lab.synthetic.dressed.garments import BodyShape, Piece, fit, joined, read_mhclo
 from bunraku_lab.synthetic.dressed.people import melted, simplified
 from bunraku_lab.synthetic.makehuman import (
     BASE_VERTICES,
@@ -22,9 +22,6 @@ from bunraku_lab.synthetic.makehuman import (
     MakeHumanBody,
     limb_rotations,
     pose_points,
-    random_body,
-    random_proportions,
-    rest_linear,
 )
 
 J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
@@ -36,66 +33,6 @@ def body_piece():
         body.vertices.astype(np.float64), body.faces, body.joint_weights.astype(np.float64),
         body.handle_weights.astype(np.float64),
     )  # fmt: skip
-
-
-def angle_below(joints, a, b):
-    bone = joints[J[b]] - joints[J[a]]
-    return np.arctan2(-bone[1], bone[0])
-
-
-def test_rest_poses_and_proportions_of_the_reference_joints():
-    joints = reference_body().joints.astype(np.float64)
-    linear = rest_linear(joints, np.ones((22, 3)), 0.7, 0.3, 0.2)
-    np.testing.assert_allclose(np.linalg.det(linear), 1, atol=1e-9)
-    posed = pose_points(np.zeros((0, 3)), joints, np.zeros((0, 22)), linear)[1]
-    assert angle_below(posed, "left_shoulder", "left_elbow") == pytest.approx(0.7, abs=1e-6)
-    assert posed[J["left_wrist"], 2] > posed[J["left_elbow"], 2]  # the forearms point forward
-    assert angle_below(posed, "left_hip", "left_ankle") == pytest.approx(np.pi / 2 - 0.2, abs=1e-6)
-    np.testing.assert_allclose(posed, posed[list(JOINT_MIRROR)] * [-1, 1, 1], atol=1e-6)
-
-    stretched = np.ones((22, 3))
-    stretched[[J["left_hip"], J["left_knee"]], 1] = 0.5
-    short = pose_points(np.zeros((0, 3)), joints, np.zeros((0, 22)), rest_linear(joints, stretched, 0, 0, 0))[1]
-    legs = [np.linalg.norm(points[J["left_ankle"]] - points[J["left_hip"]]) for points in (joints, short)]
-    assert legs[1] == pytest.approx(0.5 * legs[0], rel=1e-3)
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        proportions = random_proportions(rng)
-        assert proportions.min() > 0.3 and proportions.max() < 4
-        assert all(0 <= value <= 1 for value in random_body(rng).values())
-
-
-def test_limbs_straighten_to_the_t_pose():
-    body = reference_body()
-    np.testing.assert_allclose(
-        limb_rotations(body.joints.astype(np.float64)), np.tile(np.eye(3), (22, 1, 1)), atol=1e-3
-    )
-
-
-def test_skirts_pass_smoothly_from_left_to_right():
-    joints = reference_body().joints.astype(np.float64)
-    hem = joints[J["left_knee"], 1]
-    around = np.linspace(0, 2 * np.pi, 73)
-    ring = np.stack([0.2 * np.cos(around), np.full(73, hem), 0.15 * np.sin(around)], axis=1)
-    carried = np.zeros((73, 22))
-    carried[:, J["left_knee"]] = 1
-    weights = skirt_weights(ring, joints, carried)
-    np.testing.assert_allclose(weights.sum(axis=1), 1)
-    assert weights[0, 1] > 0.85 and weights[36, 2] > 0.85  # the sides hang on their own thigh
-    assert weights[18, 1] == pytest.approx(weights[18, 2])
-    assert np.abs(np.diff(weights, axis=0)).max() < 0.1
-    waist = skirt_weights(ring + [0, joints[3, 1] - hem, 0], joints, carried)
-    np.testing.assert_allclose(waist, carried)
-
-
-def test_pieces_are_cut_and_joined():
-    piece = body_piece()
-    legs = piece.cut(piece.joints[:, [1, 2, 4, 5, 7, 8, 10, 11]].sum(axis=1) > 0.5)
-    assert legs.points[:, 1].max() < 0.6 * piece.points[:, 1].max()
-    both = joined([piece, legs])
-    assert len(both.points) == len(piece.points) + len(legs.points) and both.faces.max() == len(both.points) - 1
-    thick = piece.puffed(0.01)
-    np.testing.assert_allclose(np.linalg.norm(thick.points - piece.points, axis=1), 0.01, atol=1e-6)
 
 
 def test_a_melted_body_is_one_closed_skin_with_the_same_labels():
@@ -282,22 +219,6 @@ def test_vertices_follow_three_base_vertices_and_their_scaled_offset(tmp_path):
     np.testing.assert_allclose(fit(hat, BASE * 0.1), np.array(expected) * 0.1, atol=1e-12)
 
 
-def test_without_scales_offsets_are_in_the_unit_of_the_base_mesh(tmp_path):
-    lines = [line for line in MHCLO.splitlines() if "_scale" not in line]
-    hat = read_mhclo(written(tmp_path, "\n".join(lines)))
-    np.testing.assert_allclose(fit(hat, BASE, unit=1.0)[0], [0.6, 1.2, 0.3])
-    np.testing.assert_allclose(fit(hat, BASE)[3], [0.9, 1, 1])
-
-
-def test_weights_are_carried(tmp_path):
-    hat = read_mhclo(written(tmp_path))
-    weights = fit_weights(hat, np.eye(5))
-    np.testing.assert_allclose(weights.sum(axis=1), 1)
-    assert weights.min() >= 0
-    np.testing.assert_allclose(weights[0], [0.5, 0.25, 0.25, 0, 0])
-    np.testing.assert_allclose(weights[2], [0, 1, 0, 0, 0])  # negative shares count as none
-
-
 @pytest.mark.parametrize(
     ("change", "to", "says"),
     [
@@ -336,9 +257,3 @@ def test_links_out_of_the_folder_are_refused(tmp_path):
 def test_a_million_long_spans_cost_little(tmp_path):
     hat = read_mhclo(written(tmp_path, MHCLO + "0 - 400000\n" * 20000))
     assert len(hat.deleted) == 400001
-
-
-def test_a_body_that_is_too_small_is_refused(tmp_path):
-    hat = read_mhclo(written(tmp_path))
-    with pytest.raises(CharacterError, match="vertex 4 but the body has 4"):
-        fit(hat, BASE[:4])

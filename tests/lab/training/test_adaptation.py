@@ -18,12 +18,9 @@ from bunraku_lab.evaluation.motion.characters import animation_arap
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.denoiser import joint_offsets, load_denoiser, save_denoiser
 from bunraku_lab.training.adaptation.labels import (
-    AdaptationHead,
     EdgeSystem,
     arap_labels,
     edge_system,
-    label_distance,
-    whitening,
 )
 from bunraku_lab.training.adaptation.train import AdaptationConfig, _Run, train_adaptation
 from bunraku_lab.training.losses.meshes import fit_locals
@@ -42,21 +39,6 @@ def test_one_step_by_hand():
     torch.testing.assert_close(label[0, 0, 1], torch.tensor([-0.2 * 0.2 / 1.2, 0, 0]))
     assert float(label[0, 0, [0, 2]].abs().max()) == 0
     torch.testing.assert_close(one_edge().loss(label), torch.tensor([[(0.2 - 0.2 * 0.2 / 1.2) ** 2]]))
-
-
-def test_calm_keeps_it_short():
-    """nu (0.2 + d)^2 + (1 + calm) d^2 from d = 0."""
-    label = arap_labels(one_edge(), torch.zeros(1, 1, 3, 3), 0.2, 1, calm=0.5)
-    torch.testing.assert_close(label[0, 0, 1, 0], torch.tensor(-0.2 * 0.2 / 1.7))
-
-
-def test_each_step_is_near_the_one_before():
-    """A second step starts where the first ended; all together are cut to 5 cm."""
-    first, d = arap_labels(one_edge(), torch.zeros(1, 1, 3, 3), 0.1, 1), -0.2 * 0.1 / 1.1
-    second = arap_labels(one_edge(), first, 0.1, 1)
-    torch.testing.assert_close(second[0, 0, 1, 0], torch.tensor(d - (0.2 + d) * 0.1 / 1.1))
-    far = arap_labels(one_edge(), torch.zeros(1, 1, 3, 3), 100.0, 5)
-    torch.testing.assert_close(far[0, 0, 1].norm(), torch.tensor(0.05))
 
 
 def test_labels_lower_the_loss_of_a_character(bank, gesture):
@@ -100,13 +82,6 @@ def settings(swings, bank_path, denoiser, tmp_path):
     )
 
 
-def test_distance_to_the_label_by_hand():
-    """Eq. 11: one handle 3 cm off and one 1 cm off in one of two frames; the root does not count."""
-    delta, label = torch.zeros(1, 2, 3, 3), torch.zeros(1, 2, 3, 3)
-    label[0, 0, 1, 0], label[0, 0, 2, 2], label[0, 1, 0, 1] = 0.03, 0.01, 5
-    assert float(label_distance(delta, label)) == pytest.approx((9 + 1) / 4)
-
-
 def test_moved_joints_are_what_attaching_them_elsewhere_gives():
     random = np.random.default_rng(0)
     body, joints = reference_body(), reference_joints()
@@ -126,36 +101,18 @@ def test_moved_joints_are_what_attaching_them_elsewhere_gives():
     np.testing.assert_allclose(found[0], after - before, atol=1e-5)
 
 
-def test_the_head_folds_into_a_plain_layer():
-    torch.manual_seed(0)
-    seen = torch.randn(50, 10) @ torch.randn(10, 10) + 3
-    white, centre = whitening(seen, 6, 2)
-    assert white.shape[1] == 10 and len(white) <= 8
-    inner = (seen - centre) @ white.T
-    assert float(inner.mean(0).abs().max()) < 1e-4 and float(inner.std(0).max()) < 1.1
-    head = AdaptationHead(torch.randn(4 * 9, 10), torch.randn(4 * 9), white, centre, 3)
-    plain = torch.nn.Linear(10, 36)
-    torch.testing.assert_close(head(seen[None])[0], (seen @ head.weight.T + head.bias).view(50, 4, 3, 3))
-    for value in head.parameters():
-        torch.nn.init.normal_(value)
-    with torch.no_grad():
-        plain.weight.copy_(head.folded()[0])
-        plain.bias.copy_(head.folded()[1])
-        torch.testing.assert_close(head(seen[None])[0].flatten(1), plain(seen), atol=1e-3, rtol=1e-4)
-
-
 def test_only_the_layer_learns_and_edges_keep_their_lengths(settings, encoder, tmp_path):
     rows = []
     path = train_adaptation(
-        settings(steps=80, learning_rate=1e-3, validate_every=40, pairs=12), rows.append, encoder=encoder
+        settings(steps=30, learning_rate=2e-3, validate_every=15, pairs=12), rows.append, encoder=encoder
     )
-    assert [row["step"] for row in rows] == [40, 80]
+    assert [row["step"] for row in rows] == [15, 30]
     assert rows[-1]["seen"] < rows[0]["seen"] < 1 and 0 < rows[-1]["delta"] < 0.05
     before, after = load_denoiser(settings().diffusion), load_denoiser(path)
     assert (
         after.config.adaptation_frame == "joints"
         and after.config.adaptation_mesh
-        and after.notes["adaptation_steps"] == 80
+        and after.notes["adaptation_steps"] == 30
     )
     for name, value in before.state_dict().items():
         if not name.startswith("adaptation_out"):
@@ -214,7 +171,7 @@ def test_meshes_teach_the_layer_without_labels(settings, encoder, which, tmp_pat
         return original(self, results)
 
     monkeypatch.setattr(_Run, "save", keep)
-    how = {"label_weight": 0.0, which: 1.0, "steps": 40, "validate_every": 40, "mesh_frames": 12}
+    how = {"label_weight": 0.0, which: 1.0, "steps": 32, "validate_every": 32, "mesh_frames": 12}
     how |= {"batch": 8, "learning_rate": 6e-3}
     rows = []
     train_adaptation(settings(**how), rows.append, encoder=encoder)

@@ -1,6 +1,5 @@
 """Training of the apparel networks: what is learned from, and runs that go on where they stopped."""
 
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +27,6 @@ from bunraku_lab.training.apparel.body import (
     train_body,
 )
 from bunraku_lab.training.apparel.displacement import (
-    BankCharacter,
     DisplacementTrainConfig,
     DisplacementTrainer,
     build_bank,
@@ -48,7 +46,6 @@ from bunraku_lab.training.apparel.segmentation import (
     build_meshes,
     mask_iou,
     varied,
-    welded_parts,
 )
 
 
@@ -80,19 +77,6 @@ def test_some_are_seen_as_bare_meshes_too(data, tmp_path, monkeypatch):
     assert not np.allclose(told.moving["vectors"], untold.moving["vectors"])  # its pendulums are guessed
 
 
-def test_quiet_apparel_counts_by_its_own_motion(bank, tmp_path):
-    """What moves a tenth as far counts up to ten times as much, so that both are off by as much of their motion."""
-    loud, path = bank[0], tmp_path / "quiet"
-    shutil.copytree(loud.path, path)
-    np.save(path / "truth.npy", loud.moving["truth"] / np.float16(10))
-    quiet = BankCharacter(path, "quiet")
-    config = DisplacementTrainConfig(out=tmp_path, batch=1, calm=0.001, network=DisplacementConfig(16, 1, 0))
-    block = DisplacementTrainer(config, bank)._block([loud, quiet], 1, mirror=False)
-    first, last = float(block.share[0]), float(block.share[-1])
-    assert float(block.share.mean()) == pytest.approx(1)
-    assert last / first == pytest.approx((loud.swings + 0.001) / (loud.swings / 10 + 0.001), rel=1e-3)
-
-
 @pytest.fixture(scope="module")
 def meshes(tmp_path_factory):
     found = build_meshes(tmp_path_factory.mktemp("meshes"), 2, 10_001)
@@ -114,28 +98,6 @@ def test_the_bank_holds_what_the_data_say(data, bank):
     assert held[np.unique(own["part"])].all() and (loose.mass > 0).all()
     again = build_bank(found, character.path.parent, nodes=48)
     assert again[0].path == character.path
-
-
-def test_displacement_goes_on_to_the_same_weights(bank, tmp_path):
-    shape = DisplacementConfig(8, 1, 8)
-    config = DisplacementTrainConfig(
-        out=tmp_path / "a", minutes=0, steps=8, head=0.5, batch=2, clips=1, shortest=5, longest=6, network=shape
-    )
-    whole = DisplacementTrainer(config, bank)
-    for _ in range(6):
-        whole.train_step()
-    cut = DisplacementTrainer(replace(config, out=tmp_path / "b"), bank)
-    for _ in range(3):
-        cut.train_step()
-    head_only = DisplacementNetwork.load(cut.save({}))
-    assert head_only.recurrent is None  # what has not learned is not handed on
-    resumed = DisplacementTrainer(replace(config, out=tmp_path / "b"), bank)
-    assert resumed.resume() and resumed.step == 3
-    for _ in range(3):
-        resumed.train_step()
-    for one, other in zip(whole.model.parameters(), resumed.model.parameters(), strict=True):
-        assert torch.equal(one, other)
-    assert DisplacementNetwork.load(whole.save({})).recurrent is not None
 
 
 def test_displacement_learns_one_clip(bank, tmp_path):
@@ -163,19 +125,6 @@ def test_the_mask_is_learned(meshes, tmp_path):
     assert torch.equal(SegmentationNetwork.load(path).mean, trainer.average.mean)
     again = SegmentationTrainer(config, meshes, meshes)
     assert again.resume() and again.step == 80
-
-
-def test_parts_that_touch_are_welded():
-    points = np.array([[0.0, 0, 0], [0.01, 0, 0], [0.03, 0, 0], [1, 0, 0], [1.01, 0, 0], [1.02, 0, 0], [1.03, 0, 0]])
-    part = np.array([5, 5, 7, 9, 9, 9, 11])
-    random = np.random.default_rng(0)
-    # 5 and 7 touch, 9 and 11 too, but 9 has the most points and stays alone
-    assert welded_parts(points, part, 1.0, random).tolist() == [0, 0, 0, 1, 1, 1, 2]
-    assert welded_parts(points, part, 1.0, random, body=True).tolist() == [0, 0, 0, 1, 1, 1, 1]
-    assert welded_parts(points, part, 0.0, random).tolist() == [0, 0, 1, 2, 2, 2, 3]
-    cloth = np.array([0, 0, 0, 0, 1, 0, 1])
-    for _ in range(8):  # one pair of four parts: the one whose parts both have apparel
-        assert welded_parts(points, part, 0.25, random, True, cloth).tolist() == [0, 0, 1, 2, 2, 2, 2]
 
 
 def test_a_varied_character_is_one_still(meshes):

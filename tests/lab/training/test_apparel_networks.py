@@ -13,22 +13,19 @@ from bunraku.apparel.nodes import apparel_parts
 from bunraku.core.body.layout import JOINT_COUNT
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
-from bunraku.errors import WeightsError
 from bunraku_lab.nn.apparel import SegmentationNetwork, mesh_block
 from bunraku_lab.nn.graph import node_graph
 from bunraku_lab.training.apparel.body import BodyConfig, BodyNetwork
 from bunraku_lab.training.apparel.refinement import (
     BASIS,
     FREE,
-    HOPS,
-    INPUTS,
     RefinementConfig,
     RefinementNetwork,
     refined,
     seam_of,
 )
 from bunraku_lab.training.apparel.segmentation import joint_distances
-from bunraku_lab.training.losses.motion import edge_loss, mask_loss, refinement_loss, smoothness_loss, vertex_loss
+from bunraku_lab.training.losses.motion import edge_loss, mask_loss, smoothness_loss, vertex_loss
 
 
 def test_the_attention_map_by_hand():
@@ -39,26 +36,6 @@ def test_the_attention_map_by_hand():
     attention = network.attention_map(distances)[0].detach()
     assert float(attention[3]) == pytest.approx(1 / (1 + math.exp(-32 * 0.03)), rel=1e-4)
     assert float(attention.sum()) == pytest.approx(1)
-
-
-def test_weights_begin_as_the_attention_map():
-    """With an f_s that says nothing, W is M; where each joint counts the same, it is even."""
-    distances = torch.rand(5, JOINT_COUNT)
-    graph = node_graph([np.zeros((5, 1), np.int64)], [np.zeros(5, np.int64)])
-    mesh = torch.rand(5, 3), torch.rand(5, 3), torch.rand(1, JOINT_COUNT, 3), distances, graph
-    for geodesics in ("attention", "none"):
-        network = BodyNetwork(BodyConfig(features=4, width=8, geodesics=geodesics))
-        with torch.no_grad():
-            network.decoder[-1].weight.zero_()
-            network.decoder[-1].bias.zero_()
-            wanted = network.attention_map(distances) if geodesics == "attention" else torch.full((5, 22), 1 / 22)
-            np.testing.assert_allclose(network(*mesh), wanted, atol=1e-4)
-
-
-def test_fused_features_by_hand():
-    network = BodyNetwork(BodyConfig(features=2, width=8))
-    features = torch.tensor([[[1.0, 10.0], [3.0, 20.0]]])
-    assert network.fused(features, torch.tensor([[0.25, 0.75]]))[0].tolist() == [2.5, 17.5]
 
 
 @pytest.mark.parametrize("geodesics", ["attention", "none", "sorted"])
@@ -127,15 +104,6 @@ def test_layers_that_lie_on_one_another_are_joined_everywhere():
     assert np.abs(distances - height).max() < 0.08  # straight along the tube, whatever side or layer a point is on
 
 
-def test_values_spread_back_to_every_vertex():
-    body = reference_body()
-    mesh = sampled_mesh(body.vertices, body.faces, body.joints, 400)
-    back = mesh.spread(mesh.points.astype(float))
-    height = np.ptp(body.vertices[:, 1])
-    wanted = (body.vertices - [body.joints[0, 0], body.vertices[:, 1].min(), body.joints[0, 2]]) / height
-    assert np.linalg.norm(back - wanted, axis=1).mean() < 0.03
-
-
 def test_probabilities_are_the_sigmoid_of_the_scores(tmp_path):
     body = reference_body()
     features, graph = mesh_block([sampled_mesh(body.vertices, body.faces, body.joints, 150)] * 2)
@@ -200,48 +168,6 @@ def standing():
     return np.tile(np.concatenate([np.eye(3), np.zeros((3, 1))], axis=1), (JOINT_COUNT, 1, 1))
 
 
-def test_the_seam_reaches_a_little_into_the_body():
-    clothed = banner()
-    seam = seam_of(clothed, clothed.weights)
-    heights = clothed.rest[seam.vertices, 1]
-    # the highest apparel is at 0.95 m; 12 cm at a size of 2 / 1.6 are 15 cm, a hair less than three rows of the body
-    assert heights.max() == pytest.approx(1.05) and heights.min() == 0
-    assert len(seam.vertices) == 2 * 22
-    assert np.allclose(seam.around.sum(axis=1), 1, atol=1e-6)
-    assert seam.still[:, 0].tolist() == (heights < 0.99).astype(float).tolist()
-    bare = seam_of(ClothedCharacter(clothed.rest, clothed.faces, clothed.joints, clothed.weights,
-        np.zeros(len(clothed.rest), bool),
-                          np.full(len(clothed.rest), -1), np.zeros(0), np.zeros(0)), clothed.weights)  # fmt: skip
-    assert len(bare.vertices) == 0
-    network = RefinementNetwork()
-    np.testing.assert_array_equal(refined(network, bare, clothed.rest, standing()), clothed.rest)
-
-
-def test_features_of_a_pulled_vertex_by_hand():
-    clothed = banner()
-    seam = seam_of(clothed, clothed.weights)
-    vertex = 30  # of the left edge, in the apparel
-    row = int(np.flatnonzero(seam.vertices == vertex)[0])
-    positions = clothed.rest.copy()
-    positions[vertex, 2] += 0.04
-    frame = seam.frame(positions, standing())
-    assert frame.vectors.shape == (len(seam.vertices), BASIS, 3) and frame.inputs.shape[1] == INPUTS
-    near = np.unique(seam.edges[(seam.edges == row).any(axis=1)])
-    size = 2 / SIZE
-    # the mean of the vertex and its neighbours lies back by all of the way but its own share
-    assert frame.vectors[row, 0, 2] == pytest.approx(-0.04 * (1 - 1 / len(near)) / size, rel=1e-4)
-    assert frame.vectors[row, len(HOPS) + 1, 2] == pytest.approx(-0.04 / size, rel=1e-4)
-    # each edge to it is too long by a known length, and half of that along the edge would even it out
-    pulled = []
-    for other in near[near != row]:
-        length = float(np.linalg.norm(clothed.rest[seam.vertices[other]] - clothed.rest[vertex]))
-        now = math.hypot(length, 0.04)
-        pulled.append(-0.5 * (now - length) * 0.04 / now)
-    assert frame.vectors[row, len(HOPS), 2] == pytest.approx(np.mean(pulled) / size, rel=1e-3)
-    still = seam.frame(clothed.rest, standing())
-    assert np.abs(still.vectors).max() < 1e-6
-
-
 def test_features_turn_with_the_body():
     clothed = banner()
     seam = seam_of(clothed, clothed.weights)
@@ -273,35 +199,3 @@ def test_the_refinement_is_added_to_both_results():
     assert out[30, 0] == pytest.approx(positions[30, 0] + 0.25 * FREE * size, rel=1e-4)
     far = clothed.rest[:, 1] > 1.2
     np.testing.assert_array_equal(out[far], positions[far])  # of the body away from the seam nothing moves
-
-
-def test_twins_go_together():
-    clothed = banner()
-    whole = ClothedCharacter(clothed.rest, clothed.faces, clothed.joints, clothed.weights,
-        np.ones(len(clothed.rest), bool),
-                   np.zeros(len(clothed.rest), np.int64), clothed.stiffness, clothed.damping)  # fmt: skip
-    seam = seam_of(whole, whole.weights)
-    network = RefinementNetwork(RefinementConfig(4))
-    torch.manual_seed(0)
-    torch.nn.init.normal_(network.layers[-1].weight)
-    positions = clothed.rest.copy()
-    positions[[0, -1], 2] += 0.03  # the same place twice
-    out = refined(network, seam, positions, standing())
-    np.testing.assert_array_equal(out[0], out[-1])
-    assert np.abs(out - positions).max() > 1e-4
-
-
-def test_its_losses_by_hand():
-    change = torch.tensor([[3.0, 0, 4.0], [0, 1.0, 0]])
-    assert refinement_loss(change) == pytest.approx(13.0)
-    points, truth = torch.tensor([[0.0, 0, 0], [0, 3, 0]]), torch.tensor([[0.0, 0, 1], [0, 2, 1]])
-    assert vertex_loss(points, truth) == pytest.approx(1.5)
-    assert edge_loss(points, truth, torch.tensor([[0, 1]])) == pytest.approx(1.0)
-
-
-def test_a_checkpoint_of_another_kind_is_not_read(tmp_path):
-    network = RefinementNetwork(RefinementConfig(4))
-    path = network.save(tmp_path / "a.safetensors")
-    assert RefinementNetwork.load(path).config.width == 4
-    with pytest.raises(WeightsError):
-        RefinementNetwork.load(tmp_path / "b.safetensors")

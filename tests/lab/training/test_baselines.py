@@ -72,23 +72,6 @@ def test_a_skinning_branch_learns(clothed, tmp_path):
     assert NbsNetwork.load(trainer.checkpoint).config == trainer.config.network
 
 
-def test_a_training_that_was_stopped_goes_on_as_if_it_had_not(clothed, tmp_path):
-    whole = NbsTrainer(nbs_config(tmp_path / "whole", steps=6), [clothed])
-    part = NbsTrainer(nbs_config(tmp_path / "part", steps=6), [clothed])
-    for trainer in (whole, part):
-        trainer.out.mkdir()
-        for _ in range(3):
-            trainer.train_step()
-    part.save({})
-    again = NbsTrainer(nbs_config(tmp_path / "part", steps=6), [clothed])
-    assert again.resume() and again.step == 3
-    for trainer in (whole, again):
-        for _ in range(3):
-            trainer.train_step()
-    for name, value in whole.average.state_dict().items():
-        assert torch.equal(value, again.average.state_dict()[name]), name
-
-
 def test_blend_shapes_learn_on_a_skinning_branch_that_stays(clothed, tmp_path):
     """The truth is wider where the knees bend, which skinning cannot say."""
     first = NbsTrainer(nbs_config(tmp_path / "first", steps=40), [clothed])
@@ -168,11 +151,11 @@ def test_transfer_learns_what_the_source_s_parts_lack(clothed, tmp_path):
     targets = clothed_targets([clothed], predicted=False)
     far = targets[0].truth + 0.5 * (targets[0].truth - targets[0].mesh.rest)
     target = replace(targets[0], truth=far.astype(np.float32))
-    trainer = TransferTrainer(transfer_config(tmp_path, "spt", steps=60, rate=2e-3, edges=0.0), [target], [target])
+    trainer = TransferTrainer(transfer_config(tmp_path, "spt", steps=24, rate=4e-3, edges=0.0), [target], [target])
     before = trainer.validate()
     assert before["pmd"] == pytest.approx(before["pmd_floor"], rel=0.1)  # it begins as the source's own transforms
-    losses = [trainer.train_step()["loss"] for _ in range(60)]
-    assert np.mean(losses[-10:]) < 0.9 * np.mean(losses[:10])
+    losses = [trainer.train_step()["loss"] for _ in range(24)]
+    assert np.mean(losses[-5:]) < 0.9 * np.mean(losses[:5])
 
 
 def test_posed_characters_share_their_poses(tmp_path):

@@ -15,10 +15,7 @@ from bunraku_lab.description.captions import creature_variants
 from bunraku_lab.training.rows.clip_rows import ENOUGH, ClipSet, EventPool, Mixture, link
 from bunraku_lab.training.rows.clips import (
     TrainingClip,
-    agreeing,
-    joined_sentence,
     load_clips,
-    stretch_phrases,
     stretch_variants,
 )
 
@@ -54,18 +51,6 @@ def test_a_batch_is_a_function_of_its_seed_and_number(clips):
     assert other.sentences != first[0].sentences or other.values.shape != first[0].values.shape
 
 
-def test_batches_are_padded_with_zeros_and_finite(clips):
-    for number in range(4):
-        batch = clips().batch(0, number, 5, 0.3)
-        assert (
-            batch.values.dtype == np.float32
-            and batch.values.shape[1] == batch.lengths.max() <= 120
-            and np.isfinite(batch.values).all()
-        )
-        for row, length in zip(batch.values, batch.lengths, strict=True):
-            assert not row[length:].any() and row[length - 1].any()
-
-
 def test_a_mirrored_motion_gets_the_mirrored_words(clips):
     found, random, sides = clips(), np.random.default_rng(0), set()
     for _ in range(60):
@@ -88,12 +73,6 @@ def test_clips_that_loop_are_lengthened_without_a_jump(clips):
         clip = max(np.abs(np.diff(one.values, axis=0)).max() for one in found.clips)
         assert np.abs(np.diff(values, axis=0)).max() < 1.05 * clip
     assert longest == 120
-
-
-def test_composed_sentences_name_both_parts(clips):
-    found, random = clips(), np.random.default_rng(2)
-    sentences = {found.draw(random, compose=1.0).sentence for _ in range(80)}
-    assert any("walk" in one and "kick" in one and ("then" in one or "and" in one) for one in sentences)
 
 
 def test_folders_are_read_by_split_and_faults_are_named(swings):
@@ -232,22 +211,6 @@ def test_computed_words_are_true_of_the_row_and_of_its_mirror_image():
     assert min(told.values()) > 10
 
 
-def test_the_closed_set_of_sentences_has_every_plain_row(zoo):
-    found, random = zoo(computed=0.0), np.random.default_rng(6)
-    known = found.sentences()
-    assert known == sorted(set(known)) and "a horse gallops" in known and "a person waves with the right hand" in known
-    assert {found.draw(random).sentence for _ in range(200)} <= set(known)
-
-
-def test_rows_are_a_function_of_their_seed_with_creatures_too(zoo):
-    one, other = zoo(borrowed=0.3), zoo(borrowed=0.3)
-    first = [one.batch(5, number, 8, 0.3) for number in range(4)]
-    for number in (3, 1):
-        again = other.batch(5, number, 8, 0.3)
-        np.testing.assert_array_equal(again.values, first[number].values)
-        assert again.sentences == first[number].sentences and again.meshes == first[number].meshes
-
-
 def test_captions_by_time_make_stretches_and_what_is_done_once_is_not_looped(swings, features):
     index = json.loads((swings / "index.json").read_text())
     entry = index["clips"]["waves_0"]
@@ -265,20 +228,6 @@ def test_captions_by_time_make_stretches_and_what_is_done_once_is_not_looped(swi
     found = {clip.name: clip for clip in ClipSet(clips, statistics, "train").clips}
     assert found["waves_0@0"].loop is None  # "then" is not true of a motion that is played twice
     assert found["waves_0@0"].actions == ("raise arm",) and found["waves_0@25"].actions == ("wave",)
-
-
-def test_actions_are_drawn_by_the_root_of_their_clips():
-    still = np.zeros((40, 271), np.float32)
-    still[:, 4], still[:, 8] = 1, 1
-    found = {
-        f"walk{number}": {"features": still, "texts": ["a person walks", "walk"], "watched": True, "split": "train"}
-        for number in range(80)
-    }
-    found["wave"] = {"features": still, "texts": ["a person waves", "wave"], "watched": True, "split": "train"}
-    clips = ClipSet(found, FeatureStatistics.measure([still + np.random.default_rng(0).normal(size=still.shape)]))
-    chance = dict(zip((clip.name for clip in clips.clips), clips.probability, strict=True))
-    walks = sum(chance[name] for name in found if name.startswith("walk"))
-    assert walks / chance["wave"] == pytest.approx(np.sqrt(80) / np.sqrt(20))
 
 
 def test_who_lies_is_not_straightened_by_what_cuts_off_faults_of_capture(features):
@@ -320,12 +269,6 @@ def test_rare_actions_are_drawn_as_often_as_common_ones():
     assert clips.probability.max() == pytest.approx(20 / (400 + 20))
 
 
-def test_rows_name_their_clips(clips):
-    names = {clip.name for clip in clips().clips}
-    batch = clips().batch(0, 0, 16, compose=0.5)
-    assert len(batch.clips) == 16 and all(own and set(own) <= names for own in batch.clips)
-
-
 def turn(side, start=5):
     return Phrase("turn", (f"{{turn}} {side}",), start, start + 20)
 
@@ -343,12 +286,6 @@ def pool(features):
     return EventPool(clips, lambda clip: told[int(clip.name)], lambda clip: decode(clip.values), 60)
 
 
-def test_left_and_right_are_one_kind_and_plain_walks_are_none(pool):
-    assert {name: len(found) for name, found in pool.kinds.items()} == {
-        "{turn} left": 100, "{jump}": 1, "{walk} backwards": 1,
-    }  # fmt: skip
-
-
 def test_the_rare_is_drawn_more_often_than_it_is_there(pool):
     """By the root of how often it is there, up to a bound: 1 of sqrt(40) + 2 instead of 1 of 102."""
     random = np.random.default_rng(0)
@@ -356,10 +293,6 @@ def test_the_rare_is_drawn_more_often_than_it_is_there(pool):
     expected = 1 / (ENOUGH**0.5 + 2)
     assert abs(drawn.count("{jump}") / 2000 - expected) < 0.03
     assert min(drawn.count("{turn} left"), drawn.count("{turn} right")) > 500
-
-
-def test_nothing_is_drawn_where_nothing_is_told():
-    assert EventPool([], lambda clip: [], lambda clip: None, 60).draw(np.random.default_rng(0)) is None
 
 
 def order(sentence, words):
@@ -385,19 +318,7 @@ def test_sentences_of_two_and_three_parts_keep_their_order():
             assert any(word in sentence for sentence in made)
 
 
-def test_subjects_and_statives():
-    random = np.random.default_rng(1)
-    made = {link(("{be} tired", "{fall} asleep"), random, ("a horse",)) for _ in range(200)}
-    assert not any("being" in sentence or "person" in sentence for sentence in made)
-    assert "a horse is tired and then falls asleep" in made
-
-
 TEXTS = ("someone walks fast and turns left", "a brisk walk with a left turn", "walk fast, turn left")
-
-
-def test_the_tersest_sentence_gives_a_phrase_where_it_begins_with_a_verb():
-    assert stretch_phrases(TEXTS) == ("{walk} fast, {turn} left",)
-    assert stretch_phrases(("a person walks", "brisk walk")) == ()
 
 
 def test_variants_keep_what_is_written_and_change_the_subject():
@@ -407,15 +328,3 @@ def test_variants_keep_what_is_written_and_change_the_subject():
     assert len(others) == 2 and others[0] != others[1]
     mirrored = stretch_variants(TEXTS, (), True)
     assert len(mirrored) == len(found) and all("right" in text and "left" not in text for text in mirrored)
-
-
-def test_labels_join_in_only_where_they_say_the_same():
-    assert agreeing(("a person kicks with the right leg",), ("kick",))
-    assert not agreeing(("a person walks",), ("kick",))
-
-
-def test_sentences_of_stretches_that_follow_become_one():
-    assert (
-        joined_sentence(["a person sits down", "someone gets up and walks off"])
-        == "a person sits down, then gets up and walks off"
-    )

@@ -1,14 +1,10 @@
-"""Training of the denoiser, from other weights too, and the tool for graphics cards."""
+"""Training of the denoiser, from other weights too."""
 
 import csv
 import os
 import signal
-import subprocess
 import sys
-import threading
-import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -59,7 +55,6 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_weights(settings, tmp_path, 
 
 
 def test_mesh_features_are_trained_when_a_bank_is_given(settings, config, encoder, tmp_path):
-    import numpy as np
 
     bank = tmp_path / "bank.npz"
     np.savez(bank, features=np.random.default_rng(0).normal(size=(5, 12)).astype(np.float32))
@@ -91,32 +86,16 @@ def test_text_tokens_are_dropped_in_training_alone(settings, config, encoder, sw
 
 def test_training_learns(settings, config, encoder):
     """The motion loss of the four motions falls well below that of the mean pose, which is about their variance."""
-    import csv
 
     path = train_diffusion(
-        settings(steps=180, batch=8, learning_rate=3e-3, warmup=10, bf16=False, validate_every=60, compose=0.0),
+        settings(steps=90, batch=8, learning_rate=6e-3, warmup=5, bf16=False, validate_every=30, compose=0.0),
         config(),
         encoder,
     )
     with (path.parent / "log.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [row["step"] for row in rows] == ["20", "60", "120", "180"]
-    assert float(rows[-1]["motion"]) < 0.5 * float(rows[0]["motion"])
-
-
-def test_no_thread_outlives_a_run(settings, config, encoder, monkeypatch):
-    """One that is inside torch when the process ends would abort it."""
-    from bunraku_lab.training.rows.clip_rows import ClipSet
-
-    batch = ClipSet.batch
-
-    def slow(*words):
-        time.sleep(0.3)
-        return batch(*words)
-
-    monkeypatch.setattr(ClipSet, "batch", slow)
-    train_diffusion(settings(steps=1, batch=2, bf16=False), config(), encoder)
-    assert "batches" not in {thread.name for thread in threading.enumerate()}
+    assert [row["step"] for row in rows] == ["20", "30", "60", "90"]
+    assert float(rows[-1]["motion"]) < 0.6 * float(rows[0]["motion"])
 
 
 def test_wrong_settings_are_clear(settings, config, encoder, tmp_path):
@@ -149,19 +128,6 @@ def test_mesh_specific_learning_goes_on_after_a_stop(settings, config, encoder, 
     assert log[0].endswith("spring,adversarial,discriminator,score") and len(log) == 3 and "nan" not in log[-1]
 
 
-def test_an_older_state_goes_on(settings, config, encoder, bank_path, tmp_path):
-    """A state of before the discriminator, with other fields of the network's config."""
-    from bunraku_lab.nn.checkpoints import save_training_state
-
-    train_diffusion(settings(steps=1), config(), encoder)
-    state = weights(tmp_path / "run")
-    state.config["network"].pop("adaptation_mesh")
-    state.config["network"] |= {"architecture": "decoder", "convolution": 0}  # fields that are no longer in use
-    save_training_state(tmp_path / "run" / "state.safetensors", state)
-    train_diffusion(settings(steps=2, character_bank=bank_path, characters=2), config(), encoder)
-    assert weights(tmp_path / "run").step == 2 and "discriminator" in weights(tmp_path / "run").models
-
-
 def test_curves_for_tensorboard(settings, config, encoder, tmp_path):
     events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     train_diffusion(settings(steps=4, validate_every=2), config(), encoder)
@@ -171,21 +137,11 @@ def test_curves_for_tensorboard(settings, config, encoder, tmp_path):
 
 
 def test_without_tensorboard_one_line_says_so(settings, config, encoder, tmp_path, monkeypatch, capsys):
-    import sys
 
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     train_diffusion(settings(steps=1), config(), encoder)
     assert capsys.readouterr().out.replace("\n", " ").count("no TensorBoard curves") == 1
     assert not (tmp_path / "run" / "events").exists()
-
-
-def test_the_checkpoint_says_that_creatures_were_trained(settings, config, encoder, swings):
-    import json
-
-    index = json.loads((swings / "index.json").read_text())
-    index["clips"]["waves_0"] |= {"species": "horse", "action": "walk", "character": "pack/Horse"}
-    (swings / "index.json").write_text(json.dumps(index))
-    assert load_denoiser(train_diffusion(settings(steps=1), config(), encoder)).notes["creatures"] is True
 
 
 TINY = DenoiserConfig(
@@ -240,68 +196,3 @@ def test_another_network_is_refused(tmp_path):
         start_from(path, denoiser(replace(TINY, width=48)))
     with pytest.raises(OptionError, match="pooled_size differ"):
         start_from(path, denoiser(replace(TINY, pooled_size=8 + 30)))
-
-
-def test_attention_to_examples_starts_without_effect(tmp_path):
-    """A network with examples begins as the one that it starts from."""
-    old, new = denoiser(), Denoiser(replace(TINY, examples=2)).eval()
-    new.mean.copy_(old.mean)
-    new.std.copy_(old.std)
-    start_from(save_denoiser(tmp_path / "old.safetensors", old, half=False), new)
-    new.adaptation_out.load_state_dict(old.adaptation_out.state_dict())
-    values = torch.randn(2, 16, TINY.features)
-    torch.testing.assert_close(predict(new, values), predict(old, values), atol=1e-6, rtol=1e-5)
-    assert new.example_in.weight.shape == (32, 2 * 4 * TINY.features)
-
-
-TOOL = Path(__file__).parents[3] / "tools" / "gpu.py"
-
-
-def call(tool, folder, *words, status=0):
-    clean = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHONPATH", "BUNRAKU"))}
-    done = subprocess.run(
-        [sys.executable, str(tool), *map(str, words)], cwd=folder, env=clean, capture_output=True, text=True,
-        timeout=900,
-    )  # fmt: skip
-    assert done.returncode == status, done.stderr
-    return done.stdout + done.stderr
-
-
-@pytest.fixture
-def packed(swings, tmp_path):
-    bank = tmp_path / "bank.npz"
-    np.savez(bank, features=np.random.default_rng(0).normal(size=(3, 448)).astype(np.float32))
-    out = tmp_path / "gpu"
-    said = call(TOOL, tmp_path, "pack", "--data", swings, "--mesh-bank", bank, "-o", out)
-    assert "8 clips" in said and "MiB" in said
-    return out
-
-
-def test_packed_trained_in_two_calls_and_joined(packed, tmp_path):
-    """A step, one more where it stopped, and the weights come back in pieces, whole."""
-    assert not (packed / "src/bunraku/weights/diffusion.safetensors").exists()
-    back = tmp_path / "back"
-    how = ("--preset", "small", "--batch", 2, "--device", "cpu", "--threads", 1, "--piece", 4, "--out", back)
-    said = call(packed / "gpu.py", tmp_path, "train", *how, "--steps", 1, "--files", 3, status=1)
-    assert "are more than 3 files" in said  # what was trained is kept
-    said = call(packed / "gpu.py", tmp_path, "train", *how, "--steps", 2)
-    assert "from step 1" in said
-    pieces = sorted(back.glob("*.piece"))
-    assert len(pieces) >= 5 and max(piece.stat().st_size for piece in pieces) <= 4 << 20
-    said = call(TOOL, tmp_path, "join", back, "-o", tmp_path / "run")
-    assert "2 steps" in said
-    whole = tmp_path / "run" / "diffusion.safetensors"
-    assert whole.read_bytes() == (packed / "run" / "diffusion.safetensors").read_bytes()
-    model = load_denoiser(whole)
-    assert model.notes["steps"] == 2 and model.knows_meshes
-    with (tmp_path / "run" / "log.csv").open() as file:
-        assert csv.DictReader(file).fieldnames[0] == "step"
-    pieces[0].unlink()
-    said = call(TOOL, tmp_path, "join", back, "-o", tmp_path / "other", status=1)
-    assert "piece 0 of diffusion.safetensors is missing" in said
-
-
-def test_a_limit_that_comes_too_early_is_said(packed, tmp_path):
-    """The alarm rings within seconds, while the libraries are still being loaded."""
-    said = call(packed / "gpu.py", tmp_path, "train", "--limit", 0.001, "--steps", 1, "--device", "cpu", status=1)
-    assert "the limit came before the first step" in said

@@ -26,11 +26,6 @@ from bunraku_lab.training.handles import (
     HandleTrainer,
     MeshAugmentation,
     augment_mesh,
-    coarser,
-    noisy,
-    pierced,
-    slid,
-    split,
     train_handles,
     validate_handles,
     write_mesh_bank,
@@ -125,7 +120,7 @@ def test_training_learns_and_goes_on_as_if_never_stopped(tmp_path):
     cut = trainer(tmp_path / "a")
     assert cut.resume() and cut.epoch == 2
     assert [cut.train_epoch()["total"] for _ in range(2)] == pytest.approx(rest, rel=1e-6)
-    for _ in range(12):
+    for _ in range(7):
         last = whole.train_epoch()["total"]
     assert last < 0.8 * first
     figures = validate_handles(whole.average, [worm()])
@@ -147,11 +142,6 @@ def test_train_handles_writes_a_checkpoint_and_a_log(tmp_path):
     assert train_handles(config, rows.append) == path and len(rows) == 1  # done is done
 
 
-def test_plain_mesh_is_the_character():
-    character = worm()
-    assert plain_mesh(character, np.random.default_rng(0)).vertices is character.vertices
-
-
 def test_mesh_bank_says_who_is_held_out_and_who_is_a_person(tmp_path):
     torch.manual_seed(0)
     model, person = HandlePredictor(SMALL).eval(), reference_characters(300)[0]
@@ -161,19 +151,6 @@ def test_mesh_bank_says_who_is_held_out_and_who_is_a_person(tmp_path):
         assert bank["names"].tolist() == ["pack/worm~posed", *["pack/other"] * 2, *[person.name] * 2]
         assert bank["split"].tolist() == ["test", *["train"] * 4]
         assert bank["humanoid"].tolist() == [False, False, False, True, True]
-
-
-def test_mesh_bank_holds_each_character_and_its_variants(tmp_path):
-    torch.manual_seed(0)
-    model, character = HandlePredictor(SMALL).eval(), worm()
-    path = write_mesh_bank(model, [character, worm("pack/other")], tmp_path / "bank.npz", variants=2)
-    with np.load(path) as bank:
-        features, names = bank["features"], bank["names"].tolist()
-    assert names == ["pack/worm"] * 3 + ["pack/other"] * 3
-    graph = mesh_graph(character.vertices, character.normals, character.edges, character.areas, SMALL.anchors)
-    with torch.no_grad():
-        np.testing.assert_allclose(features[0], model(graph).features.numpy(), atol=1e-5)
-    assert np.abs(features[1] - features[0]).max() > 1e-4 and not list(tmp_path.glob(".*"))
 
 
 def test_a_run_that_goes_on_keeps_the_feature_where_it_is_told_to(tmp_path):
@@ -225,46 +202,9 @@ def check(mesh: TrainingMesh) -> None:
     assert mesh.edges.max() < len(mesh.vertices) and (mesh.edges[:, 0] != mesh.edges[:, 1]).all()
 
 
-def test_slid_vertices_stay_on_their_edges_with_their_labels(mesh):
-    out = slid(mesh, np.random.default_rng(0), 0.4)
-    check(out)
-    step = np.linalg.norm(out.vertices - mesh.vertices, axis=1)
-    assert step.max() > 0.005 and step.max() <= 0.4 * 0.0527
-
-
-def test_coarser_keeps_the_area_and_the_labels(mesh):
-    out = coarser(mesh, np.random.default_rng(0), 0.5)
-    check(out)
-    assert len(out.vertices) < 0.8 * len(mesh.vertices)
-    assert out.areas.sum() == pytest.approx(mesh.areas.sum(), rel=1e-5)
-    assert len(np.unique(out.edges, axis=0)) == len(out.edges)
-
-
-def test_pierced_leaves_out_balls_and_renumbers(mesh):
-    out = pierced(mesh, np.random.default_rng(1), 0.04)
-    check(out)
-    assert 0.9 * len(mesh.vertices) <= len(out.vertices) < len(mesh.vertices)
-
-
-def test_split_cuts_between_parts_alone(mesh):
-    out = split(mesh, np.random.default_rng(2))
-    check(out)
-    kept = {tuple(edge) for edge in out.edges}
-    lost = np.array([edge for edge in mesh.edges if tuple(edge) not in kept])
-    assert 0 < len(lost) < 0.3 * len(mesh.edges)
-
-
 def test_damage_is_random_but_repeatable(mesh):
     always = MeshAugmentation(slide_rate=1, coarse_rate=1, hole_rate=1, split_rate=1, noise=0)
     first, second = (augment_mesh(mesh, np.random.default_rng(5), always) for _ in range(2))
     check(first)
     np.testing.assert_array_equal(first.vertices, second.vertices)
     assert augment_mesh(mesh, np.random.default_rng(5), MeshAugmentation(0, 0, 0, 0, 0, 0, 0, 0, 0)) is mesh
-
-
-def test_noise_is_the_same_in_all_poses(mesh):
-    out = noisy(mesh, np.random.default_rng(3), 0.01, 0.1)
-    np.testing.assert_allclose(
-        out.posed - mesh.posed, np.broadcast_to(out.vertices - mesh.vertices, mesh.posed.shape), atol=1e-6
-    )
-    assert 0.007 < (out.vertices - mesh.vertices).std() < 0.013 and 0.07 < (out.normals - mesh.normals).std() < 0.13

@@ -11,16 +11,12 @@ from bunraku.language.foreign_tagger import TaggerConfig, load_tagger, units
 from bunraku.language.lexicon import actions_of
 from bunraku_lab.training.language import (
     FILES,
-    MEANT,
-    NOT_MEANT,
     TaggerNetwork,
     TaggerTrainConfig,
     TaggerTrainer,
     batch_of,
     drawn_number,
     lessons_of,
-    likeness_of,
-    measure,
     read_pairs,
     save_tagger,
     sentence_losses,
@@ -58,15 +54,6 @@ def test_a_missing_file_and_a_line_that_is_no_pair_are_refused(folder):
     (folder / "deu.txt").unlink()
     with pytest.raises(FormatError, match=r"deu\.txt.*missing"):
         read_pairs(folder)
-
-
-def test_a_movement_that_is_meant_is_nearer_to_captions(tmp_path):
-    sentences = ["She dances in the room.", "I saw your brother the other day.", "He saws wood.", "He runs a company."]
-    found = measure(sentences, tmp_path / "likeness.json")
-    assert found == measure(sentences, tmp_path / "likeness.json", most=0)
-    assert found[sentences[0]]["dance"] > MEANT > NOT_MEANT > found[sentences[1]]["wash"] < found[sentences[2]]["wash"]
-    assert found[sentences[3]]["run"] < found[sentences[0]]["dance"]
-    assert likeness_of(found)("a person dances") == {"dance": 1.0}
 
 
 def test_the_tables_forms_say_one_action_each():

@@ -59,22 +59,6 @@ def test_it_learns(characters, tmp_path):
     assert after["loss"] < before["loss"] - 0.5
 
 
-def test_a_run_goes_on_as_if_it_had_not_stopped(characters, tmp_path):
-    cache = tmp_path / "cache" / "samples"
-    cache.mkdir(parents=True)
-    for character in characters:
-        character.save(cache / f"{character.name.split('/')[1]}.npz")
-    whole = train_orientation(settings(tmp_path, out=tmp_path / "whole", reference_share=0.0))
-    broken = settings(tmp_path, out=tmp_path / "broken", reference_share=0.0)
-    trainer = OrientationTrainer(broken, characters)
-    for _ in range(2):
-        trainer.train_step()
-    trainer.save({})
-    path = train_orientation(broken)
-    assert path.name == "orientation.safetensors" and path.read_bytes()[-2000:] == whole.read_bytes()[-2000:]
-    assert len((tmp_path / "broken" / "log.csv").read_text().splitlines()) == 3
-
-
 @pytest.mark.parametrize("last", ["write", "save_state"])
 def test_a_kill_between_the_files_of_the_last_step_costs_nothing(characters, tmp_path, last):
     cache = tmp_path / "cache" / "samples"

@@ -1,5 +1,9 @@
+"""The tool for graphics cards: what it packs, trains and joins again."""
+
 import importlib.util
 import json
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -7,6 +11,7 @@ import numpy as np
 import pytest
 
 from bunraku.errors import FormatError, OptionError
+from bunraku_lab.nn.denoiser import load_denoiser
 
 SPEC = importlib.util.spec_from_file_location("gpu", Path(__file__).parents[3] / "tools" / "gpu.py")
 gpu = sys.modules["gpu"] = importlib.util.module_from_spec(SPEC)
@@ -68,3 +73,27 @@ def test_pieces_that_do_not_belong_together_are_named(file, tmp_path):
         assert not (out / "weights.bin").exists()
     with pytest.raises(OptionError, match="1024"):
         split_file(file, folder, 1024)
+
+
+def test_packed_trained_in_two_calls_and_joined(swings, tmp_path, capsys):
+    """A step from the packed code alone, one more where it stopped, and the weights come back in pieces, whole."""
+    bank, packed, back = tmp_path / "bank.npz", tmp_path / "gpu", tmp_path / "back"
+    np.savez(bank, features=np.random.default_rng(0).normal(size=(3, 448)).astype(np.float32))
+    gpu.main(["pack", "--data", str(swings), "--mesh-bank", str(bank), "-o", str(packed)])
+    assert "8 clips" in capsys.readouterr().out
+    assert not (packed / "src/bunraku/weights/diffusion.safetensors").exists()
+    words = ["train", "--preset", "small", "--batch", "2", "--device", "cpu", "--threads", "1", "--piece", "4"]
+    words += ["--run", str(packed / "run"), "--out", str(back), "--data", str(packed / gpu.BUNDLE), "--steps"]
+    clean = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHONPATH", "BUNRAKU"))}
+    subprocess.run([sys.executable, str(packed / "gpu.py"), *words, "1"], cwd=tmp_path, env=clean, check=True)
+    with pytest.raises(SystemExit, match="are more than 3 files"):
+        gpu.main([*words, "2", "--files", "3"])  # what was trained is kept
+    assert "from step 1" in capsys.readouterr().out
+    gpu.main([*words, "2"])
+    pieces = sorted(back.glob("*.piece"))
+    assert len(pieces) >= 5 and max(piece.stat().st_size for piece in pieces) <= 4 << 20
+    gpu.main(["join", str(back), "-o", str(tmp_path / "run")])
+    assert "2 steps" in capsys.readouterr().out
+    whole = tmp_path / "run" / "diffusion.safetensors"
+    assert whole.read_bytes() == (packed / "run" / "diffusion.safetensors").read_bytes()
+    assert load_denoiser(whole).knows_meshes and (tmp_path / "run" / "log.csv").read_text().startswith("step,")

@@ -91,17 +91,6 @@ def test_a_pool_gives_rows_whole_and_keeps_the_newest():
     assert (turned.examples.lengths == torch.tensor([2, 4])).all()
 
 
-def test_a_fed_pool_waits_for_as_many_rows_as_it_is_asked_for(maker):
-    fed = FedPool(RowPool(300, 60, CPU, maker.meshes), RowWorkers(maker, 1))
-    try:
-        fed.feed(130)
-        assert len(fed.pool) >= 130
-        fed.feed(10_000)
-        assert len(fed.pool) == 300
-    finally:
-        fed.close()
-
-
 def test_a_pool_whose_processes_fail_is_closed():
     """While more waits to be taken than is taken."""
 
@@ -142,15 +131,6 @@ def test_what_is_kept_is_what_the_first_sitting_learned_from(tmp_path):
     ours, theirs = first(sentences), second(sentences)
     assert torch.equal(ours.tokens, theirs.tokens) and torch.equal(ours.mask, theirs.mask)
     assert torch.equal(ours.pooled, theirs.pooled)
-
-
-def test_what_is_not_kept_does_not_depend_on_what_was_asked_for_before():
-    bank, later = TextBank(MiniLMEncoder(), ["jumps"]), TextBank(MiniLMEncoder(), ["jumps"])
-    later(["a person turns around twice and then sits down on the floor"])
-    together = bank(["a person turns around twice and then sits down on the floor", "kicks", "jumps"])
-    apart = later(["kicks"])
-    assert torch.equal(together.tokens[1][together.mask[1]], apart.tokens[0][apart.mask[0]])
-    assert torch.equal(together.pooled[1], apart.pooled[0])
 
 
 @pytest.fixture(scope="module")
