@@ -1,7 +1,6 @@
 """Files that are written whole, checkpoints, and configs that do not fit their weights."""
 
 import json
-import lzma
 import os
 import subprocess
 import sys
@@ -16,17 +15,14 @@ from safetensors.numpy import save_file
 from bunraku.anatomy.handles.networks import load_orientation_predictor, load_predictor
 from bunraku.apparel.learned.network import load_displacement
 from bunraku.apparel.learned.segmentation import load_segmentation
-from bunraku.core.arrays import lzma_filters, pack_steps, unpack_steps
 from bunraku.core.files import (
     PACKAGE_WEIGHTS,
     STALE,
     atomic_write,
-    open_input,
-    open_once,
     remove_leftovers,
     weights_file,
 )
-from bunraku.core.nn.checkpoints import halves_of, load_checkpoint, planes_of, save_checkpoint, shipped_checkpoint
+from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint, shipped_checkpoint
 from bunraku.errors import WeightsError
 from bunraku.generation.denoiser import load_denoiser
 from bunraku.generation.extractor import load_extractor
@@ -75,26 +71,6 @@ def test_what_another_machine_gave_up_is_removed_after_an_hour(tmp_path):
     old = time.time() - STALE - 1
     os.utime(path, (old, old))
     assert remove_leftovers(tmp_path) == 1
-
-
-def test_a_folder_that_is_not_there_holds_nothing(tmp_path):
-    assert remove_leftovers(tmp_path / "none") == 0
-
-
-def test_what_is_told_apart_is_what_is_read_within_one_opening(tmp_path):
-    path, other = tmp_path / "a.bin", tmp_path / "b.bin"
-    path.write_bytes(b"first")
-    with open_once():
-        with open_input(path) as file:
-            assert file.read(2) == b"fi"
-        other.write_bytes(b"second")
-        other.replace(path)
-        with open_input(path) as again:
-            assert again.read() == b"first" and again is file
-    assert file.closed
-    with open_input(path) as file:
-        assert file.read() == b"second"
-    assert file.closed
 
 
 def test_weights_are_found_in_the_first_folder_that_has_them(tmp_path, monkeypatch):
@@ -181,22 +157,6 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["m.safetensors"]
 
 
-def test_shipped_checkpoint_looks_where_the_environment_says(tmp_path, monkeypatch):
-    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))
-    with pytest.raises(WeightsError, match="'demo' weights are missing"):
-        shipped_checkpoint("demo")
-    save_checkpoint(tmp_path / "demo.safetensors", _state(), {}, "thing")
-    assert shipped_checkpoint("demo") == tmp_path / "demo.safetensors"
-
-
-def test_halves_in_planes_come_back():
-    values = np.random.default_rng(0).normal(size=(7, 5)).astype(np.float16)
-    planes = planes_of(values)
-    assert planes.shape == (2, 7, 5) and planes.dtype == np.uint8
-    np.testing.assert_array_equal(halves_of(planes), values)
-    np.testing.assert_array_equal(halves_of(planes[:, 3]), values[3])
-
-
 LOADERS = {
     "handles": (load_predictor, "predictor"),
     "orientation": (load_orientation_predictor, "predictor"),
@@ -258,22 +218,3 @@ def test_a_predictor_of_other_handles_or_meshes_is_refused(tmp_path):
         path = rewritten("handles", tmp_path / "lying.safetensors", lambda shape, change=change: {**shape, **change})
         with pytest.raises(WeightsError, match="lying.safetensors"):
             load_predictor(path)
-
-
-FILTERS = lzma_filters(6, 1 << 16)
-
-
-@pytest.mark.parametrize("order", [0, 1, 2])
-def test_numbers_of_both_signs_come_back(order):
-    values = np.cumsum(np.random.default_rng(0).integers(-900, 900, (200, 7)), axis=0)
-    data = pack_steps(values, order, FILTERS)
-    np.testing.assert_array_equal(unpack_steps(data, 200, 7, order, FILTERS), values)
-    planes = lzma.decompress(data, lzma.FORMAT_RAW, filters=FILTERS)
-    assert len(planes) == 4 * values.size and set(planes[-values.size :]) == {0}  # the highest bytes stand together
-
-
-def test_other_bytes_and_other_shapes_are_refused():
-    data = pack_steps(np.ones((5, 3)), 1, FILTERS)
-    for bad, rows in ((data, 4), (data, 6), (b"nonsense", 5), (b"", 5)):
-        with pytest.raises(ValueError, match="these bytes"):
-            unpack_steps(bad, rows, 3, 1, FILTERS)

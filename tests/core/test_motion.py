@@ -9,7 +9,7 @@ from bunraku import RigAnimation
 from bunraku.core.animation import Animation, end_to_start
 from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.body.reference import reference_body
-from bunraku.core.character import Character, Handles, Rig, top_influences
+from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, line_up, local_rotations
 from bunraku.core.travel import GroundPath, bent_to_path
@@ -47,14 +47,6 @@ def test_driving_a_mesh_is_equation_3():
             np.testing.assert_allclose(got[n, i], want, atol=2e-5)
 
 
-def test_handle_0_must_not_move_locally():
-    motion = random_motion()
-    moved = motion.translations.copy()
-    moved[0, 0] = 0.1
-    with pytest.raises(MotionError, match="handle 0"):
-        HandleMotion(moved, motion.rotations, motion.root_translation, motion.root_rotation)
-
-
 def test_what_was_taken_apart_is_joined_again():
     motion = random_motion(frames=5)
     again = HandleMotion.joined([motion.take(slice(0, 2)), motion.take(np.array([2])), motion.take(slice(3, None))])
@@ -83,15 +75,6 @@ def test_local_rotations_are_the_way_back_of_forward_kinematics():
     assert line_up(2, skeleton.parents) == [2, 1, 0] and line_up(3, skeleton.parents) == [3, 0]
 
 
-def test_forward_kinematics_by_hand():
-    skeleton = Skeleton(("a", "b", "c"), [-1, 0, 1], [[0, 0, 0], [0, 1, 0], [0, 1, 0]])
-    quarter = Rotation.from_euler("z", 90, degrees=True).as_matrix()
-    motion = SkeletalMotion(skeleton, [[quarter, quarter, np.eye(3)]], [[5, 0, 0]])
-    rotations, positions = motion.world()
-    np.testing.assert_allclose(positions[0], [[5, 0, 0], [4, 0, 0], [4, -1, 0]], atol=1e-6)
-    np.testing.assert_allclose(rotations[0, 2], quarter @ quarter, atol=1e-6)
-
-
 def test_skeleton_wants_parents_first():
     with pytest.raises(MotionError, match="parent before"):
         Skeleton(("a", "b"), [-1, 1], np.zeros((2, 3)))
@@ -117,19 +100,6 @@ def test_core_arrays_cannot_be_changed():
     with pytest.raises(ValueError, match="read-only"):
         character.vertices[0] = 1
     vertices[0, 0] = 2  # the caller's own array stays the caller's
-
-
-def test_top_influences_by_hand():
-    indices, shares = top_influences(np.array([[0.1, 0.4, 0.2, 0.05, 0.25]]), 2)
-    assert indices.tolist() == [[1, 4]]
-    np.testing.assert_allclose(shares, [[0.4 / 0.65, 0.25 / 0.65]], rtol=1e-6)
-
-
-def test_rig_weights_as_a_matrix():
-    rig = Rig(("a", "b", "c"), [-1, 0, 0], np.tile(np.eye(4), (3, 1, 1)), [[2, 0], [1, 1]], [[0.75, 0.25], [0.5, 0.5]])
-    np.testing.assert_allclose(rig.dense_weights(), [[0.25, 0, 0.75], [0, 1, 0]])
-    with pytest.raises(CharacterError, match="joint that does not exist"):
-        Rig(("a",), [-1], np.eye(4)[None], [[1]], [[1.0]])
 
 
 def test_a_path_goes_through_its_points_from_the_first_to_the_last():
@@ -189,14 +159,6 @@ def swinging(character, frames=3, seed=0):
     return RigAnimation(character, turns, 0.05 * random.normal(size=(frames, bones, 3)), 20.0)
 
 
-def test_identities_and_zeros_are_the_rest_pose(character):
-    bones = len(character.rig.names)
-    still = RigAnimation(character, np.tile(np.eye(3), (2, bones, 1, 1)), np.zeros((2, bones, 3)))
-    assert np.abs(still.vertices() - character.vertices).max() < 1e-6
-    turns, heads = still.world()
-    assert np.allclose(turns, np.eye(3)) and np.allclose(heads, character.rig.positions)
-
-
 def test_world_and_back(character):
     animation = swinging(character)
     again = RigAnimation.of_world(character, *animation.world(), 20.0)
@@ -249,10 +211,3 @@ def test_each_goes_on_where_the_one_before_ends():
     assert np.allclose(places[-1, 0] - places[len(first) - 1, 0], [1, 0, 0], atol=1e-3)
     steps = np.linalg.norm(np.diff(places, axis=0), axis=-1).max(axis=1)
     assert steps[len(first) - 2 : len(first) + 8].max() < 2.0 * steps[: len(first) - 1].max()
-
-
-def test_one_alone_stays_as_it_is():
-    body = reference_body().character()
-    first = walking(body, [1, 0, 2], 1.0)
-    whole = end_to_start([first])
-    assert np.array_equal(whole.rotations, first.rotations) and np.array_equal(whole.translations, first.translations)

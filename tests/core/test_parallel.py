@@ -1,13 +1,11 @@
 """Processes and threads: the pool, work in parallel, and the number of threads."""
 
-import importlib.util
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +13,8 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from bunraku.core.nn.layers import one_thread, parallel, usable_threads
-from bunraku.core.parallel import Pool, parse_jobs, run_parallel
-from bunraku.errors import MissingExtraError, OptionError
+from bunraku.core.parallel import Pool, parse_jobs
+from bunraku.errors import OptionError
 
 SLEEPING = """
 import sys, time
@@ -143,21 +141,11 @@ def test_a_worker_that_dies_takes_nothing_along(tmp_path):
     assert letters == {"a": "xx", "b": "xx", "c": "xx", "d": "xx", "e": "x"}
 
 
-def test_nothing_to_do_starts_nothing():
-    assert list(run_parallel(partial(print), [], 4, str)) == []
-
-
 @pytest.mark.parametrize("text", ["0", "1025", "-1", "two", "", "1.5", "٣" * 5])
 def test_jobs_are_a_number_or_ray(text):
     with pytest.raises(OptionError, match="--jobs"):
         parse_jobs(text)
     assert parse_jobs("ray") == "ray" and parse_jobs("12") == 12
-
-
-@pytest.mark.skipif(importlib.util.find_spec("ray") is not None, reason="ray is installed")
-def test_ray_is_asked_for_by_name():
-    with pytest.raises(MissingExtraError, match="ray"):
-        list(run_parallel(os.fspath, [[Path()]], "ray", str))
 
 
 @pytest.fixture
@@ -181,13 +169,6 @@ def test_second_call_has_a_thread_of_its_own_where_there_is_a_processor_to_spare
         first, second = parallel(here, here)
         assert first == here() != second and blas() == {1}
     assert blas() == before
-
-
-def test_one_thread_stays_one(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    assert usable_threads() == 1
-    with one_thread():
-        assert len({*parallel(here, here), here()}) == 1
 
 
 def test_as_many_threads_as_processors_where_nobody_says(monkeypatch):

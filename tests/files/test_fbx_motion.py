@@ -7,7 +7,7 @@ import pytest
 from fbx_files import Scene
 from test_fbx import DATA, from_blender, saved, unpacked
 
-from bunraku import FormatError, OptionError, load_character, load_motion
+from bunraku import FormatError, OptionError, load_character
 from bunraku.files.fbx.clips import load_fbx_motion
 
 
@@ -45,17 +45,6 @@ def test_the_joints_carry_the_mesh_as_in_blender(tmp_path, name):
     posed = np.einsum("vj,nvja->nva", character.rig.dense_weights(), turned)
     frames = np.round(blender["times"] * 24).astype(int)
     assert np.abs(posed[frames] - from_blender(blender["posed"])).max() < 3e-6
-
-
-def test_a_file_without_a_mesh_moves_the_same_joints(tmp_path):
-    alone, whole = (load_fbx_motion(unpacked(name, tmp_path), fps=20) for name in ("boxman_motion", "boxman_y_up_m"))
-    assert alone.skeleton.names == whole.skeleton.names
-    assert np.abs(alone.world()[1] - whole.world()[1]).max() < 3e-6
-
-
-def test_load_motion_reads_fbx(tmp_path):
-    motion = load_motion(unpacked("boxman_motion", tmp_path), fps=20)
-    assert motion.fps == 20 and len(motion) == 11 and motion.skeleton.names[0] == "mixamorig:Hips"
 
 
 def test_curves_are_those_of_another_reader(tmp_path):
@@ -112,12 +101,6 @@ def test_joints_oriented_by_pre_rotation_rest_without_keys(tmp_path, most):
     assert np.allclose(
         rest, [[0, 1, 0], [0, 1.5, 0], [0, 2.5, 0]] if most else [[0, 1, 0], [0.5, 1, 0], [0.5, 1, -1]], atol=1e-6
     )
-
-
-def test_what_has_no_clip_is_refused(tmp_path):
-    scene, *_ = walker(tmp_path)
-    with pytest.raises(FormatError, match="holds no animation"):
-        load_fbx_motion(saved(scene, tmp_path))
 
 
 def test_endless_clips_are_refused(tmp_path):

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from gltf_files import CUBE, CUBE_FACES, Maker, glb_bytes
+from gltf_files import Maker, glb_bytes
 
 from bunraku.core.geometry.graph import clean_mesh
 from bunraku.errors import FormatError, MissingExtraError
@@ -121,10 +121,6 @@ def test_meshopt_gives_the_very_vertices(name, size):
     assert not got.source.document.tree["extensionsRequired"] and not got.source.document.tree["extensionsUsed"]
 
 
-def test_meshopt_index_sequences_keep_their_order():
-    assert np.array_equal(read(meshopt_glb(mode="INDICES")).faces, FACES)
-
-
 def test_meshopt_filters_are_undone():
     """Positions with a shared exponent: 24 bits of mantissa and 8 of exponent, as the extension defines them."""
     whole = np.round(POINTS * 1000).astype(np.int64)
@@ -144,16 +140,6 @@ def test_meshopt_filters_are_undone():
 def test_broken_meshopt_is_refused(change):
     with pytest.raises(FormatError, match=r"a\.glb"):
         read(meshopt_glb(change=change))
-
-
-def test_a_plain_copy_is_read_without_unpacking(monkeypatch):
-    maker = Maker()
-    first, second = maker.add(CUBE), maker.add(CUBE_FACES.reshape(-1).astype(np.uint8))
-    maker.views[0]["extensions"] = {"EXT_meshopt_compression": {"buffer": 9}}
-    primitive = {"attributes": {"POSITION": first}, "indices": second}
-    primitive["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 99, "attributes": {}}}
-    got = read(maker.glb(nodes=[{"mesh": 0}], meshes=[{"primitives": [primitive]}]))
-    assert np.array_equal(got.vertices, CUBE)
 
 
 def test_draco_gives_the_same_vertices():

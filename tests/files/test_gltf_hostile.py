@@ -171,7 +171,7 @@ def lists_of_nothing(folder):
     return b'{"asset":{"version":"2.0"},"extras":[' + b"{}," * 3_000_000 + b"{}]}"
 
 
-def springs(version):
+def springs(version, count=300):
     def make(folder):
         maker = Maker()
         bones = 3000
@@ -181,7 +181,7 @@ def springs(version):
             extensions = {"VRM": {"secondaryAnimation": {"boneGroups": [{"bones": [1 + n]} for n in range(300)]}}}
         else:
             chain = [{"node": bone} for bone in range(1, bones + 1)]
-            extensions = {"VRMC_vrm": {}, "VRMC_springBone": {"springs": [{"joints": chain}] * 300}}
+            extensions = {"VRMC_vrm": {}, "VRMC_springBone": {"springs": [{"joints": chain}] * count}}
         return maker.glb(
             scenes=[{"nodes": [0, 1]}],
             nodes=nodes,
@@ -212,7 +212,6 @@ CASES = {
     "weights.glb": skins_of_shared_vertices,
     "large image.glb": lambda folder: with_images(picture((8300, 8300), "RGBA", "PNG"), 1, 1),
     "same image.glb": lambda folder: with_images(picture((5000, 4000), "RGBA", "PNG"), 200, 1),
-    "images.glb": lambda folder: with_images(picture((5000, 4000), "RGB", "PNG"), 10, 10),
     "progressive.glb": lambda folder: with_images(picture((5000, 4000), "RGB", "JPEG", progressive=True), 8, 8),
     "lists.gltf": lists_of_nothing,
     "springs 0.vrm": springs(0),
@@ -270,7 +269,7 @@ def test_a_character_can_be_pickled(tmp_path):
 
 def test_a_long_spring_is_cut_and_says_so(tmp_path, caplog):
     path = tmp_path / "long.vrm"
-    path.write_bytes(springs(1)(tmp_path))
+    path.write_bytes(springs(1, 1)(tmp_path))
     from bunraku.apparel.physics.rig import apparel_rig
 
     assert (

@@ -9,7 +9,7 @@ from gltf_files import CUBE, CUBE_FACES, Maker, cube_glb, glb_bytes, png, textur
 from gltf_player import Player
 from scipy.spatial.transform import Rotation
 
-from bunraku.errors import CharacterError, FormatError, OptionError
+from bunraku.errors import CharacterError, FormatError
 from bunraku.files import load_character, save, save_character
 from bunraku.files.clips import load_animation
 
@@ -259,13 +259,6 @@ def test_files_outside_the_folder_are_not_opened(tmp_path, uri, kind):
         load_character(path)
 
 
-@pytest.mark.parametrize("name", ["EXT_unheard_of", "KHR_made_up"])
-def test_required_extensions_are_named(load, name):
-    maker = Maker()
-    with pytest.raises(FormatError, match=name):
-        load(maker.glb(extensionsRequired=[name], extensionsUsed=[name]))
-
-
 def test_an_old_vrm_is_turned_to_the_front(load):
     maker = Maker()
     primitive = maker.cube()
@@ -453,20 +446,6 @@ def test_a_bent_arm_rests_straight_where_its_armature_stands(write, space):
     assert np.abs(bent.vertices - arm.vertices).max() > 0.3
 
 
-def test_a_skeleton_that_its_clip_turned_to_the_front_faces_the_front(write):
-    data = arm_glb(ARMATURE, bent=0.0, turned=-90)
-    arm = load_character(write(data))
-    about = ARMATURE[:3, 3]
-    assert np.allclose(
-        arm.vertices[8:], (STRAIGHT - about) @ matrix(axis="y", degrees=-90)[:3, :3].T + about, atol=1e-5
-    )
-
-
-def test_skins_of_one_skeleton_rest_together(write):
-    arm = load_character(write(arm_glb(ARMATURE, second=matrix((5, 0, 1), "z", 30, 2.0))))
-    assert np.allclose(arm.vertices[8:24], STRAIGHT, atol=1e-5) and np.allclose(arm.vertices[24:], STRAIGHT, atol=1e-5)
-
-
 @pytest.mark.parametrize(
     "data", [arm_glb(ARMATURE), arm_glb(np.eye(4), second=matrix((5, 0, 1), "z", 30, 2.0)), textured_glb()]
 )
@@ -495,8 +474,3 @@ def test_what_is_written_stands_in_the_bind_pose(write, tmp_path):
 def test_a_bind_pose_without_sense_is_not_taken(write, data):
     path = write(data)
     assert np.allclose(load_character(path).vertices, load_character(path, rest="default").vertices)
-
-
-def test_the_choice_is_checked(write):
-    with pytest.raises(OptionError, match="'bind' or 'default', not 'sitting'"):
-        load_character(write(textured_glb()), rest="sitting")

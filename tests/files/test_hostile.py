@@ -52,7 +52,7 @@ CASES = {
     "glb": (lambda folder: textured_glb(), load_and_save, {"count": 200, "most": 5}),
     "obj": (ball("obj"), load_character, {"count": 100, "most": 4, "seed": 1, "cut": 0.33}),
     "ply": (ball("ply"), load_character, {"count": 100, "most": 4, "seed": 1, "cut": 0.33}),
-    "stl": (ball("stl"), load_character, {"count": 100, "most": 4, "seed": 1, "cut": 0.33}),
+    "stl": (ball("stl"), load_character, {"count": 50, "most": 4, "seed": 1, "cut": 0.33}),
     "fbx": (lambda folder: gzip.decompress((DATA / "boxman_y_up_m.fbx.gz").read_bytes()), load_both,
             {"count": 20, "first": 27}),
     "npz": (npz, read_motion, {"count": 100, "most": 1}),

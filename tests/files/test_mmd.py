@@ -8,14 +8,14 @@ from pathlib import Path
 import hostile
 import numpy as np
 import pytest
-from mmd_bytes import Body, Bone, Joint, plank, pmd, pmx
+from mmd_bytes import Bone, plank, pmd, pmx
 from scipy.spatial.transform import Rotation
 
 from bunraku import with_skeleton
 from bunraku.apparel.mask import apparel_mask, moved_joints
 from bunraku.core.avatars import MmdAppend, MmdBone, MmdIk, MmdIkLink, mmd_model
 from bunraku.core.character import Character
-from bunraku.errors import CharacterError, FormatError
+from bunraku.errors import FormatError
 from bunraku.files import load_character
 from bunraku.files.mmd.model import MmdFile, mmd_character
 from bunraku.files.mmd.read import read_pmx_file
@@ -231,15 +231,6 @@ def test_broken_parts_are_left_out_with_a_warning(tmp_path):
     ).bones
 
 
-def test_a_hundred_thousand_bodies(tmp_path):
-    data = pmx(plank(bodies=[], joints=[]))[:-8]
-    one = (
-        struct.pack("<ii", 0, 0) + b"\0\0" + pmx(plank(bodies=[Body("")], joints=[]), sizes=(1, 1, 1, 2, 1, 1))[-65:-4]
-    )
-    _, model = load(tmp_path, data + struct.pack("<i", 100_000) + one * 100_000 + struct.pack("<i", 0))
-    assert model.bodies == () and "its 100,000 rigid bodies are left out" in model.warnings[0]
-
-
 def test_broken_files_get_one_sentence(tmp_path):
     good = pmx(plank())
 
@@ -267,21 +258,6 @@ def test_broken_files_get_one_sentence(tmp_path):
     refused(old[:300], "cut off|has room for", "doll.pmd")
     refused(old[:283] + b"\xff\xff\xff\xff" + old[287:], "announces 4294967295 vertices but has room for", "doll.pmd")
     refused(pmd(plank(triangles=[0, 1, 200])), "uses vertex 200", "doll.pmd")
-
-
-def test_a_bone_that_a_vertex_names_twice_is_there_once(tmp_path):
-    vertices = [*plank().vertices[:3], (*plank().vertices[3][:3], (2, [1, 2, 1, 1], [0.1, 0.4, 0.3, 0.2]))]
-    character, _ = load(tmp_path, pmx(plank(vertices=vertices)))
-    assert np.allclose(character.rig.dense_weights()[3], [0, 0.6, 0.4]) and (character.rig.weights[3] > 0).sum() == 2
-
-
-def test_a_model_without_bones_or_joints(tmp_path):
-    vertices = [(*vertex[:3], (0, [0], [])) for vertex in plank().vertices]
-    character, model = load(tmp_path, pmx(plank(bones=[], bodies=[], joints=[], vertices=vertices)))
-    assert character.rig is None and model.bones == ()
-    _, model = load(tmp_path, pmx(plank(), tail=False))
-    assert model.bodies == ()
-    assert Joint("x").bodies == (0, 1)
 
 
 def test_what_is_no_model_has_none(tmp_path):
@@ -326,15 +302,6 @@ def test_real_characters(file, numbers):
         and named["下半身"] == "pelvis"
         and named["頭"] == "head"
     )
-
-
-def test_limits_that_are_no_numbers_take_the_inverse_kinematics_away(tmp_path):
-    model = plank()
-    model.bones.append(
-        Bone("足ＩＫ", (0.0, 16.0, 0.0), 0, ik=(2, 3, 0.5, [(1, ((np.nan, 0.0, 0.0), (1.0, 1.0, 0.0)))]))
-    )
-    found = load(tmp_path, pmx(model))[1]
-    assert found.bones[3].ik is None and any("足ＩＫ" in warning for warning in found.warnings)
 
 
 def _assert_same(first: Character, second: Character) -> None:
@@ -429,11 +396,6 @@ def test_another_reader_agrees() -> None:
     positions = np.array([[v.position.x, v.position.y, -v.position.z] for v in found.vertices]) * 0.08
     np.testing.assert_allclose(positions, character.vertices, atol=1e-6)
     assert len(found.indices) == 3 * len(character.faces)
-
-
-def test_a_mesh_without_bones_is_refused() -> None:
-    with pytest.raises(CharacterError, match="no rig"):
-        pmx_file(sample_character("person"))
 
 
 def test_a_rig_of_another_file(tmp_path: Path) -> None:

@@ -1,8 +1,6 @@
 """The registry of formats, units and up axes, and presets for engines."""
 
 import logging
-import subprocess
-import sys
 import time
 from dataclasses import replace
 
@@ -13,9 +11,7 @@ from gltf_files import CUBE, CUBE_FACES, cube_glb, glb_bytes, made_up_handles, m
 from hostile import is_one_sentence
 
 import bunraku
-from bunraku.cli.options import ProgramOption
 from bunraku.core.animation import Animation, RigAnimation
-from bunraku.core.body.layout import SKELETONS
 from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Rig
 from bunraku.core.geometry.axes import likely_unit
@@ -23,8 +19,8 @@ from bunraku.core.geometry.rotations import matrix_y
 from bunraku.errors import BunrakuError, CharacterError, FormatError, OptionError
 from bunraku.files import load_character, save_character
 from bunraku.files.clips import clip_names, load_animation
-from bunraku.files.presets import PRESETS, on_root_bone, on_the_spot, preset_named, preset_rows, root_bone, save_for
-from bunraku.files.registry import in_metres, load_with_clips, read_motion, resolve_unit
+from bunraku.files.presets import PRESETS, on_root_bone, on_the_spot, root_bone
+from bunraku.files.registry import load_with_clips, read_motion, resolve_unit
 from bunraku.files.samples import sample_character
 
 
@@ -80,25 +76,6 @@ def test_a_file_of_3_gb_is_refused_unread(tmp_path):
     assert time.process_time() - start < 0.5
 
 
-def test_truncated_files(tmp_path):
-    whole, path = textured_glb(), tmp_path / "cut.glb"
-    for length in range(0, len(whole), 41):
-        path.write_bytes(whole[:length])
-        with pytest.raises(BunrakuError, match=r"cut\.glb: ") as caught:
-            load_character(path)
-        assert is_one_sentence(caught.value, path)
-    # A header that admits the shorter length leaves the buffers to find out.
-    import json
-    import struct
-
-    size = struct.unpack_from("<I", whole, 12)[0]
-    tree, binary = json.loads(whole[20 : 20 + size]), whole[28 + size :]
-    for length in range(0, len(binary) - 8, 16):
-        path.write_bytes(glb_bytes(tree, binary[:length]))
-        with pytest.raises(FormatError, match="truncated"):
-            load_character(path)
-
-
 def test_hostile_json_values(tmp_path):
     """Any value of the tree replaced by one of another kind: a character or one sentence."""
     import copy
@@ -119,7 +96,7 @@ def test_hostile_json_values(tmp_path):
     collect(tree, ())
     values = [-1, 0, 1e9, 2**63, 1e308, "x", None, [], {}, True, [[]], "\ud800"]
     for number, spot in enumerate(spots):
-        for value in values[number % 3 :: 3]:
+        for value in values[number % 6 :: 6]:
             changed = copy.deepcopy(tree)
             item = changed
             for key in spot[:-1]:
@@ -130,14 +107,6 @@ def test_hostile_json_values(tmp_path):
                 load_character(path)
             except BunrakuError as error:
                 assert is_one_sentence(error, path)
-
-
-def test_importing_the_formats_loads_nothing_heavy():
-    heavy = ["torch", "scipy", "PIL", "trimesh", "pygltflib", "zipfile"]
-    code = f"import sys, bunraku.files; print([name for name in {heavy} if name in sys.modules])"
-    assert (
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
-    )
 
 
 def test_outputs_that_are_not_files(tmp_path):
@@ -182,19 +151,6 @@ def test_saving_under_a_name_that_says_nothing(tmp_path):
     with pytest.raises(OptionError, match="have no option 'unit'"):
         animation.save(tmp_path / "dance.glb", unit="cm")
     assert not list(tmp_path.iterdir())
-
-
-def test_a_character_travels_between_processes(tmp_path):
-    import pickle
-
-    from bunraku.files import save_character
-
-    path = tmp_path / "thing.glb"
-    path.write_bytes(textured_glb())
-    character = load_character(path)
-    again = pickle.loads(pickle.dumps(character))
-    one, two = (save_character(thing, tmp_path / "out.glb").read_bytes() for thing in (character, again))
-    assert one == two
 
 
 def box(path, size):
@@ -256,14 +212,6 @@ def test_a_lying_mesh_is_measured_as_it_would_stand(tmp_path):
     assert np.ptp(character.vertices, axis=0).max() == pytest.approx(np.ptp(robot.vertices, axis=0).max(), rel=1e-3)
 
 
-def test_the_units_of_gltf_and_of_arrays_are_metres(tmp_path, caplog):
-    tall = Character("tall", np.float32([[0, 0, 0], [20, 0, 0], [0, 170, 0]]), [[0, 1, 2]])
-    assert in_metres(tall)[0] is tall
-    path = save_character(tall, tmp_path / "tall.glb")
-    assert load_character(path).height == pytest.approx(170) and caplog.text == ""
-    assert load_character(path, unit="cm").height == pytest.approx(1.7)
-
-
 def test_an_unknown_unit_is_one_sentence(tmp_path):
     path = box(tmp_path / "box.obj", (1, 2, 1))
     with pytest.raises(OptionError, match="'ft' is no unit of characters; there are auto, m, cm, mm, in"):
@@ -306,11 +254,6 @@ def test_on_the_spot_nothing_travels_and_poses_stay(walking):
     assert on_the_spot(handles).motion.rotations.shape == handles.motion.rotations.shape
 
 
-def test_a_body_without_a_root_bone_stays_as_it_is(walking):
-    handles = walking.animation()
-    assert root_bone(handles) is None and on_root_bone(handles) is handles
-
-
 @pytest.mark.parametrize("row", PRESETS, ids=lambda row: row.name)
 def test_each_program_gets_its_files(walking, tmp_path, row):
     other = RigAnimation(walking.character, walking.rotations, walking.translations, walking.fps)
@@ -325,13 +268,3 @@ def test_each_program_gets_its_files(walking, tmp_path, row):
     if row.root != "none":
         want = walking.at(row.fps).vertices()
         assert np.linalg.norm(played.vertices() - want, axis=-1).max() < 1e-3
-
-
-def test_the_rows_are_data(walking, tmp_path):
-    assert {row["skeleton"] for row in preset_rows()} <= set(SKELETONS)
-    options = ProgramOption.__args__[0].__args__
-    assert {name for option in options for name in getattr(option, "__args__", ())} == {row.name for row in PRESETS}
-    with pytest.raises(OptionError, match="there are unity, unreal"):
-        save_for("maya", {"walk": walking}, tmp_path / "a.fbx")
-    files = preset_named("unreal").files("a.fbx", ["x/y", "x y"])
-    assert [path.name for path in files] == ["a-x-y.fbx", "a-x-y-1.fbx"]

@@ -10,7 +10,7 @@ from bunraku.core.animation import Animation, PointAnimation, RigAnimation
 from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
-from bunraku.errors import FormatError, MissingExtraError, OptionError
+from bunraku.errors import FormatError, MissingExtraError
 from bunraku.files import load_character
 from bunraku.files.usd import prim_name
 from bunraku_lab.synthetic.samples import make_sample
@@ -164,18 +164,6 @@ def test_without_usd(animation, tmp_path, monkeypatch):
     with pytest.raises(MissingExtraError, match=r"bunraku\[usd\]"):
         check_writer(tmp_path / "dance.usdz")
     assert not list(tmp_path.iterdir())
-
-
-def test_options_that_make_no_sense(pxr, animation, tmp_path):
-    wrong = (
-        ({"unit": "parsec"}, "no unit"),
-        ({"up": "-x"}, "up is"),
-        ({"fps": 0}, "fps must"),
-        ({"order": "xyz"}, "no option 'order'"),
-    )
-    for options, says in wrong:
-        with pytest.raises(OptionError, match=says):
-            animation.save(tmp_path / "dance.usd", **options)
 
 
 @pytest.mark.parametrize("up", ["+y", "+z"])

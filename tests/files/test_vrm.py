@@ -1,8 +1,5 @@
 """Springs and colliders of VRM 0.x and 1.0, written by hand, good and broken."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from gltf_files import Maker
@@ -12,7 +9,6 @@ from bunraku.core.avatars import vrm_model
 from bunraku.errors import FormatError
 from bunraku.files import load_character
 
-REAL = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/vrm/Godette_vrm_v4.vrm")
 # 0 hips, 1 head, 2 to 4 hair, 5 a branch of it, 6 the mesh
 NODES = [
     {"name": "hips", "children": [1]},
@@ -184,13 +180,3 @@ def test_nodes_in_a_cycle_and_files_without_vrm(tmp_path):
     )
     with pytest.raises(FormatError, match="cycle"):
         load_character(tmp_path / "round.vrm")
-
-
-@pytest.mark.skipif(not REAL.is_file(), reason="needs the unpacked VRM avatar")
-def test_a_real_avatar():
-    character = load_character(REAL)
-    model = vrm_model(character)
-    assert len(model.springs) == 8 and len(model.colliders) == 4 and len(model.humanoid) == 45 and not model.warnings
-    moved = {name for name, moves in zip(character.rig.names, moved_joints(character), strict=True) if moves}
-    assert moved and all("hair" in name.lower() or "ribbon" in name.lower() for name in moved)
-    assert 0 < apparel_mask(character).sum() < len(character.vertices) / 2

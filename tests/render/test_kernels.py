@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from tubes import swinging
 
-from bunraku.errors import OptionError
 from bunraku.render import frames as frames_module
 from bunraku.render import kernels, native, render_frames
 from bunraku.render.native import SOURCE, Native, compile_kernels
 from bunraku.render.renderer import draw_parallel
-from bunraku.render.stage import Camera, build_surface
+from bunraku.render.stage import Camera
 
 COMPILED = native.native()
 
@@ -49,17 +48,6 @@ def test_compiled_loops_draw_what_numpy_draws(monkeypatch, background):
     assert difference.mean() < 0.02
     assert (difference > 2).mean() < 1e-3  # samples on an edge may go to either face
     assert len(np.unique(compiled.reshape(-1, 3), axis=0)) > 1000
-
-
-@pytest.mark.skipif(COMPILED.library is None, reason=COMPILED.reason)
-@pytest.mark.parametrize("width", [1, 3, 9, 41])
-def test_softening_is_a_mean_over_a_square(monkeypatch, width):
-    image = np.random.default_rng(width).random((33, 33), np.float32)
-    around = np.pad(image.astype(float), width // 2)
-    windows = np.lib.stride_tricks.sliding_window_view(around, (width, width))
-    assert np.abs(kernels.soften(image, width) - windows.mean(axis=(2, 3))).max() < 1e-6
-    monkeypatch.setattr(kernels, "native", lambda: Native(None, "a test"))
-    assert np.abs(kernels.soften(image, width) - windows.mean(axis=(2, 3))).max() < 1e-6
 
 
 def test_a_compiler_that_fails_leaves_no_file_and_numpy_draws(tmp_path, monkeypatch):
@@ -172,9 +160,3 @@ def test_what_a_renderer_raises_arrives():
     with pytest.raises(ValueError, match="no such frame"):
         next(pictures)
     assert drawing_threads() == []
-
-
-def test_faces_must_name_vertices():
-    for faces in ([[0, 1, 3]], [[-1, 1, 2]]):
-        with pytest.raises(OptionError, match="vertices 0 to 2"):
-            build_surface(np.eye(3, dtype=np.float32), np.array(faces))

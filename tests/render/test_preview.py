@@ -7,7 +7,6 @@ import html
 import re
 import shutil
 import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -22,9 +21,7 @@ from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.errors import FormatError, OptionError
 from bunraku.files.clips import load_animation
 from bunraku.render import (
-    HANDLE_PALETTE,
     contact_sheet,
-    handle_colors,
     render_animation,
     render_frames,
     save_preview,
@@ -141,14 +138,6 @@ def test_stills_show_the_handles(tmp_path):
         save_still(animation.character, tmp_path / "three.png", views=3)
 
 
-def test_handle_colors_are_distinct_and_blended():
-    apart = np.abs(HANDLE_PALETTE[:, None].astype(int) - HANDLE_PALETTE).sum(axis=-1) + 1000 * np.eye(30, dtype=int)
-    assert len(HANDLE_PALETTE) == 30 and apart.min() >= 50
-    colors = handle_colors(Handles(np.zeros((2, 3)), np.array([[1, 0], [0, 1], [0.5, 0.5]])))
-    assert (colors[:2] == HANDLE_PALETTE[:2]).all()
-    assert np.abs(colors[2] - HANDLE_PALETTE[:2].mean(axis=0)).max() <= 1
-
-
 def test_contact_sheet_keeps_to_its_limit(tmp_path):
     rng = np.random.default_rng(0)
     noisy = [np.clip(120 + 30 * rng.normal(size=(160, 200, 3)), 0, 255).astype(np.uint8) for _ in range(12)]
@@ -188,15 +177,6 @@ def test_bad_options_write_nothing(tmp_path, options):
     with pytest.raises(OptionError):
         save_preview(swinging(), tmp_path / "out.mp4", **options)
     assert not list(tmp_path.iterdir())
-
-
-def test_importing_loads_no_renderer():
-    check = (
-        "import sys, bunraku.render; print([name for name in ('av', 'PIL', 'torch', 'scipy') if name in sys.modules])"
-    )
-    assert (
-        subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True).stdout.strip() == "[]"
-    )
 
 
 def test_vertices_that_move_on_their_own_are_drawn_where_they_are():
@@ -244,12 +224,6 @@ def test_a_notebook_gets_a_view_and_of_large_models_a_picture(bowing, tmp_path, 
     with pytest.raises(FormatError, match="larger than"):
         bowing.save(tmp_path / "large.html", most=1000)
     assert not (tmp_path / "large.html").exists()
-
-
-def test_a_sheet_has_as_many_pictures(bowing, tmp_path):
-    (tmp_path / "sheet.png").write_bytes(bowing.sheet(4, columns=2))
-    one = Image.open(tmp_path / "sheet.png")
-    assert one.width < one.height and one.width > 400
 
 
 def test_a_browser_draws_it(bowing, tmp_path):

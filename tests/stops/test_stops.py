@@ -35,7 +35,7 @@ def test_networks_are_compared_without_the_seconds_and_the_folder(tmp_path):
 def test_samples_that_are_killed_are_made_again(tmp_path):
     killer = Killer(KILLED[0], tmp_path / "kill", tmp_path)
     assert killer.events > 12 and len(killer.whole) > 5
-    for event in (1, killer.events // 3, killer.events - 1):
+    for event in (1, killer.events - 1):
         killer.check(event)
 
 
@@ -47,7 +47,7 @@ def test_a_difference_is_seen(tmp_path):
     assert contents(tmp_path / "kill" / "whole" / "out")["mushroom.glb"] != b"another"
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.2, 0.6, 1.5])
+@pytest.mark.parametrize("seconds", [0.2, 1.5])
 def test_an_interrupted_command_is_gone_with_one_line(tmp_path, seconds):
     command = next(command for command in INTERRUPTED if command.name == "rig")
     make_inputs(tmp_path, (Command("", (), ("person",)),))

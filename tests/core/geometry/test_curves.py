@@ -49,15 +49,6 @@ def test_runs_as_scipy_does(count: int, size: int) -> None:
         np.testing.assert_array_equal(mine(values, size), scipys(values, size, mode="nearest"))
 
 
-def test_nothing_stays_nothing() -> None:
-    assert correlated(np.zeros((0, 3)), np.ones(3)).shape == (0, 3)
-
-
-def test_says_which_edges_there_are() -> None:
-    with pytest.raises(ValueError, match="nearest, mirror, wrap"):
-        gaussian(np.zeros(3), 1.0, "odd")
-
-
 def test_a_smooth_step_is_level_at_both_ends_and_symmetric():
     assert smooth_step(np.array([-1.0, 0.0, 0.5, 1.0, 2.0])).tolist() == [0, 0, 0.5, 1, 1]
     x = np.linspace(2, 5, 301)
@@ -98,12 +89,3 @@ def test_who_sits_first_stands_later_and_a_leap_is_no_stance():
     leap = heights.copy()
     leap[110:116] = 1.6
     assert tallest_steady(leap, 20.0)[85:100].all()
-
-
-def test_who_only_walks_stands_in_all_frames():
-    heights = 1 + 0.05 * np.sin(np.arange(100) / 3)
-    assert tallest_steady(heights, 20.0).all()
-
-
-def test_one_frame_is_a_stance():
-    assert tallest_steady(np.array([0.0]), 20.0).tolist() == [True]

@@ -7,15 +7,10 @@ import trimesh
 from scipy.spatial import ConvexHull, cKDTree
 from scipy.spatial.transform import Rotation
 
-from bunraku.core.body.reference import reference_body
-from bunraku.core.geometry.axes import right_angle_rotations
 from bunraku.core.geometry.closest import blend_matrix, least_distance, stars_of, surface_distances
 from bunraku.core.geometry.graph import unique_edges
 from bunraku.core.geometry.surface import (
     extreme_points,
-    face_normals,
-    part_extremes,
-    split_estimate,
     split_long_edges,
     surface_points,
     vertex_areas,
@@ -29,32 +24,6 @@ def test_sphere_normals_point_outward():
     for size in (1e-7, 1.0, 1e6):
         normals = vertex_normals(sphere.vertices * size, sphere.faces)
         assert ((normals * sphere.vertices).sum(axis=1) > 0.999).all()
-
-
-def test_degenerate_faces_change_nothing():
-    sphere = trimesh.creation.icosphere(2)
-    faces = np.concatenate([sphere.faces, [[0, 0, 1], [3, 3, 3], [1, 2, 2]]])
-    np.testing.assert_array_equal(vertex_normals(sphere.vertices, faces), vertex_normals(sphere.vertices, sphere.faces))
-
-
-def test_vertices_without_area_point_up():
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [5, 5, 5]], float)
-    there_and_back = np.array([[0, 1, 2], [0, 2, 1]])
-    np.testing.assert_array_equal(vertex_normals(vertices, there_and_back), [[0, 1, 0]] * 4)
-    np.testing.assert_array_equal(vertex_normals(vertices, there_and_back, unit=False), np.zeros((4, 3)))
-
-
-def test_large_faces_weigh_more():
-    """A vertex between a face of area 3 that looks along +Z and one of area 1 that looks along +X."""
-    vertices = np.array([[0, 0, 0], [6, 0, 0], [0, 1, 0], [0, 0, -2]], float)
-    normals = vertex_normals(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
-    turned = np.array([-1, 0, 3]) / np.sqrt(10)
-    np.testing.assert_allclose(np.abs(normals[0]), np.abs(turned), atol=1e-12)
-
-
-def test_face_normals_have_twice_the_area():
-    triangle = np.array([[0, 0, 0], [2, 0, 0], [0, 3, 0]], float)
-    np.testing.assert_array_equal(face_normals(triangle, np.array([[0, 1, 2]])), [[0, 0, 6]])
 
 
 SQUARES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [3, 0, 6], [0, 0, 6]], np.float32)
@@ -73,18 +42,6 @@ def test_points_lie_on_the_surface_by_area():
     assert quarters.min() >= 20
     mean = points[~first].mean(axis=0)
     assert np.abs(mean - [1.5, 0, 5.5]).max() < 0.05
-
-
-def test_points_turn_with_the_mesh():
-    points, normals = surface_points(SQUARES, FACES, 50)
-    for rotation in right_angle_rotations():
-        turned, bent = surface_points(SQUARES @ rotation.T.astype(np.float32), FACES, 50)
-        assert np.abs(turned - points @ rotation.T).max() < 1e-12 and np.abs(bent - normals @ rotation.T).max() < 1e-12
-
-
-def test_a_mesh_without_area_gives_its_corners():
-    points, normals = surface_points(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], np.float32), np.array([[0, 1, 2]]), 10)
-    assert np.isfinite(points).all() and np.array_equal(normals, np.zeros((10, 3)))
 
 
 @pytest.mark.parametrize(
@@ -107,27 +64,6 @@ def test_rounds_rebuild_the_vertices():
     for pairs in rounds:
         built = np.concatenate([built, built[pairs].mean(axis=1)])
     np.testing.assert_array_equal(built, vertices)
-
-
-def test_short_edges_stay():
-    mesh = trimesh.creation.icosphere(2)
-    vertices, faces, rounds = split_long_edges(np.asarray(mesh.vertices), np.asarray(mesh.faces), 5)
-    assert not rounds
-    np.testing.assert_array_equal(faces, mesh.faces)
-    np.testing.assert_array_equal(vertices, mesh.vertices)
-
-
-def test_one_giant_triangle_is_bounded():
-    vertices = np.array([[0, 0, 0], [1000, 0, 0], [0, 1000, 0]], float)
-    _, faces, _ = split_long_edges(vertices, np.array([[0, 1, 2]]), 0.5, max_faces=3000)
-    assert 500 < len(faces) <= 3001
-
-
-def test_estimate_is_of_the_right_size():
-    mesh = trimesh.creation.box()
-    _, faces, _ = split_long_edges(np.asarray(mesh.vertices), np.asarray(mesh.faces), 0.05)
-    assert 0.2 < split_estimate(mesh.vertices, mesh.faces, 0.05) / len(faces) < 5
-    assert split_estimate(mesh.vertices, mesh.faces, 10) == 0
 
 
 @pytest.fixture(scope="module")
@@ -177,19 +113,6 @@ def test_they_are_on_the_convex_hull_and_hardly_miss_any_of_it():
         assert heights[picked].min() - heights.min() < 0.03 * np.ptp(heights)
 
 
-def test_the_lowest_of_a_body_is_among_those_of_its_parts():
-    body = reference_body()
-    picked = part_extremes(body.vertices, body.handle_weights)
-    assert len(picked) < 0.7 * len(body.vertices)
-    for turn in Rotation.random(50, random_state=0):
-        heights = turn.apply(body.vertices)[:, 1]
-        assert heights[picked].min() - heights.min() < 2e-3
-
-
-def test_no_vertices_have_no_extremes():
-    assert len(part_extremes(np.zeros((0, 3)), np.zeros((0, 30)))) == 0
-
-
 def case():
     mesh = trimesh.creation.torus(1, 0.4, major_sections=24, minor_sections=12)
     rng = np.random.default_rng(0)
@@ -212,21 +135,6 @@ def test_a_poor_home_walks_to_the_nearest_point():
     poor = np.array([neighbour[int(vertex)] for vertex in home])
     good = blend_matrix(points, home, stars, 0.01)
     np.testing.assert_allclose(blend_matrix(points, poor, stars, 0.01) @ vertices, good @ vertices, atol=0.02)
-
-
-def test_weights_are_shares():
-    points, home, _, _, stars = case()
-    weights = blend_matrix(points, home, stars, 0.05)
-    assert weights.data.min() > 0
-    np.testing.assert_allclose(np.asarray(weights.sum(axis=1)), 1, atol=1e-6)
-
-
-def test_bare_edges_and_lone_vertices_carry_points():
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [5, 5, 5]], float)
-    points = np.array([[0.25, 0.3, 0], [-1, 0, 0], [5, 6, 5]])
-    stars = stars_of(vertices, np.zeros((0, 3), int), np.array([[0, 1]]))
-    weights = blend_matrix(points, np.array([0, 1, 2]), stars, 0.01)
-    np.testing.assert_allclose(weights.toarray(), [[0.75, 0.25, 0], [1, 0, 0], [0, 0, 1]], atol=1e-6)
 
 
 def test_weights_change_smoothly_across_a_ridge():
