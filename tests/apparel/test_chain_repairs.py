@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from bunraku.apparel.chains.body_collisions import PushOutOfBody, SkirtsOverLegs, _beyond, _least_rotation
+from bunraku.apparel.chains.body_collisions import PushOutOfBody, SkirtsOverLegs
 from bunraku.apparel.chains.chain import Chain, parameters_of_laid
 from bunraku.apparel.chains.chain_rig import Chained, with_chains
 from bunraku.apparel.chains.cloth_repairs import DressedChains, MendTears, SmoothNeighbours, on_skin
@@ -20,22 +20,6 @@ from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_
 FRAMES = 40
 JOINTS = np.arange(JOINT_COUNT)
 HIP, KNEE = (JOINT_NAMES.index(f"left_{part}") for part in ("hip", "knee"))
-
-
-def test_how_far_a_ball_is_beyond_a_point():
-    """Heights of a circle, by hand."""
-    point, out = np.zeros((1, 1, 3)), np.array([[[0.0, 0.0, 1.0]]])
-    ahead = _beyond(point, np.array([[[0.0, 0.0, 0.1]]]), out, np.array([0.05]), np.zeros(1))
-    beside = _beyond(point, np.array([[[0.06, 0.0, 0.1]]]), out, np.array([0.05]), np.array([0.02]))
-    away = _beyond(point, np.array([[[0.08, 0.0, 0.1]]]), out, np.array([0.05]), np.array([0.02]))
-    np.testing.assert_allclose([ahead, beside, away], np.array([0.15, 0.13, 0])[:, None, None], atol=1e-9)
-
-
-def test_the_least_rotation_takes_one_way_to_the_other():
-    random = np.random.default_rng(0)
-    one, other = random.normal(size=(2, 20, 3))
-    found = np.einsum("nab,nb->na", _least_rotation(one, other), one / np.linalg.norm(one, axis=1, keepdims=True))
-    np.testing.assert_allclose(found, other / np.linalg.norm(other, axis=1, keepdims=True), atol=1e-6)
 
 
 def dressed():
@@ -161,12 +145,6 @@ def test_a_strip_leaves_the_ball():
     np.testing.assert_allclose(turns @ np.swapaxes(turns, -1, -2), np.broadcast_to(np.eye(3), turns.shape), atol=1e-5)
 
 
-def test_what_is_outside_stays():
-    clothed, made, body = worn()
-    before = swung(made, body, -0.3)
-    assert PushOutOfBody()(before, DressedChains(made, clothed, JOINTS, body.rig)) is before
-
-
 def test_a_strip_leaves_a_limb_that_comes_near():
     """A second ball, a hand that is far away at rest, comes from the front as the strip lies on the first one."""
     clothed, _, _ = worn()
@@ -240,12 +218,6 @@ def turned(angles):
     return (found * axes).sum(axis=-1), np.linalg.norm(found, axis=-1)
 
 
-def test_a_skirt_that_sags_all_round_stays_so():
-    angle, whole = turned(np.full(COLUMNS, -0.3))
-    np.testing.assert_allclose(angle, -0.3, atol=1e-5)
-    np.testing.assert_allclose(whole, 0.3, atol=1e-5)
-
-
 def test_a_column_that_goes_its_own_way_is_drawn_back_by_its_neighbours():
     angles = np.zeros(COLUMNS)
     angles[2] = 0.8
@@ -285,13 +257,6 @@ def test_a_torn_part_is_told_from_a_whole_one():
     # five edges along, and four across the squares of that row, of 56, are too long
     np.testing.assert_allclose([share[0], share[1]], [0, 0.5 * 9 / 56], atol=1e-6)
     assert MendTears().torn_parts(clothed, shown.__getitem__, still.__getitem__, TEAR_FRAMES) == {1}
-
-
-def test_what_the_body_tears_alone_does_not_count():
-    clothed = sheets()
-    moved = np.tile(clothed.rest, (TEAR_FRAMES, 1, 1))
-    moved[:, (clothed.part == 1) & (clothed.rest[:, 1] > 2)] += [0, 4, 0]
-    assert not MendTears().torn_parts(clothed, moved.__getitem__, moved.__getitem__, TEAR_FRAMES)
 
 
 def test_torn_places_go_over_to_the_skin_and_what_is_far_goes_its_own_way():

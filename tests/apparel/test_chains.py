@@ -5,8 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.transform import Rotation
 
 from bunraku import load_character, save_character, transfer, with_skeleton
@@ -24,14 +22,13 @@ from bunraku.apparel.chains.chain_rig import Chained, LaidChains, chain_rig, wit
 from bunraku.apparel.chains.from_bones import apparel_bones, bone_chains
 from bunraku.apparel.chains.from_shape import part_kinds, shape_chains, with_parts_from_file
 from bunraku.apparel.chains.moving import check_apparel, dialled, moving_rig, steady_simulation, with_apparel
-from bunraku.apparel.chains.sheets import _through
 from bunraku.apparel.clothed import LOADS, ClothedCharacter, Swing
 from bunraku.apparel.mask import moved_joints
 from bunraku.apparel.physics.clothed_from_file import clothed_from_file
 from bunraku.apparel.physics.rig import PhysicsSettings
 from bunraku.core.animation import RigAnimation
 from bunraku.core.avatars import mmd_model, vrm_model
-from bunraku.core.body.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.character import Character, Rig, top_influences
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.errors import CharacterError, FormatError
@@ -97,12 +94,6 @@ def test_long_hair_of_unknown_names_hangs_on_a_person():
     """Hair to the hips, whose bones a map takes along with the head, does not make a person lie down."""
     parts = RigParts.of(stripped(wardrobe_character(810_038), scrambled=True))
     assert parts.complete and parts.humanoid
-
-
-def test_names_tell_kinds(dressed):
-    kinds = apparel_bones(stripped(dressed))
-    assert {kind for bone, kind in kinds.items() if "スカート" in dressed.rig.names[bone]} == {"skirt"}
-    assert {kind for bone, kind in kinds.items() if "髪" in dressed.rig.names[bone]} <= {"hair"}
 
 
 def test_chains_follow_the_bones(dressed):
@@ -195,10 +186,6 @@ def test_the_dial_narrows_limits_and_stiffens_springs(dressed):
     np.testing.assert_allclose(two.angle_upper, one.angle_upper / 2)
     np.testing.assert_allclose(other.gravity, np.tile([0, -0.5 * PhysicsSettings().gravity, 0], (len(rig.bodies), 1)))
     assert dialled(rig) is rig
-
-
-def test_handles_of_the_layout_are_known():
-    assert {"head_top", "tail", "tail_tip", "face"} <= set(HANDLE_NAMES)
 
 
 JOINTS = np.arange(JOINT_COUNT)
@@ -299,35 +286,6 @@ def test_a_skirt_is_tied_all_round() -> None:
     assert max(lengths) < 1.05 * min(lengths)
     hem = np.flatnonzero(vertices[found.vertices, 1] < 0.56)
     np.testing.assert_allclose(found.shares[hem].sum(axis=1), 1, atol=1e-6)
-
-
-def test_what_is_far_from_the_skull_hangs_for_itself() -> None:
-    """Long hair of which the mask has the lowest band and two locks beside the face: no chain runs from one of them to
-    the other.
-    """
-    clothed = clothed_from_file(wardrobe_character(840_040))
-    hair = [chain for chain in shape_chains(clothed).chains if chain.kind == "hair"]
-    assert len(hair) >= 4
-    for chain in hair:
-        assert np.linalg.norm(chain.points[0] - chain.points[-1]) < 0.3 * clothed.scale
-
-
-def _wall(radius: float) -> np.ndarray:
-    angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 60, endpoint=False), np.linspace(1.0, 0.5, 26))
-    return np.stack([radius * np.sin(angle), height, radius * np.cos(angle)], axis=-1).reshape(-1, 3)
-
-
-def test_both_walls_of_a_skirt_reach_as_far() -> None:
-    """Two walls, 3 cm apart and nowhere joined, of which the outer one alone is held at its upper edge."""
-    outer, inner = _wall(0.3), _wall(0.27)
-    points = np.concatenate([outer, inner])
-    pairs = _through(points, 1.6)
-    lengths = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
-    graph = coo_matrix((lengths, (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points))).tocsr()
-    along = dijkstra(graph.maximum(graph.T), indices=np.flatnonzero(outer[:, 1] > 0.99), min_only=True)
-    assert np.isfinite(along).all()
-    assert np.abs(along[: len(outer)] - along[len(outer) :]).max() < 0.06
-    assert abs(along.max() - 0.5) < 0.08
 
 
 @pytest.fixture(scope="module")

@@ -174,12 +174,6 @@ def test_a_leg_that_has_come_through_is_covered_again_and_the_back_stays(clothed
     )
 
 
-def test_what_lies_right_stays_where_it_is(clothed, layers):
-    for under in (clothed.rest, pose(clothed, 0.02)):  # the leg stays under the skirt
-        found = layers(clothed.rest[SKIRT.start :], under[layers.seen])
-        np.testing.assert_array_equal(found, clothed.rest[SKIRT.start :])
-
-
 def test_what_lacks_height_is_what_a_look_at_every_pair_finds(clothed, layers):
     """The skirt over the leg, against the words of the rule, one vertex and point after the other."""
     skinned = pose(clothed, 0.25)
@@ -270,39 +264,6 @@ def test_points_are_pushed_out_in_any_pose(ball):
     assert np.linalg.norm(moved, axis=1) == pytest.approx([0.32, 0.32, 0.26, np.hypot(0.35, 0.1)], abs=2e-3)
     np.testing.assert_allclose(moved[3], rest[3], atol=1e-6)
     np.testing.assert_allclose(ball.pushed(points, unposed, gap, 0.005)[0], points[0], atol=1e-6)  # too deep
-
-
-def test_only_points_near_the_body_are_looked_at_and_none_is_missed(ball):
-    """Against the distance of every point: those nearer than their gaps, by less than the most, are moved."""
-    random = np.random.default_rng(1)
-    points = random.uniform(-0.4, 0.4, (3000, 3)).astype(np.float32)
-    gap = random.uniform(-0.05, 0.5 * CELL, len(points)).astype(np.float32)
-    still = np.tile(np.eye(3, 4, dtype=np.float32), (len(points), 1, 1))
-    rows, step = ball.push(points, Unposed.of(still, np.zeros(len(points), np.int64)), gap, 0.08)
-    distance, slope = ball.at(points)
-    short = gap - distance
-    np.testing.assert_array_equal(rows, np.flatnonzero((short > 0) & (short < 0.08)))
-    wanted = short[rows, None] * slope[rows] / np.maximum(np.square(slope[rows]).sum(axis=1), 0.1)[:, None]
-    np.testing.assert_allclose(step, wanted, atol=1e-6)
-    assert 200 < len(rows) < 2000
-
-
-def test_what_is_all_apparel_has_no_body():
-    mesh = trimesh.creation.icosphere(1, RADIUS)
-    count = len(mesh.vertices)
-    weights = np.ones((count, JOINT_COUNT), np.float32) / JOINT_COUNT
-    assert body_depth(np.asarray(mesh.vertices), np.asarray(mesh.faces), weights, np.ones(count, bool)) is None
-
-
-def test_a_body_is_measured_once_and_another_anew(ball):
-    mesh = trimesh.creation.icosphere(4, RADIUS)
-    weights = np.zeros((len(mesh.vertices), JOINT_COUNT), np.float32)
-    weights[:, 0] = 1
-    none, vertices = np.zeros(len(mesh.vertices), bool), np.asarray(mesh.vertices, np.float32)
-    first = body_depth(vertices, np.asarray(mesh.faces), weights, none)
-    assert body_depth(vertices.copy(), np.asarray(mesh.faces), weights, none) is first
-    larger = body_depth(vertices * np.float32(1.1), np.asarray(mesh.faces), weights, none)
-    assert larger.values.shape != first.values.shape or not np.array_equal(larger.values, first.values)
 
 
 def test_a_body_with_a_hole_is_closed_in_the_middle_of_it():

@@ -215,14 +215,6 @@ def test_a_belts_end_and_a_shirt_stay_and_a_tail_does_not() -> None:
     assert _marked(0.9, end, shirt, tail) == [0.0, 0.0, 1.0]
 
 
-def test_a_tail_that_reaches_the_head_is_no_hair() -> None:
-    vertices, faces, joints, weights, number = _person(_at(0.0, 1.2, -0.4, (0.02, 0.35, 0.02)))
-    weights[number == 4] = np.eye(JOINT_COUNT)[0]
-    said = np.where(number == 4, 0.9, 0.0)
-    mask, hair = hanging_mask(vertices, faces, joints, weights, np.ones(len(vertices)), said, said > 0.5)
-    assert mask[number == 4].all() and not hair.any()
-
-
 @pytest.mark.parametrize("notched", [False, True])
 def test_a_skirt_of_one_surface_with_the_body(notched: bool) -> None:
     """It is found down to its hem; what goes in between the legs, as legs that a cape joins behind do, is none."""

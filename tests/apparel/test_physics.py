@@ -1,7 +1,6 @@
 """Simulated apparel: forests of bodies, the simulation, and chains of VRM."""
 
 import os
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -12,15 +11,13 @@ from bodies import BARE, body, chain, character, joint, still
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from bunraku.apparel.clothed import SWING_NUMBERS, Swing
 from bunraku.apparel.learned.features import OwnPendulum
 from bunraku.apparel.physics.bodies import apparel_forest
 from bunraku.apparel.physics.clothed_from_file import vertex_swing
 from bunraku.apparel.physics.rig import VRM_RATE, ApparelRig, PhysicsSettings, apparel_rig, check_engine, vrm_rig
 from bunraku.apparel.physics.simulate import simulate
-from bunraku.apparel.physics.world import MOST_CLASSES, collision_bits
 from bunraku.core.animation import RigAnimation
-from bunraku.core.avatars import MmdBody, VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
+from bunraku.core.avatars import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
 from bunraku.core.character import Character, Rig
 from bunraku.errors import CharacterError, MissingExtraError, MotionError, OptionError
 from bunraku.pipelines.requests import Apparel
@@ -45,31 +42,6 @@ def hung(bodies, joints):
     return {link.body: (link.parent, link.bone) for link in forest.links}, forest
 
 
-def test_the_shortest_way_from_a_bone_and_loops():
-    bodies = [body("root", 0, [0, 2, 0], 0), *(body(f"b{n}", n, [0, 2 - n, 0]) for n in (1, 2, 3))]
-    joints = [joint(2, 1, [0, 1, 0]), joint(0, 1, [0, 2, 0]), joint(2, 3, [0, 0, 0]), joint(0, 3, [1, 0, 0])]
-    links, forest = hung(bodies, joints)
-    assert links == {1: (-1, 0), 2: (1, -1), 3: (-1, 0)}
-    assert [link.turned for link in forest.links if link.body == 2] == [True]  # it is A of its joint
-    assert [(loop.a, loop.b) for loop in forest.loops] == [(2, 3)]
-    positions = [link.body for link in forest.links]
-    assert positions.index(1) < positions.index(2)  # each after what it hangs on
-
-
-def test_joints_that_let_go_are_the_last_choice():
-    bodies = [body("root", 0, [0, 2, 0], 0), *(body(f"b{n}", n, [0, 2 - n, 0]) for n in (1, 2, 3))]
-    loose = {"lower": np.ones(3), "upper": -np.ones(3) * [1, 1, 0] + [0, 0, 2]}
-    joints = [joint(0, 1, [0, 2, 0]), joint(0, 3, [0, 0, 0], **loose), joint(1, 2, [0, 1, 0]), joint(2, 3, [0, 0, 0])]
-    links, forest = hung(bodies, joints)
-    assert links[3] == (2, -1) and len(forest.loops) == 1
-
-
-def test_two_joints_of_one_pair_are_one():
-    bodies = [body("root", 0, [0, 2, 0], 0), body("b", 1, [0, 1, 0])]
-    _, forest = hung(bodies, [joint(0, 1, [0, 2, 0]), joint(1, 0, [0, 2, 0])])
-    assert [turned for _, turned in forest.links[0].more] == [True] and not forest.loops
-
-
 def test_bodies_without_a_hold_hang_on_their_bones():
     links, forest = hung(
         [body("a", 2, [0, 1, 0]), body("b", 3, [0, 0, 0]), body("free", -1, [5, 5, 5])], [joint(0, 1, [0, 0.5, 0])]
@@ -86,27 +58,6 @@ def test_bodies_that_follow_a_moved_bone_are_carried():
     ]
     links, forest = hung(bodies, [joint(0, 1, [0, 2, 0]), joint(2, 3, [0, 0, 0])])
     assert forest.carried == {2: 1} and links == {1: (-1, 0), 3: (1, -1)}
-
-
-def test_bits_are_the_rule_of_both_masks():
-    rng = np.random.default_rng(0)
-    bodies: list[MmdBody] = []
-    for _ in range(24):
-        bodies.append(
-            body("b", 0, [0, 0, 0], int(rng.integers(2)), group=int(rng.integers(4)), mask=int(rng.integers(16)))
-        )
-    moving = [one.dynamic for one in bodies]
-    bits, lost = collision_bits(bodies, moving)
-    assert lost == 0
-    for a, (kind_a, with_a) in zip(bodies, bits, strict=True):
-        for b, (kind_b, with_b) in zip(bodies, bits, strict=True):
-            wanted = (a.dynamic or b.dynamic) and a.mask >> b.group & 1 and b.mask >> a.group & 1
-            assert bool(kind_a & with_b or kind_b & with_a) == bool(wanted)
-
-
-def test_too_many_kinds_are_counted():
-    bodies = [body("b", 0, [0, 0, 0], group=0, mask=2 * n + 1) for n in range(MOST_CLASSES + 5)]
-    assert collision_bits(bodies, [True] * len(bodies))[1] == 5
 
 
 GENE = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/mmd/gene/Gene.pmx")
@@ -260,18 +211,6 @@ def test_loops_are_held_softly():
     assert apart(joint(1, 2, [0, 1.8, 0], **slides)) == pytest.approx(0.22, abs=0.02)
 
 
-def test_the_way_into_the_first_frame_looks_where_it_looks():
-    doll, rig = chain(2)
-    animation = still(doll, 10)
-    turned = animation.rotations.copy()
-    turned[:, 0] = Rotation.from_euler("y", 170, degrees=True).as_matrix()
-    moved = animation.translations.copy()
-    moved[:, 0] = [7, 0, 3]
-    found = simulate(replace(animation, rotations=turned, translations=moved), rig, warmup=0.5).animation
-    down = found.world()[0][:, 1:] @ [0, -1, 0]
-    assert down[..., 1].max() < -0.999  # nothing was thrown about
-
-
 def test_jumps_take_apparel_along():
     doll, rig = chain(3)
     animation = still(doll, 40)
@@ -339,11 +278,6 @@ def test_transfer_needs_physics_to_simulate(tmp_path):
         transfer(doll, tmp_path / "none.bvh", apparel="simulate")
     with pytest.raises(OptionError, match="'simulate', 'chains' or 'learn'"):
         transfer(doll, tmp_path / "none.bvh", apparel="jelly")
-
-
-def test_importing_bunraku_does_not_load_mujoco():
-    code = "import sys, bunraku, bunraku.apparel.physics; assert 'mujoco' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.skipif(not GENE.exists(), reason="the real MMD characters are not unpacked here")
@@ -441,13 +375,6 @@ def test_colliders_are_for_the_springs_that_name_them():
     assert any("planes" in note for note in rig.notes)
 
 
-def test_a_node_of_two_springs_swings_once():
-    made, avatar = doll()
-    twice = VrmModel("1.0", "", {}, avatar.springs * 2, (), ())
-    rig = vrm_rig(made, twice)
-    assert len(rig.dynamic) == 2 and any("several springs" in note for note in rig.notes)
-
-
 _TURN = np.radians(20.0)
 
 
@@ -486,35 +413,6 @@ def test_two_like_links_share_the_turn():
     np.testing.assert_allclose(swing.away[1:], [[0, -0.2, 0], [0, -0.3, 0]], atol=1e-6)
     np.testing.assert_allclose(swing.upper[2], 2 * _TURN, atol=1e-6)
     np.testing.assert_allclose(swing.lower[2], -2 * _TURN, atol=1e-6)
-
-
-def test_a_locked_link_turns_nothing():
-    doll, rig = links([0.0, _TURN])
-    swing = vertex_swing(doll, rig)
-    assert np.abs(swing.lever[1]).max() < 2e-3  # of 20 cm
-    np.testing.assert_allclose(swing.lever[2], [0, -0.2, 0], atol=2e-3)
-    np.testing.assert_allclose(swing.upper[2], _TURN, atol=1e-6)
-
-
-def test_limits_count_by_axes():
-    """A strand that swings to one side only: about its z axis, and by no more than the file says."""
-    doll, rig = links([_TURN])
-    one = replace(rig.joints[0], angle_lower=np.array([0, 0, -0.1]), angle_upper=np.array([0, 0, 0.5]))
-    swing = vertex_swing(doll, replace(rig, joints=(one,)))
-    assert swing.lower[1] == pytest.approx([0, 0, -0.5], abs=1e-6)  # B in A turns the other way round
-    assert swing.upper[1] == pytest.approx([0, 0, 0.1], abs=1e-6)
-
-
-def test_rows_and_back():
-    doll, rig = links([_TURN, 0.3])
-    swing = vertex_swing(doll, rig)
-    rows = swing.rows()
-    assert rows.shape == (3, SWING_NUMBERS)
-    np.testing.assert_array_equal(Swing.of_rows(rows).rows(), rows)
-    np.testing.assert_array_equal(Swing.of_rows(rows).upper, swing.upper)
-    stiffer = swing.dialled(4.0)
-    np.testing.assert_allclose(stiffer.upper, swing.upper / 2)
-    np.testing.assert_allclose(stiffer.spring, 4 * swing.spring)
 
 
 @pytest.mark.parametrize("limits", [[np.pi], [0.15], [0.3, 0.3, 0.3]])

@@ -13,7 +13,7 @@ import bunraku
 from bunraku.cli import main
 from bunraku.cli.app import all_verbs
 from bunraku.cli.clips import Samples
-from bunraku.cli.outputs import size_text, slug
+from bunraku.cli.outputs import slug
 from bunraku.errors import is_fault, sentence_of
 
 
@@ -108,21 +108,9 @@ def test_slug():
     assert slug("word " * 100) != slug("word " * 99)  # what begins alike is told apart
 
 
-def test_size_text():
-    assert [size_text(n) for n in (0, 999, 1500, 2_500_000, 3 * 10**9)] == [
-        "0 bytes",
-        "999 bytes",
-        "1.5 kB",
-        "2.5 MB",
-        "3.0 GB",
-    ]
-
-
-@pytest.mark.parametrize("stream", ["stdout", "stderr", "both"])
-def test_closed_streams_are_no_fault(good, stream):
-    closed = {"stdout": ">&-", "stderr": "2>&-", "both": ">&- 2>&-"}[stream]
+def test_closed_streams_are_no_fault(good):
     words = [sys.executable, "-m", "bunraku", "inspect", str(good)]
-    done = subprocess.run(["sh", "-c", f'"$@" {closed}', "sh", *words], capture_output=True, text=True)
+    done = subprocess.run(["sh", "-c", '"$@" >&- 2>&-', "sh", *words], capture_output=True, text=True)
     assert done.returncode in (0, 141) and "fault" not in done.stderr and "Traceback" not in done.stderr
 
 
@@ -137,7 +125,7 @@ def test_a_stream_of_few_letters_is_no_fault(tmp_path, glb):
     assert done.returncode == 0 and b"f\\xfcchsin" in done.stdout and b"fault" not in done.stderr
 
 
-@pytest.mark.parametrize("after", [0.0, 0.05, 0.15])
+@pytest.mark.parametrize("after", [0.0, 0.15])
 def test_an_interrupt_at_the_start_is_one_line(good, after):
     """It is sent as soon as the command's own module runs; before that Python itself starts."""
     code = (
@@ -175,13 +163,6 @@ def test_an_interrupt_that_is_ignored_stays_ignored():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows sends no such signal")
-def test_processes_that_tests_start_can_be_interrupted():
-    """Also where the tests themselves run in the background, as with `nohup make test &`."""
-    code = "import signal; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
-    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "True\n"
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows sends no such signal")
 def test_an_interrupt_after_all_is_done_says_nothing():
     code = (
         "import atexit, os, signal, sys, bunraku.cli\n"
@@ -197,30 +178,6 @@ def test_an_interrupt_after_all_is_done_says_nothing():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0 and done.stderr == "" and done.stdout.splitlines()[1:] == ["interrupted"]
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows sends no such signal")
-def test_an_interrupt_of_what_torch_calls_while_it_is_loaded_is_no_abort():
-    """Its module for distributed work asks for modules from C++ that lets no exception through."""
-    code = (
-        "import signal, sys, bunraku.cli\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "def main():\n"
-        "    inside = []\n"
-        "    def look(frame, event, what):\n"
-        "        if event == 'c_call' and what.__name__ == '_c10d_init':\n"
-        "            inside.append(what)\n"
-        "        elif event == 'call' and inside:\n"
-        "            sys.setprofile(None)\n"
-        "            signal.raise_signal(signal.SIGINT)\n"
-        "    sys.setprofile(look)\n"
-        "    import torch\n"
-        "bunraku.cli.main = main\n"
-        "from bunraku.__main__ import run\n"
-        "run()\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 130 and done.stderr == "bunraku: interrupted\n"
 
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1.5, 0], [0, 0, 1]], "<f4")

@@ -268,9 +268,3 @@ def test_what_a_program_does_not_take_is_refused(mesh, motions, words, says, cap
     assert main(["transfer", str(mesh), *motions, *words]) == 2
     said = capsys.readouterr()
     assert says in said.out + said.err
-
-
-def test_a_program_takes_the_clips_of_one_character(mesh, motions, tmp_path, capsys):
-    other = save_character(sample_character("robot"), tmp_path / "robot.glb")
-    assert main(["transfer", str(mesh), str(other), *motions, "--for", "unity"]) == 2
-    assert "one character" in capsys.readouterr().err

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -70,16 +69,6 @@ def test_places_that_meet_are_refused(holder, tmp_path, theirs, ours):
         pass
 
 
-def test_places_that_do_not_meet_are_free(holder, tmp_path):
-    holder("files", tmp_path / "out.glb")
-    holder("folders", tmp_path / "clips")
-    with (
-        exclusive_output([tmp_path / "out.npz", tmp_path / "clips.glb"]),
-        exclusive_output(folders=[tmp_path / "clips-2"]),
-    ):
-        pass
-
-
 def test_another_process_with_the_number_of_a_dead_one_holds_nothing(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
@@ -91,17 +80,6 @@ def test_another_process_with_the_number_of_a_dead_one_holds_nothing(tmp_path, m
     with exclusive_output([tmp_path / "out.glb"]):
         assert len(list(position.glob("*.json"))) == 1
     assert list(position.iterdir()) == []
-
-
-def test_a_guard_that_was_left_is_taken_away(tmp_path, monkeypatch):
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr("tempfile.tempdir", None)
-    guard = module._lock_folder() / module.GUARD
-    guard.touch()
-    os.utime(guard, (time.time() - 60, time.time() - 60))
-    with exclusive_output([tmp_path / "out.glb"]):
-        pass
-    assert not guard.exists()
 
 
 def test_a_run_of_the_command_line_is_refused_and_leaves_what_is_there(holder, good, fails, tmp_path):
@@ -134,12 +112,6 @@ def test_two_runs_at_once_into_one_folder_make_it_whole(good, tmp_path):
     assert codes == [0, 0] or any("another run of Bunraku" in text for text in said)
     assert len(list((tmp_path / "clips").glob("*.glb"))) == 2
     assert main([str(word) for word in words]) == 0
-
-
-def test_files_of_which_one_counts_are_not_named_twice(fails, good, tmp_path):
-    assert "is given 2 times" in fails("render", good, "-o", tmp_path / "a.png", "--output", tmp_path / "b.png")
-    assert "--after is given 2 times" in fails("animate", good, "walks", "--after", good, f"--after={good}")
-    assert "--seed must be" in fails("animate", good, "walks", "--seed", 1, "--seed", -2)  # the last counts
 
 
 def test_rig_writes_every_file_that_it_is_told(good, tmp_path):

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from bunraku.cli.manifest import MANIFEST, check_free, fingerprint, note_begun, note_done, note_written, unfinished
+from bunraku.cli.manifest import MANIFEST, check_free, note_begun, note_done, note_written, unfinished
 from bunraku.errors import FormatError
 
 
@@ -79,13 +79,3 @@ def test_a_glb_says_itself_who_wrote_it(tmp_path, glb):
         check_free([path], overwrite=False, ours=False)
     note_written([path])
     assert not (tmp_path / MANIFEST).exists()  # it needs none
-
-
-def test_a_fingerprint_tells_inputs_and_options_apart(tmp_path):
-    path = tmp_path / "in.glb"
-    path.write_bytes(b"1")
-    first = fingerprint([path], "walks", {"seed": 0})
-    assert first == fingerprint([path], "walks", {"seed": 0})
-    assert first != fingerprint([path], "walks", {"seed": 1})
-    path.write_bytes(b"22")
-    assert first != fingerprint([path], "walks", {"seed": 0})

@@ -27,7 +27,7 @@ from bunraku.core.files import weights_file
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import FormatError
-from bunraku.files import holds_character, load_character
+from bunraku.files import load_character
 from bunraku.files.clips import load_clip
 from bunraku.files.mmd.vmd import load_vmd
 from bunraku.files.motions.bvh import write_bvh
@@ -168,19 +168,6 @@ def test_many_pairs(files, capsys):
     assert (out / "person-wave.glb").stat().st_mtime_ns != before
 
 
-def test_same_work_same_result(files):
-    for jobs in ("1", "2"):
-        assert (
-            run(files / "person.glb", files / "wave.bvh", files / "again.bvh", "-o", files / jobs, "--jobs", jobs) == 0
-        )
-    assert (files / "1" / "person-wave.glb").read_bytes() == (files / "2" / "person-wave.glb").read_bytes()
-
-
-def test_files_that_hold_both(files):
-    assert holds_character(files / "person.glb") and not holds_character(files / "wave.bvh")
-    assert run(files / "person.glb", "--motions", files / "person.glb", "-o", files / "out.glb") == 0
-
-
 def test_a_map_of_names(files, capsys):
     skeleton = reference_body().skeleton
     names = tuple(f"j{number:02d}" for number in range(22))
@@ -207,13 +194,6 @@ def test_what_is_wrong_is_one_sentence(fails, files):
     assert "object of texts" in fails("transfer", person, wave, "--map", files / "list.json")
     (files / "wrong.json").write_text('{"tail": "x"}')
     assert "none of SMPL's joints" in fails("transfer", person, wave, "--map", files / "wrong.json")
-
-
-def test_names_of_pairs(tmp_path):
-    pairs = pairs_of(
-        [tmp_path / "a" / "x.glb", tmp_path / "b" / "x.glb"], [tmp_path / "walk.bvh"], tmp_path, ".glb", SETTINGS
-    )
-    assert [pair.path.name for pair in pairs] == ["x-walk.glb", "x-walk-2.glb"]
 
 
 def test_ray(files, fails):

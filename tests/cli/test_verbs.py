@@ -44,17 +44,6 @@ def test_inspect_counts_what_the_file_holds(good):
     assert facts["rig"] is None and facts["animations"] == [] and facts["orientation"]["taken_up"] == "+y"
 
 
-def test_inspect_counts_parts_across_seams(tmp_path):
-    """Two quads of four triangles with no shared vertices are two parts once their seams are welded."""
-    quad = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]])
-    corners = np.concatenate([quad, quad + [5, 0, 0]])
-    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {3 * i + 1} {3 * i + 2} {3 * i + 3}" for i in range(4)]
-    path = tmp_path / "quads.obj"
-    path.write_text("\n".join(lines))
-    facts = describe(path)
-    assert (facts["vertices"], facts["vertices_welded"], facts["faces"], facts["loose_parts"]) == (12, 8, 4, 2)
-
-
 def test_inspect_of_rig_and_clip(moving, capsys):
     assert main(["inspect", str(moving), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)

@@ -7,7 +7,6 @@ from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR
 from bunraku.core.geometry.rotations import heading, matrix_from_axis_angle, matrix_y
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
-from bunraku.errors import MotionError
 from bunraku.generation.features import (
     FEATURE_SIZE,
     FeatureStatistics,
@@ -15,10 +14,8 @@ from bunraku.generation.features import (
     encode,
     feature_weights,
     mirror,
-    standing_legs,
 )
 from bunraku.generation.splicing import join_point, splice
-from bunraku_lab.training.rows.clips import is_rotation
 
 
 def smooth_motion(frames=60, seed=0, fps=20.0, canonical=False):
@@ -107,16 +104,6 @@ def test_heading_follows_turns_past_half_a_circle():
     np.testing.assert_allclose(heading(matrix_y(angle))[5:-5], angle[5:-5], atol=1e-3)
 
 
-def test_one_frame_and_wrong_shapes():
-    assert len(decode(encode(smooth_motion(1)))) == 1
-    with pytest.raises(MotionError, match="271"):
-        decode(np.zeros((4, 9)))
-    bad = encode(smooth_motion())
-    bad[3, 50] = np.nan
-    with pytest.raises(MotionError, match="not numbers"):
-        decode(bad)
-
-
 def test_statistics_are_mirror_symmetric_bounded_and_invertible():
     clip = encode(smooth_motion())
     clip[:, -9:] = 0.5
@@ -128,14 +115,6 @@ def test_statistics_are_mirror_symmetric_bounded_and_invertible():
     weights = feature_weights()
     assert weights.mean() == pytest.approx(1, abs=1e-5)
     np.testing.assert_array_equal(weights, np.abs(mirror(weights)))
-
-
-def test_what_is_a_rotation_has_columns_of_length_one():
-    pose, _ = standing_legs()
-    turning = is_rotation()
-    assert turning.sum() == 6 * 30
-    assert (np.linalg.norm(pose[turning].reshape(-1, 2, 3), axis=-1) == 1).all()
-    assert (pose[~turning] == 0).all()
 
 
 def test_join_point_and_splice_of_a_wave_leave_no_jump(features):

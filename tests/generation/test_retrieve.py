@@ -325,17 +325,6 @@ def test_the_nearest_by_vectors_alone_each_once_on_the_nearer_side(bank):
     assert bank.nearest((AXES[2] + 0.5 * AXES[1]) / 1.25**0.5) == [(0, True), (1, False)]
 
 
-def test_what_is_left_out_is_not_found(bank):
-    assert bank.nearest(AXES[0], {"wave"}) == [(1, False)]
-    assert bank.nearest(AXES[0], {"wave", "kick"}) == []
-
-
-def test_gestures_made_by_code_are_not_attended_to(bank, pack):
-    made = replace(pack, examples=(replace(pack.examples[0], name="gesture_wave"), pack.examples[1]))
-    other = ExampleBank(made, bank.ranker, bank.encoder, bank.statistics, 2)
-    assert other.nearest(AXES[0]) == [(1, False)]
-
-
 def test_values_are_in_network_units_with_the_vector_of_their_own_sentence(bank, pack, encoder, statistics):
     text = encoder.encode(["kicks hard", "waves"])
     found = bank(text, [{"wave"}, {"kick"}])

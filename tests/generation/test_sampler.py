@@ -1,20 +1,16 @@
 """The sampler: solvers, few steps, and guidance by a classifier."""
 
-import math
 from collections import Counter
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter1d
 
 from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku.core.nn.layers import unit
-from bunraku.errors import WeightsError
 from bunraku.generation.candidates import SamplingSettings
-from bunraku.generation.classifier_guidance import LAST, STRENGTH, ClassifierGuidance, Critic, Spoken, smoothed
-from bunraku.generation.denoiser import FEW_STEPS_KIND, fingerprint, load_denoiser, load_denoiser_of_few_steps
+from bunraku.generation.classifier_guidance import STRENGTH, ClassifierGuidance, Critic, Spoken, smoothed
+from bunraku.generation.denoiser import FEW_STEPS_KIND, fingerprint, load_denoiser_of_few_steps
 from bunraku.generation.extractor import RADIUS, ExtractorConfig
-from bunraku.generation.layers import TRAINING_STEPS
 from bunraku.generation.sampler import (
     GUIDED_FROM,
     LED_UNTIL,
@@ -29,7 +25,6 @@ from bunraku.generation.sampler import (
     row_noise,
     sample_windows,
     sampling_steps,
-    token_share,
 )
 from bunraku.language.encoders import TextBatch
 from bunraku_lab.evaluation.motion.samples import sample
@@ -112,14 +107,6 @@ def test_guidance():
     close(guided(a, b, 6.0, rescale=1.0).std((1, 2)), a.std((1, 2)), rtol=1e-5)
 
 
-def test_guidance_of_one_is_the_conditional_model(model, encoder):
-    text = encoder.encode(["a figure walks"])
-    near = sample(model, text, 24, Solver(4, guidance=1.0 + 1e-7))  # still both passes
-    alone = sample(model, text, 24, Solver(4, guidance=1.0)).values
-    close(alone, near.values, atol=1e-4, rtol=1e-4)
-    assert np.abs(sample(model, text, 24, Solver(4, guidance=3.0)).values - near.values).max() > 1e-2
-
-
 def test_guidance_acts_in_the_noisy_steps_alone(model, encoder):
     seen, plain = Counter(), model.hidden
 
@@ -165,13 +152,6 @@ def test_known_frames_are_kept(model, encoder):
     assert np.abs(found[:, 6:20] - values[:, 6:20]).max() > 0.1
 
 
-def test_tokens_are_trusted_least_at_their_edges():
-    assert token_share(6, 4).tolist() == [0.25, 0.75, 0.75, 0.25, 0.25, 0.75]
-    for patch in (2, 3, 4, 5, 8):  # a frame at the edge of one grid is inside the other's token
-        share = token_share(40, patch)
-        assert float((share + token_share(40 + patch // 2, patch)[patch // 2 :]).min()) >= 0.5
-
-
 def test_known_features_are_kept(model, encoder):
     values, share = normal(2, 24, FEATURES), np.zeros((24, FEATURES), np.float32)
     share[:, :2] = share[5, 3] = 1
@@ -182,22 +162,6 @@ def test_known_features_are_kept(model, encoder):
     assert np.abs(found - values)[~kept].max() > 0.1
     free = sample(model, encoder.encode(["walks", "runs"]), 24, Solver(6)).values
     assert np.abs(found - free)[~kept].max() > 0.01  # the rest is made to fit
-
-
-def test_lengths_of_a_batch_are_padded(model, encoder):
-    text = encoder.encode(["walks", "runs", "waves"])
-    found = sample(model, text, [24, 40, 10], Solver(4))
-    assert found.values.shape == (3, 40, FEATURES) and not found.values[0, 24:].any() and not found.values[2, 10:].any()
-    assert not found.adaptation[0, 24:].any()
-    alone = sample(model, encoder.encode(["walks"]), 24, Solver(4)).values
-    close(found.values[:1, :24], alone, atol=1e-4, rtol=1e-4)
-
-
-def test_padding_does_not_count_in_rescaling(model, encoder):
-    text = encoder.encode(["walks", "runs"])
-    found = sample(model, text, [24, 40], Solver(4, guidance=4.0, rescale=0.7)).values
-    alone = sample(model, encoder.encode(["walks"]), 24, Solver(4, guidance=4.0, rescale=0.7)).values
-    close(found[:1, :24], alone, atol=1e-4, rtol=1e-4)
 
 
 def test_a_guide_is_where_the_motion_starts_from_and_others_beside_it_are_as_without(model, encoder):
@@ -240,43 +204,6 @@ def test_a_guide_is_where_the_motion_starts_from_and_others_beside_it_are_as_wit
     close(seen[0][0], start, atol=1e-4, rtol=1e-4)
 
 
-def test_the_curve_is_the_cosine_of_nichol_and_dhariwal():
-    curve = alphas_cumprod()
-    start = math.cos(0.008 / 1.008 * math.pi / 2) ** 2
-    for step in (0, 1, 250, 500, 900, 997):
-        assert float(curve[step]) == pytest.approx(
-            math.cos(((step + 1) / TRAINING_STEPS + 0.008) / 1.008 * math.pi / 2) ** 2 / start, rel=1e-6
-        )
-    assert bool((np.diff(curve) < 0).all()) and 0 < float(curve[-1]) < 1e-5
-    assert float(curve[-1] / curve[-2]) == pytest.approx(0.001)  # the capped beta
-
-
-@pytest.mark.parametrize("count", [1, 2, 7, 20, 400, 999, 1000])
-def test_steps_fall_and_never_repeat(count):
-    steps = sampling_steps(count)
-    assert len(steps) == count and all(a > b for a, b in zip(steps, steps[1:], strict=False))
-    assert count < 20 or (steps[0] == 999 and 0 <= steps[-1] <= 5)
-
-
-def test_few_steps_are_even_between_ends_of_their_own():
-    """By hand from the cosine curve: its share of signal is cos^2(pi (t + 0.008) / 2), lambda its logit's half."""
-    time = (np.array(sampling_steps(4)) + 1) / 1000
-    ratio = -np.log(np.tan((time + 0.008) / 1.008 * np.pi / 2))
-    np.testing.assert_allclose(ratio, np.linspace(-3.5, 2.0, 4), atol=0.06)
-    between = sampling_steps(12)
-    assert sampling_steps(4)[0] < between[0] < 999 and 5 < between[-1] < sampling_steps(4)[-1]
-
-
-def test_steps_are_even_in_the_log_of_the_ratio():
-    curve, steps = alphas_cumprod(), sampling_steps(20)
-    ratio = [0.5 * math.log(float(curve[step] / (1 - curve[step]))) for step in steps]
-    gaps = [
-        after - before for before, after in zip(ratio[4:], ratio[5:], strict=False)
-    ]  # single steps are far apart at the very start
-    assert max(gaps) < 1.25 * 10 / 19 and min(gaps) > 0.75 * 10 / 19
-    assert sampling_steps(1000) == list(range(999, -1, -1))
-
-
 VISITED = [999, 700, 400, 90]
 
 
@@ -300,24 +227,10 @@ def changed(teacher, visited=VISITED, of=None, **matrices):
     return save_checkpoint(teacher.with_name("few-steps.safetensors"), parts, config, FEW_STEPS_KIND)
 
 
-def thin(rows, columns, seed=0):
-    random = np.random.default_rng(seed)
-    return random.normal(size=(rows, 2)).astype(np.float32), random.normal(size=(2, columns)).astype(np.float32)
-
-
 def told(rows):
     random = np.random.default_rng(5)
     tokens = random.normal(size=(rows, 3, 8)).astype(np.float32)
     return TextBatch(tokens, np.ones((rows, 3), bool), random.normal(size=(rows, 8)).astype(np.float32))
-
-
-def test_matrices_get_their_changes_and_no_others(teacher):
-    up, down = thin(16, 16)
-    few = load_denoiser_of_few_steps(teacher, changed(teacher, step_in__0__weight=(up, down)))
-    plain = load_denoiser(teacher)
-    assert few.visited == tuple(VISITED) and plain.visited == ()
-    np.testing.assert_allclose(few.step_in[0].matrix, plain.step_in[0].matrix + (up @ down).T, atol=1e-5)
-    np.testing.assert_array_equal(few.motion_out.matrix, plain.motion_out.matrix)
 
 
 def test_changes_of_another_denoiser_are_left_alone(teacher):
@@ -346,19 +259,6 @@ def test_a_sampler_goes_by_ddim_through_these_steps_and_asks_the_sentence_alone(
         alpha, sigma = (np.sqrt(share) for share in (curve[step], 1 - curve[step]))
         noise = (x - alpha * x0) / sigma
         np.testing.assert_allclose(there, np.sqrt(curve[after]) * x0 + np.sqrt(1 - curve[after]) * noise, atol=1e-3)
-
-
-@pytest.mark.parametrize("visited", [[], [90, 400], [400, 400], [1000, 3], [4.5], "all"])
-def test_steps_that_do_not_fall_are_refused(teacher, visited):
-    with pytest.raises(WeightsError, match=r"few-steps\.safetensors.*falling diffusion steps"):
-        load_denoiser_of_few_steps(teacher, changed(teacher, visited=visited))
-
-
-def test_changes_of_other_sizes_are_refused(teacher):
-    with pytest.raises(WeightsError, match=r"'motion_out\.weight' is no matrix"):
-        load_denoiser_of_few_steps(teacher, changed(teacher, motion_out__weight=thin(7, 16)))
-    with pytest.raises(WeightsError, match="is no matrix"):
-        load_denoiser_of_few_steps(teacher, changed(teacher, nothing=thin(7, 16)))
 
 
 def test_who_asks_for_steps_or_guidance_gets_the_denoiser_itself(teacher):
@@ -424,26 +324,6 @@ def test_the_gradient_is_that_of_the_cosine(network):
     assert np.abs(found - expected).max() < 0.02 * np.abs(expected).max()
 
 
-def test_smoothing_is_a_gaussian_whose_ends_are_held():
-    x = values(40)
-    np.testing.assert_allclose(smoothed(x, 2.0), gaussian_filter1d(x, 2.0, axis=0, mode="nearest"), atol=1e-5)
-
-
-def test_what_is_given_and_what_are_details_stay(network):
-    x0 = values(40)
-    given = pull_of(network, [Spoken((0, 40), vector(1), until=600)])
-    assert np.array_equal(given(x0, 700), x0)
-    assert not np.array_equal(given(x0, 599), x0)
-    assert np.array_equal(given(x0, LAST - 1), x0)
-
-
-def test_a_stretch_is_pulled_alike_whatever_stands_beside_it(network):
-    x0 = values(60)
-    alone = pull_of(network, [Spoken((0, 20), vector(1))])(x0, 500)
-    beside = pull_of(network, [Spoken((20, 60), vector(2)), Spoken((0, 20), vector(1))])(x0, 500)
-    np.testing.assert_allclose(beside[:20], alone[:20], atol=1e-5, rtol=1e-4)
-
-
 def test_a_critic_pulls_each_sentence_of_each_motion_in_its_own_frames(network, running):
     model = running(features=SIZE, handles=3)
     told = {"a": vector(1), "b": vector(2)}
@@ -458,15 +338,3 @@ def test_a_critic_pulls_each_sentence_of_each_motion_in_its_own_frames(network, 
         ((0, 40), 600, True), ((40, 60), 1000, False),
         ((60, 192), 1000, False), ((192, 324), 1000, False), ((324, 456), 1000, False),
     ]  # fmt: skip
-
-
-def test_few_predictions_are_guided_more_than_once(network, running):
-    x0, spoken = np.random.default_rng(3).normal(size=(40, SIZE)).astype(np.float32), [Spoken((0, 40), vector(1))]
-    once, twice = pull_of(network, spoken), pull_of(network, spoken, rounds=2)
-    np.testing.assert_allclose(twice(x0, 500), once(once(x0, 500), 500), atol=1e-6)
-    model = running(features=SIZE, handles=3)
-    rounds = [
-        Critic(network, {"a": vector(1)}).guidance(model, [["a"]], [[40]], [40], None, steps).rounds
-        for steps in (1, 4, 8, 20)
-    ]
-    assert rounds == [2, 2, 2, 1]

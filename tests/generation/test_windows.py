@@ -24,68 +24,12 @@ def model(running):
     return running(features=FEATURES, handles=3)
 
 
-PLANS = [
-    ([1], False), ([196], False), ([197], False), ([2400], False), ([80, 40, 60], False), ([5, 300, 10, 10], False),
-    ([240] * 5, False),
-    ([10], True), ([120], True), ([1000], True), ([40, 30, 250], True),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("lengths", "loop"), PLANS)
-def test_windows_share_all_frames_out(lengths, loop):
-    plan = plan_windows(lengths, 196, loop=loop)
-    total = np.zeros(plan.frames)
-    for window in plan.windows:
-        assert (
-            0 < len(window.frames) <= 196 and int(window.frames.min()) >= 0 and int(window.frames.max()) < plan.frames
-        )
-        assert loop or bool((np.diff(window.frames) == 1).all())
-        np.add.at(total, window.frames, window.share)
-    np.testing.assert_allclose(total, 1, atol=1e-6)
-    assert plan.frames == sum(lengths) or (not loop and plan.frames == 40 > sum(lengths))
-    start = 0
-    for row, length in enumerate(lengths):  # the middle of a part is its own sentence's alone
-        middle = start + length // 2
-        share = sum(float(window.share[window.frames == middle].sum()) for window in plan.windows if window.row == row)
-        assert share > 0.98 or length < 4
-        start += length
-
-
-def test_neighbouring_windows_fade_into_each_other():
-    plan = plan_windows([80, 100], 196)
-    first, second = plan.windows
-    assert plan.seams == (80,) and first.frames[-1] == 93 and second.frames[0] == 66
-    fall = first.share[66:94]
-    np.testing.assert_allclose(fall, 1 - second.share[:28], atol=1e-6)
-    assert (
-        bool((np.diff(fall) < 0).all()) and np.abs(np.diff(fall)).max() < 0.06 and bool((first.share[:66] == 1).all())
-    )
-
-
-def test_short_parts_are_seen_with_some_of_their_neighbours():
-    plan = plan_windows([100, 10, 100], 196)
-    assert len(plan.windows[1].frames) == 40 and len(plan_windows([3], 196).windows[0].frames) == 40
-
-
 @pytest.mark.parametrize("frames", [1, 10, 59, 60, 61, 200])
 def test_any_length_can_be_made(model, encoder, frames):
     plans = [plan_windows([frames], 60), plan_windows([frames], 60)]
     for found in sample_plans(model, encoder.encode(["walks", "runs"]), plans, Solver(2)):
         assert found.values.shape[1] == FEATURES and len(found.values) == len(found.adaptation) >= frames
         assert bool(np.isfinite(found.values).all())
-
-
-def test_a_batch_of_plans_is_what_each_is_alone(model, encoder):
-    plans, texts = (
-        [plan_windows([50, 30], 60), plan_windows([20], 60), plan_windows([130], 60, loop=True)],
-        ["a b", "c", "d e f", "g"],
-    )
-    found = sample_plans(model, encoder.encode(texts), plans, Solver(3), seeds=[3, 4, 5])
-    rows = [texts[:2], texts[2:3], texts[3:]]
-    for part, plan, some, seed in zip(found, plans, rows, (3, 4, 5), strict=True):
-        alone = sample_plans(model, encoder.encode(some), [plan], Solver(3), seeds=seed)[0]
-        np.testing.assert_allclose(part.values, alone.values, atol=2e-4, rtol=1e-4)
-        np.testing.assert_allclose(part.adaptation, alone.adaptation, atol=2e-4, rtol=1e-4)
 
 
 def test_progress_counts_every_step(model, encoder):
@@ -168,20 +112,6 @@ def positions(root):
     features[1:, :3] = root
     motion = decode(features, FPS)
     return motion.root_translation[-1, [0, 2]], motion.root_rotation[-1]
-
-
-@pytest.mark.parametrize(("turn", "travel"), [(0.0, (0.0, 0.0)), (1.2, (0.5, -1.0)), (-2.0, (3.0, 0.1))])
-def test_velocities_lead_where_they_should(turn, travel):
-    root = np.random.default_rng(0).standard_normal((30, 3)).astype(np.float32)
-    position, rotation = positions(arrive(root, FPS, turn, travel))
-    np.testing.assert_allclose(position, travel, atol=1e-4)
-    np.testing.assert_allclose(rotation, matrix_y(np.array([turn]))[0], atol=1e-4)
-
-
-def test_who_is_there_already_is_left_alone():
-    root = np.random.default_rng(1).standard_normal((30, 3)).astype(np.float32)
-    once = arrive(root, FPS, 0.4, (1.0, 2.0))
-    np.testing.assert_allclose(arrive(once, FPS, 0.4, (1.0, 2.0)), once, atol=1e-4, rtol=1e-4)
 
 
 def test_a_loop_ends_facing_as_it_starts_and_travels_only_on_purpose():

@@ -19,7 +19,7 @@ from bunraku.files.samples import sample_character
 from bunraku.generation.features import body_handle_motion
 from bunraku.pipelines.animate import rig
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.pins import PINNED, Pin, end_positions, limb_ends, meet_pins, spread
+from bunraku.retarget.pins import PINNED, Pin, end_positions, limb_ends, meet_pins
 from bunraku.retarget.stages.hands import BodySurface, HandsClear
 from bunraku_lab.synthetic.samples import make_sample
 
@@ -126,18 +126,6 @@ def test_hands_in_the_hips_come_out_of_them(anatomy):
     assert step.max() < 2 * usual.max()  # without a jump
 
 
-def test_hands_that_are_outside_stay(anatomy):
-    motion = bent(0.3).of_own_body()
-    before, after = (fit_motion(motion, anatomy, stages) for stages in (WITHOUT, WITH))
-    np.testing.assert_array_equal(before.rotations, after.rotations)
-
-
-def test_motions_that_were_not_generated_stay(anatomy):
-    motion = bent(0.65)
-    before, after = (fit_motion(motion, anatomy, stages) for stages in (WITHOUT, WITH))
-    np.testing.assert_array_equal(before.rotations, after.rotations)
-
-
 def test_depths_are_those_of_looking_at_every_part(anatomy):
     motion = bent(1.2).of_own_body()
     stage, surface = HandsClear(), BodySurface(anatomy)
@@ -190,10 +178,6 @@ def positions(moving, motion):
         end.part: position
         for end, position in zip(ends, end_positions(motion, handles, ends).swapaxes(0, 1), strict=True)
     }
-
-
-def test_people_and_beasts_have_four_ends(moving):
-    assert [end.part for end in limb_ends(Anatomy.of(*moving[:2]))] == list(PINNED)
 
 
 @pytest.mark.parametrize("part", PINNED)
@@ -284,12 +268,3 @@ def test_who_has_no_hands_cannot_pin_one():
     ]
     with pytest.raises(OptionError, match="has no"):
         meet_pins(motion, Anatomy.of(character, handles), [Pin("left_hand", 1.0, (0, 0, 0))])
-
-
-def test_a_spread_goes_through_its_values_and_back_to_nothing():
-    asked, values = np.zeros(60, bool), np.zeros((60, 1))
-    asked[[20, 25, 50]], values[[20, 25, 50], 0] = True, [1, 3, -2]
-    found = spread(asked, values, 8)[:, 0]
-    assert found[[20, 25, 50]].tolist() == [1, 3, -2]
-    assert (found[:13] == 0).all() and (found[33:42] == 0).all() and (found[58:] == 0).all()
-    assert (np.diff(found[20:26]) >= 0).all() and np.abs(np.diff(found, 2)).max() < 1.2

@@ -17,22 +17,19 @@ from bunraku.anatomy.anatomy import Anatomy
 from bunraku.apparel.chains.avatars import between_frames, link_turns, vrm_steps
 from bunraku.apparel.mask import artist_mask
 from bunraku.core.animation import Animation, PointAnimation, RigAnimation
-from bunraku.core.avatars import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
+from bunraku.core.avatars import VrmModel, VrmSpring, VrmSpringJoint
 from bunraku.core.character import Character, Rig
 from bunraku.core.geometry.rotations import matrix_from_axis_angle, matrix_from_quaternion, quaternion_from_matrix
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError, OptionError
 from bunraku.files import save_character
 from bunraku.files.gltf.read import read_gltf
-from bunraku.files.samples import sample_character
 from bunraku.pipelines.animate import rig
 from bunraku.pipelines.apply import apply_motion
 from bunraku.pipelines.requests import Apparel, Constraints, Keep, Request, Sampling
-from bunraku.studio import dressing
 from bunraku.studio.dressing import (
     WORN,
     apparel_mask_of,
-    check_fits,
     clean_mask,
     found_mask,
     has_apparel,
@@ -200,15 +197,6 @@ def test_what_is_worn_is_found(file):
     weights = np.ones((len(bare.vertices), 9)) / 9
     few = replace(handles, positions=handles.positions[:9], weights=weights, features=None, roles=None)
     assert apparel_mask_of(bare, few) is None
-
-
-def test_too_many_places_are_refused_before_the_work(monkeypatch):
-    dragon = sample_character("dragon")
-    monkeypatch.setattr(dressing, "MOST_POSITIONS", 100_000)
-    with pytest.raises(OptionError, match="take at most 0.4"):
-        check_fits(Apparel("learn"), dragon, 4.0)
-    check_fits(Apparel("learn"), dragon, 0.2)
-    check_fits(Apparel("rigid"), dragon, 120.0)
 
 
 def test_a_take_is_dressed_anew_and_its_motion_stays(body):
@@ -456,18 +444,3 @@ def test_the_page_swings_springs_as_the_specification_says(swung, stiffness, dra
     found = swung(VrmSpring("rod", joints, ()), turns, places)
     assert np.abs(wanted[:, 2] - wanted[:1, 2]).max() > 0.2
     np.testing.assert_allclose(found[:, 2:], wanted, atol=2e-5)
-
-
-def test_a_collider_keeps_springs_out_and_lengths_stay(swung):
-    joints = tuple(VrmSpringJoint(bone, 0.1, 1.0, DOWN, 0.3, 0.02) for bone in (1, 2, 3, 4))
-    ball = VrmCollider(0, "capsule", np.array([0.15, -0.45, -0.3]), 0.08, np.array([0.15, -0.45, 0.3]))
-    turns, places = np.tile(np.eye(3), (240, 1, 1)), np.tile([0.0, 1.5, 0], (240, 1))
-    free = swung(VrmSpring("rod", joints, ()), turns, places)
-    kept = swung(VrmSpring("rod", joints, (0,)), turns, places, [ball])
-
-    def near(found):  # of the tails to the axis of the capsule, which lies along z
-        return np.linalg.norm(found[-1, 2:, :2] - [0.15, 1.05], axis=-1).min()
-
-    assert near(free) < 0.08 and near(kept) > 0.099
-    lengths = np.linalg.norm(np.diff(kept[:, 1:], axis=1), axis=-1)
-    np.testing.assert_allclose(lengths, np.broadcast_to(lengths[0], lengths.shape), atol=1e-5)

@@ -8,7 +8,7 @@ import pytest
 
 from bunraku.errors import FormatError
 from bunraku.studio.jobs import MOST, Changes
-from bunraku.studio.server.app import POLICY, Keys
+from bunraku.studio.server.app import POLICY
 from bunraku.studio.store import NotThere, Store
 
 
@@ -85,12 +85,6 @@ def test_what_is_forgotten_or_was_never_given_is_asked_for_anew():
     assert one.since(MOST + 11)["missed"]
 
 
-@pytest.mark.parametrize("after", ["9" * 5000, "9" * 16, "-1", "1.5", "x", "", "²", "٣"])
-def test_numbers_that_are_none(client, after):
-    answer = client.get("/api/changes", params={"after": after})
-    assert answer.status_code == 400 and "whole number" in answer.json()["error"]
-
-
 def test_twelve_tabs_and_three_hundred_lines_get_their_answers(studio):
     """Nothing of a page holds a line: each asks and is answered, so a browser's six lines to a host are enough."""
     host, port = studio.base.removeprefix("http://").split(":")
@@ -157,11 +151,6 @@ def test_who_is_let_in(client, headers, status):
         assert set(answer.json()) == {"error", "kind"} and answer.json()["error"][-1] != "."
 
 
-def test_a_token_of_other_letters_is_no_fault(client):
-    answer = client.get("/api/jobs", headers={"authorization": "Bearer s\u00e9cret".encode("latin-1")})
-    assert answer.status_code == 401
-
-
 def test_the_page_needs_no_token_and_may_load_nothing_from_elsewhere(client):
     page = client.get("/", headers={"authorization": ""})
     assert page.status_code == 200 and "<script" in page.text
@@ -187,7 +176,3 @@ def test_a_password_gives_the_token_and_a_wrong_one_does_not(client):
 
 def test_without_a_password_nobody_logs_in(client):
     assert client.post("/api/login", json={"password": ""}).status_code == 401
-
-
-def test_tokens_are_long_and_not_alike():
-    assert len({Keys().token for _ in range(100)}) == 100 and len(Keys().token) >= 32
