@@ -171,7 +171,7 @@ def test_meshes_teach_the_layer_without_labels(settings, encoder, which, tmp_pat
         return original(self, results)
 
     monkeypatch.setattr(_Run, "save", keep)
-    how = {"label_weight": 0.0, which: 1.0, "steps": 32, "validate_every": 32, "mesh_frames": 12}
+    how = {"label_weight": 0.0, which: 1.0, "steps": 40, "validate_every": 40, "mesh_frames": 12}
     how |= {"batch": 8, "learning_rate": 6e-3}
     rows = []
     train_adaptation(settings(**how), rows.append, encoder=encoder)
