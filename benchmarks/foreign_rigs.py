@@ -8,15 +8,56 @@ means. Nothing of the rigs is shown to the predictor.
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 
 import numpy as np
 
 from bunraku.anatomy.handles.predict import predict_handles
+from bunraku.core.character import Character, Rig, top_influences
 from bunraku.errors import BunrakuError
+from bunraku.files import load_character
 from bunraku_lab.evaluation.handles.measures import main_handles, part_purity
-from bunraku_lab.evaluation.handles.subjects import Subject, find_files, load_subject, subject_name
+from bunraku_lab.evaluation.handles.subjects import Subject, subject, subject_name
 from bunraku_lab.evaluation.handles.table import pose_errors, resolution_differences
+
+
+def rig_text(mesh: Path) -> Path | None:
+    """The rig text of RigNet that belongs to an OBJ, None where there is none."""
+    beside = mesh.with_name(re.sub("_(remesh|ori)$", "", mesh.stem) + "_rig.txt")
+    apart = mesh.parent.parent / f"rig_info{mesh.parent.name.removeprefix('obj')}" / f"{mesh.stem}.txt"
+    return next((path for path in (beside, apart) if path.is_file()), None)
+
+
+def rigged_by_text(mesh: Path, text: Path) -> Character:
+    """An OBJ with the rig of lines "joints NAME X Y Z", "hier PARENT CHILD" and "skin VERTEX NAME SHARE ..."."""
+    character = load_character(mesh, unit="m")
+    places: dict[str, list[float]] = {}
+    above: dict[str, str] = {}
+    skin: dict[int, list[str]] = {}
+    for kind, *words in (line.split() for line in text.read_text().splitlines() if line.strip()):
+        if kind == "joints":
+            places[words[0]] = [float(word) for word in words[1:4]]
+        elif kind == "hier":
+            above[words[1]] = words[0]
+        elif kind == "skin":
+            skin[int(words[0])] = words[1:]
+    names = tuple(places)
+    weights = np.zeros((len(character.vertices), len(names)))
+    for vertex, words in skin.items():
+        for name, share in zip(words[::2], words[1::2], strict=True):
+            weights[vertex, names.index(name)] = float(share)
+    transforms = np.tile(np.eye(4), (len(names), 1, 1))
+    transforms[:, :3, 3] = list(places.values())
+    parents = np.array([names.index(above[name]) if name in above else -1 for name in names])
+    rig = Rig(names, parents, transforms, *top_influences(weights, 4))
+    return Character(character.name, character.vertices, character.faces, rig, character.colors)
+
+
+def found_files(folder: Path) -> list[Path]:
+    """Files that may hold rigged characters."""
+    files = (path for path in folder.rglob("*") if path.suffix.lower() in (".glb", ".fbx", ".obj"))
+    return sorted(path for path in files if path.suffix.lower() != ".obj" or rig_text(path) is not None)
 
 
 def measured(one: Subject, resolutions: bool) -> list[float]:
@@ -36,10 +77,11 @@ def main() -> None:
     rows = []
     print("| file | vertices | part purity | pose error | weights across resolutions |")
     print("| --- | --- | --- | --- | --- |")
-    for path in find_files(asked.folder, everything=True):
+    for path in found_files(asked.folder):
         name = subject_name(asked.folder, path)
         try:
-            one = load_subject(path, name)
+            text = rig_text(path) if path.suffix.lower() == ".obj" else None
+            one = subject(load_character(path) if text is None else rigged_by_text(path, text), name, path)
             row = measured(one, not asked.no_resolutions)
         except BunrakuError as failure:
             print(f"| {name} | failed: {failure} | | | |", flush=True)

@@ -1,7 +1,7 @@
 """How long the studio takes from a sentence to a take, over the library's own time; from words to a clip of the library
 on a character; and its memory over many takes.
 
-    python benchmarks/studio.py [--rounds 5] [--takes 50] [--clips 20] [--detail 1 2] [--subdivided]
+    python benchmarks/studio.py [--rounds 5] [--takes 50] [--clips 20] [--detail 0.5 1] [--subdivided]
 
 The two are timed in turns, so that what else the machine does falls on both, by the clock and in processor time.
 """
@@ -141,7 +141,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--takes", type=int, default=0, help="so many takes are queued, and memory is told")
     parser.add_argument("--clips", type=int, default=0, help="so many clips are searched and shown, drawn by lot")
-    parser.add_argument("--detail", type=float, nargs="*", default=[1.0], help="of the sample person")
+    parser.add_argument("--detail", type=float, nargs="*", default=[1.0], help="of the sample person: 0.3, 0.5, 1")
     parser.add_argument("--subdivided", action="store_true", help="each triangle of the last becomes four")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as home:

@@ -30,7 +30,7 @@ from bunraku.generation.features import decode, encode
 from bunraku.generation.layers import DenoiserConfig
 from bunraku.language.encoders import TextBatch
 
-# Characters are read-only, so tests share the samples; tests/lab/synthetic/samples makes its own.
+# Characters are read-only, so tests share the samples.
 bunraku.files.samples.sample_character = functools.cache(bunraku.files.samples.sample_character)
 bunraku_lab.synthetic.samples.make_sample = functools.cache(bunraku_lab.synthetic.samples.make_sample)
 

@@ -79,8 +79,10 @@ def test_version_is_said_once():
 
 
 def test_every_module_says_what_is_public():
-    """Each module with public names has an `__all__`; found by reading, so that nothing heavy is imported."""
-    for path in sorted((ROOT / "src").rglob("*.py")):
+    """Each module of the package with public names has an `__all__`, which the laboratory, that nobody builds on, does
+    without; found by reading, so that nothing heavy is imported.
+    """
+    for path in sorted((ROOT / "src" / "bunraku").rglob("*.py")):
         text = path.read_text()
         if path.name != "__main__.py" and re.search(r"^(?:def|class) [A-Za-z]", text, re.MULTILINE):
             assert re.search(r"^__all__\b", text, re.MULTILINE), f"{path.relative_to(ROOT)} has no __all__"

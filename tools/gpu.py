@@ -6,8 +6,8 @@
 
 The second line is for that machine, as often as it takes.
 
-The packed folder holds the code, the text encoder and the data. There it needs Python 3.12 with torch, numpy, scipy,
-safetensors and rich; nothing is installed or fetched. See docs/training.md.
+The packed folder holds the code, the text encoder and the data. There it needs Python 3.12 with torch, numpy, scipy
+and safetensors; nothing is installed or fetched. See docs/training.md.
 """
 
 from __future__ import annotations
@@ -63,8 +63,7 @@ def pack(options: argparse.Namespace) -> None:
     if options.bundle is not None:
         shutil.copyfile(options.bundle, out / BUNDLE)
     else:
-        facts = write_bundle(options.data, out / BUNDLE, options.mesh_bank, options.people)
-        print(f"{facts.clips} clips, handles off by {facts.error * 100:.2f} cm on average")
+        print(f"{write_bundle(options.data, out / BUNDLE, options.mesh_bank).clips} clips")
     parts = {"data": [out / BUNDLE], "text encoder, ranker, examples": [out / "src" / path for path in sorted(ALONG)]}
     parts["all"] = [path for path in out.rglob("*") if path.is_file()]
     for name, paths in parts.items():
@@ -94,7 +93,7 @@ def train(options: argparse.Namespace) -> None:
         **{name: value for name, value in settings.items() if value is not None},
     )  # fmt: skip
     try:
-        train_diffusion(config)
+        train_diffusion(config, report=lambda row: print(*(f"{name} {value:.4g}" for name, value in row.items())))
     finally:
         alarm.cancel()
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -243,7 +242,6 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("-o", "--output", type=Path, required=True, help="folder to write")
     one.add_argument("--data", type=Path, default=Path("runs/data/motions"), help="of 'bunraku data motions'")
     one.add_argument("--mesh-bank", type=Path, help="of 'bunraku data mesh-bank'")
-    one.add_argument("--people", default="skeleton", choices=("skeleton", "handles"), help="see 'bunraku data bundle'")
     one.add_argument("--bundle", type=Path, help="of 'bunraku data bundle', in the place of the data")
     one.set_defaults(do=pack)
     one = verbs.add_parser("train", help="there: train, or go on, until the limit")

@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import minimum_filter1d
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import Animation
@@ -24,7 +25,7 @@ from bunraku.pipelines.animate import rig
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.requests import Request, Sampling
 from bunraku.render import contact_sheet, render_animation
-from bunraku_lab.evaluation.transfer.character import facing_character, ground_heights, off_ground
+from bunraku_lab.evaluation.transfer.character import facing_character
 from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
@@ -44,6 +45,38 @@ MADE = (
     "quadruped", "quadruped", "quadruped", "quadruped", "dragon", "dragon", "frog", "frog", "dinosaur", "dinosaur",
     "bird", "bird", "flyer", "fish", "whale", "seahorse", "insect", "insect", "spider", "bee", "crab", "snake", "blob",
 )  # fmt: skip
+
+LEAP = 0.6
+"""Longest time in the air that counts as a leap [s]; animals that run leap at every stride."""
+CHUNK = 64  # frames posed at once: bounds memory
+
+
+def ground_heights(animation: Animation) -> np.ndarray:
+    """Height of the lowest vertex over the ground in each frame, over the character's height, shape (N,).
+
+    The ground is where the lowest point of the rest pose is. Vertices without faces do not count.
+    """
+    character = animation.character
+    seen = character.surface
+    floor = float(character.vertices[seen, 1].min())
+    frames = np.arange(len(animation.motion))
+    lows = [
+        animation.vertices(frames[start : start + CHUNK])[:, seen, 1].min(axis=1)
+        for start in range(0, len(frames), CHUNK)
+    ]
+    return np.asarray((np.concatenate(lows) - floor) / character.height)
+
+
+def off_ground(heights: np.ndarray, fps: float) -> float:
+    """How deep a body sinks at the most, or how high it hovers for longer than a leap lasts, over its height.
+
+    Args:
+        heights: Of the lowest point, as of `ground_heights`, shape (N,).
+        fps: Frames a second [1/s].
+    """
+    window = 2 * round(0.5 * LEAP * fps) + 1
+    hovers = minimum_filter1d(heights, window, mode="nearest")
+    return float(max(-heights.min(), hovers.max(), 0.0))
 
 
 def creature(name: str, folder: Path) -> Character:

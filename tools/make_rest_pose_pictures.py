@@ -16,19 +16,19 @@ from bunraku.core.character import Character
 from bunraku.pipelines.animate import rig
 from bunraku.render import contact_sheet, render_animation, render_still
 from bunraku.retarget.fit import fit_motion
-from bunraku_lab.evaluation.handles.rest_poses import TRANSFER_POSES, code_made_motions, posed_limbs
+from bunraku_lab.evaluation.handles.rest_poses import REST_POSES, posed_limbs
 from bunraku_lab.evaluation.handles.subjects import subject
 from bunraku_lab.synthetic.samples import make_sample
+from bunraku_lab.synthetic.stock_motions import stock_motion
 
 OUT = Path(__file__).parents[1] / "docs/pictures/rest-poses.png"
-FRAMES = (("wave", 0.75), ("walk", 0.25), ("squat", 0.5))  # motion and moment [s]
+FRAMES = (("dance", 0.75), ("walk", 0.25), ("kick", 0.5))  # motion and moment [s]
 SIZE = (200, 230)
 
 
 def main() -> None:
     one = subject(make_sample("person", rigged=True), "person")
-    motions = code_made_motions()
-    poses = ("T", *TRANSFER_POSES)
+    poses = (*REST_POSES, "crouching")
     rows: list[list[np.ndarray]] = [[] for _ in range(1 + len(FRAMES))]
     for pose in poses:
         character = Character("person", posed_limbs(one.truth, pose), one.character.faces, colors=one.character.colors)
@@ -36,7 +36,7 @@ def main() -> None:
         anatomy = Anatomy.of(character, handles)
         rows[0].append(render_still(character, handles, size=SIZE))
         for row, (name, moment) in zip(rows[1:], FRAMES, strict=True):
-            animation = Animation(character, handles, fit_motion(motions[name], anatomy))
+            animation = Animation(character, handles, fit_motion(stock_motion(name, 2.0), anatomy))
             row.extend(render_animation(animation, size=SIZE, times=np.array([moment])))
     labels = [f"rest pose: {pose}" for pose in poses] + [name for name, _ in FRAMES for _ in poses]
     contact_sheet([picture for row in rows for picture in row], labels, OUT, columns=len(poses))

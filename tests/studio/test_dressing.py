@@ -64,7 +64,7 @@ def quiet(stage, done):
 def file(tmp_path_factory):
     """A character as the studio keeps it."""
     path = tmp_path_factory.mktemp("dressing") / "dragon.glb"
-    save_character(make_sample("dragon", 0.4), path)
+    save_character(make_sample("dragon", 0.5), path)
     return path
 
 

@@ -25,30 +25,6 @@ from bunraku.errors import CharacterError
 from bunraku_lab.baselines.skinning import bone_heat, embedded_human
 from bunraku_lab.nn.pose_transfer import PartGraph, TransferNetwork, affine_of, part_centres, part_graph
 
-__all__ = [
-    "PartMesh",
-    "ROOM",
-    "RiggedMesh",
-    "SourceBody",
-    "SourceMotion",
-    "SourcePoses",
-    "TransferTarget",
-    "bone_rotations",
-    "copied_motion",
-    "graph_of",
-    "in_metres",
-    "in_root_frame",
-    "over_height",
-    "part_transforms",
-    "predicted_parts",
-    "rig_by_embedding",
-    "source_body",
-    "source_motion",
-    "source_poses",
-    "source_rotations",
-    "transferred",
-]
-
 MOST_BONES = 4
 """Joints that move one vertex, as engines have it."""
 _LEGS = (1, 4, 7)  # left hip, knee, ankle in SMPL's order
@@ -160,7 +136,7 @@ class PartMesh:
         rest: Vertices over the height, feet at 0, shape (M, 3), float32.
         faces: Shape (F, 3).
         edges: Of the faces, and those that join loose parts, shape (E, 2).
-        weights: Of K parts, shape (M, K), rows sum to 1; of none where they are predicted.
+        weights: Of K parts, shape (M, K), rows sum to 1.
     """
 
     rest: np.ndarray
@@ -274,21 +250,8 @@ def in_root_frame(affine: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, n
     return own.astype(np.float32), np.einsum("pba,pmb->pma", turns[:, 0], points - shift).astype(np.float32)
 
 
-def over_height(affine: np.ndarray, origin: np.ndarray, height: float) -> np.ndarray:
-    """Affine transforms [m] as they are where lengths are over a height and begin at an origin, shape (..., 3, 4).
-
-    Args:
-        affine: Shape (..., 3, 4).
-        origin: [m], shape (3,).
-        height: [m].
-    """
-    out = np.array(affine, np.float32)
-    out[..., 3] = (affine[..., :3] @ origin + affine[..., 3] - origin) / height
-    return out
-
-
 def in_metres(affine: np.ndarray, origin: np.ndarray, height: float) -> np.ndarray:
-    """The inverse of `over_height`, shape (..., 3, 4)."""
+    """Affine transforms whose lengths are over a height and begin at an origin, in metres, shape (..., 3, 4)."""
     out = np.array(affine, np.float32)
     out[..., 3] = height * affine[..., 3] + origin - affine[..., :3] @ origin
     return out
@@ -348,8 +311,8 @@ def source_poses(model: TransferNetwork, source: PartMesh, posed: np.ndarray) ->
         posed: Its vertices, shape (P, M, 3).
     """
     rest = graph_of([source])
-    weights = model.weights(rest) if model.config.predictor else torch.from_numpy(source.weights)
-    own = part_transforms(source.rest, posed, weights.numpy())
+    weights = torch.from_numpy(source.weights)
+    own = part_transforms(source.rest, posed, source.weights)
     codes = []
     for start in range(0, len(posed), CHUNK):
         some = list(posed[start : start + CHUNK])
@@ -358,26 +321,19 @@ def source_poses(model: TransferNetwork, source: PartMesh, posed: np.ndarray) ->
 
 
 @torch.no_grad()
-def transferred(
-    model: TransferNetwork, poses: SourcePoses, target: PartMesh, joints: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Affine transforms of the target's parts in each pose of the source, shape (P, K, 3, 4), and its weights, (M, K).
+def transferred(model: TransferNetwork, poses: SourcePoses, target: PartMesh) -> np.ndarray:
+    """Affine transforms of the target's parts in each pose of the source, shape (P, K, 3, 4).
 
     Args:
         model: The trained networks.
         poses: Of the source.
         target: At rest.
-        joints: Affine transforms of given joints of the target, over its height, shape (P, J, 3, 4); for networks with
-            parts that are tied to them.
     """
     still = graph_of([target])
-    weights = model.weights(still) if model.config.predictor else torch.from_numpy(target.weights)
+    weights = torch.from_numpy(target.weights)
     shape = model.encoder(still, weights).expand_as(poses.codes)
     said = model.decoded(poses.codes, shape, poses.own)
-    affine = affine_of(part_centres(still.inputs[:, :3], weights), said).numpy()
-    if joints is not None:
-        affine[:, : joints.shape[1]] = joints
-    return affine, weights.numpy()
+    return np.asarray(affine_of(part_centres(still.inputs[:, :3], weights), said).numpy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -415,7 +371,7 @@ class TransferTarget:
 
     Args:
         rest: Vertices at rest [m], shape (V, 3).
-        weights: Of the parts at each vertex, shape (V, K); None where the networks predict them.
+        weights: Of the parts at each vertex, shape (V, K).
         model: The networks.
         network: The mesh that they see.
         mesh: The same with its parts, over the height.
@@ -424,7 +380,7 @@ class TransferTarget:
     """
 
     rest: np.ndarray
-    weights: np.ndarray | None
+    weights: np.ndarray
     model: TransferNetwork
     network: NetworkMesh
     mesh: PartMesh
@@ -433,7 +389,7 @@ class TransferTarget:
 
     @classmethod
     def of(
-        cls, vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray | None, root: np.ndarray,
+        cls, vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, root: np.ndarray,
         model: TransferNetwork, size: int = 1000,
     ) -> TransferTarget:  # fmt: skip
         """A mesh, facing +Z.
@@ -441,7 +397,7 @@ class TransferTarget:
         Args:
             vertices: At rest [m], shape (V, 3).
             faces: Shape (F, 3).
-            weights: Of the parts, shape (V, K); None for networks that predict them.
+            weights: Of the parts, shape (V, K).
             root: Position of the root [m], shape (3,).
             model: The networks.
             size: Vertices of the mesh that they see, about.
@@ -453,10 +409,8 @@ class TransferTarget:
         rest = network.pull(vertices)
         height = float(np.ptp(vertices[:, 1]))
         origin = np.array([root[0], rest[:, 1].min(), root[2]], np.float32)
-        own = np.zeros((len(rest), 0), np.float32)
-        if weights is not None:
-            own = network.pull(weights)
-            own /= own.sum(axis=1, keepdims=True)
+        own = network.pull(weights)
+        own /= own.sum(axis=1, keepdims=True)
         mesh = PartMesh((rest - origin) / np.float32(height), network.faces, network.edges, own)
         return cls(np.asarray(vertices, np.float32), weights, model, network, mesh, origin, height)
 
@@ -468,15 +422,12 @@ class TransferTarget:
             affine: Affine transforms of its joints, shape (P, 22, 3, 4).
             joints: J at rest [m], shape (22, 3).
         """
-        own, _ = in_root_frame(affine, np.zeros((len(affine), 0, 3), np.float32))
-        tied = self.model.config.tied
-        known = over_height(own[:, :tied], self.origin, self.height) if tied else None
         body = source_body()
         posed = body.posed(source_rotations(affine[..., :3], joints))
-        moved, weights = self._moved(source_poses(self.model, body.resting_as(joints), posed), known)
+        moved = self._moved(source_poses(self.model, body.resting_as(joints), posed))
         turns, shift = affine[:, :1, :, :3], affine[:, :1, :, 3:]
         world = np.concatenate([turns @ moved[..., :3], turns @ moved[..., 3:] + shift], axis=3)
-        return np.asarray(skin(self.rest, weights, world))
+        return np.asarray(skin(self.rest, self.weights, world))
 
     def with_motion(self, motion: SourceMotion, root: np.ndarray) -> np.ndarray:
         """Its vertices as the reference body moves [m], shape (N, V, 3); its path is longer the higher its root is.
@@ -485,17 +436,13 @@ class TransferTarget:
             motion: Of the reference body, as `source_motion` gives it for the same networks.
             root: Position of its own root at rest [m], shape (3,).
         """
-        moved, weights = self._moved(motion.poses, None)
+        moved = self._moved(motion.poses)
         body = reference_body()
         scale = (root[1] - self.origin[1]) / (body.joints[0, 1] - body.vertices[:, 1].min())
-        points = np.asarray(skin(self.rest, weights, moved)) - root
+        points = np.asarray(skin(self.rest, self.weights, moved)) - root
         path = root + scale * motion.path
         return np.asarray(np.einsum("nab,nvb->nva", motion.turns, points) + path[:, None], np.float32)
 
-    def _moved(self, poses: SourcePoses, joints: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Affine transforms of the parts in the frame of the root [m], (P, K, 3, 4), and their weights, (V, K)."""
-        affine, weights = transferred(self.model, poses, self.mesh, joints)
-        if self.weights is not None:
-            return in_metres(affine, self.origin, self.height), self.weights
-        full = self.network.push(weights)
-        return in_metres(affine, self.origin, self.height), full / full.sum(axis=1, keepdims=True)
+    def _moved(self, poses: SourcePoses) -> np.ndarray:
+        """Affine transforms of the parts in the frame of the root [m], (P, K, 3, 4)."""
+        return in_metres(transferred(self.model, poses, self.mesh), self.origin, self.height)

@@ -20,12 +20,6 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.graph import bridge_edges, clean_mesh, mesh_parts, unique_edges
 from bunraku.core.geometry.surface import vertex_areas
 
-__all__ = [
-    "EmbeddedSkeleton", "Template", "Volume", "bone_distances", "bone_heat", "cluster_vertices", "cotangent_laplacian",
-    "embed_skeleton", "embedded_bone_heat", "embedded_human", "geodesic_clusters", "geodesic_graph", "human_template",
-    "sphere_centres", "surface_samples", "volume_of",
-]  # fmt: skip
-
 _MEDOIDS = 24  # vertices near a cluster's mean that are tried as its medoid
 
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from bunraku.cli.outputs import check_folder, check_input, check_output, check_range, check_source, stages
 from bunraku.errors import FormatError, OptionError
-
-__all__ = ["CharacterBank", "Characters", "DataBundle", "Examples", "MeshBank", "Motions"]
 
 
 @dataclass(frozen=True)
@@ -83,8 +81,7 @@ class Characters:
     """
 
     source: Path
-    """Folder of rigged characters, searched through: GLB, FBX (Mixamo), or OBJ with rig texts (ModelsResource-RigNet).
-    """
+    """Folder of rigged characters, searched through: GLB and FBX (Mixamo)."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder to write to, made when it is not there."""
     vertices: int = 2400
@@ -282,8 +279,6 @@ class DataBundle:
     """Folder that `bunraku data motions` wrote."""
     mesh_bank: Path | None = None
     """NPZ that `bunraku data mesh-bank` wrote."""
-    people: Literal["skeleton", "handles"] = "skeleton"
-    """How people's clips are kept: 22 joints (40 bytes a frame, 0.6 cm off) or all handles (100 bytes, 1 mm off)."""
 
     def run(self) -> None:
         check_source(self.data, "name the folder that 'bunraku data motions' wrote")
@@ -294,11 +289,9 @@ class DataBundle:
 
         with stages() as report:
             facts = write_bundle(
-                self.data, self.output, self.mesh_bank, self.people,
-                progress=lambda done, total: report("clips", done / total),
-            )  # fmt: skip
+                self.data, self.output, self.mesh_bank, progress=lambda done, total: report("clips", done / total)
+            )
         print(
             f"wrote {facts.clips} clips, {facts.frames / 72_000:.1f} hours, to {self.output}: "
-            f"{facts.bytes / 2**20:.1f} MiB; handles are off by {facts.error * 100:.2f} cm on average, 99 of 100 by "
-            f"less than {facts.largest * 100:.2f} cm"
+            f"{facts.bytes / 2**20:.1f} MiB"
         )

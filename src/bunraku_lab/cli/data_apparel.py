@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
 from bunraku.cli.outputs import check_folder, check_range, check_source, stages
 from bunraku.core.parallel import parse_jobs
 from bunraku.errors import FormatError, OptionError
-
-if TYPE_CHECKING:
-    from bunraku_lab.datasets.apparel.build import BuildState
-
-__all__ = ["Apparel", "Wardrobe"]
 
 
 @dataclass(frozen=True)
@@ -57,10 +50,6 @@ class Wardrobe:
                 progress=lambda done, total, name: report("characters", done / total),
             )  # fmt: skip
         print(f"wrote {len(files)} characters to {self.output}")
-
-
-EVERY = 30.0
-"""Where there is no bar, a line after so many seconds."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +119,10 @@ class Apparel:
                 self.motions, "no character and motion are of the same split; give more characters or motions"
             )
         with stages() as report:
-            state = build_apparel(self.output, plan, jobs=jobs, progress=_teller(report))
+            state = build_apparel(
+                self.output, plan, jobs=jobs,
+                progress=lambda state: report("apparel", (state.done + len(state.failed)) / max(state.shards, 1)),
+            )  # fmt: skip
         for name, reason in state.failed.items():
             print(f"left out {name}: {reason}", file=sys.stderr)
         for name, bodies in state.fly_aways.items():
@@ -147,23 +139,3 @@ class Apparel:
             f"{rounded}"
         )
         return 0 if state.done == state.shards else 2
-
-
-def _teller(report: Callable[[str, float], None]) -> Callable[[BuildState], None]:
-    """Progress as a bar, or, where there is no terminal, as a line now and then with the time left."""
-    terminal, last = sys.stderr.isatty(), time.monotonic()
-
-    def progress(state: BuildState) -> None:
-        nonlocal last
-        report("apparel", (state.done + len(state.failed)) / max(state.shards, 1))
-        if not terminal and time.monotonic() - last > EVERY and state.seconds_left is not None:
-            last = time.monotonic()
-            left = f"about {state.seconds_left / 60:.0f} min left"
-            print(
-                f"{state.built_minutes:.1f} of {state.minutes:.1f} minutes, {state.done} of {state.shards} files, "
-                f"{left}",
-                file=sys.stderr,
-                flush=True,
-            )
-
-    return progress

@@ -1,8 +1,7 @@
-"""`bunraku evaluate handles`, `blocks`, `transfer`, `apparel` and `physics`: what is measured on characters."""
+"""`bunraku evaluate handles`, `transfer`, `apparel` and `physics`: what is measured on characters."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,8 +13,6 @@ from bunraku.core.parallel import parse_jobs
 from bunraku.errors import FormatError, OptionError
 from bunraku_lab.cli.evaluate_motion import Printed
 from bunraku_lab.evaluation.report import Report, Table, bar_table
-
-__all__ = ["EvaluateApparel", "EvaluateBlocks", "EvaluateHandles", "EvaluatePhysics", "EvaluateTransfer"]
 
 
 @dataclass(frozen=True)
@@ -37,8 +34,6 @@ class EvaluateHandles(Printed):
     """Weights of the handle predictor. Default: the shipped ones."""
     no_baselines: bool = False
     """Leave out the clusters and the bone heat to which the pose error is compared."""
-    no_speed: bool = False
-    """Leave out the time that predictions take, which says little on a busy machine."""
     seed: int = 0
     """Of the random poses and the clusters."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
@@ -61,7 +56,7 @@ class EvaluateHandles(Printed):
         with stages() as report:
             result = evaluate_handles(
                 subjects, detailed=detailed_subjects(self.characters, self.avatars), checkpoint=self.checkpoint,
-                baselines=not self.no_baselines, speed=not self.no_speed, seed=self.seed, jobs=jobs, progress=report,
+                baselines=not self.no_baselines, seed=self.seed, jobs=jobs, progress=report,
             )  # fmt: skip
         self.show(result, _handles_report)
 
@@ -76,47 +71,6 @@ def _handles_report(result: dict[str, Any]) -> Report:
         bar_table(BARS, result, reached=result["reached"]),
         *(f"left out {name}: {reason}" for name, reason in result["left_out"].items()),
     ])  # fmt: skip
-
-
-@dataclass(frozen=True)
-class EvaluateBlocks:
-    """Measure what an animation does to figures of rigid blocks: shear inside a block, and gaps at joints.
-
-    Each file does what a sentence says, is written as GLB, and is read back at a rate that falls between its frames.
-    Exits with 1 where shear is over 0.01 % of the height, or a gap over 1 %.
-
-    Example: bunraku evaluate blocks robot.glb cube-pet.glb
-    """
-
-    files: tyro.conf.Positional[tuple[Path, ...]]
-    """Characters."""
-    sentence: str = "walks forward, then waves with the left hand"
-    """What they do."""
-    seconds: float = 5.0
-    """For how long, 1 to 9.8."""
-    seed: int = 1
-    """Of the motion."""
-    json: bool = False
-    """Print JSON for programs."""
-
-    def run(self) -> int:
-        check_range("--seconds", self.seconds, 1, 9.8)
-        for path in self.files:
-            check_input(path)
-        from bunraku_lab.evaluation.handles.blocks import GAP, SHEAR, block_file
-
-        rows = [block_file(path, self.sentence, self.seconds, self.seed) for path in self.files]
-        if self.json:
-            print(json.dumps(rows, indent=2))
-        else:
-            for row in rows:
-                if row["blocks"]:
-                    shear, gap = f"{row['shear']:.1e}", f"{100 * row['gap']:.2f} %"
-                    print(f"{row['file']}: {row['blocks']} blocks, shear {shear} of the height, largest gap {gap}")
-                else:
-                    print(f"{row['file']}: no figure of rigid blocks")
-        bad = [row for row in rows if row["blocks"] and (row["shear"] > SHEAR or row["gap"] > GAP)]
-        return int(bool(bad))
 
 
 @dataclass(frozen=True)
@@ -136,8 +90,6 @@ class EvaluateTransfer(Printed):
     """Folder of MMD models and VMD files with leg IK, for the rows of soles; left out without it."""
     work: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Where rows of characters are kept, so that the same command goes on where it was stopped."""
-    no_speed: bool = False
-    """Leave out the times, which say little on a busy machine."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the characters, or "ray" for a Ray cluster."""
 
@@ -151,7 +103,7 @@ class EvaluateTransfer(Printed):
 
         with stages() as report:
             result = evaluate_transfer(
-                self.characters, self.motions, mmd=self.mmd, limit=self.limit, work=self.work, speed=not self.no_speed,
+                self.characters, self.motions, mmd=self.mmd, limit=self.limit, work=self.work,
                 jobs=jobs, progress=report,
             )  # fmt: skip
         self.show(result, _transfer_report)
@@ -237,7 +189,7 @@ DEFAULT = 4
 
 @dataclass(frozen=True)
 class EvaluatePhysics(Printed):
-    """Measure the simulated apparel of characters: stretch, penetration, rest, fly-aways, speed and repeatability.
+    """Measure the simulated apparel of characters: stretch, penetration, rest, fly-aways and speed.
 
     Every character plays a minute of a walk, a dance and kicks made by code, or of motions that are named.
 

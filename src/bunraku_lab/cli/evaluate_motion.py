@@ -14,8 +14,6 @@ from bunraku.cli.outputs import check_folder, check_input, check_range, check_so
 from bunraku.errors import OptionError
 from bunraku_lab.evaluation.report import Report, Table, bar_table
 
-__all__ = ["EvaluateMotion", "EvaluateTables", "Printed"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Printed:
@@ -61,8 +59,6 @@ class EvaluateMotion(Printed):
 
     data: Path
     """Folder that `bunraku data motions` wrote."""
-    characters: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """Folder of rigged characters (the archive), for what is measured on characters. Left out without it."""
     checkpoint: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Weights of the diffusion model. Default: the shipped ones."""
     extractor: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
@@ -92,7 +88,7 @@ class EvaluateMotion(Printed):
     quick: bool = False
     """Few motions, 3 runs, and only what is fast: minutes, and wide intervals."""
     only: Annotated[Literal["table", "viewer"] | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """The paper's table alone, or what a viewer sees alone, which takes minutes. Default: these and all the rest."""
+    """The paper's table alone, or what a viewer sees alone, which takes minutes. Default: both."""
     seed: int = 0
     """Of everything random."""
 
@@ -106,17 +102,15 @@ class EvaluateMotion(Printed):
         check_range("--best-of", self.best_of, 1, 16)
         check_range("--seed", self.seed, 0, 2**31)
         check_source(self.data, "make it with `bunraku data motions`")
-        check_source(self.characters, "give one with rigged characters")
         for path in (self.checkpoint, self.extractor):
             if path is not None:
                 check_input(path)
-        from bunraku_lab.evaluation.motion.blocks import add_blocks
         from bunraku_lab.evaluation.motion.table import MotionEvalConfig, evaluate_motion
         from bunraku_lab.evaluation.motion.viewer_prompts import viewer_figures
 
         pool = self.pool or max(256 if self.quick else 1600, self.clips or 0)
         config = MotionEvalConfig(
-            data=self.data, characters=self.characters, checkpoint=self.checkpoint,
+            data=self.data, checkpoint=self.checkpoint,
             extractor=self.extractor, work=self.work,
             split=self.split, pool=pool, clips=min(self.clips or (200 if self.quick else 1000), pool),
             runs=self.runs or (3 if self.quick else 20),
@@ -128,23 +122,21 @@ class EvaluateMotion(Printed):
         )  # fmt: skip
         with stages() as report:
             result = {} if self.only == "viewer" else evaluate_motion(config, report)
-            if self.only is None:
-                add_blocks(result, config, self.quick, report)
             if self.only != "table":
                 result |= viewer_figures(config, self.quick, report)
         self.show(result, _motion_report)
 
 
 def _motion_report(result: dict[str, Any]) -> Report:
-    from bunraku_lab.evaluation.motion.blocks import BARS
+    from bunraku_lab.evaluation.motion.table import TABLE_BARS
     from bunraku_lab.evaluation.motion.viewer_prompts import VIEWER_BARS
 
     parts: list[Table | str] = []
     if "rows" in result:
-        parts += [*_paper_rows(result), bar_table(BARS, result)]
+        parts += [*_paper_rows(result), bar_table(TABLE_BARS, result)]
     if VIEWER_BARS.keys() & result:
         parts += [bar_table(VIEWER_BARS, result, "what a viewer sees"), *_actions(result)]
-    return Report(parts + [f"left out {name}: {reason}" for name, reason in result.get("left_out", {}).items()])
+    return Report(parts)
 
 
 def _paper_rows(result: dict[str, Any]) -> list[Table | str]:

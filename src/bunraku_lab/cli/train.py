@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-__all__ = ["TRAININGS", "Training"]
-
 
 @dataclass(frozen=True)
 class Training:
@@ -40,13 +38,10 @@ class Training:
             print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
 
         def run(config: Any) -> None:
-            if self.function == "train_diffusion":  # has a bar of its own
-                path = train(config)
-            else:
-                from bunraku.cli.outputs import stages  # loads what draws bars
+            from bunraku.cli.outputs import stages  # loads what draws bars
 
-                with stages() as report:
-                    path = train(config, report=print_row, progress=report)
+            with stages() as report:
+                path = train(config, report=print_row, progress=report)
             print(f"wrote {path}")
 
         return getattr(module, self.settings), run
@@ -120,15 +115,13 @@ TRAININGS: dict[str, Training] = {
     ),
     "nbs": Training(
         "training.baselines.nbs", "NbsTrainConfig", "train_nbs",
-        "Neural Blend Shapes (Li et al. 2021) with given joints, a row of MMDMC's table 2",
+        "the skinning of Neural Blend Shapes (Li et al. 2021) with given joints, a row of MMDMC's table 2",
         "--data data/apparel --out runs/nbs",
-        "The skinning branch is trained first; --start SKINNING --network.shapes 9 trains the blend shapes on it.",
     ),
     "transfer-baseline": Training(
         "training.baselines.transfer", "TransferTrainConfig", "train_transfer",
         "Skeleton-free Pose Transfer (Liao et al. 2022), a row of both papers' tables",
-        "--preset sfpt-small --data data/motions --characters archive --out runs/sfpt",
-        "--preset sfpt is the whole recipe, for a GPU.",
+        "--preset sfpt --data data/motions --characters archive --out runs/sfpt",
     ),
 }  # fmt: skip
 

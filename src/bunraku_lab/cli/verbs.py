@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from bunraku_lab.cli.train import TRAININGS
 
-__all__ = ["VERBS"]
-
 # Words, module, class, one line of help.
 _CLASSES = (
     ("data motions", "data", "Motions", "turn a motion archive into handle motions to train on"),
@@ -20,7 +18,6 @@ _CLASSES = (
     ("data wardrobe", "data_apparel", "Wardrobe", "make dressed characters with rigid bodies, as PMX files"),
     ("data apparel", "data_apparel", "Apparel", "simulate the apparel of characters in motion, as data to train on"),
     ("evaluate handles", "evaluate_characters", "EvaluateHandles", "measure the handles on rigged characters"),
-    ("evaluate blocks", "evaluate_characters", "EvaluateBlocks", "measure whether figures of blocks stay rigid"),
     ("evaluate motion", "evaluate_motion", "EvaluateMotion", "measure generated motion on held-out clips"),
     ("evaluate transfer", "evaluate_characters", "EvaluateTransfer", "measure motion transfer on rigged characters"),
     ("evaluate physics", "evaluate_characters", "EvaluatePhysics", "measure the simulated apparel of characters"),

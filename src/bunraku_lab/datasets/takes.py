@@ -22,17 +22,6 @@ from bunraku.retarget.to_reference import handle_motion_of_body
 from bunraku_lab.datasets.motions.build import split_of
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, write_clip, write_index
 
-__all__ = [
-    "CAPTIONS",
-    "Take",
-    "add_takes",
-    "amass_takes",
-    "humanml3d_takes",
-    "licensed_takes",
-    "own_takes",
-    "read_texts",
-]
-
 FPS = 20.0
 """Frames a second of clips to train on [1/s]."""
 SHORTEST, LONGEST = 0.4, 60.0  # seconds of a clip: what training can take; longer ones are cut

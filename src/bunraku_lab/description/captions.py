@@ -13,12 +13,6 @@ from dataclasses import dataclass
 
 from bunraku.language.captions import caption_table, conjugate, mirror_words
 
-__all__ = [
-    "CaptionGroup", "caption", "caption_clauses", "caption_group", "caption_variants", "creature_clauses",
-    "creature_names", "creature_variants", "fill", "is_stative", "normalise_label", "person_phrases", "sentence_forms",
-]  # fmt: skip
-
-
 _VERB = re.compile(r"\{(\w+)\}")
 _ALWAYS = ("a person {third}", "a person is {gerund}", "{plain}", "{third}", "{gerund}")
 

@@ -8,11 +8,6 @@ import numpy as np
 
 from bunraku.generation.agreement import SIDES, Phrase, Track, runs, smooth
 
-__all__ = [
-    "find_arms", "find_bends", "find_gaits", "find_jumps", "find_kicks", "find_punches", "find_seats", "find_stillness",
-    "find_turns", "peaks",
-]  # fmt: skip
-
 
 def peaks(values: np.ndarray, prominence: float, height: float | None = None) -> np.ndarray:
     """Where a curve has peaks, shape (P,).

@@ -33,11 +33,6 @@ from bunraku_lab.description.events import (
     find_turns,
 )
 
-__all__ = [
-    "all_variants", "borrowed_sentence", "can_do", "chain", "clauses", "computed_sentence", "creature_subjects",
-    "describe", "inside", "joined", "sentences", "verbs",
-]  # fmt: skip
-
 _LEAST = 16  # frames of a state that are worth a word
 _TIMES = {2: "twice", 3: "three times", 4: "four times", 5: "five times"}
 _COUNTED = {"turn", "jump", "kick", "bend"}

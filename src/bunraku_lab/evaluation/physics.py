@@ -28,11 +28,6 @@ from bunraku_lab.datasets.apparel.plan import CharacterSource
 from bunraku_lab.evaluation.report import Bar, measured_in, percent, reached_bars
 from bunraku_lab.synthetic.stock_motions import STOCK_MOTIONS, stock_motion
 
-__all__ = [
-    "Chain", "PHYSICS_BARS", "apparel_chains", "body_speeds", "chain_lengths", "deep_share", "evaluate_physics",
-    "joined", "link_position", "measure_physics", "nearest_joint_vertices", "sample_apparel",
-]  # fmt: skip
-
 _FREE = 1e-3  # a joint that lets its bodies come apart by more [m] is no link of a chain
 _SHORT = 5e-3  # chains under this have no length to speak of [m]
 
@@ -213,7 +208,6 @@ PHYSICS_BARS: dict[str, Bar] = {
     ),
     "fly_away_free": Bar("clips of a minute without a fly-away", least=0.99, show=percent(2)),
     "realtime_factor": Bar("simulated over needed time, one core", least=1.0, show=measured_in(" x", 1)),
-    "deterministic": Bar("the same twice", least=1.0, show=percent(2)),
 }
 
 
@@ -228,7 +222,7 @@ def evaluate_physics(
         wardrobe: Characters of the wardrobe.
         motions: Motion files, a VMD as MMD plays it; a walk, a dance and kicks made by code when there are none.
         seconds: Length of the clip that every character plays [s], shared by the motions.
-        quick: Leave out what takes longest (penetration, rest, repeatability), which is None then.
+        quick: Leave out what takes longest (penetration and rest), which is None then.
         jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
         progress: Called with the name of a character and the share done.
 
@@ -264,7 +258,6 @@ def evaluate_physics(
         "fly_aways": sum(row["fly_aways"] for row in rows),
         "fly_away_free": float(np.mean([not row["fly_aways"] for row in rows])),
         "realtime_factor": min(row["realtime_factor"] for row in rows),
-        "deterministic": None if quick else all(row["deterministic"] for row in rows),
     }
     reached = reached_bars(PHYSICS_BARS, out)
     return out | {
@@ -358,11 +351,9 @@ def measure_physics(
     return row | {
         "penetration": float(deep[:, 0].mean()),
         "penetration_nearest_joint": float(deep[:, 1].mean()),
-        "penetration_parents": float(deep[:, 2].mean()),
         "penetration_at_rest": inside,
         "penetration_ratio": _ratio([{"a": deep[:, 0].mean(), "b": deep[:, 1].mean()}], "a", "b"),
         "rest_speed": _rest_speed(character, rig),
-        "deterministic": _deterministic(animation, rig),
     }
 
 
@@ -450,8 +441,7 @@ def _penetration(
         cut = RigAnimation(character, result.rotations[some], result.translations[some], result.fps)
         transforms = eq4_transforms(body.transforms(cut), body.joints)
         simulated = skin(points, dense[:, bones], cut.transforms()[:, bones])
-        held = skin(points, body.weights[chosen], transforms)
-        out.append(deep_share(volume, transforms, [simulated, nearest_joint_vertices(body, chosen, transforms), held]))
+        out.append(deep_share(volume, transforms, [simulated, nearest_joint_vertices(body, chosen, transforms)]))
     return np.concatenate(out), float(inside.mean())
 
 
@@ -465,17 +455,6 @@ def _rest_speed(character: Character, rig: ApparelRig) -> float:
     )
     speeds = body_speeds(simulate(still, rig, warmup=0.0).animation, rig)
     return float(speeds[round(REST * FPS) :].mean()) if speeds.size else 0.0
-
-
-def _deterministic(animation: RigAnimation, rig: ApparelRig) -> bool:
-    """Whether two simulations of the first three seconds give the same bytes."""
-    few = round(3 * FPS)
-    cut = RigAnimation(animation.character, animation.rotations[:few], animation.translations[:few], animation.fps)
-    first, second = (simulate(cut, rig).animation for _ in range(2))
-    return (
-        first.rotations.tobytes() == second.rotations.tobytes()
-        and first.translations.tobytes() == second.translations.tobytes()
-    )
 
 
 def _ratio(rows: Sequence[Mapping[str, float]], key: str, against: str) -> float | None:

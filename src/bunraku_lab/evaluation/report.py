@@ -9,12 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bunraku.core.files import atomic_write
-
-__all__ = [
-    "Bar", "KeptParts", "Parts", "Report", "Table", "at_once", "bar_table", "figure", "measured_in", "percent",
-    "reached_bars",
-]  # fmt: skip
+from bunraku.core.files import atomic_write, writing
 
 
 def figure(value: float) -> str:
@@ -171,11 +166,22 @@ class KeptParts:
 
     def __call__(self, name: str, measure: Callable[[], Any]) -> Any:
         """Give a part."""
-        path = self.folder / f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.json"
-        if path.is_file():
-            return json.loads(path.read_text(encoding="utf-8"))
-        text = json.dumps(measure())
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as file:
+        found = self.known(name)
+        return self.keep(name, measure()) if found is None else found
+
+    def known(self, name: str) -> Any:
+        """What was kept of a part; None where nothing was."""
+        path = self._path(name)
+        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+
+    def keep(self, name: str, value: Any) -> Any:
+        """Keep what was measured, and give it as it comes back."""
+        text = json.dumps(value)
+        with writing(self.folder, "folder"):
+            self.folder.mkdir(parents=True, exist_ok=True)
+        with atomic_write(self._path(name)) as file:
             file.write(text.encode())
         return json.loads(text)
+
+    def _path(self, name: str) -> Path:
+        return self.folder / f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.json"

@@ -37,11 +37,6 @@ from bunraku.core.body.layout import JOINT_COUNT, JOINT_MIRROR
 from bunraku_lab.nn.checkpoints import SavedNetwork
 from bunraku_lab.nn.graph import EdgeBlock, NodeGraph, node_graph
 
-__all__ = [
-    "AnchorHead", "DisplacementNetwork", "Inputs", "NodeEncoder", "Past", "RecurrentPart", "SegmentationNetwork",
-    "clip_features", "mesh_block", "mirror_global", "node_state", "past_of_states",
-]  # fmt: skip
-
 
 class Inputs:
     """Features of M nodes in one frame each.

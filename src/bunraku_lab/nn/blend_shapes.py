@@ -1,5 +1,6 @@
-"""The networks of Neural Blend Shapes (Li et al., SIGGRAPH 2021) for a given skeleton, with the convolution on edges
-that they use (MeshCNN, Hanocka et al. 2019) and linear blend skinning in torch.
+"""The skinning network of Neural Blend Shapes (Li et al., SIGGRAPH 2021) for a given skeleton, with the convolution on
+edges that it uses (MeshCNN, Hanocka et al. 2019) and linear blend skinning in torch. Its blend shapes are left out,
+which made it no better.
 """
 
 from __future__ import annotations
@@ -10,13 +11,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.body.layout import JOINT_COUNT
 from bunraku_lab.nn.checkpoints import SavedNetwork
-
-__all__ = [
-    "BlendShapes", "EdgeMesh", "MeshConv", "NbsConfig", "NbsNetwork", "edge_mesh", "hinted", "local_rotations",
-    "moved_by", "vertex_means",
-]  # fmt: skip
 
 SLOPE = 0.2
 """Of the LeakyReLU. As in the published code of the method."""
@@ -100,7 +96,7 @@ def moved_by(rest: torch.Tensor, weights: torch.Tensor, affine: torch.Tensor) ->
     """Linear blend skinning, shape (P, V, 3).
 
     Args:
-        rest: One rest pose for all, shape (V, 3), or one for each pose, shape (P, V, 3).
+        rest: The rest pose, shape (V, 3).
         weights: Shape (V, J).
         affine: Affine transforms of the joints, shape (P, J, 3, 4).
     """
@@ -109,29 +105,17 @@ def moved_by(rest: torch.Tensor, weights: torch.Tensor, affine: torch.Tensor) ->
 
 
 KIND = "nbs"
-NEAR, NEAR_WRIST = 0.05, 0.02
-"""Weights to a joint or the joint above from which a vertex takes the joint's shapes. As in the published code of the
-method.
-"""
-QUIET = 1 / 1000
-"""Of the last layer of coefficients before it has learned."""
 
 
 @dataclass(frozen=True)
 class NbsConfig:
-    """Shape of the networks.
+    """Shape of the network.
 
     Args:
         skinning: Channels of the skinning branch.
-        geometry: Channels of the geometry branch.
-        mixed: Channels between geometry and blend shapes.
-        shapes: Blend shapes of a vertex; 0 leaves the branch out.
     """
 
     skinning: tuple[int, ...] = (64, 128, 256)
-    geometry: tuple[int, ...] = (64, 128, 256, 512)
-    mixed: int = 256
-    shapes: int = 0
 
 
 class _Branch(nn.Module):
@@ -148,52 +132,6 @@ class _Branch(nn.Module):
         return x
 
 
-class BlendShapes(nn.Module):
-    """Shapes of each vertex from geometry and skinning, and their coefficients from how each joint turns."""
-
-    def __init__(self, config: NbsConfig):
-        super().__init__()
-        count = config.shapes
-        self.geometry = _Branch(3, *config.geometry)
-        self.shapes = _Branch(config.geometry[-1] + JOINT_COUNT, config.mixed, 3 * count)
-        self.coefficients = nn.ModuleList(
-            nn.Sequential(
-                nn.Linear(9, 18), nn.LeakyReLU(0.2), nn.Linear(18, 32), nn.LeakyReLU(0.2), nn.Linear(32, count)
-            )
-            for _ in range(JOINT_COUNT)
-        )
-        with torch.no_grad():
-            for each in self.coefficients:
-                each[-1].weight.mul_(QUIET)  # type: ignore[index, operator, union-attr]
-                each[-1].bias.mul_(QUIET)  # type: ignore[index, operator, union-attr]
-
-    def forward(
-        self, middles: torch.Tensor, logits: torch.Tensor, weights: torch.Tensor, mesh: EdgeMesh
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Shapes of each vertex, (V, S, 3), and which joints' shapes it takes, (V, J).
-
-        Args:
-            middles: Midpoints of the edges, shape (E, 3).
-            logits: What the skinning branch says of the edges, shape (E, J).
-            weights: Of the vertices, shape (V, J).
-            mesh: The edges.
-        """
-        geometry = hinted(self.geometry(middles, mesh))
-        edges = self.shapes(torch.cat([geometry, logits.softmax(dim=1)], dim=1), mesh)
-        return vertex_means(edges, mesh).unflatten(1, (-1, 3)), shape_joints(weights)
-
-    def moved(self, shapes: torch.Tensor, takes: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
-        """What the shapes add to the rest pose, shape (P, V, 3).
-
-        Args:
-            shapes, takes: As `forward` gives them.
-            turns: Of each joint to its parent, shape (P, J, 3, 3).
-        """
-        away = (turns - torch.eye(3, device=turns.device)).flatten(2)
-        each = torch.stack([net(away[:, joint]) for joint, net in enumerate(self.coefficients)], dim=1)
-        return torch.einsum("vj,pjs,vsa->pva", takes, each, shapes)
-
-
 class NbsNetwork(SavedNetwork):
     """The network."""
 
@@ -204,7 +142,6 @@ class NbsNetwork(SavedNetwork):
         super().__init__()
         self.config = config = config or NbsConfig()
         self.skinning = _Branch(3, *config.skinning, JOINT_COUNT)
-        self.blend = BlendShapes(config) if config.shapes else None
 
     def forward(self, points: torch.Tensor, mesh: EdgeMesh) -> torch.Tensor:
         """Skinning weights of the joints, shape (V, J), rows sum to 1.
@@ -213,24 +150,4 @@ class NbsNetwork(SavedNetwork):
             points: Vertices over the height, feet at 0, x and z from the pelvis, shape (V, 3).
             mesh: Their edges.
         """
-        return self.skinned(points, mesh)[0]
-
-    def skinned(self, points: torch.Tensor, mesh: EdgeMesh) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """As `forward`, with what the branch says of the edges and their midpoints."""
-        middles = points[mesh.ends].mean(dim=1)
-        logits = self.skinning(middles, mesh)
-        return vertex_means(logits, mesh).softmax(dim=1), logits, middles
-
-
-def shape_joints(weights: torch.Tensor) -> torch.Tensor:
-    """Which joints' shapes each vertex takes, 1 or 0: of those that it or the joint above holds, shape (V, J)."""
-    least = weights.new_tensor([NEAR_WRIST if "wrist" in name else NEAR for name in JOINT_NAMES])
-    above = [max(parent, 0) for parent in JOINT_PARENTS]
-    held = torch.maximum(weights, weights[:, above])
-    return (held > least).to(weights.dtype)
-
-
-def local_rotations(turns: torch.Tensor) -> torch.Tensor:
-    """Rotations relative to the parents, from rotations in the world, both (P, J, 3, 3); the root's is the identity."""
-    above = [max(parent, 0) for parent in JOINT_PARENTS]
-    return turns[:, above].transpose(2, 3) @ turns
+        return vertex_means(self.skinning(points[mesh.ends].mean(dim=1), mesh), mesh).softmax(dim=1)

@@ -21,11 +21,6 @@ from bunraku.core.nn import checkpoints as files
 from bunraku.core.nn.checkpoints import FORMAT, config_of, fitting_config, read_tensors, write_tensors
 from bunraku.errors import WeightsError
 
-__all__ = [
-    "SavedNetwork", "TrainingState", "fitted_network", "lab_checkpoint", "load_checkpoint", "load_network",
-    "load_training_state", "save_checkpoint", "save_network", "save_training_state",
-]  # fmt: skip
-
 LAB_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
 """Where the checkpoints lie that no animation reads; they are in a checkout and not in the wheel."""
 

@@ -25,12 +25,6 @@ from bunraku.generation.features import ROOT_SIZE
 from bunraku.generation.layers import DenoiserConfig, denoiser_config
 from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
 
-__all__ = [
-    "DecoderLayer", "Denoiser", "RetrievedExamples", "adapted_denoiser", "add_noise", "alphas_cumprod",
-    "capped_on_people", "frozen_digest", "joint_offsets", "load_denoiser", "normal_noise", "rotary_positions",
-    "save_adapter", "save_denoiser",
-]  # fmt: skip
-
 
 def capped_on_people(residual: Tensor) -> Tensor:
     """Residuals of people in torch, shape [..., 3]; differentiable."""

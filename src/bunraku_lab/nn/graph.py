@@ -14,11 +14,6 @@ from torch import nn
 
 from bunraku.anatomy.handles import networks as arrays
 
-__all__ = [
-    "AnchorBlock", "EdgeBlock", "EdgeConv", "GraphLayer", "HasNeighbours", "MeshGraph", "NodeGraph",
-    "edge_conv_reference", "mesh_graph", "node_graph",
-]  # fmt: skip
-
 
 class HasNeighbours(Protocol):
     """What an EdgeConv needs of a graph: `ranks` and `position` as `handles.inference.graph.MeshGraph` has them."""
@@ -92,18 +87,7 @@ def edge_conv_reference(layer: EdgeConv, x: torch.Tensor, graph: HasNeighbours) 
 
 @dataclass
 class MeshGraph:
-    """A mesh as tensors.
-
-    Args:
-        inputs: Position and normal of each vertex, shape (V, 6).
-        areas: Share of the surface that each vertex stands for, shape (V,), sums to 1.
-        ranks: The n-th neighbours of the vertices that have so many, vertices in order of falling degree; every vertex
-            is its own first neighbour. Shapes (V,), (V_1,), (V_2,) ...
-        position: Where each vertex is in that order, shape (V,).
-        spread: Weights from anchors to vertices, rows sum to 1, shape (V, M).
-        gather: Weights from vertices to anchors, rows sum to 1, shape (M, V).
-        anchors: Positions of the anchors, shape (M, 3).
-    """
+    """A mesh as tensors: those of `bunraku.anatomy.handles.networks.MeshGraph`."""
 
     inputs: torch.Tensor
     areas: torch.Tensor

@@ -14,8 +14,6 @@ from bunraku.errors import WeightsError
 from bunraku_lab.nn.checkpoints import SavedNetwork, load_checkpoint
 from bunraku_lab.nn.graph import GraphLayer, MeshGraph
 
-__all__ = ["HandlePrediction", "HandlePredictor", "OrientationPredictor", "grow_predictor", "rotated_tokens"]
-
 
 class HandlePrediction(NamedTuple):
     """What the predictor says of one mesh.

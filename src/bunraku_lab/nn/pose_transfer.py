@@ -14,11 +14,6 @@ from torch import nn
 from bunraku.core.geometry.rotations import matrix_from_quaternion
 from bunraku_lab.nn.checkpoints import SavedNetwork
 
-__all__ = [
-    "GraphUnit", "PartGraph", "TransferConfig", "TransferNetwork", "affine_of", "dense", "part_centres", "part_graph",
-    "per_mesh_max", "shares_of",
-]  # fmt: skip
-
 # Of the batch norms, as in the published code of the method.
 MOMENTUM = 0.1
 
@@ -137,8 +132,6 @@ class TransferConfig:
 
     Args:
         parts: K.
-        predictor: Whether the weights of the parts are predicted here; otherwise they are given.
-        tied: So many parts, the first ones, are given joints: their transforms are known and not decoded.
         levels: Channels of the graph units.
         code: Channels of a part's code.
         correction: Whether the decoder says how a target's part differs from the source's own, which it begins as; the
@@ -146,8 +139,6 @@ class TransferConfig:
     """
 
     parts: int = 30
-    predictor: bool = False
-    tied: int = 0
     levels: tuple[int, ...] = (64, 128, 256)
     code: int = 128
     correction: bool = True
@@ -167,20 +158,6 @@ class _Levels(nn.Module):
             x = unit(x, graph)
             found.append(x)
         return torch.cat(found, dim=1)
-
-
-class PartPredictor(nn.Module):
-    """Weights of the parts at each vertex, shape (N, K), rows sum to 1; and what the softmax is of."""
-
-    def __init__(self, config: TransferConfig):
-        super().__init__()
-        self.levels = _Levels(config.levels)
-        self.head = dense(sum(config.levels), 256, 256, 128)
-        self.last = nn.Linear(128, config.parts)
-
-    def forward(self, graph: PartGraph) -> torch.Tensor:
-        out: torch.Tensor = self.last(self.head(self.levels(graph)))
-        return out
 
 
 class PartEncoder(nn.Module):
@@ -203,7 +180,7 @@ class PartEncoder(nn.Module):
 
 
 class TransferNetwork(SavedNetwork):
-    """The network: predictor, one encoder for shape and pose, decoder.
+    """The network: one encoder for shape and pose, and a decoder. The parts are those of the Mesh Handle Predictor.
 
     Args:
         config: Its shape.
@@ -215,7 +192,6 @@ class TransferNetwork(SavedNetwork):
     def __init__(self, config: TransferConfig | None = None):
         super().__init__()
         self.config = config = config or TransferConfig()
-        self.predictor = PartPredictor(config) if config.predictor else None
         self.encoder = PartEncoder(config)
         last = nn.Linear(128, 7)
         if config.correction:
@@ -226,11 +202,6 @@ class TransferNetwork(SavedNetwork):
             nn.Linear(2 * config.code + 7, 256), nn.ReLU(), nn.Linear(256, 128), nn.ReLU(), nn.Linear(128, 128),
             nn.ReLU(), last,
         )  # fmt: skip
-
-    def weights(self, graph: PartGraph) -> torch.Tensor:
-        """Predicted weights of the parts, shape (N, K)."""
-        assert self.predictor is not None
-        return self.predictor(graph).softmax(dim=1)
 
     def forward(
         self, rest: PartGraph, posed: PartGraph, target: PartGraph, weights: tuple[torch.Tensor, torch.Tensor],

@@ -15,11 +15,6 @@ from bunraku_lab.nn.denoiser import Denoiser, RetrievedExamples
 from bunraku_lab.nn.handles import HandlePredictor, OrientationPredictor
 from bunraku_lab.nn.text import Extractor
 
-__all__ = [
-    "arrays_of", "running_denoiser", "running_displacement", "running_examples", "running_extractor",
-    "running_orientation", "running_predictor",
-]  # fmt: skip
-
 
 def arrays_of(model: nn.Module) -> dict[str, np.ndarray]:
     """The weights of a network by name, float32 on the CPU; later changes of the network do not change them."""

@@ -19,8 +19,6 @@ from bunraku.generation.features import FEATURE_SIZE, feature_weights
 from bunraku.language import encoders
 from bunraku_lab.nn.checkpoints import fitted_network, load_checkpoint, save_checkpoint
 
-__all__ = ["Extractor", "TextBatch", "load_extractor", "save_extractor", "tensors_of"]
-
 
 @dataclass(frozen=True)
 class TextBatch:

@@ -14,8 +14,6 @@ from bunraku.core.geometry.surface import vertex_normals
 from bunraku_lab.synthetic.makehuman import limb_rotations, pose_points, random_kind, random_proportions, rest_linear
 from bunraku_lab.synthetic.surfaces import nearest_shares
 
-__all__ = ["DRAWN", "Figure", "J", "Skin", "figure_of", "random_figure"]
-
 J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
 _ARMS = [J[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
 _HANDS = [J["left_wrist"], J["right_wrist"]]

@@ -21,11 +21,6 @@ from bunraku.errors import FormatError
 from bunraku.files import read_obj
 from bunraku_lab.synthetic.surfaces import nearest_shares
 
-__all__ = [
-    "BASE_VERTICES", "BODY_VERTICES", "MakeHumanBody", "limb_rotations", "pose_points", "random_body", "random_kind",
-    "random_proportions", "random_rest", "rest_linear",
-]  # fmt: skip
-
 BASE_VERTICES = 19158
 BODY_VERTICES = 13380
 """Vertices of the skin, which come first; eyes, teeth, joints and helpers for clothes follow."""

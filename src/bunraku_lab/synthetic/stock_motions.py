@@ -15,8 +15,6 @@ from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
 from bunraku.errors import OptionError
 from bunraku.generation.features import body_handle_motion
 
-__all__ = ["STOCK_MOTIONS", "stock_motion"]
-
 STOCK_MOTIONS = ("walk", "dance", "kick")
 _J = {name: index for index, name in enumerate(JOINT_NAMES)}
 _SIDES = (("left", 1.0), ("right", -1.0))

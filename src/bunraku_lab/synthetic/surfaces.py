@@ -1,15 +1,10 @@
-"""Surfaces drawn directly: sheets, strands and domes, and closed balls, tubes, skirts, plates and boxes."""
+"""Surfaces drawn directly: sheets, strands and domes, rings and cylinders."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-
-__all__ = [
-    "ball_mesh", "box_mesh", "curve_through", "cylinder_mesh", "nearest_shares", "patch", "plate_mesh", "ring_mesh",
-    "sheet_faces", "sheet_mesh", "strand", "tube_mesh", "unit",
-]  # fmt: skip
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -130,90 +125,9 @@ def patch(
 Mesh = tuple[np.ndarray, np.ndarray]
 
 
-def _rings(rows: np.ndarray, closed: bool) -> Mesh:
-    """A mesh of loops of points, shape (R, S, 3); `closed` joins the last to the first, otherwise both are capped."""
-    count, size = rows.shape[:2]
-    index = np.arange(count * size).reshape(count, size)
-    low = index if closed else index[:-1]
-    high = np.roll(index, -1, axis=0) if closed else index[1:]
-    quads = np.stack([low, np.roll(low, -1, axis=1), np.roll(high, -1, axis=1), high], axis=-1).reshape(-1, 4)
-    faces = [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
-    vertices = rows.reshape(-1, 3)
-    if not closed:
-        first, last = len(vertices), len(vertices) + 1
-        vertices = np.concatenate([vertices, [rows[0].mean(axis=0), rows[-1].mean(axis=0)]])
-        faces.append(np.stack([np.full(size, first), np.roll(index[0], -1), index[0]], axis=1))
-        faces.append(np.stack([np.full(size, last), index[-1], np.roll(index[-1], -1)], axis=1))
-    return _outward(vertices, np.concatenate(faces))
-
-
 def _outward(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
     a, b, c = (vertices[faces[:, i]] - vertices.mean(axis=0) for i in range(3))
     return (vertices, faces) if np.einsum("ij,ij->", a, np.cross(b, c)) > 0 else (vertices, faces[:, ::-1].copy())
-
-
-def ball_mesh(
-    centre: Sequence[float], radii: float | Sequence[float], level: int = 2, turn: np.ndarray | None = None
-) -> Mesh:
-    """An ellipsoid from an icosahedron split `level` times: 42, 162, 642 vertices for 1, 2, 3."""
-    g = (1 + 5**0.5) / 2
-    points = np.array([[s * a, t * b, 0] for a, b in ((1, g),) for s in (-1, 1) for t in (-1, 1)])
-    points = np.concatenate([points, np.roll(points, 1, axis=1), np.roll(points, 2, axis=1)])
-    near = np.linalg.norm(points[:, None] - points[None], axis=-1) < 2.1
-    faces = np.array(
-        [
-            (i, j, k)
-            for i in range(12)
-            for j in range(i + 1, 12)
-            for k in range(j + 1, 12)
-            if near[i, j] and near[j, k] and near[i, k]
-        ]
-    )
-    flip = np.einsum("ij,ij->i", points[faces[:, 0]], np.cross(points[faces[:, 1]], points[faces[:, 2]])) < 0
-    faces[flip] = faces[flip][:, ::-1]
-    for _ in range(level):
-        ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-        edges, which = np.unique(ends, axis=0, return_inverse=True)
-        ab, bc, ca = (which.ravel() + len(points)).reshape(3, -1)
-        a, b, c = faces.T
-        points = np.concatenate([points, points[edges].mean(axis=1)])
-        faces = np.concatenate([np.stack(t, axis=1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))])
-    points = points / np.linalg.norm(points, axis=1, keepdims=True) * np.broadcast_to(np.asarray(radii, float), (3,))
-    return (points if turn is None else points @ turn.T) + np.asarray(centre, float), faces
-
-
-def tube_mesh(points: np.ndarray, radii: Sequence[float] | np.ndarray | float, around: int = 8, *, flat: float = 1.0,
-              up: Sequence[float] = (0, 1, 0)) -> Mesh:  # fmt: skip
-    """A tube with round ends along a curve.
-
-    Args:
-        points: The curve [m], shape (P, 3).
-        radii: Radius at each point [m].
-        around: Vertices around the tube.
-        flat: Factor on the radius across `up`.
-        up: A direction that is never along the curve.
-    """
-    points = np.asarray(points, float)
-    radius = np.broadcast_to(np.asarray(radii, float), (len(points),))
-    along = np.gradient(points, axis=0)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    # two more rows at each end make it round
-    ends = []
-    for i, sign in ((0, -1), (len(points) - 1, 1)):
-        for share in (0.55, 0.9):
-            ends.append(
-                (points[i] + sign * along[i] * radius[i] * share, radius[i] * np.sqrt(1 - share * share), along[i])
-            )
-    points = np.concatenate([[ends[1][0], ends[0][0]], points, [ends[2][0], ends[3][0]]])
-    radius = np.concatenate([[ends[1][1], ends[0][1]], radius, [ends[2][1], ends[3][1]]])
-    along = np.concatenate([[ends[1][2], ends[0][2]], along, [ends[2][2], ends[3][2]]])
-    side = np.cross(np.broadcast_to(np.asarray(up, float), along.shape), along)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    high = np.cross(along, side)
-    angle = 2 * np.pi * np.arange(around) / around
-    across, upward = np.cos(angle)[:, None] * side[:, None], flat * np.sin(angle)[:, None] * high[:, None]
-    rows = points[:, None] + radius[:, None, None] * (across + upward)
-    return _rings(rows, closed=False)
 
 
 def ring_mesh(centre: Sequence[float], radius: float | tuple[float, float], thickness: float | tuple[float, float],
@@ -229,113 +143,11 @@ around: int = 32,
         + across * np.cos(b)[None, :, None] * away[:, None]
         + high * np.sin(b)[None, :, None] * np.array([0, 1.0, 0])
     )
-    vertices, faces = _rings(rows, closed=True)
+    index = np.arange(around * section).reshape(around, section)
+    high = np.roll(index, -1, axis=0)
+    quads = np.stack([index, np.roll(index, -1, axis=1), np.roll(high, -1, axis=1), high], axis=-1).reshape(-1, 4)
+    vertices, faces = _outward(rows.reshape(-1, 3), np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
     return (vertices if turn is None else vertices @ turn.T) + np.asarray(centre, float), faces
-
-
-def sheet_mesh(
-    profile: np.ndarray, thickness: float, around: int,
-    shape: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
-) -> Mesh:  # fmt: skip
-    """A thin closed shell that hangs around +Y, such as a skirt: an outer and an inner wall joined at waist and hem.
-
-    Args:
-        profile: Radius and height down the outer wall [m], shape (P, 2).
-        thickness: Distance of the two walls [m].
-        around: Vertices around.
-        shape: Maps radius, angle (0 at +Z, pi/2 at +X) and share of the way down (0..1), each (P, around), to points
-            (P, around, 3); the height of the profile is added to them.
-    """
-    profile = np.asarray(profile, float)
-    angle = 2 * np.pi * np.arange(around) / around
-    down = np.linspace(0, 1, len(profile))
-    walls = []
-    for inset in (0.0, thickness):
-        r, a = np.broadcast_arrays(profile[:, :1] - inset, angle[None])
-        points = shape(r, a, np.broadcast_to(down[:, None], r.shape))
-        points[..., 1] += profile[:, 1:]
-        walls.append(points)
-    return _rings(np.concatenate([walls[0], walls[1][::-1]]), closed=True)
-
-
-def plate_mesh(outline: np.ndarray, inner: Sequence[float], thickness: float, rings: int,
-               bulge: Callable[[np.ndarray], np.ndarray] | None = None) -> Mesh:  # fmt: skip
-    """A thin closed plate in the XY plane, such as a wing: its outline drawn in towards an inner point, front and back.
-
-    Args:
-        outline: Border loop, star-shaped about `inner` [m], shape (S, 2).
-        inner: The inner point [m], shape (2,).
-        thickness: Thickness in the middle along Z [m]; it thins to a third at the border.
-        rings: Loops from the border to the inner point.
-        bulge: Maps points (M, 3) of the flat plate to their final positions.
-    """
-    outline, middle = np.asarray(outline, float), np.asarray(inner, float)
-    share = (1 - np.linspace(0, 1, rings + 1)[:-1])[:, None, None]
-    flat = middle + share * (outline - middle)
-    half = 0.5 * thickness * (1 - 0.67 * share[..., 0] ** 2) * np.ones(len(outline))
-    front, back = np.concatenate([flat, half[..., None]], -1), np.concatenate([flat, -half[..., None]], -1)
-    vertices, faces = _rings(np.concatenate([front[::-1], back]), closed=False)
-    # the caps' middles get the full thickness
-    vertices[-2:, 2] = [0.5 * thickness, -0.5 * thickness]
-    vertices, faces = _outward(vertices, faces)
-    return (vertices if bulge is None else bulge(vertices)), faces
-
-
-def box_mesh(centre: Sequence[float], size: Sequence[float], bevel: float, cells: float, turn: np.ndarray | None = None,
-             taper: float = 1.0) -> Mesh:  # fmt: skip
-    """A box with bevelled edges, each flat face with its own vertices so that the edges stay hard.
-
-    Args:
-        centre: Its middle [m].
-        size: Its edge lengths [m].
-        bevel: Width of the bevel [m].
-        cells: Longest edge of a grid cell on its faces [m].
-        turn: Rotation matrix about the middle.
-        taper: Factor on X and Z at the top.
-    """
-    half = 0.5 * np.asarray(size, float)
-    flat = half - bevel
-    vertices, faces, start = [], [], 0
-
-    def patch(corners: np.ndarray, across: int, along: int) -> None:
-        nonlocal start
-        u, v = np.linspace(0, 1, across + 1)[:, None, None], np.linspace(0, 1, along + 1)[None, :, None]
-        grid = (1 - u) * ((1 - v) * corners[0] + v * corners[3]) + u * ((1 - v) * corners[1] + v * corners[2])
-        index = start + np.arange((across + 1) * (along + 1)).reshape(across + 1, along + 1)
-        quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], -1).reshape(-1, 4)
-        normal = np.cross(corners[1] - corners[0], corners[3] - corners[0])
-        if normal @ corners.mean(axis=0) < 0:
-            quads = quads[:, ::-1]
-        vertices.append(grid.reshape(-1, 3))
-        faces.extend([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-        start += grid[..., 0].size
-
-    count = np.maximum(np.ceil(2 * flat / cells).astype(int), 1)
-    for axis in range(3):
-        b, c = (axis + 1) % 3, (axis + 2) % 3
-        for sign in (-1, 1):
-            corners = np.zeros((4, 3))
-            corners[:, axis] = sign * half[axis]
-            corners[:, b], corners[:, c] = flat[b] * np.array([-1, 1, 1, -1]), flat[c] * np.array([-1, -1, 1, 1])
-            patch(corners, count[b], count[c])
-        for s in (-1, 1):
-            for t in (-1, 1):
-                corners = np.zeros((4, 3))
-                corners[:, axis] = flat[axis] * np.array([-1, 1, 1, -1])
-                corners[:, b], corners[:, c] = (
-                    s * np.array([half[b]] * 2 + [flat[b]] * 2),
-                    t * np.array([flat[c]] * 2 + [half[c]] * 2),
-                )
-                patch(corners, count[axis], 1)
-    points = np.concatenate(vertices)
-    for signs in np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T:
-        corner = signs * (flat + np.eye(3) * bevel)
-        order = [0, 1, 2] if np.cross(corner[1] - corner[0], corner[2] - corner[0]) @ signs > 0 else [0, 2, 1]
-        faces.append(np.array([order]) + len(points))
-        points = np.concatenate([points, corner])
-    if taper != 1.0:
-        points = points * (1 + (taper - 1) * (0.5 + 0.5 * points[:, 1:2] / half[1]) * np.array([1, 0, 1]))
-    return (points if turn is None else points @ turn.T) + np.asarray(centre, float), np.concatenate(faces)
 
 
 def cylinder_mesh(start: Sequence[float], end: Sequence[float], radii: tuple[float, float], around: int = 16,

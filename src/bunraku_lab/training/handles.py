@@ -23,6 +23,7 @@ from bunraku_lab.datasets.characters.training_character import (
     TrainingCharacter,
     TrainingMesh,
     augment,
+    folder_chances,
     plain_mesh,
 )
 from bunraku_lab.nn.checkpoints import TrainingState
@@ -31,11 +32,6 @@ from bunraku_lab.nn.handles import HandlePredictor, grow_predictor
 from bunraku_lab.training.losses import handles as losses
 from bunraku_lab.training.losses.handles import LossConfig
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, TrainingNote, TrainingSettings
-
-__all__ = [
-    "HandleTrainConfig", "HandleTrainer", "MeshAugmentation", "augment_mesh", "coarser", "has_human_shape", "noisy",
-    "pierced", "slid", "split", "train_handles", "validate_handles", "write_mesh_bank",
-]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -304,11 +300,7 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
         self.rng = np.random.default_rng(config.seed)
         self.generator = torch.Generator().manual_seed(config.seed)
         self.swap = torch.tensor(HANDLE_MIRROR)
-        folders = [c.name.rpartition("/")[0] for c in self.characters]
-        share = np.array(
-            [folders.count(f) ** -0.5 for f in folders]
-        )  # thirty fish that are alike do not outweigh the rest
-        self.chances = share / share.sum()
+        self.chances = folder_chances([c.name for c in self.characters])
 
     def progress(self) -> float:
         """How far the run is through its limits, 0 to 1."""

@@ -27,12 +27,6 @@ from bunraku.language.translation import english_sentence
 from bunraku.language.word_table import LANGUAGES, Concept, forms, table
 from bunraku_lab.training.runs.run import AveragedRun, StepSettings, TrainingNote
 
-__all__ = [
-    "FILES", "Lesson", "Likeness", "MEANT", "NOT_MEANT", "Pair", "TaggerNetwork", "TaggerTrainConfig", "TaggerTrainer",
-    "batch_of", "drawn_number", "lessons_of", "likeness_of", "measure", "movements", "read_pairs", "save_tagger",
-    "sentence_losses", "split_of", "table_pairs", "train_tagger", "verbs_of_actions",
-]  # fmt: skip
-
 _QUIET = -6.0
 """What each movement is at the beginning, before the logistic function: no word says anything."""
 

@@ -25,11 +25,6 @@ from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture, MotionBatch
 from bunraku_lab.training.rows.clips import load_people
 from bunraku_lab.training.runs.run import AveragedRun, StepSettings, TrainingNote, bf16_is_fast
 
-__all__ = [
-    "MatchingRun", "MatchingTrainConfig", "RankerTrainConfig", "RankerTrainer", "captions_of", "corrupted",
-    "for_encoder", "start_from", "train_ranker",
-]  # fmt: skip
-
 
 @dataclass(frozen=True, kw_only=True)
 class MatchingTrainConfig(StepSettings):

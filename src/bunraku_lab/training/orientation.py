@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,14 +14,14 @@ from bunraku.anatomy.handles.networks import OrientationConfig, shape_tokens
 from bunraku.core.geometry.axes import ORIENTATIONS
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.errors import OptionError
-from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter, augment
+from bunraku_lab.datasets.characters.training_character import (
+    AugmentConfig,
+    TrainingCharacter,
+    augment,
+    folder_chances,
+)
 from bunraku_lab.nn.handles import OrientationPredictor
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
-
-__all__ = [
-    "FRONTS", "OTHERS", "OrientationTrainConfig", "OrientationTrainer", "UPRIGHT", "fitted_temperature",
-    "orientation_results", "train_orientation", "validate_orientation", "varied_tokens",
-]  # fmt: skip
 
 UPRIGHT = ORIENTATIONS.index(("+y", "+z"))
 """The orientation of all training characters."""
@@ -173,7 +172,7 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         self.characters, self.held_out, self.reference = list(characters), list(held_out), list(reference)
         self.temperature = 1.0
         self.set_up(lambda: OrientationPredictor(config.predictor).to(config.device), self._begin)
-        self.chances = _chances([c.name for c in self.characters])
+        self.chances = folder_chances([c.name for c in self.characters])
 
     def _begin(self, model: OrientationPredictor) -> None:
         if self.config.start is None:
@@ -226,14 +225,6 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         shipped = OrientationPredictor(replace(self.average.config, temperature=self.temperature))
         shipped.load_state_dict(self.average.state_dict())
         return shipped.save(self.checkpoint, note, half=True)
-
-
-def _chances(names: Sequence[str]) -> np.ndarray:
-    """How often each example is drawn, so that large packs do not drown small ones, shape (C,)."""
-    folders = [name.rpartition("/")[0] for name in names]
-    counts = Counter(folders)
-    share = np.array([counts[folder] ** -0.5 for folder in folders])
-    return np.asarray(share / share.sum())
 
 
 def train_orientation(

@@ -5,6 +5,7 @@ comes loose in a fitted motion, in the file that is written, and in what is read
 import numpy as np
 import pytest
 import trimesh
+from rigid_blocks import block_motion
 
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.handles.blocks import find_blocks, rigid_handles
@@ -20,7 +21,6 @@ from bunraku.files.registry import load_character
 from bunraku.files.samples import sample_character
 from bunraku.pipelines.transfer import TRANSFER_STAGES
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku_lab.evaluation.handles.blocks import block_motion
 
 # Low and high corner of each block [m].
 MAN = {

@@ -20,8 +20,6 @@ from bunraku_lab.baselines.pose_transfer import (
     source_motion,
     source_rotations,
 )
-from bunraku_lab.evaluation.apparel.rivals import blended_mesh
-from bunraku_lab.nn.blend_shapes import NbsConfig, NbsNetwork
 from bunraku_lab.nn.pose_transfer import TransferConfig, TransferNetwork
 
 
@@ -161,18 +159,3 @@ def test_a_motion_travels_with_its_root():
     moved = target.with_motion(source_motion(network, skeleton_from_handles(motion)), 2 * body.joints[0])
     step = (moved - moved[:1]).mean(axis=1)
     np.testing.assert_allclose(step, 2 * path, atol=0.02)
-
-
-def test_blend_shapes_add_to_skinning(dancer):
-    body, affine, _ = dancer
-    torch.manual_seed(0)
-    network = NbsNetwork(NbsConfig(skinning=(4,), geometry=(4, 5), mixed=4, shapes=2)).eval()
-    found = blended_mesh(body.vertices, body.faces, body.joints, network)
-    np.testing.assert_allclose(found.weights.sum(axis=1), 1, atol=1e-5)
-    plain = np.asarray(skin(body.vertices, found.weights, affine))
-    moved = found.posed(affine)
-    assert moved.shape == plain.shape
-    gap = np.linalg.norm(moved - plain, axis=2)
-    assert 0 < gap.max() < 0.05  # a thousandth of shapes that are as large as the body
-    bare = blended_mesh(body.vertices, body.faces, body.joints, NbsNetwork(NbsConfig(skinning=(4,))).eval())
-    assert np.array_equal(bare.posed(affine), skin(body.vertices, bare.weights, affine))

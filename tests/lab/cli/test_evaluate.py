@@ -22,7 +22,7 @@ def test_bad_options_are_one_sentence(fails, tmp_path):
 def test_the_table_and_its_json(tmp_path, capsys):
     body = reference_body()
     save_character(Character("body", body.vertices, body.faces), tmp_path / "body.glb", body.handles)
-    words = ["evaluate", "handles", "--characters", str(tmp_path), "--no-speed", "--no-baselines"]
+    words = ["evaluate", "handles", "--characters", str(tmp_path), "--no-baselines"]
     assert main([*words, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert (

@@ -96,16 +96,16 @@ def test_a_motion_comes_back():
 
 def test_training_reads_a_bundle_as_it_reads_the_folder(folder, bank, tmp_path):
     path = tmp_path / "bundle.safetensors"
-    facts = write_bundle(folder, path, bank, "handles")
+    facts = write_bundle(folder, path, bank)
     assert facts.clips == 4 and facts.frames == 50 + 51 + 52 + 30 and facts.bytes == path.stat().st_size
-    assert 0 < facts.error <= facts.largest < 0.004
     whole, packed = load_clips(folder, splits={"train", "val"}), load_clips(path)
     assert sorted(packed) == sorted(whole) == ["dog", "sway_0@0", "sway_1", "sway_2"]
     for name, entry in whole.items():
         other = packed[name]
         assert all(other[key] == value for key, value in entry.items() if key != "features")
-        assert np.abs(other["features"] - entry["features"])[:, 3:].max() < 0.01
-        assert np.abs(other["features"] - entry["features"])[:, :3].max() < 0.1  # speeds: a step is 20 times as much
+        if name == "dog":  # people lose what is no joint
+            assert np.abs(other["features"] - entry["features"])[:, 3:].max() < 0.01
+            assert np.abs(other["features"] - entry["features"])[:, :3].max() < 0.1  # speeds: 20 times a step
     one, other = load_mesh_bank(bank, 12), load_mesh_bank(path, 12)
     assert torch.allclose(one.features, other.features, atol=2e-3) and len(other) == 3
     assert {name: rows.tolist() for name, rows in other.rows.items()} == {"dog": [0, 1], "person": [2]}
@@ -161,7 +161,7 @@ def test_the_command_says_what_it_costs(folder, bank, tmp_path, capsys):
     out = tmp_path / "bundle.safetensors"
     assert main(["data", "bundle", "--data", str(folder), "--mesh-bank", str(bank), "-o", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "wrote 4 clips" in said and "MiB" in said and "cm on average" in said
+    assert "wrote 4 clips" in said and "MiB" in said
     assert main(["data", "bundle", "--data", str(tmp_path / "none"), "-o", str(out)]) == 2
     assert main(["data", "bundle", "--data", str(folder), "-o", str(tmp_path / "bundle.npz")]) == 2
 

@@ -7,9 +7,9 @@ from bunraku.apparel.body import UnifiedBody
 from bunraku.apparel.physics.clothed_from_file import clothed_from_file
 from bunraku.core.skinning import skin
 from bunraku_lab.evaluation.apparel.chains import chain_row, chain_summary
-from bunraku_lab.evaluation.apparel.clips import TrueClip, edge_score, oracle_skinning, point_distance
+from bunraku_lab.evaluation.apparel.clips import TrueClip, edge_score, point_distance
 from bunraku_lab.evaluation.apparel.rivals import best_skinning
-from bunraku_lab.evaluation.apparel.table import APPAREL_BARS, _rest_table, _ten_table
+from bunraku_lab.evaluation.apparel.table import APPAREL_BARS, _rest_table
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 
@@ -27,22 +27,8 @@ def test_edge_score_by_hand():
     assert edge_score(rest[None], rest, np.array([[0, 1], [1, 2]])) == 1
 
 
-def test_the_best_skinning_finds_what_skinning_made():
-    random = np.random.default_rng(0)
-    rest = random.normal(size=(5, 3))
-    affine = random.normal(size=(12, 22, 3, 4))
-    weights = random.dirichlet(np.ones(22) * 0.2, 5)
-    truth = np.einsum("vj,njac,vc->nva", weights, affine[..., :3], rest) + np.einsum(
-        "vj,nja->nva", weights, affine[..., 3]
-    )
-    np.testing.assert_allclose(oracle_skinning(rest, truth, affine, 1), truth, atol=1e-3)
-    shaken = truth + random.normal(size=truth.shape)
-    best = oracle_skinning(rest, shaken, affine, 1)
-    assert np.square(best - shaken).sum() <= np.square(truth - shaken).sum() + 1e-6
-
-
 def test_the_best_weights_are_found_for_all_vertices_at_once():
-    """Those that made the vertices; and shaken ones no worse than by another solver."""
+    """Those that made the vertices; and shaken ones better than by these."""
     random = np.random.default_rng(1)
     rest = random.normal(size=(6, 3))
     affine = np.tile(np.eye(3, 4), (20, 5, 1, 1)) + 0.4 * random.normal(size=(20, 5, 3, 4))
@@ -52,16 +38,14 @@ def test_the_best_weights_are_found_for_all_vertices_at_once():
     shaken = truth + 0.3 * random.normal(size=truth.shape)
     found = best_skinning(rest, shaken, affine)
     assert found.min() >= 0 and np.allclose(found.sum(axis=1), 1)
-    errors = [np.square(skin(rest, found, affine) - shaken).sum(), np.square(truth - shaken).sum()]
-    errors.append(np.square(oracle_skinning(rest, shaken, affine, 1) - shaken).sum())
-    assert errors[0] <= errors[1] and errors[0] <= 1.001 * errors[2]
+    assert np.square(skin(rest, found, affine) - shaken).sum() <= np.square(truth - shaken).sum()
 
 
 def test_the_keys_are_those_that_programs_read():
     assert {
-        "mask_iou", "pmd_apparel_rest_6s_over_rigid", "pmd_apparel_10_frames_over_rigid", "els_minus_truth",
+        "mask_iou", "pmd_apparel_rest_6s_over_rigid", "els_minus_truth",
         "drift_60s",
-        "inside_over_truth", "real_over_rigid", "frame_ms",
+        "inside_over_truth", "real_over_rigid",
     } <= set(APPAREL_BARS)  # fmt: skip
 
 
@@ -72,12 +56,10 @@ def test_a_row_is_over_rigid_and_in_centimetres():
         "PMD_a": pytest.approx(5), "first 2 s": pytest.approx(4), "over rigid": pytest.approx(0.5),
         "ELS": pytest.approx(0.9), "inside [%]": None,
     }  # fmt: skip
-    tens = [{"learned": 0.2, "rigid": 0.1, "frozen": 0.05}]
-    assert _ten_table(tens)["learned"]["over rigid"] == pytest.approx(2)
 
 
 def test_without_clips_there_is_no_table_of_them():
-    assert _ten_table([]) == {} and _rest_table([]) == {}
+    assert _rest_table([]) == {}
 
 
 def test_chains_of_a_clip_are_measured_against_its_truth():

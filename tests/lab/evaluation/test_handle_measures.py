@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from foreign_files import edge_error
 
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.character import Character, Handles
@@ -13,7 +14,6 @@ from bunraku.files.samples import sample_character
 from bunraku_lab.evaluation.handles.measures import (
     accepted_handles,
     drive,
-    edge_error,
     part_meaning,
     part_purity,
     pose_error,

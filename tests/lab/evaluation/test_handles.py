@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from rigid_blocks import block_motion
+from rigid_blocks import main as measure_blocks
 
 from bunraku.anatomy.handles.orientation import resolve_axes
-from bunraku.cli import main
 from bunraku.core.body.layout import JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
@@ -16,21 +17,17 @@ from bunraku.core.geometry.axes import ORIENTATIONS, upright_rotation
 from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.errors import CharacterError, FormatError, WeightsError
 from bunraku.files import save_character
-from bunraku.retarget.fit import Stages
 from bunraku_lab.datasets.characters.training_character import (
     TrainingCharacter,
     forward_kinematics,
     handle_target,
     random_pose,
 )
-from bunraku_lab.evaluation.handles.blocks import block_motion
 from bunraku_lab.evaluation.handles.measures import carried
 from bunraku_lab.evaluation.handles.rest_poses import (
     REST_POSES,
-    code_made_motions,
     limb_directions,
     posed_limbs,
-    rest_pose_transfer,
 )
 from bunraku_lab.evaluation.handles.subjects import ARCHIVE, AVATARS, WARDROBE, detailed_subjects, find_files, subject
 from bunraku_lab.evaluation.handles.table import (
@@ -172,7 +169,7 @@ def table(tmp_path_factory):
     loads = folder_subjects(filled(tmp_path_factory.mktemp("archive")), True)
     person = subject(make_sample("person", 0.3, rigged=True), "person")
     result = evaluate_handles(
-        loads, detailed={"kaykit/Other": loads["kaykit/Other"], "person": lambda: person}, speed=False,
+        loads, detailed={"kaykit/Other": loads["kaykit/Other"], "person": lambda: person},
         progress=lambda stage, share: calls.append((stage, share)),
     )  # fmt: skip
     return result, calls, loads
@@ -182,7 +179,7 @@ def table(tmp_path_factory):
 def test_the_table_as_a_whole(table):
     result, calls, _ = table
     assert json.loads(json.dumps(result)) == result
-    assert set(BARS) <= set(result) and result["seconds_5k"] is None and set(result["reached"]) == set(result["bars"])
+    assert set(BARS) <= set(result) and set(result["reached"]) == set(result["bars"])
     assert result["counts"] == {"characters": 2, "humanoids": 2, "resampled": 2, "detailed": 2}
     purity = {row["name"]: row["part_purity"] for row in result["characters"]}
     assert list(result["detailed"]) == ["kaykit/Other", "person"]
@@ -191,7 +188,7 @@ def test_the_table_as_a_whole(table):
     assert result["pose_error_creatures"] is None  # both are people
     assert list(result["left_out"]) == ["plain"] and "no rig" in result["left_out"]["plain"]
     assert result["same_meaning"] > 0.8 and result["pose_error"] < result["pose_error_bone_heat"]
-    assert calls[-1] == ("speed", 1) and ("characters", 1) in calls and ("resolutions", 1) in calls
+    assert ("characters", 1) in calls and ("resolutions", 1) in calls
     first, second = result["characters"]
     drawn = {"name", *(key for key in first if key.startswith("pose_error"))}  # each name has its own poses
     assert {key: first[key] for key in first.keys() - drawn} == {key: second[key] for key in first.keys() - drawn}
@@ -246,19 +243,6 @@ def test_limbs_point_where_the_pose_says(pose, seed):
     np.testing.assert_allclose(positions[: J["left_hip"]], figure.joints[: J["left_hip"]], atol=1e-5)  # the root rests
 
 
-def test_the_rest_pose_does_not_show_in_the_animation():
-    people = [
-        subject(make_sample("person", 0.3, rigged=True), "person"),
-        subject(reference_body().character(), "reference"),
-    ]
-    motions = code_made_motions(0.5)
-    result = rest_pose_transfer(people, {"squat": motions["squat"]})
-    assert result["mean"] < 0.02 and result["in place"] < 0.02 and result["ground"] < 0.01
-    assert {"A", "arms down", "sitting", "crouching"} <= set(result) and result["A"] < 0.01
-    without = rest_pose_transfer(people[1:], {"wave": motions["wave"]}, stages=Stages(rest_pose=False))
-    assert without["mean"] > 3 * result["mean"]
-
-
 def boxes():
     """Two unit boxes that touch at x = 0.5, as one character."""
     one, two = trimesh.creation.box((1, 1, 1)), trimesh.creation.box((1, 1, 1))
@@ -297,9 +281,7 @@ def test_a_figure_of_blocks_is_measured_and_a_ball_is_none(tmp_path, capsys):
         scene.add_geometry(box, node_name=name, geom_name=name)
     scene.export(tmp_path / "man.glb")
     trimesh.creation.icosphere(2).export(tmp_path / "ball.glb")
-    status = main(
-        ["evaluate", "blocks", str(tmp_path / "man.glb"), str(tmp_path / "ball.glb"), "--seconds", "1", "--json"]
-    )
+    status = measure_blocks([str(tmp_path / "man.glb"), str(tmp_path / "ball.glb"), "--seconds", "1"])
     man, ball = json.loads(capsys.readouterr().out)
     assert status == 0 and man["blocks"] == 6 and man["shear"] < 1e-4 and man["gap"] < 0.01
     assert ball["blocks"] == 0

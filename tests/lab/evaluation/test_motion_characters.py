@@ -12,7 +12,6 @@ from bunraku_lab.evaluation.motion.characters import (
     arap_loss,
     gauge,
     measure,
-    measure_adaptation,
     pooled,
     stage_effects,
 )
@@ -95,25 +94,3 @@ def test_arap_loss_by_hand():
     edges = np.array([[0, 1], [1, 2], [0, 2]])
     want = (1.0**2 + (np.sqrt(13) - np.sqrt(8)) ** 2) / 4
     np.testing.assert_allclose(arap_loss(posed, rest, edges), [0, want], rtol=1e-5)
-
-
-def test_a_generated_clip_is_measured_with_and_without():
-    """The shipped weights on a small character: the three rows come from one motion, and the stage `attach` keeps edges
-    together.
-    """
-    from dataclasses import replace
-
-    from bunraku.anatomy.names.bone_names import rig_handles
-    from bunraku_lab.synthetic.samples import make_sample
-
-    character = make_sample("dancer", 0.4, rigged=True)
-    handles = replace(rig_handles(character).top(4), features=np.zeros(448, np.float32))
-    told = []
-    table = measure_adaptation(
-        [("samples/dancer", replace(character, rig=None), handles)], ["a person waves"], seconds=2.0, steps=8,
-        progress=lambda stage, share: told.append(share),
-    )  # fmt: skip
-    row = table.rows[0]
-    assert row.name == "samples/dancer" and not row.unseen and told[-1] == 1
-    assert 0 < row.plain < row.loose and row.adapted > 0 and 0 <= row.delta < 0.05
-    assert row.adapted < row.plain and (row.learned == row.plain) == (row.delta == 0)

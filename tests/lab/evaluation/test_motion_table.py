@@ -8,8 +8,6 @@ import torch
 from swings import PARTS, WordEncoder, swing
 
 from bunraku.cli import main
-from bunraku.core.body.reference import reference_body
-from bunraku.core.geometry.rotations import matrix_y
 from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku.errors import OptionError
 from bunraku.generation import networks
@@ -18,7 +16,6 @@ from bunraku.generation.extractor import ExtractorConfig
 from bunraku.generation.layers import DenoiserConfig
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion import samples as motion_samples
-from bunraku_lab.evaluation.motion.metrics import handle_samples
 from bunraku_lab.evaluation.motion.samples import Request, SamplerSettings, Window, make_motions
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows
 from bunraku_lab.evaluation.motion.viewer_prompts import VIEWER_BARS
@@ -176,22 +173,6 @@ def test_a_perfect_and_a_blind_generator(tmp_path):
     assert np.mean(rows["real"].values["r_precision_1"]) == 1
     assert np.mean(rows["blind"].values["r_precision_1"]) == pytest.approx(1 / 8, abs=0.05)
     assert min(rows["blind"].values["fid"]) > 20 * max(rows["real"].values["fid"])
-
-
-def test_handle_samples_forget_place_and_heading():
-    body = reference_body()
-    motion = swing("left_elbow")
-    turn = matrix_y(np.full(len(motion), 0.8))
-    moved = replace(
-        motion,
-        root_rotation=turn @ motion.root_rotation,
-        root_translation=motion.root_translation + np.array([3, 0, -2], np.float32),
-    )
-    h = body.handles.positions
-    first, second = handle_samples(motion, h, 1.8), handle_samples(moved, h, 1.8)
-    assert first.shape == (15, 90) and np.allclose(first, second, atol=1e-3)
-    lifted = replace(motion, root_translation=motion.root_translation + np.array([0, 0.18, 0], np.float32))
-    assert np.allclose((handle_samples(lifted, h, 1.8) - first).reshape(15, 30, 3), [0, 0.1, 0], atol=1e-5)
 
 
 def test_every_row_of_the_papers_table_has_handles_on_both_bodies(folder, tmp_path):

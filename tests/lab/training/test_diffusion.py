@@ -114,20 +114,6 @@ def test_wrong_settings_are_clear(settings, config, encoder, tmp_path):
         train_diffusion(settings(steps=1), config(width=32), encoder)
 
 
-def test_mesh_specific_learning_goes_on_after_a_stop(settings, config, encoder, bank_path, tmp_path):
-    """Spring and adversarial loss with a bank of characters; discriminator and turn are part of the state."""
-    how = {"character_bank": bank_path, "characters": 2, "character_frames": 8, "validate_every": 2}
-    train_diffusion(settings(out=tmp_path / "whole", **how), config(), encoder)
-    train_diffusion(settings(steps=2, **how), config(), encoder)
-    path = train_diffusion(settings(**how), config(), encoder)
-    whole, parts = weights(tmp_path / "whole"), weights(tmp_path / "run")
-    for name in ("model", "discriminator"):
-        assert all(torch.equal(value, parts.models[name][key]) for key, value in whole.models[name].items())
-    assert load_denoiser(path).knows_meshes
-    log = (tmp_path / "run" / "log.csv").read_text().splitlines()
-    assert log[0].endswith("spring,adversarial,discriminator,score") and len(log) == 3 and "nan" not in log[-1]
-
-
 def test_curves_for_tensorboard(settings, config, encoder, tmp_path):
     events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     train_diffusion(settings(steps=4, validate_every=2), config(), encoder)

@@ -120,8 +120,6 @@ def test_a_denoiser_trains_on_a_pool(swings, tmp_path, config, encoder):
     assert load_denoiser(path).notes["steps"] == 5
     with pytest.raises(OptionError, match="pool must hold a batch"):
         train_diffusion(TrainingConfig(out=tmp_path / "other", **{**how, "pool": 2}), config(), encoder)
-    with pytest.raises(OptionError, match="leave out --workers"):
-        train_diffusion(TrainingConfig(out=tmp_path / "other", character_bank=swings, **how), config(), encoder)
 
 
 def test_what_is_kept_is_what_the_first_sitting_learned_from(tmp_path):

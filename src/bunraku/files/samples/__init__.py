@@ -1,7 +1,7 @@
 """Sample characters that come with the package, so that demos and tests need no downloads.
 
 Each sample is a GLB file beside this module with smooth normals and one material per colour. It stands on y = 0, faces
-+Z and has its left side at +X; people are in T-pose. `python tools/make_samples.py` writes the files again.
++Z and has its left side at +X; people are in T-pose.
 """
 
 from __future__ import annotations

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
@@ -22,8 +21,6 @@ from bunraku.errors import BunrakuError, CharacterError, FormatError
 from bunraku_lab.datasets.apparel.checks import pushed_out_clips, unclothed
 from bunraku_lab.datasets.apparel.plan import FPS, CharacterSource, ClipPlan, ShardPlan
 from bunraku_lab.datasets.apparel.shards import INDEX, LATER_ARRAYS, SHARD_ARRAYS, Shard, shard_fingerprint, write_shard
-
-__all__ = ["BuildState", "RIGID", "Recording", "body_animation", "build_apparel", "build_shard", "record"]
 
 RIGID = 2e-5
 """A bone that leaves its joint by less than this at all its vertices [m] counts as rigid with it."""
@@ -126,7 +123,6 @@ class BuildState:
         minutes: Their length [min].
         done: Shards that are built, now or before.
         built_minutes: Their length [min].
-        seconds_left: Time that is still needed [s], None while nothing is known.
         failed: What was left out and why, by the names of characters, shards, or clips.
         fly_aways: Clips in which a body flew away and was put back, and which body.
         rounding: Largest error of half precision in any vertex [m].
@@ -136,7 +132,6 @@ class BuildState:
     minutes: float = 0.0
     done: int = 0
     built_minutes: float = 0.0
-    seconds_left: float | None = None
     failed: dict[str, str] = field(default_factory=dict)
     fly_aways: dict[str, str] = field(default_factory=dict)
     rounding: float = 0.0
@@ -174,19 +169,13 @@ def build_apparel(
             _note(state, shard, _path(folder, shard))
     _write_index(folder, plan)
     progress(state)
-    started, before = time.monotonic(), state.built_minutes
-    total = sum(shard.seconds for shard in todo) / 60
-    tried = 0.0
     for shard, problem in run_parallel(partial(_build_batch, folder), [[shard] for shard in todo], jobs, str):
-        tried += shard.seconds / 60
         if problem:
             state.failed[shard.name] = problem
         else:
             _note(state, shard, _path(folder, shard))
-        state.seconds_left = (time.monotonic() - started) * (total - tried) / max(tried, 1e-9)
         _write_index(folder, plan)
         progress(state)
-    assert state.built_minutes >= before
     return state
 
 

@@ -16,11 +16,6 @@ from bunraku.apparel.nodes import apparel_nodes
 from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.skinning import skin
 
-__all__ = [
-    "DEEP", "PushOut", "deep_inside",
-    "pushed_out_clips", "standing_out", "unclothed",
-]  # fmt: skip
-
 DEEP = 0.01
 """Vertices deeper than this are counted, by definition of the measure [m]."""
 

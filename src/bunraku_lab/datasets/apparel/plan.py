@@ -19,12 +19,6 @@ import numpy as np
 from bunraku.core.files import check_input
 from bunraku.errors import FormatError, OptionError
 
-__all__ = [
-    "FPS", "SHARD_FRAMES", "SPLITS", "CharacterSource", "ClipPlan", "MotionSource", "ShardPlan", "character_sources",
-    "character_split",
-    "choose_motions", "motion_sources", "plan_shards", "wardrobe_sources",
-]  # fmt: skip
-
 FPS = 30.0
 SPLITS = ("train", "val", "test")
 SHARD_FRAMES = 3600

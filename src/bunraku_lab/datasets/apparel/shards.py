@@ -19,11 +19,6 @@ from bunraku.core.files import atomic_write, read_bounded
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError, OptionError
 
-__all__ = [
-    "ApparelCharacter", "ApparelClip", "ApparelData", "ApparelWindow", "INDEX", "LATER_ARRAYS", "SHARD_ARRAYS",
-    "SHARD_FORMAT", "Shard", "read_index", "shard_fingerprint", "write_shard",
-]  # fmt: skip
-
 SHARD_FORMAT = "bunraku-apparel-3"
 _KEY = "bunraku"
 SHARD_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {

@@ -35,10 +35,6 @@ from bunraku_lab.datasets.characters.training_character import (
     known_handles,
 )
 
-__all__ = [
-    "CharacterBank", "bank_row", "build_character_bank", "load_character_bank", "save_character_bank", "write_rows",
-]  # fmt: skip
-
 
 @dataclass(frozen=True, eq=False)
 class CharacterBank:
@@ -102,13 +98,9 @@ class CharacterBank:
     def __len__(self) -> int:
         return len(self.names)
 
-    def rows(self, split: str = "train", humanoid: bool | None = None) -> np.ndarray:
-        """Rows of a split, without the reference body; only humanoids, or only others, where asked for."""
-        kept = [
-            row > 0 and own == split and (humanoid is None or bool(self.humanoid[row]) == humanoid)
-            for row, own in enumerate(self.split)
-        ]
-        return np.flatnonzero(kept)
+    def rows(self, split: str = "train") -> np.ndarray:
+        """Rows of a split, without the reference body."""
+        return np.flatnonzero([row > 0 and own == split for row, own in enumerate(self.split)])
 
     def to(self, device: str | torch.device) -> CharacterBank:
         """The bank on another device."""
@@ -204,7 +196,7 @@ def build_character_bank(
     Raises:
         FormatError: There is no such file under the folder.
     """
-    from bunraku_lab.datasets.characters.build import load_rigged
+    from bunraku.files import load_character
     from bunraku_lab.synthetic.families import code_made_character, code_made_names
 
     folder = Path(folder)
@@ -213,7 +205,7 @@ def build_character_bank(
         raise no_characters(folder, RIGGED)
     makers: dict[str, Callable[[], Character]] = {}
     for file in files:
-        makers.setdefault(file.relative_to(folder).with_suffix("").as_posix(), lambda file=file: load_rigged(file))  # type: ignore[misc]
+        makers.setdefault(file.relative_to(folder).with_suffix("").as_posix(), lambda file=file: load_character(file))  # type: ignore[misc]
     for family, seed in code_made_names(code_made):
         makers[f"code_made/{family}_{seed}"] = lambda family=family, seed=seed: code_made_character(family, seed)  # type: ignore[misc]
     rows: list[Row] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from zipfile import BadZipFile
@@ -15,12 +16,6 @@ from bunraku.core.files import atomic_write
 from bunraku.core.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError
-
-__all__ = [
-    "AugmentConfig", "TrainingCharacter", "TrainingMesh", "augment", "facing_ahead", "facing_rotation",
-    "forward_kinematics",
-    "handle_target", "human_rest", "known_handles", "plain_mesh", "random_pose", "root_joint",
-]  # fmt: skip
 
 # Rigs whose bones have no names, or wrong ones: the turn about +Y that makes them face +Z [degrees], and the part of
 # each bone.
@@ -401,3 +396,10 @@ def handle_target(weights: np.ndarray, handles: np.ndarray) -> np.ndarray:
     rows = np.flatnonzero(handles >= 0)
     known[rows, handles[rows]] = 1
     return np.asarray(weights, np.float32) @ known
+
+
+def folder_chances(names: Sequence[str]) -> np.ndarray:
+    """How often each character is drawn, so that thirty fish that are alike do not outweigh the rest, shape (C,)."""
+    folders = [name.rpartition("/")[0] for name in names]
+    share = np.array([folders.count(folder) ** -0.5 for folder in folders])
+    return np.asarray(share / share.sum())

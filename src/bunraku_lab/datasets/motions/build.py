@@ -42,11 +42,6 @@ from bunraku_lab.datasets.motions.clips import (
     write_index,
 )
 
-__all__ = [
-    "MotionArchive", "add_turns", "build_motions", "find_turn", "floor_height", "level_feet", "posture_fault",
-    "rolled_limbs", "split_of", "standing_foot_pitch", "subject_pitches", "unrolled",
-]  # fmt: skip
-
 ANKLES = (JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle"))
 LEAST_SLOPE, MOST_SLOPE = np.radians(2.0), np.radians(35.0)
 

@@ -28,12 +28,6 @@ from bunraku_lab.datasets.characters.training_character import facing_rotation
 from bunraku_lab.datasets.motions.build import split_of
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, write_clip, write_index
 
-__all__ = [
-    "CreatureBody", "CreatureClip", "HELD_OUT_SPECIES", "add_creatures", "add_game_clips", "clip_vertices",
-    "creature_body", "creature_clips", "creature_split", "forward_speed", "known_plan", "played_on", "present_files",
-    "reference_clip", "reference_motion", "with_travel",
-]  # fmt: skip
-
 
 def present_files(folder: Path, files: Iterable[str]) -> list[str]:
     """Those of the archive's files, named without their `.glb`, that a folder holds.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count as counting
@@ -12,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.apparel.body import BodyVolume, UnifiedBody, body_points, eq4_transforms
+from bunraku.apparel.body import BodyVolume, UnifiedBody, eq4_transforms
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.learned.features import Frame
 from bunraku.apparel.learned.network import DisplacementNetwork, past_of_states
-from bunraku.apparel.learned.player import SAFE_POINTS, ApparelPlayer, Safety, network_inputs
+from bunraku.apparel.learned.player import ApparelPlayer, network_inputs
 from bunraku.apparel.physics.clothed_from_file import clothed_from_file
 from bunraku.apparel.physics.rig import apparel_rig
 from bunraku.apparel.physics.simulate import simulate
@@ -28,12 +27,6 @@ from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.build import body_animation, record
 from bunraku_lab.datasets.apparel.checks import PushOut, deep_inside
 from bunraku_lab.datasets.apparel.plan import character_split
-from bunraku_lab.nn.apparel import clip_features
-
-__all__ = [
-    "TrueClip", "clip_row", "data_clips", "drift_row", "edge_score", "file_clips", "frame_milliseconds", "insides",
-    "long_clip", "made_clips", "oracle_skinning", "point_distance", "safe_truth", "ten_frames",
-]  # fmt: skip
 
 
 def point_distance(points: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -56,28 +49,6 @@ def edge_score(points: np.ndarray, rest: np.ndarray, edges: np.ndarray) -> float
         return 1.0
     now = np.linalg.norm(points[:, edges[:, 0]] - points[:, edges[:, 1]], axis=-1)
     return float(1 - np.abs(now / before - 1).mean())
-
-
-def oracle_skinning(rest: np.ndarray, truth: np.ndarray, affine: np.ndarray, stride: int = 3) -> np.ndarray:
-    """Vertices by the best static skinning weights that there are for these very frames, not negative and with a sum of
-    1: no skinning network can do better. Shape (N, V, 3).
-
-    Args:
-        rest: In the rest pose [m], shape (V, 3).
-        truth: In N frames [m], shape (N, V, 3).
-        affine: Affine transforms of the joints, shape (N, J, 3, 4).
-        stride: Every so many frames are fitted.
-    """
-    from scipy.optimize import nnls
-
-    moved = np.einsum("njac,vc->vnaj", affine[..., :3], rest) + affine[..., 3].transpose(0, 2, 1)[None]
-    out = np.empty_like(truth)
-    for vertex, columns in enumerate(moved):
-        some, target = columns[::stride].reshape(-1, affine.shape[1]), truth[::stride, vertex].reshape(-1)
-        heavy = 100 * np.ones((1, affine.shape[1]))
-        weights = nnls(np.concatenate([some, heavy]), np.append(target, 100.0), maxiter=1000)[0]
-        out[:, vertex] = columns @ (weights / max(weights.sum(), 1e-9))
-    return out
 
 
 RATE = 30.0
@@ -221,7 +192,6 @@ def _simulated(character: Character, body: UnifiedBody, name: str, animation: Ri
 
 
 STRIDE = 10  # frames from one whose edges and insides are measured to the next
-ORACLE = 60  # vertices that the best skinning is fitted for
 DEEPEST = 300  # vertices whose insides are measured
 
 
@@ -232,7 +202,7 @@ def clip_row(clip: TrueClip, network: DisplacementNetwork, *, nodes: int = 256, 
         clip: The clip.
         network: The network.
         nodes: Most nodes.
-        slow: Whether the best static skinning and insides are computed too.
+        slow: Whether insides are computed too.
     """
     chosen = clip.sample()
     truth, rigid = clip.truth(chosen), clip.carried(chosen)
@@ -264,10 +234,6 @@ def clip_row(clip: TrueClip, network: DisplacementNetwork, *, nodes: int = 256, 
         row[f"{name}_els"] = edge_score(moved[few], rest, edges)
         shown[name] = moved[few]
     if slow:
-        some = np.linspace(0, len(chosen) - 1, min(ORACLE, len(chosen))).astype(np.int64)
-        best = oracle_skinning(clothed.rest[chosen[some]], truth[:, some], clip.affine)
-        row["oracle_skinning"] = float(point_distance(best, truth[:, some]).mean())
-        shown["truth_safe"] = safe_truth(clip, nodes)[few]
         row |= insides(clip, vertices, few, shown)
     return row
 
@@ -295,28 +261,6 @@ def insides(clip: TrueClip, vertices: np.ndarray, few: slice, shown: dict[str, n
         for name, share in zip(shown, deep, strict=True):
             out[name] += float(share) / len(bodies)
     return {f"inside_{name}": value for name, value in out.items()}
-
-
-def safe_truth(clip: TrueClip, nodes: int = 256) -> np.ndarray:
-    """The truth after the safety stage: apparel vertices [m], shape (N, A, 3)."""
-    from bunraku.apparel.learned.player import Carrier
-    from bunraku.apparel.nodes import apparel_nodes
-
-    clothed = clip.clothed
-    own = apparel_nodes(clothed, nodes)
-    carrier = Carrier(clothed, own)
-    safety = Safety(clothed, own, body_points(clothed, SAFE_POINTS), carrier)
-    affine = clip.affine
-    turns = affine[:, own.joint, :, :3]
-    true, carried = clip.truth(own.vertex), clip.carried(own.vertex)
-    out = []
-    for frame in range(len(affine)):
-        kept = carried[frame] + safety.share * (true[frame] - carried[frame])
-        positions, unposed = safety(kept, affine[frame])
-        moved = (turns[frame].transpose(0, 2, 1) * (positions - carried[frame])[:, None, :]).sum(axis=-1)
-        safe = carrier.positions(moved, affine[frame])
-        out.append(safety.vertices(safe, unposed))
-    return np.stack(out)
 
 
 FADE = 0.9  # share of a known difference from the head that a frame leaves without a recurrent part
@@ -357,36 +301,6 @@ class KnownPlayer(ApparelPlayer):
         return np.asarray(moved + self.known)
 
 
-def ten_frames(clip: TrueClip, network: DisplacementNetwork, starts: int = 4, nodes: int = 256) -> dict[str, float]:
-    """The paper's ten frames after a true state: mean errors [m] of the network, of rigid skinning and of no change."""
-    player = KnownPlayer(clip.clothed, network, nodes=nodes, safe=False)
-    frames = clip_features(clip.clothed, player.nodes, clip.transforms)
-    turns = np.stack([frame.turns for frame in frames])
-    own = player.nodes.vertex
-    away = clip.truth(own) - clip.carried(own)
-    states = np.einsum("nmba,nmb->nma", turns, away) / clip.clothed.scale
-    vertices = player.carrier.vertices
-    chosen = clip.sample()
-    rows = np.searchsorted(vertices, chosen)
-    truth, rigid = clip.truth(chosen), clip.carried(chosen)
-    joints = clip.clothed.weights[chosen].argmax(axis=1)
-    local = clip.affine[:, joints, :, :3]
-    held = np.einsum("nmba,nmb->nma", local, truth - rigid)
-    sums = np.zeros(3)
-    for first in np.linspace(3, len(truth) - 11, starts).astype(int):
-        player.start(clip.transforms[0])
-        assert player.features is not None
-        for pose in clip.transforms[: first - 3]:
-            player.features.advance(pose)
-        player.know(states[first - 3 : first], clip.transforms[first - 3 : first])
-        moved = np.stack([player.advance(pose)[rows] for pose in clip.transforms[first : first + 10]])
-        span = slice(first, first + 10)
-        frozen = rigid[span] + np.einsum("nmab,mb->nma", local[span], held[first - 1])
-        sums += [float(point_distance(points, truth[span]).mean()) for points in (moved, rigid[span], frozen)]
-    learned, still, kept = sums / starts
-    return {"learned": learned, "rigid": still, "frozen": kept}
-
-
 def drift_row(clip: TrueClip, network: DisplacementNetwork, nodes: int = 256) -> dict[str, float]:
     """Errors of a long clip from rest [m]: in its second second and in its last one."""
     chosen = clip.sample()
@@ -402,15 +316,3 @@ def drift_row(clip: TrueClip, network: DisplacementNetwork, nodes: int = 256) ->
         "rigid": float(rigid.mean()),
         "rigid_second": float(rigid[30:60].mean()), "rigid_last": float(rigid[-30:].mean()),
     }  # fmt: skip
-
-
-def frame_milliseconds(clip: TrueClip, network: DisplacementNetwork, nodes: int = 256, frames: int = 60) -> float:
-    """Time of a frame, median of some, the way back to the vertices included [ms]."""
-    player = ApparelPlayer(clip.clothed, network, nodes=nodes)
-    player.start(clip.transforms[0])
-    times = []
-    for pose in clip.transforms[:frames]:
-        begin = time.perf_counter()
-        player.advance(pose)
-        times.append(time.perf_counter() - begin)
-    return 1000 * float(np.median(times))

@@ -25,114 +25,38 @@ from bunraku.errors import WeightsError
 from bunraku_lab.baselines.pose_transfer import ROOM, TransferTarget
 from bunraku_lab.evaluation.apparel.clips import KnownPlayer, TrueClip, edge_score, point_distance
 from bunraku_lab.nn.apparel import clip_features
-from bunraku_lab.nn.blend_shapes import NbsConfig, NbsNetwork, edge_mesh, local_rotations
+from bunraku_lab.nn.blend_shapes import NbsConfig, NbsNetwork, edge_mesh
 from bunraku_lab.nn.checkpoints import lab_checkpoint
 from bunraku_lab.nn.pose_transfer import TransferConfig, TransferNetwork
 from bunraku_lab.training.apparel.body import BodyNetwork, body_weights, clothed_by_mask, tiled
 from bunraku_lab.training.apparel.refinement import RefinementNetwork, refined, seam_of
 
-__all__ = [
-    "BEST",
-    "BlendedMesh",
-    "FILES",
-    "Figures",
-    "Mover",
-    "NBS",
-    "NBS_SHAPES",
-    "OURS",
-    "PARTS",
-    "Rival",
-    "SPT",
-    "SPT_JOINTS",
-    "STRIDE",
-    "UNTRAINED",
-    "best_skinning",
-    "blended_mesh",
-    "body_table",
-    "floor_movers",
-    "mask_scores",
-    "mean_figures",
-    "module_row",
-    "mover_rows",
-    "our_ten_frames",
-    "part_weights",
-    "rival_mover",
-    "rival_rows",
-    "rivals_of",
-    "ten_frame_spans",
-    "whole_figures",
-]
-
 OURS, BEST, PARTS = "ours", "NBS, best skinning that there is", "SPT, floor without training"
-NBS, NBS_SHAPES, SPT, SPT_JOINTS = "NBS", "NBS, with blend shapes", "SPT", "SPT, joints given"
-UNTRAINED = "untrained"
+NBS, SPT, UNTRAINED = "NBS", "SPT", "untrained"
+SEEN = 1000
+"""Vertices of the mesh that NBS sees, about."""
 
 
-@dataclass(frozen=True, eq=False)
-class BlendedMesh:
-    """A mesh as Neural Blend Shapes moves it.
-
-    Args:
-        rest: Vertices at rest [m], shape (V, 3).
-        weights: Of the joints, shape (V, 22), rows sum to 1.
-        shapes: Blend shapes of each vertex [m], shape (V, S, 3); none where the network has no such branch.
-        takes: Which joints' shapes each vertex takes, shape (V, 22).
-        model: The networks, whose coefficients depend on the pose.
-    """
-
-    rest: np.ndarray
-    weights: np.ndarray
-    shapes: np.ndarray | None
-    takes: np.ndarray | None
-    model: NbsNetwork
-
-    def posed(self, affine: np.ndarray) -> np.ndarray:
-        """Its vertices in poses [m], shape (P, V, 3).
-
-        Args:
-            affine: Affine transforms of the joints, shape (P, 22, 3, 4).
-        """
-        if self.shapes is None or self.takes is None or self.model.blend is None:
-            return np.asarray(skin(self.rest, self.weights, affine))
-        shapes, takes = torch.from_numpy(self.shapes), torch.from_numpy(self.takes)
-        with torch.no_grad():
-            turns = local_rotations(torch.from_numpy(np.asarray(affine[..., :3], np.float32)))
-            added = self.model.blend.moved(shapes, takes, turns).numpy()
-        return np.stack(
-            [skin(self.rest + more, self.weights, pose[None])[0] for more, pose in zip(added, affine, strict=True)]
-        )
-
-
-def blended_mesh(
-    vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, model: NbsNetwork, size: int = 1000
-) -> BlendedMesh:
-    """What the networks say of a mesh.
+def nbs_weights(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, model: NbsNetwork) -> np.ndarray:
+    """Skinning weights of a mesh by Neural Blend Shapes, shape (V, 22), rows sum to 1.
 
     Args:
         vertices: At rest [m], +Y up and facing +Z, shape (V, 3).
         faces: Shape (F, 3).
         joints: J [m], shape (22, 3).
-        model: The networks.
-        size: Vertices of the mesh that they see, about.
+        model: The network.
 
     Raises:
         CharacterError: The mesh has no surface.
     """
-    mesh = network_mesh(vertices, faces, round(ROOM * size))
+    mesh = network_mesh(vertices, faces, round(ROOM * SEEN))
     rest = mesh.pull(vertices)
     low, height = rest[:, 1].min(), float(np.ptp(rest[:, 1]))
     origin = np.array([joints[0, 0], low, joints[0, 2]], np.float32)
     edges = edge_mesh(mesh.faces, mesh.edges, len(rest))
-    shapes = takes = None
     with torch.no_grad():
-        weights, logits, middles = model.skinned(torch.from_numpy((rest - origin) / np.float32(height)), edges)
-        if model.blend is not None:
-            said, taken = model.blend(middles, logits, weights, edges)
-            flat = mesh.push(height * said.flatten(1).numpy())
-            shapes = np.asarray(flat.reshape(len(vertices), -1, 3), np.float32)
-            takes = np.asarray(mesh.push(taken.numpy()), np.float32)
-    full = mesh.push(weights.numpy())
-    return BlendedMesh(np.asarray(vertices, np.float32), full / full.sum(axis=1, keepdims=True), shapes, takes, model)
+        full = mesh.push(model(torch.from_numpy((rest - origin) / np.float32(height)), edges).numpy())
+    return np.asarray(full / full.sum(axis=1, keepdims=True))
 
 
 Figures = dict[str, float]
@@ -263,10 +187,7 @@ def _from_true_state(
 
 Mover = Callable[[np.ndarray], np.ndarray]
 """Takes affine transforms of the joints (P, 22, 3, 4) to vertices [m] (P, V, 3)."""
-FILES = {
-    NBS: "nbs.safetensors", NBS_SHAPES: "nbs-shapes.safetensors", SPT: "spt.safetensors",
-    SPT_JOINTS: "spt-joints.safetensors",
-}  # fmt: skip
+FILES = {NBS: "nbs.safetensors", SPT: "spt.safetensors"}
 """Of each trained method, in the folder of the baselines' weights."""
 
 
@@ -291,7 +212,7 @@ def rivals_of(folder: Path | None) -> list[Rival]:
     for name, file in FILES.items():
         path = folder / file
         if path.is_file():
-            network = NbsNetwork.load(path) if name in (NBS, NBS_SHAPES) else TransferNetwork.load(path)
+            network = NbsNetwork.load(path) if name == NBS else TransferNetwork.load(path)
             found.append(Rival(name, hashlib.sha256(path.read_bytes()).hexdigest()[:16], network))
     known = {one.name for one in found}
     torch.manual_seed(0)
@@ -319,10 +240,8 @@ def floor_movers(clothed: ClothedCharacter, truth: np.ndarray, affine: np.ndarra
 def rival_mover(clothed: ClothedCharacter, network: NbsNetwork | TransferNetwork) -> Mover:
     """What moves a character by trained networks; of it mesh and joints are used."""
     if isinstance(network, NbsNetwork):
-        return blended_mesh(clothed.rest, clothed.faces, clothed.joints, network).posed
-    parts = None
-    if not network.config.predictor:
-        parts = predict_handles(Character("clothed", clothed.rest, clothed.faces)).weights
+        return partial(skin, clothed.rest, nbs_weights(clothed.rest, clothed.faces, clothed.joints, network))
+    parts = predict_handles(Character("clothed", clothed.rest, clothed.faces)).weights
     target = TransferTarget.of(clothed.rest, clothed.faces, parts, clothed.joints[0], network)
     return partial(target.with_joints, joints=clothed.joints)
 

@@ -21,30 +21,22 @@ from bunraku_lab.evaluation.apparel.clips import (
     data_clips,
     drift_row,
     file_clips,
-    frame_milliseconds,
     long_clip,
     made_clips,
-    ten_frames,
 )
 from bunraku_lab.evaluation.apparel.rivals import body_table, mask_scores, module_row, rival_rows, rivals_of
 from bunraku_lab.evaluation.report import Bar, Parts, at_once, figure, measured_in, reached_bars
 from bunraku_lab.nn.checkpoints import lab_checkpoint
 from bunraku_lab.training.apparel.refinement import RefinementNetwork
 
-__all__ = ["APPAREL_BARS", "ApparelEvalConfig", "evaluate_apparel"]
-
 Progress = Callable[[str, float], None]
 FILE_MOTIONS = ("walk", "dance")
 LONG = 3  # characters in clips of a minute
-ENOUGH = 2000  # apparel vertices that a frame is timed with
-
 # Goals, set before anything was measured.
 _BARS = {
     "mask_iou": Bar("apparel found, intersection over union, wardrobe", least=0.9),
     "mask_iou_files": Bar("the same, files", least=0.45),
     "pmd_apparel_rest_6s_over_rigid": Bar("PMD_a from rest, 6 s, over parent-rigid skinning", most=0.4),
-    "pmd_apparel_10_frames_over_rigid": Bar("PMD_a, 10 frames from the true state, over the same", most=0.25),
-    "pmd_apparel_10_frames_over_frozen": Bar("the same over the true offset kept", most=0.5),
     "els_minus_truth": Bar("ELS of apparel, less the truth's", least=-0.02),
     "drift_60s": Bar("60 s: error of the last second over that of the second one", most=1.2),
     "inside_over_truth": Bar("apparel deeper than 1 cm in the body, over the truth's", most=1.2),
@@ -55,7 +47,6 @@ _BARS = {
     "chains_fly_aways": Bar("chains: clips in which something flies away", most=0.0),
     "chains_inside_over_rigid": Bar("chains: deeper than 1 cm in the body, over rigid apparel's", most=1 / 3),
     "body_attention_first": Bar("body: geodesic attention before both variants", least=1.0),
-    "frame_ms": Bar("a frame at 2,000 apparel vertices [ms]", most=6.0),
 }
 APPAREL_BARS = {key: replace(bar, show=measured_in("", 3), show_limit=figure) for key, bar in _BARS.items()}
 
@@ -77,7 +68,7 @@ class ApparelEvalConfig:
         bodies: Body networks; Table 3 takes the first.
         refinement: Joint refinement of Table 3.
         baselines: Folder of the weights of Neural Blend Shapes and SPT, for their rows beside ours.
-        quick: Leave out what takes long: 60 s, the best static skinning and insides.
+        quick: Leave out what takes long: 60 s and insides.
         whole_only: Measure whole meshes alone, by each module and beside other methods: the paper's tables 2 to 4.
         chains: Measure chains from shape alone, on the splits "val" and "test".
     """
@@ -137,15 +128,12 @@ def evaluate_apparel(
         refinement = lab_checkpoint("apparel-refinement")
     merging = None if refinement is None else RefinementNetwork.load(refinement)
 
-    def apart(number: int, clip: TrueClip) -> dict[str, Any]:
+    def apart(clip: TrueClip) -> dict[str, Any]:
         """What the displacement network and the mask are worth, each by itself."""
-        own: dict[str, Any] = {"row": clip_row(clip, network, slow=not quick), "score": mask_scores(clip, masks)}
-        if number % 2 == 0 or quick:
-            own["ten"] = ten_frames(clip, network)
-        return own
+        return {"row": clip_row(clip, network, slow=not quick), "score": mask_scores(clip, masks)}
 
     def measured(number: int, clip: TrueClip) -> dict[str, Any]:
-        own: dict[str, Any] = {} if config.whole_only else apart(number, clip)
+        own: dict[str, Any] = {} if config.whole_only else apart(clip)
         if number < config.whole and known_body:
             own["whole"], own["whole_ten"] = module_row(clip, guessing, masks, body, merging)
         return own
@@ -161,22 +149,19 @@ def evaluate_apparel(
             own = every[number]
             own["whole"][rival.name], own["whole_ten"][rival.name] = parts(named, partial(rival_rows, clip,
                                                                                           rival.network))  # fmt: skip
-    rows, scores, tens, modules, whole_tens = (
-        [one[key] for one in every if key in one] for key in ("row", "score", "ten", "whole", "whole_ten")
+    rows, scores, modules, whole_tens = (
+        [one[key] for one in every if key in one] for key in ("row", "score", "whole", "whole_ten")
     )
     progress("clips", 1.0)
     real, failed = _files(config.files, network, masks, progress)
-    out = _summary(rows, tens, scores, real)
+    out = _summary(rows, scores, real)
     drift = [] if quick else _drifts(network, config.motions, found, progress)
     out["drift_60s"] = _over(drift, "last", "second")
-    timed = found and not config.whole_only
-    out["frame_ms"] = frame_milliseconds(min(found, key=_far_from_enough), network) if timed else None
     table4 = body_table(found[: 4 if quick else 12], bodies) if found else {}
     out["body_attention_first"] = _attention_first(table4)
     reached = reached_bars(APPAREL_BARS, out)
     tables = {
         "From rest, 6 s: PMD_a [cm], ELS of apparel, deeper than 1 cm in the body": _rest_table(rows),
-        "Ten frames from the true state: PMD_a [cm]": _ten_table(tens),
         "60 s from rest: PMD_a [cm]": _drift_table(drift),
         "Modules (Table 3): PMD [cm]": _module_table(modules),
         "Whole meshes over ten frames from true states (Table 2): PMD [cm]": _module_table(whole_tens),
@@ -186,7 +171,7 @@ def evaluate_apparel(
     return out | {
         "reached": reached, "tables": {title: table for title, table in tables.items() if table},
         "clips": rows, "names": [clip.name for clip in found], "whole": modules, "whole_ten_frames": whole_tens,
-        "ten_frames": tens, "minutes": drift, "files": real, "failed": failed, "masks": scores,
+        "minutes": drift, "files": real, "failed": failed, "masks": scores,
     }  # fmt: skip
 
 
@@ -207,7 +192,7 @@ def _chains(config: ApparelEvalConfig, progress: Progress) -> dict[str, Any]:
         progress("files", number / len(config.files))
         try:
             character = load_character(path)
-            real += [chain_row(clip, character) | {"name": path.stem} for clip in file_clips(character, FILE_MOTIONS)]
+            real += [chain_row(clip) | {"name": path.stem} for clip in file_clips(character, FILE_MOTIONS)]
         except BunrakuError as error:
             failed[path.name] = str(error)
     out: dict[str, Any] = dict(chain_summary(rows))
@@ -224,7 +209,7 @@ def _chain_table(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
         f"{row['name']} {row['motion']}": {
             "rigid": 100 * row["rigid"], "chains": 100 * row["chains"], "over rigid": row["chains"] / max(row["rigid"],
             1e-9), "ELS": row["chains_els"], "truth's": row["els_truth"], "flew": float(row["lost"]),
-        } | ({"from file": row["from_file"] / max(row["rigid"], 1e-9)} if "from_file" in row else {})
+        }
         for row in rows
     }  # fmt: skip
 
@@ -235,10 +220,6 @@ def _ships(name: str) -> bool:
     except WeightsError:
         return False
     return True
-
-
-def _far_from_enough(clip: TrueClip) -> float:
-    return abs(float(clip.clothed.apparel.sum()) - ENOUGH)
 
 
 def _files(
@@ -285,16 +266,12 @@ def _over(rows: Sequence[dict[str, Any]], key: str, under: str) -> float | None:
     return float(sum(row[key] for row in known) / below) if below > 0 else None
 
 
-def _summary(
-    rows: list[dict[str, Any]], tens: list[dict[str, float]], scores: list[dict[str, float]], real: list[dict[str, Any]]
-) -> dict[str, Any]:
+def _summary(rows: list[dict[str, Any]], scores: list[dict[str, float]], real: list[dict[str, Any]]) -> dict[str, Any]:
     files = [row["iou"] for row in real]
     return {
         "mask_iou": float(np.mean([row["iou"] for row in scores])) if scores else None,
         "mask_iou_files": float(np.mean(files)) if files else None,
         "pmd_apparel_rest_6s_over_rigid": _over(rows, "safe", "rigid"),
-        "pmd_apparel_10_frames_over_rigid": _over(tens, "learned", "rigid"),
-        "pmd_apparel_10_frames_over_frozen": _over(tens, "learned", "frozen"),
         "els_minus_truth": float(np.mean([row["safe_els"] - row["els_truth"] for row in rows])) if rows else None,
         "inside_over_truth": _over(rows, "inside_safe", "inside_truth"),
         "inside_over_rigid": _over(rows, "inside_safe", "inside_rigid"),
@@ -304,9 +281,8 @@ def _summary(
 
 def _rest_table(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
     names = {
-        "rigid": "parent-rigid", "nearest_joint": "nearest joint", "oracle_skinning": "best static skinning",
-        "head": "head alone", "learned": "learned", "safe": "learned, safe", "truth": "truth",
-        "truth_safe": "truth, safe",
+        "rigid": "parent-rigid", "nearest_joint": "nearest joint", "head": "head alone", "learned": "learned",
+        "safe": "learned, safe", "truth": "truth",
     }  # fmt: skip
     out: dict[str, dict[str, float | None]] = {}
     for key, name in names.items():
@@ -324,18 +300,6 @@ def _rest_table(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | None]
                 "inside [%]": 100 * float(np.mean(inside)) if inside else None,
             }
     return out
-
-
-def _ten_table(tens: list[dict[str, float]]) -> dict[str, dict[str, float]]:
-    names = {"rigid": "parent-rigid", "frozen": "true offset kept", "learned": "learned"}
-    return {
-        name: {
-            "PMD_a": 100 * float(np.mean([row[key] for row in tens])),
-            "over rigid": _over(tens, key, "rigid") or 0.0,
-        }
-        for key, name in names.items()
-        if tens and all(key in row for row in tens)
-    }
 
 
 def _drift_table(drift: list[dict[str, Any]]) -> dict[str, dict[str, float]]:

@@ -13,12 +13,6 @@ from bunraku.core.geometry.surface import split_estimate, split_long_edges
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import handle_offsets, part_means, register, skin
 
-__all__ = [
-    "FAR", "NAMED_PARTS", "STRETCHED", "accepted_handles", "carried", "drive", "edge_error", "edge_stretch",
-    "main_handles", "part_handles", "part_meaning", "part_purity", "pose_error", "refine_registration", "resampled",
-    "root_error", "same_main_handle", "stretch_of", "truncation_error", "weight_difference",
-]  # fmt: skip
-
 _LIGHT = 1e-3  # weight under which a vertex has no say in a part
 
 
@@ -331,7 +325,6 @@ STRETCHED, FAR = 2.0, 4.0
 STRIDE = 3  # frames from one that is measured to the next
 SHORT = 1e-3  # edges shorter than this share of the height are not seen, whatever they do
 CHUNK = 16  # frames posed at once: bounds memory
-MOST = 20_000  # edges that an error is the mean of
 
 
 def edge_stretch(rest: np.ndarray, posed: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -367,27 +360,3 @@ def stretch_of(character: Character, handles: Handles, motion: HandleMotion) -> 
         "stretched_edges": float((most > STRETCHED).mean()) if len(most) else 0.0,
         "most_stretched": float(most.max(initial=1.0)),
     }
-
-
-def edge_error(character: Character, handles: Handles, motion: HandleMotion) -> float:
-    """How far edges are from their length at rest, of that length: the mean of |l / l_rest - 1| over edges and frames.
-
-    Edges shorter than 0.1 % of the height are not looked at, and of more than 20,000 as many, evenly chosen.
-    """
-    edges = unique_edges(character.faces, len(character.vertices))
-    rest = character.vertices.astype(np.float64)
-    lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
-    edges = edges[lengths > SHORT * character.height]
-    if not len(edges):
-        return 0.0
-    edges = edges[np.unique(np.linspace(0, len(edges) - 1, min(len(edges), MOST)).astype(int))]
-    used, index = np.unique(edges, return_inverse=True)
-    first, second = index.reshape(-1, 2).T
-    length = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
-    transforms = motion.transforms(handles.positions)[::STRIDE]
-    vertices, weights, total = character.vertices[used], handles.weights[used], 0.0
-    for start in range(0, len(transforms), CHUNK):
-        posed = skin(vertices, weights, transforms[start : start + CHUNK])
-        changed = np.linalg.norm(posed[:, first] - posed[:, second], axis=-1) / length - 1
-        total += float(np.abs(changed).mean(axis=1).sum())
-    return total / len(transforms)

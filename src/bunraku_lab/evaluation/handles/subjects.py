@@ -23,11 +23,6 @@ from bunraku_lab.datasets.characters.training_character import (
     root_joint,
 )
 
-__all__ = [
-    "ARCHIVE", "AVATARS", "Subject", "WARDROBE", "detailed_subjects", "find_files", "is_humanoid", "load_subject",
-    "subject", "subject_name",
-]  # fmt: skip
-
 _NEEDED = tuple(
     HANDLE_NAMES.index(name) for name in ("pelvis", "head", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
 )
@@ -143,9 +138,9 @@ def load_subject(file: Path, name: str) -> Subject:
     Raises:
         BunrakuError: It cannot be read or has no rig.
     """
-    from bunraku_lab.datasets.characters.build import load_rigged
+    from bunraku.files import load_character
 
-    return subject(load_rigged(file), name, file)
+    return subject(load_character(file), name, file)
 
 
 ARCHIVE: tuple[str, ...] = (

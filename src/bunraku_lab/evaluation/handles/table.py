@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
@@ -29,11 +28,6 @@ from bunraku_lab.evaluation.handles.measures import FAR, carried, resampled, str
 from bunraku_lab.evaluation.handles.rest_poses import REST_POSES, posed_limbs
 from bunraku_lab.evaluation.handles.subjects import Subject, find_files, load_subject, subject, subject_name
 from bunraku_lab.evaluation.report import Bar, measured_in, percent, reached_bars
-
-__all__ = [
-    "BARS", "Predict", "Reference", "code_made_subjects", "evaluate_handles", "folder_subjects", "measure_orientation",
-    "measure_subject", "prediction_seconds", "purity_of", "resolution_differences",
-]  # fmt: skip
 
 BARE, RULED = ".obj", ".glb"
 """Formats that a character is judged in: one that does not say how it stands, and one whose rule is +Y up."""
@@ -124,7 +118,7 @@ class Reference:
 def measure_subject(
     one: Subject, predict: Predict, reference: Reference, baselines: bool = True, seed: int = 0
 ) -> dict[str, Any]:
-    """All measures of one character but resolution and speed; None where one does not apply to it."""
+    """All measures of one character but resolution; None where one does not apply to it."""
     handles, truth, keep = predict(one.character), one.truth, one.surface
     weights, areas = handles.weights[keep], truth.areas[keep]
     row: dict[str, Any] = {"name": one.name, "vertices": int(keep.sum()), "humanoid": one.humanoid}
@@ -287,23 +281,8 @@ def resolution_differences(one: Subject, predict: Predict) -> dict[str, float]:
     return out
 
 
-def prediction_seconds(count: int, predict: Predict, repeats: int = 3) -> float:
-    """Time of a prediction for the reference body with this many vertices, best of some [s]."""
-    body = reference_body()
-    mesh = resampled(Character("reference", body.vertices, body.faces), count)
-    predict(mesh)
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        predict(mesh)
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
 RESAMPLED = 30
 """Characters on which resolutions are compared, evenly over the list."""
-SPEEDS = {"seconds_5k": 5_000, "seconds_200k": 200_000}
-
 Load = Callable[[], Subject]
 
 # Goals, set before anything was measured.
@@ -336,8 +315,6 @@ BARS: dict[str, Bar] = {
     "top4_error": Bar("top 4: error of four weights a vertex in motion, over the height", most=0.001, show=percent(2)),
     "stretched_edges": Bar("stretch: edges longer than twice their length in a walk", most=0.001, show=percent(2)),
     "whole_in_walks": Bar("stretch: characters with no edge over four times its length", least=0.95, show=percent(1)),
-    "seconds_5k": Bar("speed: 5,000 vertices [s]", most=0.3, show=measured_in(" s", 2)),
-    "seconds_200k": Bar("speed: 200,000 vertices [s]", most=4.0, show=measured_in(" s", 2)),
 }
 """The measures in the order of the table."""
 
@@ -395,7 +372,7 @@ def _mean(rows: Iterable[Mapping[str, float | None]], key: str) -> float | None:
 
 def evaluate_handles(
     subjects: dict[str, Load], *, detailed: dict[str, Load] | None = None, checkpoint: str | Path | None = None,
-    baselines: bool = True, speed: bool = True, seed: int = 0, jobs: int | str = 1,
+    baselines: bool = True, seed: int = 0, jobs: int | str = 1,
     progress: Callable[[str, float], None] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Measure the predictor on characters.
@@ -405,7 +382,6 @@ def evaluate_handles(
         detailed: Detailed people, of whom only the purity of parts is taken (`detailed_subjects`).
         checkpoint: Weights of the predictor; the shipped ones when None.
         baselines: Also pose the characters by clusters and by bone heat.
-        speed: Also take the time of predictions.
         seed: Of the random poses and of the clusters.
         jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
 
@@ -443,12 +419,9 @@ def evaluate_handles(
         row["resolution_l1"] = float(np.mean(list(row["resolutions"].values())))
         report("resolutions", (number + 1) / len(chosen))
     fine = _detailed(detailed or {}, {row["name"]: row["part_purity"] for row in rows}, predict, left_out, report)
-    result: dict[str, Any] = {key: _mean(rows, key) for key in BARS if key not in SPEEDS}
+    result: dict[str, Any] = {key: _mean(rows, key) for key in BARS}
     result["part_purity_detailed"] = float(np.mean(list(fine.values()))) if fine else None
     result["pose_error_creatures"] = _mean((row for row in rows if not row["humanoid"]), "pose_error")
-    for number, (key, count) in enumerate(SPEEDS.items()):
-        result[key] = prediction_seconds(count, predict) if speed else None
-        report("speed", (number + 1) / len(SPEEDS))
     parts = [right for row in rows for right in row.get("parts", {}).values()]
     result["same_meaning"] = float(np.mean(parts)) if parts else None
     result["bars"] = {key: bar.bar for key, bar in BARS.items() if bar.bar is not None}

@@ -5,31 +5,23 @@ sink or jitter, and what the adaptation and each stage of fitting do about it.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.predict import mesh_feature, predict_handles
+from bunraku.anatomy.handles.predict import predict_handles
 from bunraku.core.animation import Animation
-from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.graph import unique_edges
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import posed_points, skin
 from bunraku.errors import BunrakuError
-from bunraku.generation.features import FeatureStatistics, decode
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku_lab.datasets.characters.build import HELD_OUT
 from bunraku_lab.evaluation.handles.subjects import find_files, load_subject, subject_name
-
-__all__ = [
-    "ARAP_PROMPTS", "ArapRow", "ArapTable", "Gauge", "MotionQuality", "Named", "animation_arap", "arap_figures",
-    "arap_loss", "chosen_files", "foot_figures", "gauge", "load_named", "measure", "measure_adaptation",
-    "mesh_features", "pooled", "stage_effects",
-]  # fmt: skip
 
 ARAP_PROMPTS: tuple[str, ...] = (
     "a person walks forward", "a person runs", "a person waves with the right hand", "a person kicks with the left leg",
@@ -73,114 +65,8 @@ def animation_arap(animation: Animation) -> float:
     )
 
 
-@dataclass(frozen=True)
-class ArapRow:
-    """One character, means over all prompts.
-
-    Args:
-        name: Its name.
-        unseen: Whether no training sees it.
-        adapted: ARAP-Loss with the network's adaptation and its last step on the very mesh, the stage `shape`.
-        learned: With the network's adaptation alone.
-        plain: Without both: delta = 0.
-        loose: Without the stage `attach` too: the paper's setting without adaptation.
-        delta: Mean length of delta over frames and handles but the root [m of the reference body].
-    """
-
-    name: str
-    unseen: bool
-    adapted: float
-    learned: float
-    plain: float
-    loose: float
-    delta: float
-
-
-@dataclass(frozen=True)
-class ArapTable:
-    """Rows of characters."""
-
-    rows: tuple[ArapRow, ...]
-
-    def ratio(self, unseen: bool, kind: str = "adapted") -> float:
-        """ARAP-Loss with the adaptation over without, means over (un)seen characters; NaN without any.
-
-        Args:
-            unseen: Which characters.
-            kind: "adapted", or "learned" for the network's share alone.
-        """
-        rows = [row for row in self.rows if row.unseen == unseen]
-        return (
-            sum(getattr(row, kind) for row in rows) / max(sum(row.plain for row in rows), 1e-30)
-            if rows
-            else float("nan")
-        )
-
-    def means(self, unseen: bool) -> dict[str, float]:
-        """Mean of each figure over the characters that are (un)seen."""
-        rows = [row for row in self.rows if row.unseen == unseen]
-        names = ("adapted", "learned", "plain", "loose", "delta")
-        return {name: float(np.mean([getattr(row, name) for row in rows])) for name in names} if rows else {}
-
-
 STRIDE = 2
 """Of so many frames the mesh is looked at in one."""
-
-
-def measure_adaptation(
-    characters: Sequence[tuple[str, Character, Handles]], prompts: Sequence[str] = ARAP_PROMPTS, *,
-    seconds: float = 3.0, steps: int | None = None, seed: int = 0, checkpoint: str | Path | None = None,
-    stages: Stages | None = None, progress: Callable[[str, float], None] | None = None,
-) -> ArapTable:  # fmt: skip
-    """ARAP-Loss of generated motions on characters, with and without the adaptation; the motions are the same.
-
-    Args:
-        characters: Name in the archive, character facing +Z, and its handles with f_phi.
-        prompts: What they do.
-        seconds: Length of each clip [s].
-        steps: Sampling steps; None takes the default.
-        seed: Of the first prompt; each has its own.
-        checkpoint: Weights in place of the shipped ones.
-        stages: Stages of the fit; all when None.
-    """
-    from bunraku.core.nn.layers import one_thread
-    from bunraku.generation.generate import GUIDANCE, STEPS, adapt
-    from bunraku.generation.networks import load_generator
-    from bunraku.generation.sampler import Solver
-    from bunraku_lab.evaluation.motion.samples import sample
-
-    model, encoder = load_generator(checkpoint)
-    text = encoder.encode(list(prompts))
-    statistics = FeatureStatistics(model.mean, model.std)
-    stages = stages or Stages(shape=True)
-    rows = []
-    for done, (name, character, handles) in enumerate(characters):
-        if progress is not None:
-            progress("ARAP-Loss", done / len(characters))
-        mesh = None
-        if model.knows_meshes and handles.features is not None:
-            mesh = np.asarray(handles.features, np.float32)[None].repeat(len(prompts), axis=0)
-        frames = max(1, round(seconds * model.config.fps))
-        with one_thread():
-            found = sample(
-                model, text, frames, Solver(STEPS if steps is None else steps, GUIDANCE), mesh_features=mesh, seed=seed
-            )
-        figures, anatomy = [], Anatomy.of(character, handles)
-        for values, offset in zip(found.values, found.adaptation, strict=True):
-            plain = decode(statistics.restore(values), model.config.fps)
-            bare, adapted = replace(stages, shape=False), adapt(plain, offset)
-            kinds = ((adapted, stages), (adapted, bare), (plain, bare), (plain, replace(bare, attach=False)))
-            figures.append([_of(fit_motion(motion, anatomy, how), character, handles) for motion, how in kinds])
-            figures[-1].append(float(np.linalg.norm(offset[:, 1:], axis=-1).mean()))
-        rows.append(ArapRow(name, name.partition("~")[0] in HELD_OUT, *np.mean(figures, axis=0).tolist()))
-    if progress is not None:
-        progress("ARAP-Loss", 1.0)
-    return ArapTable(tuple(rows))
-
-
-def _of(motion: HandleMotion, character: Character, handles: Handles) -> float:
-    some = replace(motion.take(slice(None, None, STRIDE)), fps=motion.fps / STRIDE)
-    return animation_arap(Animation(character, handles, some))
 
 
 HUMAN = 1.7  # m
@@ -404,61 +290,3 @@ def load_named(
         if progress is not None:
             progress(done / len(files))
     return found
-
-
-def mesh_features(folder: Path, names: Collection[str]) -> dict[str, np.ndarray]:
-    """f_phi of the characters of these names under a folder, by name; those that are not there are left out.
-
-    Raises:
-        FormatError: There are no characters.
-    """
-    files = {subject_name(folder, file): file for file in find_files(folder, everything=True)}
-    return {name: mesh_feature(load_subject(files[name], name).character) for name in sorted(names) if name in files}
-
-
-def arap_figures(
-    characters: Sequence[Named], checkpoint: Path | None, prompts: int, steps: int | None, seed: int, progress: Progress
-) -> dict[str, float | None]:
-    """ARAP-Loss with and without the adaptation, and the ratio, on seen and on unseen characters."""
-    table = measure_adaptation(
-        characters, ARAP_PROMPTS[:prompts], steps=steps, seed=seed, checkpoint=checkpoint,
-        progress=lambda stage, done: progress(done),
-    )  # fmt: skip
-    out: dict[str, float | None] = {}
-    for unseen, word in ((False, "seen"), (True, "unseen")):
-        means = table.means(unseen)
-        out[f"arap_ratio_{word}"] = table.ratio(unseen) if means else None
-        out[f"arap_ratio_learned_{word}"] = table.ratio(unseen, "learned") if means else None
-        out |= {f"arap_{word}_{kind}": value for kind, value in means.items()}
-        out[f"arap_characters_{word}"] = float(sum(row.unseen == unseen for row in table.rows))
-    return out
-
-
-def foot_figures(features: Sequence[np.ndarray], characters: Sequence[Named], progress: Progress) -> dict[str, float]:
-    """Sliding, sinking and jitter of motions on the reference body and on characters, with and without the stages.
-
-    Args:
-        features: Motions of the reference body, each of shape (N, 271).
-        characters: Further characters.
-    """
-    body = reference_body()
-    everyone: list[Named] = [("reference", body.character(), body.handles), *characters]
-    motions = [decode(values) for values in features]
-    rows = []
-    for done, (name, character, handles) in enumerate(everyone, 1):
-        found = stage_effects(motions, {name: (character, handles)})
-        rows.append({str(row["without"]): row for row in found if row["character"] == "all"})
-        progress(done / len(everyone))
-    weights = np.array([float(row["nothing"]["down"]) for row in rows])
-    weights = weights if weights.sum() else np.ones(len(rows))
-
-    def mean(case: str, key: str, weight: np.ndarray | None = None) -> float:
-        return float(np.average([float(row[case][key]) for row in rows], weights=weight))
-
-    out = {
-        "foot_sliding_cm": mean("nothing", "sliding", weights),
-        "foot_sliding_without_cm": mean("feet", "sliding", weights),
-    }
-    out |= {"sunk_percent": mean("nothing", "sunk"), "sunk_without_percent": mean("floor", "sunk")}
-    out |= {"jitter_cm": mean("nothing", "jitter"), "jitter_without_cm": mean("smooth", "jitter")}
-    return out | {"foot_characters": float(len(everyone)), "foot_motions": float(len(motions))}

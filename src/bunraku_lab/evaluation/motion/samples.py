@@ -24,11 +24,6 @@ if TYPE_CHECKING:
     from bunraku.generation.denoiser import Denoiser
     from bunraku.language.encoders import TextBatch, TextEncoder
 
-__all__ = [
-    "LENGTHS", "Request", "SHORTEST", "SamplerSettings", "Window", "candidate_sentences", "checkpoint_digest",
-    "choose_motions", "draw_windows", "make_motions", "sample", "window_features", "window_meaning",
-]  # fmt: skip
-
 SHORTEST = 40
 """Frames: HumanML3D leaves out clips of less than 2 s, and so do we."""
 LENGTHS = (40, 50, 60, 70, 80, 100, 120, 140, 160, 180, 196)

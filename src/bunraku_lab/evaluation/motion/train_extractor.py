@@ -29,8 +29,6 @@ from bunraku_lab.training.rows.banks import TextBank
 from bunraku_lab.training.rows.clips import ClipEntry, load_people
 from bunraku_lab.training.runs.run import bf16_is_fast
 
-__all__ = ["ExtractorTrainConfig", "ExtractorTrainer", "retrieval_of", "train_extractor"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ExtractorTrainConfig(MatchingTrainConfig):

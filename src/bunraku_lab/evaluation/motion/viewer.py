@@ -17,12 +17,6 @@ from bunraku.core.skinning import skin
 from bunraku.generation.agreement import SIDES, Track, runs
 from bunraku_lab.evaluation.motion.metrics import posed_positions
 
-__all__ = [
-    "DOERS", "Wave", "floating", "heading_drift", "kicking_side",
-    "lowest_points", "moving_speed", "punching_side", "raised_side", "sits", "stepped_side",
-    "tremor", "turned", "wave_of", "waving_side",
-]  # fmt: skip
-
 # Chosen by eye with some of the measured sentences in view.
 DOWN = 0.05  # m over the ground; what is higher stands on nothing
 LONGEST_FLIGHT = 1.2  # s

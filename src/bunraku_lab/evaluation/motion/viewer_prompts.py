@@ -23,8 +23,6 @@ from bunraku_lab.evaluation.motion.metrics import measure_seams
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Report
 from bunraku_lab.evaluation.report import Bar
 
-__all__ = ["VIEWER_BARS", "Captured", "captured_clips", "viewer_figures"]
-
 BATCH = 32
 """Motions made at once."""
 ENOUGH = 8

@@ -17,8 +17,6 @@ from bunraku.core.files import atomic_write
 from bunraku.errors import BunrakuError
 from bunraku_lab.evaluation.report import KeptParts, Parts, Table
 
-__all__ = ["EITHER_WAY", "Group", "NotRun", "PaperRow", "PaperTable", "half_interval", "measured_table", "shown_table"]
-
 NAMES = {"tapmo": "TapMo", "mmdmc": "MMDMC"}
 Figures = Mapping[str, Mapping[str, float]]
 """Of each row, by the names of the columns; half a 95 % interval stands under the name with `EITHER_WAY`."""

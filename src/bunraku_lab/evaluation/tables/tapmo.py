@@ -62,11 +62,6 @@ from bunraku_lab.training.rows.clips import load_clips, people
 if TYPE_CHECKING:
     from bunraku.generation.networks import Networks
 
-__all__ = [
-    "DistortionConfig", "HANDLE_FID", "MDM", "NO_STAGES", "SFR", "TAPMO", "adapted_weights", "body_samples",
-    "measure_distortion", "measure_handles", "transferred_motion", "transfers_of",
-]  # fmt: skip
-
 SFR = "MDM-SFR"
 
 NO_STAGES = Stages(**{each.name: False for each in fields(Stages)})
@@ -207,9 +202,8 @@ def transferred_motion(
     network: TransferNetwork, character: Character, handles: Handles, motion: SourceMotion
 ) -> np.ndarray:
     """A character as Skeleton-free Pose Transfer moves it after the reference body [m], shape (N, V, 3)."""
-    parts = None if network.config.predictor else handles.weights
     root = handles.positions[0]
-    target = TransferTarget.of(character.vertices, character.faces, parts, root, network)
+    target = TransferTarget.of(character.vertices, character.faces, handles.weights, root, network)
     return target.with_motion(motion, root)
 
 
@@ -268,7 +262,7 @@ def _posed(vertices: np.ndarray, character: Character) -> float:
 _OTHER = "its motions are of another representation, whose extractor cannot judge ours; quoted"
 HANDLE_FID = "Handle-FID"
 _HEADS = "--baselines has no adaptation trained on the shipped network: bunraku train adaptation"
-_TRANSFER = "--baselines has no transfer network: bunraku train transfer-baseline --preset sfpt-small"
+_TRANSFER = "--baselines has no transfer network: bunraku train transfer-baseline --preset sfpt"
 _JUDGES = (
     "Critic, ranker and extractor are networks of one kind, trained apart on the same sentences, so a ratio over 1 to "
     "real is no proof of better than captured. The row of TapMo (MDM) is kept from 2026-11-24, when an encoder-only "

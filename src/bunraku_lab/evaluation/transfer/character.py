@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Required, TypedDict
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d
 
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import JOINT_COUNT
@@ -20,44 +19,6 @@ from bunraku.core.skinning import posed_points
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts
-
-__all__ = [
-    "SUFFIXES", "Source", "carried_heads", "facing_character", "ground_heights", "limb_angles", "measure_character",
-    "named_front", "off_ground",
-]  # fmt: skip
-
-LEAP = 0.6
-"""Longest time in the air that counts as a leap [s]; animals that run leap at every stride."""
-CHUNK = 64  # frames posed at once: bounds memory
-
-
-def ground_heights(animation: Animation) -> np.ndarray:
-    """Height of the lowest vertex over the ground in each frame, over the character's height, shape (N,).
-
-    The ground is where the lowest point of the rest pose is. Vertices without faces do not count.
-    """
-    character = animation.character
-    seen = character.surface
-    floor = float(character.vertices[seen, 1].min())
-    frames = np.arange(len(animation.motion))
-    lows = [
-        animation.vertices(frames[start : start + CHUNK])[:, seen, 1].min(axis=1)
-        for start in range(0, len(frames), CHUNK)
-    ]
-    return np.asarray((np.concatenate(lows) - floor) / character.height)
-
-
-def off_ground(heights: np.ndarray, fps: float) -> float:
-    """How deep a body sinks at the most, or how high it hovers for longer than a leap lasts, over its height.
-
-    Args:
-        heights: Of the lowest point, as of `ground_heights`, shape (N,).
-        fps: Frames a second [1/s].
-    """
-    window = 2 * round(0.5 * LEAP * fps) + 1
-    hovers = minimum_filter1d(heights, window, mode="nearest")
-    return float(max(-heights.min(), hovers.max(), 0.0))
-
 
 SECONDS = 8.0  # of each motion
 STRIDE = 4  # frames from one that is measured to the next

@@ -23,8 +23,6 @@ from bunraku.retarget.rig_parts import RigParts
 from bunraku_lab.datasets.motions.creatures import known_plan
 from bunraku_lab.evaluation.transfer.character import carried_heads, facing_character
 
-__all__ = ["CapturedAnimal", "captured_animal", "measure_quadrupeds"]
-
 FPS = 30.0
 SECONDS = 6.0
 _NAMES = {

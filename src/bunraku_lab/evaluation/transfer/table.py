@@ -1,43 +1,32 @@
-"""The table of motion transfer (`bunraku evaluate transfer`), with BVH exactness, speed, and soles of MMD models."""
+"""The table of motion transfer (`bunraku evaluate transfer`), with BVH exactness, and soles of MMD models."""
 
 from __future__ import annotations
 
 import csv
 import json
 import tempfile
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from bunraku.core.avatars import MmdIkLink, MmdModel
-from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
-from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
+from bunraku.core.motion import SkeletalMotion
 from bunraku.core.parallel import run_parallel
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.files import VmdMotion
-from bunraku_lab.evaluation.report import Bar, reached_bars
+from bunraku_lab.evaluation.report import Bar, KeptParts, reached_bars
 from bunraku_lab.evaluation.transfer.character import (
     SUFFIXES,
     CharacterRow,
     Source,
-    facing_character,
     measure_character,
 )
 from bunraku_lab.evaluation.transfer.quadrupeds import measure_quadrupeds
-
-__all__ = [
-    "BARS", "KINDS", "MANY", "bvh_again", "evaluate_transfer", "leg_reach", "measure_soles", "pick_motions",
-    "sole_gaps", "times",
-]  # fmt: skip
-
-MANY = 20_000  # vertices of the character that is timed
 
 
 def bvh_again(path: Path) -> float | None:
@@ -54,78 +43,6 @@ def bvh_again(path: Path) -> float | None:
     order = [again.skeleton.names.index(name) for name in motion.skeleton.names]
     change = np.swapaxes(again.rotations[:, order].astype(float), -1, -2) @ motion.rotations.astype(float)
     return float(np.degrees(np.linalg.norm(axis_angle_from_matrix(change), axis=-1)).max())
-
-
-def times(character: Character | None, walk: HandleMotion) -> dict[str, float | None]:
-    """Seconds of reading a long BVH and of 10 s of motion onto a character's rig and onto its handles.
-
-    Args:
-        character: With a rig; its triangles are split until they have `MANY` vertices. None leaves out what needs it.
-        walk: Motion of the reference body; played on to 10 s.
-    """
-    out: dict[str, float | None] = {"seconds_bvh": _bvh_seconds(), "seconds_rig": None, "seconds_handles": None}
-    if character is None:
-        return out
-    from bunraku.pipelines.animate import rig
-    from bunraku.pipelines.transfer import transfer
-
-    dense = _many(character)
-    rounds = int(np.ceil(200 / len(walk)))
-    long = replace(walk.take(np.tile(np.arange(len(walk)), rounds)[:200]), fps=20.0)
-    ways: Sequence[tuple[str, dict[str, Any]]] = (
-        ("seconds_rig", {"onto": "rig"}),
-        ("seconds_handles", {"onto": "handles", "handles": rig(dense)}),
-    )
-    for key, how in ways:
-        taken = []
-        for _ in range(2):  # the first call also loads what is kept
-            start = time.perf_counter()
-            transfer(dense, long, **how).vertices()
-            taken.append(time.perf_counter() - start)
-        out[key] = min(taken)
-    return out
-
-
-def _many(character: Character) -> Character:
-    """The character with each triangle split into four until it has 20,000 vertices or more."""
-    from bunraku.core.character import Rig, top_influences
-
-    rig = character.rig
-    assert rig is not None
-    weights = rig.dense_weights()
-    vertices, faces = character.vertices.astype(np.float64), character.faces
-    while len(vertices) < MANY:
-        sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        pairs, index = np.unique(sides, axis=0, return_inverse=True)
-        middles = len(vertices) + index.reshape(-1, 3)
-        (a, b, c), (p, q, r) = faces.T, middles.T
-        faces = np.concatenate([np.stack(three, axis=1) for three in ((a, p, r), (p, b, q), (r, q, c), (p, q, r))])
-        vertices, weights = (np.concatenate([some, some[pairs].mean(axis=1)]) for some in (vertices, weights))
-    indices, shares = top_influences(weights, 4)
-    return Character(character.name, vertices, faces, Rig(rig.names, rig.parents, rig.transforms, indices, shares))
-
-
-def _bvh_seconds() -> float:
-    """Time to read a file of 14,400 frames of 31 joints [s], the best of two."""
-    from bunraku.core.geometry.rotations import matrix_from_axis_angle
-    from bunraku.files import read_motion, write_bvh
-
-    random = np.random.default_rng(0)
-    names = tuple(HANDLE_NAMES) + ("end",)
-    parents = np.array([-1] + [max(0, joint - 1 - joint % 5) for joint in range(1, 31)])
-    swing = np.sin(np.linspace(0, 300, 14_400))[:, None, None] * random.normal(size=(1, 31, 3))
-    motion = SkeletalMotion(
-        Skeleton(names, parents, random.normal(size=(31, 3)) * 0.2), matrix_from_axis_angle(swing),
-        np.zeros((14_400, 3)), 120.0,
-    )  # fmt: skip
-    with tempfile.TemporaryDirectory() as folder:
-        path = write_bvh(motion, Path(folder) / "long.bvh")
-        taken = []
-        for _ in range(2):
-            start = time.perf_counter()
-            read_motion(path)
-            taken.append(time.perf_counter() - start)
-    return min(taken)
 
 
 KEYS = ("soles", "soles_reached", "soles_beyond", "soles_target")
@@ -274,9 +191,6 @@ BARS: dict[str, Bar] = {
     "soles_reached": _bar("frames in which the leg reaches", ""),
     "soles_beyond": _bar("other frames: ankles from the place nearest to the target that the leg can reach", " m"),
     "soles_target": _bar("other frames: ankles from the target itself, largest", " m"),
-    "seconds_bvh": _bar("reading a BVH of 2 minutes at 120 Hz", " s", most=0.5),
-    "seconds_rig": _bar("10 s of motion onto the rig of 20k vertices", " s", most=1.5),
-    "seconds_handles": _bar("10 s of motion onto the handles of 20k vertices, handles known", " s", most=1.5),
 }
 
 
@@ -321,7 +235,7 @@ def pick_motions(folder: str | Path) -> dict[str, Path]:
 
 def evaluate_transfer(
     characters: str | Path, motions: str | Path, *, mmd: str | Path | None = None, limit: int | None = None,
-    work: str | Path | None = None, speed: bool = True, jobs: int | str = 1, progress: Progress | None = None,
+    work: str | Path | None = None, jobs: int | str = 1, progress: Progress | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Measure all rows.
 
@@ -331,7 +245,6 @@ def evaluate_transfer(
         mmd: Folder with MMD models and VMD files, searched through, for the rows of soles.
         limit: How many characters to take, spread over all; all when None.
         work: Where results are kept, so that a second call goes on where the first was stopped.
-        speed: Whether to measure times too.
         jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
 
     Returns:
@@ -340,23 +253,26 @@ def evaluate_transfer(
     Raises:
         FormatError: There is no character, or a motion of some kind is missing.
     """
+    from bunraku import __version__
     from bunraku.pipelines.motions.read import load_motion
     from bunraku.pipelines.to_reference import reference_motion
 
     names = _names(Path(characters).absolute() if jobs == "ray" else Path(characters), limit)
     files, picked = list(names), pick_motions(motions)
     sources = {kind: Source.of(reference_motion(load_motion(path))) for kind, path in picked.items()}
-    kept = _Kept(None if work is None else Path(work), picked)
-    before = {path: kept.row(path, names[path]) for path in files}
-    found_rows = {path: row for path, row in before.items() if row is not None}
+    kept = None if work is None else KeptParts(Path(work) / "transfer")
+    made_of = [__version__, *(_mark(path) for path in picked.values())]
+    parts = {path: json.dumps([*made_of, names[path], _mark(path)]) for path in files}
+    before = {} if kept is None else {path: kept.known(part) for path, part in parts.items()}
+    found_rows: dict[Path, CharacterRow] = {path: row for path, row in before.items() if row is not None}
     measure = partial(_measured, sources)
     batches = [[(path, names[path])] for path in files if path not in found_rows]
     alone = ((batch[0], measure(batch)[0]) for batch in batches)
     for (path, name), row in alone if jobs == 1 else run_parallel(measure, batches, jobs, _lost):
         if isinstance(row, str):  # its process ended, and may not next time
             row = {"name": name, "finished": 0, "failed": {"": row}}
-        else:
-            kept.keep(path, row)
+        elif kept is not None:
+            row = kept.keep(parts[path], row)
         found_rows[path] = row
         if progress:
             progress("characters", len(found_rows) / len(files))
@@ -372,14 +288,6 @@ def evaluate_transfer(
     result |= measure_quadrupeds({names[path]: path for path in files}, progress=progress)
     failed |= {f"{row['target']} as {row['source']}": row["failed"] for row in result["quadrupeds"] if "failed" in row}
     result |= measure_soles(mmd, failed)
-    if speed:
-        humanoids = [
-            (abs(row["vertices"] - MANY), path) for row, path in zip(rows, files, strict=True) if row.get("humanoid")
-        ]
-        nearest = min(humanoids)[1] if humanoids else None
-        result |= times(None if nearest is None else facing_character(nearest, names[nearest]), sources["walk"].motion)
-    else:
-        result |= dict.fromkeys(("seconds_bvh", "seconds_rig", "seconds_handles"))
     result["reached"] = {key: met for key, met in reached_bars(BARS, result).items() if met is not None}
     counts = {
         "characters": len(rows),
@@ -411,40 +319,6 @@ def _measured(sources: Mapping[str, Source], characters: list[tuple[Path, str]])
 
 def _lost(reason: str) -> CharacterRow | str:
     return reason
-
-
-class _Kept:
-    """Rows of characters in a file, a line of JSON each, with what they were made of."""
-
-    def __init__(self, folder: Path | None, picked: dict[str, Path]):
-        from bunraku import __version__
-
-        self.file = None if folder is None else folder / "transfer.jsonl"
-        self.made_of = [__version__, *(_mark(path) for path in picked.values())]
-        self.rows: dict[str, CharacterRow] = {}
-        if folder is None or self.file is None:
-            return
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            lines = self.file.read_text(encoding="utf-8").splitlines() if self.file.is_file() else []
-        except OSError as error:
-            raise FormatError(
-                folder, f"rows cannot be kept here ({error.strerror}); name another folder with --work"
-            ) from None
-        for line in lines:
-            try:
-                made_of, row = json.loads(line)
-                self.rows[json.dumps(made_of)] = cast(CharacterRow, dict(row))
-            except (ValueError, TypeError, RecursionError):
-                continue  # the line that was being written when the run was stopped
-
-    def row(self, path: Path, name: str) -> CharacterRow | None:
-        return self.rows.get(json.dumps([*self.made_of, name, _mark(path)]))
-
-    def keep(self, path: Path, row: CharacterRow) -> None:
-        if self.file is not None:
-            with self.file.open("a", encoding="utf-8") as file:
-                file.write(json.dumps([[*self.made_of, row["name"], _mark(path)], row]) + "\n")
 
 
 def _mark(path: Path) -> list[Any]:

@@ -15,11 +15,6 @@ from bunraku_lab.synthetic.dressed.garments import BodyShape, Piece, Wardrobe, j
 from bunraku_lab.synthetic.makehuman import BODY_VERTICES
 from bunraku_lab.synthetic.surfaces import sheet_faces
 
-__all__ = [
-    "bag", "box", "cape", "ears", "glasses", "hat", "helmet", "shell", "shoulder_pads", "spikes", "tail", "tube",
-    "wings",
-]  # fmt: skip
-
 _J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
 _H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 # Modelled by eye: radius over the head's, and height over the head's, from the brim to the top.

@@ -17,11 +17,6 @@ from bunraku.errors import CharacterError, FormatError
 from bunraku.files import read_obj
 from bunraku_lab.synthetic.makehuman import MakeHumanBody
 
-__all__ = [
-    "BodyShape", "Clothes", "Garment", "Piece", "Wardrobe", "fit", "fit_weights", "joined", "read_mhclo",
-    "skirt_weights",
-]  # fmt: skip
-
 MAX_TEXT = 64 << 20
 """Largest `.mhclo` or OBJ that is read [bytes]; the clothes of MakeHuman have 1 MiB."""
 

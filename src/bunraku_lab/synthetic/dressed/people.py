@@ -14,8 +14,6 @@ from bunraku_lab.synthetic.dressed.garments import BodyShape, Garment, Piece, Wa
 from bunraku_lab.synthetic.makehuman import BODY_VERTICES, pose_points, random_body, random_rest
 from bunraku_lab.synthetic.surfaces import nearest_shares
 
-__all__ = ["Dressed", "Outfit", "covered_by", "dressed_person", "melted", "random_outfit", "simplified"]
-
 _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 
 

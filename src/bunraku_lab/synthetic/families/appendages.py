@@ -13,8 +13,6 @@ from bunraku_lab.synthetic.families.human_head import eyes
 from bunraku_lab.synthetic.families.model import SIDES, Chain, Model
 from bunraku_lab.synthetic.surfaces import unit
 
-__all__ = ["critter", "stubby_beast"]
-
 _ON_TOP = ("round", "long", "flop", "cat", "horn", "ram", "antler", "stalk", "antenna", "strands", "twin", "fan")
 _IN_FRONT = ("trunk", "beak", "tentacles", "tusks", "snout", "none")
 

@@ -8,8 +8,6 @@ from bunraku_lab.synthetic.families.human_head import ears_and_horns, eyes
 from bunraku_lab.synthetic.families.model import SIDES, Chain, Model
 from bunraku_lab.synthetic.surfaces import unit
 
-__all__ = ["beast_head", "dragon", "frog", "quadruped", "tail", "wings"]
-
 # modelled by eye; ranges of: leg height, trunk radius, neck length, neck lift, head, snout, tail length, tail radius
 # (all over the
 # trunk's length)

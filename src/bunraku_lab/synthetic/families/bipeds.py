@@ -9,8 +9,6 @@ from bunraku_lab.synthetic.families.human_head import eyes
 from bunraku_lab.synthetic.families.model import SIDES, Chain, Model
 from bunraku_lab.synthetic.surfaces import unit
 
-__all__ = ["bird", "dinosaur", "mech"]
-
 
 def _claws(
     m: Model, at: np.ndarray, share: str, region: str, radius: float, count: int, reach: float, back: bool = False

@@ -10,8 +10,6 @@ from bunraku_lab.synthetic.families.human_head import eyes
 from bunraku_lab.synthetic.families.model import SIDES, Chain, Model
 from bunraku_lab.synthetic.surfaces import unit
 
-__all__ = ["bee", "crab", "insect", "snake", "spider"]
-
 
 @dataclass(frozen=True)
 class _LegShape:

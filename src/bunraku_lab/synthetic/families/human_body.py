@@ -9,8 +9,6 @@ import numpy as np
 from bunraku_lab.synthetic.families.model import SIDES, Chain, Model
 from bunraku_lab.synthetic.surfaces import unit
 
-__all__ = ["Human", "arm_chain", "build_body", "draw_human", "pose_skeleton"]
-
 
 @dataclass
 class Human:

@@ -8,8 +8,6 @@ from bunraku_lab.synthetic.families.human_body import Human
 from bunraku_lab.synthetic.families.model import SIDES, Model
 from bunraku_lab.synthetic.surfaces import cylinder_mesh, ring_mesh, unit
 
-__all__ = ["build_head", "ears_and_horns", "eyes"]
-
 EARS = ("cat", "long", "round", "horn", "antenna")
 
 

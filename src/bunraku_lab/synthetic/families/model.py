@@ -11,10 +11,8 @@ import numpy as np
 
 from bunraku.core.character import Character, Rig, top_influences
 from bunraku.core.geometry.surface import vertex_normals
-from bunraku_lab.synthetic.fields import Field, Lump, ball, bar, marched, neighbour_average
+from bunraku_lab.synthetic.fields import Lump, ball, bar, marched, neighbour_average
 from bunraku_lab.synthetic.surfaces import sheet_faces, unit
-
-__all__ = ["Chain", "Mesh", "Model", "SIDES", "Share", "Style", "block_mesh", "melted_mesh", "sheet_mesh", "thinned"]
 
 Mesh = tuple[np.ndarray, np.ndarray]
 
@@ -89,7 +87,6 @@ def block_mesh(lump: Lump, exponent: float = 2.0, cells: int = 4, cap: float = 1
 
 def melted_mesh(lumps: Sequence[Lump], count: int) -> Mesh:
     """The skin around lumps melted into each other, by marching cubes, with about `count` vertices."""
-    field = Field(lumps)
     solid = [lump for lump in lumps if not lump.carve]
     area = 0.0
     for lump in solid:
@@ -101,7 +98,7 @@ def melted_mesh(lumps: Sequence[Lump], count: int) -> Mesh:
     thinnest = min(max(lump.radii) * (1.0 if lump.stretch is None else float(np.min(lump.stretch))) for lump in solid)
     spacing = float(np.sqrt(0.9 * area / count))
     spacing = min(spacing, max(0.8 * thinnest, 0.45 * spacing))
-    return marched(field, spacing, half=False)
+    return marched(lumps, spacing)
 
 
 def thinned(mesh: Mesh, faces: int) -> Mesh:

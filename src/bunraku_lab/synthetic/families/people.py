@@ -11,8 +11,6 @@ from bunraku_lab.synthetic.families.human_head import build_head
 from bunraku_lab.synthetic.families.model import SIDES, Chain, Model
 from bunraku_lab.synthetic.surfaces import ring_mesh, unit
 
-__all__ = ["build_clothes", "build_items", "humanoid"]
-
 
 def _leg_share(
     m: Model, waist: float, hem: float, strength: float, blur: float

@@ -9,8 +9,6 @@ from bunraku_lab.synthetic.families.human_head import eyes
 from bunraku_lab.synthetic.families.model import SIDES, Chain, Model
 from bunraku_lab.synthetic.surfaces import unit
 
-__all__ = ["fish", "ray", "seahorse", "whale"]
-
 
 def _spine(m: Model, marks: tuple[float, ...], tails: int) -> Chain:
     """Head, spine, pelvis and tail along Z; marks are where each begins, over the length, from the nose."""

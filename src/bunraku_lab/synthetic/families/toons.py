@@ -9,8 +9,6 @@ from bunraku_lab.synthetic.families.human_head import ears_and_horns, eyes
 from bunraku_lab.synthetic.families.model import SIDES, Chain, Model
 from bunraku_lab.synthetic.surfaces import unit
 
-__all__ = ["blob", "flyer", "mascot"]
-
 
 def mascot(m: Model) -> None:
     """One lump that is body and head, such as a fruit, a monster or a box, on thin arms and legs."""

@@ -15,8 +15,6 @@ from bunraku.core.avatars import MmdBody, MmdBone, MmdJoint
 from bunraku_lab.synthetic.surfaces import unit
 from bunraku_lab.synthetic.wardrobe.model import Costume, bone_frame
 
-__all__ = ["Chains", "Hang", "add_chains", "band_start"]
-
 _DEGREE = np.pi / 180
 SPRING = 1 / 0.08**2
 """Stiffness in a file for each N m / rad: By definition: MMD's forces are in kg unit / s^2 and its unit is 8 cm."""

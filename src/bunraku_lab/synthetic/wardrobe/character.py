@@ -34,11 +34,6 @@ from bunraku_lab.synthetic.wardrobe.model import SOLID, Costume, add_skeleton, b
 from bunraku_lab.synthetic.wardrobe.skirts import add_cape, add_coat, add_skirt, add_sleeves
 from bunraku_lab.synthetic.wardrobe.trimmings import Bow, add_bow, add_ears, add_little_pieces, add_scarf, add_tail
 
-__all__ = [
-    "Closet", "INDEX", "build_wardrobe", "is_quiet", "makehuman_figure", "open_closet", "wardrobe_character",
-    "wardrobe_costume",
-]  # fmt: skip
-
 _ARMS = [J[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
 
 

@@ -13,8 +13,6 @@ from bunraku_lab.synthetic.figures import Figure, Skin
 from bunraku_lab.synthetic.surfaces import patch
 from bunraku_lab.synthetic.wardrobe.model import Costume, body_weights
 
-__all__ = ["Outfit", "add_clothed_body", "add_face", "collar_field", "random_colors"]
-
 _SKINS = (
     (255, 226, 205), (250, 214, 188), (240, 196, 164), (224, 172, 136), (198, 140, 104), (150, 100, 70), (104, 68, 48),
 )  # fmt: skip

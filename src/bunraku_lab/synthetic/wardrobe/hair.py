@@ -9,8 +9,6 @@ from bunraku_lab.synthetic.surfaces import curve_through, sheet_faces, strand, u
 from bunraku_lab.synthetic.wardrobe.chains import Hang, add_chains, band_start
 from bunraku_lab.synthetic.wardrobe.model import SOLID, Costume
 
-__all__ = ["HAIR", "Scalp", "add_hair"]
-
 HAIR = 4
 _MEETS = SOLID["trunk"] | SOLID["head"]
 

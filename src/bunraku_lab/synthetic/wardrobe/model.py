@@ -15,11 +15,6 @@ from bunraku.core.geometry.surface import vertex_normals
 from bunraku.files import LIGHT, MmdFile, MmdMaterial, mmd_character, pmx_bytes, read_pmx_file
 from bunraku_lab.synthetic.figures import Figure, J
 
-__all__ = [
-    "ARMS", "Costume", "HEAD", "LEGS", "Part", "SOLID", "TRUNK", "add_skeleton", "body_weights", "bone_frame",
-    "capsule_of",
-]  # fmt: skip
-
 _MIRROR = np.array([1.0, 1, -1])
 _STEPS = 1024
 """Weights are multiples of 1 / 1024, so that they add up to 1 exactly in the file's 32-bit numbers."""

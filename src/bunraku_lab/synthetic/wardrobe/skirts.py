@@ -12,8 +12,6 @@ from bunraku_lab.synthetic.wardrobe.chains import Hang, add_chains, band_start
 from bunraku_lab.synthetic.wardrobe.clothes import collar_field
 from bunraku_lab.synthetic.wardrobe.model import SOLID, Costume, body_weights
 
-__all__ = ["Drape", "Outline", "add_cape", "add_coat", "add_skirt", "add_sleeves", "hanging_rings"]
-
 SKIRT = 5
 AROUND = 48  # directions of a ring
 

@@ -13,8 +13,6 @@ from bunraku_lab.synthetic.wardrobe.chains import Hang, add_chains
 from bunraku_lab.synthetic.wardrobe.hair import HAIR, Scalp
 from bunraku_lab.synthetic.wardrobe.model import SOLID, Costume
 
-__all__ = ["Bow", "add_bow", "add_ears", "add_little_pieces", "add_scarf", "add_tail"]
-
 TRIM, TAIL = 9, 10
 
 

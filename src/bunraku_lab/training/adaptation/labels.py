@@ -22,11 +22,6 @@ from bunraku_lab.nn.text import tensors_of
 from bunraku_lab.training.losses.meshes import ARM_VERTICES, Fitted, MeshDraw, MeshLearning
 from bunraku_lab.training.rows.clip_rows import ClipSet
 
-__all__ = [
-    "AdaptationHead", "AdaptationPairs", "EdgeSystem", "MeshLosses", "PairPlan", "arap_labels", "collect_pairs",
-    "edge_system", "label_distance", "whitening",
-]  # fmt: skip
-
 
 @dataclass(frozen=True)
 class EdgeSystem:
@@ -221,7 +216,7 @@ class MeshLosses:
     """
 
     def __init__(self, bank: CharacterBank, frames: int, spring: float, adversarial: float):
-        self.learning = MeshLearning(bank, bank.handles.device, 0, frames, sigma=0.0)
+        self.learning = MeshLearning(bank, frames)
         self.spring, self.adversarial = spring, adversarial
 
     def able(self, row: Tensor) -> np.ndarray:
@@ -229,7 +224,8 @@ class MeshLosses:
         return np.flatnonzero(self.learning.bank.arms.cpu()[row.cpu()].numpy())
 
     def __call__(self, features: Tensor, delta: Tensor, row: Tensor, random: np.random.Generator) -> Tensor:
-        """The loss, a scalar; the discriminator learns where it has its turn (A.2).
+        """What L_m + nu_h L_h + nu_a L_a [TapMo 9] has beside L_m, which the denoiser has learned by before, a scalar;
+        the discriminator learns where it has its turn (A.2).
 
         Args:
             features: Motions (B, N, 271), not in network units.
@@ -241,7 +237,7 @@ class MeshLosses:
         frames = min(learning.frames, delta.shape[1])
         starts = torch.from_numpy(random.integers(delta.shape[1] - frames + 1, size=count)).to(device)
         picked = random.integers(learning.bank.arm_points.shape[1], size=(count, ARM_VERTICES))
-        draw = MeshDraw(torch.arange(count, device=device), row, starts, frames, torch.from_numpy(picked).to(device))
+        draw = MeshDraw(row, starts, frames, torch.from_numpy(picked).to(device))
         learns = self.adversarial > 0 and learning.learns
         spring, adversarial, real, fake = learning.losses(draw, features, delta, learns)
         if self.adversarial > 0:

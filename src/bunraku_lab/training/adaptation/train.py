@@ -52,8 +52,6 @@ from bunraku_lab.training.runs.run import (
     plain_settings,
 )
 
-__all__ = ["AdaptationConfig", "FRAMES", "train_adaptation"]
-
 FRAMES = ("root", "joints")
 """What the layer may say."""
 

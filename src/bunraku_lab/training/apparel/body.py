@@ -28,11 +28,6 @@ from bunraku_lab.training.apparel.segmentation import MeshSample, build_meshes, 
 from bunraku_lab.training.losses.motion import edge_loss, smoothness_loss, vertex_loss
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
-__all__ = [
-    "BodyConfig", "BodyNetwork", "BodyTrainConfig", "BodyTrainer", "body_weights", "clothed_by_mask", "pose_bank",
-    "posed_joints", "tiled", "train_body",
-]  # fmt: skip
-
 JOINT_INPUT = 3 + 1 + 3
 """Of a vertex and a joint: the way from it, its length, the vertex normal."""
 

@@ -34,11 +34,6 @@ from bunraku_lab.nn.graph import NodeGraph, node_graph
 from bunraku_lab.training.losses.motion import edge_loss, vertex_loss
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
 
-__all__ = [
-    "BANK_NODES", "BankCharacter", "DisplacementTrainConfig", "DisplacementTrainer", "build_bank", "train_displacement",
-    "truly_clothed",
-]  # fmt: skip
-
 BANK_NODES = 128
 HEADS = (48, 72, 128)
 """Numbers of nodes that are trained on: heads of the same order, each with neighbours of its own."""

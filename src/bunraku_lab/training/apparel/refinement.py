@@ -29,11 +29,6 @@ from bunraku_lab.training.losses.motion import edge_loss, refinement_loss, verte
 from bunraku_lab.training.rows.banks import kept_arrays
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
-__all__ = [
-    "BASIS", "INPUTS", "RefinementConfig", "RefinementNetwork", "RefinementTrainConfig", "RefinementTrainer", "Seam",
-    "SeamFrame", "SeamSample", "refined", "seam_of", "seam_sample", "train_refinement",
-]  # fmt: skip
-
 REACH = 0.12
 """How far from apparel the body is refined too, along the edges, over the character's size [m]."""
 HOPS = (1, 4, 12)

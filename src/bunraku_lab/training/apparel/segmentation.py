@@ -31,10 +31,6 @@ from bunraku_lab.training.losses.motion import mask_loss
 from bunraku_lab.training.rows.banks import kept_arrays
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
-__all__ = [
-    "MeshSample", "SegmentationTrainConfig", "SegmentationTrainer", "build_meshes", "mask_iou", "mesh_sample",
-    "train_segmentation", "varied", "welded_parts", "joint_distances"]  # fmt: skip
-
 TOUCH = 0.03
 """How near vertices of loose parts are that lie on one another, over the height."""
 REACH = 5.0

@@ -22,7 +22,6 @@ from bunraku_lab.baselines.pose_transfer import (
     ROOM,
     PartMesh,
     in_root_frame,
-    over_height,
     predicted_parts,
     source_body,
     source_rotations,
@@ -33,11 +32,6 @@ from bunraku_lab.datasets.characters.build import HELD_OUT, RIGGED, no_character
 from bunraku_lab.datasets.characters.training_character import facing_ahead
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.training.rows.banks import kept_arrays
-
-__all__ = [
-    "BankPlan", "ClothedSample", "Pair", "Target", "build_clothed_bank", "build_posed_bank", "clothed_sample",
-    "clothed_target", "clothed_targets", "drawn_pairs", "pose_frames", "posed_sample", "rootless",
-]  # fmt: skip
 
 REFERENCE = "reference_"
 """What the names of the reference body's shapes begin with."""
@@ -54,7 +48,6 @@ class Target:
         mesh: At rest.
         skinning: True weights of the joints, shape (M, 22).
         truth: Its vertices in the poses, shape (P, M, 3).
-        affine: Affine transforms of its joints, shape (P, 22, 3, 4); None where the poses are those of all characters.
         turns: Rotations of the reference body's joints in the poses, shape (P, 22, 3, 3); None where all share poses.
         source: The reference body at rest as the character rests; None where the poses are those of all characters.
     """
@@ -63,7 +56,6 @@ class Target:
     mesh: PartMesh
     skinning: np.ndarray
     truth: np.ndarray
-    affine: np.ndarray | None = None
     turns: np.ndarray | None = None
     source: PartMesh | None = None
 
@@ -194,36 +186,16 @@ def _sampled(data: ApparelData, name: str, vertices: int, frames: int) -> dict[s
     return {key: value for key, value in vars(sample).items() if key != "name"}
 
 
-def clothed_target(sample: ClothedSample, weights: np.ndarray) -> Target:
-    """A character of the data set, and the source's turns in each of its frames.
-
-    Args:
-        sample: The character.
-        weights: Of the parts, shape (M, K).
-    """
+def clothed_target(sample: ClothedSample) -> Target:
+    """A character of the data set, and the source's turns in each of its frames."""
     low, height = sample.rest[:, 1].min(), np.float32(np.ptp(sample.rest[:, 1]))
     origin = np.array([sample.joints[0, 0], low, sample.joints[0, 2]], np.float32)
-    affine, truth = in_root_frame(sample.affine, sample.truth)
+    _, truth = in_root_frame(sample.affine, sample.truth)
+    weights = predicted_parts(sample.rest, sample.normals, sample.edges, sample.areas)
     mesh = PartMesh((sample.rest - origin) / height, sample.faces, sample.edges, weights)
     turns = source_rotations(sample.affine[..., :3], sample.joints)
-    joints = over_height(affine, origin, float(height))
     source = source_body().resting_as(sample.joints)
-    return Target(sample.name, mesh, sample.weights, (truth - origin) / height, joints, turns, source)
-
-
-def clothed_targets(samples: Sequence[ClothedSample], predicted: bool) -> list[Target]:
-    """Characters of the data set as targets.
-
-    Args:
-        samples: The characters.
-        predicted: Whether networks predict the parts as they learn, and none are needed.
-    """
-    out = []
-    for one in samples:
-        none = np.zeros((len(one.rest), 0), np.float32)
-        weights = none if predicted else predicted_parts(one.rest, one.normals, one.edges, one.areas)
-        out.append(clothed_target(one, weights))
-    return out
+    return Target(sample.name, mesh, sample.weights, (truth - origin) / height, turns, source)
 
 
 POSING = Stages(**{each.name: each.name in ("rest_pose", "attach") for each in fields(Stages)})

@@ -1,4 +1,4 @@
-"""Training of Neural Blend Shapes with given joints: the skinning branch, then the blend shapes on top of it."""
+"""Training of the skinning of Neural Blend Shapes with given joints."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ import torch
 
 from bunraku.errors import OptionError
 from bunraku_lab.datasets.apparel import ApparelData
-from bunraku_lab.nn.blend_shapes import EdgeMesh, NbsConfig, NbsNetwork, edge_mesh, local_rotations, moved_by
+from bunraku_lab.nn.blend_shapes import EdgeMesh, NbsConfig, NbsNetwork, edge_mesh, moved_by
 from bunraku_lab.training.baselines.banks import ClothedSample, build_clothed_bank
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
-
-__all__ = ["NbsTrainConfig", "NbsTrainer", "train_nbs"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +23,6 @@ class NbsTrainConfig(StepSettings):
     Args:
         data: Folder that `bunraku data apparel` wrote.
         meshes: Folder that keeps its characters as meshes of network size.
-        start: A trained skinning branch, which stays as it is below the blend shapes (--network.shapes 9).
         vertices: Of a mesh, about.
         frames: Of each character.
         poses: Of a mesh a step.
@@ -35,7 +32,6 @@ class NbsTrainConfig(StepSettings):
     data: Path = Path("data/apparel")
     out: Path = Path("runs/nbs")
     meshes: Path | None = None
-    start: Path | None = None
     vertices: int = 1000
     frames: int = 48
     poses: int = 32
@@ -55,17 +51,9 @@ class NbsTrainer(AveragedRun[NbsNetwork]):
     ):
         if not characters:
             raise OptionError("there are no characters to train on; build more of `bunraku data apparel`")
-        if (config.start is None) == bool(config.network.shapes):
-            raise OptionError("blend shapes need a trained skinning branch: give --start with --network.shapes")
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
         self.meshes: dict[str, EdgeMesh] = {}
-        self.set_up(lambda: NbsNetwork(config.network), self._begun)
-        if config.start is not None:
-            self.model.skinning.requires_grad_(False)
-
-    def _begun(self, model: NbsNetwork) -> None:
-        if self.config.start is not None:
-            model.skinning.load_state_dict(NbsNetwork.load(self.config.start).skinning.state_dict())
+        self.set_up(lambda: NbsNetwork(config.network))
 
     def posed(self, model: NbsNetwork, one: ClothedSample, poses: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         """Where the network puts a character in some of its poses, and where it is, (P, M, 3) each, over its height."""
@@ -76,13 +64,8 @@ class NbsTrainer(AveragedRun[NbsNetwork]):
         origin = np.array([one.joints[0, 0], low, one.joints[0, 2]], np.float32)
         points = torch.from_numpy((one.rest - origin) / np.float32(height))
         affine = torch.from_numpy(one.affine[poses])
-        rest = torch.from_numpy(one.rest)
-        weights, logits, middles = model.skinned(points, mesh)
-        if model.blend is not None:
-            shapes, takes = model.blend(middles, logits, weights, mesh)
-            rest = rest + height * model.blend.moved(shapes, takes, local_rotations(affine[..., :3]))
-        truth = torch.from_numpy(one.truth[poses])
-        return moved_by(rest, weights, affine) / height, truth / height
+        moved = moved_by(torch.from_numpy(one.rest), model(points, mesh), affine)
+        return moved / height, torch.from_numpy(one.truth[poses]) / height
 
     def step_loss(self) -> tuple[torch.Tensor, dict[str, float]]:
         """The mean square of the vertices' errors over the height [%^2]."""
@@ -110,7 +93,7 @@ def train_nbs(config: NbsTrainConfig, report: Report | None = None, progress: Pr
     """Train Neural Blend Shapes, or go on where the run in `config.out` stopped.
 
     Raises:
-        BunrakuError: No data, no trained branch to start from, or the folder cannot be written.
+        BunrakuError: No data, or the folder cannot be written.
     """
     config.prepare()
     folder = config.meshes or config.out.with_name(f"{config.out.name}-meshes")

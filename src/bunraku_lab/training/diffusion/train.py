@@ -1,4 +1,4 @@
-"""Training of the denoiser (Eq. 6 to 9 of TapMo), and the card that says what the weights learned from."""
+"""Training of the denoiser (Eq. 6 of TapMo), and the card that says what the weights learned from."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from bunraku.generation.features import FeatureStatistics
 from bunraku.generation.layers import PRESETS, DenoiserConfig
 from bunraku.generation.pack import ExamplePack, load_examples, read_pack
 from bunraku.language.encoders import MiniLMEncoder, TextEncoder, text_encoder
-from bunraku_lab.datasets.characters.bank import load_character_bank
 from bunraku_lab.datasets.motions.clips import credit_lines, read_bundle
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.denoiser import Denoiser, load_denoiser
@@ -38,9 +37,7 @@ from bunraku_lab.training.diffusion.trainer import (
 from bunraku_lab.training.rows.banks import TextBank, load_mesh_bank
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips, rehearsal_clips
-from bunraku_lab.training.runs.run import EventLog, Stop, TrainingRun, forking, logged_columns
-
-__all__ = ["TrainingConfig", "rescaled", "start_from", "train_diffusion", "training_card", "write_card"]
+from bunraku_lab.training.runs.run import EventLog, Progress, Report, Stop, TrainingRun, forking, logged_columns
 
 _HEAD = "adaptation_out."
 _FREE = {"adaptation_mesh", "adaptation_frame", "examples"}
@@ -179,17 +176,16 @@ def _pack(config: TrainingConfig) -> ExamplePack:
 
 
 def train_diffusion(
-    config: TrainingConfig, network: DenoiserConfig | None = None, encoder: TextEncoder | None = None
-) -> Path:
+    config: TrainingConfig, network: DenoiserConfig | None = None, encoder: TextEncoder | None = None,
+    report: Report | None = None, progress: Progress | None = None,
+) -> Path:  # fmt: skip
     """Train, or go on training, and return the path of the averaged weights.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another network.
         FormatError: The data are missing or damaged.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
+    progress = progress or (lambda stage, done: None)
     if config.preset not in PRESETS:
         raise OptionError(f"the preset '{config.preset}' is unknown; choose one of: {', '.join(PRESETS)}")
     if config.batch < 1 or (config.minutes is not None and config.minutes <= 0) or (config.steps or 0) < 0:
@@ -198,63 +194,46 @@ def train_diffusion(
         raise OptionError("workers must be 0 or more, and the pool must hold a batch")
     if config.workers:
         forking()
-    if config.workers and config.character_bank is not None:
-        raise OptionError(
-            "the losses of --character-bank need batches that are drawn when they are due; leave out --workers"
-        )
     if not 0 <= config.rehearse < 1:
         raise OptionError(f"the share that is rehearsed must be 0 to below 1, not {config.rehearse:g}")
     shipped = load_denoiser(shipped_checkpoint("diffusion")) if config.start == SHIPPED else None
     config.prepare()
     remove_leftovers(config.out)
-    console = Console()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("clips", total=None)
-        clips = load_clips(config.data, lambda done, total: bar.update(task, completed=done, total=total))
-        card = training_card(clips, config)
-        if config.rehearse:
-            clips |= rehearsal_clips(_pack(config))
-        training = [entry for entry in clips.values() if entry.get("split", "train") == "train"]
-        measured = _statistics(config.out / "state.safetensors")
-        if measured is None and shipped is not None:  # few clips say little of the units
-            measured = FeatureStatistics(shipped.mean.numpy(), shipped.std.numpy())
-        statistics = measured or FeatureStatistics.measure([entry["features"] for entry in training])
-        notes: dict[str, object] = {"creatures": True} if any(entry.get("species") for entry in training) else {}
-        network = network or (None if shipped is None else shipped.config)
-        frames = (network or PRESETS[config.preset]).frames
-        mixture = Mixture(
-            config.creatures, config.computed, config.borrowed, config.events, config.balance, config.most_drawn,
-            config.rehearse,
-        )  # fmt: skip
-        train, val = (ClipSet(clips, statistics, split, frames, mixture) for split in ("train", "val"))
-        del clips, training
-        if encoder is None:
-            encoder = text_encoder(f"{'clip' if config.text_folder else MiniLMEncoder.name}+cues", config.text_folder)
-        task = bar.add_task("captions", total=None)
-        bank = TextBank(
-            encoder, sorted({sentence for part in (train, val) for sentence in part.sentences()}),
-            config.out / "captions.safetensors", lambda done, total: bar.update(task, completed=done, total=total),
-            config.workers,
-        )  # fmt: skip
+    clips = load_clips(config.data, lambda done, total: progress("clips", done / total))
+    card = training_card(clips, config)
+    if config.rehearse:
+        clips |= rehearsal_clips(_pack(config))
+    training = [entry for entry in clips.values() if entry.get("split", "train") == "train"]
+    measured = _statistics(config.out / "state.safetensors")
+    if measured is None and shipped is not None:  # few clips say little of the units
+        measured = FeatureStatistics(shipped.mean.numpy(), shipped.std.numpy())
+    statistics = measured or FeatureStatistics.measure([entry["features"] for entry in training])
+    notes: dict[str, object] = {"creatures": True} if any(entry.get("species") for entry in training) else {}
+    network = network or (None if shipped is None else shipped.config)
+    frames = (network or PRESETS[config.preset]).frames
+    mixture = Mixture(
+        config.creatures, config.computed, config.borrowed, config.events, config.balance, config.most_drawn,
+        config.rehearse,
+    )  # fmt: skip
+    train, val = (ClipSet(clips, statistics, split, frames, mixture) for split in ("train", "val"))
+    del clips, training
+    if encoder is None:
+        encoder = text_encoder(f"{'clip' if config.text_folder else MiniLMEncoder.name}+cues", config.text_folder)
+    bank = TextBank(
+        encoder, sorted({sentence for part in (train, val) for sentence in part.sentences()}),
+        config.out / "captions.safetensors", lambda done, total: progress("captions", done / total),
+        config.workers,
+    )  # fmt: skip
     if network is None:
         sizes: dict[str, Any] = {
             "text_encoder": encoder.name, "text_size": encoder.token_size, "pooled_size": encoder.pooled_size,
         }  # fmt: skip
-        network = replace(
-            PRESETS[config.preset], **sizes, adaptation_mesh=config.adaptation_mesh, examples=config.examples
-        )
+        network = replace(PRESETS[config.preset], **sizes, examples=config.examples)
     mesh_bank = config.mesh_bank
     if mesh_bank is None and config.data.is_file() and read_bundle(config.data).meshes is not None:
         mesh_bank = config.data
     meshes = None if mesh_bank is None else load_mesh_bank(mesh_bank, network.mesh_features)
-    characters = None if config.character_bank is None else load_character_bank(config.character_bank)
-    if characters is not None and characters.features.shape[1] != network.mesh_features:
-        sizes_differ = f"its f_phi has {characters.features.shape[1]} numbers, not {network.mesh_features}"
-        raise OptionError(
-            f"{config.character_bank}: {sizes_differ}; write the bank again with 'bunraku data character-bank'"
-        )
-    trainer = Trainer(config, network, statistics, meshes, characters, notes)
+    trainer = Trainer(config, network, statistics, meshes, notes)
     state = config.out / "state.safetensors"
     if state.is_file():
         trainer.restore(state, network)
@@ -265,22 +244,18 @@ def train_diffusion(
     if network.examples:
         sources = Sources(bank, example_bank(network, statistics, _pack(config), encoder))
     examples = _validation(trainer, val, sources)
-    console.print(
+    print(
         f"{len(train.clips)} training and {len(val.clips)} validation clips, {len(bank)} sentences, "
         f"{sum(value.numel() for value in trainer.model.parameters()) / 1e6:.1f} M parameters, {trainer.device}, "
-        f"from step {trainer.step}",
-        soft_wrap=True,
+        f"from step {trainer.step}"
     )
     source = (PooledBatches if config.workers else BatchesAhead)(trainer, train, sources)
-    run = _Run(trainer, network, source, examples, console)
+    run = _Run(trainer, network, source, examples)
     try:
-        path = run.learn(run.tell)
+        path = run.learn(report, progress)
     finally:
         source.close()
     write_card(path, card)
-    console.print(
-        f"saved {config.out} at step {trainer.step}" + ("; the same command goes on" if trainer.progress() < 1 else "")
-    )
     return path
 
 
@@ -300,8 +275,7 @@ def _validation(trainer: Trainer, clips: ClipSet, sources: Sources) -> list[Exam
 
 _COLUMNS = (
     "step", "seconds", "rate", "motion", "velocity", "contact", "validation", "validation_wrong_text",
-    "steps_per_second", "spring", "adversarial",
-    "discriminator", "score",
+    "steps_per_second",
 )  # fmt: skip
 
 
@@ -312,10 +286,8 @@ class _Run(TrainingRun):
     columns = None
     flush = True
 
-    def __init__(
-        self, trainer: Trainer, network: DenoiserConfig, source: BatchSource, examples: list[Example], console: Any
-    ):
-        self.trainer, self.network, self.source, self.console = trainer, network, source, console
+    def __init__(self, trainer: Trainer, network: DenoiserConfig, source: BatchSource, examples: list[Example]):
+        self.trainer, self.network, self.source = trainer, network, source
         self.config, self.out, self.stop, self.held_out = trainer.config, trainer.config.out, Stop(), examples
         self.first = trainer.step
         self.begin = self.last = time.monotonic()
@@ -364,7 +336,7 @@ class _Run(TrainingRun):
         }  # fmt: skip
 
     def event_log(self) -> EventLog:
-        return EventLog(self.out / "events", self.console.print)
+        return EventLog(self.out / "events")
 
     def validate(self) -> dict[str, float]:
         """Loss with the right sentences and with those of other rows."""
@@ -375,16 +347,3 @@ class _Run(TrainingRun):
         """Write the state and the checkpoint."""
         self.trainer.save(self.out, self.network)
         return self.checkpoint
-
-    def tell(self, row: dict[str, float]) -> None:
-        """A row of the log to the terminal."""
-        names = ("contact", "spring", "adversarial", "discriminator", "score")
-        known = ""
-        if math.isfinite(row["validation"]):
-            known = f"validation {row['validation']:.4f}, with wrong text {row['validation_wrong_text']:.4f}  "
-        extra = "  ".join(f"{name} {row[name]:.4f}" for name in names if name in row)
-        self.console.print(
-            f"step {self.trainer.step:6d}  {self.trainer.seconds / 60:6.1f} min  loss {row['motion']:.4f} velocity "
-            f"{row['velocity']:.4f}  "
-            f"{known}{extra}{'  ' if extra else ''}{row['steps_per_second']:.2f} steps/s"
-        )

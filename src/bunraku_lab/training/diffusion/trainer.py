@@ -17,18 +17,14 @@ from bunraku.errors import OptionError
 from bunraku.generation.attended import ExampleBank, take_of
 from bunraku.generation.features import FeatureStatistics, feature_weights
 from bunraku.generation.layers import TRAINING_STEPS, DenoiserConfig, denoiser_config
-from bunraku_lab.datasets.characters.bank import CharacterBank
 from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
 from bunraku_lab.nn.denoiser import Denoiser, RetrievedExamples, add_noise, alphas_cumprod, save_denoiser
 from bunraku_lab.nn.text import TextBatch
-from bunraku_lab.training.losses.meshes import MeshDraw, MeshLearning
 from bunraku_lab.training.losses.motion import contact_loss, motion_losses
 from bunraku_lab.training.rows.banks import MeshBank, TextBank
 from bunraku_lab.training.rows.clip_rows import ClipSet, MotionBatch
 from bunraku_lab.training.rows.workers import DrawnRows, FedPool, RowMaker, RowPool, RowWorkers
 from bunraku_lab.training.runs.run import Ahead, RunSettings, bf16_is_fast, careful_step, follow_weights, learning_rate
-
-__all__ = ["BatchSource", "BatchesAhead", "Example", "PooledBatches", "SHIPPED", "Sources", "Trainer", "TrainingConfig"]
 
 SHIPPED = Path("shipped")
 """In place of a path: the weights that Bunraku brings."""
@@ -69,14 +65,6 @@ class TrainingConfig(RunSettings):
         mesh_bank: NPZ with `features` (C, 448), f_phi of many characters; None takes those of the bundle, where the
             data are one, else trains with the null mesh only.
         cross: Share of the people's motions that are given to any character of the banks, creatures too.
-        character_bank: NPZ that `bunraku data character-bank` wrote, for the spring and the adversarial loss; None
-            trains without them.
-        characters: Rows a step that those losses look at.
-        character_frames: Frames of each that they look at.
-        spring_weight: nu_h of Eq. 9.
-        adversarial_weight: nu_a of Eq. 9.
-        sigma: Of the spring loss (Eq. 7).
-        adaptation_mesh: Let the adaptation's linear layer see the mesh token beside the hidden state.
         examples: Captured examples that the network attends to, retrieved among `example_pack`; 0 trains without.
         example_pack: What `bunraku data examples` wrote; None takes the shipped examples.
         text_folder: Folder with CLIP, in place of the built-in text encoder.
@@ -115,13 +103,6 @@ class TrainingConfig(RunSettings):
     ema: float = 0.999
     mesh_bank: Path | None = None
     cross: float = 0.1
-    character_bank: Path | None = None
-    characters: int = 8
-    character_frames: int = 32
-    spring_weight: float = 0.001
-    adversarial_weight: float = 0.1
-    sigma: float = 0.0
-    adaptation_mesh: bool = False
     examples: int = 0
     example_pack: Path | None = None
     text_folder: Path | None = None
@@ -146,15 +127,14 @@ class Example:
     keep_text: Tensor
     keep_mesh: Tensor
     of_body: Tensor
-    draw: MeshDraw | None = None
     examples: RetrievedExamples | None = None
 
     def to(self, device: torch.device) -> Example:
-        """The same on a device; what is drawn of characters lies on its own."""
+        """The same on a device."""
         moved: dict[str, Any] = {}
         for field in fields(self):
             part = getattr(self, field.name)
-            moved[field.name] = part if part is None or field.name == "draw" else part.to(device)
+            moved[field.name] = part if part is None else part.to(device)
         return Example(**moved)
 
 
@@ -166,14 +146,12 @@ class Trainer:
         network: The denoiser's config.
         statistics: Units of the network.
         mesh_bank: f_phi of many characters; None trains with the null mesh only.
-        character_bank: Characters for the spring and the adversarial loss; None trains without them.
         notes: What the checkpoint says of the run beside its own figures.
     """
 
     def __init__(
         self, config: TrainingConfig, network: DenoiserConfig, statistics: FeatureStatistics,
-        mesh_bank: MeshBank | None = None, character_bank: CharacterBank | None = None,
-        notes: Mapping[str, object] | None = None,
+        mesh_bank: MeshBank | None = None, notes: Mapping[str, object] | None = None,
     ):  # fmt: skip
         self.config = config
         self.notes = notes or {}
@@ -192,11 +170,6 @@ class Trainer:
         self.curve = alphas_cumprod().to(self.device)
         self.weights = torch.from_numpy(feature_weights()).to(self.device)
         self.mesh_bank = mesh_bank
-        self.learning: MeshLearning | None = None
-        if character_bank is not None:
-            self.learning = MeshLearning(
-                character_bank, self.device, config.characters, config.character_frames, config.sigma
-            )
         self.step = 0
         self.seconds = 0.0
 
@@ -215,17 +188,7 @@ class Trainer:
             torch.from_numpy(batch.values), torch.from_numpy(batch.lengths), text, mesh, torch.from_numpy(known),
             torch.tensor([name is None for name in meshes]), examples,
         )  # fmt: skip
-        example = self.noised(rows, random, train)
-        if self.learning is not None and train:
-            example.draw = draw = self.learning.draw(choice, batch.lengths, meshes, cross)
-            if draw is not None:
-                bank, drawn = self.learning.bank, draw.rows.cpu()
-                own = torch.zeros(size, bank.features.shape[1]) if mesh is None else mesh.clone()
-                own[drawn] = bank.features[draw.characters].cpu()
-                example.keep_mesh &= mesh is not None
-                example.keep_mesh[drawn] = True
-                example.mesh = own
-        return example.to(self.device)
+        return self.noised(rows, random, train).to(self.device)
 
     def noised(self, rows: DrawnRows, random: torch.Generator, train: bool = True) -> Example:
         """Noise, steps and dropped conditions for rows, drawn on their device."""
@@ -243,7 +206,7 @@ class Trainer:
             examples = replace(examples, lengths=examples.lengths * shown[:, None])
         keep_mesh = ~drop_mesh & rows.known
         return Example(
-            rows.clean, noise, step, rows.lengths, text, rows.mesh, ~drop_text, keep_mesh, rows.person, None, examples
+            rows.clean, noise, step, rows.lengths, text, rows.mesh, ~drop_text, keep_mesh, rows.person, examples
         )
 
     def predict(self, model: Denoiser, example: Example) -> tuple[Tensor, Tensor]:
@@ -278,11 +241,11 @@ class Trainer:
         return learning_rate(config.learning_rate, self.step, config.warmup, into)
 
     def update(self, example: Example) -> dict[str, float]:
-        """One optimiser step of L_m + nu_h L_h + nu_a L_a [TapMo 9] on a batch; the losses by name."""
-        config, learning = self.config, self.learning
+        """One optimiser step of L_m on a batch; the losses by name."""
+        config = self.config
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate()
-        predicted, adaptation = self.predict(self.model, example)
+        predicted, _ = self.predict(self.model, example)
         motion, velocity = (
             part.mean() for part in motion_losses(predicted, example.clean, example.lengths, self.weights)
         )
@@ -292,22 +255,12 @@ class Trainer:
             found, true = (values * self.model.std + self.model.mean for values in (predicted.float(), example.clean))
             reported["contact"] = contact_loss(found, true, example.lengths, example.of_body).mean()
             total = total + config.contact_weight * reported["contact"]
-        samples, learns = None, learning is not None and learning.learns
-        if learning is not None and example.draw is not None:
-            clean = example.clean * self.model.std + self.model.mean
-            spring, adversarial, *samples = learning.losses(example.draw, clean, adaptation, learns)
-            total = total + config.spring_weight * spring + config.adversarial_weight * adversarial
-            reported |= {"spring": spring, "adversarial": adversarial}
         total.backward()
-        score = {}
-        if learning is not None and samples is not None:
-            reported["discriminator"], learning.score = learning.learn(samples[0], samples[1], learns)
-            score = {"score": learning.score}
         careful_step(self.model, self.optimizer)
         self.optimizer.zero_grad(set_to_none=True)
         self.step += 1
         follow_weights(self.average, self.model, min(config.ema, (1 + self.step) / (10 + self.step)))
-        return {name: float(value.detach()) for name, value in reported.items()} | score
+        return {name: float(value.detach()) for name, value in reported.items()}
 
     @torch.no_grad()
     def validate(self, examples: list[Example]) -> tuple[float, float]:
@@ -330,14 +283,9 @@ class Trainer:
         optimizers = {"adamw": self.optimizer.state_dict()}
         settings = {"network": asdict(config), "run": {key: str(value) for key, value in asdict(self.config).items()}}
         state = TrainingState(self.step, models, optimizers, settings, {"seconds": self.seconds})
-        if self.learning is not None:
-            self.learning.add_to(state)
         save_training_state(folder / "state.safetensors", state)
         notes = {"steps": self.step, "minutes": round(self.seconds / 60, 1), "batch": self.config.batch}
-        known = max(
-            0 if self.mesh_bank is None else len(self.mesh_bank),
-            0 if self.learning is None else len(self.learning.bank),
-        )
+        known = 0 if self.mesh_bank is None else len(self.mesh_bank)
         save_denoiser(
             folder / "diffusion.safetensors",
             self.average,
@@ -345,7 +293,7 @@ class Trainer:
         )
 
     def restore(self, path: Path, network: DenoiserConfig) -> None:
-        """Go on from a saved state; one of before the discriminator gets a fresh one.
+        """Go on from a saved state.
 
         Raises:
             OptionError: The run was started with another network.
@@ -359,8 +307,6 @@ class Trainer:
         self.model.load_state_dict(state.models["model"])
         self.average.load_state_dict(state.models["average"])
         self.optimizer.load_state_dict(state.optimizers["adamw"])
-        if self.learning is not None:
-            self.learning.restore(state)
         self.step, self.seconds = state.step, float(state.values["seconds"])
 
 

@@ -19,11 +19,6 @@ from bunraku_lab.nn.denoiser import Denoiser, RetrievedExamples
 from bunraku_lab.nn.text import Extractor, TextBatch
 from bunraku_lab.training.rows.workers import DrawnRows
 
-__all__ = [
-    "NODES", "STEPS", "Teacher", "Trajectories", "ddim", "ddim_shares", "draw_trajectories", "smoothed",
-    "visited_steps",
-]  # fmt: skip
-
 
 class _Conditions(NamedTuple):
     """What does not depend on the step: conditions with and without the sentence, the critic's vectors of the sentences

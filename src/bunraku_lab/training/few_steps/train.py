@@ -48,11 +48,6 @@ from bunraku_lab.training.runs.run import (
     forking,
 )
 
-__all__ = [
-    "FewStepsConfig", "FewStepsRun", "LowRank", "PooledRows", "RowSource", "RowsInTurn", "changes_of",
-    "train_few_steps", "with_changes",
-]  # fmt: skip
-
 
 class LowRank(nn.Module):
     """W + U D, where W (O, I) stays as it is.

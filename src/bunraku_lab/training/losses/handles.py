@@ -9,11 +9,6 @@ import torch
 
 from bunraku.core.skinning import EMPTY, PULL, handle_offsets
 
-__all__ = [
-    "LossConfig", "drive_local", "feature_loss", "mirror_loss", "pose_loss", "register_torch", "root_loss",
-    "semantic_loss", "skinning_loss", "skinning_pairs", "smoothness_loss", "sparsity_loss",
-]  # fmt: skip
-
 
 def register_torch(
     source: torch.Tensor, targets: torch.Tensor, weights: torch.Tensor

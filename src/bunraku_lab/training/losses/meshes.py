@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -18,28 +17,6 @@ from bunraku.generation.features import ROOT_SIZE
 from bunraku_lab.datasets.characters.bank import CharacterBank
 from bunraku_lab.nn.checkpoints import TrainingState
 from bunraku_lab.nn.denoiser import capped_on_people
-
-__all__ = [
-    "ARM_VERTICES",
-    "Fitted",
-    "LIMB_SPRINGS",
-    "MARGIN",
-    "MeshDraw",
-    "MeshLearning",
-    "MeshMotionDiscriminator",
-    "adversarial_loss",
-    "bone_positions",
-    "discriminator_learns",
-    "discriminator_loss",
-    "fit_locals",
-    "handle_driven",
-    "local_motion",
-    "move_points",
-    "posed_positions",
-    "skeleton_driven",
-    "spring_loss",
-    "springs_present",
-]
 
 LIMB_SPRINGS: tuple[tuple[int, int], ...] = tuple(
     spring for side in SIDES for family in FAMILIES for spring in pairwise(limb_handles(side, family))
@@ -302,26 +279,24 @@ def _take(values: Tensor, picked: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class MeshDraw:
-    """Rows of a batch that are on characters of the bank.
+    """What is looked at of motions on characters of the bank.
 
     Args:
-        rows: Rows of the batch, shape (R,).
-        characters: Their characters, shape (R,).
+        characters: Of each motion, shape (R,).
         starts: First frame of the stretch that is looked at, shape (R,).
         frames: Its length F.
         picked: Arm vertices, shape (R, 100).
     """
 
-    rows: Tensor
     characters: Tensor
     starts: Tensor
     frames: int
     picked: Tensor
 
     def stretch(self, values: Tensor) -> Tensor:
-        """The stretch of each row, shape (B, N, ...) -> (R, F, ...)."""
+        """The stretch of each motion, shape (R, N, ...) -> (R, F, ...)."""
         frames = self.starts[:, None] + torch.arange(self.frames, device=self.starts.device)
-        return values[self.rows[:, None], frames]
+        return values[torch.arange(len(frames), device=frames.device)[:, None], frames]
 
 
 def local_motion(features: Tensor) -> tuple[Tensor, Tensor]:
@@ -338,52 +313,16 @@ class MeshLearning:
     """The characters, the discriminator and its optimiser.
 
     Args:
-        bank: The characters; those of the split "train" are drawn.
-        device: Where to compute.
-        characters: Rows a step.
-        frames: Frames of each that are looked at.
-        sigma: Of the spring loss.
+        bank: The characters.
+        frames: Frames of each motion that are looked at.
         learning_rate: Of the discriminator.
     """
 
-    def __init__(
-        self, bank: CharacterBank, device: torch.device, characters: int, frames: int, sigma: float,
-        learning_rate: float = 1e-4,
-    ):  # fmt: skip
-        self.bank = bank.to(device)
-        self.characters, self.frames, self.sigma = characters, frames, sigma
-        self.discriminator = MeshMotionDiscriminator().to(device)
+    def __init__(self, bank: CharacterBank, frames: int, learning_rate: float = 1e-4):
+        self.bank, self.frames = bank, frames
+        self.discriminator = MeshMotionDiscriminator().to(bank.handles.device)
         self.optimizer = torch.optim.Adam(self.discriminator.parameters(), lr=learning_rate)
         self.score = 0.0  # the mean score of fakes, from the last step
-        armed = bank.arms.cpu().numpy()
-        self._rows = {None: bank.rows("train"), True: bank.rows("train", True)}
-        self._rows = {kind: rows[armed[rows]] for kind, rows in self._rows.items()}
-
-    def draw(
-        self, random: np.random.Generator, lengths: np.ndarray, meshes: list[str | None] | None, cross: float
-    ) -> MeshDraw | None:
-        """Rows of a batch, among those that no character of their own belongs to, and their characters; None where
-        there are none.
-
-        Args:
-            random: Draws them.
-            lengths: Frames of each row, shape (B,).
-            meshes: The character that each row's motion belongs to, None for any humanoid.
-            cross: Share of the rows that take any body at all.
-        """
-        able = [row for row, length in enumerate(lengths) if length >= 8 and (meshes is None or meshes[row] is None)]
-        people, all_bodies = self._rows[True], self._rows[None]
-        if not able or not len(all_bodies) or self.characters < 1:
-            return None
-        rows = np.sort(random.choice(able, min(self.characters, len(able)), replace=False))
-        bodies = [all_bodies if random.random() < cross or not len(people) else people for _ in rows]
-        chosen = np.array([int(some[int(random.random() * len(some))]) for some in bodies])
-        frames = min(self.frames, int(lengths[rows].min()))
-        starts = np.array([int(random.integers(int(lengths[row]) - frames + 1)) for row in rows])
-        picked = random.integers(0, self.bank.arm_points.shape[1], (len(rows), ARM_VERTICES))
-        device = self.bank.handles.device
-        tensors = [torch.from_numpy(value).to(device) for value in (rows, chosen, starts, picked)]
-        return MeshDraw(tensors[0], tensors[1], tensors[2], frames, tensors[3])
 
     def losses(
         self, draw: MeshDraw, clean: Tensor, delta: Tensor, learns: bool
@@ -391,9 +330,9 @@ class MeshLearning:
         """Spring and adversarial loss of the adaptation, and what the discriminator is to learn from.
 
         Args:
-            draw: The rows.
-            clean: Features of the batch, shape (B, N, 271).
-            delta: Predicted adaptation [m], shape (B, N, K, 3).
+            draw: The characters, and what is looked at.
+            clean: Features of the motions, shape (R, N, 271).
+            delta: Predicted adaptation [m], shape (R, N, K, 3).
             learns: Whether the discriminator has its turn; then the adversarial loss is 0.
 
         Returns:
@@ -406,7 +345,7 @@ class MeshLearning:
         scale = bank.scale[row][:, None, None]
         positions = posed_positions(fitted, bank, offset)[1] / scale[:, None]
         springs = springs_present(bank.present[row], bank.roles[row])
-        spring = spring_loss(positions, bank.handles[row] / scale, springs, self.sigma).mean()
+        spring = spring_loss(positions, bank.handles[row] / scale, springs).mean()
         fake = handle_driven(fitted, bank, draw.picked, offset)
         if learns:
             adversarial = torch.zeros((), device=delta.device)

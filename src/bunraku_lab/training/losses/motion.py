@@ -11,11 +11,6 @@ from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.geometry.rotations import matrix_from_6d
 from bunraku.generation.features import HANDLE_SIZE, ROOT_SIZE
 
-__all__ = [
-    "contact_loss", "edge_loss", "foot_points", "mask_loss", "motion_losses", "refinement_loss", "smoothness_loss",
-    "vertex_loss",
-]  # fmt: skip
-
 
 def motion_losses(predicted: Tensor, clean: Tensor, lengths: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
     """Motion Loss L_m of each row [TapMo 6], and its like for the change from frame to frame.

@@ -22,8 +22,6 @@ from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku_lab.nn.text import TextBatch, tensors_of
 from bunraku_lab.training.runs.run import forking
 
-__all__ = ["MeshBank", "TextBank", "kept_arrays", "load_mesh_bank"]
-
 Arrays = dict[str, Any]
 
 

@@ -26,8 +26,6 @@ from bunraku_lab.description.wording import (
 )
 from bunraku_lab.training.rows.clips import MIN_FRAMES, ClipEntry, TrainingClip, goes_on, joined_sentence
 
-__all__ = ["ClipSet", "EventPool", "MotionBatch", "Row", "goes", "joins_of", "link"]
-
 ENOUGH = 40
 """Events of a kind from which on more do not make it more frequent."""
 _MARGIN = 8  # frames of a row that are left for what stands around an event

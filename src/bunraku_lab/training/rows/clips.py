@@ -24,11 +24,6 @@ from bunraku_lab.datasets.motions.clips import load_clip, load_index, read_bundl
 from bunraku_lab.description.captions import caption_clauses, caption_group, caption_variants, sentence_forms
 from bunraku_lab.description.wording import all_variants, clauses
 
-__all__ = [
-    "ClipEntry", "TrainingClip", "agreeing", "load_clips", "load_people", "people", "rehearsal_clips",
-    "stretch_phrases", "stretch_variants",
-]  # fmt: skip
-
 MIN_FRAMES = 8
 
 

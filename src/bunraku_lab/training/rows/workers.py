@@ -20,8 +20,6 @@ from bunraku_lab.training.rows.banks import MeshBank, TextBank
 from bunraku_lab.training.rows.clip_rows import ClipSet, MotionBatch
 from bunraku_lab.training.runs.run import Ahead, forking
 
-__all__ = ["DrawnRows", "FedPool", "MadeRows", "RowMaker", "RowPool", "RowWorkers"]
-
 
 @dataclass(frozen=True, eq=False)
 class DrawnRows:

@@ -23,12 +23,6 @@ from bunraku.core.files import remove_leftovers
 from bunraku.errors import OptionError
 from bunraku_lab.nn.checkpoints import SavedNetwork, TrainingState, load_training_state, save_training_state
 
-__all__ = [
-    "Ahead", "AveragedRun", "EventLog", "Progress", "Report", "RunSettings", "StepSettings", "Stop", "TrainingNote",
-    "TrainingRun", "TrainingSettings", "append_row", "bf16_is_fast", "careful_step", "follow_weights", "forking",
-    "learning_rate", "logged_columns", "plain_settings", "share_done",
-]  # fmt: skip
-
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings:
