@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from bunraku.files.fbx.read import fbx_facts
     from bunraku.files.gltf.carry import free_name
     from bunraku.files.gltf.clips import write_stretches
-    from bunraku.files.gltf.colors import linear_from_srgb
-    from bunraku.files.gltf.document import ARRAY_BUFFER, Document, ELEMENT_ARRAY_BUFFER, GltfBuilder
-    from bunraku.files.gltf.mesh import borrow_weights, strongest
+    from bunraku.files.gltf.document import Document
     from bunraku.files.gltf.open import open_document
     from bunraku.files.gltf.read import Source, read_gltf, rotated
     from bunraku.files.gltf.vrma import write_vrma
@@ -50,9 +48,7 @@ _NAMES = {
     "fbx.read": "fbx_facts",
     "gltf.carry": "free_name",
     "gltf.clips": "write_stretches",
-    "gltf.colors": "linear_from_srgb",
-    "gltf.document": "ARRAY_BUFFER Document ELEMENT_ARRAY_BUFFER GltfBuilder",
-    "gltf.mesh": "borrow_weights strongest",
+    "gltf.document": "Document",
     "gltf.open": "open_document",
     "gltf.read": "Source read_gltf rotated",
     "gltf.vrma": "write_vrma",
