@@ -8,6 +8,7 @@ import ast
 import functools
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -60,21 +61,41 @@ def modules(sources):
     return found
 
 
-def imports(path, known):
-    """Modules that a file names: in import statements anywhere in it, and in text such as
-    "bunraku.files.clips:load_animation".
-    """
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-            for alias in node.names:
-                whole = f"{node.module}.{alias.name}"
-                found.add(whole if whole in known else node.module)
+class Facts(NamedTuple):
+    """What a module says of itself."""
+
+    named: set[tuple[str, str]]
+    """Modules and what is taken of them: in import statements anywhere, and in text such as "bunraku.files.clips:x"."""
+    packages: set[str]
+    """What import statements name."""
+    lines: int
+    """Lines of code: without blank lines, comments and docstrings."""
+
+
+@functools.cache
+def facts(path):
+    """Facts of a file, which is parsed once for all tests."""
+    text = path.read_text(encoding="utf-8")
+    named, packages, prose = set(), set(), set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom):
+            packages.add(node.module or "")
+            named |= {(node.module, alias.name) for alias in node.names if node.module and node.level == 0}
         elif isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
+            packages |= {alias.name for alias in node.names}
+            named |= {(alias.name, "") for alias in node.names}
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and _NAMED.match(node.value):
-            found.add(node.value.split(":")[0])
-    return {name for name in found if name in known}
+            named.add((node.value.split(":")[0], ""))
+        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            prose |= set(range(node.lineno, node.end_lineno + 1))
+    lines = (line.strip() for number, line in enumerate(text.splitlines(), 1) if number not in prose)
+    return Facts(named, packages, sum(bool(line) and not line.startswith("#") for line in lines))
+
+
+def imports(path, known):
+    """Modules among those that are known which a file names."""
+    found = {f"{module}.{name}" if f"{module}.{name}" in known else module for module, name in facts(path).named}
+    return found & known.keys()
 
 
 @functools.cache
@@ -194,33 +215,16 @@ def test_nothing_that_a_user_runs_names_the_laboratory():
 
 
 def test_nothing_that_a_user_runs_imports_torch_or_libigl():
-    found = []
-    for path in modules(SOURCES / "bunraku").values():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            found += [
-                path for name in names if name.partition(".")[0] in ("torch", "igl") or name == "safetensors.torch"
-            ]
-    assert found == []
+    assert [
+        path
+        for path in modules(SOURCES / "bunraku").values()
+        for name in facts(path).packages
+        if name.partition(".")[0] in ("torch", "igl") or name == "safetensors.torch"
+    ] == []
 
 
 def test_no_folders_of_a_room_import_each_other_in_a_circle():
     assert circles_of_folders(arrows(SOURCES)) == {}
-
-
-def code_lines(path):
-    """Lines of code of a module, without blank lines, comments and docstrings."""
-    text = path.read_text(encoding="utf-8")
-    prose = set()
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
-            prose |= set(range(node.lineno, node.end_lineno + 1))
-    return sum(
-        1
-        for number, line in enumerate(text.splitlines(), 1)
-        if line.strip() and not line.lstrip().startswith("#") and number not in prose
-    )
 
 
 def sizes(sources):
@@ -229,7 +233,7 @@ def sizes(sources):
     for name, path in modules(sources).items():
         key = f"{house(name)}/{room(name)}"
         lines, files = found.get(key, (0, 0))
-        found[key] = lines + code_lines(path), files + 1
+        found[key] = lines + facts(path).lines, files + 1
     return found
 
 
@@ -246,7 +250,7 @@ def test_lines_of_code_are_counted_without_prose(tmp_path):
     path = tmp_path / "one.py"
     prose = '"""Module.\n\nMore.\n"""\n\n# why\nX = 1\n"""What X is."""\n'
     path.write_text(prose + '\n\ndef f():\n    """Doc."""\n    return """text\nmore"""\n')
-    assert code_lines(path) == 4
+    assert facts(path).lines == 4
 
 
 def test_the_docs_print_the_list():
@@ -275,4 +279,5 @@ def test_a_planted_import_is_found(tmp_path, module, line, offence):
     found = arrows(tmp_path)
     assert climbing(found) == [offence] and circles(found) == []
     (tmp_path / "bunraku" / "files" / "high.py").write_text("from bunraku.core.low import f")
+    facts.cache_clear()
     assert circles(arrows.__wrapped__(tmp_path)) == [["bunraku.core.low", "bunraku.files.high"]]
