@@ -1,8 +1,6 @@
 """What the studio stores and tells, and whom it lets in."""
 
-import http.client
 import json
-import time
 
 import pytest
 
@@ -83,26 +81,6 @@ def test_what_is_forgotten_or_was_never_given_is_asked_for_anew():
         one.tell("take", {"id": str(number)})
     assert one.since(3)["missed"] and not one.since(10)["missed"] and len(one.since(10)["changes"]) == MOST
     assert one.since(MOST + 11)["missed"]
-
-
-def test_twelve_tabs_and_three_hundred_lines_get_their_answers(studio):
-    """Nothing of a page holds a line: each asks and is answered, so a browser's six lines to a host are enough."""
-    host, port = studio.base.removeprefix("http://").split(":")
-    head = {"authorization": f"Bearer {studio.token}", "host": f"localhost:{port}"}
-    lines = [http.client.HTTPConnection(host, int(port), timeout=60) for _ in range(300)]
-    longest = 0.0
-    for _ in range(2):
-        for line in lines:
-            start = time.monotonic()
-            line.request("GET", "/api/changes", headers=head)
-            answer = line.getresponse()
-            answer.read()
-            longest = max(longest, time.monotonic() - start)
-            assert answer.status == 200
-    for line in lines:
-        line.close()
-    print(f"longest answer: {1000 * longest:.0f} ms")
-    assert longest < 30  # a line that is held waits for 60 s
 
 
 def test_two_tabs_do_not_overwrite_each_others_view(client):

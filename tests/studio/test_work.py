@@ -1,6 +1,7 @@
 """The studio's work: jobs, and nothing lost when something fails."""
 
 import gzip
+import http.client
 import json
 import os
 import resource
@@ -8,6 +9,7 @@ import shutil
 import signal
 import socket
 import struct
+import time
 import zipfile
 from pathlib import Path
 
@@ -359,6 +361,26 @@ def test_many_queued_takes_leave_the_memory_flat(studio, character):
     assert later - server < 10 and after - worker < 40
     takes = studio.get(f"/api/characters/{character['id']}/takes")["takes"]
     assert set(range(24)) <= {take["seed"] for take in takes if take["state"] == "done"}
+
+
+def test_twelve_tabs_and_three_hundred_lines_get_their_answers(studio):
+    """Nothing of a page holds a line: each asks and is answered, so a browser's six lines to a host are enough."""
+    host, port = studio.base.removeprefix("http://").split(":")
+    head = {"authorization": f"Bearer {studio.token}", "host": f"localhost:{port}"}
+    lines = [http.client.HTTPConnection(host, int(port), timeout=60) for _ in range(300)]
+    longest = 0.0
+    for _ in range(2):
+        for line in lines:
+            start = time.monotonic()
+            line.request("GET", "/api/changes", headers=head)
+            answer = line.getresponse()
+            answer.read()
+            longest = max(longest, time.monotonic() - start)
+            assert answer.status == 200
+    for line in lines:
+        line.close()
+    print(f"longest answer: {1000 * longest:.0f} ms")
+    assert longest < 30  # a line that is held waits for 60 s
 
 
 @pytest.mark.parametrize("kind", ["fbx", "amass"])
