@@ -165,7 +165,8 @@ def homes():
     """(equation, file, function) of each mark in a docstring's first line."""
     found = []
     for path in SOURCES.rglob("*.py"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        tree = ast.parse(text if TAG.search(text) else "")
         scopes = [(node, "") for node in tree.body]
         scopes += [
             (member, f"{node.name}.") for node in tree.body if isinstance(node, ast.ClassDef) for member in node.body
