@@ -1,12 +1,14 @@
 """Names of bones, in any convention, and skeletons mapped by names and structure."""
 
+import time
+
 import numpy as np
 import pytest
 from bvh_files import ALONG_X, CMU, DIALECTS, bvh_text
 from motion_files import walk_about
 from scipy.spatial.transform import Rotation
 
-from bunraku.anatomy.names.bone_names import handle_of_joints, limb_parents, rig_axes
+from bunraku.anatomy.names.bone_names import handle_of_joints, limb_parents, resolve_joints, rig_axes
 from bunraku.anatomy.names.bone_words import (
     APPAREL_KINDS,
     apparel_of_name,
@@ -486,3 +488,14 @@ def test_missing_parts_stay_straight_and_have_lengths(tmp_path):
     for name in ("spine2", "left_foot", "right_foot"):
         assert np.allclose(result.rotations[:, JOINT_NAMES.index(name)], np.eye(3), atol=1e-5)
     assert (np.linalg.norm(result.skeleton.offsets[1:], axis=-1) > 0.02).all()
+
+
+@pytest.mark.parametrize("name", ["Bone", "Tail", "Spine", "Leg.L"])
+def test_long_chains_of_bones_take_time_in_proportion(name):
+    count = 4000
+    names, parents = [f"{name}.{number:04d}" for number in range(count)], np.arange(count) - 1
+    positions, start = np.arange(3.0 * count).reshape(-1, 3), time.process_time()
+    handles = handle_of_joints(names, parents, positions, np.ones(count))
+    assert (limb_parents(handles, parents, positions) == parents).all()
+    resolve_joints(handles, parents)
+    assert time.process_time() - start < 2

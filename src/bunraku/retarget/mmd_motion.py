@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.anatomy.names.bone_words import plain_name
-from bunraku.anatomy.names.skeleton_map import MMD_CENTRES, SkeletonMap, mmd_skeleton_map
+from bunraku.anatomy.names.skeleton_map import SkeletonMap, mmd_centre, mmd_skeleton_map
 from bunraku.anatomy.names.to_smpl import rotations_of_rest, to_smpl
 from bunraku.core.animation import RigAnimation, bone_order
 from bunraku.core.avatars import MMD_METRE, MmdBone, MmdIk, MmdIkLink, MmdModel, MmdSdef, mmd_angles, mmd_model
@@ -279,9 +278,7 @@ def _wanted(model: MmdModel, found: SkeletonMap, motion: SkeletalMotion) -> tupl
     world = motion.world()[0].astype(float)
     back = np.swapaxes(rotations_of_rest(found, model.positions), -1, -2)
     out = {bone: world[:, joint] @ back[joint] for joint, bone in enumerate(found.joints) if bone >= 0}
-    line = line_up(found.of("pelvis"), model.parents)
-    named = {plain_name(model.names[bone]): bone for bone in line}
-    centre = next((named[name] for name in MMD_CENTRES if name in named), line[-1])
+    centre = mmd_centre(model.names, model.parents, found)
     out[centre] = world[:, 0] @ back[0]
     return out, centre
 

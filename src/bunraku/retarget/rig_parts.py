@@ -16,15 +16,15 @@ from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import PRESENT, Joints, reference_joints
 from bunraku.anatomy.names.bone_names import NO_HANDLE, handle_of_joints, limb_parents, resolve_joints, rig_handles
 from bunraku.anatomy.names.bone_words import part_of_name, without_prefix
-from bunraku.anatomy.names.skeleton_map import joints_by_structure
+from bunraku.anatomy.names.skeleton_map import joints_by_structure, mmd_centre, mmd_skeleton_map
 from bunraku.anatomy.rest_pose import flat_feet, rest_rotations, upright
 from bunraku.core.animation import bone_order
-from bunraku.core.avatars import vrm_model
+from bunraku.core.avatars import MmdModel, mmd_model, vrm_model
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS, WRISTS
 from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import rotation_between
-from bunraku.core.motion import Skeleton
+from bunraku.core.motion import Skeleton, line_up
 from bunraku.errors import CharacterError
 from bunraku.files import Source
 
@@ -94,14 +94,15 @@ class RigParts:
             )
         areas = character.areas
         mass = np.bincount(rig.indices.ravel(), (rig.weights * areas[:, None]).ravel(), minlength=len(rig.names))
-        parts = _avatar_parts(character) if known is None else known.copy()
+        above = _followed(character)
+        parts = _avatar_parts(character, above, mass) if known is None else known.copy()
         if parts is None:
             handles, parts = rig_handles(character), handle_of_joints(rig.names, rig.parents, rig.positions, mass)
         else:
-            weights = rig.dense_weights() @ np.eye(HANDLE_COUNT, dtype=np.float32)[resolve_joints(parts, rig.parents)]
+            weights = rig.dense_weights() @ np.eye(HANDLE_COUNT, dtype=np.float32)[resolve_joints(parts, above)]
             weights[:, 0] += 1 - weights.sum(axis=1)
             handles = Handles(handle_positions(character.vertices, weights, areas), weights)
-        parents = limb_parents(parts, rig.parents, rig.positions)
+        parents = limb_parents(parts, above, rig.positions)
         order = bone_order(parents)
         leads = np.full(HANDLE_COUNT, -1)
         for bone in order:
@@ -206,7 +207,11 @@ def _shaped_parts(character: Character) -> np.ndarray | None:
     rig = character.rig
     if rig is None:
         return None
-    order = [bone for bone in bone_order(rig.parents) if _below_first(bone, rig.parents)]
+    below = np.zeros(len(rig.names), bool)  # of the first bone without a parent
+    below[np.flatnonzero(rig.parents < 0)[:1]] = True
+    for bone in bone_order(rig.parents):
+        below[bone] |= rig.parents[bone] >= 0 and below[rig.parents[bone]]
+    order = [bone for bone in bone_order(rig.parents) if below[bone]]
     place = {bone: number for number, bone in enumerate(order)}
     parents = [place.get(int(rig.parents[bone]), -1) for bone in order]
     rest = rig.positions[order]
@@ -219,16 +224,51 @@ def _shaped_parts(character: Character) -> np.ndarray | None:
     return out if found else None
 
 
-def _below_first(bone: int, parents: np.ndarray) -> bool:
-    """Whether a bone is the first without a parent, or below it."""
-    first = int(np.flatnonzero(parents < 0)[0]) if (parents < 0).any() else -1
-    steps = 0
-    while bone >= 0 and bone != first and steps < len(parents):
-        bone, steps = int(parents[bone]), steps + 1
-    return bone == first
+def _followed(character: Character) -> np.ndarray:
+    """The bone that each bone goes along with, shape (J,): its parent, or in MMD models the one whose rotation it takes
+    over, as the legs that hold the skin do of those that are keyed. Bones that turn the other way stay with their
+    parents.
+    """
+    rig, model = character.rig, _mmd_rig(character)
+    assert rig is not None
+    out = np.array(rig.parents)
+    for bone in [] if model is None else model.order:
+        append = model.bones[bone].append
+        if append is not None and append.rotation and append.ratio > 0 and bone not in line_up(append.bone, out):
+            out[bone] = append.bone
+    return out
 
 
-def _avatar_parts(character: Character) -> np.ndarray | None:
+def _mmd_rig(character: Character) -> MmdModel | None:
+    """The MMD model whose bones a character's rig has; None for other characters."""
+    model, rig = mmd_model(character), character.rig
+    return model if model is not None and rig is not None and len(model.bones) == len(rig.names) else None
+
+
+def _avatar_parts(character: Character, followed: np.ndarray, mass: np.ndarray) -> np.ndarray | None:
+    """Handle of each bone of an avatar whose file or format says which bones are a person's, shape (J,); -1 for others.
+    None for other characters.
+
+    Args:
+        character: With a rig.
+        followed: The bone that each bone goes along with, shape (J,).
+        mass: How much skin each bone holds, shape (J,).
+    """
+    model = _mmd_rig(character)
+    standard = None if model is None else mmd_skeleton_map(model.names)
+    if model is None or standard is None:
+        return _vrm_parts(character)
+    out = handle_of_joints(model.names, followed, model.positions, mass)
+    out[[bone for bone, entry in enumerate(model.bones) if entry.append is not None]] = NO_HANDLE
+    for joint, bone in enumerate(standard.joints):
+        if bone >= 0:
+            out[out == joint] = NO_HANDLE
+            out[bone] = joint
+    out[mmd_centre(model.names, model.parents, standard)] = 0
+    return out
+
+
+def _vrm_parts(character: Character) -> np.ndarray | None:
     """Handle of each bone of a VRM avatar, whose file names its humanoid bones, shape (J,); -1 for others. None for
     other characters.
     """
@@ -281,10 +321,10 @@ def _thigh_below(
 def _joints(
     handles: Handles, rest: np.ndarray, parts: np.ndarray, parents: np.ndarray, leads: np.ndarray, share: np.ndarray
 ) -> Joints:
-    positions = handles.positions.astype(np.float64)
+    positions, held = handles.positions.astype(np.float64), resolve_joints(parts, parents)
     present = leads >= 0
     for foot in _FEET:  # a foot that moves nothing has no sole to stand on
-        present[foot] &= share[parts == foot].sum() > PRESENT
+        present[foot] &= share[held == foot].sum() > PRESENT
     above = np.full(HANDLE_COUNT, -1)
     for handle in range(1, HANDLE_COUNT):
         known = HANDLE_PARENTS[handle]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from bunraku.anatomy.names.bone_words import left_axis, part_of_name, without_prefix
+from bunraku.core.animation import bone_order
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
 from bunraku.core.body.reference import handle_positions
 from bunraku.core.character import Character, Handles
@@ -44,20 +45,25 @@ class _Tree:
         for joint, parent in enumerate(self.parents):
             if parent >= 0:
                 self.children[parent].append(joint)
+        self.order = bone_order(np.array(self.parents))
+        self.depth = self.passed(range(len(names)))
         self.positions = None if positions is None else np.asarray(positions, float)
         self._settle_sides(names)
         self._drop_idle()
         self.copies = [re.sub(r"\.\d+$", "", name) for name in names]
-        for joint, kind in enumerate(self.kinds):  # words that mean one thing alone and another in company
-            above, word = [self.kinds[a] for a in self.above(joint)], self.words[joint]
-            again = kind in above and "front" not in word
+        above: list[frozenset[str]] = [frozenset() for _ in names]
+        for joint in self.order:  # words that mean one thing alone and another in company
+            kind, parent, word = self.kinds[joint], self.parents[joint], self.words[joint]
+            if parent >= 0:
+                above[joint] = above[parent] | {self.kinds[parent]}
+            again = kind in above[joint] and "front" not in word
             if kind == "hips" and self.sides[joint]:
                 self.kinds[joint] = "leg" if self._bears_a_leg(joint) else "none"
             elif kind == "collar" and again and word.endswith("shoulder"):
                 self.kinds[joint] = "shoulder"
             elif kind == "foot" and again and "foot" in word:
                 self.kinds[joint] = "toe"
-            elif kind in _LIMB_KINDS and "twist" in word and not self.children[joint] and kind in above:
+            elif kind in _LIMB_KINDS and "twist" in word and not self.children[joint] and kind in above[joint]:
                 self.kinds[joint] = ""  # a helper beside the limb that goes on below its own parent
 
     def _settle_sides(self, names: Sequence[str]) -> None:
@@ -65,17 +71,17 @@ class _Tree:
         stands.
         """
         sided = [bool(side) for side in self.sides]
-        for joint in range(len(names)):
-            if not self.sides[joint]:
-                self.sides[joint] = next((self.sides[a] for a in self.above(joint) if self.sides[a]), 0)
-        limb = list(range(len(names)))
-        for joint in sorted(range(len(names)), key=lambda j: len(self.above(j))):
+        limb, members_of = list(range(len(names))), {}
+        for joint in self.order:
             parent = self.parents[joint]
+            if parent >= 0 and not self.sides[joint]:
+                self.sides[joint] = self.sides[parent]
             if parent >= 0 and self.sides[joint] and self.sides[parent]:
                 limb[joint] = limb[parent]
+            if self.sides[joint]:
+                members_of.setdefault(limb[joint], []).append(joint)
         axis = None if self.positions is None else left_axis(names, self.positions)
-        for first in set(limb):
-            members = [j for j in range(len(names)) if limb[j] == first and self.sides[j]]
+        for first, members in members_of.items():
             if len({self.sides[j] for j in members}) < 2:
                 continue
             side = self.sides[first]
@@ -91,8 +97,9 @@ class _Tree:
         if self.mass is None:
             return
         moves = self.mass > 0
-        for mover in np.flatnonzero(moves):
-            moves[self.above(int(mover))] = True
+        for joint in reversed(self.order):
+            if self.parents[joint] >= 0:
+                moves[self.parents[joint]] |= moves[joint]
         limbs = [(kind, side) for kind, side in zip(self.kinds, self.sides, strict=True)]
         moving = {limb for limb, there in zip(limbs, moves, strict=True) if there}
         for joint, limb in enumerate(limbs):
@@ -106,18 +113,21 @@ class _Tree:
         beside = self.children[self.parents[joint]] if self.parents[joint] >= 0 else []
         return not any(self.kinds[other] == "leg" and self.sides[other] == self.sides[joint] for other in beside)
 
-    def above(self, joint: int) -> list[int]:
-        """Ancestors, nearest first."""
-        out: list[int] = []
-        joint = self.parents[joint]
-        while joint >= 0 and joint not in out:
-            out.append(joint)
-            joint = self.parents[joint]
+    def passed(self, marked: Iterable[int]) -> list[int]:
+        """How many of the marked joints are above each joint."""
+        counts, out = (
+            np.bincount(np.array([*marked], int), minlength=len(self.parents)).tolist(),
+            [0] * len(self.parents),
+        )
+        for joint in self.order:
+            parent = self.parents[joint]
+            if parent >= 0:
+                out[joint] = out[parent] + counts[parent]
         return out
 
     def of(self, *kinds: str) -> list[int]:
         """Joints of these kinds, near the root first."""
-        return sorted((j for j, kind in enumerate(self.kinds) if kind in kinds), key=lambda j: (len(self.above(j)), j))
+        return sorted((j for j, kind in enumerate(self.kinds) if kind in kinds), key=lambda j: (self.depth[j], j))
 
     def child_kinds(self, joint: int) -> set[str]:
         return {self.kinds[child] for child in self.children[joint]}
@@ -178,9 +188,9 @@ def _legs(tree: _Tree, out: np.ndarray) -> None:
     long: set[int] = set()
     front = set(tree.of("arm_leg"))
     chain_of: dict[int, list[int]] = {}
-    legs = tree.of("leg", "arm_leg")
-    for joint in legs:
-        if any(child in legs for child in tree.children[joint]):
+    legs, capped_by = set(tree.of("leg", "arm_leg")), tree.passed(tree.of("hip_bone"))
+    for joint in tree.of("leg", "arm_leg"):
+        if legs & set(tree.children[joint]):
             continue
         line = [joint]
         while tree.parents[line[0]] in legs:
@@ -191,7 +201,7 @@ def _legs(tree: _Tree, out: np.ndarray) -> None:
     for whole in sorted({tuple(c) for c in chain_of.values()}):
         chain = _segments(tree, whole)
         upper = [bool(re.search(r"up(per)?leg|legup|uparm|armup", tree.words[j])) for j in chain]
-        capped = any(tree.kinds[a] == "hip_bone" for a in tree.above(chain[0]))
+        capped = capped_by[chain[0]] > 0
         if chain[0] in front:
             collared = len(chain) == 3 and upper[1]
             parts = ["collar", "shoulder", "elbow"] if collared else ["shoulder", "elbow", "wrist"]
@@ -222,9 +232,10 @@ def _segments(tree: _Tree, chain: tuple[int, ...]) -> list[int]:
 
 
 def _flippers(tree: _Tree, out: np.ndarray) -> None:
-    for joint in tree.of("flipper"):
-        rank = sum(tree.kinds[a] == "flipper" for a in tree.above(joint))
-        out[joint] = tree.sided(joint, ("shoulder", "elbow", "wrist")[min(rank, 2)])
+    flippers = tree.of("flipper")
+    rank = tree.passed(flippers)
+    for joint in flippers:
+        out[joint] = tree.sided(joint, ("shoulder", "elbow", "wrist")[min(rank[joint], 2)])
 
 
 def _spread(joints: list[int], out: np.ndarray) -> None:
@@ -285,12 +296,11 @@ def _trunk(tree: _Tree, out: np.ndarray) -> None:
             if heavy:
                 out[heavy[0]] = pelvis
                 _spread(heavy[1:], out)
-    for joint in tail:
-        count_above, count_below = sum(a in tail for a in tree.above(joint)), 0
-        queue = [c for c in tree.children[joint] if c in tail]
-        while queue:
-            count_below, queue = count_below + 1, [c for j in queue for c in tree.children[j] if c in tail]
-        out[joint] = _H["tail" if count_above < (count_above + count_below + 1) / 2 else "tail_tip"]
+    above, below = tree.passed(tail), dict.fromkeys(tail, 0)
+    for joint in reversed(tree.order):
+        if joint in below:
+            below[joint] = max((1 + below[child] for child in tree.children[joint] if child in below), default=0)
+            out[joint] = _H["tail" if above[joint] < (above[joint] + below[joint] + 1) / 2 else "tail_tip"]
 
 
 def _without_head(tree: _Tree, spine: list[int], out: np.ndarray) -> list[int]:
@@ -298,9 +308,15 @@ def _without_head(tree: _Tree, spine: list[int], out: np.ndarray) -> list[int]:
     last bone is the head and those before it the neck, as in Rigify's `spine.004` to `spine.006`.
     """
     arms = tree.of("collar", "shoulder")
-    bearing = {above for joint in arms for above in tree.above(joint)}
+    bearing = set()
+    for joint in arms:
+        above = tree.parents[joint]
+        while above >= 0 and above not in bearing:
+            bearing.add(above)
+            above = tree.parents[above]
     last = [joint for joint in spine if joint in bearing][-1:]
-    over = [joint for joint in spine if joint not in bearing and set(last) & set(tree.above(joint))]
+    beyond = tree.passed(last)
+    over = [joint for joint in spine if joint not in bearing and beyond[joint]]
     if not over or tree.of("head", "neck"):
         return spine
     out[over] = _H["neck"]
@@ -311,7 +327,7 @@ def _without_head(tree: _Tree, spine: list[int], out: np.ndarray) -> list[int]:
 def _by_height(tree: _Tree, joints: list[int]) -> list[int]:
     """In order along the body: by depth in the hierarchy, and from below where two are side by side."""
     height = np.zeros(len(tree.parents)) if tree.positions is None else tree.positions[:, 1]
-    return sorted(joints, key=lambda j: (len(tree.above(j)), float(height[j]), j))
+    return sorted(joints, key=lambda j: (tree.depth[j], float(height[j]), j))
 
 
 def _between(tree: _Tree, out: np.ndarray) -> None:
@@ -323,7 +339,7 @@ def _between(tree: _Tree, out: np.ndarray) -> None:
             if (out == _H[f"{side}_{upper}"]).any():
                 continue
             lowers = np.flatnonzero(out == _H[f"{side}_{lower}"]).tolist()
-            first = min(lowers, key=lambda j: len(tree.above(j)), default=-1)
+            first = min(lowers, key=lambda j: tree.depth[j], default=-1)
             above = tree.parents[first] if first >= 0 else -1
             if above >= 0 and out[above] == NO_HANDLE and tree.parents[above] >= 0:
                 out[above] = _H[f"{side}_{upper}"]
@@ -356,27 +372,38 @@ def limb_parents(handles: np.ndarray, parents: Sequence[int] | np.ndarray, posit
         Parent of each joint, shape (J,).
     """
     out = np.array(parents, np.int64)
+    above = [0] * len(out)  # bit h for handle h
 
-    def above(joint: int) -> list[int]:
-        chain: list[int] = []
-        joint = int(out[joint])
-        while joint >= 0 and joint not in chain:
-            chain.append(joint)
-            joint = int(out[joint])
-        return chain
+    def settle(joints: Iterable[int]) -> None:
+        for joint in joints:
+            if out[joint] >= 0:
+                above[joint] = above[out[joint]] | (1 << int(max(handles[out[joint]], 0)))
 
-    for joint, handle in enumerate(handles):
-        if handle <= 0:
+    children: list[list[int]] = [[] for _ in out]
+    for joint, parent in enumerate(out.tolist()):
+        if parent >= 0:
+            children[parent].append(joint)
+    order = bone_order(out)
+    settle(order)
+    for joint in order:
+        handle = int(handles[joint])
+        limb = [part for part in line_up(handle, HANDLE_PARENTS)[1:] if part > 0] if handle > 0 else []
+        if not limb or any(above[joint] >> part & 1 for part in (*limb, handle)):
             continue
-        limb = [part for part in line_up(int(handle), HANDLE_PARENTS)[1:] if part > 0]
-        chain = above(joint)
-        if any(handles[a] in limb or handles[a] == handle for a in chain):
-            continue
+        below = dict.fromkeys([joint])
+        for bone in (queue := [joint]):
+            fresh = [child for child in children[bone] if child not in below]
+            below |= dict.fromkeys(fresh)
+            queue += fresh
         for part in limb:
-            candidates = [j for j in np.flatnonzero(handles == part) if joint not in above(int(j)) and j != joint]
+            candidates = [bone for bone in np.flatnonzero(handles == part).tolist() if bone not in below]
             if candidates:
                 distances = np.linalg.norm(positions[candidates] - positions[joint], axis=1)
+                if out[joint] >= 0:
+                    children[out[joint]].remove(joint)
                 out[joint] = candidates[int(distances.argmin())]
+                children[out[joint]].append(joint)
+                settle(below)
                 break
     return out
 
@@ -436,11 +463,9 @@ def resolve_joints(handles: np.ndarray, parents: np.ndarray) -> np.ndarray:
         Shape (J,), none of them -1.
     """
     out = np.array(handles, np.int64)
-    for joint in np.flatnonzero(out == NO_HANDLE):
-        above, steps = int(parents[joint]), 0
-        while above >= 0 and handles[above] == NO_HANDLE and steps < len(parents):
-            above, steps = int(parents[above]), steps + 1
-        out[joint] = max(int(handles[above]), 0) if above >= 0 else 0
+    for joint in bone_order(np.asarray(parents)):
+        if out[joint] == NO_HANDLE:
+            out[joint] = max(int(out[parents[joint]]), 0) if parents[joint] >= 0 else 0
     return out
 
 

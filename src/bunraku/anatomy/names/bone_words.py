@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -114,6 +115,7 @@ def without_prefix(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(name[len(prefix) :] or name if name.startswith(prefix) else name for name in names)
 
 
+@lru_cache(maxsize=16384)  # rigs have hundreds of names, and are read several times
 def part_of_name(name: str) -> tuple[str, int, int, bool]:
     """What one name says on its own.
 

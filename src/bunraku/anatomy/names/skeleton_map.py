@@ -17,7 +17,7 @@ from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.motion import Skeleton, line_up
 from bunraku.errors import MotionError
 
-__all__ = ["MMD_CENTRES", "SkeletonMap", "joints_by_structure", "map_skeleton", "mmd_skeleton_map"]
+__all__ = ["SkeletonMap", "joints_by_structure", "map_skeleton", "mmd_centre", "mmd_skeleton_map"]
 
 
 _J = {name: index for index, name in enumerate(JOINT_NAMES)}
@@ -47,8 +47,8 @@ class SkeletonMap:
         return tuple(name for name, joint in zip(JOINT_NAMES, self.joints, strict=True) if joint < 0)
 
 
-MMD_CENTRES = ("センター", "腰", "グルーブ", "全ての親")
-"""Bones that carry the whole body, the one that motions move first."""
+_MMD_CENTRES = ("センター", "グルーブ", "腰", "全ての親")
+"""Bones that carry the whole body, the one that motions move first. The legs undo what 腰 turns."""
 
 _MMD_MIDDLE = {"pelvis": ("下半身", "腰", "センター"), "spine1": ("上半身",), "neck": ("首",), "head": ("頭",)}
 _MMD_SIDED = {
@@ -84,6 +84,15 @@ def mmd_skeleton_map(names: Sequence[str]) -> SkeletonMap | None:
     joints = [found[name] for name in JOINT_NAMES]
     how = tuple("name" if joint >= 0 else "" for joint in joints)
     return SkeletonMap(tuple(joints), how, "MikuMikuDance")
+
+
+def mmd_centre(names: Sequence[str], parents: np.ndarray, known: SkeletonMap) -> int:
+    """The bone of an MMD model that carries the whole body: travel is on it, so that what hangs beside the body comes
+    along.
+    """
+    line = line_up(known.of("pelvis"), parents)
+    named = {plain_name(names[bone]): bone for bone in line}
+    return next((named[name] for name in _MMD_CENTRES if name in named), line[-1])
 
 
 ALIKE = 0.15  # twins differ by less than this share in length
