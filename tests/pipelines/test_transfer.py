@@ -12,11 +12,12 @@ import trimesh
 
 import bunraku
 from bunraku.core.animation import Animation, RigAnimation
-from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Rig
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.core.motion import MeshMotion, SkeletalMotion, Skeleton
+from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, OptionError
 from bunraku.files import load_character
 from bunraku.files.clips import clip_names as clip_names_of
@@ -248,8 +249,8 @@ def test_a_rig_that_is_not_understood_is_said_in_a_line(person, caplog):
         own_rig(replace(person, rig=None), Request("walks", rig="own"))
 
 
-def test_nothing_is_said_of_a_rig_of_rigid_blocks(caplog):
-    """Handles move the blocks as the bones would."""
+def test_the_bones_of_a_rig_of_rigid_blocks_move_it(caplog):
+    """What they hold tells what they are, and each goes wholly with its block, wherever its head is."""
     boxes = [trimesh.creation.box(bounds=some) for some in (
         ((-0.25, 0.7, -0.12), (0.25, 1.3, 0.12)), ((-0.2, 1.3, -0.2), (0.2, 1.7, 0.2)),
         ((0.01, 0, -0.1), (0.22, 0.7, 0.1)), ((-0.22, 0, -0.1), (-0.01, 0.7, 0.1)),
@@ -263,7 +264,12 @@ def test_nothing_is_said_of_a_rig_of_rigid_blocks(caplog):
     figure = Character("figure", mesh.vertices.astype(np.float32), mesh.faces, rig=rig)
     with caplog.at_level(logging.WARNING):
         body = Animator.shipped().body(figure, Request("walks"))
-    assert body.parts is None and body.anatomy.handles.rigid and not caplog.records
+    assert body.parts is not None and body.anatomy.handles.rigid and not caplog.records
+    transforms = np.tile(np.eye(3, 4), (1, HANDLE_COUNT, 1, 1))
+    transforms[0, :, :, :3] = matrix_from_axis_angle(np.random.default_rng(0).normal(size=(HANDLE_COUNT, 3)))
+    rotations, positions = body.parts.world(transforms)
+    moved = RigAnimation.of_world(figure, rotations, positions).vertices()[0]
+    assert np.abs(moved - skin(figure.vertices, body.anatomy.handles.weights, transforms)[0]).max() < 1e-5
 
 
 def test_handles_that_are_asked_for_move(person):

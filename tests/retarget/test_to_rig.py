@@ -9,6 +9,7 @@ import pytest
 import bunraku
 from bunraku import CharacterError, SkeletalMotion
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.names.bone_names import rig_handles
 from bunraku.core.animation import RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.core.body.reference import LIMB_CHILD, reference_body
@@ -29,6 +30,7 @@ from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts, is_humanoid_rig
 from bunraku.retarget.to_reference import handle_animation, rig_to_reference
 from bunraku.retarget.to_rig import copied_bones, fit_rig
+from bunraku_lab.synthetic.samples import make_sample
 
 CARRIED = Stages(ground=False, feet=False, smooth=False, floor=False)
 _J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
@@ -341,3 +343,26 @@ def test_who_is_no_person_is_refused(person):
         bunraku.with_skeleton(dog, "mixamo")
     with pytest.raises(OptionError, match="mixamo, vrm, unreal"):
         on_skeleton(person[1], "daz")
+
+
+@pytest.mark.parametrize("hard", [False, True])
+def test_bones_are_known_by_the_skin_that_they_hold(hard):
+    """Without names, and where each vertex is of one bone, a dog's own bones move it as its handles do."""
+    from bunraku_lab.synthetic.stock_motions import stock_motion
+
+    dog = make_sample("dog", rigged=True)
+    names = tuple(f"b{number}" for number in range(len(dog.rig.names)))
+    indices, weights = dog.rig.indices, dog.rig.weights
+    if hard:
+        first = weights.argmax(axis=1)[:, None]
+        indices, weights = np.take_along_axis(indices, first, axis=1), np.ones(first.shape, np.float32)
+    nameless = replace(dog, rig=replace(dog.rig, names=names, indices=indices, weights=weights))
+    body = Anatomy.of(replace(dog, rig=None), rig_handles(dog))
+    parts = RigParts.by_skin(replace(body, character=nameless))
+    assert parts is not None and parts.complete
+    walk = stock_motion("walk", 1.0, 20.0)
+    moved, wanted = fit_rig(walk, parts).vertices(), fit_rig(walk, dog).vertices()
+    away = np.linalg.norm(moved - wanted, axis=-1)
+    assert np.quantile(away, 0.9) < (0.12 if hard else 0.06) * dog.height < 0.2 < np.ptp(wanted[:, :, 2], axis=0).min()
+    alone = replace(nameless.rig, indices=np.zeros((len(dog.vertices), 1)), weights=np.ones((len(dog.vertices), 1)))
+    assert RigParts.by_skin(replace(body, character=replace(dog, rig=alone))) is None

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -99,6 +99,7 @@ class RigAnimation(Shown):
             without a parent), shape (N, J, 3); zero where bones keep their lengths.
         fps: Frames a second [1/s].
         reference: As in `Animation`.
+        parts: Which part of a body each bone is (`retarget.rig_parts.RigParts`), where that is known.
 
     Raises:
         CharacterError: The character has no rig.
@@ -110,6 +111,7 @@ class RigAnimation(Shown):
     translations: np.ndarray
     fps: float = 20.0
     reference: HandleMotion | None = None
+    parts: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.character.rig is None:
@@ -224,13 +226,13 @@ class RigAnimation(Shown):
             return self
         between = Resampling.of(len(self.rotations), self.fps, fps)
         moved = between.linear(self.translations.astype(float))
-        return RigAnimation(self.character, between.rotations(self.rotations), moved, fps)
+        return RigAnimation(self.character, between.rotations(self.rotations), moved, fps, parts=self.parts)
 
     def take(self, frames: slice) -> RigAnimation:
         """Some of the frames, and of `reference` where it has as many."""
         known = self.reference
         known = known.take(frames) if known is not None and len(known) == len(self) else None
-        return RigAnimation(self.character, self.rotations[frames], self.translations[frames], self.fps, known)
+        return replace(self, rotations=self.rotations[frames], translations=self.translations[frames], reference=known)
 
 
 def bone_order(parents: np.ndarray) -> list[int]:

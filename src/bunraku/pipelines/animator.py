@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -296,16 +297,23 @@ class Animator:
             CharacterError: Apparel is to be simulated without physics; the character's bones are to move it, and they
                 are not understood; or as for `handles`.
         """
-        parts = own_rig(character, request)
+
+        @cache
+        def on_handles() -> Anatomy:
+            return Anatomy.of(character, self.handles(character, request.handles)).measured()
+
+        parts = own_rig(character, request, on_handles)
         if parts is not None:
-            return Body(character, self.predictor.feature(character), parts.anatomy, parts)
+            feature = parts.handles.features
+            return Body(
+                character, self.predictor.feature(character) if feature is None else feature, parts.anatomy, parts
+            )
         written = None if request.rig == "handles" or request.handles_given else _written_handles(character)
         if written is not None:
             handles = replace(written, features=self.predictor.feature(character))
-        else:
-            handles = self.handles(character, request.handles)
-            _note_rig(character, handles, request)
-        return Body(character, handles.features, Anatomy.of(character, handles).measured())
+            return Body(character, handles.features, Anatomy.of(character, handles).measured())
+        _note_rig(character, on_handles().handles, request)
+        return Body(character, on_handles().handles.features, on_handles())
 
     def dress(
         self, moved: Animation | RigAnimation, apparel: Apparel, anatomy: Anatomy | None = None
@@ -363,8 +371,14 @@ class Animator:
         return apply_rigged(motion, body.parts, constraints, stages, self.progress)
 
 
-def own_rig(character: Character, request: Request) -> RigParts | None:
+def own_rig(character: Character, request: Request, on_handles: Callable[[], Anatomy] | None = None) -> RigParts | None:
     """The rig whose bones move a character by a request; None where its handles do.
+
+    Args:
+        character: The character.
+        request: What is asked of it.
+        on_handles: Gives its anatomy by its handles, by which bones are known that have other names; None for names
+            alone.
 
     Raises:
         CharacterError: Apparel is to be simulated without physics; or the character's bones are to move it, and there
@@ -380,9 +394,9 @@ def own_rig(character: Character, request: Request) -> RigParts | None:
         return None
     if _written_handles(character) is not None:
         return None
-    from bunraku.retarget.rig_parts import understood_rig
+    from bunraku.retarget.rig_parts import RigParts, understood_rig
 
-    parts = understood_rig(character)
+    parts = understood_rig(character) or (RigParts.by_skin(on_handles()) if on_handles and character.rig else None)
     if parts is not None or request.rig == "auto":
         return parts
     if character.rig is None:
@@ -403,18 +417,22 @@ def _written_handles(character: Character) -> Handles | None:
 
 
 def _note_rig(character: Character, handles: Handles, request: Request) -> None:
-    """Log that handles move a character, although it has a rig."""
-    if character.rig is None or request.rig != "auto" or request.handles_given or handles.rigid:
-        return  # a figure of rigid blocks moves as its bones would move it
-    _log.warning("%s: %s; %d handles move it", character.name, _not_understood(character), len(handles.positions))
+    """Log that handles move a character, although it has a rig or clips, and what is left out for it."""
+    document = getattr(character.source, "document", None)
+    clips = 0 if document is None else len(document.items("animations"))
+    if (character.rig is None and not clips) or request.rig != "auto" or request.handles_given:
+        return
+    why = "its clips move nodes without a skin" if character.rig is None else _not_understood(character)
+    left = " and ".join(["its bones"] * (character.rig is not None) + [f"its {clips} clips"] * (clips > 0))
+    _log.warning("%s: %s; %d handles move it, without %s", character.name, why, len(handles.positions), left)
 
 
 def _not_understood(character: Character) -> str:
     assert character.rig is not None
     names = ", ".join(character.rig.names[:3])
     return (
-        f"its rig of {len(character.rig.names)} bones ({names} ...) is not understood as that of a person, of four "
-        "legs or of a bird, by names or shape"
+        f"its rig of {len(character.rig.names)} bones ({names} ...) is not understood: neither their names nor the "
+        "skin that they hold make them the limbs of its body"
     )
 
 

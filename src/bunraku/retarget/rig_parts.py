@@ -11,8 +11,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.anatomy.joints import PRESENT, Joints, reference_joints
 from bunraku.anatomy.names.bone_names import NO_HANDLE, handle_of_joints, limb_parents, resolve_joints, rig_handles
 from bunraku.anatomy.names.bone_words import part_of_name, without_prefix
@@ -48,6 +50,14 @@ _VRM = {
     "LowerLeg": "knee", "Foot": "ankle",
     "Toes": "foot",
 }  # fmt: skip
+OWN_BONES = 0.3  # share of a limb on bones that hold more of it than of all else; some fish bend in their last third
+NEAR_HEAD = 0.1  # a joint is at the head of its bone where that is so near, over the height
+FEWEST_PARTS = 3  # parts that the bones of a body move
+_LEGS, _ARMS = ([limb_handles(side, family) for side in SIDES] for family in FAMILIES)
+_WINGS, _TAIL = (
+    [[HANDLE_NAMES.index(f"{side}_wing")] for side in SIDES],
+    [HANDLE_NAMES.index(name) for name in ("tail", "tail_tip")],
+)
 _HIPS = (HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip"))
 _FEET = tuple(HANDLE_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot") for side in ("left", "right"))
 
@@ -65,6 +75,7 @@ class RigParts:
         leads: First bone of each handle, -1 for none, shape (30,).
         parents: Parent of each bone for posing, shape (J,): feet that hang on the root hang on their legs.
         still: Bones over the pelvis that hold nothing and stay where they are, shape (J,), bool.
+        hung: Whether each bone hangs on its parent and keeps its length, or goes wholly with its handle.
     """
 
     character: Character
@@ -75,6 +86,7 @@ class RigParts:
     leads: np.ndarray
     parents: np.ndarray
     still: np.ndarray
+    hung: bool = True
 
     @classmethod
     def of(cls, character: Character, known: np.ndarray | None = None) -> RigParts:
@@ -117,11 +129,40 @@ class RigParts:
                 f"{character.name}: no bone of its rig is known to be the pelvis; put the motion on its handles instead"
             )
         joints = _joints(handles, rig.positions, parts, parents, leads, mass / max(float(areas.sum()), 1e-30))
-        still = np.zeros(len(parts), bool)
-        for bone in order:
-            above = int(parents[bone])
-            still[bone] = parts[bone] == NO_HANDLE and (above < 0 or still[above]) and mass[bone] <= 0
-        return cls(character, handles, joints, _turns(character, handles, joints), parts, leads, parents, still)
+        turns, still = _turns(character, handles, joints), _still(parts, parents, mass)
+        return cls(character, handles, joints, turns, parts, leads, parents, still)
+
+    @classmethod
+    def by_skin(cls, body: Anatomy) -> RigParts | None:
+        """A rig by what its bones move, whatever their names: each bone is a part of the handle that holds most of its
+        skin. None where there is no rig, or its bones cannot move what the handles move.
+
+        Args:
+            body: The character, and the handles of its mesh.
+        """
+        character, found, rig = body.character, body.handles, body.character.rig
+        if rig is None:
+            return None
+        areas, bones = character.areas, len(rig.names)
+        rows = np.repeat(np.arange(len(areas)), rig.indices.shape[1])
+        skin = csr_matrix((rig.weights.ravel(), (rig.indices.ravel(), rows)), shape=(bones, len(areas)))
+        shared = skin @ (found.weights * areas[:, None])
+        mass = shared.sum(axis=1)
+        parts = np.where(mass > 0, shared.argmax(axis=1), NO_HANDLE)
+        if not _moves_all(body, shared, parts):
+            return None
+        parents = _followed(character)
+        weights = np.asarray(skin.T @ np.eye(HANDLE_COUNT + 1, dtype=np.float32)[parts][:, :HANDLE_COUNT])
+        weights[:, 0] += 1 - weights.sum(axis=1)
+        positions = found.positions if found.rigid else handle_positions(character.vertices, weights, areas)
+        handles = replace(found, positions=positions, weights=weights)
+        leads = np.full(HANDLE_COUNT, -1)
+        for bone in reversed(bone_order(parents)):
+            leads[parts[bone]] = bone if parts[bone] != NO_HANDLE else leads[parts[bone]]
+        measured = Anatomy.of(character, handles)
+        joints = measured.joints if found.rigid else _at_heads(measured.joints, rig.positions, leads, character.height)
+        still = _still(parts, parents, mass)
+        return cls(character, handles, joints, measured.rotations, parts, leads, parents, still, hung=False)
 
     @cached_property
     def anatomy(self) -> Anatomy:
@@ -167,7 +208,7 @@ class RigParts:
             parent, part = int(self.parents[bone]), int(self.parts[bone])
             if self.still[bone]:
                 continue
-            if parent >= 0 and not self.still[parent]:
+            if parent >= 0 and not self.still[parent] and (self.hung or part == NO_HANDLE):
                 away = np.einsum("nij,j->ni", rotations[:, parent], rest[bone] - rest[parent])
                 positions[:, bone] = positions[:, parent] + away
                 rotations[:, bone] = rotations[:, parent] if part == NO_HANDLE else transforms[:, part, :, :3]
@@ -175,6 +216,42 @@ class RigParts:
                 own = transforms[:, max(part, 0)]
                 rotations[:, bone], positions[:, bone] = own[..., :3], own[..., :3] @ rest[bone] + own[..., 3]
         return rotations, positions
+
+
+def _still(parts: np.ndarray, parents: np.ndarray, mass: np.ndarray) -> np.ndarray:
+    """Bones over the body that hold nothing, shape (J,), bool."""
+    out = np.zeros(len(parts), bool)
+    for bone in bone_order(parents):
+        above = int(parents[bone])
+        out[bone] = parts[bone] == NO_HANDLE and (above < 0 or out[above]) and mass[bone] <= 0
+    return out
+
+
+def _at_heads(joints: Joints, heads: np.ndarray, leads: np.ndarray, height: float) -> Joints:
+    """The joints with those at the heads of their bones that are near them."""
+    near = (leads >= 0) & (np.linalg.norm(heads[leads] - joints.positions, axis=1) < NEAR_HEAD * height)
+    near[0] = False
+    return replace(joints, positions=np.where(near[:, None], heads[leads], joints.positions))
+
+
+def _moves_all(body: Anatomy, shared: np.ndarray, parts: np.ndarray) -> bool:
+    """Whether bones can move what carries a body, each limb on its own: its legs and the arms of a person, or else its
+    wings or its tail.
+
+    Args:
+        body: The body by the handles of its mesh.
+        shared: How much skin each bone shares with each handle, shape (J, 30).
+        parts: Handle of each bone, -1 for none, shape (J,).
+    """
+    plan = body.plan
+    limbs = [limb for limb in body.extra_limbs if limb[0] not in body.appendages]
+    limbs += _LEGS if plan.legs else _WINGS if plan.wings else [_TAIL] if plan.tail else []
+    limbs += _ARMS if plan.kind == "person" or plan.front else []
+
+    def moved(limb: list[int]) -> bool:
+        return bool(shared[np.isin(parts, limb)][:, limb].sum() >= OWN_BONES * shared[:, limb].sum())
+
+    return len(np.unique(parts[parts != NO_HANDLE])) >= FEWEST_PARTS and all(map(moved, limbs))
 
 
 def understood_rig(character: Character) -> RigParts | None:

@@ -107,7 +107,7 @@ def handle_animation(animation: RigAnimation) -> Animation:
     Raises:
         CharacterError: The names of its bones do not tell which parts they move.
     """
-    parts = RigParts.of(animation.character)
+    parts = animation.parts or RigParts.of(animation.character)
     motion = bones_to_handles(parts, *animation.world(), animation.fps)
     return Animation(animation.character, parts.handles, motion, animation.reference)
 

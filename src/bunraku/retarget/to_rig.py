@@ -54,7 +54,8 @@ def on_bones(parts: RigParts, fitted: HandleMotion, reference: HandleMotion | No
         reference: The motion of the reference body that it was fitted from.
     """
     rotations, positions = parts.world(fitted.transforms(parts.handles.positions).astype(np.float64))
-    return _with_helpers(RigAnimation.of_world(parts.character, rotations, positions, fitted.fps, reference), parts)
+    moved = RigAnimation.of_world(parts.character, rotations, positions, fitted.fps, reference)
+    return replace(_with_helpers(moved, parts), parts=parts)
 
 
 def _with_helpers(animation: RigAnimation, parts: RigParts) -> RigAnimation:

@@ -102,7 +102,7 @@ class Animate:
         request = _followed(workspace, Request.from_json(self.request), self.character)
         check_fits(request.apparel, character, request.sampling.seconds)
         moved: Body | Character = character
-        if own_rig(character, request) is None:
+        if own_rig(character, request, lambda: body.anatomy) is None:
             request, moved = replace(request, handles=handles), body
 
         if self.draft:
