@@ -14,7 +14,7 @@ from bunraku import Animation, Character, FormatError, HandleMotion, Handles, Op
 from bunraku.core.animation import RigAnimation
 from bunraku.core.geometry.axes import ORIENTATIONS, upright_rotation
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
-from bunraku.files import load_character, save, save_character
+from bunraku.files import holds_character, load_character, load_skeleton_clip, save, save_character
 from bunraku.files.clips import load_animation
 from bunraku.files.gltf.clips import write_stretches
 from bunraku.files.gltf.read import rotated, scaled
@@ -276,3 +276,28 @@ def test_stretches_play_as_the_whole_does(textured, tmp_path, kind, fps):
         assert len(played.motion) == len(known.motion)
         assert np.abs(played.vertices() - known.vertices()).max() < 1e-4 * textured.height
     assert not list(tmp_path.glob(".*"))
+
+
+def test_a_skeleton_without_a_mesh_plays_as_it_does_with_one(textured, tmp_path):
+    """In mesh-less files, as libraries of motions have them, joints are where they were."""
+    animation = whole(textured, "bones")
+    kept = RigAnimation(textured, animation.rotations, np.zeros_like(animation.translations), animation.fps)
+    data = kept.save(tmp_path / "whole.glb", name="moves").read_bytes()
+    size = struct.unpack("<I", data[12:16])[0]
+    tree = json.loads(data[20 : 20 + size])
+    del tree["meshes"], tree["skins"]
+    for node in tree["nodes"]:
+        node.pop("mesh", None)
+        node.pop("skin", None)
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I", len(text)) + b"JSON" + text + data[20 + size :]
+    bare = tmp_path / "bare.glb"
+    bare.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+    motion = load_skeleton_clip(bare, "moves", animation.fps)
+    names, positions = motion.skeleton.names, motion.world()[1]
+    assert set(animation.rig.names) <= set(names) and len(motion) == len(animation) and not holds_character(bare)
+    known = kept.world()[1]
+    for bone, name in enumerate(animation.rig.names):
+        assert np.abs(positions[:, names.index(name)] - known[:, bone]).max() < 1e-4 * textured.height
+    assert load_skeleton_clip(tmp_path / "whole.glb") is None

@@ -253,12 +253,12 @@ def describe(path: Path, unit: str = "auto") -> dict[str, Any]:
     if path.suffix.lower() in (".npz", ".npy", ".bvh", ".vrma"):
         return facts | _motion(path)
     from bunraku.core.files import read_bounded
-    from bunraku.files import fbx_facts, load_character
+    from bunraku.files import fbx_facts, holds_character, load_character
 
     if path.suffix.lower() == ".vmd":
         return facts | vmd_facts(path)
     fbx = fbx_facts(path, read_bounded(path)) if path.suffix.lower() == ".fbx" else {}
-    if fbx and not fbx["meshes"]:  # clips without a character
+    if path.suffix.lower() in (".glb", ".fbx") and not holds_character(path):  # clips without a character
         return facts | _motion(path) | fbx
     character = load_character(path, unit="m" if unit == "auto" else unit)
     suffix = getattr(character.source, "suffix", path.suffix.lower())

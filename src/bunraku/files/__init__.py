@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from bunraku.files.gltf.document import Document
     from bunraku.files.gltf.open import open_document
     from bunraku.files.gltf.read import Source, read_gltf, rotated
-    from bunraku.files.gltf.vrma import write_vrma
+    from bunraku.files.gltf.vrma import load_skeleton_clip, write_vrma
     from bunraku.files.gltf.write import clip_handles, document_of, joint_tracks
     from bunraku.files.gltf.write_points import before_skin, shapes_of_meshes
     from bunraku.files.meshes.obj import check_sequence, read_obj
@@ -51,7 +51,7 @@ _NAMES = {
     "gltf.document": "Document",
     "gltf.open": "open_document",
     "gltf.read": "Source read_gltf rotated",
-    "gltf.vrma": "write_vrma",
+    "gltf.vrma": "load_skeleton_clip write_vrma",
     "gltf.write": "clip_handles document_of joint_tracks",
     "gltf.write_points": "before_skin shapes_of_meshes",
     "meshes.obj": "check_sequence read_obj",

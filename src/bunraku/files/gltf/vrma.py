@@ -10,18 +10,28 @@ import numpy as np
 from bunraku.core.avatars import VrmModel
 from bunraku.core.body.layout import JOINT_NAMES, engine_names
 from bunraku.core.character import Character, Handles
-from bunraku.core.files import atomic_write, check_output_folder
+from bunraku.core.files import atomic_write, check_output_folder, read_bounded
 from bunraku.core.geometry.rotations import continuous, quaternion_from_matrix
-from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, checked_fps, local_rotations, resample_motion
+from bunraku.core.motion import (
+    HandleMotion,
+    SkeletalMotion,
+    Skeleton,
+    checked_fps,
+    line_up,
+    local_rotations,
+    resample_motion,
+)
 from bunraku.errors import CharacterError, FormatError, MotionError, OptionError
+from bunraku.files.fbx.clips import clip_number
+from bunraku.files.gltf.carry import free_name
 from bunraku.files.gltf.document import Document, GltfBuilder
-from bunraku.files.gltf.nodes import MAX_SECONDS, clip_curves, node_worlds, read_nodes
+from bunraku.files.gltf.nodes import MAX_SECONDS, Curves, NodeTree, clip_curves, node_worlds, read_nodes
 from bunraku.files.gltf.open import open_document
 from bunraku.files.gltf.vrm import add_springs
 from bunraku.files.gltf.write import finish_document
 from bunraku.files.gltf.write_rig import plain_rig
 
-__all__ = ["VRM_BONES", "read_glb_motion", "read_vrma", "write_avatar", "write_vrma"]
+__all__ = ["VRM_BONES", "load_skeleton_clip", "read_glb_motion", "read_vrma", "write_avatar", "write_vrma"]
 
 EXTENSION = "VRMC_vrm_animation"
 
@@ -42,7 +52,48 @@ def read_glb_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
     from bunraku.files.gltf.write import read_motion
 
     document = open_document(path, data)
-    return _motion(document) if _extension(document) is not None else read_motion(path, data)
+    if _extension(document) is not None:
+        return _motion(document)
+    return _of_nodes(document, 0, FPS) if _bare(document) else read_motion(path, data)
+
+
+def load_skeleton_clip(path: str | Path, clip: int | str = 0, fps: float = FPS) -> SkeletalMotion | None:
+    """A clip of a glTF file that holds a skeleton without a mesh; None of other files.
+
+    Args:
+        path: The file.
+        clip: Number or name of the clip.
+        fps: Frames a second of the result [1/s].
+
+    Raises:
+        FormatError: The file is broken.
+        OptionError: There is no such clip.
+    """
+    path = Path(path)
+    document = open_document(path, read_bounded(path))
+    return _of_nodes(document, clip, fps) if _bare(document) else None
+
+
+def _bare(document: Document) -> bool:
+    """Whether a document has clips and no mesh that they could move."""
+    return bool(document.items("animations")) and not document.items("meshes")
+
+
+def _of_nodes(document: Document, clip: int | str, fps: float) -> SkeletalMotion:
+    """A clip on the nodes of the tree that it moves most of; the rest pose is that of the nodes."""
+    clips = document.items("animations")
+    names = [str(entry.get("name") or f"animation {number}") for number, entry in enumerate(clips)]
+    tree, curves = read_nodes(document), clip_curves(document, clips[clip_number(document.path, names, clip)])
+    moved = {node for node, _ in curves}
+    if not moved:
+        document.fail("its clip moves no node; export it again with its keys baked")
+    tops = tree.nearest({node: node for node in moved if not moved & set(line_up(node, tree.parents)[1:])})
+    top = max(sorted(moved), key=lambda node: int((tops == tops[node]).sum()))
+    order = [node for node in tree.order if tops[node] == tops[top]]
+    called: dict[str, int] = {}
+    for node in order:
+        called[free_name(str(document.items("nodes")[node].get("name") or f"node {node}"), called)] = node
+    return _sampled(document, tree, curves, called, fps, order[0])
 
 
 def read_vrma(path: Path, data: bytes) -> SkeletalMotion:
@@ -66,12 +117,18 @@ def _motion(document: Document) -> SkeletalMotion:
     clips = document.items("animations")
     if not clips:
         document.fail("it holds no animation, so it is no VRMA; export it again")
-    tree, curves = read_nodes(document), clip_curves(document, clips[0])
+    curves = clip_curves(document, clips[0])
     keys = np.unique(np.concatenate([times for times, _, _ in curves.values()])) if curves else np.zeros(1)
-    end = float(keys[-1])
+    return _sampled(document, read_nodes(document), curves, bones, _rate(keys), bones["hips"])
+
+
+def _sampled(
+    document: Document, tree: NodeTree, curves: Curves, bones: dict[str, int], fps: float, root: int
+) -> SkeletalMotion:
+    """The motion of some nodes by their names, one of which all others hang on."""
+    end = max((float(times[-1]) for times, _, _ in curves.values()), default=0.0)
     if end > MAX_SECONDS or end < 0:
         document.fail(f"its clip lasts {end:.0f} s but at most {MAX_SECONDS:.0f} s are read; cut it")
-    fps = _rate(keys)
     count = int(np.floor(end * fps + 1e-3)) + 1
     if count * len(bones) > MOST_ROTATIONS:
         document.fail(f"its clip has {count} frames of {len(bones)} bones, which are too many; cut it")
@@ -81,7 +138,7 @@ def _motion(document: Document) -> SkeletalMotion:
     index = {node: joint for joint, node in enumerate(order)}
     found, above = tree.nearest(index), tree.parents[order]
     parents = np.where(above >= 0, found[above], -1)
-    if (parents < 0).sum() != 1 or parents[0] >= 0 or order[0] != bones["hips"]:
+    if (parents < 0).sum() != 1 or parents[0] >= 0 or order[0] != root:
         document.broken("its humanoid bones do not all hang on the hips")
     names = {node: name for name, node in bones.items()}
     moved = node_worlds(document, tree, curves, np.arange(count) / fps, order)

@@ -9,7 +9,7 @@ import numpy as np
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.motion import HandleMotion, MeshMotion, SkeletalMotion
 from bunraku.errors import FormatError, MotionError
-from bunraku.files import load_animation, load_character, read_motion
+from bunraku.files import load_animation, load_character, load_skeleton_clip, read_motion
 
 __all__ = ["Motion", "load_mesh_motion", "load_motion"]
 
@@ -85,6 +85,10 @@ def load_motion(path: str | Path, *, fps: float = 30.0, clip: int | str = 0) -> 
         own = _own_clip(path)
         if own is not None:
             return own
+    if suffix in (".glb", ".gltf"):
+        bare = load_skeleton_clip(path, clip, fps)
+        if bare is not None:
+            return bare
     if suffix == ".fbx":
         from bunraku.anatomy.names.skeleton_map import map_skeleton
         from bunraku.files import load_fbx_motion
