@@ -145,10 +145,12 @@ def said_axes(resolved: ResolvedAxes, up: str = "auto", front: str = "auto") -> 
     if guess is None or other is None or resolved.sure >= SURE:
         return ""
     given = [value.strip().lower() != "auto" for value in (up, front)]
-    taken = (resolved.up, resolved.front)
+    taken, chance = (resolved.up, resolved.front), guess.probability(*other)
+    doubt = f" ({_percent(resolved.sure)} sure), perhaps {_listed(other, given)} ({_percent(chance)})"
+    if chance >= resolved.sure:  # where the rule of a format decides, or the up axis alone
+        doubt = f", though its shape is at least as likely {_listed(other, given)}"
     return (
-        f"taken as {_listed(taken, given)} ({_percent(resolved.sure)} sure), perhaps {_listed(other, given)} "
-        f"({_percent(guess.probability(*other))}). To set it, type {_typed(taken, given)}, or else "
+        f"taken as {_listed(taken, given)}{doubt}. To set it, type {_typed(taken, given)}, or else "
         f"{_typed(other, given)}; `bunraku inspect FILE --views views.png` shows which."
     )
 
