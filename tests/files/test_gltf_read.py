@@ -344,11 +344,11 @@ def columns(matrices):
     return np.array([m.T.reshape(-1) for m in matrices], np.float32)
 
 
-def arm_glb(space, *, second=None, bent=40.0, turned=0.0, bones=(1.0, 1.0), clip=True):
+def arm_glb(space, *, second=None, bent=40.0, turned=0.0, tilted=0.0, bones=(1.0, 1.0), clip=True):
     """An arm of two bones below an armature (scaled, turned, moved), bent in the default pose, with a box in its hand.
 
     `space` is the transform from the space of the inverse bind matrices to the world; `second` adds a mesh with a skin
-    of its own whose matrices are those of the first times this, `turned` turns the upper bone about its length.
+    of its own whose matrices are those of the first times this, `turned` turns the upper bone about its length, and `tilted` all about its head.
     """
     maker = Maker()
     armature = matrix((1, 2, 3), "y", 90, 0.5)
@@ -382,7 +382,9 @@ def arm_glb(space, *, second=None, bent=40.0, turned=0.0, bones=(1.0, 1.0), clip
         {
             "name": "upper",
             "children": [2],
-            "rotation": (Rotation.from_euler("z", bent, degrees=True) * Rotation.from_euler("y", turned, degrees=True))
+            "rotation": (
+                Rotation.from_euler("z", bent + tilted, degrees=True) * Rotation.from_euler("y", turned, degrees=True)
+            )
             .as_quat()
             .tolist(),
         },
@@ -444,6 +446,14 @@ def test_a_bent_arm_rests_straight_where_its_armature_stands(write, space):
     bent = load_character(write(arm_glb(space)), rest="default")
     assert np.allclose(bent.vertices, Player(write(arm_glb(space, clip=False))).vertices(0), atol=1e-5)
     assert np.abs(bent.vertices - arm.vertices).max() > 0.3
+
+
+@pytest.mark.parametrize(("how", "axis"), [({"turned": -90}, "y"), ({"tilted": 90}, "x")])
+def test_a_skeleton_rests_as_viewers_draw_it(write, how, axis):
+    """It faces where the clip turned it, and stands where only its bind pose lies."""
+    arm = load_character(write(arm_glb(ARMATURE, bent=0.0, **how)))
+    about, turn = ARMATURE[:3, 3], matrix(axis=axis, degrees=next(iter(how.values())))[:3, :3]
+    assert np.allclose(arm.vertices[8:], (STRAIGHT - about) @ turn.T + about, atol=1e-5)
 
 
 @pytest.mark.parametrize(

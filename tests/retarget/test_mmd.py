@@ -293,24 +293,8 @@ def skinned(model):
     """
     names = [name.translate(str.maketrans("", "", "左右D")) for name in model.names]
     doubled = {some.append.bone for some in model.bones if some.append is not None and some.append.ratio > 0}
-    body = set(
-        [
-            "上半身",
-            "上半身2",
-            "首",
-            "頭",
-            "下半身",
-            "肩",
-            "腕",
-            "ひじ",
-            "手首",
-            "足",
-            "ひざ",
-            "足首",
-            "足先EX",
-            "つま先",
-        ]
-    )
+    body = dict.fromkeys(("上半身", "上半身2", "首", "頭", "下半身", "肩", "腕", "ひじ", "手首", "足", "ひざ", "足首"))
+    body |= dict.fromkeys(("足先EX", "つま先"))
     held = np.array([name in body and index not in doubled for index, name in enumerate(names)])
     order = bone_order(model.parents)
     place = np.argsort(order)

@@ -450,11 +450,16 @@ def _preset(program: str | None) -> Preset | None:
 
 
 def _limits_said(path: Path, body: Body) -> Callable[[str], None]:
-    """Say on standard error what moves the body, where these are its own bones; gives what says there, each once, what
-    it cannot do.
+    """Say on standard error what moves the body, where these are bones; gives what says there, each once, what it
+    cannot do.
     """
     if body.parts is not None:
-        print(f"{path}: its own {len(body.parts.parts)} bones move it (--rig handles for 30 handles)", file=sys.stderr)
+        document = getattr(body.character.source, "document", None)
+        own = document is None or bool(document.items("skins"))
+        said = (
+            "its own {} bones move it (--rig handles for 30 handles)" if own else "{} bones that it was given move it"
+        )
+        print(f"{path}: {said.format(len(body.parts.parts))}", file=sys.stderr)
 
     @cache
     def say(note: str) -> None:

@@ -97,13 +97,14 @@ def body_facts(anatomy: Anatomy) -> BodyFacts:
             shown = name.replace("arm", "foreleg") if plan.front and name.endswith("arm") else name
             parts.append(PartFact(shown, area, clear))
     parts.sort(key=lambda part: -part.area)
-    return BodyFacts(plan, tuple(parts), len(anatomy.further), tuple(_cannot(plan)))
+    return BodyFacts(plan, tuple(parts), len(anatomy.further), tuple(_cannot(plan, [part.name for part in parts])))
 
 
-def _cannot(plan: BodyPlan) -> list[str]:
+def _cannot(plan: BodyPlan, parts: list[str]) -> list[str]:
     out = []
     if not plan.legs:
-        out.append(f"no legs are found: where a sentence says walk or run, it {INSTEAD[body_kind(plan)]} instead")
+        seen = "its legs do not stand on the ground" if {"left leg", "right leg"} & set(parts) else "no legs are found"
+        out.append(f"{seen}: where a sentence says walk or run, it {INSTEAD[body_kind(plan)]} instead")
     if plan.front:
         out.append("it stands on its forelegs: where a sentence says wave, clap or hold, it hardly lifts them")
     elif not plan.arms and not plan.wings:

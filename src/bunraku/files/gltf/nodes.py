@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, quaternion_slerp
+from bunraku.core.geometry.axes import ORIENTATIONS, upright_rotation
+from bunraku.core.geometry.rotations import matrix_from_quaternion, quaternion_slerp
 from bunraku.files.gltf.document import Document
 
 __all__ = [
@@ -269,8 +270,8 @@ def _placement(
 
     Exporters differ in that space: it is that of the node above the skeleton, that of the mesh, or the world. Of those
     that give the bones their length in the file, the one that brings the joints closest to the default pose is right,
-    rotated by a quarter or a half circle about +Y where only the clip turned the skeleton to the front. Where none
-    does, the skeleton's root is put where it is by default.
+    rotated by quarter circles where the default pose stands or faces another way. Where none does, the skeleton's root
+    is put where it is by default.
     """
     joints: dict[int, int] = {}
     for i, node in enumerate(nodes):
@@ -302,19 +303,19 @@ def _placement(
 
 
 def _facing(placement: np.ndarray, placed: np.ndarray, target: np.ndarray, root: int) -> np.ndarray:
-    """The placement rotated by quarter circles about the vertical through its root joint, to face where the default
-    pose does, shape (4, 4). The mean rotation of all joints decides: clips rotate single limbs any way, but all joints
-    one way only with the whole body.
+    """The placement rotated by quarter circles about its root joint, to stand up and face as the default pose does,
+    which is what viewers draw, shape (4, 4). The mean rotation of all joints decides: clips rotate single limbs any
+    way, but all joints one way only with the whole body.
     """
     own, want = (
         some[:, :3, :3] / np.cbrt(np.abs(np.linalg.det(some[:, :3, :3])) + 1e-30)[:, None, None]
         for some in (placed, target)
     )
     change = np.einsum("jab,jcb->ac", want, own)
-    yaw = np.arctan2(change[0, 2] - change[2, 0], change[0, 0] + change[2, 2])
-    quarters = np.round(yaw / (np.pi / 2))
     turn = np.eye(4)
-    turn[:3, :3] = np.round(matrix_y(np.array(quarters * np.pi / 2)))
+    turn[:3, :3] = max(
+        (upright_rotation(*axes) for axes in ORIENTATIONS), key=lambda some: float((some * change).sum())
+    )
     turn[:3, 3] = placed[root, :3, 3] - turn[:3, :3] @ placed[root, :3, 3]
     return turn @ placement
 
