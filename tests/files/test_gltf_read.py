@@ -348,7 +348,8 @@ def arm_glb(space, *, second=None, bent=40.0, turned=0.0, tilted=0.0, bones=(1.0
     """An arm of two bones below an armature (scaled, turned, moved), bent in the default pose, with a box in its hand.
 
     `space` is the transform from the space of the inverse bind matrices to the world; `second` adds a mesh with a skin
-    of its own whose matrices are those of the first times this, `turned` turns the upper bone about its length, and `tilted` all about its head.
+    of its own whose matrices are those of the first times this, `turned` turns the upper bone about its length, and
+    `tilted` all about its head.
     """
     maker = Maker()
     armature = matrix((1, 2, 3), "y", 90, 0.5)
