@@ -17,7 +17,7 @@ from bunraku.core.geometry.rotations import nearest_rotation
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import posed_points
 from bunraku.errors import FormatError, MotionError, OptionError
-from bunraku.files.fbx.clips import clip_number
+from bunraku.files.gltf.carry import clip_number
 from bunraku.files.gltf.clips import SAME_BONES, merge_documents
 from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.nodes import MAX_SECONDS, clip_curves, node_worlds

@@ -10,7 +10,6 @@ import numpy as np
 from bunraku.core.files import read_bounded
 from bunraku.core.geometry.rotations import nearest_rotation
 from bunraku.core.motion import SkeletalMotion, Skeleton
-from bunraku.errors import OptionError
 from bunraku.files.fbx.mesh import BONES, bind_matrices, inverses, read_clusters
 from bunraku.files.fbx.nodes import BROKEN, FbxTree, read_tree
 from bunraku.files.fbx.scene import (
@@ -23,9 +22,10 @@ from bunraku.files.fbx.scene import (
     read_scene,
     world_matrices,
 )
+from bunraku.files.gltf.carry import clip_number
 
 __all__ = [
-    "Curve", "FbxClip", "clip_number", "find_clip", "load_fbx_motion", "read_clips", "read_curve", "read_motion",
+    "Curve", "FbxClip", "find_clip", "load_fbx_motion", "read_clips", "read_curve", "read_motion",
     "sample_clip",
 ]  # fmt: skip
 
@@ -214,21 +214,6 @@ def _curves(scene: FbxScene, group: FbxObject, owner: int, what: str) -> tuple[C
             if curve is not None:
                 found[_AXES.index(axis)] = curve
     return tuple(found)
-
-
-def clip_number(path: Path, names: list[str], clip: int | str) -> int:
-    """Number of a clip by its number or name, with or without its armature's name before a bar.
-
-    Raises:
-        OptionError: There is no clip of this name or number.
-    """
-    for known in (names, [name.rsplit("|", 1)[-1] for name in names]):  # exporters write "Armature|Walk"
-        if clip in known:
-            return known.index(str(clip))
-    number = int(clip) if str(clip).isdecimal() else -1
-    if not 0 <= number < len(names):
-        raise OptionError(f"{path} has no clip {clip!r}; it has {', '.join(names[:20])}")
-    return number
 
 
 def find_clip(scene: FbxScene, clips: list[FbxClip], clip: int | str | None) -> FbxClip:

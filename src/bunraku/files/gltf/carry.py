@@ -5,16 +5,20 @@ from __future__ import annotations
 import base64
 import copy
 from collections.abc import Collection, Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bunraku.errors import FormatError
+from bunraku.errors import FormatError, OptionError
 from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Document, GltfBuilder
 from bunraku.files.gltf.mesh import MeshPart, skin_matrices
 from bunraku.files.gltf.read import Source
 
-__all__ = ["IMAGE_SUFFIXES", "MeshCarrier", "carry_clips", "carry_images", "carry_tree", "free_name", "used_extensions"]
+__all__ = [
+    "IMAGE_SUFFIXES", "MeshCarrier", "carry_clips", "carry_images", "carry_tree", "clip_number", "free_name",
+    "used_extensions",
+]  # fmt: skip
 
 _WHITE_PNG = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGP4//8/AAX+Av4N70a4AAAAAElFTkSuQmCC"
@@ -295,6 +299,21 @@ def _repaired(role: str, values: np.ndarray) -> np.ndarray:
 
 
 _OUTPUTS = {"translation": ("VEC3",), "rotation": ("VEC4",), "scale": ("VEC3",), "weights": ("SCALAR",)}
+
+
+def clip_number(path: Path, names: list[str], clip: int | str) -> int:
+    """Number of a clip by its number or name, with or without its armature's name before a bar.
+
+    Raises:
+        OptionError: There is no clip of this name or number.
+    """
+    for known in (names, [name.rsplit("|", 1)[-1] for name in names]):  # exporters write "Armature|Walk"
+        if clip in known:
+            return known.index(str(clip))
+    number = int(clip) if str(clip).isdecimal() else -1
+    if not 0 <= number < len(names):
+        raise OptionError(f"{path} has no clip {clip!r}; it has {', '.join(names[:20])}")
+    return number
 
 
 def free_name(name: str, taken: Iterable[str]) -> str:

@@ -22,8 +22,7 @@ from bunraku.core.motion import (
     resample_motion,
 )
 from bunraku.errors import CharacterError, FormatError, MotionError, OptionError
-from bunraku.files.fbx.clips import clip_number
-from bunraku.files.gltf.carry import free_name
+from bunraku.files.gltf.carry import clip_number, free_name
 from bunraku.files.gltf.document import Document, GltfBuilder
 from bunraku.files.gltf.nodes import MAX_SECONDS, Curves, NodeTree, clip_curves, node_worlds, read_nodes
 from bunraku.files.gltf.open import open_document
