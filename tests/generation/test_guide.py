@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 
 from bunraku.core.body.joint_rotations import skeleton_from_handles
+from bunraku.generation.composition import unturned
 from bunraku.generation.features import FeatureStatistics, decode, mirror
 from bunraku.generation.guide import (
     GuidanceExamples,
     circled,
-    fills,
     fits_into,
     goes_on,
-    hurried,
     laid,
     laid_script,
     liveliest,
     repeated,
+    timed,
+    warped,
 )
 from bunraku.generation.networks import Networks, Texts
 from bunraku.generation.pack import ExamplePack, packed_stretch
@@ -46,13 +47,32 @@ def test_what_goes_on_is_played_on_or_cut(pack, units):
     assert np.abs(np.diff(long[-30:], axis=0)).max() > 0.5 * step  # it waves to the end
 
 
-def test_what_is_done_once_has_rest_around_it(pack, units):
-    long, kick = lay(pack, units, KICK, 100), pack.features(1)
-    assert len(long) == 100
-    start = next(at for at in range(71) if np.allclose(long[at : at + 30, 3:], kick[:, 3:], atol=1e-4))
-    assert 0 < start <= 30
-    assert np.ptp(long[:start, 3:], axis=0).max() < 1e-4 and np.ptp(long[start + 30 :, 3:], axis=0).max() < 1e-4
+def test_what_is_to_be_done_once_has_rest_around_it(pack, units):
+    guide = laid(pack, KICK, 100, units, np.random.default_rng(0), Manner(count=1))
+    long, kick = units.restore(guide.values), pack.features(1)
+    moving = np.flatnonzero(np.abs(np.diff(long[:, 3:], axis=0)).max(axis=1) > 1e-4)
+    assert 0 < moving[0] <= 20 and 22 <= moving[-1] - moving[0] <= 38
+    np.testing.assert_allclose(np.ptp(long[:, 3:], axis=0).max(), np.ptp(kick[:, 3:], axis=0).max(), rtol=0.02)
     np.testing.assert_allclose(long[-1, :3], 0, atol=1e-3)
+
+
+def test_an_example_fills_its_time(pack, units):
+    """It is done again, faster or slower, unless it is over with the body at another height."""
+    kick, sits = pack.features(1), pack.features(1).copy()
+    sits[:, 3] -= np.linspace(0, 0.5, len(sits))
+    for frames in (25, 34, 50, 100):
+        assert len(timed(kick, frames, 4)) == frames
+    assert len(timed(kick, 100, 1)) == len(timed(sits, 100, 4)) == 37
+    again = timed(kick, 60, 4)
+    assert np.abs(np.diff(again, axis=0)).max() < 1.2 * np.abs(np.diff(kick, axis=0)).max()
+
+
+def test_what_is_not_to_turn_is_straightened(pack):
+    turning = pack.features(0).copy()
+    turning[:, 0] = np.where(np.arange(len(turning)) < 10, 3.0, 0.0)
+    straight = unturned(turning, 20.0)
+    assert straight[:, 0].sum() / 20 == pytest.approx(np.radians(20))
+    assert np.abs(straight[30:, 0]).max() < 0.05 and np.array_equal(straight[:, 1:], turning[:, 1:])
 
 
 def test_around_what_stops_in_midmotion_the_sampler_is_left_to_itself(pack, units):
@@ -63,8 +83,7 @@ def test_around_what_stops_in_midmotion_the_sampler_is_left_to_itself(pack, unit
     cut = replace(pack, examples=(replace(pack.examples[0], loop=None), pack.examples[1]), data=data)
     guide = laid(cut, WAVE, 100, units, np.random.default_rng(0))
     led = np.flatnonzero(guide.share == 1)
-    assert len(led) == 40 and (np.diff(led) == 1).all()
-    np.testing.assert_allclose(units.restore(guide.values[led])[:, 3:], cut.features(0)[:, 3:], atol=1e-4)
+    assert 40 <= len(led) <= 50 and (np.diff(led) == 1).all()
     assert guide.share[0] == guide.share[-1] == 0 and np.abs(np.diff(guide.share)).max() < 0.2
     assert (laid(pack, KICK, 100, units, np.random.default_rng(0)).share == 1).all()  # it can be held
 
@@ -85,10 +104,6 @@ def test_who_goes_on_does_not_stand_before_or_after(pack, units):
         assert examples.of([(clause, 100)], (0, 0), 0).manners[0].lasts is lasts
 
 
-def test_what_fills_the_time_is_told_from_what_is_over_soon(pack):
-    assert fills(pack, WAVE, 1000) and fills(pack, KICK, 50) and not fills(pack, KICK, 51)
-
-
 def test_what_is_done_once_is_sped_up_a_little_but_never_cut(pack, units):
     short = lay(pack, units, KICK, 25)
     np.testing.assert_allclose(short[[0, -1], 3:], pack.features(1)[[0, -1], 3:], atol=1e-4)
@@ -107,7 +122,7 @@ def test_of_what_is_much_too_long_the_liveliest_part_is_taken(pack, units):
 def test_who_hurries_gets_as_far():
     walk = np.zeros((41, 271), np.float32)
     walk[:, 2] = 1.5
-    fast = hurried(walk, 31)
+    fast = warped(walk, 31)
     assert fast[1:, 2].sum() == pytest.approx(walk[1:, 2].sum(), rel=1e-6)
 
 
@@ -193,7 +208,7 @@ def test_the_height_of_a_kick_is_joined_to_standing_and_none_of_the_kick_is_lost
     assert on_one_leg(cut[-4:]) and not on_one_leg(cut[:4])
     guide = laid(short, Found(0, False, 0.9), 100, units, np.random.default_rng(0))
     laid_out = units.restore(guide.values)
-    assert any(np.allclose(laid_out[at : at + len(cut), 3:], cut[:, 3:], atol=1e-3) for at in range(100 - len(cut)))
+    assert np.abs(laid_out[:, 3:] - cut[-1, 3:]).max(axis=1).min() < 1e-3
     assert (guide.share == 1).all() and not on_one_leg(laid_out[-20:])
 
 
@@ -316,7 +331,7 @@ def test_a_motion_in_a_row_is_done_so_often_without_a_jump(pack, units):
 
     three = repeated(kick, 3)
     assert swings(three) == 3 * swings(kick) > 0 and fastest(three) <= fastest(kick) + 1e-5
-    assert swings(lay(pack, units, KICK._replace(times=2), 120)) == 2 * swings(lay(pack, units, KICK, 120))
+    assert swings(lay(pack, units, KICK._replace(times=2), 120)) == 2 * swings(kick)
 
 
 @pytest.fixture(scope="module")

@@ -88,8 +88,8 @@ class SamplingSettings:
         progress: Called with a stage's name and the share done.
         checkpoint: Weights of the denoiser in place of the shipped ones.
         candidates: Motions that are drawn for each that is given back, 1 to 16; the ranker chooses (`ranking`). The
-            first has the noise that it has alone. Where none has the side, the turn or the direction of the sentence,
-            as many are drawn again, at most three times.
+            first has the noise that it has alone. Where none does what the sentence says and nothing else
+            (`verifier`), as many are drawn again, at most three times.
         examples: All candidates but the first start from captured examples of people where any fit (`guide`).
         all_led: The first does so too.
         classifier_guidance: Predictions are guided towards their sentences, as people do them (`classifier_guidance`).
@@ -174,7 +174,7 @@ def draw_candidates(
     """
     from bunraku.core.nn.layers import one_thread
     from bunraku.generation.composition import PartTrack, with_limbs
-    from bunraku.generation.ranking import Candidate, script_agreement
+    from bunraku.generation.ranking import Candidate, script_verdict
     from bunraku.generation.sampler import Steering
     from bunraku.generation.windows import plan_windows, sample_plans
 
@@ -233,7 +233,7 @@ def draw_candidates(
             gesture = statistics.restore(limbs.on(own_lengths, sizes[row], statistics, closed=loop).values)
             features = with_limbs(features, gesture, timed)
         features = features[frames]
-        said = script_agreement(features, timed, example is not None) if how.candidates > 1 and path is None else None
+        said = script_verdict(features, timed, example is not None) if how.candidates > 1 and path is None else None
         drawn.append(Candidate(features, part.adaptation[frames], timed, said, example is not None))
     return drawn
 

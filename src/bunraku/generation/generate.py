@@ -133,6 +133,11 @@ def generate_motions(
                 return script_scores(networks.ranker, texts.ranked, motions, [candidate.script for candidate in drawn])
 
         chosen = choose(draw, len(scripts), how.candidates, score)
+        for missed in dict.fromkeys(
+            verdict.missed for one in chosen if (verdict := one.verdict) and verdict.agreement < 0
+        ):
+            if how.note:
+                how.note(f"none of the motions that were drawn does all that was asked; the kept one misses: {missed}")
     else:
         chosen = draw(rows, [0] * len(rows))
     of_body = how.of_body(model)

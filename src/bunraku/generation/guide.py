@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bunraku.core.geometry.curves import smooth_step
+from bunraku.generation.composition import unturned
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
-from bunraku.generation.pack import ExamplePack
-from bunraku.generation.retrieve import Found, retrieve
+from bunraku.generation.pack import FPS, ExamplePack
+from bunraku.generation.retrieve import MOST_TIMES, Found, retrieve
 from bunraku.generation.splicing import AROUND, END, Joins, held, on_one_leg, played, rests
 from bunraku.gestures.catalogue import at_part
 from bunraku.gestures.interactions import interaction_gesture
@@ -26,24 +27,24 @@ if TYPE_CHECKING:
     from bunraku.gestures.pose import Gesture
 
 __all__ = [
-    "CROUCH", "GuidanceExample", "GuidanceExamples", "Guide", "circled", "fills", "fits_into", "goes_on", "hurried",
-    "laid", "laid_script", "liveliest", "pose_distance",
+    "CROUCH", "GuidanceExample", "GuidanceExamples", "Guide", "circled", "fits_into", "goes_on", "laid",
+    "laid_script", "liveliest", "pose_distance", "timed", "warped",
 ]  # fmt: skip
 
+HURRY, SLOWED = 1.35, 1.25
+"""Largest factors by which an example that is done once is sped up and slowed down to fill its time; chosen by eye."""
 # Chosen by eye on sheets of generated motion.
-HURRY = 1.35  # largest factor by which an example that is done once is sped up to fit in
-FILLED = 0.6  # least share of the time that an example fills; shorter ones are taken where there are no others
 UPRIGHT = 0.9  # of the root's axis, in a person who stands
-_LEAD = 30  # most frames of standing before an action that is done once
+_LEAD = 10  # most frames of standing before an action that is done once: it begins within 0.7 s (`verifier`)
 CROUCH = 0.12  # height [m] by which a person who stands is lower at most
-NEAR = 1.0
-"""Difference of two poses, in network units, up to which rest is joined to standing; a motion that stands in its midst
-is joined whatever it is. The sampler repairs what is between.
-"""
 AIRBORNE = 0.1  # height of the root over standing [m] from which on a body cannot stay
 GOES = 1.0  # speed [m/s] of a person who walks on
 EASE = 0.6  # share of a pose's change that is left from frame to frame where a motion comes to rest
 SHORTEST_LOOP = 12  # shorter loops are a part of a movement, half a punch [frames]
+NEAR = 1.0
+"""Difference of two poses, in network units, up to which rest is joined to standing; a motion that stands in its midst
+is joined whatever it is. The sampler repairs what is between.
+"""
 WEIGHTS = feature_weights()[3:]  # of a pose: all features but the root's velocities
 _FADE = 10  # frames over which the sampler is free where one sentence blends into the next
 
@@ -60,11 +61,6 @@ class Guide:
 def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
     """Whether an example is done within so many frames, or can be cut anywhere."""
     return goes_on(pack, found) or pack.examples[found.number].frames * found.times <= HURRY * frames
-
-
-def fills(pack: ExamplePack, found: Found, frames: int) -> bool:
-    """Whether an example goes on for most of so many frames."""
-    return goes_on(pack, found) or pack.examples[found.number].frames * found.times >= FILLED * frames
 
 
 def laid(
@@ -101,17 +97,21 @@ def laid(
     features = pack.features(found.number)
     if found.mirrored:
         features = mirror(features)
+    if found.straight:
+        features = unturned(features, FPS)
     example = pack.examples[found.number]
     made = np.full(frames, example.unranked)  # the network may have seen no more of it than the ranker
     if found.times > 1 and not closed:
         features = repeated(liveliest(features, int(HURRY * frames / found.times), statistics), found.times)
     loop = _loop(pack, found)
+    if loop is None and found.times == 1 and not (closed or manner.lasts):
+        features = timed(features, frames - int(random.integers(2 * _FADE)), 1 if manner.count else MOST_TIMES)
     if closed:
         share = np.full(frames, loop is not None, np.float32)
         features = features[:1].repeat(frames, axis=0) if loop is None else circled(features, loop, frames)
         return Guide(statistics.normalise(features).astype(np.float32), share, made)
     if loop is None and len(features) > frames:
-        features = hurried(liveliest(features, int(HURRY * frames), statistics), frames)
+        features = warped(liveliest(features, int(HURRY * frames), statistics), frames)
     values = statistics.normalise(features).astype(np.float32)
     if loop is not None:
         values = played(values, loop, frames)
@@ -236,14 +236,30 @@ def repeated(features: np.ndarray, times: int) -> np.ndarray:
     return out
 
 
-def hurried(features: np.ndarray, frames: int) -> np.ndarray:
-    """The same motion in fewer frames, shape (frames, D)."""
+def warped(features: np.ndarray, frames: int) -> np.ndarray:
+    """The same motion faster or slower, in so many frames, shape (frames, D)."""
     at = np.linspace(0, len(features) - 1, frames)
     low = np.minimum(at.astype(int), len(features) - 2)
     share = (at - low)[:, None].astype(np.float32)
     out = features[low] * (1 - share) + features[low + 1] * share
     out[:, :3] *= (len(features) - 1) / max(frames - 1, 1)
     return np.asarray(out, np.float32)
+
+
+def timed(features: np.ndarray, frames: int, most: int) -> np.ndarray:
+    """A motion (N, D) that is done once, made to fill so many frames: as often as needed, at most `most` times, and
+    faster or slower by at most `HURRY` and `SLOWED`. What ends in a run, at another height or in another pose than it
+    began is done once.
+    """
+    first, last = features[0, 3:], features[-1, 3:]
+    goes = np.linalg.norm(features[-END:, 1:3], axis=1).mean() > GOES
+    if goes or abs(float(last[0] - first[0])) > CROUCH or pose_distance(first, last) > (ODD / 2) ** 2:
+        most = 1
+    fade = min(_FADE, len(features) // 3)
+    lengths = np.arange(1, most + 1) * (len(features) - fade) + fade
+    out = repeated(features, int(np.abs(np.log(lengths / frames)).argmin()) + 1)
+    length = int(np.clip(frames, len(out) / HURRY, len(out) * SLOWED))
+    return warped(out, length) if length != len(out) else out
 
 
 def circled(features: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
@@ -307,9 +323,9 @@ class GuidanceExample:
 NEAREST = 3
 ALIKE = 1.0  # further distance of poses from the nearest up to which others may begin, too
 TRIED = 3  # examples that are considered for one
-LEFT = 0.35  # share of gestures that are done with the left hand where no side is said
+LEFT = 0.35  # share of gestures that are done with the left hand where no side is said; chosen by eye
 SIDES = ("left", "right")
-PACES = {"slow": 0.72, "fast": 1.35}  # tempo of a gesture by its adverb
+PACES = {"slow": 0.72, "fast": 1.35}  # tempo of a gesture by its adverb; chosen by eye
 ODD = 4.9
 """Distance of a pose from those of people who stand at which no motion begins; that of a kick at its height was
 measured as 4.8.
@@ -374,7 +390,6 @@ class GuidanceExamples:
         for clause, frames in script:
             offered = self._found.get(clause.text, [])
             fitting = [one for one in offered if fits_into(self.pack, one, frames)] or offered
-            fitting = [one for one in fitting if fills(self.pack, one, frames)] or fitting
             if chosen and chosen[-1] is not None:
                 fitting = self._following(chosen[-1], fitting)
             order = random.permutation(len(fitting)).tolist()

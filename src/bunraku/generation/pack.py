@@ -47,6 +47,7 @@ _AND = ", "
 _OTHER_SIDE = {"left": "right", "right": "left"}
 MOST_FRAMES = 2_000  # of one stretch; more in a file is damage
 _METRES, _RADIANS = 5e-4, 1e-3
+_STEPS = 127.0  # into which 1 is parted in a file's unit vectors; a cosine is then off by .003 at the most
 _NUMBERS = 3 + 3 * JOINT_COUNT
 _FILTERS = lzma_filters(9 | lzma.PRESET_EXTREME, 1 << 16)
 
@@ -131,7 +132,8 @@ class ExamplePack:
     examples: tuple[Example, ...]  # E of them
     data: tuple[bytes, ...]  # packed stretches
     owners: np.ndarray  # the example of each sentence, shape (T,)
-    texts: np.ndarray  # unit vectors of the sentences and of the mirrored ones, shape (2, T, V)
+    # unit vectors of the sentences, of those in which people ask for the same, and of all in the mirror, (2, T, V)
+    texts: np.ndarray
     motions: np.ndarray  # unit vectors of the stretches and of their mirror images, shape (2, E, V)
     ranker: str  # fingerprint of the ranker's weights that made the vectors
     # `Said` of each example, each field parted by commas; empty where it is not stored
@@ -291,8 +293,8 @@ def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object])
         "data": np.frombuffer(b"".join(pack.data), np.uint8),
         "sizes": np.array([len(part) for part in pack.data], np.int32),
         "owners": pack.owners.astype(np.int32),
-        "texts": pack.texts.astype(np.float32),
-        "motions": pack.motions.astype(np.float32),
+        "texts": np.rint(_STEPS * pack.texts).astype(np.int8),
+        "motions": np.rint(_STEPS * pack.motions).astype(np.int8),
     }
     write_said(path, pack)
     return save_checkpoint(path, tensors, {"examples": table, "ranker": pack.ranker, "notes": notes}, KIND, half=True)
@@ -369,12 +371,17 @@ def read_pack(path: str | Path) -> ExamplePack:
         owners = state["owners"]
         pack = ExamplePack(
             tuple(examples), tuple([data[start:stop] for start, stop in zip(ends, ends[1:], strict=False)]), owners,
-            state["texts"], state["motions"], str(config["ranker"]),
+            _units(state["texts"]), _units(state["motions"]), str(config["ranker"]),
         )  # fmt: skip
         fits = pack.texts.shape[:2] == (2, len(owners)) and pack.motions.shape[:2] == (2, len(examples))
         if not fits or len(sizes) != len(examples) or not ((owners >= 0) & (owners < len(examples))).all():
             raise ValueError("its tables have different lengths")
     return _with_stored(pack, path)
+
+
+def _units(vectors: np.ndarray) -> np.ndarray:
+    """Unit vectors of a file; older ones hold them as float16."""
+    return vectors.astype(np.float32) / _STEPS if vectors.dtype == np.int8 else vectors
 
 
 def load_examples() -> ExamplePack | None:

@@ -1,7 +1,7 @@
 """The best of several candidates, by a network that was trained apart from the judge of the tables, and by rule.
 
 Each sentence of a script is compared with its own part of the motion; a motion's score is the mean of their cosines.
-What a sentence plainly says (`agreement`) weighs more: a punch with the wrong hand is no choice.
+What a sentence plainly says and does not say (`verifier`) weighs more: a punch with the wrong hand is no choice.
 """
 
 from __future__ import annotations
@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.generation.agreement import agreement
 from bunraku.generation.composition import clause_spans
 from bunraku.generation.extractor import LONGEST, RADIUS, SHORTEST, Extractor, embed_motions
 from bunraku.generation.features import decode
-from bunraku.language.posing import Posing
+from bunraku.generation.verifier import Verdict, verify
 from bunraku.language.sentence import Clause
 
-__all__ = ["Candidate", "choose", "script_agreement", "script_scores"]
+__all__ = ["Candidate", "choose", "script_scores", "script_verdict"]
 
 # Chosen by eye on sheets of generated motion.
 WEIGHT = 0.5
@@ -35,7 +34,7 @@ class Candidate:
     motion: np.ndarray  # features of each frame, shape (N, 271)
     adaptation: np.ndarray  # offsets of local translations [m], shape (N, K, 3)
     script: Sequence[tuple[Clause, int]]  # its clauses with the frames that each lasts
-    agreement: float | None = None  # how far it does what they plainly say; None where they make no claim
+    verdict: Verdict | None = None  # the claim of theirs that holds least; None where they make no claim
     captured: bool = False  # it starts from a captured example
 
 
@@ -62,19 +61,13 @@ def script_scores(
     return total / np.maximum(weight, 1)
 
 
-def script_agreement(motion: np.ndarray, script: Sequence[tuple[Clause, int]], led: bool = False) -> float | None:
-    """How far a motion (N, 271) does what its sentences plainly say: the `agreement` of the one that holds least. `led`
-    motions start from examples, so that limbs go where the sentence says.
+def script_verdict(motion: np.ndarray, script: Sequence[tuple[Clause, int]], led: bool = False) -> Verdict | None:
+    """The claim of a script that holds least of a motion (N, 271); None where it makes none. `led` motions start from
+    examples, so that limbs go where the sentence says.
     """
-    scores = []
-    for clause, span in clause_spans(script):
-        if led and isinstance(clause.detail, Posing):
-            continue
-        part = motion[span]
-        score = agreement(clause, decode(part)) if len(part) >= SHORTEST else None
-        if score is not None:
-            scores.append(score)
-    return min(scores, default=None)
+    parts = [(clause, motion[span]) for clause, span in clause_spans(script)]
+    verdicts = [verify(clause, decode(part), not led) for clause, part in parts if len(part) >= SHORTEST]
+    return min((one for one in verdicts if one is not None), key=lambda one: one.agreement, default=None)
 
 
 def choose(
@@ -97,10 +90,14 @@ def choose(
         indices = [attempt * candidates + index for _ in wanted for index in range(candidates)]
         drawn = draw(rows, indices)
         for motion, candidate, cosine in zip(rows, drawn, score(drawn).tolist(), strict=True):
-            total = cosine + WEIGHT * (candidate.agreement or 0.0) + CAPTURED * candidate.captured
+            total = cosine + WEIGHT * min(_agreement(candidate), ENOUGH) + CAPTURED * candidate.captured
             if motion not in best or total > best[motion][0]:
                 best[motion] = (total, candidate)
-        wanted = [motion for motion in wanted if (said := best[motion][1].agreement) is not None and said < ENOUGH]
+        wanted = [motion for motion in wanted if _agreement(best[motion][1]) < ENOUGH]
         if not wanted:
             break
     return [best[motion][1] for motion in range(motions)]
+
+
+def _agreement(candidate: Candidate) -> float:
+    return 1.0 if candidate.verdict is None else candidate.verdict.agreement

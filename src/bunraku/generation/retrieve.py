@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bunraku.generation.pack import ExamplePack, Said, said_by
+from bunraku.generation.verifier import asks_to_turn
 from bunraku.gestures.catalogue import part_in
 from bunraku.language.clauses import limbs_described
 from bunraku.language.interactions import Interaction, says_more
@@ -64,6 +65,7 @@ class Found(NamedTuple):
     times: int = 1  # repetitions of a captured one that shows a counted action once
     # what is done with a thing, follows from one, or is done by limbs, as a gesture of its own
     detail: Interaction | Posing | None = None
+    straight: bool = False  # it is not to turn
 
 
 class Retrieved(NamedTuple):
@@ -80,6 +82,12 @@ class Retrieved(NamedTuple):
 
 
 def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved:
+    """Examples that show what a clause says (`_offered`), without turns where it speaks of none."""
+    offered, straight = _offered(pack, clause, vector), not asks_to_turn(clause)
+    return offered._replace(found=[example._replace(straight=straight) for example in offered.found])
+
+
+def _offered(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved:
     """Examples that show what a clause says. Described limbs are a gesture of their own, and what is done with a thing
     one through the positions that it names, or as captured where it names none. Where no example shows everything,
     those count that show it once, to be repeated, and those with the right limb, whichever way its movement goes.

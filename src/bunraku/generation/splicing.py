@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from bunraku.core.geometry.curves import smooth_step
-from bunraku.generation.agreement import Track
 from bunraku.generation.features import FeatureStatistics, decode, feature_weights
+from bunraku.generation.track import Track
 
 __all__ = [
     "AROUND", "END", "FEWEST", "Joins", "held", "join_point", "on_one_leg", "played", "rests", "splice",

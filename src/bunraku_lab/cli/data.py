@@ -242,6 +242,10 @@ class Examples:
     """A pack to write again with the gestures that it lacks, and with the clips of one's own that `bunraku data
     motions` made of a captions.csv, where --data names these; "shipped" is the one that Bunraku brings.
     """
+    captions: Path | None = None
+    """Folder with captions_watched.json and captions_asked.tsv: with --add-to, the pack gets the sentences that ask for
+    its stretches, and the stretches of --data that show what it does not, in place of those that others replace best.
+    """
 
     def run(self) -> None:
         check_range("--stretches", self.stretches, 1, 1000)
@@ -256,7 +260,15 @@ class Examples:
         base = shipped_checkpoint("examples") if self.add_to == SHIPPED else self.add_to
         with stages() as report:
             pack = build_examples(
-                ExampleSettings(self.data, self.output, self.stretches, self.events, ranker=self.ranker, add_to=base),
+                ExampleSettings(
+                    self.data,
+                    self.output,
+                    self.stretches,
+                    self.events,
+                    ranker=self.ranker,
+                    add_to=base,
+                    captions=self.captions,
+                ),
                 progress=report,
             )
         seconds = sum(example.frames for example in pack.examples) / 20

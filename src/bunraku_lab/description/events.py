@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from bunraku.generation.agreement import SIDES, Phrase, Track, runs, smooth
+from bunraku.generation.track import SIDES, Phrase, Track, runs, smooth
 
 
 def peaks(values: np.ndarray, prominence: float, height: float | None = None) -> np.ndarray:

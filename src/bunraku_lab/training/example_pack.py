@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,7 +18,6 @@ from bunraku.core.body.joint_rotations import skeleton_from_handles
 from bunraku.core.body.reference import reference_body
 from bunraku.core.motion import SkeletalMotion
 from bunraku.core.nn.checkpoints import load_checkpoint, shipped_checkpoint
-from bunraku.generation.agreement import SIDES, Track, runs
 from bunraku.generation.extractor import RADIUS, Extractor, embed_motions, embed_sentences, load_ranker
 from bunraku.generation.features import FeatureStatistics, body_handle_motion, decode, encode, mirror
 from bunraku.generation.pack import (
@@ -34,6 +34,7 @@ from bunraku.generation.pack import (
     read_pack,
     write_pack,
 )
+from bunraku.generation.track import SIDES, Track, runs
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
 from bunraku.gestures.standing import stands_well
@@ -41,6 +42,8 @@ from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.lexicon import main_actions
 from bunraku.language.vocabulary import is_known, own_words, words_of, write_own_words
+from bunraku_lab.datasets.motions.build import split_of
+from bunraku_lab.datasets.motions.clips import load_watched
 from bunraku_lab.description.wording import computed_sentence, inside
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture, standing_stretches
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips
@@ -142,6 +145,10 @@ _BUSY = re.compile(
     r"\b(arms?|hands?|balls?|pass(es|ing)?|strokes?|swings?|throws?|fight\w*|karate|push\w*|shov\w*)\b", re.I
 )
 _WORDINGS = 3
+_BYTES = 50
+"""Of a packed frame, about."""
+_CLEAR = 0.2
+"""Least cosine of a stretch with its own sentences, by the ranker, below which one is hardly seen in the other."""
 
 
 @dataclass(frozen=True)
@@ -160,6 +167,9 @@ class ExampleSettings:
         seed: Of the wordings.
         add_to: A pack that is written again with the gestures that it lacks, and with the vectors of `ranker` where
             those are of another; no captured clips are needed, but for idles and busy people where it has none.
+        captions: Folder with `captions_watched.json` and `captions_asked.tsv`: the pack of `add_to` gets the sentences
+            in which people ask for its stretches, and the stretches of `data` that show what it does not.
+        motion: Bytes of captured motion that such a pack may have.
     """
 
     data: Path = Path("runs/data/motions")
@@ -172,6 +182,8 @@ class ExampleSettings:
     ranker: Path | None = None
     seed: int = 0
     add_to: Path | None = None
+    captions: Path | None = None
+    motion: int = 8_000_000
 
 
 GESTURE = "gesture"
@@ -185,6 +197,7 @@ class _Stretch(NamedTuple):
     features: np.ndarray
     loop: tuple[int, int] | None
     skeleton: SkeletalMotion | None = None
+    asked: tuple[str, ...] = ()
 
 
 def build_examples(
@@ -274,6 +287,18 @@ def _with_what_it_lacks(
             licences.update(str(own[one.name].get("licence", "unknown")) for one in found if one.kind == OWN)
             said = {word.text for entry in own.values() for text in entry["texts"] for word in words_of(text)}
             write_own_words(settings.out.parent, {word for word in said if not is_known(word)} | own_words())
+    if settings.captions is not None:
+        asked = _asked(settings.captions)
+        base = _with_asked(base, asked, ranker, encoder)
+        clips = _people(settings, progress)
+        shown = {one.name for one in base.examples}
+        rows = ClipSet(clips, FeatureStatistics.measure([entry["features"] for entry in clips.values()]))
+        captured = [
+            one._replace(asked=asked.get(one.texts[0], ())) for one in _stretches(rows, clips) if one.name not in shown
+        ]
+        base, captured = _widest(base, captured, ranker, encoder, settings.motion)
+        licences.update(str(clips[one.name].get("licence", "unknown")) for one in captured)
+        found += captured
     texts, motions, owners = _vectors(found, ranker, encoder) if found else (base.texts[:, :0], base.motions[:, :0], [])
     added = [one.skeleton or skeleton_from_handles(decode(one.features), rounds=1) for one in found]
     pack = ExamplePack(
@@ -289,6 +314,72 @@ def _with_what_it_lacks(
     frames = sum(one.frames for one in pack.examples)
     write_pack(settings.out, pack, notes | {"licences": dict(licences), "frames": frames})
     return pack
+
+
+def _asked(folder: Path) -> dict[str, tuple[str, ...]]:
+    """Sentences that ask for what is seen in stretches of training clips, by the fullest caption of each."""
+    clips = json.loads((folder / "captions_watched.json").read_text(encoding="utf-8"))["clips"]
+    stretches = load_watched(folder, dict.fromkeys((name for name in clips if split_of(name) == "train"), 10**6))
+    return {one.texts[0]: one.asked for rows in stretches.values() for one in rows}
+
+
+def _with_asked(
+    pack: ExamplePack, asked: Mapping[str, tuple[str, ...]], ranker: Extractor, encoder: TextEncoder
+) -> ExamplePack:
+    """A pack with vectors of the sentences that ask for its captured stretches, where it has only those of captions."""
+    sizes = np.bincount(pack.owners, minlength=len(pack.examples))
+    rows = [
+        (index, text)
+        for index, one in enumerate(pack.examples)
+        if one.texts and not one.unranked and sizes[index] == len(one.texts)
+        for text in asked.get(one.texts[0], ())
+    ]
+    vectors = _sentence_vectors([text for _, text in rows], ranker, encoder)
+    owners = np.concatenate([pack.owners, np.array([index for index, _ in rows], np.int32)])
+    return replace(pack, texts=np.concatenate([pack.texts, vectors], axis=1), owners=owners)
+
+
+def _widest(
+    base: ExamplePack, found: list[_Stretch], ranker: Extractor, encoder: TextEncoder, most: int
+) -> tuple[ExamplePack, list[_Stretch]]:
+    """A pack without the captured stretches that others in it replace best, and of new ones those that show what it
+    does not, until its captured motion has `most` bytes: each time the stretch is taken, of all that are there, to
+    which the most sentences come nearer for its bytes.
+    """
+    texts, motions, owners = _vectors(found, ranker, encoder)
+    clear = np.array([float(texts[0, owners == i].mean(axis=0) @ motions[0, i]) for i in range(len(found))])
+    sentences = np.concatenate([base.texts[0], texts[0]])
+    whose = np.concatenate([base.owners, owners + len(base.examples)])
+    free = [index for index, one in enumerate(base.examples) if one.texts and "#" not in one.name and not one.unranked]
+    ours = [index for index, one in enumerate(base.examples) if index not in set(free)]
+    bytes_of = np.array([len(part) for part in base.data] + [_BYTES * len(one.features) for one in found], float)
+    stretches = [*free, *(len(base.examples) + np.flatnonzero(clear > _CLEAR)).tolist()]
+    near = np.stack([(sentences @ sentences[whose == index].T).max(axis=1) for index in stretches], axis=1) ** 2
+    covered = np.full(len(sentences), 0.0)
+    left = most - sum(bytes_of[index] for index in ours if not base.examples[index].made)
+    kept: list[int] = []
+    gains = np.full(len(stretches), np.inf)
+    while True:
+        place = int(np.argmax(gains))
+        if gains[place] <= 0 or left <= 0:
+            break
+        gain = float(np.maximum(near[:, place] - covered, 0).sum()) / bytes_of[stretches[place]]
+        if gain < gains[place] and gain < np.partition(gains, -2)[-2]:
+            gains[place] = gain  # what was last known of the others is more: they are looked at again first
+            continue
+        covered = np.maximum(covered, near[:, place])
+        left -= bytes_of[stretches[place]]
+        kept.append(stretches[place])
+        gains[place] = -1
+    stays = sorted([*ours, *(index for index in kept if index < len(base.examples))])
+    place_of = {index: number for number, index in enumerate(stays)}
+    rows = np.isin(base.owners, stays)
+    slim = replace(
+        base, examples=tuple(base.examples[index] for index in stays), data=tuple(base.data[index] for index in stays),
+        owners=np.array([place_of[owner] for owner in base.owners[rows].tolist()], np.int32),
+        texts=base.texts[:, rows], motions=base.motions[:, stays], stored=(), stored_standing=None,
+    )  # fmt: skip
+    return slim, [found[index - len(base.examples)] for index in sorted(kept) if index >= len(base.examples)]
 
 
 def _unpacked(pack: ExamplePack, index: int) -> _Stretch:
@@ -385,18 +476,22 @@ def _busy(clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:
             yield _Stretch(f"{name}{BUSY}", "busy", (), features, None, skeleton)
 
 
+def _sentence_vectors(sentences: Sequence[str], ranker: Extractor, encoder: TextEncoder) -> np.ndarray:
+    """Unit vectors of sentences, as they are and in the mirror, shape (2, T, V)."""
+    both = [list(sentences), list(map(mirror_words, sentences))]
+    vectors = embed_sentences(ranker, encoder, [text for texts in both for text in texts])
+    size = next(iter(vectors.values())).shape[-1] if vectors else ranker.config.embedding
+    return np.array([[vectors[text] for text in some] for some in both]).reshape(2, len(sentences), size) / RADIUS
+
+
 def _vectors(
     found: list[_Stretch], ranker: Extractor, encoder: TextEncoder
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Unit vectors of all sentences (2, T, V) and motions (2, E, V), as they are and in the mirror, and which stretch
     each sentence is of, (T,).
     """
-    owners = np.array([index for index, one in enumerate(found) for _ in one.texts], int)
-    both = [[text for one in found for text in one.texts]]
-    both.append(list(map(mirror_words, both[0])))
-    vectors = embed_sentences(ranker, encoder, [text for texts in both for text in texts])
-    size = next(iter(vectors.values())).shape[-1] if vectors else ranker.config.embedding
-    texts = np.array([[vectors[text] for text in some] for some in both]).reshape(2, len(owners), size) / RADIUS
+    owners = np.array([index for index, one in enumerate(found) for _ in one.texts + one.asked], int)
+    texts = _sentence_vectors([text for one in found for text in one.texts + one.asked], ranker, encoder)
     motions = np.array([embed_motions(ranker, [way(one.features) for one in found]) for way in (np.asarray, mirror)])
     motions /= RADIUS
     for index, one in enumerate(found):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from moving_people import FPS, kick, person, ramp
 
-from bunraku.generation.agreement import Phrase, Track, runs
 from bunraku.generation.features import decode, encode, mirror
+from bunraku.generation.track import Phrase, Track, runs
 from bunraku.language.captions import conjugate, mirror_words
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.description.events import find_punches, find_seats

@@ -78,7 +78,7 @@ def test_training_clips_alone_are_packed_with_the_vectors_of_both_sides(swings, 
     wave = pack.features(index)
     both = embed_motions(model, [wave, mirror(wave)]) / RADIUS
     np.testing.assert_allclose(pack.motions[:, index], both, atol=0.05)  # but for what a skeleton cannot do
-    np.testing.assert_allclose(read_pack(settings.out).motions, pack.motions, atol=1e-3)
+    np.testing.assert_allclose(read_pack(settings.out).motions, pack.motions, atol=5e-3)
 
 
 def test_of_each_action_only_the_clearest_are_kept(swings, ranker, encoder, tmp_path):
@@ -137,10 +137,10 @@ def test_a_pack_gets_the_gestures_that_it_lacks(swings, ranker, encoder, tmp_pat
     pack = read_pack(more.out)
     assert len(lacks) == 2 and [whole.examples[index] for index in kept + lacks] == list(pack.examples)
     assert [whole.data[index] for index in kept + lacks] == list(pack.data)
-    np.testing.assert_allclose(pack.motions, whole.motions[:, kept + lacks], atol=1e-3)
+    np.testing.assert_allclose(pack.motions, whole.motions[:, kept + lacks], atol=5e-3)
     for other, index in enumerate(kept + lacks):
         mine, its = pack.texts[:, pack.owners == other], whole.texts[:, whole.owners == index]
-        np.testing.assert_allclose(mine, its, atol=1e-3)
+        np.testing.assert_allclose(mine, its, atol=5e-3)
     assert load_checkpoint(more.out, KIND)[1]["notes"] == notes
 
 
@@ -154,7 +154,7 @@ def test_a_pack_gets_the_vectors_of_another_ranker(swings, ranker, encoder, tmp_
     pack = build_examples(more, encoder)
     assert pack.examples == first.examples == wanted.examples and pack.ranker == wanted.ranker != first.ranker
     assert pack.data == first.data and pack.owners.tolist() == wanted.owners.tolist()
-    np.testing.assert_allclose(pack.texts, wanted.texts, atol=1e-6)
+    np.testing.assert_allclose(pack.texts, wanted.texts, atol=5e-3)
     np.testing.assert_allclose(pack.motions, wanted.motions, atol=0.05)  # but for what a skeleton cannot do
     assert not np.allclose(pack.motions, first.motions, atol=0.05)
 

@@ -352,9 +352,12 @@ def build_motions(
 
 
 def clip_weight(name: str, flags: Sequence[str]) -> float:
-    """How often to draw a clip: as its source says, and less where its caption tells more than it shows."""
+    """How often to draw a clip: as its source says, and less where its caption tells more than it shows, or the body
+    rides what is not there.
+    """
     source = source_of(name)
-    return (source.weight if source is not None else 1.0) * (0.5 if any("partial" in flag for flag in flags) else 1.0)
+    doubted = any("partial" in flag or flag.startswith("rides") for flag in flags)
+    return (source.weight if source is not None else 1.0) * (0.5 if doubted else 1.0)
 
 
 def checked(

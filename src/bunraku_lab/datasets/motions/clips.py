@@ -86,7 +86,7 @@ def credit_lines(names: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(source.credit_line for source in _table() if source in used))
 
 
-NAME = "captions_watched.json"
+NAME, ASKED = "captions_watched.json", "captions_asked.tsv"
 FEWEST = 8
 """Frames of the shortest stretch that is kept."""
 _SPACES = re.compile(r"\s+")
@@ -102,6 +102,7 @@ class Stretch:
         texts: Sentences, the fullest first, the tersest last.
         fault: Why it is not to be trained on; None where it is.
         note: What the watcher noticed.
+        asked: Sentences in which people ask for it, which the texts do not contradict.
     """
 
     start: int
@@ -109,6 +110,7 @@ class Stretch:
     texts: tuple[str, ...]
     fault: str | None = None
     note: str = ""
+    asked: tuple[str, ...] = ()
 
 
 def plain(sentence: str) -> str:
@@ -118,7 +120,8 @@ def plain(sentence: str) -> str:
 
 
 def load_watched(folder: str | Path, frames: dict[str, int], fps: float = 20.0) -> dict[str, list[Stretch]]:
-    """Stretches of each clip; nothing where the folder has no `captions_watched.json`.
+    """Stretches of each clip, with the sentences of `captions_asked.tsv` where the folder has it; nothing where it has
+    no `captions_watched.json`.
 
     Args:
         folder: Of the archive.
@@ -133,23 +136,34 @@ def load_watched(folder: str | Path, frames: dict[str, int], fps: float = 20.0) 
         return {}
     try:
         table: dict[str, list[dict[str, Any]]] = json.loads(path.read_text(encoding="utf-8"))["clips"]
+        asked = _asked(path.with_name(ASKED))
         found: dict[str, list[Stretch]] = {}
         for name, rows in table.items():
             if name not in frames:
                 continue
-            for row in rows:
+            for number, row in enumerate(rows):
                 start, stop = round(float(row["start"]) * fps), min(round(float(row["end"]) * fps), frames[name])
                 texts = tuple(dict.fromkeys(plain(str(text)) for text in row["texts"] if str(text).strip()))
                 note = str(row.get("note") or "")
                 if stop - start < FEWEST or not texts:
                     continue
                 fault = None if row.get("ok", True) else f"watched: {note or 'broken'}"
-                found.setdefault(name, []).append(Stretch(max(start, 0), stop, texts, fault, note))
+                found.setdefault(name, []).append(
+                    Stretch(max(start, 0), stop, texts, fault, note, asked.get(f"{name}#{number}", ()))
+                )
         return found
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise FormatError(
             path, f"cannot be read as captions by time ({type(error).__name__}); copy it again or take it away"
         ) from error
+
+
+def _asked(path: Path) -> dict[str, tuple[str, ...]]:
+    """Sentences that ask for each stretch, by its clip and its number there."""
+    if not path.is_file():
+        return {}
+    rows = [line.split("\t") for line in path.read_text(encoding="utf-8").splitlines()]
+    return {row[0]: tuple(dict.fromkeys(plain(text) for text in row[1:] if text.strip())) for row in rows}
 
 
 def write_clip(path: Path, motion: HandleMotion, lowest: np.ndarray | None = None) -> None:

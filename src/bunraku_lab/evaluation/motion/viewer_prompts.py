@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.motion import HandleMotion
-from bunraku.generation.agreement import SIDES
+from bunraku.generation.track import SIDES
 from bunraku.language.lexicon import main_actions
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.evaluation.motion import viewer
