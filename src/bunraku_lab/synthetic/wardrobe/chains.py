@@ -19,7 +19,7 @@ _DEGREE = np.pi / 180
 SPRING = 1 / 0.08**2
 """Stiffness in a file for each N m / rad: By definition: MMD's forces are in kg unit / s^2 and its unit is 8 cm."""
 
-# Fitted by eye to the percentiles of benchmarks/apparel_manners.py for the twelve files.
+# Fitted by eye to the percentiles of limits, springs and damping in twelve MMD files.
 HELD = 0.6  # share of the pieces that narrow limits hold in shape
 WIDER = 0.35  # log10 of how much wider the limits of the others are at the most
 SPRINGLESS_HELD, SPRINGLESS = 0.6, 0.35  # share of those, and of the others, without springs
