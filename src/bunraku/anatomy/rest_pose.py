@@ -15,7 +15,7 @@ from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle, rotation_between
-from bunraku.core.geometry.surface import surface_points, vertex_areas
+from bunraku.core.geometry.surface import surface_points
 from bunraku.core.skinning import skin
 
 __all__ = [
@@ -223,13 +223,12 @@ def stance_of(
         translations: How far each handle is moved [m], shape (K, 3).
     """
     vertices = skin(character.vertices, handles.weights, transforms[None])[0]
+    posed = replace(character, vertices=vertices, rig=None, source=None, avatar=None)
     if handles.rigid:
         positions = (handles.positions + translations).astype(np.float32)
     else:
-        positions = handle_positions(vertices, handles.weights, vertex_areas(vertices, character.faces))
-    return replace(character, vertices=vertices, rig=None, source=None, avatar=None), Handles(
-        positions, handles.weights, roles=handles.roles, rigid=handles.rigid
-    )
+        positions = handle_positions(vertices, handles.weights, posed.areas)
+    return posed, Handles(positions, handles.weights, roles=handles.roles, rigid=handles.rigid)
 
 
 def flat_feet(character: Character, handles: Handles, rotations: np.ndarray) -> np.ndarray:

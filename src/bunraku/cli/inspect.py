@@ -275,18 +275,20 @@ def _body(character: Character, up: str, front: str) -> dict[str, Any]:
     """What handles make of it: what it stands on, which parts are found and how clearly, and what it cannot do."""
     from bunraku.anatomy.anatomy import Anatomy
     from bunraku.anatomy.handles.predict import predict_handles
+    from bunraku.anatomy.scene import separated
     from bunraku.apparel.chains.moving import moving_rig
     from bunraku.files import rotated
     from bunraku.pipelines.bodies import body_facts
 
     try:
-        standing = rotated(character, up, front)
+        standing, lines = separated(rotated(character, up, front))
         anatomy = Anatomy.of(standing, predict_handles(standing))
         found = body_facts(anatomy)
     except (WeightsError, CharacterError) as error:
         return {"body": None, "body_note": str(error)}
     parts = [{"name": part.name, "area": round(part.area, 4), "clear": round(part.sure, 3)} for part in found.parts]
-    facts = {"body": found.plan.words, "parts": parts, "cannot": list(found.cannot)}
+    facts = {"beside": lines} if lines else {}
+    facts |= {"body": found.plan.words, "parts": parts, "cannot": list(found.cannot)}
     return facts if moving_rig(character) is not None else facts | shape_facts(anatomy)  # the file has no apparel
 
 
@@ -479,6 +481,7 @@ _WORDS: dict[str, Callable[[Any], str]] = {
     "rig": _rig_words,
     "mapping": _mapping_words,
     "parts": lambda value: ", ".join(f"{part['name']} ({100 * part['clear']:.0f} % clear)" for part in value),
+    "beside": lambda value: "; ".join(value),
     "apparel": lambda value: _short([say_part(part) for part in value]),
     "chains": lambda value: _short([say_chain(chain) for chain in value]),
     "cannot": lambda value: "; ".join(value) or "nothing is known that it cannot do",

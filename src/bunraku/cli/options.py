@@ -97,6 +97,8 @@ class StandingOptions:
     """The unit of lengths in the character's file. "auto" goes by the rule of the format, and by the height where it
     has none.
     """
+    character: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Which character of a file with several moves, counted from 1, the largest."""
 
     def check(self) -> None:
         """Raise OptionError unless up and front are axes at a right angle, or "auto"."""
@@ -104,9 +106,14 @@ class StandingOptions:
 
     def load(self, path: Path, clips: float | None = None) -> Character:
         """The character of a file, upright and in metres, with its clips where a rate [1/s] is given."""
+        from bunraku.anatomy.scene import separated
         from bunraku.files import load_character
 
-        return stand_up(load_character(path, unit="m", clips=clips), path, self.up, self.front, self.unit)
+        standing = stand_up(load_character(path, unit="m", clips=clips), path, self.up, self.front, self.unit)
+        character, lines = separated(standing, self.character)
+        for line in lines:
+            print(f"{path}: {line}", file=sys.stderr)
+        return character
 
 
 def resolve_file(character: Character, up: str = "auto", front: str = "auto") -> tuple[ResolvedAxes, str]:

@@ -97,6 +97,8 @@ class Character:
         source: The document that the mesh came from, owned by `bunraku.files`; a writer needs it to give back the
             user's materials, textures, UVs and vertex order untouched.
         avatar: What an MMD or VRM file holds besides its mesh.
+        beside: Vertices that stand still beside the body, such as the ground below it, shape (V,), bool; None for none
+            (`anatomy.scene.separated`).
 
     Raises:
         CharacterError: No vertices, no faces, a coordinate that is not finite, an index outside the vertices, or no
@@ -110,6 +112,7 @@ class Character:
     colors: np.ndarray | None = None
     source: Any = field(default=None, repr=False, compare=False)
     avatar: MmdModel | VrmModel | None = field(default=None, repr=False, compare=False)
+    beside: np.ndarray | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertices", frozen_array(self.vertices, np.float32, (None, 3), "vertices"))
@@ -143,20 +146,25 @@ class Character:
 
     @cached_property
     def surface(self) -> np.ndarray:
-        """Which vertices have faces, shape (V,), bool. Files bring stray vertices, which are not seen and count in no
-        measurement.
+        """Which vertices of the body have faces, shape (V,), bool. Files bring stray vertices, which are not seen and
+        count in no measurement.
         """
         used = np.zeros(len(self.vertices), bool)
-        used[self.faces] = True
+        used[self.body_faces] = True
         used.flags.writeable = False
         return used
 
     @cached_property
     def areas(self) -> np.ndarray:
-        """Surface area that each vertex stands for [m^2], shape (V,)."""
-        found = vertex_areas(self.vertices, self.faces)
+        """Surface area of the body that each vertex stands for [m^2], shape (V,)."""
+        found = vertex_areas(self.vertices, self.body_faces)
         found.flags.writeable = False
         return found
+
+    @property
+    def body_faces(self) -> np.ndarray:
+        """The faces of the body, without those beside it, shape (F', 3)."""
+        return self.faces if self.beside is None else self.faces[~self.beside[self.faces].any(axis=1)]
 
     @property
     def height(self) -> float:

@@ -149,6 +149,10 @@ def save_clips(
             "the clips of one file are of one character, moved by the same handles or bones, without apparel that "
             "moves on its own; write the others to files of their own"
         )
+    moved = {name: one.with_still() for name, one in handles.items()}
+    shown = next((one.character for one in moved.values() if isinstance(one, RigAnimation)), None)
+    if shown is not None:  # one more joint, for what stands beside the body
+        bones = {name: replace(one, character=shown) for name, one in moved.items() if isinstance(one, RigAnimation)}
     check_output_folder(path)
     if suffix == ".fbx":
         from bunraku.files.fbx.export import write_clips as write_fbx_clips

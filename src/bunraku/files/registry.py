@@ -412,6 +412,8 @@ def save(
         MotionError: The motion has fewer handles than the reference body, or its skeleton is no humanoid.
         OptionError: The format has no such option, its value makes no sense, or the motion has no frame.
     """
+    if isinstance(thing, Animation) and _suffix_of(Path(path), "animation") not in _OF_PARTS:
+        thing = thing.with_still()
     kind = next(name for types, name in _KINDS if isinstance(thing, types))
     if isinstance(thing, RigAnimation):
         suffix = _suffix_of(Path(path), "animation")

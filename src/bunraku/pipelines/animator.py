@@ -16,6 +16,7 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.handles.predict import Predictor
+from bunraku.anatomy.scene import separated
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, resample
@@ -297,6 +298,10 @@ class Animator:
             CharacterError: Apparel is to be simulated without physics; the character's bones are to move it, and they
                 are not understood; or as for `handles`.
         """
+
+        character, lines = separated(character)
+        for line in lines:
+            _log.warning("%s: %s", character.name, line)
 
         @cache
         def on_handles() -> Anatomy:

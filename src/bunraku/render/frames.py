@@ -163,11 +163,12 @@ def moments(animation: Animation | PointAnimation, fps: float | None) -> np.ndar
 def _take(animation: Animation | PointAnimation, times: np.ndarray, color: str) -> _Take:
     if color not in ("texture", "handles"):
         raise OptionError(f"color must be 'texture' or 'handles', not {color!r}")
-    character, motion = animation.character, animation.motion
-    colors = character.colors if color == "texture" else handle_colors(animation.handles)
-    rest, faces, colors, origin = _simplified(character.vertices, character.faces, colors, animation.handles.weights)
-    weights = animation.handles.weights if origin is None else animation.handles.weights[origin]
-    transforms = motion.transforms(animation.handles.positions)
+    moved = animation.with_still() if isinstance(animation, Animation) else animation
+    character, motion, handles = moved.character, moved.motion, moved.handles
+    colors = character.colors if color == "texture" else handle_colors(handles)
+    rest, faces, colors, origin = _simplified(character.vertices, character.faces, colors, handles.weights)
+    weights = handles.weights if origin is None else handles.weights[origin]
+    transforms = motion.transforms(handles.positions)
     at = np.clip(times * motion.fps, 0, len(motion) - 1)
     before = np.floor(at + 1e-6).astype(int)
     after = np.minimum(before + 1, len(motion) - 1)

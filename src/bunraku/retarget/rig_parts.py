@@ -22,7 +22,7 @@ from bunraku.anatomy.names.skeleton_map import joints_by_structure, mmd_centre, 
 from bunraku.anatomy.rest_pose import flat_feet, rest_rotations, upright
 from bunraku.core.animation import bone_order
 from bunraku.core.avatars import MmdModel, mmd_model, vrm_model
-from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS, WRISTS
+from bunraku.core.body.layout import BESIDE, HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS, WRISTS
 from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import rotation_between
@@ -107,6 +107,7 @@ class RigParts:
         areas = character.areas
         mass = np.bincount(rig.indices.ravel(), (rig.weights * areas[:, None]).ravel(), minlength=len(rig.names))
         above = _followed(character)
+        mass[[bone for bone, name in enumerate(rig.names) if name == BESIDE]] = 0  # that stays where it is
         parts = _avatar_parts(character, above, mass) if known is None else known.copy()
         if parts is None:
             handles, parts = rig_handles(character), handle_of_joints(rig.names, rig.parents, rig.positions, mass)

@@ -106,7 +106,7 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
         WeightsError: The checkpoint is missing or does not fit.
     """
     model = _load(checkpoint)
-    mesh, *others = network_views(character.vertices, character.faces, model.config.mesh_vertices, offsets=VIEWS)
+    mesh, *others = network_views(character.vertices, character.body_faces, model.config.mesh_vertices, offsets=VIEWS)
     weights, features = predict_weights(mesh, model)
     weights = np.mean([weights, *(mesh.carry(predict_weights(view, model)[0], view) for view in others)], axis=0)
     weights, roles = split_limbs(mesh, trim_weights(smooth_weights(weights, mesh.edges)))
@@ -119,7 +119,10 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
     if roles is None:
         weights, full, roles = with_appendages(mesh, weights, full)
     positions = handle_positions(mesh.vertices, weights, mesh.areas) * mesh.scale + mesh.center
-    return Handles(positions, trim_weights(full)[mesh.clean.index], features, roles)
+    weights = trim_weights(full)[mesh.clean.index]
+    if character.beside is not None:  # nothing moves it, so it may not count as a part
+        weights[character.beside] = np.eye(1, weights.shape[1])
+    return Handles(positions, weights, features, roles)
 
 
 def mesh_feature(character: Character, checkpoint: str | Path | None = None) -> np.ndarray:
@@ -128,7 +131,7 @@ def mesh_feature(character: Character, checkpoint: str | Path | None = None) -> 
     Arguments and errors are those of `predict_handles`.
     """
     model = _load(checkpoint)
-    return predict_weights(network_mesh(character.vertices, character.faces, model.config.mesh_vertices), model)[1]
+    return predict_weights(network_mesh(character.vertices, character.body_faces, model.config.mesh_vertices), model)[1]
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from bunraku.core.character import Handles
 from bunraku.errors import OptionError
 
 __all__ = [
+    "BESIDE",
     "CHEST", "HANDLE_COUNT", "HANDLE_INDEX", "HEAD", "WRISTS", "HANDLE_MIRROR", "HANDLE_NAMES",
     "HANDLE_PARENTS", "JOINT_COUNT", "JOINT_MIRROR", "JOINT_NAMES", "JOINT_PARENTS", "PARTS", "REQUIRED", "ROOTS",
     "SKELETONS", "engine_names", "handle_names", "kept_handles", "sided",
@@ -44,6 +45,10 @@ def _mirror(names: tuple[str, ...]) -> tuple[int, ...]:
 
 JOINT_MIRROR: tuple[int, ...] = _mirror(JOINT_NAMES)
 HANDLE_MIRROR: tuple[int, ...] = _mirror(HANDLE_NAMES)
+
+
+BESIDE = "beside"
+"""Name of the joint of what stands still beside a body."""
 
 
 def handle_names(handles: Handles) -> tuple[str, ...]:

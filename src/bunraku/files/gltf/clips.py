@@ -240,7 +240,7 @@ def write_stretches(
     if path.suffix.lower() != ".glb":
         raise FormatError(path, "a clip of this length goes into a GLB; end the name in .glb")
     check_output_folder(path)
-    coming = iter(stretches)
+    coming = (some.with_still() if isinstance(some, Animation) else some for some in stretches)
     first = next(coming, None)
     if first is None:
         raise OptionError("there is nothing to write; give at least one stretch")
