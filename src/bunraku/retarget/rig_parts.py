@@ -236,8 +236,8 @@ def _at_heads(joints: Joints, heads: np.ndarray, leads: np.ndarray, height: floa
 
 
 def _moves_all(body: Anatomy, shared: np.ndarray, parts: np.ndarray) -> bool:
-    """Whether bones can move what carries a body, each limb on its own: its legs and the arms of a person, or else its
-    wings or its tail.
+    """Whether bones can move what carries a body, each limb on its own: its legs and the arms of a person, or, without
+    legs, its wings or its tail.
 
     Args:
         body: The body by the handles of its mesh.
@@ -245,14 +245,16 @@ def _moves_all(body: Anatomy, shared: np.ndarray, parts: np.ndarray) -> bool:
         parts: Handle of each bone, -1 for none, shape (J,).
     """
     plan = body.plan
-    limbs = [limb for limb in body.extra_limbs if limb[0] not in body.appendages]
-    limbs += _LEGS if plan.legs else _WINGS if plan.wings else [_TAIL] if plan.tail else []
-    limbs += _ARMS if plan.kind == "person" or plan.front else []
 
     def moved(limb: list[int]) -> bool:
-        return bool(shared[np.isin(parts, limb)][:, limb].sum() >= OWN_BONES * shared[:, limb].sum())
+        own = [handle for handle in limb if body.own[handle]] or limb
+        return bool(shared[np.isin(parts, own)][:, own].sum() >= OWN_BONES * shared[:, own].sum())
 
-    return len(np.unique(parts[parts != NO_HANDLE])) >= FEWEST_PARTS and all(map(moved, limbs))
+    limbs = [limb for limb in body.extra_limbs if limb[0] not in body.appendages]
+    limbs += (_LEGS if plan.legs else []) + (_ARMS if plan.kind == "person" or plan.front else [])
+    carried = bool(plan.legs) or not (plan.wings or plan.tail)
+    carried |= (plan.wings and all(map(moved, _WINGS))) or (plan.tail and moved(_TAIL))
+    return len(np.unique(parts[parts != NO_HANDLE])) >= FEWEST_PARTS and carried and all(map(moved, limbs))
 
 
 def understood_rig(character: Character) -> RigParts | None:
