@@ -348,6 +348,22 @@ def test_a_wave_runs_along_what_slithers_and_it_gets_ahead(snake):
     assert np.ptp(tail[:, 0]) > 0.03 * length and np.ptp(tail[:, 1]) < 0.02 * length
 
 
+def test_what_swims_is_level_and_travels_by_its_length(snake):
+    """A person lies on the front to swim, and a fish does not stand on its nose for that."""
+    body = Anatomy.of(snake.character, snake.handles)
+    prone = matrix_from_axis_angle(np.tile([1.5, 0, 0], (FRAMES, 1)))
+    moved = moved_so(
+        replace(turned(prone.transpose(0, 2, 1), "neck", "head"), root_rotation=prone), "swim", EVERY, body
+    )
+    assert np.degrees(np.arccos(moved.root_rotation[:, 2, 2].min())) < 5
+    fitted = fit_motion(moved, body, Stages(smooth=False))
+    length = np.ptp(snake.character.vertices[:, 2])
+    travelled = fitted.root_translation[-1, 2] - fitted.root_translation[0, 2]
+    assert 0.4 * length < travelled / (FRAMES / moved.fps) < 0.6 * length
+    posed = part(snake, fitted, "head") - part(snake, fitted, "tail")
+    assert np.degrees(np.abs(np.arctan2(posed[:, 1], posed[:, 2]))).max() < 15
+
+
 def test_what_travels_far_enough_keeps_its_way(snake):
     turned = replace(still(), root_rotation=np.tile(matrix_y(np.array(np.pi / 2)), (FRAMES, 1, 1)))
     path = np.linspace([0, 0, 0], [6.0, 0, 0], FRAMES)

@@ -75,7 +75,8 @@ BOB = 0.05  # how far a body sinks and rises with the beats, over the height of 
 WAVE = {"swim": 1.2, "slither": 0.9}  # waves in a second
 BENT = {"swim": 0.45, "slither": 0.7}  # how far the tip of a tail turns aside [rad]
 BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
-SPEED = {"swim": 0.7, "slither": 0.5}  # heights of the root in a second
+SPEED = {"swim": 0.5, "slither": 0.3}  # lengths of the body in a second
+LASTS = 1.0  # what changes more slowly than this is how a body is held in the water, and no swing [s]
 STAYS = 0.25  # a motion that gets ahead by less than this share of that is given the speed
 AIR = {"stay": 0.75, "run": 0.2, "step": 0.15, "lie": 0.05, "slither": 0.05}
 """How long before and after a frame the ground is touched at the latest [s]; a step always has a foot on it."""
@@ -245,13 +246,32 @@ def _lifting_axis(anatomy: Anatomy, wing: int) -> np.ndarray:
     return np.asarray(axis / np.linalg.norm(axis))
 
 
+def _levelled(motion: HandleMotion, share: np.ndarray) -> HandleMotion:
+    """The motion of a body that is level in the water, as it rests, and does not lie on its front as a person does who
+    swims: the lasting tilt of the root and the lasting bend of the trunk and head are taken off.
+    """
+
+    def without(turn: np.ndarray) -> np.ndarray:
+        part = share.reshape(-1, *[1] * (turn.ndim - 1))
+        return np.asarray(matrix_from_axis_angle(turn - part * gaussian(turn, LASTS * motion.fps)))
+
+    facing = np.asarray(matrix_y(heading(motion.root_rotation, motion.fps)), np.float64)
+    root = facing @ without(np.asarray(axis_angle_from_matrix(facing.transpose(0, 2, 1) @ motion.root_rotation)))
+    rotations, line = motion.rotations.astype(np.float64).copy(), [*_TRUNK, *_HEAD]
+    rotations[:, line] = without(np.asarray(axis_angle_from_matrix(rotations[:, line])))
+    return replace(_attached(motion, rotations, motion.root_translation.astype(np.float64)), root_rotation=root)
+
+
 def _waved(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy, loop: bool) -> HandleMotion:
-    some = HandleMotion.take(motion, frames)
     share = _amount(len(motion), frames, motion.fps)
+    if locomotion == "swim":
+        motion = _levelled(motion, share)
+    some = HandleMotion.take(motion, frames)
     path = motion.root_translation.astype(np.float64)
     ahead = matrix_y(np.asarray(heading(motion.root_rotation, motion.fps)))[:, :, 2]
     own = float(((path[frames[-1]] - path[frames[0]]) * ahead[frames].mean(axis=0)).sum())
-    wanted = SPEED[locomotion] * _root() * len(frames) / motion.fps
+    length = float(np.ptp(anatomy.mesh.vertices[anatomy.mesh.surface, 2])) / anatomy.scale
+    wanted = SPEED[locomotion] * length * len(frames) / motion.fps
     if own < STAYS * wanted:
         path += np.cumsum(ahead * share[:, None] * wanted / len(frames), axis=0)
     rotations = motion.rotations.astype(np.float64).copy()
