@@ -151,7 +151,7 @@ def test_bones_that_a_rig_names_are_limbs():
     """A rig tells its joints, so what its bones are named moves, whatever the mesh looks like."""
     character, handles = snail()
     measured = Anatomy.of(character, handles)
-    named = Anatomy.of(character, handles, (measured.rotations, measured.joints))
+    named = replace(Anatomy.of(character, handles, (measured.rotations, measured.joints)), named=True)
     assert named.plan.kind == "no legs"
     moved, other = fit_motion(steps(), named), fit_motion(steps(), named, Stages(legless=False))
     np.testing.assert_array_equal(moved.rotations, other.rotations)

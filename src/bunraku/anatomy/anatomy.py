@@ -96,6 +96,7 @@ class Anatomy:
         mesh_handles: The handles with the weights of those vertices.
         known: What a rig or rigid blocks tell of the rest pose: the rotation of each handle into the reference body's,
             shape (K, 3, 3), and the joints. None measures them.
+        named: Whether the names of a rig's bones tell that its limbs are limbs.
     """
 
     character: Character
@@ -103,6 +104,7 @@ class Anatomy:
     mesh: Character
     mesh_handles: Handles
     known: tuple[np.ndarray, Joints] | None = None
+    named: bool = False
 
     @classmethod
     def of(cls, character: Character, handles: Handles, known: tuple[np.ndarray, Joints] | None = None) -> Anatomy:

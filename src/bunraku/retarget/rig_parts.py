@@ -168,7 +168,8 @@ class RigParts:
     @cached_property
     def anatomy(self) -> Anatomy:
         """The body that the rig moves, with the rest pose and the joints that the rig tells."""
-        return Anatomy.of(self.character, self.handles, (self.rotations, self.joints))
+        found = Anatomy.of(self.character, self.handles, (self.rotations, self.joints))
+        return replace(found, named=self.hung)
 
     @property
     def complete(self) -> bool:

@@ -142,8 +142,7 @@ class Legless(Stage):
     needs: ClassVar[tuple[str, ...]] = ("rest_pose",)
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        named = anatomy.known is not None and not anatomy.handles.rigid
-        return not named and anatomy.plan.kind == "no legs"
+        return not anatomy.named and anatomy.plan.kind == "no legs"
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         played, rotations = anatomy.handles.played, fitting.rotations.copy()
