@@ -10,7 +10,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import OptionError
-from bunraku.files import load_animation, save_clips
+from bunraku.files import load_animation, save_clips, with_still
 from bunraku_lab.synthetic.samples import make_sample
 
 
@@ -84,7 +84,7 @@ def test_one_of_two_characters_moves(tmp_path):
     moved = Animation(second[0], handles, motion)
     posed, stays = moved.vertices(), second[0].beside
     assert np.abs(posed[:, stays] - both.vertices[stays]).max() == 0 and np.ptp(posed[:, ~stays], axis=0).min() > 0.3
-    assert isinstance(moved.with_still(), RigAnimation)
+    assert isinstance(with_still(moved), RigAnimation)
     for number, path in enumerate(("one.glb", "clips.glb")):
         path = tmp_path / path
         moved.save(path) if number == 0 else save_clips({"a": moved, "b": moved}, path)

@@ -13,8 +13,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from bunraku.core.body.layout import BESIDE, handle_names
-from bunraku.core.character import Character, Handles, Rig, frozen_array, top_influences
+from bunraku.core.character import Character, Handles, Rig, frozen_array
 from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.rotations import Resampling, axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.core.motion import HandleMotion, check_rate, resample
@@ -78,24 +77,6 @@ class Animation(Shown):
             still = beside if chosen is None else beside[chosen]
             out[:, still] = rest[still]
         return out
-
-    def with_still(self) -> Animation | RigAnimation:
-        """The same on joints where something stands still beside the body: one for that, and below it the handles."""
-        character, motion, beside = self.character, self.motion, self.character.beside
-        if beside is None or not beside.any():
-            return self
-        count = len(self.handles.positions)
-        weights = np.concatenate([beside[:, None], self.handles.weights * ~beside[:, None]], axis=1)
-        transforms = np.tile(np.eye(4), (count + 1, 1, 1))
-        transforms[1:, :3, 3] = self.handles.positions
-        parents = np.array([-1, 0, *[1] * (count - 1)])
-        rig = Rig((BESIDE, *handle_names(self.handles)), parents, transforms, *top_influences(weights, 4))
-        rotations = np.tile(np.eye(3), (len(motion), count + 1, 1, 1))
-        translations = np.zeros((len(motion), count + 1, 3))
-        rotations[:, 2:], translations[:, 2:] = motion.rotations[:, 1:], motion.translations[:, 1:]
-        rotations[:, 1], translations[:, 1] = motion.root_rotation, motion.root_translation
-        moved = replace(character, rig=rig, beside=None)
-        return RigAnimation(moved, rotations, translations, motion.fps, self.reference)
 
     def at(self, fps: float) -> Animation:
         """The same at another rate [1/s], without `reference`, which stays at its own rate."""

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from bunraku.files.gltf.open import open_document
     from bunraku.files.gltf.read import Source, read_gltf, rotated
     from bunraku.files.gltf.vrma import load_skeleton_clip, write_vrma
+    from bunraku.files.gltf.write_rig import with_still
     from bunraku.files.gltf.write import clip_handles, document_of, joint_tracks
     from bunraku.files.gltf.write_points import before_skin, shapes_of_meshes
     from bunraku.files.meshes.obj import check_sequence, read_obj
@@ -52,6 +53,7 @@ _NAMES = {
     "gltf.open": "open_document",
     "gltf.read": "Source read_gltf rotated",
     "gltf.vrma": "load_skeleton_clip write_vrma",
+    "gltf.write_rig": "with_still",
     "gltf.write": "clip_handles document_of joint_tracks",
     "gltf.write_points": "before_skin shapes_of_meshes",
     "meshes.obj": "check_sequence read_obj",

@@ -21,7 +21,7 @@ from bunraku.errors import FormatError, OptionError
 from bunraku.files.gltf.clips import merge_documents
 from bunraku.files.gltf.open import open_document
 from bunraku.files.gltf.write import write_clips
-from bunraku.files.gltf.write_rig import save_rig_clips
+from bunraku.files.gltf.write_rig import save_rig_clips, with_still
 
 __all__ = [
     "PRESETS", "Preset", "on_root_bone", "on_the_spot", "preset_named", "preset_rows", "root_bone", "save_clips",
@@ -149,7 +149,7 @@ def save_clips(
             "the clips of one file are of one character, moved by the same handles or bones, without apparel that "
             "moves on its own; write the others to files of their own"
         )
-    moved = {name: one.with_still() for name, one in handles.items()}
+    moved = {name: with_still(one) for name, one in handles.items()}
     shown = next((one.character for one in moved.values() if isinstance(one, RigAnimation)), None)
     if shown is not None:  # one more joint, for what stands beside the body
         bones = {name: replace(one, character=shown) for name, one in moved.items() if isinstance(one, RigAnimation)}

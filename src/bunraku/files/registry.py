@@ -413,7 +413,9 @@ def save(
         OptionError: The format has no such option, its value makes no sense, or the motion has no frame.
     """
     if isinstance(thing, Animation) and _suffix_of(Path(path), "animation") not in _OF_PARTS:
-        thing = thing.with_still()
+        from bunraku.files.gltf.write_rig import with_still
+
+        thing = with_still(thing)
     kind = next(name for types, name in _KINDS if isinstance(thing, types))
     if isinstance(thing, RigAnimation):
         suffix = _suffix_of(Path(path), "animation")

@@ -12,6 +12,7 @@ from bunraku.core.animation import Animation, PointAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.skinning import skin_basis
 from bunraku.errors import OptionError
+from bunraku.files import with_still
 from bunraku.render.renderer import SoftwareRenderer, draw_parallel
 from bunraku.render.stage import YAW, Background, Camera, Framing, build_surface, set_stage, view_axes
 
@@ -163,7 +164,7 @@ def moments(animation: Animation | PointAnimation, fps: float | None) -> np.ndar
 def _take(animation: Animation | PointAnimation, times: np.ndarray, color: str) -> _Take:
     if color not in ("texture", "handles"):
         raise OptionError(f"color must be 'texture' or 'handles', not {color!r}")
-    moved = animation.with_still() if isinstance(animation, Animation) else animation
+    moved = with_still(animation) if isinstance(animation, Animation) else animation
     character, motion, handles = moved.character, moved.motion, moved.handles
     colors = character.colors if color == "texture" else handle_colors(handles)
     rest, faces, colors, origin = _simplified(character.vertices, character.faces, colors, handles.weights)

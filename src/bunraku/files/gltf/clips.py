@@ -21,7 +21,7 @@ from bunraku.files.gltf.document import Document, GltfBuilder
 from bunraku.files.gltf.nodes import read_nodes, read_skins
 from bunraku.files.gltf.open import open_document
 from bunraku.files.gltf.write import build_document, finish_document, joint_tracks
-from bunraku.files.gltf.write_rig import RigDocument, bone_tracks, placed
+from bunraku.files.gltf.write_rig import RigDocument, bone_tracks, placed, with_still
 
 __all__ = ["SAME_BONES", "Tracks", "merge_documents", "whole_document", "write_stretches"]
 
@@ -240,7 +240,7 @@ def write_stretches(
     if path.suffix.lower() != ".glb":
         raise FormatError(path, "a clip of this length goes into a GLB; end the name in .glb")
     check_output_folder(path)
-    coming = (some.with_still() if isinstance(some, Animation) else some for some in stretches)
+    coming = (with_still(some) if isinstance(some, Animation) else some for some in stretches)
     first = next(coming, None)
     if first is None:
         raise OptionError("there is nothing to write; give at least one stretch")

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bunraku.core.animation import RigAnimation
+from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.avatars import VrmModel
-from bunraku.core.character import Character, Handles
+from bunraku.core.body.layout import BESIDE, handle_names
+from bunraku.core.character import Character, Handles, Rig, top_influences
 from bunraku.core.files import check_output_folder
 from bunraku.core.geometry.rotations import Resampling, continuous, nearest_rotation, quaternion_from_matrix
 from bunraku.core.motion import checked_fps
@@ -28,6 +29,7 @@ from bunraku.files.gltf.write import build_document, document_of, drop_clip, fin
 __all__ = [
     "RigDocument", "add_bone_clip", "bone_tracks", "placed", "plain_rig", "save_rig_animation", "save_rig_clips",
     "write_character",
+    "with_still",
 ]  # fmt: skip
 
 SMALL = 1e-6  # what changes less, over the size of the rig or as a quaternion, stands still; some roundings of float32
@@ -128,6 +130,26 @@ class RigDocument:
     def local(self, animation: RigAnimation) -> np.ndarray:
         """Transform of each bone's node in its parent, shape (N, J, 4, 4)."""
         return _plain_local(animation) if self.source is None else _local(self.source, animation, self.above)
+
+
+def with_still(animation: Animation) -> Animation | RigAnimation:
+    """The animation on joints where something stands still beside the body: one for that, and below it the handles."""
+    character, handles, motion = animation.character, animation.handles, animation.motion
+    beside = character.beside
+    if beside is None or not beside.any():
+        return animation
+    count = len(handles.positions)
+    weights = np.concatenate([beside[:, None], handles.weights * ~beside[:, None]], axis=1)
+    transforms = np.tile(np.eye(4), (count + 1, 1, 1))
+    transforms[1:, :3, 3] = handles.positions
+    parents = np.array([-1, 0, *[1] * (count - 1)])
+    rig = Rig((BESIDE, *handle_names(handles)), parents, transforms, *top_influences(weights, 4))
+    rotations = np.tile(np.eye(3), (len(motion), count + 1, 1, 1))
+    translations = np.zeros((len(motion), count + 1, 3))
+    rotations[:, 2:], translations[:, 2:] = motion.rotations[:, 1:], motion.translations[:, 1:]
+    rotations[:, 1], translations[:, 1] = motion.root_rotation, motion.root_translation
+    moved = replace(character, rig=rig, beside=None)
+    return RigAnimation(moved, rotations, translations, motion.fps, animation.reference)
 
 
 def save_rig_animation(
