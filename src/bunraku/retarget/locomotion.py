@@ -247,8 +247,8 @@ def _lifting_axis(anatomy: Anatomy, wing: int) -> np.ndarray:
 
 
 def _levelled(motion: HandleMotion, share: np.ndarray) -> HandleMotion:
-    """The motion of a body that is level in the water, as it rests, and does not lie on its front as a person does who
-    swims: the lasting tilt of the root and the lasting bend of the trunk and head are taken off.
+    """The motion of a body that is level in the water, as it rests, where a swimming person lies on the front: what
+    lasts of the tilt of the root and of the bend of the trunk and head is taken off.
     """
 
     def without(turn: np.ndarray) -> np.ndarray:
