@@ -540,7 +540,8 @@ def test_a_take_ends_where_the_disk_fills_up_under_the_server(own_studio):
 
 
 def test_a_folder_that_can_only_be_read_is_shown(studio, character, own_studio, tmp_path):
-    kept, owner = shutil.copytree(studio.folder, tmp_path / "kept"), character["id"]
+    kept = shutil.copytree(studio.folder, tmp_path / "kept", ignore=shutil.ignore_patterns("*.tmp"))
+    owner = character["id"]
     for folder, _, _ in os.walk(kept):
         os.chmod(folder, 0o555)
     try:
