@@ -15,7 +15,7 @@ from bunraku.pipelines.animate import animate
 pytestmark = pytest.mark.skipif(
     not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there"
 )
-SEEDS = 2
+SEEDS = 3
 
 
 @cache
